@@ -1,0 +1,53 @@
+# `make run` sets up and runs the main job, `make test` sets up and passes the tests.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.ready
+
+.PHONY: run test setup check bench docs clean help
+
+help:
+	@echo "make run    set up, then measure, predict and explain the tour (report in out/tour)"
+	@echo "make test   set up, then run the tests"
+	@echo "make check  lint, types, import contract"
+	@echo "make bench  benchmarks: ratios against a reference in the same run"
+	@echo "make docs   check the documentation's examples"
+	@echo "make clean  remove everything that was built, the environment too"
+
+setup: $(STAMP)
+
+# uv where it is installed, else pip; bytecode is compiled so that the first start is fast too.
+$(STAMP): pyproject.toml
+	@if command -v uv >/dev/null 2>&1; then \
+		uv venv --quiet --allow-existing --python $(PYTHON) $(VENV) && \
+		uv pip install --quiet --compile-bytecode --python $(BIN)/python -e '.[render,dev]'; \
+	else \
+		{ [ -x $(BIN)/python ] || $(PYTHON) -m venv $(VENV); } && \
+		$(BIN)/python -m pip install --quiet --upgrade pip && \
+		$(BIN)/python -m pip install --quiet -e '.[render,dev]'; \
+	fi
+	@$(BIN)/python -m compileall -q src
+	@touch $@
+
+run: setup
+	@rm -rf out/tour
+	@$(BIN)/mcspectra run studies/tour.toml --out out/tour
+
+test: setup
+	$(BIN)/python -m pytest -n auto $(PYTEST_ARGS)
+
+check: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: setup
+	$(BIN)/python -m benchmarks
+
+docs: setup
+	$(BIN)/python -m pytest --doctest-modules --doctest-glob='*.md' src docs README.md
+
+clean:
+	rm -rf $(VENV) out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

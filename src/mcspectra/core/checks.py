@@ -1,0 +1,126 @@
+"""Checks of what users hand in: each returns the clean value or raises one clear sentence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from mcspectra.core.errors import DomainError, ParameterError, close_match_hint
+
+__all__ = [
+    "Array",
+    "as_choice",
+    "as_frequencies",
+    "as_integer",
+    "as_real",
+    "as_reals",
+    "as_unit_points",
+]
+
+Array = npt.NDArray[Any]
+
+
+def as_integer(name: str, value: object, *, least: int, most: int | None = None) -> int:
+    """Return `value` as an int within [least, most]; booleans and fractions are refused."""
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole and isinstance(value, float | np.floating) and float(value).is_integer():
+        whole = True
+    if whole and int(value) >= least and (most is None or int(value) <= most):  # type: ignore[call-overload]
+        return int(value)  # type: ignore[call-overload, no-any-return]
+    limit = f"at least {least}" if most is None else f"from {least} to {most}"
+    raise ParameterError(f"{name} is {value!r}; give a whole number {limit}.")
+
+
+def as_real(
+    name: str,
+    value: object,
+    *,
+    above: float | None = None,
+    least: float | None = None,
+    most: float | None = None,
+) -> float:
+    """Return `value` as a finite float, greater than `above`, at least `least`, at most `most`."""
+    rules = [f"greater than {above:g}"] if above is not None else []
+    rules += [f"at least {least:g}"] if least is not None else []
+    rules += [f"at most {most:g}"] if most is not None else []
+    number = isinstance(value, int | float | np.integer | np.floating)
+    if number and not isinstance(value, bool):
+        x = float(value)  # type: ignore[arg-type]
+        inside = (above is None or x > above) and (least is None or x >= least)
+        if math.isfinite(x) and inside and (most is None or x <= most):
+            return x
+    wanted = " and ".join(["a finite number", *rules])
+    raise ParameterError(f"{name} is {value!r}; give {wanted}.")
+
+
+def as_reals(name: str, value: object, length: int, **limits: float | None) -> tuple[float, ...]:
+    """Return `length` finite floats from one number (repeated) or a sequence of that length."""
+    if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str):
+        if len(value) != length:
+            raise ParameterError(
+                f"{name} has {len(value)} values; give one number or one for each of the "
+                f"{length} dims."
+            )
+        return tuple(as_real(f"{name}[{i}]", v, **limits) for i, v in enumerate(value))
+    return (as_real(name, value, **limits),) * length
+
+
+def as_choice(name: str, value: object, allowed: Sequence[str]) -> str:
+    """Return `value` if it is one of `allowed`."""
+    if isinstance(value, str) and value in allowed:
+        return value
+    hint, _ = close_match_hint(str(value), allowed)
+    raise ParameterError(f"{name} is {value!r}; it must be one of {', '.join(allowed)}.{hint}")
+
+
+def as_unit_points(points: object, *, dims: int | None = None, name: str = "points") -> Array:
+    """Return float64 points of shape (..., d) after checking that they lie in [0,1)^d.
+
+    Raises
+    ------
+    DomainError
+        Empty, not numeric, wrong number of dims, NaN, infinite, or outside [0,1).
+    """
+    try:
+        x = np.asarray(points, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise DomainError(
+            f"{name} are not an array of numbers; give floats of shape (..., d)."
+        ) from None
+    if x.ndim == 0 or x.size == 0:
+        raise DomainError(f"{name} have shape {x.shape}; give at least one point, shape (..., d).")
+    if dims is not None and x.shape[-1] != dims:
+        raise DomainError(
+            f"{name} have shape {x.shape}, that is {x.shape[-1]} dims; {dims} are needed."
+        )
+    low, high = float(x.min()), float(x.max())
+    if not (math.isfinite(low) and math.isfinite(high)):
+        bad = int(np.count_nonzero(~np.isfinite(x)))
+        raise DomainError(f"{name} hold {bad} NaN or infinite coordinates; give finite numbers.")
+    if low < 0.0 or high >= 1.0:
+        raise DomainError(
+            f"{name} run from {low:.6g} to {high:.6g}; they must lie in [0,1): "
+            "scale or wrap them first."
+        )
+    return x
+
+
+def as_frequencies(frequencies: object, dims: int) -> Array:
+    """Return float64 frequencies of shape (..., d), in cycles per unit."""
+    try:
+        m = np.asarray(frequencies, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ParameterError(
+            "frequencies are not an array of numbers; give shape (..., d)."
+        ) from None
+    if m.ndim == 0 or m.shape[-1] != dims or m.size == 0:
+        raise ParameterError(
+            f"frequencies have shape {m.shape}; give shape (..., {dims}), one row a frequency."
+        )
+    if not np.isfinite(m).all():
+        raise ParameterError("frequencies hold NaN or infinity; give finite numbers.")
+    return m

@@ -1,0 +1,104 @@
+"""Errors and warnings: each message says what was given, what is allowed and what to do.
+
+Every error a user can cause derives from `McspectraError`; the command line turns those into one
+sentence and exit code 2. Errors about values are also `ValueError` (or the built-in that fits), so
+that code which knows nothing of this package can catch them.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+__all__ = [
+    "ConfigError",
+    "CountError",
+    "DensityError",
+    "DomainError",
+    "FileFormatError",
+    "InfiniteWeightVarianceWarning",
+    "McspectraError",
+    "MissingDependency",
+    "NoClosedForm",
+    "NotPowerOfTwoWarning",
+    "ParameterError",
+    "SpecError",
+    "StoreError",
+    "UnknownName",
+    "close_match_hint",
+]
+
+
+class McspectraError(Exception):
+    """Root of all errors raised on purpose by this package."""
+
+
+class ParameterError(McspectraError, ValueError):
+    """A parameter has the wrong type, shape or range."""
+
+
+class DomainError(ParameterError):
+    """Points are outside [0,1)^d, not finite, or of the wrong shape."""
+
+
+class CountError(ParameterError):
+    """A sampler cannot make this many points; `nearest` holds the counts it can make next to it."""
+
+    def __init__(self, message: str, nearest: tuple[int, ...] = ()) -> None:
+        super().__init__(message)
+        self.nearest = nearest
+
+
+class DensityError(ParameterError):
+    """A density is not one: not positive where it must be, or pdf, sample and invert disagree."""
+
+
+class SpecError(ParameterError):
+    """A spec string such as ``jittered(...) | shift`` cannot be read."""
+
+
+class UnknownName(SpecError):
+    """A name is not registered; `close` holds names that are."""
+
+    def __init__(self, message: str, close: tuple[str, ...] = ()) -> None:
+        super().__init__(message)
+        self.close = close
+
+
+class ConfigError(ParameterError):
+    """A study file is not valid."""
+
+
+class FileFormatError(McspectraError, ValueError):
+    """A file is missing, empty, truncated or not what its name says."""
+
+
+class StoreError(McspectraError, RuntimeError):
+    """A result store exists already, is incomplete or belongs to another study."""
+
+
+class NoClosedForm(McspectraError, NotImplementedError):
+    """No closed form is known for this combination; simulate instead."""
+
+
+class MissingDependency(McspectraError, ImportError):
+    """An optional package is needed; the message names the extra to install."""
+
+
+class NotPowerOfTwoWarning(UserWarning):
+    """A digital net loses its balance at counts that are not powers of its base."""
+
+
+class InfiniteWeightVarianceWarning(UserWarning):
+    """∫1/p diverges: the variance of S_0 is infinite, although that of the estimate may not be."""
+
+
+def close_match_hint(given: str, allowed: Iterable[str]) -> tuple[str, tuple[str, ...]]:
+    """Return `` Did you mean 'x'?`` (or all names, when few) and the close matches themselves."""
+    names = sorted(allowed)
+    close = tuple(difflib.get_close_matches(given, names, n=3, cutoff=0.5))
+    if close:
+        return f" Did you mean {' or '.join(map(repr, close))}?", close
+    if len(names) <= 12:
+        return f" Allowed: {', '.join(names)}.", close
+    return f" There are {len(names)} names, from {names[0]!r} to {names[-1]!r}.", close

@@ -1,0 +1,116 @@
+"""Registries: names in spec strings to classes, loaded when first asked for.
+
+Built-in names are ``"module:Class"`` strings, so that nothing is imported to know them. Other
+packages add names by the entry points in `Registry.group`. A built-in name always wins.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Iterator, Mapping
+from importlib.metadata import entry_points
+from types import MappingProxyType
+from typing import Any
+
+from mcspectra.core.errors import McspectraError, MissingDependency, ParameterError, UnknownName
+from mcspectra.core.errors import close_match_hint as hint
+from mcspectra.core.spec import Call
+
+__all__ = ["DEFAULT_DIMS", "Registry"]
+
+DEFAULT_DIMS = 2
+"""Number of dims of a spec string when neither it nor its surroundings say: pictures are 2-D."""
+
+
+class Registry(Mapping[str, str]):
+    """Names of one kind of component.
+
+    Parameters
+    ----------
+    kind
+        What messages call the component, e.g. ``"sampler"``.
+    group
+        Entry-point group in which other packages register ``name = "module:Class"``.
+    builtin
+        Name to ``"module:Class"``.
+    """
+
+    def __init__(self, kind: str, group: str, builtin: Mapping[str, str]) -> None:
+        self.kind = kind
+        self.group = group
+        self._builtin = MappingProxyType(dict(sorted(builtin.items())))
+
+    def __getitem__(self, name: str) -> str:
+        return self._targets()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._targets())
+
+    def __len__(self) -> int:
+        return len(self._targets())
+
+    def load(self, name: str) -> type[Any]:
+        """Return the class behind `name`.
+
+        Raises
+        ------
+        UnknownName
+            Nobody registered the name; the message offers close ones.
+        MissingDependency
+            The module needs a package that is not installed.
+        """
+        target = self._builtin.get(name) or self._targets().get(name)
+        if target is None:
+            offer, close = hint(name, self._targets())
+            raise UnknownName(f"There is no {self.kind} called {name!r}.{offer}", close)
+        module, _, attribute = target.partition(":")
+        try:
+            return getattr(importlib.import_module(module), attribute)  # type: ignore[no-any-return]
+        except McspectraError:
+            raise
+        except (ImportError, AttributeError) as error:
+            raise MissingDependency(
+                f"The {self.kind} {name!r} ({target}) cannot be loaded: {error}."
+            ) from error
+
+    def build(self, call: Call, dims: int | None = None) -> Any:
+        """Make the component that `call` describes.
+
+        `dims` is what the surroundings ask for; a ``dims=`` in the call must agree with it.
+        """
+        cls = self.load(call.name)
+        allowed = inspect.signature(cls).parameters
+        arguments = {self._spelled(allowed, key): value for key, value in call.arguments.items()}
+        for key in arguments:
+            if key not in allowed:
+                shown = [p.rstrip("_") for p in allowed]
+                offer, _ = hint(key, shown)
+                takes = f"it takes {', '.join(shown)}" if shown else "it takes no parameters"
+                raise ParameterError(f"{call.name} has no parameter {key!r}; {takes}.{offer}")
+        if dims is not None:
+            given = arguments.setdefault("dims", dims) if "dims" in allowed else dims
+            if given != dims:
+                raise ParameterError(f"{call.name} says dims={given}, but {dims} dims are needed.")
+        missing = [
+            p.name.rstrip("_")
+            for p in allowed.values()
+            if p.default is p.empty and p.kind is p.KEYWORD_ONLY and p.name not in arguments
+        ]
+        if missing:
+            raise ParameterError(f"{call.name} needs {', '.join(missing)}.")
+        component = cls(**arguments)
+        if dims is not None and getattr(component, "dims", dims) != dims:
+            raise ParameterError(
+                f"{call.name} is for {component.dims} dims, but {dims} dims are needed."
+            )
+        return component
+
+    @staticmethod
+    def _spelled(allowed: Mapping[str, Any], key: str) -> str:
+        """Spec strings say ``lambda=1``; Python's field is then ``lambda_``."""
+        return f"{key}_" if f"{key}_" in allowed else key
+
+    def _targets(self) -> dict[str, str]:
+        extra = {e.name: e.value for e in entry_points(group=self.group)}
+        return dict(sorted({**extra, **self._builtin}.items()))

@@ -1,0 +1,179 @@
+"""Spec strings: ``name(key=value, ...) | name(...)``, the same on command line, in TOML, in Python.
+
+Names are kebab-case, values Python literals read by `ast.literal_eval`; nothing is ever evaluated.
+`parse` turns text into `Call`s, `format_call` turns a component back into text.
+"""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import re
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from mcspectra.core.errors import SpecError
+
+__all__ = ["Call", "Component", "format_call", "parse", "parse_chain"]
+
+_NAME = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)*")
+_MAX_LENGTH = 20_000
+_OPEN, _CLOSE = "([{", ")]}"
+
+
+@dataclass(frozen=True)
+class Call:
+    """One ``name(key=value, ...)`` of a spec string."""
+
+    name: str
+    arguments: dict[str, Any]
+
+
+class Component:
+    """What samplers, randomisations, densities and integrands share: a name and a spec string.
+
+    Subclasses are dataclasses; `spec` lists the fields that differ from their defaults.
+    """
+
+    name: ClassVar[str] = ""
+
+    @property
+    def spec(self) -> str:
+        """The spec string that makes this component again (`dims` left out)."""
+        return format_call(self)
+
+    @classmethod
+    def summary(cls) -> str:
+        """First line of the class's docstring."""
+        return (cls.__doc__ or cls.__name__).strip().splitlines()[0].strip()
+
+
+def parse_chain(text: str) -> list[Call]:
+    """Read ``a(...) | b(...)`` into calls.
+
+    Raises
+    ------
+    SpecError
+        Not a string, empty, unbalanced, or not of that form.
+    """
+    if not isinstance(text, str):
+        raise SpecError(f"A spec is a string such as 'jittered | shift', not {text!r}.")
+    if len(text) > _MAX_LENGTH:
+        raise SpecError(f"The spec has {len(text)} characters; {_MAX_LENGTH} at most are read.")
+    return [_parse_call(part, text) for part in _split(text)]
+
+
+def parse(text: str) -> Call:
+    """Read one ``name(...)``; a chain with ``|`` is an error."""
+    calls = parse_chain(text)
+    if len(calls) != 1:
+        raise SpecError(
+            f"{text!r} chains {len(calls)} parts with '|'; only samplers can be chained."
+        )
+    return calls[0]
+
+
+def format_call(component: object) -> str:
+    """Write a dataclass component as ``name(key=value)`` with the fields that are not defaults."""
+    shown = []
+    for field in dataclasses.fields(component):  # type: ignore[arg-type]
+        value = getattr(component, field.name)
+        if field.name == "dims" or not field.init or _same(value, _default(field)):
+            continue
+        shown.append(f"{field.name.rstrip('_')}={_literal(value)}")
+    name = getattr(component, "name", type(component).__name__)
+    return f"{name}({', '.join(shown)})" if shown else name
+
+
+def _default(field: dataclasses.Field[Any]) -> object:
+    if field.default_factory is not dataclasses.MISSING:
+        return field.default_factory()
+    return field.default
+
+
+def _same(a: object, b: object) -> bool:
+    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
+        return np.array_equal(np.asarray(a), np.asarray(b))
+    return type(a) is type(b) and a == b
+
+
+def _literal(value: object) -> str:
+    if isinstance(value, np.ndarray):
+        return f"<array {'x'.join(map(str, value.shape))}>"
+    if isinstance(value, Component):
+        return repr(value.spec)
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(map(_literal, value))}]"
+    return repr(value)
+
+
+def _split(text: str) -> list[str]:
+    """Split at '|' outside quotes and brackets."""
+    parts, start, depth, quote, skip = [], 0, 0, "", False
+    for i, c in enumerate(text):
+        if skip:
+            skip = False
+        elif quote:
+            skip = c == "\\"
+            quote = "" if c == quote else quote
+        elif c in "'\"":
+            quote = c
+        elif c in _OPEN:
+            depth += 1
+        elif c in _CLOSE:
+            depth -= 1
+        elif c == "|" and depth == 0:
+            parts.append(text[start:i])
+            start = i + 1
+        if depth < 0:
+            raise SpecError(
+                f"{text!r} closes a bracket that it did not open, at character {i + 1}."
+            )
+    if quote or depth:
+        what = "quote" if quote else "bracket"
+        raise SpecError(f"{text!r} opens a {what} and does not close it.")
+    return [*parts, text[start:]]
+
+
+def _parse_call(part: str, whole: str) -> Call:
+    part = part.strip()
+    match = _NAME.match(part)
+    if not match:
+        raise SpecError(
+            f"{part!r} in {whole!r} does not start with a name; "
+            "write name or name(key=value), names in lower case with hyphens."
+        )
+    name, rest = match.group(), part[match.end() :].strip()
+    if not rest:
+        return Call(name, {})
+    if not (rest.startswith("(") and rest.endswith(")")):
+        raise SpecError(f"{part!r} is not of the form name(key=value, ...).")
+    return Call(name, _parse_arguments(name, rest))
+
+
+def _parse_arguments(name: str, brackets: str) -> dict[str, Any]:
+    try:
+        tree = ast.parse(f"f{brackets}", mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        raise SpecError(f"The brackets of {name}{brackets} are not key=value pairs.") from None
+    if not (isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name)):
+        raise SpecError(f"{name}{brackets} is not of the form name(key=value, ...).")
+    if tree.args:
+        shown = ast.unparse(tree.args[0])
+        raise SpecError(f"{name} was given {shown} without a name; write key={shown}.")
+    arguments: dict[str, Any] = {}
+    for keyword in tree.keywords:
+        if keyword.arg is None:
+            raise SpecError(f"{name} was given '**'; only key=value is read.")
+        if keyword.arg in arguments:
+            raise SpecError(f"{name} was given {keyword.arg} twice.")
+        try:
+            arguments[keyword.arg] = ast.literal_eval(keyword.value)
+        except (ValueError, TypeError, RecursionError, MemoryError):
+            raise SpecError(
+                f"The value of {keyword.arg} in {name}(...) is not a literal; give a number, "
+                "a quoted string, True, False, None, or a list of those."
+            ) from None
+    return arguments

