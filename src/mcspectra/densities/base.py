@@ -17,7 +17,7 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import DensityError, DomainError
 from mcspectra.core.spec import Component
 
-__all__ = ["Density", "as_points"]
+__all__ = ["Density", "as_points", "divide_by_density"]
 
 LARGEST_BELOW_ONE = float(np.nextafter(1.0, 0.0))
 
@@ -121,3 +121,24 @@ def as_points(x: object, dims: int, name: str) -> Array:
     if not np.isfinite(points).all():
         raise DomainError(f"{name} holds NaN or infinity; give finite points in [0,1).")
     return points
+
+
+def divide_by_density(values: Array, pdf: Array, x: Array, spec: str) -> Array:
+    """Return values/pdf, 0 where both vanish; values (...) or (..., channels).
+
+    Raises
+    ------
+    DensityError
+        pdf is 0 at a sample where the value is not.
+    """
+    scaled = pdf if values.ndim == pdf.ndim else pdf[..., None]
+    if (pdf > 0).all():
+        return np.asarray(values / scaled)
+    bad = (pdf <= 0) & (values != 0 if values.ndim == pdf.ndim else (values != 0).any(axis=-1))
+    if bad.any():
+        where = ", ".join(f"{c:.6g}" for c in x[bad][0])
+        raise DensityError(
+            f"The density of {spec} is 0 at the sample ({where}), where f is not; "
+            "choose a density that is positive wherever f is not 0."
+        )
+    return np.asarray(values / np.where(scaled > 0, scaled, 1.0))

@@ -1,1 +1,1 @@
-"""Spectra."""
+"""Spectra of point sets: transforms, expected power, closed forms, pair correlation."""

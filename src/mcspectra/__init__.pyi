@@ -1,0 +1,57 @@
+from . import densities as densities
+from . import estimators as estimators
+from . import integrands as integrands
+from . import rendering as rendering
+from . import samplers as samplers
+from . import spectra as spectra
+from . import studies as studies
+from . import variance as variance
+from .core.errors import McspectraError as McspectraError
+from .core.errors import NoClosedForm as NoClosedForm
+from .densities.base import Density as Density
+from .densities.registry import density as density
+from .estimators.importance import Estimator as Estimator
+from .estimators.mis import MultipleImportance as MultipleImportance
+from .estimators.mis import TechniqueSum as TechniqueSum
+from .integrands.base import Integrand as Integrand
+from .integrands.registry import integrand as integrand
+from .samplers.base import Randomization as Randomization
+from .samplers.base import Sampler as Sampler
+from .samplers.registry import sampler as sampler
+from .spectra.closed_forms import closed_form_power as closed_form_power
+from .spectra.pair_correlation import pair_correlation as pair_correlation
+from .spectra.power import power_spectrum as power_spectrum
+from .variance.convergence import convergence as convergence
+from .variance.exact import exact_variance as exact_variance
+from .variance.terms import variance_terms as variance_terms
+from .version import __version__ as __version__
+
+__all__ = [
+    "Density",
+    "Estimator",
+    "Integrand",
+    "McspectraError",
+    "MultipleImportance",
+    "NoClosedForm",
+    "Randomization",
+    "Sampler",
+    "TechniqueSum",
+    "__version__",
+    "closed_form_power",
+    "convergence",
+    "densities",
+    "density",
+    "estimators",
+    "exact_variance",
+    "integrand",
+    "integrands",
+    "pair_correlation",
+    "power_spectrum",
+    "rendering",
+    "sampler",
+    "samplers",
+    "spectra",
+    "studies",
+    "variance",
+    "variance_terms",
+]

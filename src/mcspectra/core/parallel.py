@@ -1,0 +1,63 @@
+"""Work over realisations in blocks: a fixed partition, a thread pool, results in order.
+
+The partition depends on the size of the problem alone, never on the number of workers, and block
+results come back in order, so that sums over them are the same bits for any number of workers.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TypeVar
+
+from mcspectra.core.checks import as_integer
+
+__all__ = ["Block", "available_workers", "map_in_order", "realization_blocks"]
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+Block = tuple[int, int]
+"""First realisation and number of realisations."""
+
+_BLOCK_NUMBERS = 2**21  # about 16 MiB of float64 a block: larger than any cache, far below memory
+
+
+def available_workers(workers: int | None = None) -> int:
+    """Return `workers`, by default the number of processors this process may use."""
+    if workers is not None:
+        return as_integer("workers", workers, least=1, most=1024)
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
+
+
+def realization_blocks(
+    realizations: int, numbers_each: int, *, multiple: int = 1, first: int = 0
+) -> list[Block]:
+    """Split realisations into blocks of about `_BLOCK_NUMBERS` numbers, a multiple of `multiple`."""
+    size = max(1, _BLOCK_NUMBERS // max(1, numbers_each) // multiple) * multiple
+    stop = first + realizations
+    return [(start, min(size, stop - start)) for start in range(first, stop, size)]
+
+
+def map_in_order(
+    function: Callable[[Item], Result], items: Iterable[Item], workers: int
+) -> Iterator[Result]:
+    """Yield ``function(item)`` in order, computed by `workers` threads, few results ahead."""
+    if workers == 1:
+        yield from map(function, items)
+        return
+    with ThreadPoolExecutor(workers) as pool:
+        waiting: deque[Future[Result]] = deque()
+        try:
+            for item in items:
+                waiting.append(pool.submit(function, item))
+                if len(waiting) > workers:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()

@@ -1,0 +1,91 @@
+"""Names of all result variables, and the one way to make a labelled dataset of them.
+
+Every variable an analysis returns is registered here once with its meaning and unit; `dataset`
+attaches both as attributes, and the provenance (seed, versions, spec strings) to the whole.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["VARIABLES", "dataset", "package_versions"]
+
+VARIABLES: Mapping[str, tuple[str, str]] = {
+    # name: (long_name, units)
+    "anisotropy": ("variance of power over direction / (mean power)²", "1"),
+    "band_covariance": ("covariance of band-limited estimates", "f²"),
+    "bias": ("mean estimate minus the known integral", "f"),
+    "captured": ("predicted / measured variance", "1"),
+    "captured_by_half_width": ("predicted / measured variance, truncated at each half width", "1"),
+    "coefficient_covariance": ("C_ml, covariance of S_m and S_l", "1"),
+    "contribution": ("c_m, contribution of frequency m to the variance", "f²"),
+    "cross_matrix": ("conj(f_m) f_l C_ml", "f²"),
+    "cross_term": ("cross term Σ_{m≠l} conj(f_m) f_l C_ml", "f²"),
+    "dc_term": ("dc term |f_0|² C_00", "f²"),
+    "exact_variance": ("exact variance", "f²"),
+    "mean": ("mean estimate", "f"),
+    "mean_se": ("standard error of the mean estimate", "f"),
+    "measured_variance": ("measured variance of the estimate (ddof = 1)", "f²"),
+    "measured_variance_ci": ("95 % interval of the measured variance", "f²"),
+    "mse": ("mean squared error against the known integral", "f²"),
+    "pair_correlation": ("pair correlation g(r), 1 for random points", "1"),
+    "pair_correlation_se": ("standard error of g(r) over realisations", "1"),
+    "points": ("points of one realisation", "1"),
+    "power": ("expected power ⟨|S_m|²⟩; random points: 1/n", "1"),
+    "power_se": ("standard error of the expected power over realisations", "1"),
+    "power_contribution": ("|f_m|² C_mm, the diagonal part of the contribution", "f²"),
+    "power_term": ("power term Σ_{m≠0} |f_m|² C_mm", "f²"),
+    "predicted_variance": ("predicted variance, dc + power + cross", "f²"),
+    "predicted_variance_ci": ("95 % interval of the predicted variance", "f²"),
+    "radial_power": ("expected power, mean over directions", "1"),
+    "radial_power_se": ("standard error of the radial power over frequencies", "1"),
+    "rate": ("fitted exponent of variance in n; random sampling: −1", "1"),
+    "rate_ci": ("95 % interval of the rate", "1"),
+    "truncated_variance": ("variance of the estimate truncated at each half width", "f²"),
+    "variance": ("variance of the estimate (ddof = 1)", "f²"),
+    "variance_ci": ("95 % interval of the variance", "f²"),
+}
+
+
+def dataset(
+    variables: Mapping[str, tuple[tuple[str, ...], Any]],
+    coords: Mapping[str, Any] | None = None,
+    **provenance: Any,
+) -> xr.Dataset:
+    """Make a dataset of registered variables, name -> (dims, values), with provenance attributes."""
+    import xarray as xr
+
+    arrays = {
+        name: (dims, values, dict(zip(("long_name", "units"), VARIABLES[name], strict=True)))
+        for name, (dims, values) in variables.items()
+    }
+    attributes = {key: _plain(value) for key, value in provenance.items() if value is not None}
+    return xr.Dataset(arrays, coords=coords, attrs={**attributes, **package_versions()})
+
+
+@functools.cache
+def package_versions() -> dict[str, str]:
+    """Versions of this package and of those that its numbers depend on."""
+    found = {}
+    for name in ("mcspectra", "numpy", "scipy", "numba", "finufft"):
+        try:
+            found[f"version_{name}"] = version(name)
+        except PackageNotFoundError:
+            found[f"version_{name}"] = "unknown"
+    return found
+
+
+def _plain(value: Any) -> Any:
+    """Return what every storage format can hold: numbers, strings, or JSON text."""
+    if isinstance(value, np.generic):
+        return value.item()
+    return value if isinstance(value, str | int | float) else json.dumps(value)

@@ -1,0 +1,148 @@
+"""What an estimator is to the analyses: techniques, each a warp, a weight and an integrand.
+
+An estimator with techniques t = 0 … T−1 draws n_t = n · counts[t] points u_tk of a sampler for each
+and returns I = Σ_t (1/n_t) Σ_k g_t(u_tk). Two views of it are analysed:
+
+* *primary space*: integrands g_t on the unit cube with the sampler's own points;
+* *domain*: one integrand f with all warped points x_tk = T_t(u_tk), weighted w_t/(p_t n_t), so that
+  I = Σ_tk weight_tk f(x_tk).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.streams import Stream
+from mcspectra.estimators.moments import Moments
+
+if TYPE_CHECKING:
+    from mcspectra.integrands.base import Integrand
+    from mcspectra.samplers.base import Sampler
+
+__all__ = ["AbstractEstimator", "check_counts"]
+
+_TECHNIQUE = 1 << 20  # stream labels of the second and further techniques
+
+
+class AbstractEstimator(ABC):
+    """An estimator of an integral, to be combined with any sampler.
+
+    Attributes
+    ----------
+    counts
+        Points of each technique as multiples of n.
+    """
+
+    counts: tuple[int, ...]
+
+    @property
+    @abstractmethod
+    def dims(self) -> int:
+        """Number of dims of the sampler that it needs."""
+
+    @property
+    @abstractmethod
+    def channels(self) -> int:
+        """0 for a scalar estimate, else its number of channels."""
+
+    @property
+    @abstractmethod
+    def spec(self) -> str:
+        """Text that says which estimator this is, for provenance."""
+
+    @property
+    @abstractmethod
+    def integral(self) -> Any:
+        """What is estimated: a float or an array (channels,)."""
+
+    @property
+    @abstractmethod
+    def integral_source(self) -> str:
+        """``"exact"`` or how `integral` was computed."""
+
+    @property
+    @abstractmethod
+    def domain_integrand(self) -> Integrand | None:
+        """The integrand f of the domain view, None where there is none."""
+
+    @property
+    def infinite_weights(self) -> bool:
+        """Whether ∫1/p diverges, so that Var(S_0) is infinite in the domain view."""
+        return False
+
+    @abstractmethod
+    def primary_integrand(self, technique: int) -> Integrand:
+        """The integrand g_t of the primary view."""
+
+    @abstractmethod
+    def primary_values(self, technique: int, u: Array) -> Array:
+        """g_t at primary points u (..., d): float64 (...) or (..., channels)."""
+
+    def warp(self, technique: int, u: Array) -> Array:
+        """Domain points T_t(u)."""
+        raise NotImplementedError
+
+    def weight(self, technique: int, x: Array) -> Array:
+        """Weights w_t(x)/p_t(x) of domain points of technique t."""
+        raise NotImplementedError
+
+    def check_sampler(self, sampler: Sampler, n: int) -> None:
+        """Raise unless `sampler` fits in dims and can draw every technique's count."""
+        if sampler.dims != self.dims:
+            raise ParameterError(
+                f"The estimator {self.spec} needs a sampler in {self.dims} dims; "
+                f"{sampler.spec} has {sampler.dims}."
+            )
+        for count in self.counts:
+            sampler.check_count(n * count)
+
+    def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:
+        """Draw realisations first … first+count−1 for each technique: arrays (count, n_t, d).
+
+        The first technique uses `stream` itself: it gets the points of ``sampler.draw(n, rng)``.
+        """
+        streams = (stream.child(_TECHNIQUE + t) if t else stream for t in range(len(self.counts)))
+        return [
+            sampler.draw_stream(n * multiple, own, first, count)
+            for multiple, own in zip(self.counts, streams, strict=True)
+        ]
+
+    def estimate(self, points: list[Array]) -> Array:
+        """Estimates from primary points of each technique: float64 (R,) or (R, channels)."""
+        total: Any = 0.0
+        for technique, u in enumerate(points):
+            values = self.primary_values(technique, u)
+            total = total + values.mean(axis=1)
+        if not np.isfinite(total).all():
+            raise ParameterError(f"{self.spec} gave an estimate that is NaN or infinite.")
+        return np.asarray(total)
+
+    def weighted_points(self, points: list[Array]) -> tuple[Array, Array]:
+        """Domain points (R, Σn_t, d) and weights w_t/(p_t n_t) (R, Σn_t)."""
+        xs, weights = [], []
+        for technique, u in enumerate(points):
+            x = self.warp(technique, u)
+            xs.append(x)
+            weights.append(self.weight(technique, x) / u.shape[1])
+        return np.concatenate(xs, axis=1), np.concatenate(weights, axis=1)
+
+    def moments(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> Moments:
+        """Moments of `count` estimates over realisations."""
+        return Moments.of(self.estimate(self.draw(sampler, n, stream, first, count)))
+
+
+def check_counts(counts: Any, techniques: int) -> tuple[int, ...]:
+    """Return counts as a tuple of `techniques` positive ints."""
+    from mcspectra.core.checks import as_integer
+
+    values = tuple(counts) if isinstance(counts, list | tuple | np.ndarray) else (counts,)
+    if len(values) != techniques:
+        raise ParameterError(
+            f"counts has {len(values)} entries for {techniques} techniques; give one for each."
+        )
+    return tuple(as_integer(f"counts[{i}]", c, least=1) for i, c in enumerate(values))

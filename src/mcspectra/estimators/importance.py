@@ -1,0 +1,154 @@
+"""Plain and importance-sampled estimators: I = (1/n) Σ f(x_k)/p(x_k)."""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import DensityError, ParameterError
+from mcspectra.densities import Density, as_density
+from mcspectra.densities.base import divide_by_density
+from mcspectra.estimators.base import AbstractEstimator
+from mcspectra.estimators.primary import PrimaryIntegrand
+from mcspectra.integrands import Integrand, as_integrand
+
+__all__ = ["Estimator", "check_same_dims", "check_support", "probe_points", "scale"]
+
+_PROBES = 4096
+
+
+@final
+class Estimator(AbstractEstimator):
+    """The estimator (1/n) Σ f(x_k)/p(x_k) with x_k = T(u_k).
+
+    Parameters
+    ----------
+    integrand
+        f, or its spec string.
+    density
+        p with its warp T, or its spec string; None is the uniform density.
+    dims
+        Number of dims for spec strings that do not say; otherwise the other argument's, or 2.
+
+    Raises
+    ------
+    DensityError
+        p is zero at points where f is not (found by probing 4096 points).
+    ParameterError
+        Different numbers of dims.
+    """
+
+    counts = (1,)
+
+    def __init__(
+        self,
+        integrand: Integrand | str,
+        density: Density | str | None = None,
+        *,
+        dims: int | None = None,
+    ) -> None:
+        if dims is None:
+            dims = next((c.dims for c in (integrand, density) if hasattr(c, "dims")), None)
+        self.integrand = as_integrand(integrand, dims)
+        self.density = as_density(density, self.integrand.dims)
+        if self.density is not None:
+            check_support(self.integrand, [self.density])
+
+    def __repr__(self) -> str:
+        return f"Estimator({self.spec})"
+
+    @property
+    def dims(self) -> int:
+        """Number of dims."""
+        return self.integrand.dims
+
+    @property
+    def channels(self) -> int:
+        """Channels of the integrand."""
+        return self.integrand.channels
+
+    @property
+    def spec(self) -> str:
+        """``integrand / density``."""
+        return self.integrand.spec + (f" / {self.density.spec}" if self.density else "")
+
+    @property
+    def integral(self) -> Any:
+        """∫ f."""
+        return self.integrand.integral
+
+    @property
+    def integral_source(self) -> str:
+        """Where `integral` comes from."""
+        return self.integrand.integral_source
+
+    @property
+    def domain_integrand(self) -> Integrand:
+        """f."""
+        return self.integrand
+
+    @property
+    def infinite_weights(self) -> bool:
+        """Whether ∫1/p diverges."""
+        return self.density is not None and not np.isfinite(self.density.reciprocal_integral())
+
+    def primary_integrand(self, technique: int = 0) -> Integrand:
+        """g(u) = f(T(u))/p(T(u)); f itself where p is uniform."""
+        if self.density is None:
+            return self.integrand
+        return PrimaryIntegrand(self, technique, self.integrand, self.density)
+
+    def primary_values(self, technique: int, u: Array) -> Array:
+        """g(u)."""
+        if self.density is None:
+            return self.integrand(u)
+        x = self.warp(technique, u)
+        return divide_by_density(self.integrand(x), self.density.pdf(x), x, self.spec)
+
+    def warp(self, technique: int, u: Array) -> Array:  # noqa: ARG002
+        """T(u)."""
+        return u if self.density is None else self.density.sample(u)
+
+    def weight(self, technique: int, x: Array) -> Array:  # noqa: ARG002
+        """1/p(x)."""
+        if self.density is None:
+            return np.ones(x.shape[:-1])
+        return divide_by_density(np.ones(x.shape[:-1]), self.density.pdf(x), x, self.spec)
+
+
+def scale(values: Array, weights: Array) -> Array:
+    """values (...) or (..., channels) times weights (...)."""
+    return np.asarray(values * (weights if values.ndim == weights.ndim else weights[..., None]))
+
+
+def probe_points(dims: int) -> Array:
+    """4096 points that hit no grid line: the additive recurrence on square roots of primes."""
+    primes = np.array([2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71])
+    steps = np.sqrt(np.resize(primes, dims) + np.arange(dims) // primes.size)
+    return np.asarray((0.5 + np.arange(1, _PROBES + 1)[:, None] * steps) % 1.0)
+
+
+def check_support(integrand: Integrand, densities: list[Density]) -> None:
+    x = probe_points(integrand.dims)
+    covered = sum((density.pdf(x) for density in densities), np.zeros(len(x))) > 0
+    if covered.all():
+        return
+    values = np.asarray(integrand(x[~covered]))
+    missed = values.reshape(len(values), -1).any(axis=1)
+    if missed.any():
+        where = ", ".join(f"{c:.6g}" for c in x[~covered][missed][0])
+        names = " and ".join(density.spec for density in densities)
+        raise DensityError(
+            f"{names} is 0 at ({where}), where {integrand.spec} is not: the estimate would miss "
+            "that part; choose a density that is positive wherever f is not 0."
+        )
+
+
+def check_same_dims(components: list[Any]) -> None:
+    """Raise ParameterError unless all components have the same number of dims."""
+    dims = {component.spec: component.dims for component in components}
+    if len(set(dims.values())) > 1:
+        shown = ", ".join(f"{name} has {d}" for name, d in dims.items())
+        raise ParameterError(f"All parts of an estimator need the same number of dims: {shown}.")

@@ -1,0 +1,102 @@
+"""Mergeable moments: mean, variance and its confidence interval, in blocks and in any number.
+
+Blocks are merged by the formulas of Chan, Golub & LeVeque (1983) and Pébay (2008), which do not
+cancel. All arrays have the realisation axis first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+
+__all__ = ["CONFIDENCE_Z", "Moments", "variance_interval"]
+
+CONFIDENCE_Z = 1.959963984540054
+"""Half width of a two-sided 95 % interval in standard errors."""
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Count, mean and sums of 2nd, 3rd and 4th powers of deviations, for each column."""
+
+    count: int
+    mean: Array
+    m2: Array
+    m3: Array
+    m4: Array
+
+    @staticmethod
+    def of(values: Array) -> Moments:
+        """Moments of values (R, ...) over their first axis."""
+        mean = values.mean(axis=0)
+        deviation = values - mean
+        square = deviation * deviation
+        return Moments(
+            count=values.shape[0],
+            mean=mean,
+            m2=square.sum(axis=0),
+            m3=(square * deviation).sum(axis=0),
+            m4=(square * square).sum(axis=0),
+        )
+
+    def merge(self, other: Moments) -> Moments:
+        """Moments of both sets of values together."""
+        a, b = self.count, other.count
+        n = a + b
+        delta = other.mean - self.mean
+        d2 = delta * delta
+        return Moments(
+            count=n,
+            mean=self.mean + delta * (b / n),
+            m2=self.m2 + other.m2 + d2 * (a * b / n),
+            m3=self.m3
+            + other.m3
+            + d2 * delta * (a * b * (a - b) / n**2)
+            + 3 * delta * (a * other.m2 - b * self.m2) / n,
+            m4=self.m4
+            + other.m4
+            + d2 * d2 * (a * b * (a * a - a * b + b * b) / n**3)
+            + 6 * d2 * (a * a * other.m2 + b * b * self.m2) / n**2
+            + 4 * delta * (a * other.m3 - b * self.m3) / n,
+        )
+
+    @property
+    def variance(self) -> Array:
+        """Unbiased variance (ddof = 1); NaN for a single value."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(self.m2 / np.float64(self.count - 1))
+
+    @property
+    def relative_se(self) -> Array:
+        """Standard error of the variance relative to it, from the kurtosis of the values.
+
+        Var(s²)/σ⁴ = (κ − (R−3)/(R−1))/R [Kenney & Keeping 1951], κ from the sample. A two-valued
+        estimate has κ near 1, for which the formula tends to 0; a floor of 1/(2R) keeps the
+        interval open.
+        """
+        n = self.count
+        if n < 2:
+            return np.full_like(self.m2, np.nan)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            kurtosis = np.where(self.m2 > 0, n * self.m4 / self.m2**2, 3.0)
+        spread = (kurtosis - (n - 3) / (n - 1)) / n
+        return np.asarray(np.sqrt(np.maximum(spread, 0.5 / n)))
+
+    @property
+    def variance_ci(self) -> Array:
+        """95 % interval of the variance, shape (..., 2)."""
+        return variance_interval(self.variance, self.relative_se)
+
+    @property
+    def mean_se(self) -> Array:
+        """Standard error of the mean."""
+        return np.asarray(np.sqrt(self.variance / self.count))
+
+
+def variance_interval(variance: Array, relative_se: Array) -> Array:
+    """95 % interval s² exp(±z se), symmetric in the logarithm because s² is skew: (..., 2)."""
+    factor = np.exp(CONFIDENCE_Z * relative_se)
+    return np.stack([variance / factor, variance * factor], axis=-1)

@@ -1,0 +1,67 @@
+"""Numba kernels of the spectra: arrays only, no checks.
+
+Legend: r realisations, h flat index over the half spectrum (the frequencies up to and including 0
+in C order; index M−1−h is the frequency −m_h), k points, j axes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.jit import kernel
+
+__all__ = ["histogram_distances", "power_sums", "split_pair"]
+
+
+@kernel
+def split_pair(packed: Array, first: Array, second: Array) -> None:
+    """Split F = S1 + i S2 of two real-weighted sets by Hermitian symmetry.
+
+    packed (M,) over the full grid; first, second (H,), H = (M+1)/2:
+    S1(m) = (F(m) + conj F(−m))/2, S2(m) = (F(m) − conj F(−m))/(2i).
+    """
+    last = packed.size - 1
+    for h in range(first.size):
+        a = packed[h]
+        b = np.conj(packed[last - h])
+        first[h] = 0.5 * (a + b)
+        second[h] = -0.5j * (a - b)
+
+
+@kernel
+def power_sums(packed: Array, pair: bool, total: Array, squares: Array) -> None:
+    """Add |S|² and |S|⁴ of one set, or of the two sets of a pair, to total and squares (H,)."""
+    last = packed.size - 1
+    for h in range(total.size):
+        a = packed[h]
+        if pair:
+            b = packed[last - h]
+            # |a ± conj b|² / 4, written out in real arithmetic
+            p = 0.25 * ((a.real + b.real) ** 2 + (a.imag - b.imag) ** 2)
+            q = 0.25 * ((a.real - b.real) ** 2 + (a.imag + b.imag) ** 2)
+            total[h] += p + q
+            squares[h] += p * p + q * q
+        else:
+            p = a.real * a.real + a.imag * a.imag
+            total[h] += p
+            squares[h] += p * p
+
+
+@kernel
+def histogram_distances(points: Array, width: float, counts: Array) -> None:
+    """Count toroidal distances of all pairs of points (n, d) into bins of `width`; counts (bins,)."""
+    n, d = points.shape
+    limit = (width * counts.size) ** 2
+    for a in range(n):
+        for b in range(a + 1, n):
+            square = 0.0
+            for j in range(d):
+                delta = abs(points[a, j] - points[b, j])
+                if delta > 0.5:
+                    delta = 1.0 - delta
+                square += delta * delta
+            if square < limit:
+                index = int(np.sqrt(square) / width)
+                if index < counts.size:
+                    counts[index] += 1

@@ -1,0 +1,259 @@
+"""Transforms of weighted point sets, S_m = Σ_k w_k exp(−2πi m·x_k), behind one interface.
+
+Engines
+-------
+``nufft``
+    Type-1 non-uniform FFT (FINUFFT [Barnett2019]_), one thread and one reused plan for each Python
+    thread, with ``upsampfac=1.25`` (its default of 2 costs 3.6 times more at 512², measured on one
+    core). Relative l2 error 1e-9, at ``eps=1e-12`` with ``upsampfac=2``. Real frequencies on a
+    grid of step s are integer ones of the coordinates s·x. Two realisations share a transform:
+    weights w of the first plus i times w of the second, separated by Hermitian symmetry. Cost
+    O(n log^d(1/eps) + M log M) for a pair.
+``direct``
+    Separable direct summation by matrix products, exact to rounding: the oracle, and the faster
+    one for a handful of points. Cost O(n M).
+``auto``
+    Direct where n M < 4000 (about a microsecond's worth of arithmetic below a plan call), else NUFFT.
+
+Real weights make S_{−m} = conj S_m, so results cover *half* the grid: the flat C-order indices up
+to and including that of m = 0, which comes last.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_choice, as_integer, as_real
+from mcspectra.core.errors import ParameterError
+from mcspectra.spectra._kernels import power_sums, split_pair
+
+__all__ = ["ENGINES", "FrequencyGrid", "Transform", "direct_sum"]
+
+ENGINES = ("auto", "nufft", "direct")
+_DIRECT_BELOW = 4000
+MAX_FREQUENCIES = 2**27
+"""Most frequencies of one grid: 2 GiB of complex128."""
+
+
+@dataclass(frozen=True)
+class FrequencyGrid:
+    """Frequencies step · {−half_width … half_width}^dims.
+
+    Raises
+    ------
+    ParameterError
+        A field is out of range, or the grid has more than `MAX_FREQUENCIES` frequencies.
+    """
+
+    dims: int
+    half_width: int
+    step: float = 1.0
+
+    def __post_init__(self) -> None:
+        as_integer("dims", self.dims, least=1)
+        as_integer("half_width", self.half_width, least=0)
+        as_real("frequency_step", self.step, above=0.0)
+        if self.size > MAX_FREQUENCIES:
+            raise ParameterError(
+                f"half_width {self.half_width} in {self.dims} dims is {self.size:.3g} frequencies, "
+                f"{16 * self.size / 2**30:.3g} GiB a spectrum; use at most {MAX_FREQUENCIES:.3g}: "
+                f"half_width ≤ {int((MAX_FREQUENCIES ** (1 / self.dims) - 1) // 2)} here."
+            )
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the full grid."""
+        return (2 * self.half_width + 1,) * self.dims
+
+    @property
+    def size(self) -> int:
+        """M, number of frequencies of the full grid."""
+        return int((2 * self.half_width + 1) ** self.dims)
+
+    @property
+    def half_size(self) -> int:
+        """Number of frequencies of the half grid, m = 0 included (last)."""
+        return (self.size + 1) // 2
+
+    @property
+    def axis(self) -> Array:
+        """Frequencies along one axis, float64 (or integer where the step is 1)."""
+        index = np.arange(-self.half_width, self.half_width + 1)
+        return index if self.step == 1.0 else index * self.step
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the frequency dims, m0, m1, …"""
+        return tuple(f"m{i}" for i in range(self.dims))
+
+    @property
+    def coords(self) -> dict[str, Any]:
+        """Coordinates of the frequency dims, with units."""
+        attributes = {"long_name": "frequency", "units": "cycles per unit"}
+        return {name: (name, self.axis, attributes) for name in self.names}
+
+    def half_indices(self) -> Array:
+        """Integer indices m/step of the half grid: int64 (half_size, dims)."""
+        flat = np.arange(self.half_size)
+        index = np.stack(np.unravel_index(flat, self.shape), axis=-1)
+        return np.asarray(index - self.half_width)
+
+    def full(self, half: Array, *, conjugate: bool = False) -> Array:
+        """Extend half-grid values (..., H) to the full grid (..., *shape): even or Hermitian."""
+        mirrored = half[..., -2::-1]
+        whole = np.concatenate([half, mirrored.conj() if conjugate else mirrored], axis=-1)
+        return whole.reshape(*half.shape[:-1], *self.shape)
+
+    def half(self, full: Array) -> Array:
+        """Restrict full-grid values (*shape, ...) to the half grid: (H, ...)."""
+        return full.reshape(self.size, *full.shape[self.dims :])[: self.half_size]
+
+
+class Transform:
+    """Transforms of blocks of realisations on one frequency grid.
+
+    Parameters
+    ----------
+    grid
+        The frequencies.
+    n
+        Points in a set: decides between the engines for ``engine="auto"``.
+    engine
+        One of `ENGINES`.
+    eps
+        Relative l2 accuracy of the NUFFT, from 1e-14 to 1e-1.
+
+    Notes
+    -----
+    Thread-safe: each thread has a plan of its own.
+    """
+
+    def __init__(
+        self, grid: FrequencyGrid, n: int, *, engine: str = "auto", eps: float = 1e-9
+    ) -> None:
+        as_choice("engine", engine, ENGINES)
+        self.eps = as_real("eps", eps, least=1e-14, most=0.1)
+        if engine == "nufft" and grid.dims > 3:
+            raise ParameterError(
+                f"The nufft engine works in 1 to 3 dims, not {grid.dims}; use engine='direct'."
+            )
+        if engine == "auto":
+            small = n * grid.size < _DIRECT_BELOW
+            engine = "direct" if small or grid.dims > 3 else "nufft"
+        self.engine = engine
+        self.grid = grid
+        self._local = threading.local()
+
+    def coefficients(self, points: Array, weights: Array | None = None) -> Array:
+        """S_m on the half grid: complex128 (R, H).
+
+        Parameters
+        ----------
+        points
+            (R, n, d) in [0,1).
+        weights
+            Real weights (R, n); None means 1/n each.
+        """
+        sets, n, _ = points.shape
+        if weights is None:
+            weights = np.broadcast_to(1.0 / n, (sets, n))
+        out = np.empty((sets, self.grid.half_size), np.complex128)
+        if self.engine == "direct":
+            for r in range(sets):
+                out[r] = self._direct(points[r], weights[r])
+            return out
+        for r in range(0, sets - 1, 2):
+            split_pair(self._pair(points[r : r + 2], weights[r : r + 2]), out[r], out[r + 1])
+        if sets % 2:
+            out[-1] = self._nufft(points[-1], weights[-1].astype(np.complex128))[: out.shape[1]]
+        return out
+
+    def add_power(self, points: Array, weights: Array | None, total: Array, squares: Array) -> None:
+        """Add Σ_r |S_m|² and Σ_r |S_m|⁴ of a block to `total` and `squares`, both (H,)."""
+        sets, n, _ = points.shape
+        if self.engine == "direct":
+            power = np.abs(self.coefficients(points, weights)) ** 2
+            total += power.sum(axis=0)
+            squares += (power * power).sum(axis=0)
+            return
+        if weights is None:
+            weights = np.broadcast_to(1.0 / n, (sets, n))
+        for r in range(0, sets - 1, 2):
+            power_sums(self._pair(points[r : r + 2], weights[r : r + 2]), True, total, squares)
+        if sets % 2:
+            last = self._nufft(points[-1], weights[-1].astype(np.complex128))
+            power_sums(last, False, total, squares)
+
+    def _pair(self, points: Array, weights: Array) -> Array:
+        """Transform of set 0 plus i times set 1, full grid, flat."""
+        n = points.shape[1]
+        strengths = np.empty(2 * n, np.complex128)
+        strengths[:n] = weights[0]
+        strengths[n:] = 1j * weights[1]
+        return self._nufft(points.reshape(2 * n, -1), strengths)
+
+    def _nufft(self, points: Array, strengths: Array) -> Array:
+        plan = getattr(self._local, "plan", None)
+        if plan is None:
+            plan = self._local.plan = self._new_plan()
+        scale = 2.0 * np.pi * self.grid.step
+        plan.setpts(*(points[:, j] * scale for j in range(self.grid.dims)))
+        return np.asarray(plan.execute(strengths)).ravel()
+
+    def _new_plan(self) -> Any:
+        import finufft
+
+        # 1.25 cannot reach below 1e-9; spread_sort=2 lets FINUFFT decide by density of points.
+        upsampling = 1.25 if self.eps >= 1e-9 else 2.0
+        return finufft.Plan(
+            1,
+            self.grid.shape,
+            eps=self.eps,
+            isign=-1,
+            upsampfac=upsampling,
+            nthreads=1,
+            spread_sort=2,
+            showwarn=0,
+        )
+
+    def _direct(self, points: Array, weights: Array) -> Array:
+        """Separable sum: one matrix product of the phases along the first axis with the rest."""
+        grid = self.grid
+        phases = [
+            np.exp(
+                (-2j * np.pi * grid.step)
+                * np.outer(points[:, j], np.arange(-grid.half_width, grid.half_width + 1))
+            )
+            for j in range(grid.dims)
+        ]
+        rest = weights[:, None].astype(np.complex128)
+        for phase in phases[1:]:
+            rest = (rest[:, :, None] * phase[:, None, :]).reshape(len(points), -1)
+        return np.asarray((phases[0].T @ rest).ravel()[: grid.half_size])
+
+
+def direct_sum(points: Array, frequencies: Array, weights: Array | None = None) -> Array:
+    """S at listed frequencies by the definition, for any dims: the oracle of the tests.
+
+    Parameters
+    ----------
+    points
+        (..., n, d).
+    frequencies
+        (F, d), real.
+    weights
+        (..., n); None means 1/n each.
+
+    Returns
+    -------
+    ndarray
+        complex128 (..., F). Cost and memory O(n F) for each set.
+    """
+    phase = np.exp(-2j * np.pi * (points @ np.asarray(frequencies, np.float64).T))
+    if weights is None:
+        return np.asarray(phase.mean(axis=-2))
+    return np.asarray((weights[..., None] * phase).sum(axis=-2))

@@ -1,0 +1,116 @@
+"""Mergeable second moments of spectra and band-limited estimates: memory flat in realisations.
+
+With R realisations the sums hold, about the running means (Chan, Golub & LeVeque 1983),
+
+    Σ|S_m − S̄_m|²,  Σ(S_m − S̄_m)(I − Ī),  Σ(I_a − Ī_a)(I_b − Ī_b),  moments of the truncated I,
+
+from which the power term, the contribution map and the band covariance follow (DESIGN §1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.estimators.moments import Moments
+from mcspectra.variance._kernels import accumulate, band_estimates
+
+__all__ = ["Partition", "SpectralSums"]
+
+
+@dataclass(frozen=True)
+class Partition:
+    """What the sums need to know of the coefficients.
+
+    Attributes
+    ----------
+    coefficients
+        f_m of the half spectra of all techniques, one after the other: complex128 (C, H).
+    double
+        2.0 for a coefficient that stands for −m too, 1.0 for m = 0: (H,).
+    band
+        Band of each coefficient: int64 (H,).
+    shell
+        max_i |m_i| of each coefficient: int64 (H,).
+    matrix
+        Whether to keep the full covariance matrix.
+    """
+
+    coefficients: Array
+    double: Array
+    band: Array
+    shell: Array
+    matrix: bool = False
+
+
+@dataclass(frozen=True)
+class SpectralSums:
+    """Sums over `count` realisations; `merge` adds those of others."""
+
+    count: int
+    mean: Array  # (H,) complex: S̄
+    estimate_mean: Array  # (C,)
+    m2: Array  # (H,)
+    cov: Array  # (C, H) complex
+    band_mean: Array  # (C, A)
+    band_m2: Array  # (C, A, A)
+    truncated: Moments  # of the estimate truncated at each half width: (C, K+1)
+    matrix: Array | None  # (H, 2H): Σ (S−S̄)_m conj(S−S̄)_l and without conj, see terms.py
+
+    @staticmethod
+    def of(s: Array, partition: Partition) -> SpectralSums:
+        """Sums of a block: s is complex128 (R, H)."""
+        f, double = partition.coefficients, partition.double
+        shape = (len(s), len(f))
+        bands = np.zeros((*shape, int(partition.band.max()) + 1))
+        band_estimates(s, f, double, partition.band, bands)
+        shells = np.zeros((*shape, int(partition.shell.max()) + 1))
+        band_estimates(s, f, double, partition.shell, shells)
+        estimate = bands.sum(axis=2)
+        mean, estimate_mean = s.mean(axis=0), estimate.mean(axis=0)
+        m2, cov = np.zeros(s.shape[1]), np.zeros_like(f)
+        accumulate(s, mean, estimate - estimate_mean, m2, cov)
+        band_mean = bands.mean(axis=0)
+        deviation = bands - band_mean
+        return SpectralSums(
+            count=len(s),
+            mean=mean,
+            estimate_mean=estimate_mean,
+            m2=m2,
+            cov=cov,
+            band_mean=band_mean,
+            band_m2=np.einsum("rca,rcb->cab", deviation, deviation),
+            truncated=Moments.of(np.cumsum(shells, axis=2)),
+            matrix=_outer(s - mean) if partition.matrix else None,
+        )
+
+    def merge(self, other: SpectralSums) -> SpectralSums:
+        """Sums of both sets of realisations together."""
+        a, b = self.count, other.count
+        factor = a * b / (a + b)
+        part = b / (a + b)
+        delta = other.mean - self.mean
+        shift = other.estimate_mean - self.estimate_mean
+        jump = other.band_mean - self.band_mean
+        matrix = None
+        if self.matrix is not None and other.matrix is not None:
+            matrix = self.matrix + other.matrix + factor * _outer(delta[None, :])
+        return replace(
+            self,
+            count=a + b,
+            mean=self.mean + part * delta,
+            estimate_mean=self.estimate_mean + part * shift,
+            m2=self.m2 + other.m2 + factor * (delta.real**2 + delta.imag**2),
+            cov=self.cov + other.cov + factor * shift[:, None] * delta[None, :],
+            band_mean=self.band_mean + part * jump,
+            band_m2=self.band_m2 + other.band_m2 + factor * np.einsum("ca,cb->cab", jump, jump),
+            truncated=self.truncated.merge(other.truncated),
+            matrix=matrix,
+        )
+
+
+def _outer(deviation: Array) -> Array:
+    """Σ_r d_m conj(d_l) beside Σ_r d_m d_l, from which all four sign pairs of (m, l) follow."""
+    return np.concatenate([deviation.T @ deviation.conj(), deviation.T @ deviation], axis=1)

@@ -1,0 +1,380 @@
+"""The three terms: variance of an estimator predicted and explained from spectra.
+
+Method (DESIGN §1; the paper's generalised formulation)
+-------------------------------------------------------
+With f_m = ∫ f exp(−2πi m·x) dx and S_m = Σ_k w_k exp(−2πi m·x_k), the estimate truncated at the
+half width K is I = Σ_{|m|≤K} conj(f_m) S_m, and with C_ml = ⟨S_m conj(S_l)⟩ − ⟨S_m⟩ conj(⟨S_l⟩)
+
+    Var(I) = |f_0|² C_00 + Σ_{m≠0} |f_m|² C_mm + Σ_{m≠l} conj(f_m) f_l C_ml.
+
+(The slides print ⟨S_m* S_l⟩: with one sign in both transforms that is the reflected integrand.)
+No M × M matrix is stored: the contribution c_m = Re conj(f_m) Cov(S_m, I) sums to the variance, and
+what is left of Σ c_m after the first two terms is the cross term. In primary space every technique
+has its own integrand and points, and the sums run over (technique, m).
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_choice, as_integer
+from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError
+from mcspectra.core.parallel import Block, available_workers, map_in_order, realization_blocks
+from mcspectra.core.results import dataset
+from mcspectra.core.streams import RngLike, Stream
+from mcspectra.estimators import AbstractEstimator, Moments
+from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.spectra.transforms import FrequencyGrid, Transform
+from mcspectra.variance.sums import Partition, SpectralSums
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["MAX_MATRIX", "SPACES", "radial_bands", "variance_terms"]
+
+SPACES = ("domain", "primary")
+BASES = ("fourier",)
+MAX_MATRIX = 4096
+"""Most frequencies of a full cross matrix: two of that size take 0.5 GiB."""
+
+
+def variance_terms(
+    estimator: AbstractEstimator,
+    sampler: Sampler | str,
+    n: int,
+    *,
+    half_width: int = 64,
+    realizations: int = 1000,
+    rng: RngLike = 0,
+    basis: str = "fourier",
+    space: str = "domain",
+    bands: str | Array = "radial",
+    cross_matrix: bool = False,
+    engine: str = "auto",
+    eps: float = 1e-9,
+    workers: int | None = None,
+) -> xr.Dataset:
+    """Predict the variance of an estimator from spectra, term by term, and measure it beside.
+
+    Parameters
+    ----------
+    estimator, sampler, n
+        What is analysed; `n` counts each technique's points in units of its ``counts``.
+    half_width
+        Frequencies m run over {−half_width … half_width}^d.
+    realizations
+        Independent realisations, at least 2.
+    rng
+        Seed (SPEC 7). Realisation r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
+    basis
+        ``"fourier"``.
+    space
+        ``"domain"``: f with the warped, weighted points (the paper's view); ``"primary"``: g(u) with
+        the sampler's own points, where discontinuities made by the warp are visible.
+    bands
+        ``"radial"`` (shells of |m|, one frequency wide) or an integer label ≥ 0 for every frequency,
+        an array of the grid's shape that is the same for m and −m.
+    cross_matrix
+        Also return C_ml and conj(f_m) f_l C_ml in full, for at most `MAX_MATRIX` frequencies.
+    engine, eps
+        See `mcspectra.spectra.transforms`.
+    workers
+        Threads; all processors by default. Results do not depend on it.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``dc_term``, ``power_term``, ``cross_term``, ``predicted_variance`` (their sum) with ``_ci``,
+        ``measured_variance`` with ``_ci``, ``captured`` (predicted/measured), ``contribution`` and
+        ``power_contribution`` on m0, m1, …, ``band_covariance(band, band_other)``,
+        ``truncated_variance(half_width)`` and ``captured_by_half_width(half_width)``; a dim channel
+        where f has several, a dim technique on maps of a primary space with several. With
+        `cross_matrix`, ``coefficient_covariance(m, l)`` and ``cross_matrix(m, l)``.
+
+    Raises
+    ------
+    ParameterError
+        A value is out of range, dims disagree, or the matrix would be too large.
+
+    Warns
+    -----
+    InfiniteWeightVarianceWarning
+        ∫1/p diverges: the terms are infinite in the domain view and are given as NaN or infinity.
+
+    Notes
+    -----
+    O(R (n + M log M)) time and O(M + bands²) memory. 95 % intervals follow from the kurtosis of the
+    estimates. A truncated spectrum predicts part of the variance: see ``captured``.
+    """
+    as_choice("basis", basis, BASES)
+    as_choice("space", space, SPACES)
+    source = as_sampler(sampler, estimator.dims)
+    n = source.check_count(n)
+    estimator.check_sampler(source, n)
+    realizations = as_integer("realizations", realizations, least=2)
+    view = _View.of(estimator, n, space, FrequencyGrid(estimator.dims, half_width), engine, eps)
+    if cross_matrix and view.size > MAX_MATRIX:
+        raise ParameterError(
+            f"The cross matrix of {view.size} frequencies takes {32 * view.size**2 / 2**30:.3g} GiB; "
+            f"ask for at most {MAX_MATRIX} frequencies, or use contribution and band_covariance."
+        )
+    partition = view.partition(_band_labels(bands, view.grid), cross_matrix)
+    stream = Stream.from_rng(rng)
+
+    def block_sums(block: Block) -> tuple[SpectralSums, Moments]:
+        points = estimator.draw(source, n, stream, *block)
+        measured = Moments.of(estimator.estimate(points).reshape(block[1], -1))
+        return SpectralSums.of(view.coefficients(points), partition), measured
+
+    numbers = max(n * estimator.dims * sum(estimator.counts), 2 * partition.double.size)
+    blocks = realization_blocks(realizations, numbers, multiple=2)
+    results = map_in_order(block_sums, blocks, available_workers(workers))
+    sums, measured = next(results)
+    for other_sums, other_measured in results:
+        sums, measured = sums.merge(other_sums), measured.merge(other_measured)
+    infinite = space == "domain" and estimator.infinite_weights
+    if infinite:
+        warnings.warn(
+            f"∫1/p diverges for {estimator.spec}: Var(S_0) and the spectral terms are infinite "
+            "although the estimate's variance need not be; use space='primary'.",
+            InfiniteWeightVarianceWarning,
+            stacklevel=2,
+        )
+    variables = _variables(sums, measured, view, partition)
+    if infinite:
+        variables = {name: (d, _undefined(name, v)) for name, (d, v) in variables.items()}
+    return _labelled(
+        variables,
+        view,
+        estimator=estimator.spec,
+        sampler=source.spec,
+        n=n,
+        realizations=realizations,
+        basis=basis,
+        space=space,
+        coefficients=view.source,
+        stream_key=f"{stream.key:#x}",
+        seed=rng if isinstance(rng, int) else None,
+        engine=view.transforms[0].engine,
+        eps=eps,
+        note="spectral terms are infinite: ∫1/p diverges" if infinite else None,
+    )
+
+
+@dataclass(frozen=True)
+class _View:
+    """Domain or primary view: which integrand coefficients meet which point spectra."""
+
+    estimator: AbstractEstimator
+    space: str
+    grid: FrequencyGrid
+    transforms: tuple[Transform, ...]
+    integrand_coefficients: Array  # (C, T, H)
+    source: str
+
+    @staticmethod
+    def of(
+        estimator: AbstractEstimator,
+        n: int,
+        space: str,
+        grid: FrequencyGrid,
+        engine: str,
+        eps: float,
+    ) -> _View:
+        techniques = range(len(estimator.counts))
+        if space == "domain":
+            integrand = estimator.domain_integrand
+            if integrand is None:
+                raise ParameterError(
+                    f"{estimator.spec} has no common domain: its techniques are given on their own "
+                    "unit cubes; use space='primary'."
+                )
+            integrands, counts = [integrand], [n * sum(estimator.counts)]
+        else:
+            integrands = [estimator.primary_integrand(t) for t in techniques]
+            counts = [n * count for count in estimator.counts]
+        stacked = [
+            grid.half(g.fourier_grid(grid.half_width)).reshape(grid.half_size, -1).T
+            for g in integrands
+        ]
+        return _View(
+            estimator,
+            space,
+            grid,
+            tuple(Transform(grid, count, engine=engine, eps=eps) for count in counts),
+            np.stack(stacked, axis=1).astype(np.complex128),
+            "; ".join(dict.fromkeys(g.fourier_source for g in integrands)),
+        )
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients of all techniques together, both signs."""
+        return self.grid.size * len(self.transforms)
+
+    def coefficients(self, points: list[Array]) -> Array:
+        """Spectra of a block, half grids of the techniques side by side: (R, T·H)."""
+        if self.space == "domain":
+            return self.transforms[0].coefficients(*self.estimator.weighted_points(points))
+        parts = [t.coefficients(u) for t, u in zip(self.transforms, points, strict=True)]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+
+    def partition(self, band: Array, matrix: bool) -> Partition:
+        """Coefficients and labels, repeated for each technique."""
+        techniques = len(self.transforms)
+        double = np.full(self.grid.half_size, 2.0)
+        double[-1] = 1.0
+        shell = np.abs(self.grid.half_indices()).max(axis=1)
+        flat = self.integrand_coefficients.reshape(len(self.integrand_coefficients), -1)
+        return Partition(
+            np.ascontiguousarray(flat),
+            np.tile(double, techniques),
+            np.tile(band, techniques),
+            np.tile(shell, techniques),
+            matrix,
+        )
+
+
+def radial_bands(grid: FrequencyGrid) -> Array:
+    """Shell of each half-grid frequency, round(|m|): int64 (H,)."""
+    length = np.sqrt((grid.half_indices() ** 2).sum(axis=1))
+    return np.rint(length).astype(np.int64)
+
+
+def _band_labels(bands: str | Array, grid: FrequencyGrid) -> Array:
+    if isinstance(bands, str):
+        as_choice("bands", bands, ("radial",))
+        return radial_bands(grid)
+    labels = np.asarray(bands)
+    if labels.shape != grid.shape or labels.dtype.kind not in "iu" or labels.min() < 0:
+        raise ParameterError(
+            f"bands has shape {labels.shape} and type {labels.dtype}; give 'radial' or integer "
+            f"labels ≥ 0 of shape {grid.shape}."
+        )
+    if not np.array_equal(labels, labels[(slice(None, None, -1),) * grid.dims]):
+        raise ParameterError(
+            "bands must be the same for m and −m, so that band estimates are real."
+        )
+    return grid.half(labels).astype(np.int64)
+
+
+Variables = dict[str, tuple[tuple[str, ...], Any]]
+
+
+def _variables(
+    sums: SpectralSums, measured: Moments, view: _View, partition: Partition
+) -> Variables:
+    """All result variables with a leading channel axis."""
+    f, grid = partition.coefficients, view.grid
+    degrees = sums.count - 1
+    spectrum = sums.m2 / degrees
+    diagonal = np.abs(f) ** 2 * spectrum
+    contribution = (f.conj() * sums.cov).real / degrees
+    total = (contribution * partition.double).sum(axis=1)
+    is_dc = partition.double == 1.0
+    dc = diagonal[:, is_dc].sum(axis=1)
+    power = (diagonal * partition.double)[:, ~is_dc].sum(axis=1)
+    shape = (len(f), len(view.transforms), grid.half_size)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        captured = total / measured.variance
+        curve = sums.truncated.variance / measured.variance[:, None]
+    maps = ("channel", "technique", *grid.names)
+    by_width = ("channel", "half_width")
+    variables: Variables = {
+        "dc_term": (("channel",), dc),
+        "power_term": (("channel",), power),
+        "cross_term": (("channel",), total - dc - power),
+        "predicted_variance": (("channel",), total),
+        "predicted_variance_ci": (("channel", "bound"), sums.truncated.variance_ci[:, -1]),
+        "measured_variance": (("channel",), measured.variance),
+        "measured_variance_ci": (("channel", "bound"), measured.variance_ci),
+        "mean": (("channel",), measured.mean),
+        "mean_se": (("channel",), measured.mean_se),
+        "captured": (("channel",), captured),
+        "contribution": (maps, grid.full(contribution.reshape(shape))),
+        "power_contribution": (maps, grid.full(diagonal.reshape(shape))),
+        "band_covariance": (("channel", "band", "band_other"), sums.band_m2 / degrees),
+        "truncated_variance": (by_width, sums.truncated.variance),
+        "captured_by_half_width": (by_width, curve),
+    }
+    if sums.matrix is not None:
+        variables |= _matrices(sums.matrix / degrees, f, view)
+    return variables
+
+
+def _matrices(half: Array, f: Array, view: _View) -> Variables:
+    """Full C_ml and conj(f_m) f_l C_ml from the covariances of half spectra, with and without conj.
+
+    S_{−l} = conj S_l gives C_{m,−l} = Cov(S_m, conj S_l), the pseudo-covariance. In primary space
+    the coefficients of the techniques follow one another.
+    """
+    techniques, h = len(view.transforms), view.grid.half_size
+    last = h - 1
+    size = techniques * h
+    mirror = np.arange(size).reshape(techniques, h)[:, :last][:, ::-1]  # m > 0, ascending
+    plus = np.arange(size).reshape(techniques, h)
+    index = np.concatenate([plus, mirror], axis=1).ravel()
+    flip = np.concatenate([np.zeros_like(plus), np.ones_like(mirror)], axis=1).ravel().astype(bool)
+    plain, pseudo = half[:, :size][np.ix_(index, index)], half[:, size:][np.ix_(index, index)]
+    # ⟨S_a conj S_b⟩ for a, b plain or conjugated
+    both = np.where(flip[:, None], plain.conj(), plain)
+    mixed = np.where(flip[:, None], pseudo.conj(), pseudo)
+    c = np.where(flip[:, None] == flip[None, :], both, mixed)
+    whole = f[:, index]
+    whole = np.where(flip, whole.conj(), whole)
+    return {
+        "coefficient_covariance": (("m", "l"), c),
+        "cross_matrix": (("channel", "m", "l"), whole.conj()[:, :, None] * whole[:, None, :] * c),
+    }
+
+
+_INFINITE = ("dc_term", "power_term")
+_FINITE = ("measured_variance", "measured_variance_ci", "mean", "mean_se")
+
+
+def _undefined(name: str, values: Array) -> Array:
+    """What remains of a variable where ∫1/p diverges: never a number that means nothing."""
+    if name in _FINITE:
+        return values
+    return np.full_like(values, math.inf if name in _INFINITE else math.nan)
+
+
+def _labelled(variables: Variables, view: _View, **provenance: Any) -> xr.Dataset:
+    """Make the dataset; axes of one channel or technique are dropped."""
+    grid = view.grid
+    scalar, single = view.estimator.channels == 0, len(view.transforms) == 1
+    dropped = {name for name, gone in (("channel", scalar), ("technique", single)) if gone}
+    kept: Variables = {}
+    for name, (dims, values) in variables.items():
+        index = tuple(0 if dim in dropped else slice(None) for dim in dims)
+        kept[name] = (tuple(dim for dim in dims if dim not in dropped), values[index])
+    bands = {"long_name": "band (radial: |m| rounded)", "units": "1"}
+    coords: dict[str, Any] = {
+        **grid.coords,
+        "bound": ["low", "high"],
+        "band": ("band", np.arange(variables["band_covariance"][1].shape[1]), bands),
+        "band_other": ("band_other", np.arange(variables["band_covariance"][1].shape[1]), bands),
+        "half_width": ("half_width", np.arange(grid.half_width + 1), {"units": "cycles per unit"}),
+    }
+    if "cross_matrix" in kept:
+        coords |= _matrix_coords(grid, len(view.transforms))
+    return dataset(kept, coords, **provenance)
+
+
+def _matrix_coords(grid: FrequencyGrid, techniques: int) -> dict[str, Any]:
+    """Frequencies along m and l: themselves in 1-D, a running number with m_0, m_1 … beside it else."""
+    if grid.dims == 1 and techniques == 1:
+        return {"m": grid.axis, "l": grid.axis}
+    size = grid.size * techniques
+    m = np.indices(grid.shape).reshape(grid.dims, -1) - grid.half_width
+    coords: dict[str, Any] = {"m": np.arange(size), "l": np.arange(size)}
+    for name in ("m", "l"):
+        for i in range(grid.dims):
+            coords[f"{name}_{i}"] = (name, np.tile(m[i], techniques))
+        if techniques > 1:
+            coords[f"{name}_technique"] = (name, np.repeat(np.arange(techniques), grid.size))
+    return coords
