@@ -1,1 +1,5 @@
-"""Studies."""
+"""Studies: typed TOML, cells, a store, a run, a summary."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,7 @@
+"""``python -m mcspectra``."""
+
+import sys
+
+from mcspectra.cli.main import main
+
+sys.exit(main())

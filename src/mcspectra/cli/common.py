@@ -1,0 +1,155 @@
+"""What several verbs share: reading options, writing tables and JSON."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mcspectra.core.checks import as_integer
+from mcspectra.core.errors import ParameterError
+
+if TYPE_CHECKING:
+    from mcspectra.estimators import AbstractEstimator
+    from mcspectra.samplers import Sampler
+
+__all__ = [
+    "add_estimator_arguments",
+    "build_estimator",
+    "counts_option",
+    "one_sentence_warnings",
+    "print_json",
+    "read_sampler",
+    "seed_option",
+    "text_table",
+    "whole_number",
+]
+
+
+def whole_number(name: str, text: object, *, least: int = 1, most: int | None = None) -> int:
+    """Read an option that must be a whole number."""
+    try:
+        return as_integer(name, int(str(text)), least=least, most=most)
+    except ValueError:
+        limit = f"from {least} to {most}" if most is not None else f"of at least {least}"
+        raise ParameterError(f"{name} is {text!r}; give a whole number {limit}.") from None
+
+
+def seed_option(options: argparse.Namespace) -> int:
+    """Read --seed, 0 by default."""
+    return 0 if options.seed is None else whole_number("--seed", options.seed, least=0)
+
+
+def counts_option(text: str) -> list[int]:
+    """Read comma-separated counts."""
+    return [whole_number("--counts", part.strip()) for part in text.split(",")]
+
+
+def read_sampler(text: str, dims: int | None) -> Sampler:
+    """Read a sampler spec, or a point set in UTK text format from standard input for ``-``."""
+    from mcspectra.samplers import GivenPoints, sampler
+
+    first, bar, rest = text.partition("|")
+    if first.strip() != "-":
+        return sampler(text, dims)
+    from mcspectra.core.pointfiles import parse_dat
+    from mcspectra.core.spec import parse_chain
+    from mcspectra.samplers import RANDOMIZATIONS
+
+    given: Any = GivenPoints.from_sets(
+        parse_dat(sys.stdin.read(), "standard input"), "standard input"
+    )
+    for call in parse_chain(rest) if bar else []:
+        given = given.then(RANDOMIZATIONS.build(call))
+    return given  # type: ignore[no-any-return]
+
+
+def add_estimator_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options that describe an estimator."""
+    parser.add_argument("integrand", help="integrand spec, e.g. 'gaussian(width=0.25)'")
+    parser.add_argument(
+        "-d", "--dims", metavar="D", help="number of dims, where specs leave it open"
+    )
+    parser.add_argument(
+        "--density", action="append", metavar="SPEC", help="density; several mean MIS"
+    )
+    parser.add_argument("--heuristic", default="balance", help="MIS: balance or power")
+    parser.add_argument(
+        "--plus",
+        action="append",
+        metavar="SPEC",
+        help="further integrand, sampled on its own and added (techniques in primary space)",
+    )
+
+
+def build_estimator(options: argparse.Namespace) -> AbstractEstimator:
+    """Make the estimator that the options describe."""
+    from mcspectra.estimators import Estimator, MultipleImportance, TechniqueSum
+
+    dims = None if options.dims is None else whole_number("--dims", options.dims)
+    densities = options.density or []
+    if options.plus:
+        if densities:
+            raise ParameterError("--plus adds whole techniques; it cannot be used with --density.")
+        return TechniqueSum([options.integrand, *options.plus], dims=dims)
+    if len(densities) > 1:
+        return MultipleImportance(
+            options.integrand, densities, heuristic=options.heuristic, dims=dims
+        )
+    return Estimator(options.integrand, densities[0] if densities else None, dims=dims)
+
+
+def print_json(data: Any) -> None:
+    """Print strict JSON: NaN and infinity become null."""
+    print(json.dumps(_plain(data), indent=2, allow_nan=False))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, complex):
+        return {"re": _plain(value.real), "im": _plain(value.imag)}
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def text_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Align columns with two blanks between; all but the first two to the right."""
+    table = [list(header), *map(list, rows)]
+    widths = [max(len(row[i]) for row in table) for i in range(len(header))]
+    lines = []
+    for row in table:
+        cells = [
+            cell.ljust(width) if i < 2 else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append("  ".join(cells).rstrip())
+    lines.insert(1, "  ".join("-" * width for width in widths))
+    return "\n".join(lines)
+
+
+@contextmanager
+def one_sentence_warnings(quiet: bool) -> Iterator[None]:
+    """Show warnings as one line each on standard error, or not at all."""
+
+    def show(message: Warning | str, *_: Any) -> None:
+        print(f"mcspectra: Warning: {message}", file=sys.stderr)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore" if quiet else "default")
+        warnings.showwarning = show  # type: ignore[assignment]
+        yield

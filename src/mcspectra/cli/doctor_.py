@@ -1,0 +1,67 @@
+"""Say what is installed and whether it works: versions, kernels, NUFFT, renderer."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+from typing import Any
+
+from mcspectra.cli.common import print_json
+from mcspectra.core.parallel import available_workers
+from mcspectra.core.results import package_versions
+
+__all__ = ["add_arguments", "run"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The verb has no options of its own."""
+
+
+def run(options: argparse.Namespace) -> int:
+    """Try each part and print what was found; exit 1 if a part that is always needed fails."""
+    found: dict[str, Any] = {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "processors": available_workers(),
+        **package_versions(),
+        "numba cache": os.environ.get("NUMBA_CACHE_DIR", "beside the package"),
+    }
+    works, sentence = _try_transform()
+    found["transforms"] = sentence
+    found["renderer"] = _renderer()
+    if options.json:
+        print_json({**found, "works": works})
+    elif not options.quiet:
+        width = max(map(len, found))
+        for name, value in found.items():
+            text = value if not isinstance(value, dict) else _joined(value)
+            print(f"{name.replace('_', ' ').ljust(width)}  {text}")
+    return 0 if works else 1
+
+
+def _try_transform() -> tuple[bool, str]:
+    """Compare one NUFFT with the direct sum."""
+    import numpy as np
+
+    from mcspectra.samplers import Random
+    from mcspectra.spectra.transforms import FrequencyGrid, Transform, direct_sum
+
+    grid = FrequencyGrid(2, 8)
+    try:
+        points = Random(dims=2).draw(256, realizations=2, rng=0)
+        got = Transform(grid, 256, engine="nufft").coefficients(points)
+    except Exception as error:
+        return False, f"NUFFT fails: {type(error).__name__}: {error}"
+    error_size = float(np.abs(got - direct_sum(points, grid.half_indices())).max())
+    return error_size < 1e-8, f"NUFFT against the direct sum: largest difference {error_size:.1e}"
+
+
+def _renderer() -> dict[str, Any]:
+    from mcspectra.rendering.backend import describe
+
+    return describe()
+
+
+def _joined(value: dict[str, Any]) -> str:
+    return "; ".join(f"{key} {item}" for key, item in value.items() if item)

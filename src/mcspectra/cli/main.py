@@ -1,0 +1,129 @@
+"""The command ``mcspectra``: one lazy module a verb, one sentence an error.
+
+Exit codes: 0 done; 1 the run failed; 2 bad input; 130 interrupted. Verbs are bound by name, so that
+``--help`` imports none of them (docs/decisions/0002).
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+__all__ = ["main"]
+
+_VERBS = {
+    "run": "run a study file: results, figures and report.html",
+    "list": "list samplers, randomizations, densities or integrands",
+    "points": "draw point sets and write them as text or files",
+    "spectrum": "expected power spectrum of a sampler",
+    "variance": "the three terms of an estimator's variance against its measurement",
+    "converge": "variance against n and the fitted rate",
+    "doctor": "what is installed and whether it works",
+    "cite": "how to cite the package and its methods",
+}
+
+_EPILOG = """\
+Specs name samplers, densities and integrands: name(key=value, ...); samplers chain randomizations:
+  mcspectra converge 'christensen-gaussian' --sampler jittered --sampler 'jittered | shift' \\
+      --counts 16,64,256,1024
+Each verb has its own --help, and takes --json, --seed and --quiet.
+"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are one sentence, without the usage block."""
+
+    def error(self, message: str) -> NoReturn:
+        sentence = message[:1].upper() + message[1:]
+        self.exit(2, f"{self.prog}: {sentence}; see '{self.prog} --help'.\n")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        return _dispatch(given)
+    except SystemExit as stop:  # argparse: --help (0) or bad usage (2)
+        return int(stop.code or 0)
+    except KeyboardInterrupt:
+        print("mcspectra: Interrupted.", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader has gone (… | head): nothing is wrong. Keep Python from flushing at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:
+        if "--debug" in given:
+            raise
+        return _explain(error)
+
+
+def _dispatch(given: list[str]) -> int:
+    top = _Parser(
+        prog="mcspectra",
+        description="Measure, predict and explain the variance of Monte Carlo estimators.",
+        epilog=f"verbs:\n{_verb_table()}\n\n{_EPILOG}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    top.add_argument("--version", action="store_true", help="print the version and stop")
+    top.add_argument("verb", nargs="?", metavar="VERB", help="what to do, see below")
+    known, rest = given[:1], given[1:]
+    if not known or known[0].startswith("-"):
+        options = top.parse_args(known)
+        if options.version:
+            from mcspectra.version import __version__
+
+            print(__version__)
+            return 0
+        top.print_help()
+        return 0 if not given else 2
+    if known[0] not in _VERBS:
+        from mcspectra.core.errors import close_match_hint
+
+        hint, _ = close_match_hint(known[0], _VERBS)
+        top.exit(2, f"mcspectra: There is no verb {known[0]!r}.{hint}\n")
+    module = importlib.import_module(f"mcspectra.cli.{known[0]}_")
+    parser = _Parser(
+        prog=f"mcspectra {known[0]}",
+        description=(module.__doc__ or "").strip(),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    module.add_arguments(parser)
+    _add_common(parser)
+    return int(module.run(parser.parse_args(rest)))
+
+
+def _add_common(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print JSON instead of text")
+    parser.add_argument("--seed", default=None, metavar="S", help="seed, a whole number from 0")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+
+
+def _verb_table() -> str:
+    width = max(map(len, _VERBS))
+    return "\n".join(f"  {name.ljust(width)}  {text}" for name, text in _VERBS.items())
+
+
+def _explain(error: Exception) -> int:
+    """Print one sentence; 2 for what the user can mend, 1 for the rest."""
+    from mcspectra.core.errors import McspectraError
+
+    if isinstance(error, McspectraError):
+        print(f"mcspectra: {error}", file=sys.stderr)
+        failed = isinstance(error, RuntimeError) and type(error).__name__ == "CellFailed"
+        return 1 if failed else 2
+    if isinstance(error, MemoryError):
+        print("mcspectra: Not enough memory; ask for fewer points or frequencies.", file=sys.stderr)
+        return 1
+    text = " ".join(str(error).split()) or "no message"
+    print(
+        f"mcspectra: Unexpected {type(error).__name__}: {text}; run again with --debug for details.",
+        file=sys.stderr,
+    )
+    return 1

@@ -1,0 +1,99 @@
+"""Expected power spectrum of a sampler.
+
+Prints the radial mean, as power times n (random points: 1). With --out FILE.npz all values are
+written, with FILE.png or FILE.pdf the picture.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mcspectra.cli.common import (
+    one_sentence_warnings,
+    print_json,
+    read_sampler,
+    seed_option,
+    text_table,
+    whole_number,
+)
+from mcspectra.core.errors import FileFormatError, ParameterError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["add_arguments", "run"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the verb's options."""
+    parser.add_argument("sampler", help="sampler spec; - reads one point set from standard input")
+    parser.add_argument("-n", required=True, metavar="N", help="points in a set")
+    parser.add_argument("-d", "--dims", metavar="D", help="number of dims (default 2)")
+    parser.add_argument("-m", "--realizations", default=100, metavar="R", help="default 100")
+    parser.add_argument("--density", metavar="SPEC", help="importance density")
+    parser.add_argument("--half-width", default=64, metavar="K", help="default 64")
+    parser.add_argument(
+        "--frequency-step", default="1", metavar="S", help="below 1: real frequencies"
+    )
+    parser.add_argument("-o", "--out", metavar="FILE", help=".npz, .png or .pdf")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Estimate and print."""
+    from mcspectra.spectra.power import power_spectrum
+
+    dims = None if options.dims is None else whole_number("--dims", options.dims)
+    ending = Path(options.out).suffix if options.out else ""
+    if ending not in ("", ".npz", ".png", ".pdf"):
+        raise ParameterError(f"--out is {options.out!r}; it must end in .npz, .png or .pdf.")
+    try:
+        step = float(options.frequency_step)
+    except ValueError:
+        raise ParameterError(
+            f"--frequency-step is {options.frequency_step!r}; give a number greater than 0."
+        ) from None
+    with one_sentence_warnings(options.quiet):
+        result = power_spectrum(
+            read_sampler(options.sampler, dims),
+            whole_number("-n", options.n),
+            density=options.density,
+            half_width=whole_number("--half-width", options.half_width, least=0),
+            frequency_step=step,
+            realizations=whole_number("--realizations", options.realizations),
+            rng=seed_option(options),
+        )
+    if options.out:
+        _write(result, Path(options.out))
+    if options.json:
+        names = ("radius", "radial_power", "radial_power_se")
+        print_json({**result.attrs, **{name: result[name].values for name in names}})
+    elif not options.quiet:
+        n = result.attrs["n"]
+        rows = [
+            [
+                f"{radius:.4g}",
+                f"{radius / n ** (1 / len(result['power'].dims)):.3f}",
+                f"{n * p:.5g}",
+            ]
+            for radius, p in zip(
+                result["radius"].values, result["radial_power"].values, strict=True
+            )
+        ]
+        print(text_table(["|m|", "|m|/n^(1/d)", "n·power"], rows))
+    return 0
+
+
+def _write(result: xr.Dataset, path: Path) -> None:
+    try:
+        if path.suffix == ".npz":
+            np.savez(path, **{str(name): v.values for name, v in result.variables.items()})  # type: ignore[arg-type]
+            return
+        from mcspectra.report import spectrum_figure
+
+        spectrum_figure({result.attrs["sampler"]: result}).savefig(path)
+    except OSError as error:
+        raise FileFormatError(f"{str(path)!r} cannot be written: {error.strerror}.") from None

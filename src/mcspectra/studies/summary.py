@@ -1,0 +1,108 @@
+"""The table a person reads first: rate, predicted/measured and largest term of every pair."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["SummaryRow", "summarize"]
+
+TERMS = ("dc", "power", "cross")
+
+
+class SummaryRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One estimator with one sampler; what was not analysed is None."""
+
+    estimator: str
+    sampler: str
+    n: int | None = None
+    rate: float | None = None
+    rate_low: float | None = None
+    rate_high: float | None = None
+    variance: float | None = None
+    terms_n: int | None = None
+    dc: float | None = None
+    power: float | None = None
+    cross: float | None = None
+    predicted: float | None = None
+    measured: float | None = None
+    measured_low: float | None = None
+    measured_high: float | None = None
+    captured: float | None = None
+    largest_term: str | None = None
+    note: str | None = None
+
+
+def summarize(tree: xr.DataTree) -> list[SummaryRow]:
+    """One row for every estimator, sampler and channel of a result tree, in the study's order."""
+    order = [e["name"] for e in tree.attrs.get("study", {}).get("estimators", [])]
+    rows: list[tuple[int, SummaryRow]] = []
+    for estimator in tree.children.values():
+        for pair in estimator.children.values():
+            for row in _rows(pair):
+                place = order.index(row.estimator) if row.estimator in order else len(order)
+                rows.append((place, row))
+    return [row for _, row in sorted(rows, key=lambda item: item[0])]
+
+
+def _rows(pair: xr.DataTree) -> list[SummaryRow]:
+    curve = pair["convergence"].to_dataset() if "convergence" in pair.children else None
+    terms = pair["terms"].to_dataset() if "terms" in pair.children else None
+    first = curve if curve is not None else terms
+    if first is None:
+        return []
+    channels = first.sizes.get("channel", 0)
+    rows = []
+    for channel in range(max(1, channels)):
+        pick: dict[str, Any] = {"channel": channel} if channels else {}
+        values: dict[str, Any] = {
+            "estimator": first.attrs["estimator_name"] + (f" [{channel}]" if channels else ""),
+            "sampler": first.attrs["sampler_spec"],
+        }
+        if curve is not None:
+            values |= _rate_values(curve.isel(pick))
+        if terms is not None:
+            values |= _term_values(terms.isel(pick))
+        rows.append(SummaryRow(**values))
+    return rows
+
+
+def _rate_values(curve: xr.Dataset) -> dict[str, Any]:
+    low, high = curve["rate_ci"].values
+    return {
+        "n": int(curve["n"].values[-1]),
+        "variance": _number(curve["variance"].values[-1]),
+        "rate": _number(curve["rate"]),
+        "rate_low": _number(low),
+        "rate_high": _number(high),
+    }
+
+
+def _term_values(terms: xr.Dataset) -> dict[str, Any]:
+    each = {name: _number(terms[f"{name}_term"]) for name in TERMS}
+    known = {name: abs(value) for name, value in each.items() if value is not None}
+    low, high = terms["measured_variance_ci"].values
+    return {
+        **each,
+        "terms_n": int(terms.attrs["n"]),
+        "predicted": _number(terms["predicted_variance"]),
+        "measured": _number(terms["measured_variance"]),
+        "measured_low": _number(low),
+        "measured_high": _number(high),
+        "captured": _number(terms["captured"]),
+        "largest_term": max(known, key=known.__getitem__)
+        if known and any(known.values())
+        else None,
+        "note": terms.attrs.get("note"),
+    }
+
+
+def _number(value: Any) -> float | None:
+    """A finite float, or None."""
+    number = float(np.asarray(value))
+    return number if np.isfinite(number) else None
