@@ -1,0 +1,226 @@
+"""The table of bad input: what is given at each door, and the sentence that answers.
+
+`test_bad_input.py` runs every row; ``python -m tests.bad_input`` writes docs/bad-input.md from what the
+program really says.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+PAGE = Path(__file__).parents[1] / "docs" / "bad-input.md"
+
+STUDY = """\
+title = "t"
+samplers = ["jittered"]
+[convergence]
+counts = [4, 16]
+realizations = 10
+[[estimators]]
+name = "a"
+integrand = "gaussian"
+"""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One bad input; `words` must be in the answer."""
+
+    door: str  # "python", "command" or "toml"
+    given: str
+    words: str
+
+
+def _rows(door: str, *pairs: tuple[str, str]) -> list[Row]:
+    return [Row(door, given, words) for given, words in pairs]
+
+
+PYTHON = _rows(
+    "python",
+    ("mcs.sampler('jiterd', dims=2)", "Did you mean 'jittered'"),
+    ("mcs.sampler('jittered(', dims=2)", "opens a bracket"),
+    ("mcs.sampler('jittered(sides=4)', dims=2)", "no parameter 'sides'"),
+    ("mcs.sampler('jittered(dims=__import__(\"os\").getpid())')", "not a literal"),
+    ("mcs.sampler('jittered', dims=0)", "at least 1"),
+    ("mcs.sampler('shift | jittered', dims=2)", "randomization"),
+    ("mcs.sampler('multi-jittered', dims=3)", "dims"),
+    ("mcs.sampler('jittered', dims=2).draw(250)", "225 and 256"),
+    ("mcs.sampler('random', dims=2).draw(0)", "at least 1"),
+    ("mcs.sampler('random', dims=2).draw(float('nan'))", "whole number"),
+    ("mcs.sampler('random', dims=2).draw(4, realizations=0)", "realizations"),
+    ("mcs.sampler('random', dims=2).draw(4, rng=-1)", "rng"),
+    ("mcs.sampler('random', dims=2).draw(2**31, realizations=4)", "at a time"),
+    ("mcs.Sampler.from_points([[0.5, 1.5]])", "must lie in [0,1)"),
+    ("mcs.Sampler.from_points([[0.5, float('nan')]])", "NaN"),
+    ("mcs.Sampler.from_points([])", "at least one point"),
+    ("mcs.Sampler.from_points(np.full((2, 4, 2), 0.5)).draw(4, realizations=3)", "2"),
+    ("mcs.Sampler.from_files('no-such.dat')", "no-such.dat"),
+    ("mcs.density('linear(slope=3)', dims=1)", "slope"),
+    ("mcs.density('piecewise-constant(values=[0, 0])')", "values"),
+    ("mcs.density('truncated-normal(sigma=0)', dims=1)", "sigma"),
+    ("mcs.density('uniform', dims=2).pdf([0.5])", "shape"),
+    (
+        "mcs.Density.from_functions(pdf=lambda x: 2 * x[..., 0], sample=lambda u: u, dims=1)",
+        "pdf",
+    ),
+    ("mcs.integrand('disk(radius=-1)')", "radius"),
+    ("mcs.integrand('gaussian', dims=2).fourier([[0.5, 1]])", "integer"),
+    ("mcs.integrand('gaussian', dims=2)(np.zeros((4, 3)))", "(..., 2)"),
+    ("mcs.Integrand.from_function(lambda x: x[..., 0] * np.nan, dims=1)", "NaN"),
+    ("mcs.Integrand.from_function('x**2', dims=1)", "callable"),
+    (
+        "mcs.Estimator(mcs.integrand('linear', dims=1), 'piecewise-constant(values=[0, 1])')",
+        "positive wherever f is not 0",
+    ),
+    (
+        "mcs.variance_terms(mcs.Estimator('gaussian', dims=2), mcs.sampler('random', dims=3), 8)",
+        "2 dims",
+    ),
+    (
+        "mcs.variance_terms(mcs.Estimator('gaussian', dims=2), 'random', 8, half_width=10**5)",
+        "half_width",
+    ),
+    (
+        "mcs.variance_terms(mcs.Estimator('gaussian', dims=2), 'random', 8, cross_matrix=True)",
+        "GiB",
+    ),
+    ("mcs.convergence(mcs.Estimator('gaussian', dims=2), 'random', [16, 4])", "ascending"),
+    ("mcs.closed_form_power('poisson-disk', 16, [[1, 1]])", "No closed-form"),
+    ("mcs.power_spectrum('random', 16, frequency_step=0)", "frequency_step"),
+)
+
+COMMAND = _rows(
+    "command",
+    ("", "usage"),
+    ("frobnicate", "no verb"),
+    ("points no-such-sampler -n 16", "no sampler"),
+    ("points jittered -n 250", "225 and 256"),
+    ("points jittered -n many", "whole number"),
+    ("points jittered", "-n"),
+    ("points random -n 4 --seed -3", "--seed"),
+    ("points random -n 4 -d 0", "--dims"),
+    ("points random -n 4 -o points.xyz", "xyz"),
+    ("points random -n 4 -o no/such/folder/p.dat", "no/such/folder"),
+    ("points random -n 4 --frobnicate", "--frobnicate"),
+    ("spectrum random -n 16 --frequency-step fast", "--frequency-step"),
+    ("spectrum random -n 16 --half-width 1000000", "half_width"),
+    ("spectrum random -n 16 -o picture.gif", ".png"),
+    ("spectrum points(path='no-such.bin') -n 16", "no-such.bin"),
+    ("variance no-such --sampler random -n 16", "no integrand"),
+    ("variance gaussian --sampler random -n 16 --space time", "primary"),
+    ("variance gaussian --sampler random -n 16 --realizations 1", "at least 2"),
+    ("variance linear -d 1 --density linear(slope=5) --sampler random -n 4", "slope"),
+    ("converge gaussian --sampler random --counts 16,x", "whole number"),
+    ("converge gaussian --sampler jittered --counts 16,20", "16 and 25"),
+    (
+        "converge gaussian --sampler random --counts 4,16 --density uniform --density uniform --heuristic x",
+        "balance",
+    ),
+    ("list pixels", "samplers"),
+    ("run no-such-file.toml", "no-such-file.toml"),
+    ("run study.toml --workers 0", "--workers"),
+)
+
+TOML = _rows(
+    "toml",
+    ("title = ", "not valid TOML"),
+    ("", "title"),
+    (STUDY.replace("samplers", "smaplers"), "Did you mean 'samplers'"),
+    (STUDY.replace("realizations = 10", "realizations = 1"), ">= 2"),
+    (STUDY.replace("realizations = 10", "realizations = 'ten'"), "int"),
+    (STUDY.replace("[4, 16]", "[16, 4]"), "ascending"),
+    (STUDY.replace("[4, 16]", "[4, 17]"), "16 and 25"),
+    (STUDY.replace("[4, 16]", "[]"), "length"),
+    (STUDY.replace("[4, 16]", "[4, 1e30]"), "int"),
+    (STUDY.replace('"jittered"', '"jitered"'), "Did you mean 'jittered'"),
+    (STUDY.replace('"gaussian"', '"gaussian(width=-1)"'), "width"),
+    (STUDY.replace('"gaussian"', "\"image(path='no-such.png')\""), "no-such.png"),
+    (STUDY.replace('integrand = "gaussian"', ""), "either integrand or integrands"),
+    (STUDY + 'density = "uniform"\ndensities = ["uniform"]\n', "give one of them"),
+    (STUDY + STUDY[STUDY.index("[[") :], "two estimators"),
+    (STUDY.replace('["jittered"]', "[]"), "no samplers"),
+    (STUDY.replace("[convergence]", "[convergences]"), "Did you mean 'convergence'"),
+    (STUDY.replace("[convergence]\ncounts = [4, 16]\nrealizations = 10\n", ""), "no analysis"),
+    ("seed = -1\n" + STUDY, ">= 0"),
+)
+
+ROWS = [*PYTHON, *COMMAND, *TOML]
+
+
+def answer(row: Row, folder: Path) -> tuple[str, str]:
+    """Run a row; return its exit code (or exception) and the sentence."""
+    if row.door == "python":
+        return _python_answer(row.given)
+    if row.door == "toml":
+        (folder / "bad.toml").write_text(row.given, encoding="utf-8")
+        code, text = _command_answer(["run", "bad.toml", "--out", "out", "--quiet"], folder)
+        return code, text
+    return _command_answer(row.given.split(), folder)
+
+
+def _python_answer(code: str) -> tuple[str, str]:
+    import numpy as np
+
+    import mcspectra as mcs
+
+    try:
+        eval(code, {"mcs": mcs, "np": np})
+    except mcs.McspectraError as error:
+        return type(error).__name__, str(error)
+    return "nothing", "no error was raised"
+
+
+def _command_answer(arguments: list[str], folder: Path) -> tuple[str, str]:
+    from mcspectra.cli.main import main
+
+    (folder / "study.toml").write_text(STUDY, encoding="utf-8")
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main(arguments)
+    return str(code), (err.getvalue() or out.getvalue()).strip()
+
+
+def page() -> str:
+    """The table as Markdown, from what the program says now."""
+    lines = [
+        "# Bad input and its answers",
+        "",
+        "Made by `python -m tests.bad_input`; every row is a test. Commands exit with 2.",
+        "",
+        "| door | given | answer | sentence |",
+        "|---|---|---|---|",
+    ]
+    with tempfile.TemporaryDirectory() as name:
+        for row in ROWS:
+            code, text = answer(row, Path(name))
+            given = _difference(row.given) if row.door == "toml" else row.given or "(nothing)"
+            first = text.splitlines()[0].replace("mcspectra: ", "", 1)
+            cells = [row.door, f"`{_cell(given)}`", _cell(code), _cell(first)]
+            lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _difference(text: str) -> str:
+    """The lines of a bad study that the good one does not have."""
+    good = STUDY.splitlines()
+    extra = [line for line in text.splitlines() if line and line not in good]
+    missing = [line for line in good if line and line not in text.splitlines()]
+    if extra:
+        return "; ".join(extra)
+    if not text:
+        return "(empty file)"
+    return f"(without: {'; '.join(missing)})" if missing else "(an estimator twice)"
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ")
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")
+    sys.stdout.write(f"{len(ROWS)} rows in {PAGE}\n")

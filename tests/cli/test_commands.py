@@ -1,0 +1,194 @@
+"""Each verb as a user types it: text, JSON, seeds, pipes, exit codes."""
+
+import io
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.cli.main import main
+
+
+def run(capsys, *arguments):
+    code = main([str(a) for a in arguments])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def run_json(capsys, *arguments):
+    code, out, err = run(capsys, *arguments, "--json")
+    assert code == 0, err
+    return json.loads(out)
+
+
+@pytest.mark.parametrize(
+    "verb", ["run", "list", "points", "spectrum", "variance", "converge", "doctor", "cite"]
+)
+def test_every_verb_has_help_and_the_common_options(capsys, verb):
+    code, out, _ = run(capsys, verb, "--help")
+    assert code == 0
+    for option in ("--json", "--seed", "--quiet"):
+        assert option in out
+
+
+@pytest.mark.parametrize("kind", ["samplers", "randomizations", "densities", "integrands"])
+def test_list(capsys, kind):
+    rows = run_json(capsys, "list", kind)
+    assert all(row["name"] and row["summary"] for row in rows)
+    assert len({row["name"] for row in rows}) == len(rows)
+    code, out, _ = run(capsys, "list", kind)
+    assert code == 0
+    assert all(row["name"] in out for row in rows)
+
+
+def test_points_are_those_of_the_library(capsys, tmp_path):
+    expected = mcs.sampler("jittered | shift", dims=3).draw(27, realizations=2, rng=5)
+    arguments = ("points", "jittered | shift", "-n", 27, "-d", 3, "-m", 2, "--seed", 5)
+    assert np.array_equal(run_json(capsys, *arguments)["points"], expected)
+    code, out, _ = run(capsys, *arguments)
+    assert code == 0
+    sets = [np.loadtxt(io.StringIO(part)) for part in out.split("#\n")]
+    assert np.array_equal(np.stack([s for s in sets if s.size]), expected)
+    for ending in ("dat", "bin", "npz", "csv"):
+        file = tmp_path / f"p.{ending}"
+        assert run(capsys, *arguments, "-o", file)[0] == 0
+        again = mcs.Sampler.from_files(file).draw(27, realizations=2)
+        assert np.allclose(again, expected, atol=1e-7 if ending == "bin" else 0), ending
+
+
+def test_points_pipe_into_spectrum(capsys, monkeypatch):
+    _, text, _ = run(capsys, "points", "jittered", "-n", 64)
+    monkeypatch.setattr(sys, "stdin", io.StringIO(text))
+    data = run_json(capsys, "spectrum", "-", "-n", 64, "--half-width", 8, "-m", 1)
+    expected = mcs.power_spectrum("jittered", 64, half_width=8, realizations=1)
+    assert np.allclose(data["radial_power"], expected["radial_power"])
+
+
+def test_spectrum_writes_values_and_pictures(capsys, tmp_path):
+    for ending in ("npz", "png", "pdf"):
+        file = tmp_path / f"s.{ending}"
+        arguments = ("spectrum", "jittered", "-n", 16, "--half-width", 8, "-m", 4, "-o", file)
+        assert run(capsys, *arguments)[0] == 0
+        assert file.stat().st_size > 500
+    stored = np.load(tmp_path / "s.npz")
+    assert stored["power"].shape == (17, 17)
+
+
+def test_variance_text_and_json_agree(capsys):
+    arguments = ("variance", "gaussian", "-d", 2, "--sampler", "jittered", "-n", 16, "-m", 50)
+    data = run_json(capsys, *arguments, "--half-width", 8)
+    total = data["dc_term"] + data["power_term"] + data["cross_term"]
+    assert total == pytest.approx(data["predicted_variance"])
+    _, out, _ = run(capsys, *arguments, "--half-width", 8)
+    assert f"{data['cross_term']:.6g}" in out
+    assert f"{data['captured']:.6g}" in out
+
+
+def test_variance_under_mis_and_infinite_weights(capsys):
+    code, out, _ = run(
+        capsys,
+        *("variance", "linear", "-d", 1, "--density", "uniform", "--density", "linear(slope=2)"),
+        *("--sampler", "random", "-n", 8, "-m", 50, "--half-width", 8),
+    )
+    assert code == 0
+    assert "balance[uniform, linear(slope=2)]" in out
+    code, out, err = run(
+        capsys,
+        *("variance", "polynomial(coefficients=[0,0,1])", "-d", 1, "--density", "linear(slope=2)"),
+        *("--sampler", "random", "-n", 8, "-m", 50, "--half-width", 8),
+    )
+    assert code == 0
+    assert "infinite" in out
+    assert "undefined" in out
+    assert err.startswith("mcspectra: Warning: ∫1/p diverges")
+    assert "inf\n" not in out
+    assert "nan" not in out
+
+
+def test_converge_rates(capsys):
+    data = run_json(
+        capsys,
+        *("converge", "christensen-gaussian", "--sampler", "random", "--sampler", "jittered"),
+        *("--counts", "16,64,256", "-m", 400),
+    )
+    rates = {curve["sampler"]: curve["rate"] for curve in data["curves"]}
+    assert rates["random"] == pytest.approx(-1, abs=0.2)
+    assert rates["jittered"] == pytest.approx(-2, abs=0.2)
+    code, out, _ = run(
+        capsys,
+        *("converge", "step", "--plus", "linear", "-d", 1, "--sampler", "jittered"),
+        *("--counts", "4", "-m", 10),
+    )
+    assert code == 0
+    assert "–" in out
+
+
+def test_doctor_and_cite(capsys):
+    found = run_json(capsys, "doctor")
+    assert found["works"] is True
+    assert "largest difference" in found["transforms"]
+    entries = run_json(capsys, "cite")
+    assert any("10.1111/cgf.13613" in entry["bibtex"] for entry in entries)
+
+
+def test_seed_changes_results_and_quiet_prints_nothing(capsys):
+    one = run(capsys, "points", "random", "-n", 4, "--seed", 1)[1]
+    assert one == run(capsys, "points", "random", "-n", 4, "--seed", 1)[1]
+    assert one != run(capsys, "points", "random", "-n", 4, "--seed", 2)[1]
+    assert run(capsys, "points", "random", "-n", 4, "--quiet")[1:] == ("", "")
+
+
+def test_version(capsys):
+    assert run(capsys, "--version")[1].strip() == mcs.__version__
+
+
+def test_closed_pipe_is_no_error():
+    command = f"{sys.executable} -m mcspectra points random -n 200000 | head -n 1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+    assert len(done.stdout.splitlines()) == 1
+
+
+STUDY = """
+title = "long"
+samplers = ["random", "jittered", "jittered | shift"]
+[terms]
+n = 1024
+half_width = 100
+realizations = 400
+[[estimators]]
+name = "a"
+integrand = "gaussian"
+[[estimators]]
+name = "b"
+integrand = "disk"
+"""
+
+
+def test_ctrl_c_leaves_a_resumable_store(tmp_path):
+    (tmp_path / "study.toml").write_text(STUDY)
+    command = [sys.executable, "-m", "mcspectra", "run", "study.toml", "--out", "out"]
+    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 120
+    while not list(tmp_path.glob("out/results.zarr/*/*/terms")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 130, err
+    assert "--resume" in err
+    assert "Traceback" not in err
+    again = subprocess.run([*command, "--quiet"], cwd=tmp_path, capture_output=True, text=True)
+    assert again.returncode == 2
+    assert "--resume" in again.stderr
+    done = subprocess.run(
+        [*command, "--resume", "--json"], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert len(json.loads(done.stdout)["rows"]) == 6
+    assert (tmp_path / "out/report.html").exists()
+    assert any((tmp_path / "out/figures").iterdir())

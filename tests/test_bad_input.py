@@ -1,0 +1,41 @@
+"""Every row of the table of bad input gets its sentence, at every door, without a traceback."""
+
+import subprocess
+import sys
+
+import pytest
+
+from tests.bad_input import PAGE, ROWS, answer, page
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row.door}: {row.given[-60:]!r}")
+def test_bad_input_is_answered_with_a_sentence(row, tmp_path):
+    code, text = answer(row, tmp_path)
+    assert row.words in text, text
+    assert "Traceback" not in text
+    assert "Unexpected" not in text
+    if row.door != "python":
+        assert code == "2"
+        assert not (tmp_path / "out").exists(), "a refused study leaves nothing behind"
+    if row.given:
+        assert len(text.splitlines()) == 1, "one sentence"
+        assert len(text) < 400
+
+
+def test_the_table_is_long_enough_and_the_page_is_current():
+    assert len(ROWS) >= 30
+    assert PAGE.read_text(encoding="utf-8") == page()
+
+
+def test_a_real_process_answers_the_same():
+    """The exit code and the sentence of the installed command, not of a call."""
+    done = subprocess.run(
+        [sys.executable, "-m", "mcspectra", "points", "jittered", "-n", "250"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "225 and 256" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""

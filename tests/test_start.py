@@ -1,0 +1,28 @@
+"""Starting is quick: nothing heavy is imported before it is needed.
+
+The seconds are in docs/evidence.md, from ``python -m benchmarks start``: a timed test would depend on
+what else the machine does.
+"""
+
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = ("numpy", "scipy", "numba", "xarray", "pandas", "zarr", "matplotlib", "mitsuba", "finufft")
+
+
+@pytest.mark.parametrize(
+    "code", ["import mcspectra", "from mcspectra.cli.main import main; main(['--help'])"]
+)
+def test_nothing_heavy_is_imported(code):
+    check = f"import sys; {code}; print([m for m in {HEAVY} if m in sys.modules], file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True)
+    assert done.stderr.strip().endswith("[]")
+
+
+def test_every_public_name_loads():
+    import mcspectra as mcs
+
+    for name in mcs.__all__:
+        assert getattr(mcs, name) is not None
