@@ -1,0 +1,22 @@
+"""Run all benchmarks, or those named: ``python -m benchmarks spectrum start``."""
+
+import importlib
+import sys
+
+NAMES = ("spectrum", "streams", "samplers", "start")
+
+
+def main() -> int:
+    """Print each benchmark's lines; unknown names are refused."""
+    chosen = sys.argv[1:] or NAMES
+    for name in chosen:
+        if name not in NAMES:
+            print(f"There is no benchmark {name!r}; there are {', '.join(NAMES)}.", file=sys.stderr)
+            return 2
+        print(f"## {name}")
+        importlib.import_module(f"benchmarks.{name}").main()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

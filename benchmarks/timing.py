@@ -1,0 +1,26 @@
+"""Timing two things side by side, alternating, so that a busy machine slows both."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+__all__ = ["compare"]
+
+
+def compare(
+    subject: Callable[[], Any], reference: Callable[[], Any], rounds: int = 15
+) -> tuple[float, float, float]:
+    """Seconds of subject and reference (best of `rounds`) and the median of their paired ratios."""
+    subject(), reference()  # compile, plan, fill caches
+    pairs = []
+    for _ in range(rounds):
+        start = time.perf_counter()
+        subject()
+        middle = time.perf_counter()
+        reference()
+        pairs.append((middle - start, time.perf_counter() - middle))
+    best = (min(a for a, _ in pairs), min(b for _, b in pairs))
+    return (*best, statistics.median(a / b for a, b in pairs))
