@@ -3,7 +3,7 @@
 import importlib
 import sys
 
-NAMES = ("spectrum", "streams", "samplers", "start")
+NAMES = ("spectrum", "streams", "samplers", "start", "oracles", "veach")
 
 
 def main() -> int:

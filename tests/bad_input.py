@@ -50,7 +50,7 @@ PYTHON = _rows(
     ("mcs.sampler('shift | jittered', dims=2)", "randomization"),
     ("mcs.sampler('multi-jittered', dims=3)", "dims"),
     ("mcs.sampler('jittered', dims=2).draw(250)", "225 and 256"),
-    ("mcs.sampler('random', dims=2).draw(0)", "at least 1"),
+    ("mcs.sampler('random', dims=2).draw(0)", "from 1"),
     ("mcs.sampler('random', dims=2).draw(float('nan'))", "whole number"),
     ("mcs.sampler('random', dims=2).draw(4, realizations=0)", "realizations"),
     ("mcs.sampler('random', dims=2).draw(4, rng=-1)", "rng"),

@@ -146,7 +146,7 @@ def test_radial_mean_of_random_points_is_flat():
     ("arguments", "error", "words"),
     [
         (("jittered", 15), CountError, "9 and 16"),
-        (("jittered", 0), CountError, "at least 1"),
+        (("jittered", 0), CountError, "from 1"),
         (("no-such", 16), ParameterError, "no sampler"),
     ],
 )

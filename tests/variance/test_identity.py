@@ -138,21 +138,25 @@ def test_the_slides_literal_pairing_predicts_the_reflected_integrand():
     estimator, and the first assertion would fail.
     """
     sampler = _one_sided(1)
-    f = mcs.Integrand.from_function(lambda x: x[..., 0] ** 3, dims=1)
-    mirror = mcs.Integrand.from_function(lambda x: (1 - x[..., 0]) ** 3, dims=1)
+    # Periodic and smooth: its coefficients fall faster than any power, K = 40 holds all of it.
+    f = mcs.Integrand.from_function(
+        lambda x: np.exp(3 * np.cos(2 * np.pi * (x[..., 0] - 0.15))), dims=1
+    )
+    mirror = mcs.Integrand.from_function(
+        lambda x: np.exp(3 * np.cos(2 * np.pi * (0.85 - x[..., 0]))), dims=1
+    )
     d = mcs.variance_terms(
-        mcs.Estimator(f), sampler, 8, half_width=400, realizations=400, rng=3, cross_matrix=True
+        mcs.Estimator(f), sampler, 8, half_width=40, realizations=400, rng=3, cross_matrix=True
     )
     measured = float(d["measured_variance"])
     x = sampler.draw(8, realizations=400, rng=3)
     reflected = float(np.var(mirror(x).mean(axis=1), ddof=1))
     assert abs(reflected / measured - 1) > 0.3  # the two differ, so the test can tell
-    # f jumps by 1 at the seam: the truncated estimate misses O(1/K) of it near 0 and 1
-    assert float(d["predicted_variance"]) == pytest.approx(measured, rel=0.02)
+    assert float(d["predicted_variance"]) == pytest.approx(measured, rel=1e-8)
     c = d["coefficient_covariance"].values
     fm = f.fourier(d["m"].values[:, None])
     literal = float((fm.conj()[:, None] * fm[None, :] * c.conj()).sum().real)
-    assert literal == pytest.approx(reflected, rel=0.02)
+    assert literal == pytest.approx(reflected, rel=1e-8)
     assert abs(literal / measured - 1) > 0.3
 
 
