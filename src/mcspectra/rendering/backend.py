@@ -1,0 +1,307 @@
+"""Mitsuba with a working LLVM: find the library, probe it in a subprocess, set the variant.
+
+Dr.Jit compiles for the CPU through libLLVM, and some versions of it end the process with SIGABRT
+when the first kernel is compiled (measured: LLVM 15 and 16 on an AVX-512 machine). So every
+candidate is tried in a subprocess first: the user's ``DRJIT_LIBLLVM_PATH``, then the library of the
+wheel karellen-llvm-core, then the system's, version 19 or newer. The verdict is kept in the user's
+cache folder under everything it depends on, so that only the first start pays for the trial.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import importlib.util
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, files, version
+from pathlib import Path
+from typing import Any
+
+from mcspectra.core.errors import MissingDependency
+
+__all__ = ["LOCK", "VARIANT", "Verdict", "describe", "find_library", "load_mitsuba"]
+
+VARIANT = "llvm_ad_rgb"
+"""The vectorised CPU variant, float32 and RGB."""
+
+LOCK = threading.RLock()
+"""Hold this around all Dr.Jit work: its traces and the variant belong to the whole process."""
+
+_LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
+_OLDEST_LLVM = 19
+_PROBE_SECONDS = 120.0
+_INSTALL = "install it with: pip install 'mcspectra[render]'"
+_SYSTEM_FOLDERS = {
+    # platform: folder, pattern in it
+    "Linux": (
+        ("/usr/lib", "*/libLLVM*.so*"),
+        ("/usr/lib", "llvm*/lib/libLLVM*.so*"),
+        ("/usr/lib64", "libLLVM*.so*"),
+        ("/usr/lib64", "llvm*/lib/libLLVM*.so*"),
+        ("/usr/local/lib", "libLLVM*.so*"),
+    ),
+    "Darwin": (
+        ("/opt/homebrew/opt", "llvm*/lib/libLLVM*.dylib"),
+        ("/usr/local/opt", "llvm*/lib/libLLVM*.dylib"),
+    ),
+    "Windows": (("C:/Program Files/LLVM/bin", "LLVM-C*.dll"),),
+}
+# Minimum, ray tracing and a rough conductor are what broke under unsuitable versions.
+_PROBE = f"""
+import mitsuba as mi
+mi.set_variant({VARIANT!r})
+import drjit as dr
+scene = mi.load_dict({{"type": "scene", "ball": {{
+    "type": "sphere", "bsdf": {{"type": "roughconductor"}}, "emitter": {{"type": "area"}}}}}})
+x = dr.linspace(mi.Float, 0.1, 0.9, 64)
+hit = scene.ray_intersect(mi.Ray3f(mi.Point3f(0, 0, -5), mi.Vector3f(0, 0, 1)))
+wo = hit.bsdf().sample(mi.BSDFContext(), hit, x, mi.Point2f(x, dr.minimum(x, 0.5)))[0].wo
+dr.eval(wo)
+print("works", dr.isfinite(wo.x)[0])
+"""
+_loaded: list[Any] = []
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a trial of one library found.
+
+    Attributes
+    ----------
+    library
+        Path of libLLVM.
+    works
+        Whether the variant compiled and ran a kernel with it.
+    reason
+        Why not, empty if it works.
+    """
+
+    library: str
+    works: bool
+    reason: str
+
+
+def load_mitsuba() -> Any:
+    """Return the module `mitsuba` with `VARIANT` set.
+
+    Raises
+    ------
+    MissingDependency
+        Mitsuba is not installed, or no libLLVM works; the message says what to install.
+    """
+    with LOCK:
+        if not _loaded:
+            _loaded.append(_start())
+        mitsuba = _loaded[0]
+        if mitsuba.variant() != VARIANT:
+            mitsuba.set_variant(VARIANT)
+        return mitsuba
+
+
+def find_library(*, fresh: bool = False) -> tuple[Verdict | None, list[Verdict]]:
+    """Return the first libLLVM that works, if any, and the verdicts on those before it.
+
+    Parameters
+    ----------
+    fresh
+        Probe again, whatever the cache says.
+
+    Notes
+    -----
+    A probe takes about a second, a cached verdict less than a millisecond.
+    """
+    refused: list[Verdict] = []
+    for library in _candidates():
+        verdict = _verdict(library, fresh)
+        if verdict.works:
+            return verdict, refused
+        refused.append(verdict)
+    return None, refused
+
+
+def describe() -> dict[str, Any]:
+    """Say what rendering would use, from fresh probes and without importing Mitsuba here.
+
+    Returns
+    -------
+    dict
+        ``mitsuba`` and ``drjit`` (versions or None), ``library`` (path or None), ``variant`` (the
+        one that works, or None), ``reason`` (why none does, else None).
+    """
+    found: dict[str, Any] = {name: _version(name) for name in ("mitsuba", "drjit")}
+    found |= {"library": None, "variant": None, "reason": None}
+    if found["mitsuba"] is None:
+        return found | {"reason": _no_mitsuba()}
+    best, refused = find_library(fresh=True)
+    if best is None:
+        return found | {"reason": _no_library(refused)}
+    return found | {"library": best.library, "variant": VARIANT}
+
+
+def _start() -> Any:
+    if importlib.util.find_spec("mitsuba") is None:
+        raise MissingDependency(_no_mitsuba())
+    if not _already_running():
+        best, refused = find_library()
+        if best is None:
+            raise MissingDependency(_no_library(refused))
+        os.environ[_LIBRARY_VARIABLE] = best.library
+    try:
+        import mitsuba
+    except ImportError as error:
+        raise MissingDependency(f"Mitsuba is installed but cannot be imported: {error}.") from error
+    mitsuba.set_variant(VARIANT)
+    return mitsuba
+
+
+def _already_running() -> bool:
+    """Whether the caller's own program has set the variant before us: then LLVM works."""
+    module = sys.modules.get("mitsuba")
+    return module is not None and module.variant() == VARIANT
+
+
+def _no_mitsuba() -> str:
+    return f"Rendering needs Mitsuba 3, which is not installed; {_INSTALL}."
+
+
+def _no_library(refused: list[Verdict]) -> str:
+    tried = "; ".join(f"{v.library}: {v.reason}" for v in refused) or "none was found"
+    return (
+        f"Mitsuba needs a libLLVM, version {_OLDEST_LLVM} or newer, that works ({tried}); {_INSTALL}"
+        f" (Linux x86-64), or install the system's LLVM ≥ {_OLDEST_LLVM} and set "
+        f"{_LIBRARY_VARIABLE} to its library."
+    )
+
+
+def _candidates() -> Iterator[str]:
+    """Yield paths of libraries in the order in which they are to be tried, each file once."""
+    seen = set()
+    for path in (*_user_library(), *_wheel_library(), *_system_libraries()):
+        real = os.path.realpath(path)
+        if real not in seen:
+            seen.add(real)
+            yield real
+
+
+def _user_library() -> list[str]:
+    given = os.environ.get(_LIBRARY_VARIABLE)
+    return [given] if given else []
+
+
+def _wheel_library() -> list[str]:
+    try:
+        listed = files("karellen-llvm-core") or []
+    except PackageNotFoundError:
+        return []
+    paths = (str(f.locate()) for f in listed if f.name.startswith("libLLVM."))
+    return sorted(path for path in paths if Path(path).is_file())[:1]
+
+
+def _system_libraries() -> list[str]:
+    """Return the system's libraries, newest first; those that say an old version are left out."""
+    folders = _SYSTEM_FOLDERS.get(platform.system(), ())
+    found = {str(path) for folder, pattern in folders for path in Path(folder).glob(pattern)}
+    versions = {path: _llvm_version(path) for path in found}
+    usable = [path for path in found if (versions[path] or _OLDEST_LLVM) >= _OLDEST_LLVM]
+    return sorted(usable, key=lambda path: (-(versions[path] or 0), path))
+
+
+def _llvm_version(path: str) -> int | None:
+    """Return the major version that a path (its links followed) spells, or None."""
+    match = re.search(r"(?:LLVM(?:-C)?|llvm)[-@.](?:so\.)?(\d+)", os.path.realpath(path))
+    return int(match.group(1)) if match else None
+
+
+def _verdict(library: str, fresh: bool) -> Verdict:
+    file = _cache_folder() / f"llvm-{_fingerprint(library)}.json"
+    cached = None if fresh else _read_verdict(file, library)
+    if cached is not None:
+        return cached
+    verdict, final = _probe(library)
+    if final:
+        _write_verdict(file, verdict)
+    return verdict
+
+
+def _fingerprint(library: str) -> str:
+    """Hash all that a verdict depends on; the host too, as home folders are shared by clusters."""
+    try:
+        status = Path(library).stat()
+        size, modified = status.st_size, status.st_mtime_ns
+    except OSError:
+        size, modified = -1, -1
+    versions = [_version(name) for name in ("mitsuba", "drjit")]
+    parts = [library, size, modified, *versions, sys.version, platform.node(), _PROBE]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:24]
+
+
+def _probe(library: str) -> tuple[Verdict, bool]:
+    """Try `library` in a subprocess; the second value is whether the verdict is worth keeping."""
+    if not Path(library).is_file():
+        return Verdict(library, False, "there is no such file"), False
+    environment = {**os.environ, _LIBRARY_VARIABLE: library}
+    command = [sys.executable, "-c", _PROBE]
+    try:
+        run = subprocess.run(
+            command,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=_PROBE_SECONDS,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return Verdict(library, False, f"the trial did not finish: {error}"), False
+    if run.returncode == 0 and "works True" in run.stdout:
+        return Verdict(library, True, ""), True
+    return Verdict(library, False, _last_words(run)), True
+
+
+def _last_words(run: subprocess.CompletedProcess[str]) -> str:
+    lines = [line.strip() for line in run.stderr.splitlines() if line.strip()]
+    ending = f"signal {-run.returncode}" if run.returncode < 0 else f"status {run.returncode}"
+    return f"the trial ended with {ending}" + (f" ({lines[-1][:160]})" if lines else "")
+
+
+def _cache_folder() -> Path:
+    """Return the folder that the platform sets aside for caches of this package."""
+    home = Path.home()
+    system = platform.system()
+    if system == "Windows":
+        return Path(os.environ.get("LOCALAPPDATA") or home / "AppData/Local") / "mcspectra/Cache"
+    if system == "Darwin":
+        return home / "Library/Caches/mcspectra"
+    return Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache") / "mcspectra"
+
+
+def _read_verdict(file: Path, library: str) -> Verdict | None:
+    try:
+        kept = json.loads(file.read_text(encoding="utf-8"))
+        return Verdict(library, bool(kept["works"]), str(kept["reason"]))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _write_verdict(file: Path, verdict: Verdict) -> None:
+    """Keep a verdict; a cache that cannot be written only costs the next start a probe."""
+    draft = file.with_suffix(f".{os.getpid()}.tmp")
+    text = json.dumps({"works": verdict.works, "reason": verdict.reason})
+    with contextlib.suppress(OSError):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        draft.write_text(text, encoding="utf-8")
+        draft.replace(file)
+
+
+def _version(distribution: str) -> str | None:
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return None

@@ -1,0 +1,200 @@
+"""The search for LLVM: order, verdicts, cache, and the sentence where nothing works."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mcspectra.core.errors import MissingDependency
+from mcspectra.rendering import backend
+from mcspectra.rendering.backend import VARIANT, Verdict, describe, find_library, load_mitsuba
+
+pytestmark = pytest.mark.render
+
+
+@pytest.fixture
+def not_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make `load_mitsuba` start from nothing."""
+    monkeypatch.setattr(backend, "_loaded", [])
+    monkeypatch.setattr(backend, "_already_running", lambda: False)
+
+
+@pytest.fixture
+def own_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    folder = tmp_path / "cache"
+    monkeypatch.setattr(backend, "_cache_folder", lambda: folder)
+    return folder
+
+
+def _library(folder: Path, text: str = "not a library") -> str:
+    file = folder / "libLLVM-99.so"
+    file.write_text(text)
+    return str(file)
+
+
+def _no_probe(library: str) -> tuple[Verdict, bool]:
+    raise AssertionError(f"{library} was probed")
+
+
+def test_loaded_module_has_the_variant_even_after_another_was_set() -> None:
+    mitsuba = load_mitsuba()
+    assert mitsuba.variant() == VARIANT
+    mitsuba.set_variant("scalar_rgb")
+    assert load_mitsuba().variant() == VARIANT
+
+
+def test_describe_finds_a_library_and_leaves_mitsuba_alone() -> None:
+    code = (
+        "import json, sys; from mcspectra.rendering.backend import describe;"
+        "print(json.dumps([describe(), 'mitsuba' in sys.modules]))"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    found, imported = json.loads(run.stdout)
+    assert not imported
+    assert found["variant"] == VARIANT
+    assert found["reason"] is None
+    assert Path(found["library"]).is_file()
+    assert found["mitsuba"]
+    assert found["drjit"]
+
+
+def test_second_search_takes_the_kept_verdict(
+    monkeypatch: pytest.MonkeyPatch, own_cache: Path
+) -> None:
+    first, _ = find_library()
+    assert first is not None
+    assert len(list(own_cache.iterdir())) == 1
+    monkeypatch.setattr(backend, "_probe", _no_probe)
+    assert find_library()[0] == first
+    with pytest.raises(AssertionError, match="was probed"):
+        find_library(fresh=True)
+
+
+@pytest.mark.parametrize("kept", ["", "{", "[]", '{"works": true}', "null"])
+def test_broken_cache_file_is_written_anew(own_cache: Path, tmp_path: Path, kept: str) -> None:
+    library = _library(tmp_path)
+    own_cache.mkdir()
+    file = own_cache / f"llvm-{backend._fingerprint(library)}.json"
+    file.write_text(kept)
+    verdict = Verdict(library, False, "no")
+    assert backend._read_verdict(file, library) is None
+    backend._write_verdict(file, verdict)
+    assert backend._read_verdict(file, library) == verdict
+
+
+def test_cache_that_cannot_be_written_is_no_error(own_cache: Path) -> None:
+    own_cache.write_text("a file where the folder should be")
+    best, _ = find_library()
+    assert best is not None
+    assert best.works
+
+
+def test_fingerprint_follows_the_file(tmp_path: Path) -> None:
+    library = _library(tmp_path)
+    before = backend._fingerprint(library)
+    assert backend._fingerprint(library) == before
+    _library(tmp_path, "another version")
+    assert backend._fingerprint(library) != before
+
+
+def test_users_library_comes_first_and_a_bad_one_is_passed_over(
+    monkeypatch: pytest.MonkeyPatch, own_cache: Path, tmp_path: Path
+) -> None:
+    missing = str(tmp_path / "libLLVM-nowhere.so")
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", missing)
+    best, refused = find_library()
+    assert best is not None
+    assert refused == [Verdict(missing, False, "there is no such file")]
+
+
+def test_library_that_is_none_is_refused_with_a_reason(own_cache: Path, tmp_path: Path) -> None:
+    verdict, final = backend._probe(_library(tmp_path))
+    assert final
+    assert not verdict.works
+    assert "the trial ended with" in verdict.reason
+
+
+@pytest.mark.parametrize(
+    ("probe", "seconds", "reason", "final"),
+    [
+        ("import os; os.abort()", 60.0, "the trial ended with", True),
+        ("import time; time.sleep(60)", 0.5, "did not finish", False),
+        ("print('works False')", 60.0, "status 0", True),
+    ],
+)
+def test_probe_survives_crashes_and_hangs(
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    probe: str,
+    seconds: float,
+    reason: str,
+    final: bool,
+) -> None:
+    monkeypatch.setattr(backend, "_PROBE", probe)
+    monkeypatch.setattr(backend, "_PROBE_SECONDS", seconds)
+    verdict, kept = backend._probe(_library(tmp_path))
+    assert not verdict.works
+    assert reason in verdict.reason
+    assert kept is final
+
+
+def test_without_library_the_error_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, not_loaded: None
+) -> None:
+    monkeypatch.setattr(backend, "_candidates", lambda: iter(()))
+    with pytest.raises(MissingDependency, match=r"pip install 'mcspectra\[render\]'.*LLVM ≥ 19"):
+        load_mitsuba()
+    assert "none was found" in describe()["reason"]
+
+
+def test_without_mitsuba_the_error_names_the_extra(
+    monkeypatch: pytest.MonkeyPatch, not_loaded: None
+) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setattr(backend, "_version", lambda _: None)
+    with pytest.raises(MissingDependency, match=r"pip install 'mcspectra\[render\]'"):
+        load_mitsuba()
+    found = describe()
+    assert found["mitsuba"] is None
+    assert found["variant"] is None
+    assert "not installed" in found["reason"]
+
+
+@pytest.mark.parametrize(
+    ("path", "version"),
+    [
+        ("/a/libLLVM-15.so", 15),
+        ("/a/libLLVM.so.19.1", 19),
+        ("/a/libLLVM-14.0.6.so.1", 14),
+        ("/a/llvm@20/lib/libLLVM.dylib", 20),
+        ("/a/llvm-21/lib/libLLVM.so", 21),
+        ("/a/bin/LLVM-C.dll", None),
+    ],
+)
+def test_version_is_read_from_the_path(path: str, version: int | None) -> None:
+    assert backend._llvm_version(path) == version
+
+
+def test_system_libraries_run_from_new_to_old_without_those_too_old(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    for version in (15, 19, 21):
+        (tmp_path / f"libLLVM-{version}.so").touch()
+    folders = {backend.platform.system(): ((str(tmp_path), "libLLVM*.so*"),)}
+    monkeypatch.setattr(backend, "_SYSTEM_FOLDERS", folders)
+    names = [Path(path).name for path in backend._system_libraries()]
+    assert names == ["libLLVM-21.so", "libLLVM-19.so"]
+
+
+def test_candidates_name_each_file_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    library = os.path.realpath(_library(tmp_path))
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", library)
+    monkeypatch.setattr(backend, "_wheel_library", lambda: [library])
+    monkeypatch.setattr(backend, "_system_libraries", lambda: [library])
+    assert list(backend._candidates()) == [library]

@@ -1,0 +1,331 @@
+"""A pixel against the exact irradiance of a sphere, Mitsuba's own integrator, and known rates."""
+
+from __future__ import annotations
+
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import DomainError, ParameterError
+from mcspectra.core.registry import Registry
+from mcspectra.core.spec import parse
+from mcspectra.core.streams import Stream
+from mcspectra.rendering import Pixel, describe_pixel, load_mitsuba, load_scene, pixel_strategies
+from mcspectra.rendering import pixel as module
+from mcspectra.rendering.pixel import STRATEGIES
+from mcspectra.rendering.scenes import film_size
+
+pytestmark = pytest.mark.render
+
+WALL = {"scene": "veach", "x": 568, "y": 100, "light": "light-3"}
+PLATE = {"scene": "veach", "x": 600, "y": 430, "light": "light-3"}
+COUNTS = (4, 16, 64, 256, 1024, 4096)
+REALIZATIONS = 500
+SIGMAS = 4.0
+SINGLE = 2e-6  # sixteen roundings of float32, for means whose statistical error is below that
+
+
+def uniforms(count: int, dims: int = 2, seed: int = 1) -> Array:
+    return Stream.from_rng(seed).uniforms(0, 1, count * dims).reshape(count, dims)
+
+
+def jittered(n: int, seed: int) -> Array:
+    """REALIZATIONS jittered sets of n = s² points."""
+    s = round(n**0.5)
+    cells = np.stack(np.divmod(np.arange(n), s), axis=-1)
+    offsets = Stream.from_rng(seed).uniforms(0, REALIZATIONS, 2 * n)
+    return (cells + offsets.reshape(REALIZATIONS, n, 2)) / s
+
+
+def mean_and_error(values: Array) -> tuple[Array, Array]:
+    return values.mean(axis=0), values.std(axis=0, ddof=1) / len(values) ** 0.5
+
+
+def wall_radiance(position: Any) -> float:
+    """Reflected radiance of the wall under light-3: ρ L (r/d)² cos θ, exact for a whole sphere."""
+    to_light = np.array([3.75, 0.0, 0.0]) - position
+    distance = float(np.linalg.norm(to_light))
+    return 0.4 * 1.23457 * (0.9 / distance) ** 2 * float(to_light[2]) / distance
+
+
+def rate_and_error(estimates: list[Array]) -> tuple[float, float]:
+    """Fit the exponent of variance over the last four counts; errors from the fourth moments."""
+    used, counts = estimates[-4:], np.log(COUNTS[-4:])
+    centered = [e - e.mean() for e in used]
+    variance = np.array([(c**2).mean() for c in centered])
+    kurtosis = np.array([(c**4).mean() for c in centered]) / variance**2
+    error = np.sqrt((kurtosis - 1.0) / REALIZATIONS)  # of log variance, by the delta method
+    weights = (counts - counts.mean()) / ((counts - counts.mean()) ** 2).sum()
+    return float(weights @ np.log(variance)), float(np.sqrt((weights**2) @ error**2))
+
+
+@pytest.fixture(scope="module")
+def wall_estimates() -> dict[str, list[Array]]:
+    """Estimates of the wall pixel by jittered points: name -> per count, (REALIZATIONS,)."""
+    strategies = pixel_strategies(**WALL)
+    out: dict[str, list[Array]] = {
+        name: [g(jittered(n, 100 * t + i)).mean(axis=1) for i, n in enumerate(COUNTS)]
+        for t, (name, g) in enumerate(strategies.items())
+    }
+    out["mis"] = [a + b for a, b in zip(out["mis-light"], out["mis-bsdf"], strict=True)]
+    return out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "theory"), [("light", -2.0), ("bsdf", -1.5), ("mis", -1.5)])
+def test_rate_of_the_wall_pixel(
+    wall_estimates: dict[str, list[Array]], name: str, theory: float
+) -> None:
+    rate, error = rate_and_error(wall_estimates[name])
+    assert error < 0.03  # so that -1.5 and -2 are many errors apart
+    assert abs(rate - theory) < SIGMAS * error
+
+
+@pytest.mark.slow
+def test_mis_is_as_slow_as_its_slowest_strategy(wall_estimates: dict[str, list[Array]]) -> None:
+    mis, error = rate_and_error(wall_estimates["mis"])
+    bsdf, other = rate_and_error(wall_estimates["bsdf"])
+    assert abs(mis - bsdf) < min(0.1, SIGMAS * float(np.hypot(error, other)))
+
+
+@pytest.mark.slow
+def test_random_points_converge_at_minus_one() -> None:
+    light = pixel_strategies(**WALL)["light"]
+    shapes = [(REALIZATIONS, n, 2) for n in COUNTS]
+    points = [uniforms(int(np.prod(s[:2])), seed=i).reshape(s) for i, s in enumerate(shapes)]
+    rate, error = rate_and_error([light(p).mean(axis=1) for p in points])
+    assert abs(rate + 1.0) < SIGMAS * error
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["light", "bsdf", "mis"])
+def test_every_strategy_has_the_exact_mean(
+    wall_estimates: dict[str, list[Array]], name: str
+) -> None:
+    exact = wall_radiance(describe_pixel("veach", 568, 100)["position"])
+    for estimates in wall_estimates[name]:
+        mean, error = mean_and_error(estimates)
+        assert abs(mean - exact) < SIGMAS * error + SINGLE * exact
+
+
+def test_wall_pixel_sees_the_whole_light() -> None:
+    assert (pixel_strategies(**WALL)["light"](uniforms(10_000)) > 0).all()
+
+
+@pytest.mark.parametrize("heuristic", ["balance", "power"])
+@pytest.mark.parametrize("place", [WALL, PLATE], ids=["wall", "plate"])
+def test_strategies_agree(place: dict[str, Any], heuristic: str) -> None:
+    values = {
+        name: g(uniforms(2**18, seed=t))
+        for t, (name, g) in enumerate(pixel_strategies(**place, heuristic=heuristic).items())
+    }
+    values["mis"] = values["mis-light"] + values["mis-bsdf"]
+    light, light_error = mean_and_error(values["light"])
+    for name in ("bsdf", "mis"):
+        mean, error = mean_and_error(values[name])
+        assert abs(mean - light) < SIGMAS * np.hypot(error, light_error) + SINGLE * light
+
+
+def test_weights_are_those_of_the_heuristics() -> None:
+    # With the same u both heuristics weigh the same f/p: w = r/(1+r) and r²/(1+r²), r = own/other.
+    u = uniforms(4096)
+    plain = Pixel(**WALL)(u)
+    balance, power = (
+        Pixel(**WALL, strategy="mis-light", heuristic=h)(u) for h in ("balance", "power")
+    )
+    w = balance / plain
+    assert ((w > 0) & (w < 1)).all()
+    np.testing.assert_allclose(power / plain, w**2 / (w**2 + (1 - w) ** 2), rtol=1e-5)
+
+
+def stock_values(scene: str, x: int, y: int, count: int) -> Array:
+    """Values (count, 3) of Mitsuba's `direct` integrator along the ray of the pixel's centre."""
+    import drjit
+
+    mitsuba, loaded = load_mitsuba(), load_scene(scene)
+    width, height = film_size(scene)
+    position = mitsuba.Point2f((x + 0.5) / width, (y + 0.5) / height)
+    ray, _ = loaded.sensors()[0].sample_ray_differential(0.0, 0.5, position, mitsuba.Point2f(0.5))
+    rays = drjit.gather(type(ray), ray, drjit.zeros(mitsuba.UInt32, count))
+    sampler = mitsuba.load_dict({"type": "independent"})
+    sampler.seed(5, count)
+    color, _, _ = mitsuba.load_dict({"type": "direct"}).sample(loaded, sampler, rays)
+    return np.asarray(color.numpy(), np.float64).T
+
+
+@pytest.mark.parametrize("dims", [2, 3])
+@pytest.mark.parametrize("place", [WALL, PLATE], ids=["wall", "plate"])
+def test_all_lights_match_the_stock_integrator(place: dict[str, Any], dims: int) -> None:
+    check_against_stock({**place, "light": None}, dims)
+
+
+def test_textures_sky_and_layers_match_the_stock_integrator(scene_files: dict[str, str]) -> None:
+    check_against_stock({"scene": scene_files["textured"], "x": 20, "y": 15}, 3)
+
+
+def check_against_stock(place: dict[str, Any], dims: int) -> None:
+    count = 2**19
+    wanted, wanted_error = mean_and_error(
+        stock_values(place["scene"], place["x"], place["y"], count)
+    )
+    strategies = pixel_strategies(**place, dims=dims, channel="rgb")
+    values = {k: g(uniforms(count, dims, seed=t)) for t, (k, g) in enumerate(strategies.items())}
+    values["mis"] = values["mis-light"] + values["mis-bsdf"]
+    for name in ("light", "bsdf", "mis"):
+        mean, error = mean_and_error(values[name])
+        assert (abs(mean - wanted) < SIGMAS * np.hypot(error, wanted_error) + SINGLE * wanted).all()
+
+
+@pytest.mark.parametrize("strategy", ["light", "bsdf"])  # MIS weights change with the lights
+def test_lights_add_up(strategy: str) -> None:
+    place = {"scene": "veach", "x": 600, "y": 430, "strategy": strategy}
+    u = uniforms(2**18)
+    whole, error = mean_and_error(Pixel(**place)(u))
+    single = [mean_and_error(Pixel(**place, light=i)(u)) for i in range(5)]
+    total, spread = sum(m for m, _ in single), np.hypot.reduce([e for _, e in single])
+    assert abs(total - whole) < SIGMAS * np.hypot(error, spread)
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_shapes_and_channels(strategy: str) -> None:
+    u = uniforms(12).reshape(2, 6, 2)
+    scalar = Pixel(**PLATE, strategy=strategy)
+    color = Pixel(**PLATE, strategy=strategy, channel="rgb")
+    values = color(u)
+    assert (scalar.dims, scalar.channels, color.channels) == (2, 0, 3)
+    assert values.shape == (2, 6, 3)
+    assert values.dtype == np.float64
+    assert scalar(u[0, 0]).shape == ()
+    assert scalar(u[:0]).shape == (0, 6)
+    assert color(u[:0]).shape == (0, 6, 3)
+    for c in range(3):
+        np.testing.assert_array_equal(
+            Pixel(**PLATE, strategy=strategy, channel=c)(u), values[..., c]
+        )
+    rec709 = values @ [0.212671, 0.715160, 0.072169]
+    np.testing.assert_allclose(scalar(u), rec709, rtol=1e-5)
+
+
+def test_light_that_is_never_met_gives_zeros() -> None:
+    # light-0 covers about 1e-5 of the wall's hemisphere: of 16 BSDF samples none meets it.
+    values = Pixel(**{**WALL, "light": "light-0"}, strategy="bsdf", channel="rgb")(uniforms(16))
+    np.testing.assert_array_equal(values, np.zeros((16, 3)))
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_chunks_threads_and_order_do_not_change_bits(
+    monkeypatch: pytest.MonkeyPatch, strategy: str
+) -> None:
+    g, u = Pixel(**WALL, strategy=strategy), uniforms(8000).reshape(8, 1000, 2)
+    whole = g(u)
+    with ThreadPoolExecutor(4) as pool:
+        np.testing.assert_array_equal(list(pool.map(g, u)), whole)
+    monkeypatch.setattr(module, "_CHUNK", 777)
+    np.testing.assert_array_equal(g(u[::-1])[::-1], whole)
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_corners_of_the_square_are_finite(strategy: str) -> None:
+    ends = np.array([0.0, 2.0**-30, 0.5, 1.0 - 2.0**-53])
+    corners = np.stack(np.meshgrid(ends, ends), axis=-1)
+    for place in (WALL, PLATE, {**PLATE, "light": None}):
+        assert np.isfinite(Pixel(**place, strategy=strategy)(corners)).all()
+
+
+def test_single_precision_never_rounds_a_sample_up_to_one() -> None:
+    samples = module._as_samples(np.array([0.0, 0.25, 1.0 - 2.0**-53, 1.0]))
+    assert samples.dtype == np.float32
+    np.testing.assert_array_equal(samples, [0.0, 0.25, 1.0 - 2.0**-24, 1.0 - 2.0**-24])
+
+
+def test_a_million_points() -> None:
+    values = pixel_strategies(**WALL)["light"](uniforms(2**20 + 1))
+    assert values.shape == (2**20 + 1,)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -0.1, 1.1])
+def test_samples_outside_the_square_are_refused(bad: float) -> None:
+    with pytest.raises(DomainError, match=r"\[0,1\)"):
+        Pixel(**WALL)([[0.5, bad]])
+
+
+def test_samples_of_other_dims_are_refused() -> None:
+    with pytest.raises(DomainError, match="shape"):
+        Pixel(**WALL)(uniforms(4, 3))
+
+
+def test_spec_string_makes_the_same_pixel() -> None:
+    registry = Registry("integrand", "none", {"pixel": "mcspectra.rendering.pixel:Pixel"})
+    made = Pixel(**PLATE, strategy="mis-bsdf", heuristic="power", channel=1)
+    again = registry.build(parse(made.spec), 2)
+    assert again == made
+    u = uniforms(64)
+    np.testing.assert_array_equal(again(u), made(u))
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(made))(u), made(u))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"strategy": "brdf"}, "strategy is 'brdf'"),
+        ({"heuristic": "maximum"}, "heuristic is 'maximum'"),
+        ({"channel": "red"}, "channel is 'red'"),
+        ({"channel": 3}, "channel is 3"),
+        ({"channel": True}, "channel is True"),
+        ({"channel": [1]}, "channel is"),
+        ({"dims": 1}, "dims"),
+        ({"dims": 4}, "dims"),
+        ({"x": 768}, "outside the film of 'veach': x is 768"),
+        ({"y": -1}, "outside the film of 'veach': y is -1"),
+        ({"x": 1.5}, "x is 1.5"),
+        ({"x": float("nan")}, "x is nan"),
+        ({"y": None}, "y is None"),
+        ({"light": "sun"}, "no light 'sun'"),
+        ({"light": 9}, "light is 9"),
+        ({"x": 642, "y": 72}, "sees the light 'light-3'"),
+        ({"scene": "nowhere"}, "no scene called 'nowhere'"),
+    ],
+)
+def test_bad_parameters_are_one_sentence(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        Pixel(**{**WALL, **changes})
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("scene", "changes", "words"),
+    [
+        ("dark", {}, "no lights"),
+        ("blind", {}, "no camera"),
+        ("mirror", {}, "'floor', whose BSDF (SmoothConductor) has a perfectly specular part"),
+        ("lamp", {}, "The light 'lamp'"),
+        ("lamp", {"light": "lamp"}, "delta function"),
+        ("textured", {"strategy": "bsdf"}, "give dims=3"),
+        ("mirror", {"y": 0, "x": 0}, "sees nothing"),
+        ("textured", {"y": 0, "x": 0}, "sees the light 'sky'"),
+    ],
+)
+def test_pixels_that_are_no_integrands_say_why(
+    scene_files: dict[str, str], scene: str, changes: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(ParameterError) as caught:
+        Pixel(**{"scene": scene_files[scene], "x": 20, "y": 15, **changes})
+    assert words in str(caught.value)
+
+
+def test_one_area_light_beside_a_delta_light_is_fine(scene_files: dict[str, str]) -> None:
+    values = Pixel(scene=scene_files["lamp"], x=20, y=15, light="screen")(uniforms(64))
+    assert (values > 0).any()
+
+
+def test_describe_pixel_shows_lights_and_the_void(scene_files: dict[str, str]) -> None:
+    assert describe_pixel("veach", 642, 72)["light"] == "light-3"
+    void = describe_pixel(scene_files["mirror"], 0, 0)
+    assert set(void.values()) == {None}
+    with pytest.raises(ParameterError, match="outside the film"):
+        describe_pixel("veach", 768, 0)

@@ -1,0 +1,177 @@
+"""Veach's scene against the published numbers; names, files and film coordinates."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mcspectra.core.errors import FileFormatError, McspectraError, ParameterError, UnknownName
+from mcspectra.rendering import SCENES, describe_pixel, load_scene, project, veach
+from mcspectra.rendering.scenes import emitter_name, film_size, find_emitter, sensor_of
+
+pytestmark = pytest.mark.render
+
+LIGHTS = ["light-0", "light-1", "light-2", "light-3", "fill-light"]
+# Edges (y, z) and roughness, as published.
+PLATES = [
+    ((-2.70651, 0.25609), (-2.08375, -0.526323), 0.005),
+    ((-3.28825, 1.36972), (-2.83856, 0.476536), 0.02),
+    ((-3.73096, 2.70046), (-3.43378, 1.74564), 0.05),
+    ((-3.99615, 4.0667), (-3.82069, 3.08221), 0.1),
+]
+
+
+def test_four_spheres_have_equal_power() -> None:
+    scene = veach()
+    power = [scene[k]["radius"] ** 2 * scene[k]["emitter"]["radiance"]["value"] for k in LIGHTS[:4]]
+    # The smallest radius is published with four digits: 0.03333 for 1/30, 1e-4 relative.
+    assert power == pytest.approx([1.0] * 4, rel=2e-3)
+    assert [scene[k]["center"] for k in LIGHTS[:4]] == [
+        [x, 0.0, 0.0] for x in (-3.75, -1.25, 1.25, 3.75)
+    ]
+
+
+@pytest.mark.parametrize("i", range(4))
+@pytest.mark.parametrize("t", [0.05, 0.5, 0.95])
+def test_plates_lie_between_their_edges_and_face_up(i: int, t: float) -> None:
+    front, back, alpha = PLATES[i]
+    y, z = (1 - t) * np.array(front) + t * np.array(back)
+    for x in (-3.9, 0.3, 3.9):
+        column, row = project("veach", [x, y, z])
+        seen = describe_pixel("veach", math.floor(column), math.floor(row))
+        assert seen["shape"] == f"plate-{i}"
+        assert seen["bsdf"] == "RoughConductor"
+        edge = np.array(back) - np.array(front)
+        assert np.dot(seen["normal"][1:], edge) == pytest.approx(0.0, abs=1e-6)
+        assert seen["normal"][1] > 0
+    assert veach()[f"plate-{i}"]["bsdf"]["alpha"] == alpha
+
+
+def test_plates_end_at_their_edges() -> None:
+    for i, (front, back, _) in enumerate(PLATES):
+        edge = np.array(back) - np.array(front)
+        for x, (y, z) in ((4.1, front), (0.0, back + 0.08 * edge), (0.0, front - 0.08 * edge)):
+            seen = describe_pixel("veach", *map(math.floor, project("veach", [x, y, z])))
+            assert seen["shape"] != f"plate-{i}"
+
+
+@pytest.mark.parametrize(("x", "y"), [(0, 0), (568, 100), (767, 511), (384, 500)])
+def test_project_undoes_the_camera(x: int, y: int) -> None:
+    seen = describe_pixel("veach", x, y)
+    assert seen["shape"] in ("wall", "floor")
+    # float32 coordinates up to 15 at 60 pixels a unit: 15 × 2^-23 × 60 × 10 roundings.
+    assert project("veach", seen["position"]) == pytest.approx((x + 0.5, y + 0.5), abs=1e-3)
+
+
+def test_floor_and_wall_are_where_they_should_be() -> None:
+    floor, wall = describe_pixel("veach", 384, 500), describe_pixel("veach", 568, 100)
+    assert floor["position"][1] == pytest.approx(-4.14615)
+    assert wall["position"][2] == pytest.approx(-2.0)
+    assert wall["normal"] == pytest.approx((0.0, 0.0, 1.0))
+    assert floor["normal"] == pytest.approx((0.0, 1.0, 0.0))
+
+
+def test_lights_and_film_follow_the_options() -> None:
+    assert [emitter_name(e) for e in load_scene("veach").emitters()] == LIGHTS
+    few = "veach(lights=['light-3', 'fill-light'], width=96, height=64)"
+    assert [emitter_name(e) for e in load_scene(few).emitters()] == ["light-3", "fill-light"]
+    assert film_size(few) == (96, 64)
+    assert film_size("veach") == (768, 512)
+    assert find_emitter("veach", 3).get_shape().id() == "light-3"
+    assert find_emitter("veach", "fill-light").get_shape().id() == "fill-light"
+    assert list(SCENES) == ["veach"]
+
+
+def test_scene_is_loaded_once(scene_files: dict[str, str]) -> None:
+    assert load_scene("veach") is load_scene(" veach ")
+    assert load_scene(scene_files["dark"]) is load_scene(Path(scene_files["dark"]))
+
+
+def test_changed_file_is_read_again(scene_files: dict[str, str], tmp_path: Path) -> None:
+    file = tmp_path / "scene.xml"
+    file.write_text(Path(scene_files["dark"]).read_text())
+    assert load_scene(file).emitters() == []
+    file.write_text(Path(scene_files["textured"]).read_text())
+    os.utime(file, ns=(1, 1))  # another time, whatever the file system's resolution
+    assert [emitter_name(e) for e in load_scene(file).emitters()] == ["screen", "sky"]
+
+
+@pytest.mark.parametrize(
+    ("scene", "error", "words"),
+    [
+        ("veech", UnknownName, "Did you mean 'veach'"),
+        ("veach(width=0)", ParameterError, "width is 0"),
+        ("veach(fov=3)", ParameterError, "no parameter 'fov'"),
+        ("veach(lights=[])", ParameterError, "light-0"),
+        ("veach(lights=['sun'])", ParameterError, "'sun'"),
+        ("veach(lights=3)", ParameterError, "lights is 3"),
+        ("veach | veach", McspectraError, "chains"),
+        ("", ParameterError, "give the name"),
+        (None, ParameterError, "give the name"),
+        (7, ParameterError, "give the name"),
+        ("missing.xml", FileFormatError, "There is no scene file 'missing.xml'"),
+        ("folder/other", FileFormatError, "There is no scene file"),
+        (Path("missing"), FileFormatError, "There is no scene file"),
+    ],
+)
+def test_bad_requests_are_one_sentence(scene: Any, error: type[Exception], words: str) -> None:
+    with pytest.raises(error, match=None) as caught:
+        load_scene(scene)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "garbage",
+        "<scene version='3.0.0'><shape type='sphe'/></scene>",
+        "<scene version='3.0.0'>",
+    ],
+)
+def test_broken_file_is_one_sentence(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "broken.xml"
+    file.write_text(text)
+    with pytest.raises(
+        FileFormatError, match=r"Mitsuba cannot read the scene .*broken\.xml"
+    ) as caught:
+        load_scene(str(file))
+    assert "\n" not in str(caught.value)
+
+
+def test_file_of_something_else_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "bsdf.xml"
+    file.write_text("<bsdf version='3.0.0' type='diffuse'/>")
+    with pytest.raises(FileFormatError, match="holds no scene"):
+        load_scene(str(file))
+
+
+def test_scene_without_camera_is_refused(scene_files: dict[str, str]) -> None:
+    with pytest.raises(ParameterError, match="no camera"):
+        sensor_of(scene_files["blind"])
+
+
+@pytest.mark.parametrize(
+    "point", [(0, 0, 30), (0, 100, 0), (0, 0), (0, 0, 0, 0), (0, math.nan, 0), "abc", 1.0, None]
+)
+def test_project_refuses_what_it_cannot_show(point: Any) -> None:
+    with pytest.raises(ParameterError):
+        project("veach", point)
+
+
+@pytest.mark.parametrize("light", [5, -1, 1.5, "light-9", True])
+def test_unknown_light_lists_those_there_are(light: Any) -> None:
+    with pytest.raises(ParameterError, match="light-3"):
+        find_emitter("veach", light)
+
+
+def test_scene_without_lights_has_none_to_find(scene_files: dict[str, str]) -> None:
+    for light in (0, "sun"):
+        with pytest.raises(ParameterError, match="has no light"):
+            find_emitter(scene_files["dark"], light)
