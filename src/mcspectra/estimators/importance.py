@@ -50,7 +50,9 @@ class Estimator(AbstractEstimator):
         dims: int | None = None,
     ) -> None:
         if dims is None:
-            dims = next((c.dims for c in (integrand, density) if hasattr(c, "dims")), None)
+            dims = next(
+                (c.dims for c in (integrand, density) if isinstance(c, Integrand | Density)), None
+            )
         self.integrand = as_integrand(integrand, dims)
         self.density = as_density(density, self.integrand.dims)
         if self.density is not None:

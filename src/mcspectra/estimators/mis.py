@@ -61,7 +61,7 @@ class MultipleImportance(AbstractEstimator):
             raise ParameterError(f"densities is {densities!r}; give a list of one or more.")
         if dims is None:
             parts = (integrand, *densities)
-            dims = next((c.dims for c in parts if hasattr(c, "dims")), None)
+            dims = next((c.dims for c in parts if isinstance(c, Integrand | Density)), None)
         self.integrand = as_integrand(integrand, dims)
         found = [as_density(density, self.integrand.dims) for density in densities]
         self.densities = tuple(density for density in found if density is not None)

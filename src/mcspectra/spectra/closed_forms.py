@@ -41,7 +41,7 @@ __all__ = ["closed_form_power"]
 def closed_form_power(
     sampler: Sampler | str,
     n: int,
-    frequencies: object,
+    frequencies: Any,
     density: Density | str | None = None,
 ) -> Array:
     """Return the exact expected power ⟨|S_ν|²⟩ at listed frequencies.
@@ -64,6 +64,11 @@ def closed_form_power(
     ------
     NoClosedForm
         None is known for this combination.
+
+    Examples
+    --------
+    >>> closed_form_power("random", 10, [[3, 0], [0, 0]])
+    array([0.1, 1. ])
     """
     dims = np.shape(frequencies)[-1] if np.ndim(frequencies) else None
     source = as_sampler(sampler, None if isinstance(sampler, Sampler) else dims)

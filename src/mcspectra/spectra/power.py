@@ -70,6 +70,14 @@ def power_spectrum(
     Notes
     -----
     Power is as in the slides, ⟨|S_m|²⟩. Multiply by n for the convention of UTK, random = 1.
+    Cost O(n log^d(1/eps) + M log M) for a pair of realisations of M frequencies.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> spectrum = mcs.power_spectrum("jittered", 64, half_width=16, realizations=50)
+    >>> spectrum["power"].dims, bool(64 * spectrum["radial_power"][0] < 0.2)
+    (('m0', 'm1'), True)
     """
     source = as_sampler(sampler, getattr(density, "dims", None))
     p = as_density(density, source.dims)

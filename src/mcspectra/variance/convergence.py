@@ -69,6 +69,13 @@ def convergence(
     ------
     CountError, ParameterError
         A sampler cannot do a count, dims disagree, counts are not ascending.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> curve = mcs.convergence(mcs.Estimator("linear", dims=1), "jittered", [8, 32], rng=1)
+    >>> round(float(curve["rate"]), 1)
+    -3.0
     """
     estimators = [estimator] if isinstance(estimator, AbstractEstimator) else list(estimator)
     given = [sampler] if isinstance(sampler, Sampler | str) else list(sampler)

@@ -110,6 +110,14 @@ def variance_terms(
     -----
     O(R (n + M log M)) time and O(M + bands²) memory. 95 % intervals follow from the kurtosis of the
     estimates. A truncated spectrum predicts part of the variance: see ``captured``.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> estimator = mcs.Estimator("linear", dims=1)
+    >>> terms = mcs.variance_terms(estimator, "jittered", 8, realizations=200, rng=1)
+    >>> bool(terms["cross_term"] < 0 < terms["power_term"])
+    True
     """
     as_choice("basis", basis, BASES)
     as_choice("space", space, SPACES)
