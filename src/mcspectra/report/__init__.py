@@ -1,1 +1,5 @@
-"""Report."""
+"""Reports: figures, tables and sentences from the results of a study, on one page."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,106 @@
+"""From a result tree to what a report shows: pairs of estimator and sampler in the study's order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, final
+
+from mcspectra.studies import SummaryRow, summarize
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["ANALYSES", "EstimatorGroup", "Pair", "collect"]
+
+ANALYSES = ("convergence", "terms", "spectrum", "points")
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Pair:
+    """One estimator with one sampler: its analyses by name and its summary, a row a channel."""
+
+    sampler: str
+    analyses: Mapping[str, xr.Dataset]
+    rows: tuple[SummaryRow, ...]
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class EstimatorGroup:
+    """One estimator with all its samplers; `key` is its group in the store."""
+
+    key: str
+    name: str
+    spec: str
+    pairs: tuple[Pair, ...]
+
+    def having(self, analysis: str) -> dict[str, xr.Dataset]:
+        """Datasets of one analysis, by sampler."""
+        return {p.sampler: p.analyses[analysis] for p in self.pairs if analysis in p.analyses}
+
+
+def collect(tree: xr.DataTree) -> list[EstimatorGroup]:
+    """Return all estimators of a result tree with their pairs, in the study's order.
+
+    Groups of a store come in whatever order the file system lists them; the study's own lists of
+    estimators and samplers decide here, so that a report does not depend on it.
+    """
+    order = _study_order(tree.attrs.get("study") or {})
+    rows: dict[tuple[str, str], list[SummaryRow]] = {}
+    for row in summarize(tree):
+        rows.setdefault((row.estimator, row.sampler), []).append(row)
+    groups = [_group(str(key), node, rows, order) for key, node in tree.children.items()]
+    names = list(order)
+    return sorted(
+        (group for group in groups if group.pairs),
+        key=lambda g: (names.index(g.name) if g.name in order else len(names), g.key),
+    )
+
+
+def _study_order(study: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Samplers by estimator, as the study lists them."""
+    shared = study.get("samplers") or []
+    return {e["name"]: e.get("samplers") or shared for e in study.get("estimators") or []}
+
+
+def _group(
+    key: str,
+    node: xr.DataTree,
+    rows: Mapping[tuple[str, str], Sequence[SummaryRow]],
+    order: Mapping[str, list[str]],
+) -> EstimatorGroup:
+    found: list[Pair] = []
+    name = spec = key
+    for slug, child in node.children.items():
+        analyses = {a: child[a].to_dataset() for a in ANALYSES if a in child.children}
+        if not analyses:
+            continue
+        attributes = next(iter(analyses.values())).attrs
+        name = str(attributes.get("estimator_name", key))
+        sampler = str(attributes.get("sampler_spec", slug))
+        specs = [str(d.attrs["estimator"]) for d in analyses.values() if "estimator" in d.attrs]
+        spec = specs[0] if specs else spec
+        found.append(
+            Pair(sampler=sampler, analyses=analyses, rows=_rows_of(name, sampler, analyses, rows))
+        )
+    samplers = order.get(name, [])
+    found.sort(key=lambda p: (_place(samplers, p.sampler), p.sampler))
+    return EstimatorGroup(key=key, name=name, spec=spec if spec != key else "", pairs=tuple(found))
+
+
+def _place(names: list[str], name: str) -> int:
+    return names.index(name) if name in names else len(names)
+
+
+def _rows_of(
+    name: str,
+    sampler: str,
+    analyses: Mapping[str, xr.Dataset],
+    rows: Mapping[tuple[str, str], Sequence[SummaryRow]],
+) -> tuple[SummaryRow, ...]:
+    """Rows of a pair: `summarize` names the channels of an estimator ``name [0]``, ``name [1]`` …"""
+    channels = max((d.sizes.get("channel", 0) for d in analyses.values()), default=0)
+    names = [f"{name} [{c}]" for c in range(channels)] or [name]
+    return tuple(row for each in names for row in rows.get((each, sampler), ()))

@@ -1,0 +1,23 @@
+from .maps import band_covariances as band_covariances
+from .maps import contributions as contributions
+from .maps import cross_matrices as cross_matrices
+from .points import point_sets as point_sets
+from .spectra import power_images as power_images
+from .spectra import power_lines as power_lines
+from .spectra import radial_power as radial_power
+from .variance import captured_curves as captured_curves
+from .variance import convergence_curves as convergence_curves
+from .variance import three_terms as three_terms
+
+__all__ = [
+    "band_covariances",
+    "captured_curves",
+    "contributions",
+    "convergence_curves",
+    "cross_matrices",
+    "point_sets",
+    "power_images",
+    "power_lines",
+    "radial_power",
+    "three_terms",
+]

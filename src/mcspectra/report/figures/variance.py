@@ -1,0 +1,234 @@
+"""The variance itself: three terms, convergence with fitted rates, captured share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.estimators.moments import CONFIDENCE_Z
+from mcspectra.report.axes import count_axis, log_axis, signed_axis
+from mcspectra.report.figures.groups import Group, as_group
+from mcspectra.report.formatting import MISSING, number, rate
+from mcspectra.report.style import (
+    GRAY,
+    INK,
+    NARROW,
+    SMALL_SIZE,
+    LineStyle,
+    entitle,
+    labels,
+    legend_below,
+    line_widths,
+    new_figure,
+    quiet,
+    sampler_styles,
+    say,
+)
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["captured_curves", "convergence_curves", "three_terms", "usable_counts"]
+
+_TERMS = ("dc_term", "power_term", "cross_term", "predicted_variance", "measured_variance")
+_LINEAR_TOP = 4.0  # captured shares up to here are drawn on a linear axis
+
+
+def three_terms(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -> Figure:
+    """Draw dc, power and cross term, their sum and the measured variance as signed bars.
+
+    Parameters
+    ----------
+    data
+        Results of `variance_terms`, by sampler; of several channels the first is shown.
+    styles
+        How each sampler is drawn.
+
+    Raises
+    ------
+    ParameterError
+        Nothing to draw, or a variable is missing.
+    """
+    group = as_group(data, *_TERMS, "predicted_variance_ci", "measured_variance_ci")
+    styles = styles or sampler_styles(list(group))
+    names = labels(list(group), 40)
+    figure = new_figure(NARROW, 0.5 + 1.25 * len(group))
+    rows = figure.subplots(len(group), 1, squeeze=False, sharex=True)[:, 0]
+    for axes, (name, each) in zip(rows, group.items(), strict=True):
+        quiet(axes)
+        _term_bars(axes, each, styles[name])
+        entitle(axes, names[name], "left")
+    every = [[float(each[term]) for term in _TERMS] for each in group.values()]
+    scale = signed_axis(rows[0], "x", np.array(every))
+    rows[-1].set_xlabel("part of the variance" + (f"   ({scale})" if scale else ""))
+    for axes in rows[:-1]:
+        axes.tick_params(labelbottom=False)
+    return figure
+
+
+def convergence_curves(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -> Figure:
+    """Draw variance against n with intervals, fitted lines and rates; faint: n⁻¹.
+
+    Variances that are zero or rounding noise are left out and counted in the legend.
+
+    Parameters
+    ----------
+    data
+        Results of `convergence`, by sampler; of several channels the first is shown.
+    styles
+        How each sampler is drawn.
+
+    Raises
+    ------
+    ParameterError
+        Nothing to draw, or a variable is missing.
+    """
+    group = as_group(data, "variance", "variance_ci", "mean", "rate", "rate_ci")
+    styles = styles or sampler_styles(list(group))
+    names = labels(list(group), 44)
+    figure = new_figure(NARROW, 3.1 + 0.17 * (len(group) + 1))
+    axes = figure.subplots()
+    quiet(axes, grid=True)
+    for name, each in group.items():
+        _curve(axes, each, styles[name], names[name])
+    counts = [int(n) for each in group.values() for n in each["n"].values]
+    values = np.concatenate(
+        [d["variance_ci"].values[usable_counts(d)].ravel() for d in group.values()]
+    )
+    count_axis(axes, "x", counts)
+    if values.size:
+        _reference(axes, group)
+        log_axis(axes, "y", float(values.min()), float(values.max()))
+    else:
+        say(axes, "no variance above rounding noise")
+        axes.set_yticks([])
+    axes.set(xlabel="number of points n", ylabel="variance")
+    legend_below(figure, axes, columns=1)
+    return figure
+
+
+def captured_curves(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -> Figure:
+    """Draw predicted over measured variance against the half width of the spectrum.
+
+    Parameters
+    ----------
+    data
+        ``captured_by_half_width(half_width)`` by sampler; of several channels the first is shown.
+    styles
+        How each sampler is drawn.
+
+    Raises
+    ------
+    ParameterError
+        Nothing to draw, or the variable is missing.
+    """
+    group = as_group(data, "captured_by_half_width")
+    styles = styles or sampler_styles(list(group))
+    names = labels(list(group), 40)
+    curves = {n: d["captured_by_half_width"].values for n, d in group.items()}
+    everything = np.concatenate(list(curves.values()))
+    positive = everything[np.isfinite(everything) & (everything > 0)]
+    logarithmic = float(positive.max(initial=1.0)) > _LINEAR_TOP
+    figure = new_figure(NARROW, 2.7 + 0.16 * ((len(curves) + 1) // 2))
+    axes = figure.subplots()
+    quiet(axes, grid=True)
+    axes.axhline(1.0, color=GRAY, lw=0.9)
+    for (name, curve), thickness in zip(curves.items(), line_widths(len(curves)), strict=True):
+        style = styles[name]
+        shown = np.where(curve > 0, curve, np.nan) if logarithmic else curve
+        width = group[name]["half_width"].values
+        label = names[name] + ("" if np.isfinite(curve).any() else ": no finite prediction")
+        axes.plot(width, shown, color=style.color, ls=style.dashes, lw=thickness, label=label)
+    if logarithmic:
+        log_axis(axes, "y", min(float(positive.min()), 1.0), float(positive.max()))
+    else:
+        axes.set_ylim(0.0, max(1.1, 1.08 * float(positive.max(initial=1.0))))
+    axes.set(xlabel="half width of the spectrum", ylabel="predicted / measured")
+    legend_below(figure, axes)
+    return figure
+
+
+def usable_counts(curve: xr.Dataset) -> Array:
+    """Which counts have a variance above rounding noise: bool (n,).
+
+    The floor is that of the fit: a mean of n terms of size |I| is good to a few ulps.
+    """
+    variance = curve["variance"].values
+    floor = (16 * np.finfo(float).eps * np.abs(curve["mean"].values)) ** 2
+    return np.asarray(np.isfinite(variance) & (variance > floor))
+
+
+def _term_bars(axes: Axes, data: xr.Dataset, style: LineStyle) -> None:
+    values = [float(data[name]) for name in _TERMS]
+    shades = (0.35, 0.35, 0.35, 0.75, 1.0)
+    for row, (value, shade) in enumerate(zip(values, shades, strict=True)):
+        if math.isfinite(value):
+            axes.barh(row, value, 0.68, color=style.color, alpha=shade, linewidth=0)
+        note = "infinite: ∫1/p diverges" if math.isinf(value) else number(value)
+        axes.annotate(
+            note, (1.0, row), xycoords=axes.get_yaxis_transform(), xytext=(4, 0),
+            textcoords="offset points", va="center", fontsize=SMALL_SIZE, color=INK,
+        )  # fmt: skip
+    for row, name in ((3, "predicted_variance_ci"), (4, "measured_variance_ci")):
+        low, high = data[name].values
+        if math.isfinite(low) and math.isfinite(high):
+            axes.hlines(row, low, high, INK, lw=1.0)
+            axes.vlines([low, high], row - 0.2, row + 0.2, INK, lw=1.0)
+    axes.axvline(0.0, color=GRAY, lw=0.7)
+    axes.set_yticks(range(5), ["dc", "power", "cross", "sum: predicted", "measured"])
+    axes.set_ylim(4.6, -0.6)
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_visible(False)
+
+
+def _curve(axes: Axes, data: xr.Dataset, style: LineStyle, name: str) -> None:
+    used = usable_counts(data)
+    n, variance = data["n"].values[used].astype(float), data["variance"].values[used]
+    low, high = data["variance_ci"].values[used].T
+    slope = float(data["rate"])
+    text = rate(slope, *(float(end) for end in data["rate_ci"].values))
+    label = f"{name}  {text}" if text != MISSING else f"{name}  (no rate)"
+    if not used.all():
+        label += f"; {int((~used).sum())} of {used.size} at rounding level"
+    axes.errorbar(
+        n, variance, yerr=np.maximum([variance - low, high - variance], 0.0),
+        fmt=style.marker, ms=3.6, color=style.color, elinewidth=0.8, capsize=1.5,
+        capthick=0.8, label=label, zorder=3,
+    )  # fmt: skip
+    if math.isfinite(slope):
+        x, y = _fitted_line(data, used, slope)
+        axes.plot(x, y, color=style.color, ls=style.dashes, lw=1.0, zorder=2)
+
+
+def _fitted_line(data: xr.Dataset, used: Array, slope: float) -> tuple[Array, Array]:
+    """Ends of the fitted line: through the fit's weighted centre, with its slope."""
+    last = int(data.attrs.get("fit_last", used.size))
+    fitted = used & (np.arange(used.size) >= used.size - last)
+    x, y = np.log(data["n"].values[fitted]), np.log(data["variance"].values[fitted])
+    low, high = np.log(data["variance_ci"].values[fitted]).T
+    weight = (2 * CONFIDENCE_Z / np.maximum(high - low, 1e-12)) ** 2
+    centre, level = np.average(x, weights=weight), np.average(y, weights=weight)
+    ends = x[[0, -1]]
+    return np.exp(ends), np.exp(level + slope * (ends - centre))
+
+
+def _reference(axes: Axes, group: Mapping[str, xr.Dataset]) -> None:
+    """Draw n⁻¹ through the largest variance at the smallest n."""
+    starts = [
+        (int(d["n"].values[i]), float(d["variance"].values[i]))
+        for d in group.values()
+        for i in np.flatnonzero(usable_counts(d))[:1]
+    ]
+    n, variance = max(starts, key=lambda start: start[1] * start[0])
+    ends = np.array([min(int(d["n"].values[0]) for d in group.values()),
+                     max(int(d["n"].values[-1]) for d in group.values())])  # fmt: skip
+    if ends[0] == ends[1]:
+        return
+    axes.plot(ends, variance * n / ends, color=GRAY, lw=0.8, ls=(0, (1, 2)), zorder=1,
+              label="n⁻¹, the rate of random sampling")  # fmt: skip

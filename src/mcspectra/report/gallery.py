@@ -1,0 +1,257 @@
+"""Which figures an estimator gets, with captions and the words that stand in for the picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias, final
+
+import numpy as np
+
+from mcspectra.report import figures
+from mcspectra.report.collect import EstimatorGroup
+from mcspectra.report.figures.groups import channel_note, frequency_dims
+from mcspectra.report.figures.variance import usable_counts
+from mcspectra.report.formatting import number, percent, rate
+from mcspectra.report.style import NARROW, LineStyle
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+__all__ = ["Picture", "pictures"]
+
+Datasets: TypeAlias = "Mapping[str, xr.Dataset]"
+Styles: TypeAlias = Mapping[str, LineStyle]
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """A figure with its kebab-case kind, a caption, and an alternative text of what it shows."""
+
+    kind: str
+    caption: str
+    alt: str
+    figure: Figure
+
+    @property
+    def wide(self) -> bool:
+        """Whether it takes the whole width of a page."""
+        return bool(self.figure.get_figwidth() > NARROW)
+
+
+def pictures(group: EstimatorGroup, styles: Styles) -> Iterator[Picture]:
+    """Draw the figures of one estimator, one after the other; analyses that are missing have none."""
+    for analysis, draw in _DRAWERS:
+        data = group.having(analysis)
+        if data:
+            yield from draw(data, styles)
+
+
+def _convergence(data: Datasets, styles: Styles) -> Iterator[Picture]:
+    yield Picture(
+        kind="convergence",
+        caption=_join(
+            "Variance against the number of points, with 95 % intervals, fitted lines and their "
+            "rates; dotted, the rate of random sampling.",
+            "Variances of zero or of rounding size have no place on a logarithmic axis."
+            if any(not usable_counts(_first(d)).all() for d in data.values())
+            else "",
+            channel_note(data),
+        ),
+        alt="Logarithmic plot of variance against n. " + _each(data, _rate_words),
+        figure=figures.convergence_curves(data, styles=styles),
+    )
+
+
+def _terms(data: Datasets, styles: Styles) -> Iterator[Picture]:
+    channel = channel_note(data)
+    yield Picture(
+        kind="terms",
+        caption=_join(
+            "The terms of the variance, signed: dc + power + cross = predicted, with the measured "
+            "variance below; whiskers are 95 % intervals.",
+            channel,
+        ),
+        alt="Bars of the three terms. " + _each(data, _term_words),
+        figure=figures.three_terms(data, styles=styles),
+    )
+    yield Picture(
+        kind="captured",
+        caption=_join(
+            "Share of the measured variance that the spectrum predicts when it is cut at each half "
+            "width; at 1 nothing is missing.",
+            channel,
+        ),
+        alt="Predicted over measured variance against the half width. "
+        + _each(data, _captured_words),
+        figure=figures.captured_curves(data, styles=styles),
+    )
+    yield Picture(
+        kind="contributions",
+        caption=_join(_contribution_caption(data), channel),
+        alt="Signed contribution of each frequency to the variance. " + _each(data, _peak_words),
+        figure=figures.contributions(data, styles=styles),
+    )
+    yield Picture(
+        kind="bands",
+        caption=_join(
+            "Above, the covariance between bands of frequencies (shells of |m|, one frequency "
+            "wide); below, each band's share of the predicted variance by itself and through the "
+            "other bands.",
+            channel,
+        ),
+        alt="Matrix of covariances between frequency bands. " + _each(data, _band_words),
+        figure=figures.band_covariances(data, styles=styles),
+    )
+    matrices = {name: d for name, d in data.items() if _has_plain_matrix(d)}
+    if matrices:
+        yield Picture(
+            kind="cross-matrix",
+            caption=_join(
+                "Cross matrix conj(fₘ) fₗ Cₘₗ: its sum is the predicted variance. The diagonal is "
+                "the power term, the framed row and column belong to frequency 0.",
+                channel,
+            ),
+            alt="Real and imaginary parts of the cross matrix, with the diagonal m = l and the "
+            f"row and column of dc marked, for {_listed(matrices)}.",
+            figure=figures.cross_matrices(matrices),
+        )
+
+
+def _spectrum(data: Datasets, styles: Styles) -> Iterator[Picture]:
+    dims = len(frequency_dims(next(iter(data.values()))["power"].to_dataset()))
+    level = "n times the expected power, so that random points are at 1; m = 0 is left out."
+    if dims == 1:
+        yield Picture(
+            kind="spectrum",
+            caption=f"Power spectra: {level}",
+            alt="Power against frequency m. " + _each(data, _low_power_words),
+            figure=figures.power_lines(data, styles=styles),
+        )
+    elif dims == 2:
+        yield Picture(
+            kind="spectrum",
+            caption=f"Power spectra on one colour scale: {level}",
+            alt="Images of the power over the frequencies m₀ and m₁. "
+            + _each(data, _low_power_words),
+            figure=figures.power_images(data),
+        )
+    yield Picture(
+        kind="radial-power",
+        caption="Mean power over all directions against the length of the frequency, in units "
+        "of n to the 1/d: the slope at the left decides the rate."
+        + (" In this many dims it stands for the whole spectrum." if dims > 2 else ""),
+        alt="Logarithmic plot of n times the radial mean power. " + _each(data, _low_power_words),
+        figure=figures.radial_power(data, styles=styles),
+    )
+
+
+def _points(data: Datasets, styles: Styles) -> Iterator[Picture]:
+    sizes = {d.sizes["axis"] for d in data.values()}
+    n = next(iter(data.values())).sizes["point"]
+    strips = "Tick marks on a line, with the borders of n equal strata."
+    shown = {1: strips, 2: "The unit square."}.get(max(sizes), "The first two axes only.")
+    yield Picture(
+        kind="points",
+        caption=f"One realisation of n = {n} points of each sampler, after importance sampling "
+        f"where there is a density. {shown}",
+        alt=f"Point sets of {n} points for {_listed(data)}.",
+        figure=figures.point_sets(data, styles=styles),
+    )
+
+
+_DRAWERS: tuple[tuple[str, Callable[[Datasets, Styles], Iterator[Picture]]], ...] = (
+    ("convergence", _convergence),
+    ("terms", _terms),
+    ("spectrum", _spectrum),
+    ("points", _points),
+)
+
+
+def _contribution_caption(data: Datasets) -> str:
+    first = next(iter(data.values()))
+    dims = len(frequency_dims(first))
+    what = {1: "at each frequency m", 2: "of each frequency (m₀, m₁)"}.get(
+        dims, f"of each shell of |m| (in {dims} dims the frequencies of a shell are summed)"
+    )
+    several = (
+        " Every technique has a panel of its own." if first.sizes.get("technique", 1) > 1 else ""
+    )
+    return (
+        f"Contribution {what} to the variance: all of them sum to the predicted variance; "
+        f"negative ones take away.{several}"
+    )
+
+
+def _has_plain_matrix(data: xr.Dataset) -> bool:
+    return "cross_matrix" in data and "m_0" not in data.coords and "m_technique" not in data.coords
+
+
+def _rate_words(data: xr.Dataset) -> str:
+    low, high = (float(end) for end in data["rate_ci"].values)
+    counts = data["n"].values
+    variance = data["variance"].values
+    return (
+        f"rate {rate(float(data['rate']), low, high)}, variance {number(float(variance[0]))} at "
+        f"n = {counts[0]} and {number(float(variance[-1]))} at n = {counts[-1]}"
+    )
+
+
+def _term_words(data: xr.Dataset) -> str:
+    values = (f"{t} {number(float(data[f'{t}_term']))}" for t in ("dc", "power", "cross"))
+    return f"{', '.join(values)}, measured {number(float(data['measured_variance']))}"
+
+
+def _captured_words(data: xr.Dataset) -> str:
+    curve = data["captured_by_half_width"].values
+    last = float(curve[-1])
+    return f"{percent(last) if np.isfinite(last) else '–'} at half width {len(curve) - 1}"
+
+
+def _peak_words(data: xr.Dataset) -> str:
+    """Where the contribution is largest; of ±m, which are equal, the later one."""
+    values = data["contribution"]
+    if not np.isfinite(values.values).any():
+        return "infinite"
+    flat = np.abs(np.nan_to_num(values.values)).ravel()
+    place = np.unravel_index(len(flat) - 1 - int(np.argmax(flat[::-1])), values.shape)
+    at = [
+        f"{values[d].values[i]:g}"
+        for d, i in zip(values.dims, place, strict=True)
+        if str(d) in frequency_dims(data)
+    ]
+    peak = number(float(values.values[place]))
+    return f"largest, {peak}, at m = ±({', '.join(at)})".replace("-", "−")
+
+
+def _band_words(data: xr.Dataset) -> str:
+    matrix = data["band_covariance"].values
+    total = float(matrix.sum())
+    if not np.isfinite(total) or total == 0:
+        return "no finite share"
+    return f"{percent(float(np.trace(matrix)) / total)} of the predicted variance on the diagonal"
+
+
+def _low_power_words(data: xr.Dataset) -> str:
+    low, high = (int(data.attrs["n"]) * float(data["radial_power"].values[i]) for i in (0, -1))
+    return f"{number(low)} at the lowest and {number(high)} at the highest frequencies"
+
+
+def _each(data: Datasets, words: Callable[[xr.Dataset], str]) -> str:
+    return "; ".join(f"{name}: {words(_first(each))}" for name, each in data.items()) + "."
+
+
+def _first(data: xr.Dataset) -> xr.Dataset:
+    return data.isel(channel=0) if "channel" in data.dims else data
+
+
+def _listed(data: Datasets) -> str:
+    return ", ".join(data)
+
+
+def _join(*sentences: str) -> str:
+    """Sentences one after the other; a note without a full stop, such as the channel, gets one."""
+    shown = (s for s in sentences if s)
+    return " ".join(s if s.endswith(".") else f"Shown: {s}." for s in shown)

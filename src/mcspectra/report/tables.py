@@ -1,0 +1,135 @@
+"""Tables of a report, as text and explanations; the template turns them into HTML."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import final
+
+from mcspectra.report.formatting import MISSING, interval, number, rate
+from mcspectra.studies import SummaryRow
+
+__all__ = ["Cell", "Table", "summary_table", "terms_table"]
+
+_NO_CURVE = "convergence was not analysed"
+_NO_TERMS = "the terms were not analysed"
+_NO_RATE = "fewer than two counts have a variance above rounding noise"
+_NO_NUMBER = "there is no finite number"
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """Text of a cell, why it has none (a tooltip), and whether it is a number."""
+
+    text: str
+    why: str = ""
+    numeric: bool = True
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """Caption, column heads and rows of cells; the first `heads` cells of a row are its heads."""
+
+    caption: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    heads: int
+
+
+def summary_table(rows: Sequence[SummaryRow]) -> Table:
+    """Return the table that is read first: one row for every estimator and sampler."""
+    return Table(
+        caption="Rates are exponents of variance in n (random sampling: −1), ± half their 95 % "
+        "interval. Predicted / measured is the share of the variance that the truncated spectrum "
+        "explains.",
+        columns=(
+            "Estimator",
+            "Sampler",
+            "Rate",
+            "Variance at largest n",
+            "Predicted / measured",
+            "Largest term",
+            "Notes",
+        ),
+        rows=tuple(_summary_cells(row) for row in rows),
+        heads=2,
+    )
+
+
+def terms_table(rows: Sequence[SummaryRow]) -> Table:
+    """Return one estimator's three terms against its measured variance."""
+    return Table(
+        caption="dc + power + cross = predicted; beside it the measured variance and its 95 % "
+        "interval.",
+        columns=(
+            "Sampler",
+            "n",
+            "dc",
+            "power",
+            "cross",
+            "Predicted",
+            "Measured",
+            "95 % interval",
+            "Predicted / measured",
+        ),
+        rows=tuple(_term_cells(row) for row in rows if row.terms_n is not None),
+        heads=1,
+    )
+
+
+def _summary_cells(row: SummaryRow) -> tuple[Cell, ...]:
+    no_rate = _NO_CURVE if row.n is None else _NO_RATE
+    variance = number(row.variance)
+    at = f" (n = {row.n})" if row.n is not None and variance != MISSING else ""
+    return (
+        Cell(text=row.estimator, numeric=False),
+        Cell(text=row.sampler, numeric=False),
+        _cell(rate(row.rate, row.rate_low, row.rate_high), no_rate),
+        _cell(variance + at, _NO_CURVE if row.n is None else _NO_NUMBER),
+        _cell(number(row.captured), _no_term(row)),
+        _cell(_largest(row), _no_term(row)),
+        Cell(text=row.note or "", numeric=False),
+    )
+
+
+def _term_cells(row: SummaryRow) -> tuple[Cell, ...]:
+    why = _no_term(row)
+
+    def value(get: Callable[[SummaryRow], float | None]) -> Cell:
+        return _cell(number(get(row)), why)
+
+    return (
+        Cell(text=_sampler_of(row), numeric=False),
+        _cell(str(row.terms_n), why),
+        value(lambda r: r.dc),
+        value(lambda r: r.power),
+        value(lambda r: r.cross),
+        value(lambda r: r.predicted),
+        value(lambda r: r.measured),
+        _cell(interval(row.measured_low, row.measured_high), why),
+        value(lambda r: r.captured),
+    )
+
+
+def _sampler_of(row: SummaryRow) -> str:
+    """The sampler, with the channel that `summarize` appends to the estimator's name."""
+    head, bracket, channel = row.estimator.rpartition(" [")
+    several = bool(head and bracket and channel.rstrip("]").isdigit())
+    return f"{row.sampler}, channel {channel.rstrip(']')}" if several else row.sampler
+
+
+def _largest(row: SummaryRow) -> str:
+    if row.largest_term is None:
+        return MISSING
+    values = {"dc": row.dc, "power": row.power, "cross": row.cross}
+    return f"{row.largest_term} {number(values[row.largest_term])}"
+
+
+def _no_term(row: SummaryRow) -> str:
+    return row.note or (_NO_TERMS if row.terms_n is None else _NO_NUMBER)
+
+
+def _cell(text: str, why: str) -> Cell:
+    return Cell(text=text, why=why if text.startswith(MISSING) else "")

@@ -1,0 +1,275 @@
+"""Small results like those of a study, made with plain numpy: f(x) = Π x_i and simple samplers."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from mcspectra.core.results import dataset
+from mcspectra.report.formatting import slug
+from mcspectra.studies import Store, StudyConfig
+from mcspectra.studies.config import decode_study
+
+Z = 1.959963984540054
+SAMPLERS = ("random", "jittered", "jittered | shift")
+
+
+def draw(sampler: str, n: int, dims: int, realizations: int, seed: int = 1) -> np.ndarray:
+    """Points (R, n, d) of one of `SAMPLERS`."""
+    generator = np.random.default_rng(seed)
+    x = generator.random((realizations, n, dims))
+    if sampler == "random":
+        return x
+    side = round(n ** (1 / dims))
+    cells = np.array(list(itertools.product(range(side), repeat=dims)))
+    x = (x + cells) / side
+    return (x + generator.random((realizations, 1, dims))) % 1.0 if "shift" in sampler else x
+
+
+def spectra(points: np.ndarray, half_width: int) -> np.ndarray:
+    """S_m on the full grid, complex (R, (2K+1)^d), by direct summation, one axis at a time."""
+    m = np.arange(-half_width, half_width + 1)
+    phases = np.exp(-2j * np.pi * points[..., None] * m)  # (R, n, d, 2K+1)
+    letters = "abc"[: points.shape[-1]]
+    formula = ",".join(f"rn{c}" for c in letters) + f"->r{letters}"
+    s = np.einsum(formula, *(phases[:, :, i] for i in range(len(letters))), optimize=True)
+    return s.reshape(len(points), -1) / points.shape[1]
+
+
+def coefficients(half_width: int, dims: int) -> np.ndarray:
+    """f_m of Π x_i on the full grid, flat."""
+    m = np.arange(-half_width, half_width + 1)
+    one = np.where(m == 0, 0.5, 1j / (2 * np.pi * np.where(m == 0, 1, m)))
+    f = one
+    for _ in range(dims - 1):
+        f = np.multiply.outer(f, one)
+    return f.ravel()
+
+
+def interval(variance: np.ndarray, realizations: int) -> np.ndarray:
+    """Interval of a variance of normal values."""
+    factor = math.exp(Z * math.sqrt(2 / realizations))
+    return np.stack([variance / factor, variance * factor], axis=-1)
+
+
+def make_terms(
+    sampler: str = "jittered",
+    *,
+    dims: int = 1,
+    n: int = 16,
+    half_width: int = 16,
+    realizations: int = 200,
+    matrix: bool = False,
+    channels: int = 0,
+    techniques: int = 1,
+) -> xr.Dataset:
+    """What `variance_terms` returns."""
+    points = draw(sampler, n, dims, realizations)
+    s, f = spectra(points, half_width), coefficients(half_width, dims)
+    s = s - s.mean(axis=0)
+    each = (f.conj() * s).real
+    measured = points.prod(axis=2).mean(axis=1).var(ddof=1)
+    shape = (2 * half_width + 1,) * dims
+    names = [f"m{i}" for i in range(dims)]
+    grid = np.stack(np.meshgrid(*[np.arange(-half_width, half_width + 1)] * dims, indexing="ij"))
+    shell = np.rint(np.sqrt((grid**2).sum(axis=0))).astype(int).ravel()
+    width = np.abs(grid).max(axis=0).ravel()
+    total = each.sum(axis=1)
+    diagonal = np.abs(f) ** 2 * (np.abs(s) ** 2).sum(axis=0) / (realizations - 1)
+    contribution = (each * total[:, None]).sum(axis=0) / (realizations - 1)
+    bands = np.stack([each[:, shell == b].sum(axis=1) for b in range(shell.max() + 1)])
+    truncated = np.array(
+        [each[:, width <= k].sum(axis=1).var(ddof=1) for k in range(half_width + 1)]
+    )
+    predicted, centre = total.var(ddof=1), len(f) // 2
+    dc, power = diagonal[centre], diagonal.sum() - diagonal[centre]
+    values: dict[str, tuple[tuple[str, ...], Any]] = {
+        "dc_term": ((), dc),
+        "power_term": ((), power),
+        "cross_term": ((), predicted - dc - power),
+        "predicted_variance": ((), predicted),
+        "predicted_variance_ci": (("bound",), interval(predicted, realizations)),
+        "measured_variance": ((), measured),
+        "measured_variance_ci": (("bound",), interval(measured, realizations)),
+        "captured": ((), predicted / measured),
+        "contribution": (tuple(names), contribution.reshape(shape)),
+        "power_contribution": (tuple(names), diagonal.reshape(shape)),
+        "band_covariance": (("band", "band_other"), np.cov(bands)),
+        "truncated_variance": (("half_width",), truncated),
+        "captured_by_half_width": (("half_width",), truncated / measured),
+    }
+    if techniques > 1:
+        for name in ("contribution", "power_contribution"):
+            values[name] = (("technique", *names), np.stack([values[name][1]] * techniques))
+    if channels:
+        values = {
+            name: (("channel", *d), np.stack([np.asarray(v)] * channels))
+            for name, (d, v) in values.items()
+        }
+    coords: dict[str, Any] = {name: np.arange(-half_width, half_width + 1) for name in names}
+    if matrix:
+        pairs = s.T @ s.conj() / (realizations - 1)
+        values["cross_matrix"] = (("m", "l"), f.conj()[:, None] * f[None, :] * pairs)
+        coords |= {"m": coords["m0"], "l": coords["m0"]}
+    coords |= {"band": np.arange(len(bands)), "half_width": np.arange(half_width + 1)}
+    result = dataset(
+        values,
+        coords,
+        n=n,
+        realizations=realizations,
+        seed=1,
+        space="domain",
+        coefficients="exact",
+    )
+    return result.assign_attrs(sampler_spec=sampler, estimator_name="x")
+
+
+def make_infinite(terms: xr.Dataset) -> xr.Dataset:
+    """Replace the spectral part as `variance_terms` does where ∫1/p diverges."""
+    changed = terms.copy(deep=True)
+    for name in changed.data_vars:
+        if "measured" not in str(name):
+            infinite = name in ("dc_term", "power_term")
+            changed[name] = xr.full_like(changed[name], math.inf if infinite else math.nan)
+    return changed.assign_attrs(note="spectral terms are infinite: ∫1/p diverges")
+
+
+RATES = {"random": -1.0, "jittered": -3.0, "jittered | shift": -2.0}
+
+
+def make_curve(
+    sampler: str = "jittered",
+    *,
+    rate: float | None = None,
+    counts: tuple[int, ...] = (16, 64, 256, 1024),
+    zero: tuple[int, ...] = (),
+    channels: int = 0,
+    half: float = 0.03,
+) -> xr.Dataset:
+    """What `convergence` returns: a power law; variances number `zero` are 0."""
+    slope = RATES.get(sampler, -1.5) if rate is None else rate
+    variance = 0.08 * np.array(counts, dtype=float) ** slope
+    variance[list(zero)] = 0.0
+    fitted = len(counts) - len(zero) >= 2
+    ends = (slope - half, slope + half) if fitted else (math.nan, math.nan)
+    values: dict[str, tuple[tuple[str, ...], Any]] = {
+        "variance": (("n",), variance),
+        "variance_ci": (("n", "bound"), interval(variance, 1000)),
+        "mean": (("n",), np.full(len(counts), 0.5)),
+        "rate": ((), slope if fitted else math.nan),
+        "rate_ci": (("bound",), np.array(ends)),
+    }
+    if channels:
+        values = {
+            name: (("channel", *d), np.stack([np.asarray(v)] * channels))
+            for name, (d, v) in values.items()
+        }
+    result = dataset(values, {"n": list(counts)}, realizations=1000, seed=1, fit_last=len(counts))
+    return result.assign_attrs(sampler_spec=sampler, estimator_name="x")
+
+
+def make_spectrum(
+    sampler: str = "jittered", *, dims: int = 1, n: int = 16, half_width: int = 16
+) -> xr.Dataset:
+    """What `power_spectrum` returns."""
+    power = (np.abs(spectra(draw(sampler, n, dims, 60), half_width)) ** 2).mean(axis=0)
+    names = tuple(f"m{i}" for i in range(dims))
+    m = np.arange(-half_width, half_width + 1)
+    grid = np.stack(np.meshgrid(*[m] * dims, indexing="ij"))
+    ring = np.rint(np.sqrt((grid**2).sum(axis=0))).astype(int).ravel()
+    inside = (ring >= 1) & (ring <= half_width)
+    size = np.bincount(ring[inside])[1:]
+    radial = np.bincount(ring[inside], power[inside])[1:] / size
+    result = dataset(
+        {
+            "power": (names, power.reshape((len(m),) * dims)),
+            "radial_power": (("radius",), radial),
+        },
+        {**dict.fromkeys(names, m), "radius": np.arange(1.0, half_width + 1)},
+        n=n,
+        realizations=60,
+    )
+    return result.assign_attrs(sampler_spec=sampler, estimator_name="x")
+
+
+def make_points(sampler: str = "jittered", *, dims: int = 1, n: int = 16) -> xr.Dataset:
+    """What a study's cell of points holds."""
+    values = {"points": (("point", "axis"), draw(sampler, n, dims, 1)[0])}
+    return dataset(values, {"axis": np.arange(dims)}, n=n).assign_attrs(sampler_spec=sampler)
+
+
+Cells = dict[tuple[str, str], dict[str, xr.Dataset]]
+
+
+def write_study(folder: Path, cells: Cells, title: str = "A study") -> Path:
+    """Write a result store as `run_study` does; `cells` by (estimator, sampler) and analysis."""
+    store = Store.create(folder, study_config(title, cells))
+    slugs: dict[str, str] = {}
+    for (estimator, sampler), analyses in cells.items():
+        for text in (estimator, sampler):
+            slugs.setdefault(text, f"{len(slugs)}-{slug(text)}")
+        for analysis, result in analyses.items():
+            named = result.assign_attrs(
+                estimator_name=estimator, sampler_spec=sampler, analysis=analysis
+            )
+            store.write(f"{slugs[estimator]}/{slugs[sampler]}/{analysis}", named)
+    store.finish()
+    return folder
+
+
+def study_config(title: str, cells: Cells) -> StudyConfig:
+    """A study file's contents with these estimators and samplers."""
+    lines = [f"title = {quoted(title)}", "seed = 1"]
+    for estimator in dict.fromkeys(e for e, _ in cells):
+        samplers = ", ".join(quoted(s) for e, s in cells if e == estimator)
+        lines += ["[[estimators]]", f"name = {quoted(estimator)}", 'integrand = "x"']
+        lines += [f"samplers = [{samplers}]", "[estimators.terms]", "n = 16"]
+    return decode_study("\n".join(lines))
+
+
+def quoted(text: str) -> str:
+    """A TOML string."""
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def all_analyses(sampler: str, dims: int = 1, n: int | None = None) -> dict[str, xr.Dataset]:
+    """Every analysis of one pair, small."""
+    count = n or {1: 16, 2: 16, 3: 27}[dims]
+    width = {1: 16, 2: 6, 3: 3}[dims]
+    return {
+        "convergence": make_curve(sampler),
+        "terms": make_terms(sampler, dims=dims, n=count, half_width=width, matrix=dims == 1),
+        "spectrum": make_spectrum(sampler, dims=dims, n=count, half_width=width),
+        "points": make_points(sampler, dims=dims, n=count),
+    }
+
+
+@pytest.fixture(name="make")
+def _make() -> dict[str, Callable[..., Any]]:
+    """Makers of results, by name."""
+    return {
+        "terms": make_terms,
+        "infinite": lambda **options: make_infinite(make_terms(**options)),
+        "curve": make_curve,
+        "spectrum": make_spectrum,
+        "points": make_points,
+        "analyses": all_analyses,
+        "study": write_study,
+    }
+
+
+@pytest.fixture(scope="session")
+def study_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A study of three samplers: all analyses in one dim, spectra in two."""
+    cells: Cells = {("product in 1-D", sampler): all_analyses(sampler, 1) for sampler in SAMPLERS}
+    for sampler in SAMPLERS:
+        flat = all_analyses(sampler, 2)
+        cells["product in 2-D", sampler] = {a: flat[a] for a in ("spectrum", "points")}
+    return write_study(tmp_path_factory.mktemp("study"), cells)

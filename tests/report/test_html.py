@@ -1,0 +1,224 @@
+"""The page: structure, escaping, self-containment, odd results, and the same bytes twice."""
+
+import re
+from collections import Counter
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mcspectra.core.errors import StoreError
+from mcspectra.report import write_report
+from mcspectra.report.html import study_toml
+from mcspectra.studies import open_results
+from mcspectra.studies.config import decode_study
+from mcspectra.studies.store import config_hash
+
+Make = dict[str, Callable[..., Any]]
+VOID = {"meta", "img", "br"}
+
+
+class Page(HTMLParser):
+    """Parses strictly: every tag closed in order, text and attributes kept."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if "style" not in self.open:
+            self.text += data
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        """Attributes of all elements of a kind."""
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Path:
+    """The report of a small study."""
+    study = request.getfixturevalue("study_folder")
+    write_report(study)
+    return Path(study)
+
+
+@pytest.fixture(scope="module")
+def page(folder: Path) -> Page:
+    """Its page, parsed."""
+    return Page((folder / "report.html").read_text(encoding="utf-8"))
+
+
+def test_sections(page: Page) -> None:
+    ids = [attributes["id"] for attributes in page.all("section")]
+    assert ids[0] == "summary"
+    assert ids[-1] == "provenance"
+    assert len(ids) == 4
+    links = {attributes["href"] for attributes in page.all("a")}
+    assert links == {f"#{i}" for i in ids}
+    assert Counter(tag for tag, _ in page.tags)["h1"] == 1
+    assert all(attributes["scope"] in ("col", "row") for attributes in page.all("th"))
+
+
+def test_ids_are_unique(page: Page) -> None:
+    ids = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
+    assert len(set(ids)) == len(ids)
+
+
+def test_nothing_is_loaded_and_nothing_runs(folder: Path, page: Page) -> None:
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    assert not re.search(r"https?://|//[a-z]+\.[a-z]", re.sub(r"base64,[^\"]*", "", text))
+    assert not {"script", "link", "iframe", "object", "base", "form"} & {t for t, _ in page.tags}
+    assert not re.search(r"url\(|@import", text)
+    for attributes in page.all("img"):
+        assert str(attributes["src"]).startswith("data:image/png;base64,")
+
+
+def test_figures_have_words_and_sizes(page: Page) -> None:
+    images = page.all("img")
+    assert len(images) == 9 + 3  # all kinds in 1-D; image, radial mean and points in 2-D
+    for attributes in images:
+        assert len(str(attributes["alt"])) > 30
+        assert int(str(attributes["width"])) > 100
+    assert page.tags.count(("figcaption", {})) == len(images)
+
+
+def test_figure_files(folder: Path, page: Page) -> None:
+    names = sorted(p.name for p in (folder / "figures").iterdir())
+    assert len(names) == 2 * len(page.all("img"))
+    assert all(re.fullmatch(r"[a-z0-9.-]+\.(png|pdf)", name) for name in names)
+    for path in (folder / "figures").iterdir():
+        head = {".png": b"\x89PNG", ".pdf": b"%PDF"}[path.suffix]
+        assert path.read_bytes().startswith(head)
+        assert path.stat().st_size > 1000
+
+
+def test_numbers_and_sentences(page: Page) -> None:
+    assert "−3.00 ± 0.03" in page.text
+    assert "7.45×10⁻¹¹ (n = 1024)" in page.text
+    assert "The cross term removes" in page.text
+    assert "nan" not in page.text.lower().split()
+
+
+def test_samplers_in_the_order_of_the_study(page: Page) -> None:
+    places = [page.text.index(f"{s}: The rate") for s in ("random", "jittered", "jittered | shift")]
+    assert places == sorted(places)
+
+
+def test_provenance(folder: Path, page: Page) -> None:
+    tree = open_results(folder)
+    assert tree.attrs["study_hash"] in page.text
+    assert "mcspectra run study.toml" in page.text
+    assert f"numpy {tree.attrs['version_numpy']}" in page.text
+
+
+def test_the_study_in_the_page_is_the_study(folder: Path) -> None:
+    attributes = open_results(folder).attrs
+    again = decode_study(study_toml(attributes["study"]))
+    assert config_hash(again) == attributes["study_hash"]
+
+
+def test_study_toml__odd_text_and_all_tables() -> None:
+    config = decode_study(
+        'title = "a \\"b\\" \\\\ \\u007f \\n ü 🎲"\nsamplers = ["x(path=\'C:\\\\\\\\y\')"]\n'
+        "[convergence]\ncounts = [1, 2]\n"
+        '[[estimators]]\nname = "e"\nintegrand = "f"\ndensities = ["p", "q"]\n'
+        "[estimators.terms]\nn = 4\ncross_matrix = true\n"
+        '[[estimators]]\nname = "g"\nintegrands = ["f"]\ntechnique_counts = [2]\n'
+        "[estimators.spectrum]\nn = 4\n"
+    )
+    import msgspec
+
+    assert decode_study(study_toml(msgspec.to_builtins(config))) == config
+
+
+def test_same_results_same_bytes(make: Make, tmp_path: Path) -> None:
+    wanted = ("convergence", "spectrum", "points")
+    cells = {
+        ("e", s): {a: d for a, d in make["analyses"](s, 2).items() if a in wanted}
+        for s in ("random", "jittered")
+    }
+    folders = [make["study"](tmp_path / name, cells) for name in ("a", "b")]
+    for each in folders:
+        write_report(each)
+    first, second = (
+        {p.relative_to(f): p.read_bytes() for p in [f / "report.html", *(f / "figures").iterdir()]}
+        for f in folders
+    )
+    assert first == second
+
+
+def test_names_are_escaped(make: Make, tmp_path: Path) -> None:
+    evil = '<script>alert("1")</script> & $\\frac{$'
+    cells = {(evil, evil): {"convergence": make["curve"]("random")}}
+    text = write_report(make["study"](tmp_path, cells, title=evil)).read_text(encoding="utf-8")
+    assert "<script" not in text
+    page = Page(text)
+    assert page.text.count(evil) >= 4
+    assert evil in str(page.all("img")[0]["alt"])
+
+
+def test_odd_results(make: Make, tmp_path: Path) -> None:
+    """Each of these is in the page with its reason, and none breaks it."""
+    small = {"half_width": 2, "realizations": 10}
+    cells = {
+        ("infinite", "random"): {"terms": make["infinite"](**small)},
+        ("channels", "random"): {
+            "convergence": make["curve"]("random", channels=3),
+            "terms": make["terms"](**small, channels=3),
+        },
+        ("part", "random"): {"convergence": make["curve"]("random", zero=(0, 1, 2, 3))},
+        ("part", "jittered"): {"convergence": make["curve"]("jittered", counts=(64,))},
+        ("part", "shift"): {"points": make["points"](n=4)},
+        ("techniques", "random"): {"terms": make["terms"](**small, techniques=2)},
+    }
+    page = Page(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
+    assert "infinite because ∫1/p diverges" in page.text
+    assert "random, channel 2" in page.text
+    assert "Shown: channel 0 of 3." in page.text
+    assert "No convergence results for shift." in page.text
+    assert "No points results for random, jittered." in page.text
+    assert "Every technique has a panel of its own." in page.text
+    assert "there is no rate to fit" in page.text
+    assert page.all("abbr")
+    assert all(attributes["title"] for attributes in page.all("abbr"))
+
+
+def test_only_spectra(make: Make, tmp_path: Path) -> None:
+    cells = {("e", "random"): {"spectrum": make["spectrum"](dims=3, n=8, half_width=2)}}
+    page = Page(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
+    assert "neither convergence nor terms" in page.text
+    assert len(page.all("img")) == 1
+    assert "In this many dims it stands for the whole spectrum." in page.text
+
+
+def test_no_results_yet(make: Make, tmp_path: Path) -> None:
+    cells: Any = {("e", "random"): {}}
+    page = Page(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
+    assert "There are no results yet." in page.text
+
+
+def test_no_store(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="no results"):
+        write_report(tmp_path)
+
+
+def test_figures_cannot_be_written(make: Make, tmp_path: Path) -> None:
+    make["study"](tmp_path, {("e", "random"): {"points": make["points"](n=4)}})
+    (tmp_path / "figures").write_text("a file in the way")
+    with pytest.raises(StoreError, match="cannot be written"):
+        write_report(tmp_path)

@@ -1,0 +1,162 @@
+"""Rules of the sentences: what is said, and what is not when intervals do not support it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import xarray as xr
+
+from mcspectra.report import explain
+from mcspectra.studies import SummaryRow
+
+
+def case(
+    *,
+    dc: float = 0.0,
+    power: float = 1.0,
+    predicted: float = 1.0,
+    measured: float = 1.0,
+    width: float = 1.02,
+    space: str = "domain",
+) -> tuple[SummaryRow, xr.Dataset]:
+    """A row and its terms; `width` is the factor of the 95 % intervals either way."""
+    cross = predicted - dc - power
+    ends = [predicted / width, predicted * width]
+    terms = xr.Dataset(
+        {
+            "dc_term": dc,
+            "power_term": power,
+            "cross_term": cross,
+            "predicted_variance_ci": ("bound", ends),
+            "captured_by_half_width": ("half_width", [0.0] * 33),
+        },
+        attrs={"space": space},
+    )
+    row = SummaryRow(
+        estimator="e",
+        sampler="s",
+        terms_n=16,
+        dc=dc,
+        power=power,
+        cross=cross,
+        predicted=predicted,
+        measured=measured,
+        measured_low=measured / width,
+        measured_high=measured * width,
+        captured=predicted / measured if measured else None,
+    )
+    return row, terms
+
+
+def curve(rate: float | None, half: float = 0.03, **more: Any) -> SummaryRow:
+    """A row with a rate alone."""
+    ends = {} if rate is None else {"rate_low": rate - half, "rate_high": rate + half}
+    return SummaryRow(estimator="e", sampler="s", n=1024, rate=rate, **ends, **more)
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        (curve(-1.52), "−1.52 ± 0.03 is faster than"),
+        (curve(-0.5), "−0.50 ± 0.03 is slower than"),
+        (curve(-1.01), "cannot be told from"),
+        (curve(-1.52, half=0.6), "cannot be told from"),
+        (curve(None, variance=0.0), "is zero"),
+        (curve(None, variance=1.0), "fewer than two counts"),
+    ],
+)
+def test_rate(row: SummaryRow, words: str) -> None:
+    assert words in explain(row)
+
+
+def test_nothing_known_nothing_said() -> None:
+    assert explain(SummaryRow(estimator="e", sampler="s")) == ""
+
+
+def test_cross_term_removes() -> None:
+    text = explain(*case(predicted=0.03, measured=0.03))
+    assert "removes 97 % of what the power term predicts" in text
+    assert "a random shift would lose that" in text
+
+
+def test_cross_term_removes_nearly_all() -> None:
+    assert "removes 99.97 %" in explain(*case(predicted=0.0003, measured=0.0003))
+
+
+def test_cross_term_adds() -> None:
+    text = explain(*case(predicted=1.5, measured=1.5))
+    assert "adds 50 %" in text
+    assert "for unbiased points a random shift would avoid that" in text
+
+
+@pytest.mark.parametrize("predicted", [0.9, 1.1])
+def test_cross_term__nothing_that_the_interval_does_not_support(predicted: float) -> None:
+    text = explain(*case(predicted=predicted, measured=predicted, width=1.1))
+    assert "cannot be told from zero" in text
+    assert "removes" not in text
+    assert "adds" not in text
+
+
+def test_shift__no_promise_where_the_samples_are_weighted() -> None:
+    weighted = explain(*case(dc=0.3, power=0.7, predicted=0.1, measured=0.1))
+    assert "removes 90 % of what the dc and power terms predict together" in weighted
+    assert "shift" not in weighted
+    primary = explain(*case(power=1.0, predicted=0.1, measured=0.1, space="primary"))
+    assert "a random shift would lose that" in primary
+
+
+def test_dc_term_dominates() -> None:
+    assert "95 % of the variance is the dc term" in explain(*case(dc=0.95, power=0.05))
+    assert "dc term" not in explain(*case(dc=0.5, power=0.5))
+
+
+def test_captured__only_a_part() -> None:
+    text = explain(*case(predicted=0.61, power=0.61))
+    assert "Only 61 % of the measured variance is captured at half width 32" in text
+
+
+def test_captured__too_much() -> None:
+    assert "predicts 2.90 times the measured variance" in explain(*case(predicted=2.9))
+
+
+def test_captured__agreement_and_doubt() -> None:
+    assert "agree (98 %)" in explain(*case(predicted=0.98))
+    doubt = explain(*case(predicted=0.7, power=0.7, width=1.5))
+    assert "the intervals overlap" in doubt
+    assert "Only" not in doubt
+
+
+def test_zero_variance() -> None:
+    row, terms = case(measured=0.0, predicted=0.0, power=0.0)
+    assert explain(row, terms) == "The measured variance is zero: there is nothing to explain."
+
+
+def test_infinite_terms(make: dict[str, Callable[..., Any]]) -> None:
+    terms = make["infinite"](half_width=2, realizations=10)
+    row = SummaryRow(estimator="e", sampler="s", terms_n=16, measured=0.25)
+    text = explain(row, terms)
+    assert "dc and power terms are infinite because ∫1/p diverges" in text
+    assert "0.250" in text
+    assert "removes" not in text
+
+
+def test_simulated_jitter_of_a_ramp(make: dict[str, Callable[..., Any]]) -> None:
+    """f = x, jittered: power 1/(6n²) − …, cross negative, sum 1/(12n³): a shift would lose that."""
+    terms = make["terms"]("jittered", n=16, half_width=32, realizations=400)
+    low, high = terms["measured_variance_ci"].values
+    row = SummaryRow(
+        estimator="e",
+        sampler="s",
+        terms_n=16,
+        dc=float(terms["dc_term"]),
+        power=float(terms["power_term"]),
+        cross=float(terms["cross_term"]),
+        predicted=float(terms["predicted_variance"]),
+        measured=float(terms["measured_variance"]),
+        measured_low=low,
+        measured_high=high,
+        captured=float(terms["captured"]),
+    )
+    text = explain(row, terms)
+    assert "The cross term removes" in text
+    assert "has not converged" in text

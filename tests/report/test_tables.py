@@ -1,0 +1,78 @@
+"""Tables: cells, dashes with their reasons."""
+
+from mcspectra.report import summary_table, terms_table
+from mcspectra.report.tables import Table
+from mcspectra.studies import SummaryRow
+
+FULL = SummaryRow(
+    estimator="e",
+    sampler="s",
+    n=1024,
+    rate=-1.52,
+    rate_low=-1.55,
+    rate_high=-1.49,
+    variance=1.234e-6,
+    terms_n=256,
+    dc=0.0,
+    power=2e-6,
+    cross=-8e-7,
+    predicted=1.2e-6,
+    measured=1.25e-6,
+    measured_low=1.2e-6,
+    measured_high=1.3e-6,
+    captured=0.96,
+    largest_term="power",
+)
+
+
+def texts(table: Table) -> list[str]:
+    """Texts of the only row."""
+    (row,) = table.rows
+    assert len(row) == len(table.columns)
+    return [cell.text for cell in row]
+
+
+def test_summary() -> None:
+    assert texts(summary_table([FULL])) == [
+        "e",
+        "s",
+        "−1.52 ± 0.03",
+        "1.23×10⁻⁶ (n = 1024)",
+        "0.960",
+        "power 2.00×10⁻⁶",
+        "",
+    ]
+
+
+def test_terms() -> None:
+    assert texts(terms_table([FULL])) == [
+        "s",
+        "256",
+        "0",
+        "2.00×10⁻⁶",
+        "−8.00×10⁻⁷",
+        "1.20×10⁻⁶",
+        "1.25×10⁻⁶",
+        "1.20×10⁻⁶ … 1.30×10⁻⁶",
+        "0.960",
+    ]
+
+
+def test_every_dash_has_a_reason() -> None:
+    rows = [
+        SummaryRow(estimator="e", sampler="nothing"),
+        SummaryRow(estimator="e", sampler="one count", n=4, variance=0.0),
+        SummaryRow(estimator="e", sampler="infinite", terms_n=4, note="infinite: ∫1/p diverges"),
+    ]
+    for table in (summary_table(rows), terms_table(rows)):
+        dashes = [cell for row in table.rows for cell in row if cell.text.startswith("–")]
+        assert dashes
+        assert all(cell.why for cell in dashes)
+    assert summary_table(rows).rows[2][4].why == "infinite: ∫1/p diverges"
+
+
+def test_terms__only_where_analysed_and_channels_named() -> None:
+    rows = [SummaryRow(estimator="e", sampler="s", n=4)]
+    assert terms_table(rows).rows == ()
+    channel = SummaryRow(estimator="e [2]", sampler="s", terms_n=4)
+    assert terms_table([channel]).rows[0][0].text == "s, channel 2"
