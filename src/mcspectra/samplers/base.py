@@ -91,10 +91,11 @@ class Sampler(Component, ABC):
         below, above = self._counts_near(count)
         if count in (below, above):
             return count
-        options = tuple(c for c in (below, above) if c is not None)
+        options = tuple(c for c in (below, above) if c is not None and c <= MAX_COUNT)
+        verb = "count is" if len(options) == 1 else "counts are"
         raise CountError(
             f"{self.spec} in {self.dims} dims cannot make {count} points; "
-            f"the nearest counts are {' and '.join(map(str, options))}.",
+            f"the nearest {verb} {' and '.join(map(str, options))}.",
             options,
         )
 
@@ -206,8 +207,9 @@ class Randomized(Sampler):
 
 
 def check_dims(sampler: Any) -> None:
-    """Check a sampler's `dims` against its class's `max_dims`; for `__post_init__`."""
+    """Make a sampler's `dims` an int from 1 to its class's `max_dims`; for `__post_init__`."""
     try:
-        as_integer("dims", sampler.dims, least=1, most=sampler.max_dims)
+        dims = as_integer("dims", sampler.dims, least=1, most=sampler.max_dims)
+        object.__setattr__(sampler, "dims", dims)
     except ParameterError as error:
         raise ParameterError(f"{sampler.name}: {error}") from None

@@ -1,0 +1,53 @@
+from .base import Randomization as Randomization
+from .base import Randomized as Randomized
+from .base import Sampler as Sampler
+from .digital import Sobol as Sobol
+from .external import FunctionSampler as FunctionSampler
+from .external import GivenPoints as GivenPoints
+from .external import ScipySampler as ScipySampler
+from .lattice import Rank1Lattice as Rank1Lattice
+from .poisson import PoissonDisk as PoissonDisk
+from .radical import Halton as Halton
+from .randomizations import DigitalShift as DigitalShift
+from .randomizations import Owen as Owen
+from .randomizations import Shift as Shift
+from .randomizations import StrataShift as StrataShift
+from .registry import RANDOMIZATIONS as RANDOMIZATIONS
+from .registry import SAMPLERS as SAMPLERS
+from .registry import as_sampler as as_sampler
+from .registry import sampler as sampler
+from .registry import sampler_from_calls as sampler_from_calls
+from .stratified import Jittered as Jittered
+from .stratified import LatinHypercube as LatinHypercube
+from .stratified import MultiJittered as MultiJittered
+from .stratified import Random as Random
+from .stratified import Regular as Regular
+from .stratified import UniformJitter as UniformJitter
+
+__all__ = [
+    "RANDOMIZATIONS",
+    "SAMPLERS",
+    "DigitalShift",
+    "FunctionSampler",
+    "GivenPoints",
+    "Halton",
+    "Jittered",
+    "LatinHypercube",
+    "MultiJittered",
+    "Owen",
+    "PoissonDisk",
+    "Random",
+    "Randomization",
+    "Randomized",
+    "Rank1Lattice",
+    "Regular",
+    "Sampler",
+    "ScipySampler",
+    "Shift",
+    "Sobol",
+    "StrataShift",
+    "UniformJitter",
+    "as_sampler",
+    "sampler",
+    "sampler_from_calls",
+]

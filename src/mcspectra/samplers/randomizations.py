@@ -1,0 +1,128 @@
+"""Randomisations: what can be done to the points of any sampler, one realisation at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_real, as_reals
+from mcspectra.core.streams import Stream
+from mcspectra.samplers import _kernels
+from mcspectra.samplers.base import Randomization, Sampler
+
+__all__ = ["DigitalShift", "Owen", "Shift", "StrataShift"]
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Shift(Randomization):
+    """Cranley-Patterson shift: one uniform toroidal translation of all points.
+
+    References
+    ----------
+    Cranley, Patterson (1976), doi 10.1137/0713071.
+    """
+
+    name: ClassVar[str] = "shift"
+    stationary: ClassVar[bool] = True
+    debiases: ClassVar[bool] = True
+
+    def apply(self, points: Array, stream: Stream, first: int) -> Array:
+        """Translate each realisation by its own vector."""
+        offsets = np.empty((points.shape[0], points.shape[2]))
+        _kernels.random_offsets(stream.keys(first, len(points)), offsets)
+        return _translated(points, offsets)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class DigitalShift(Randomization):
+    """Digital shift: XOR of the bits of each coordinate with one random word for all points.
+
+    All 53 bits are changed: elementary intervals go to elementary intervals, and every point
+    becomes uniform.
+
+    References
+    ----------
+    Dick, Pillichshammer (2010), "Digital Nets and Sequences", section 4.4,
+    doi 10.1017/CBO9780511761188.
+    """
+
+    name: ClassVar[str] = "digital-shift"
+    debiases: ClassVar[bool] = True
+
+    def apply(self, points: Array, stream: Stream, first: int) -> Array:
+        """XOR each realisation with its own words."""
+        out = np.empty(points.shape)
+        _kernels.xor_digits(stream.keys(first, len(points)), points, out)
+        return out
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Owen(Randomization):
+    """Owen's nested uniform scrambling in base 2: the flip of a bit depends on all bits above it.
+
+    32 levels are scrambled; what is below 2^-32 becomes independent and uniform. Only the balance
+    of nets in base 2 (sobol) survives it: other sets keep their multiplicities in the dyadic
+    intervals of each axis and little else.
+
+    References
+    ----------
+    Owen (1995), doi 10.1007/978-1-4612-2552-2_19; (1997), doi 10.1214/aos/1031594731.
+    """
+
+    name: ClassVar[str] = "owen"
+    debiases: ClassVar[bool] = True
+
+    def apply(self, points: Array, stream: Stream, first: int) -> Array:
+        """Scramble each realisation with its own tree of flips."""
+        out = np.empty(points.shape)
+        _kernels.scramble_nested(stream.keys(first, len(points)), points, out)
+        return out
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class StrataShift(Randomization):
+    """Fixed toroidal translation by a part of the side n^(-1/d) of a stratum; nothing random.
+
+    Attributes
+    ----------
+    offset
+        Part of the side, one number or one for each dim.
+
+    References
+    ----------
+    Ramamoorthi, Anderson, Meyer, Nowrouzezahrai (2012), doi 10.1145/2231816.2231819.
+    """
+
+    name: ClassVar[str] = "strata-shift"
+    offset: float | Sequence[float] = 0.5
+
+    def __post_init__(self) -> None:
+        given: Any = self.offset
+        listed = isinstance(given, Sequence | np.ndarray) and not isinstance(given, str)
+        value = as_reals("offset", given, len(given)) if listed else as_real("offset", given)
+        object.__setattr__(self, "offset", value)
+
+    def check(self, sampler: Sampler) -> None:
+        """Refuse a list of offsets that has not one for each dim."""
+        as_reals("offset", self.offset, sampler.dims)
+
+    def apply(self, points: Array, stream: Stream, first: int) -> Array:
+        """Translate all realisations alike."""
+        del stream, first
+        _, n, dims = points.shape
+        offsets = np.array([as_reals("offset", self.offset, dims)]) * n ** (-1.0 / dims) % 1.0
+        offsets[offsets >= 1.0] = 0.0  # the remainder of −1e-20 rounds to 1
+        return _translated(points, offsets)
+
+
+def _translated(points: Array, offsets: Array) -> Array:
+    out = np.empty(points.shape)
+    _kernels.translate(points, offsets, out)
+    return out

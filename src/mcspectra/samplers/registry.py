@@ -1,0 +1,161 @@
+"""Names of samplers and randomisations, and how any description becomes a `Sampler`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from mcspectra.core.checks import as_integer
+from mcspectra.core.errors import ParameterError, SpecError, UnknownName
+from mcspectra.core.registry import Registry
+from mcspectra.core.spec import Call, parse_chain
+from mcspectra.samplers.base import Randomization, Sampler
+
+__all__ = ["RANDOMIZATIONS", "SAMPLERS", "as_sampler", "sampler", "sampler_from_calls"]
+
+SAMPLERS = Registry(
+    "sampler",
+    "mcspectra.samplers",
+    {
+        "halton": "mcspectra.samplers.radical:Halton",
+        "jittered": "mcspectra.samplers.stratified:Jittered",
+        "latin-hypercube": "mcspectra.samplers.stratified:LatinHypercube",
+        "multi-jittered": "mcspectra.samplers.stratified:MultiJittered",
+        "points": "mcspectra.samplers.external:GivenPoints",
+        "poisson-disk": "mcspectra.samplers.poisson:PoissonDisk",
+        "random": "mcspectra.samplers.stratified:Random",
+        "rank1-lattice": "mcspectra.samplers.lattice:Rank1Lattice",
+        "regular": "mcspectra.samplers.stratified:Regular",
+        "scipy": "mcspectra.samplers.external:ScipySampler",
+        "sobol": "mcspectra.samplers.digital:Sobol",
+        "uniform-jitter": "mcspectra.samplers.stratified:UniformJitter",
+    },
+)
+
+RANDOMIZATIONS = Registry(
+    "randomization",
+    "mcspectra.randomizations",
+    {
+        "digital-shift": "mcspectra.samplers.randomizations:DigitalShift",
+        "owen": "mcspectra.samplers.randomizations:Owen",
+        "shift": "mcspectra.samplers.randomizations:Shift",
+        "strata-shift": "mcspectra.samplers.randomizations:StrataShift",
+    },
+)
+
+
+def sampler(spec: str | Sampler, dims: int | None = None) -> Sampler:
+    """Make a sampler from a spec string such as ``jittered | shift``.
+
+    Parameters
+    ----------
+    spec
+        A sampler, then any number of randomisations after ``|``. What `as_sampler` takes is
+        taken here too.
+    dims
+        Number of dims; None leaves it to the spec, else to the sampler's default (2).
+
+    Raises
+    ------
+    SpecError
+        The spec cannot be read, or a name is unknown (`UnknownName`) or in the wrong place.
+    ParameterError
+        A parameter or `dims` does not fit.
+    """
+    if not isinstance(spec, str):
+        return as_sampler(spec, dims)
+    return sampler_from_calls(parse_chain(spec), dims)
+
+
+def sampler_from_calls(calls: Sequence[Call], dims: int | None = None) -> Sampler:
+    """Make a sampler from a spec string already parsed (`core.spec.parse_chain`)."""
+    head, *rest = calls
+    made = _build_sampler(head, _checked(dims))
+    for call in rest:
+        made = made.then(_build_randomization(call))
+    return made
+
+
+def as_sampler(source: Any, dims: int | None = None) -> Sampler:
+    """Return `source` as a sampler of `dims` dims (of any number of dims if None).
+
+    Parameters
+    ----------
+    source
+        A sampler, a spec string, an array of points (n, d) or (R, n, d), or an engine of
+        `scipy.stats.qmc` or its class.
+    dims
+        Number of dims that is needed.
+
+    Raises
+    ------
+    ParameterError
+        `source` is none of these, or has another number of dims.
+    """
+    if isinstance(source, str):
+        return sampler(source, dims)
+    made = _from_object(source, _checked(dims))
+    if dims is not None and made.dims != dims:
+        raise ParameterError(
+            f"The sampler {made.spec} is for {made.dims} dims, but {dims} dims are needed."
+        )
+    return made
+
+
+def _checked(dims: object) -> int | None:
+    return None if dims is None else as_integer("dims", dims, least=1)
+
+
+def _from_object(source: Any, dims: int | None) -> Sampler:
+    if isinstance(source, Sampler):
+        return source
+    if isinstance(source, np.ndarray):
+        return Sampler.from_points(source)
+    if _is_engine(source):
+        sizes = {"d": dims} if isinstance(source, type) and dims is not None else {}
+        return Sampler.from_scipy(source, **sizes)
+    raise ParameterError(
+        f"{source!r} is not a sampler; give a Sampler, a spec such as 'jittered | shift', "
+        "an array of points (n, d) or (R, n, d), or a scipy.stats.qmc engine."
+    )
+
+
+def _is_engine(source: object) -> bool:
+    """Whether this is a QMCEngine or a class of them; nobody has one without importing qmc."""
+    engine = getattr(sys.modules.get("scipy.stats.qmc"), "QMCEngine", None)
+    if engine is None:
+        return False
+    return isinstance(source, engine) or (isinstance(source, type) and issubclass(source, engine))
+
+
+def _build_sampler(call: Call, dims: int | None) -> Sampler:
+    try:
+        made = SAMPLERS.build(call, dims)
+    except UnknownName:
+        if call.name in RANDOMIZATIONS:
+            raise SpecError(
+                f"{call.name!r} is a randomization, not a sampler; write a sampler before it, "
+                f"as in 'jittered | {call.name}'."
+            ) from None
+        raise
+    if not isinstance(made, Sampler):
+        raise ParameterError(f"{call.name!r} is registered as a sampler, but does not make one.")
+    return made
+
+
+def _build_randomization(call: Call) -> Randomization:
+    try:
+        made = RANDOMIZATIONS.build(call)
+    except UnknownName:
+        if call.name in SAMPLERS:
+            raise SpecError(
+                f"{call.name!r} is a sampler, not a randomization; only the first part of a chain "
+                f"is a sampler, after '|' come {', '.join(RANDOMIZATIONS)}."
+            ) from None
+        raise
+    if not isinstance(made, Randomization):
+        raise ParameterError(f"{call.name!r} is registered as a randomization, but is not one.")
+    return made

@@ -1,0 +1,242 @@
+"""The contract of samplers: every registered one, plain and after every randomisation.
+
+A new sampler is one row of `ROWS`; a new randomisation one entry of `CHAINS`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import mcspectra as mcs
+from mcspectra.core.errors import CountError, ParameterError
+from mcspectra.samplers import RANDOMIZATIONS, SAMPLERS, Randomized, sampler
+
+FALSE_ALARMS = 1e-6  # for the whole file
+GIVEN_SETS = 8
+
+
+@dataclass(frozen=True)
+class Row:
+    """A sampler to hold to the contract: spec, dims and a count that it can make in each."""
+
+    spec: str
+    counts: dict[int, int]
+    fixed: bool = False  # the same points in every realisation
+    unbiased: bool = True
+
+
+ANY = {1: 16, 2: 16, 3: 16, 10: 16}
+GRIDS = {1: 16, 2: 16, 3: 27, 10: 1024}
+
+ROWS = (
+    Row("random", ANY),
+    Row("regular", GRIDS, fixed=True, unbiased=False),
+    Row("regular(position='corner')", GRIDS, fixed=True, unbiased=False),
+    Row("uniform-jitter", GRIDS),
+    Row("jittered", GRIDS),
+    Row("latin-hypercube", ANY),
+    Row("multi-jittered", {2: 16}),
+    Row("halton", ANY, fixed=True, unbiased=False),
+    Row("halton(skip=5, scramble='permute')", ANY),
+    Row("sobol", ANY, fixed=True, unbiased=False),
+    Row("rank1-lattice", ANY, fixed=True, unbiased=False),
+    Row("rank1-lattice(vector=[1, 7, 3])", {3: 16}, fixed=True, unbiased=False),
+    Row("poisson-disk", {1: 16, 2: 16, 3: 16}),
+    Row("scipy(engine='Halton')", {1: 16, 2: 16, 3: 16, 10: 16}),
+    Row("points(path='{path}')", {1: 16, 2: 16, 3: 16, 10: 16}, unbiased=False),
+)
+
+CHAINS = {
+    "": False,
+    " | shift": True,
+    " | digital-shift": True,
+    " | owen": True,
+    " | strata-shift": False,
+    " | strata-shift(offset=0.25) | shift": True,
+}
+"""What follows the sampler, and whether it makes every point uniform."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A row with its dims and what follows it."""
+
+    row: Row
+    dims: int
+    chain: str
+
+    @property
+    def n(self) -> int:
+        return self.row.counts[self.dims]
+
+    @property
+    def fixed(self) -> bool:
+        return self.row.fixed and self.chain in ("", " | strata-shift")
+
+    @property
+    def unbiased(self) -> bool:
+        return self.row.unbiased or CHAINS[self.chain]
+
+    def __str__(self) -> str:
+        return f"{self.row.spec}{self.chain}-{self.dims}d"
+
+
+CASES = [
+    Case(row, dims, chain)
+    for row in ROWS
+    for chain in CHAINS
+    for dims in row.counts
+    if not chain or dims in (2, max(row.counts))
+]
+PLAIN = [case for case in CASES if not case.chain and case.dims == max(2, min(case.row.counts))]
+
+every_case = pytest.mark.parametrize("case", CASES, ids=str)
+every_sampler = pytest.mark.parametrize("case", PLAIN, ids=str)
+
+
+@pytest.fixture(scope="session")
+def make(tmp_path_factory):
+    """Build the sampler of a case; given points are written to a file first."""
+    folder = tmp_path_factory.mktemp("points")
+
+    def build(case):
+        path = folder / f"{case.dims}.npz"
+        if not path.exists():
+            points = np.random.default_rng(case.dims).random((GIVEN_SETS, case.n, case.dims))
+            np.savez(path, points=points)
+        return sampler(case.row.spec.replace("{path}", path.as_posix()) + case.chain, case.dims)
+
+    return build
+
+
+def test_rows_cover_the_registries():
+    assert {row.spec.partition("(")[0] for row in ROWS} == set(SAMPLERS)
+    parts = {part.strip().partition("(")[0] for chain in CHAINS for part in chain.split("|")}
+    assert parts - {""} == set(RANDOMIZATIONS)
+
+
+@every_case
+def test_points_are_float64_of_the_asked_shape_within_the_unit_cube(case, make):
+    points = make(case).draw(case.n, realizations=GIVEN_SETS, rng=1)
+    assert points.shape == (GIVEN_SETS, case.n, case.dims)
+    assert points.dtype == np.float64
+    assert points.flags.c_contiguous
+    assert points.flags.writeable
+    assert points.min() >= 0.0
+    assert points.max() < 1.0
+
+
+@every_case
+def test_realizations_do_not_depend_on_the_call_that_draws_them(case, make):
+    source = make(case)
+    whole = source.draw(case.n, realizations=6, rng=7)
+    pieces = [source.draw(case.n, realizations=k, rng=7, first=r) for r, k in ((0, 1), (1, 3))]
+    np.testing.assert_array_equal(np.concatenate(pieces), whole[:4])
+    np.testing.assert_array_equal(make(case).draw(case.n, rng=7, first=5)[0], whole[5])
+
+
+@every_case
+def test_realizations_and_seeds_differ_unless_the_set_is_fixed(case, make):
+    source = make(case)
+    seven = source.draw(case.n, realizations=4, rng=7)
+    eight = source.draw(case.n, realizations=4, rng=8)
+    same = len(np.unique(seven.reshape(4, -1), axis=0)) == 1
+    assert same == case.fixed
+    given = case.row.spec.startswith("points") and case.chain in ("", " | strata-shift")
+    assert np.array_equal(seven, eight) == (case.fixed or given)
+
+
+@every_case
+def test_declared_unbiased(case, make):
+    assert make(case).unbiased == case.unbiased
+
+
+@pytest.mark.parametrize("case", [case for case in CASES if case.unbiased], ids=str)
+def test_every_point_is_uniform(case, make):
+    """χ² over 16 cells in the first and last coordinate, of one point picked from each realisation."""
+    realizations = 400 if case.n > 100 else 2000
+    points = make(case).draw(case.n, realizations=realizations, rng=20)
+    picked = np.random.default_rng(case.dims).integers(case.n, size=realizations)
+    x = points[np.arange(realizations), picked]
+    cells = x[:, 0] * 16 if case.dims == 1 else 4 * np.floor(4 * x[:, 0]) + 4 * x[:, -1]
+    counts = np.bincount(cells.astype(int), minlength=16)
+    level = 1 - (1 - FALSE_ALARMS) ** (1 / len(CASES))
+    assert stats.chisquare(counts).pvalue > level
+
+
+@every_case
+def test_spec_round_trip(case, make):
+    source = make(case)
+    again = sampler(source.spec, case.dims)
+    assert again == source
+    assert again.spec == source.spec
+    assert again.dims == case.dims
+
+
+@every_case
+def test_declared_counts_are_possible(case, make):
+    source = make(case)
+    assert source.check_count(case.n) == case.n
+    assert source.nearest_count(case.n) == case.n
+
+
+@every_sampler
+@pytest.mark.parametrize("n", [0, -1, 2.5, "x", True, None, float("nan"), float("inf"), 2**32])
+def test_impossible_counts(case, make, n):
+    with pytest.raises(CountError, match=r"^n is .*; give a whole number"):
+        make(case).draw(n)
+
+
+@every_sampler
+@pytest.mark.parametrize("dims", [0, -1, 1.5, True, "x", float("nan")])
+def test_impossible_dims(case, dims):
+    with pytest.raises(ParameterError, match="dims"):
+        sampler(case.row.spec, dims)
+
+
+@every_sampler
+@pytest.mark.parametrize(
+    "arguments", [{"realizations": 0}, {"realizations": 1.5}, {"first": -1}, {"rng": -1}]
+)
+def test_impossible_realizations(case, make, arguments):
+    with pytest.raises(ParameterError, match=next(iter(arguments))):
+        make(case).draw(case.n, **arguments)
+
+
+@every_sampler
+def test_too_many_numbers_are_refused_before_they_are_made(case, make):
+    with pytest.raises(CountError, match="at a time"):
+        make(case).draw(case.n, realizations=2**31)
+
+
+@every_sampler
+@pytest.mark.parametrize("name", list(RANDOMIZATIONS))
+def test_randomizations_leave_their_input_alone(case, make, name):
+    source = make(case)
+    step = RANDOMIZATIONS.load(name)()
+    points = source.draw(case.n, realizations=2, rng=1)
+    before = points.copy()
+    step.apply(points, mcs.core.streams.Stream(5), 0)
+    np.testing.assert_array_equal(points, before)
+
+
+@every_sampler
+@pytest.mark.parametrize("name", list(RANDOMIZATIONS))
+def test_then_is_the_chain_of_the_spec_string(case, make, name):
+    source = make(case)
+    chained = source.then(RANDOMIZATIONS.load(name)())
+    spelled = sampler(f"{source.spec} | {name}", case.dims)
+    assert isinstance(chained, Randomized)
+    assert chained == spelled
+    np.testing.assert_array_equal(
+        chained.draw(case.n, realizations=3, rng=4), spelled.draw(case.n, realizations=3, rng=4)
+    )
+
+
+def test_then_wants_a_randomization():
+    with pytest.raises(ParameterError, match="not a randomisation"):
+        mcs.samplers.Random(dims=2).then("shift")
