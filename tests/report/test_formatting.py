@@ -7,6 +7,7 @@ import pytest
 from mcspectra.report.formatting import (
     interval,
     number,
+    number_beside,
     percent,
     power_of_ten,
     rate,
@@ -70,6 +71,15 @@ def test_rate(values: tuple[float, float, float], text: str) -> None:
 )
 def test_percent(fraction: float, text: str) -> None:
     assert percent(fraction) == text
+
+
+def test_number_beside__rounding_is_no_number() -> None:
+    assert number_beside(4e-17, 1e-3) == "≈ 0"
+    assert number_beside(-4e-17, 1e-3) == "≈ 0"
+    assert number_beside(0.0, 1e-3) == "0"
+    assert number_beside(4e-11, 1e-3) == "4.00×10⁻¹¹"
+    assert number_beside(1e-3, None) == number_beside(1e-3, 0.0) == "0.00100"
+    assert number_beside(math.inf, 1.0) == number_beside(math.inf, math.inf) == "∞"
 
 
 def test_interval() -> None:

@@ -121,6 +121,7 @@ def test_captured__too_much() -> None:
 
 def test_captured__agreement_and_doubt() -> None:
     assert "agree (98 %)" in explain(*case(predicted=0.98))
+    assert "agree (100 %)" in explain(*case(predicted=1.00002))
     doubt = explain(*case(predicted=0.7, power=0.7, width=1.5))
     assert "the intervals overlap" in doubt
     assert "Only" not in doubt

@@ -58,6 +58,11 @@ def test_terms() -> None:
     ]
 
 
+def test_terms__rounding_is_shown_as_such() -> None:
+    row = SummaryRow(estimator="e", sampler="s", terms_n=4, dc=1e-20, power=1e-6)
+    assert texts(terms_table([row]))[2] == "≈ 0"
+
+
 def test_every_dash_has_a_reason() -> None:
     rows = [
         SummaryRow(estimator="e", sampler="nothing"),

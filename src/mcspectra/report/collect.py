@@ -72,7 +72,7 @@ def _group(
     order: Mapping[str, list[str]],
 ) -> EstimatorGroup:
     found: list[Pair] = []
-    name = spec = key
+    name, spec = key, ""
     for slug, child in node.children.items():
         analyses = {a: child[a].to_dataset() for a in ANALYSES if a in child.children}
         if not analyses:
@@ -87,7 +87,7 @@ def _group(
         )
     samplers = order.get(name, [])
     found.sort(key=lambda p: (_place(samplers, p.sampler), p.sampler))
-    return EstimatorGroup(key=key, name=name, spec=spec if spec != key else "", pairs=tuple(found))
+    return EstimatorGroup(key=key, name=name, spec=spec, pairs=tuple(found))
 
 
 def _place(names: list[str], name: str) -> int:

@@ -5,10 +5,24 @@ from __future__ import annotations
 import math
 import re
 
-__all__ = ["MISSING", "interval", "number", "percent", "power_of_ten", "rate", "shorten", "slug"]
+__all__ = [
+    "MISSING",
+    "NEGLIGIBLE",
+    "interval",
+    "number",
+    "number_beside",
+    "percent",
+    "power_of_ten",
+    "rate",
+    "shorten",
+    "slug",
+]
 
 MISSING = "–"
 """Stands where there is no number; tables say why."""
+
+NEGLIGIBLE = 1e-9
+"""Share of the largest term below which a term is rounding of the transform, not a quantity."""
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _FIXED_FROM, _FIXED_BELOW = -3, 5  # powers of ten written out
@@ -32,6 +46,14 @@ def number(value: float | None, digits: int = 3) -> str:
     if _FIXED_FROM <= power < _FIXED_BELOW:
         return f"{sign}{abs(value):.{max(digits - 1 - power, 0)}f}"
     return f"{sign}{mantissa}×{power_of_ten(power)}"
+
+
+def number_beside(value: float | None, scale: float | None) -> str:
+    """Return `number`, or ``≈ 0`` for what is rounding beside a quantity of size `scale`."""
+    known = scale is not None and math.isfinite(scale)
+    if value and known and abs(value) <= NEGLIGIBLE * abs(scale or 0.0):
+        return "≈ 0"
+    return number(value)
 
 
 def power_of_ten(exponent: int) -> str:

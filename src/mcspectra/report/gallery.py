@@ -12,7 +12,7 @@ from mcspectra.report import figures
 from mcspectra.report.collect import EstimatorGroup
 from mcspectra.report.figures.groups import channel_note, frequency_dims
 from mcspectra.report.figures.variance import usable_counts
-from mcspectra.report.formatting import number, percent, rate
+from mcspectra.report.formatting import number, number_beside, percent, rate
 from mcspectra.report.style import NARROW, LineStyle
 
 if TYPE_CHECKING:
@@ -88,6 +88,10 @@ def _terms(data: Datasets, styles: Styles) -> Iterator[Picture]:
         + _each(data, _captured_words),
         figure=figures.captured_curves(data, styles=styles),
     )
+
+
+def _maps(data: Datasets, styles: Styles) -> Iterator[Picture]:
+    channel = channel_note(data)
     yield Picture(
         kind="contributions",
         caption=_join(_contribution_caption(data), channel),
@@ -165,6 +169,7 @@ def _points(data: Datasets, styles: Styles) -> Iterator[Picture]:
 _DRAWERS: tuple[tuple[str, Callable[[Datasets, Styles], Iterator[Picture]]], ...] = (
     ("convergence", _convergence),
     ("terms", _terms),
+    ("terms", _maps),
     ("spectrum", _spectrum),
     ("points", _points),
 )
@@ -200,7 +205,10 @@ def _rate_words(data: xr.Dataset) -> str:
 
 
 def _term_words(data: xr.Dataset) -> str:
-    values = (f"{t} {number(float(data[f'{t}_term']))}" for t in ("dc", "power", "cross"))
+    power = float(data["power_term"])
+    values = (
+        f"{t} {number_beside(float(data[f'{t}_term']), power)}" for t in ("dc", "power", "cross")
+    )
     return f"{', '.join(values)}, measured {number(float(data['measured_variance']))}"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from mcspectra.report.formatting import number, percent, rate
+from mcspectra.report.formatting import NEGLIGIBLE, number, percent, rate
 from mcspectra.studies import SummaryRow
 
 if TYPE_CHECKING:
@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 
 __all__ = ["explain"]
 
-_NEGLIGIBLE = 1e-9  # of the other terms: rounding, not a dc term
 _DOMINANT = 0.9
 _CLOSE = 0.1  # prediction and measurement are said to agree
 
@@ -76,7 +75,7 @@ def _term_sentences(row: SummaryRow, terms: xr.Dataset) -> list[str]:
     if row.dc is None or row.power is None or row.predicted is None or row.measured is None:
         return []
     low, high = (float(end) for end in terms["predicted_variance_ci"].values)
-    uniform = row.dc <= _NEGLIGIBLE * row.power or terms.attrs.get("space") == "primary"
+    uniform = row.dc <= NEGLIGIBLE * row.power or terms.attrs.get("space") == "primary"
     return [
         _dc_sentence(row.dc, row.power, uniform),
         _cross_sentence(row, row.dc + row.power, (low, high), uniform),
@@ -135,7 +134,11 @@ def _captured_sentence(row: SummaryRow, interval: tuple[float, float], half_widt
             "the measured variance: the sum over frequencies has not converged."
         )
     if abs(captured - 1.0) <= _CLOSE:
-        return f"Prediction and measurement agree ({percent(captured)}), within their intervals."
+        return (
+            f"Prediction and measurement agree ({captured:.0%}), within their intervals.".replace(
+                "%", " %"
+            )
+        )
     return (
         f"The spectrum predicts {percent(captured)} of the measured variance at half width "
         f"{half_width}, but the intervals overlap: more realisations would tell."

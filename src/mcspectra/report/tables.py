@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
-from mcspectra.report.formatting import MISSING, interval, number, rate
+from mcspectra.report.formatting import MISSING, interval, number, number_beside, rate
 from mcspectra.studies import SummaryRow
 
 __all__ = ["Cell", "Table", "summary_table", "terms_table"]
@@ -97,19 +97,19 @@ def _summary_cells(row: SummaryRow) -> tuple[Cell, ...]:
 def _term_cells(row: SummaryRow) -> tuple[Cell, ...]:
     why = _no_term(row)
 
-    def value(get: Callable[[SummaryRow], float | None]) -> Cell:
-        return _cell(number(get(row)), why)
+    def value(given: float | None) -> Cell:
+        return _cell(number_beside(given, row.power), why)
 
     return (
         Cell(text=_sampler_of(row), numeric=False),
         _cell(str(row.terms_n), why),
-        value(lambda r: r.dc),
-        value(lambda r: r.power),
-        value(lambda r: r.cross),
-        value(lambda r: r.predicted),
-        value(lambda r: r.measured),
+        value(row.dc),
+        value(row.power),
+        value(row.cross),
+        value(row.predicted),
+        value(row.measured),
         _cell(interval(row.measured_low, row.measured_high), why),
-        value(lambda r: r.captured),
+        _cell(number(row.captured), why),
     )
 
 

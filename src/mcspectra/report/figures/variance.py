@@ -12,7 +12,7 @@ from mcspectra.core.checks import Array
 from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.report.axes import count_axis, log_axis, signed_axis
 from mcspectra.report.figures.groups import Group, as_group
-from mcspectra.report.formatting import MISSING, number, rate
+from mcspectra.report.formatting import MISSING, number_beside, rate
 from mcspectra.report.style import (
     GRAY,
     INK,
@@ -166,11 +166,12 @@ def usable_counts(curve: xr.Dataset) -> Array:
 
 def _term_bars(axes: Axes, data: xr.Dataset, style: LineStyle) -> None:
     values = [float(data[name]) for name in _TERMS]
+    scale = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
     shades = (0.35, 0.35, 0.35, 0.75, 1.0)
     for row, (value, shade) in enumerate(zip(values, shades, strict=True)):
         if math.isfinite(value):
             axes.barh(row, value, 0.68, color=style.color, alpha=shade, linewidth=0)
-        note = "infinite: ∫1/p diverges" if math.isinf(value) else number(value)
+        note = "infinite: ∫1/p diverges" if math.isinf(value) else number_beside(value, scale)
         axes.annotate(
             note, (1.0, row), xycoords=axes.get_yaxis_transform(), xytext=(4, 0),
             textcoords="offset points", va="center", fontsize=SMALL_SIZE, color=INK,
