@@ -59,6 +59,16 @@ def test_three_terms__bars_are_as_long_as_the_terms(make: Make) -> None:
     assert widths == [pytest.approx(float(data[name])) for name in names]
 
 
+def test_three_terms__rounding_does_not_stretch_the_axis(make: Make) -> None:
+    data = make["terms"]()
+    data["dc_term"] = data["dc_term"] * 0.0 + 1e-17
+    figure = figures.three_terms({"jittered": data})
+    assert "≈ 0" in texts(figure)
+    smallest = float(data["measured_variance"])
+    threshold = float(figure.axes[0].get_xaxis().get_transform().linthresh)
+    assert smallest / 10 < threshold <= smallest
+
+
 def test_contributions__a_panel_for_each_technique(make: Make) -> None:
     data = make["terms"](techniques=2, half_width=3, realizations=20)
     shown = texts(figures.contributions({"random": data}))

@@ -12,7 +12,7 @@ from mcspectra.core.checks import Array
 from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.report.axes import count_axis, log_axis, signed_axis
 from mcspectra.report.figures.groups import Group, as_group
-from mcspectra.report.formatting import MISSING, number_beside, rate
+from mcspectra.report.formatting import MISSING, NEGLIGIBLE, number_beside, rate
 from mcspectra.report.style import (
     GRAY,
     INK,
@@ -65,7 +65,7 @@ def three_terms(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -
         _term_bars(axes, each, styles[name])
         entitle(axes, names[name], "left")
     every = [[float(each[term]) for term in _TERMS] for each in group.values()]
-    scale = signed_axis(rows[0], "x", np.array(every))
+    scale = signed_axis(rows[0], "x", _above_rounding(np.array(every)))
     rows[-1].set_xlabel("part of the variance" + (f"   ({scale})" if scale else ""))
     for axes in rows[:-1]:
         axes.tick_params(labelbottom=False)
@@ -162,6 +162,12 @@ def usable_counts(curve: xr.Dataset) -> Array:
     variance = curve["variance"].values
     floor = (16 * np.finfo(float).eps * np.abs(curve["mean"].values)) ** 2
     return np.asarray(np.isfinite(variance) & (variance > floor))
+
+
+def _above_rounding(values: Array) -> Array:
+    """Values with those set to 0 that are rounding beside the largest of their row."""
+    largest = np.max(np.abs(values), axis=1, where=np.isfinite(values), initial=0.0)
+    return np.where(np.abs(values) > NEGLIGIBLE * largest[:, None], values, 0.0)
 
 
 def _term_bars(axes: Axes, data: xr.Dataset, style: LineStyle) -> None:
