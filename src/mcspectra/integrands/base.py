@@ -18,7 +18,7 @@ from mcspectra.core.checks import Array, as_frequencies, as_integer
 from mcspectra.core.errors import DomainError, ParameterError
 from mcspectra.core.spec import Component
 
-__all__ = ["Integrand"]
+__all__ = ["Integrand", "check_dims"]
 
 
 class Integrand(Component, ABC):
@@ -42,14 +42,23 @@ class Integrand(Component, ABC):
         Raises
         ------
         DomainError
-            x has another number of dims.
+            x has another number of dims, or is not finite.
         ParameterError
             The function gave something else than real numbers of that shape.
         """
-        points = np.asarray(x, dtype=np.float64)
+        try:
+            points = np.asarray(x, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise DomainError(
+                f"{self.spec} takes an array of numbers of shape (..., {self.dims})."
+            ) from None
         if points.ndim == 0 or points.shape[-1] != self.dims:
             raise DomainError(
                 f"{self.spec} takes points of shape (..., {self.dims}), not {points.shape}."
+            )
+        if not np.isfinite(points).all():
+            raise DomainError(
+                f"{self.spec} was given NaN or infinite points; give points in [0,1)."
             )
         return self._evaluate(points)
 
@@ -115,6 +124,22 @@ class Integrand(Component, ABC):
         """For each axis, where f is discontinuous or not smooth across a whole axis-normal plane."""
         return ((),) * self.dims
 
+    def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:  # noqa: ARG002
+        """Means of f and of f² over axis-aligned boxes, where they are known in closed form.
+
+        Parameters
+        ----------
+        lo, hi
+            Corners of the boxes: float64 (..., d) in [0,1], lo < hi.
+
+        Returns
+        -------
+        tuple of ndarray, or None
+            Mean of f and mean of f², each (...) or (..., channels); None where they are not known.
+            The variance within a stratum is their difference, mean f² − (mean f)².
+        """
+        return None
+
     @abstractmethod
     def _evaluate(self, x: Array) -> Array:
         """Values at float64 points (..., d)."""
@@ -123,7 +148,7 @@ class Integrand(Component, ABC):
         """The exact integral, or None where it is not known."""
         return None
 
-    def _fourier(self, m: Array) -> Array | None:
+    def _fourier(self, m: Array) -> Array | None:  # noqa: ARG002
         """Exact coefficients at integer m (float64, shape (..., d)), or None where not known."""
         return None
 
@@ -159,3 +184,11 @@ class Integrand(Component, ABC):
         return FunctionIntegrand.from_function(
             function, dims=dims, integral=integral, fourier=fourier
         )
+
+
+def check_dims(integrand: Integrand) -> int:
+    """Return an integrand's `dims` as an int, at most its class's `max_dims`; for `__post_init__`."""
+    try:
+        return as_integer("dims", integrand.dims, least=1, most=integrand.max_dims)
+    except ParameterError as error:
+        raise ParameterError(f"{integrand.name}: {error}") from None

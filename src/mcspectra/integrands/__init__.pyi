@@ -1,0 +1,49 @@
+from .analytic import Constant as Constant
+from .analytic import Cosine as Cosine
+from .analytic import Gaussian as Gaussian
+from .analytic import Linear as Linear
+from .analytic import Polynomial as Polynomial
+from .base import Integrand as Integrand
+from .christensen import ChristensenBilinear as ChristensenBilinear
+from .christensen import ChristensenDisk as ChristensenDisk
+from .christensen import ChristensenGaussian as ChristensenGaussian
+from .christensen import ChristensenStep as ChristensenStep
+from .christensen import ChristensenTriangle as ChristensenTriangle
+from .functions import FunctionIntegrand as FunctionIntegrand
+from .image import Image as Image
+from .indicators import Disk as Disk
+from .indicators import HalfSpace as HalfSpace
+from .indicators import SmoothedStep as SmoothedStep
+from .indicators import Step as Step
+from .numeric import fourier_accuracy as fourier_accuracy
+from .numeric import fourier_grid as fourier_grid
+from .numeric import integral_accuracy as integral_accuracy
+from .registry import INTEGRANDS as INTEGRANDS
+from .registry import as_integrand as as_integrand
+from .registry import integrand as integrand
+
+__all__ = [
+    "INTEGRANDS",
+    "ChristensenBilinear",
+    "ChristensenDisk",
+    "ChristensenGaussian",
+    "ChristensenStep",
+    "ChristensenTriangle",
+    "Constant",
+    "Cosine",
+    "Disk",
+    "FunctionIntegrand",
+    "Gaussian",
+    "HalfSpace",
+    "Image",
+    "Integrand",
+    "Linear",
+    "Polynomial",
+    "SmoothedStep",
+    "Step",
+    "as_integrand",
+    "fourier_accuracy",
+    "fourier_grid",
+    "integral_accuracy",
+    "integrand",
+]

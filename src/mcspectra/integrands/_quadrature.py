@@ -1,0 +1,269 @@
+"""Quadrature behind `numeric`: Fourier coefficients on tensor grids, integrals by adaptive boxes.
+
+Method
+------
+An axis is cut into C cells of width 1/C with q Gauss-Legendre nodes each, at offsets o_q:
+
+    ∫_0^1 f(x) exp(−2πi m x) dx ≈ Σ_q (w_q/C) exp(−2πi m o_q) FFT_q[m mod C],
+
+FFT_q over the cells of the values at their node q. With q = 1 it is the midpoint grid, whose
+half-sample phase exp(−πi m/C) must not be forgotten. Unlike a plain FFT it sees no jump between
+f(1) and f(0): the border is a cell's edge, and smooth f converge spectrally in q whether periodic or
+not. A cell with a discontinuity inside is left out and replaced by its pieces, each with q nodes of
+its own, which are few and summed directly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import ParameterError
+from mcspectra.integrands._axes import gauss_rule
+from mcspectra.integrands.base import Integrand
+
+__all__ = ["AxisRule", "Estimate", "adaptive_integral", "lattice_integral", "refined_coefficients"]
+
+_ORDER = 16  # nodes a cell: at 4 nodes a wavelength, 16 are good to 1e-10, at 8 to rounding
+_LEAST_NODES = {1: 256, 2: 256, 3: 64, 4: 32}
+_BUDGET = 2**22  # evaluations up to which grids are refined
+_LIMIT = 2**24  # evaluations of a first grid, beyond which there is an error
+_FOURIER_TOLERANCE = 1e-10
+_BLOCK = 2**18  # points evaluated at once
+
+_CELLS = {1: 32, 2: 8, 3: 4, 4: 2, 5: 2}
+_CELL_ORDER = {1: 16, 2: 8, 3: 6, 4: 5, 5: 4}
+_INTEGRAL_BUDGET = 2**21
+_INTEGRAL_TOLERANCE = 1e-12
+_LATTICE_POINTS = 2**20
+
+
+@final
+@dataclass(frozen=True)
+class Estimate:
+    """A computed value, an estimate of its absolute error (its largest entry), how it was made."""
+
+    value: Array
+    error: float
+    method: str
+
+
+@final
+@dataclass(frozen=True)
+class AxisRule:
+    """Composite Gauss-Legendre rule on [0,1], ready to integrate against exp(−2πi m x).
+
+    Attributes
+    ----------
+    cells, order
+        C and q; the first C q nodes are uniform, the others belong to pieces of cut cells.
+    nodes, weights
+        (P,); uniform nodes in cut cells have weight 0.
+    """
+
+    cells: int
+    order: int
+    nodes: Array
+    weights: Array
+
+    @staticmethod
+    def make(count: int, order: int, breaks: Sequence[float] = ()) -> AxisRule:
+        """Rule of `count` uniform nodes, `order` in a cell, cells cut at `breaks`."""
+        cells = count // order
+        node, weight = gauss_rule(order)
+        nodes = ((np.arange(cells)[:, None] + node) / cells).ravel()
+        weights = np.tile(weight / cells, (cells, 1))
+        places = np.array([b * cells for b in breaks if 0.0 < b < 1.0])
+        places = places[places != np.rint(places)]
+        cut = np.unique(np.floor(places)).astype(np.intp)
+        weights[cut] = 0.0
+        ends = np.unique(np.concatenate([places, cut, cut + 1]))
+        low, width = ends[:-1, None], np.diff(ends)[:, None]
+        piece = np.isin(np.floor(low + 0.5 * width), cut).ravel()
+        extra = ((low + width * node) / cells)[piece].ravel()
+        extra_weights = (width * weight / cells)[piece].ravel()
+        return AxisRule(
+            cells,
+            order,
+            np.concatenate([nodes, extra]),
+            np.concatenate([weights.ravel(), extra_weights]),
+        )
+
+    def transform(self, values: Array, m: Array) -> Array:
+        """Coefficients (..., U) at integers m (U,) of values (..., P) at the nodes."""
+        uniform = self.cells * self.order
+        weighted = values * self.weights
+        grid = weighted[..., :uniform].reshape(*values.shape[:-1], self.cells, self.order)
+        spectrum = np.fft.fft(grid, axis=-2)[..., np.mod(m, self.cells).astype(np.intp), :]
+        offsets = self.nodes[: self.order]
+        phase = np.exp(-2j * np.pi * m[:, None] * offsets)
+        found = np.einsum("...uq,uq->...u", spectrum, phase)
+        if self.nodes.size > uniform:
+            waves = np.exp(-2j * np.pi * self.nodes[uniform:, None] * m)
+            found += weighted[..., uniform:] @ waves
+        return np.asarray(found)
+
+
+def refined_coefficients(integrand: Integrand, m: Sequence[Array]) -> Estimate:
+    """Coefficients at the tensor product of the integers m[i] (U_i,): (U_0, …, U_{d−1}[, channels]).
+
+    Starts with 16 nodes a wavelength of the highest frequency (8 from 3-D on, 4 where more would
+    exceed 2^24 evaluations) and at least 256 an axis (64 in 3-D, 32 in 4-D, 16 beyond), and doubles
+    until two grids agree to 1e-10 of the largest coefficient or the next exceeds 2^22 evaluations.
+
+    Raises
+    ------
+    ParameterError
+        The first grid exceeds 2^24 evaluations.
+    """
+    counts = _first_counts(integrand, [int(np.abs(axis).max()) for axis in m])
+    coarse = _coefficients(integrand, [c // 2 for c in counts], m)
+    while True:
+        fine = _coefficients(integrand, counts, m)
+        error = float(np.abs(fine - coarse).max())
+        settled = error <= _FOURIER_TOLERANCE * float(np.abs(fine).max())
+        if settled or math.prod(counts) * 2 ** len(counts) > _BUDGET:
+            shown = " x ".join(map(str, counts))
+            return Estimate(fine, error, f"{shown} nodes")
+        coarse, counts = fine, [2 * c for c in counts]
+
+
+def _first_counts(integrand: Integrand, highest: list[int]) -> list[int]:
+    dims = len(highest)
+    least = _LEAST_NODES.get(dims, 16)
+    needed: list[int] = []
+    for per_wave in (16, 8, 4) if dims <= 2 else (8, 4):
+        needed = [1 << (max(least, per_wave * h) - 1).bit_length() for h in highest]
+        if math.prod(needed) <= _LIMIT:
+            return needed
+    raise ParameterError(
+        f"The Fourier coefficients of {integrand.spec} up to |m| = {max(highest)} in {dims} dims "
+        f"take {float(math.prod(needed)):.2g} evaluations, more than {_LIMIT:.2g}; ask for lower "
+        "frequencies, or give exact coefficients (fourier=)."
+    )
+
+
+def _coefficients(integrand: Integrand, counts: Sequence[int], m: Sequence[Array]) -> Array:
+    """One tensor grid, evaluated in slabs along the first axis."""
+    rules = [
+        AxisRule.make(count, min(_ORDER, count), breaks)
+        for count, breaks in zip(counts, integrand.breaks, strict=True)
+    ]
+    first, rest = rules[0], rules[1:]
+    step = max(1, _BLOCK // math.prod(rule.nodes.size for rule in rest))
+    slabs = []
+    for start in range(0, first.nodes.size, step):
+        points = _tensor([first.nodes[start : start + step], *(rule.nodes for rule in rest)])
+        values = integrand(points)
+        values = np.moveaxis(values, -1, 0) if integrand.channels else values[None]
+        for axis in range(len(rest), 0, -1):
+            turned = rules[axis].transform(np.moveaxis(values, axis + 1, -1), m[axis])
+            values = np.moveaxis(turned, -1, axis + 1)
+        slabs.append(values)
+    whole = np.moveaxis(np.concatenate(slabs, axis=1), 1, -1)
+    found = np.moveaxis(first.transform(whole, m[0]), -1, 1)
+    return np.moveaxis(found, 0, -1) if integrand.channels else found[0]
+
+
+def _tensor(axes: Sequence[Array]) -> Array:
+    """Points (n_0, …, n_{d−1}, d) of a tensor grid."""
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+
+
+def adaptive_integral(integrand: Integrand) -> Estimate:
+    """∫ f in up to 5 dims by boxes that split until their halves agree: value (C,), C ≥ 1 channels.
+
+    Gauss-Legendre tensor rules on cells cut at the breaks; a cell whose 2^d parts differ from it by
+    more than its share of 1e-12 of ∫|f| is replaced by them, while 2^21 evaluations last. The
+    error is estimated by the sum of the last differences.
+    """
+    dims = integrand.dims
+    order = _CELL_ORDER[dims]
+    low, size = _first_cells(integrand)
+    coarse = _cell_integrals(integrand, low, size, order)
+    total, error = np.zeros(coarse.shape[1]), np.zeros(coarse.shape[1])
+    scale = np.abs(coarse).sum(axis=0)
+    budget = _INTEGRAL_BUDGET
+    while len(low):
+        budget -= len(low) * (2 * order) ** dims
+        low, size = _split(low, size)
+        fine = _cell_integrals(integrand, low, size, order).reshape(len(coarse), 2**dims, -1)
+        better = fine.sum(axis=1)
+        scale = np.maximum(scale, np.abs(fine).sum(axis=(0, 1)))
+        difference = np.abs(better - coarse)
+        bad = (difference > _INTEGRAL_TOLERANCE * scale / len(coarse)).any(axis=1)
+        if np.count_nonzero(bad) * (4 * order) ** dims > budget:
+            bad[:] = False
+        total += better[~bad].sum(axis=0)
+        error += difference[~bad].sum(axis=0)
+        keep = np.repeat(bad, 2**dims)
+        low, size, coarse = low[keep], size[keep], fine[bad].reshape(-1, fine.shape[-1])
+    return Estimate(total, float(error.max()), "adaptive Gauss-Legendre quadrature")
+
+
+def _first_cells(integrand: Integrand) -> tuple[Array, Array]:
+    """Lower corners and sizes (N, d) of the first cells; breaks are edges."""
+    uniform = np.linspace(0.0, 1.0, _CELLS[integrand.dims] + 1)
+    edges = [np.union1d(uniform, [b for b in axis if 0 < b < 1]) for axis in integrand.breaks]
+    low = _tensor([e[:-1] for e in edges]).reshape(-1, integrand.dims)
+    return low, _tensor([np.diff(e) for e in edges]).reshape(-1, integrand.dims)
+
+
+def _split(low: Array, size: Array) -> tuple[Array, Array]:
+    """Halve boxes along every axis: (N 2^d, d) each, parts of a box side by side."""
+    dims = low.shape[1]
+    corner = _tensor([np.array([0.0, 0.5])] * dims).reshape(-1, dims)
+    parts = (low[:, None] + corner * size[:, None]).reshape(-1, dims)
+    return parts, np.repeat(0.5 * size, 2**dims, axis=0)
+
+
+def _cell_integrals(integrand: Integrand, low: Array, size: Array, order: int) -> Array:
+    """∫ f over boxes (N, d): (N, channels) or (N, 1)."""
+    dims = low.shape[1]
+    node, weight = gauss_rule(order)
+    nodes = _tensor([node] * dims).reshape(-1, dims)
+    weights = _tensor([weight] * dims).reshape(-1, dims).prod(axis=-1)
+    step = max(1, _BLOCK // len(nodes))
+    means = [
+        np.tensordot(
+            weights,
+            _columns(integrand, low[i : i + step] + nodes[:, None] * size[i : i + step]),
+            axes=1,
+        )
+        for i in range(0, len(low), step)
+    ]
+    return np.asarray(np.concatenate(means) * size.prod(axis=-1)[:, None])
+
+
+def _columns(integrand: Integrand, x: Array) -> Array:
+    values = integrand(x)
+    return values if integrand.channels else values[..., None]
+
+
+def lattice_integral(integrand: Integrand) -> Estimate:
+    """∫ f in any number of dims by the mean over 2^20 points of a Kronecker sequence: value (C,).
+
+    Points ½ + k (φ^-1, …, φ^-d) mod 1 with φ^{d+1} = φ + 1 (Roberts 2018, "The unreasonable
+    effectiveness of quasirandom sequences"). The error is the difference from the first half.
+    """
+    dims = integrand.dims
+    ratio = 2.0
+    for _ in range(64):  # a contraction: each step halves the error at least
+        ratio = (1.0 + ratio) ** (1.0 / (dims + 1))
+    sums = [_columns(integrand, x).sum(axis=0) for x in _kronecker(ratio, dims)]
+    half = np.sum(sums[: len(sums) // 2], axis=0) / (_LATTICE_POINTS // 2)
+    value = np.sum(sums, axis=0) / _LATTICE_POINTS
+    method = "mean over 2^20 points of a Kronecker sequence"
+    return Estimate(value, float(np.abs(value - half).max()), method)
+
+
+def _kronecker(ratio: float, dims: int) -> Iterator[Array]:
+    """Blocks (2^14, d) of the sequence."""
+    alpha = ratio ** -np.arange(1.0, dims + 1)
+    for start in range(0, _LATTICE_POINTS, 2**14):
+        yield (0.5 + np.arange(start + 1, start + 1 + 2**14)[:, None] * alpha) % 1.0

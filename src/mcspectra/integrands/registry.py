@@ -1,0 +1,84 @@
+"""Integrands by name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mcspectra.core.checks import as_integer
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.registry import Registry
+from mcspectra.core.spec import parse
+from mcspectra.integrands.base import Integrand
+
+__all__ = ["INTEGRANDS", "as_integrand", "integrand"]
+
+INTEGRANDS = Registry(
+    "integrand",
+    "mcspectra.integrands",
+    {
+        "christensen-bilinear": "mcspectra.integrands.christensen:ChristensenBilinear",
+        "christensen-disk": "mcspectra.integrands.christensen:ChristensenDisk",
+        "christensen-gaussian": "mcspectra.integrands.christensen:ChristensenGaussian",
+        "christensen-step": "mcspectra.integrands.christensen:ChristensenStep",
+        "christensen-triangle": "mcspectra.integrands.christensen:ChristensenTriangle",
+        "constant": "mcspectra.integrands.analytic:Constant",
+        "cosine": "mcspectra.integrands.analytic:Cosine",
+        "disk": "mcspectra.integrands.indicators:Disk",
+        "gaussian": "mcspectra.integrands.analytic:Gaussian",
+        "half-space": "mcspectra.integrands.indicators:HalfSpace",
+        "image": "mcspectra.integrands.image:Image",
+        "linear": "mcspectra.integrands.analytic:Linear",
+        "pixel": "mcspectra.rendering.pixel:Pixel",
+        "polynomial": "mcspectra.integrands.analytic:Polynomial",
+        "smoothed-step": "mcspectra.integrands.indicators:SmoothedStep",
+        "step": "mcspectra.integrands.indicators:Step",
+    },
+)
+"""Integrands that spec strings can name."""
+
+
+def integrand(spec: str, dims: int | None = None) -> Integrand:
+    """Make an integrand of a spec string such as ``"gaussian(width=0.25)"``.
+
+    Parameters
+    ----------
+    spec
+        ``name`` or ``name(key=value, ...)``; see ``mcspectra list integrands``.
+    dims
+        Number of dims; by default those the spec says, or the integrand's own, or 2.
+
+    Raises
+    ------
+    SpecError
+        The spec cannot be read; `UnknownName` if nobody registered the name.
+    ParameterError
+        A parameter is unknown, missing or out of range, or dims disagree.
+    """
+    asked = None if dims is None else as_integer("dims", dims, least=1)
+    return _as_built(INTEGRANDS.build(parse(spec), asked))
+
+
+def as_integrand(given: object, dims: int | None = None) -> Integrand:
+    """Return an integrand from one or from a spec string; `dims`, if given, must agree.
+
+    Raises
+    ------
+    ParameterError
+        `given` is something else, or an integrand of other dims.
+    """
+    if isinstance(given, str):
+        return integrand(given, dims)
+    if not isinstance(given, Integrand):
+        offer = (
+            "make one with Integrand.from_function" if callable(given) else "give one, or a spec"
+        )
+        raise ParameterError(f"{given!r} is not an integrand; {offer}.")
+    if dims is not None and given.dims != dims:
+        raise ParameterError(f"{given.spec} has {given.dims} dims, but {dims} are needed.")
+    return given
+
+
+def _as_built(component: Any) -> Integrand:
+    if not isinstance(component, Integrand):
+        raise ParameterError(f"{component!r} is registered as an integrand, but is not one.")
+    return component
