@@ -2,6 +2,7 @@ from . import densities as densities
 from . import estimators as estimators
 from . import integrands as integrands
 from . import rendering as rendering
+from . import report as report
 from . import samplers as samplers
 from . import spectra as spectra
 from . import studies as studies
@@ -48,6 +49,7 @@ __all__ = [
     "pair_correlation",
     "power_spectrum",
     "rendering",
+    "report",
     "sampler",
     "samplers",
     "spectra",

@@ -141,6 +141,7 @@ def test_no_results_is_a_sentence(tmp_path):
 def test_summary_has_a_row_for_every_pair(finished):
     rows = summarize(open_results(finished))
     assert [r.estimator for r in rows[::2]] == ["smooth", "one <dim> & more", "mis", "sum"]
+    assert [r.sampler for r in rows[:2]] == ["random", "jittered | shift"]
     smooth = next(r for r in rows if r.estimator == "smooth" and r.sampler == "random")
     assert smooth.rate_low < -1 < smooth.rate_high
     assert smooth.largest_term == "power"

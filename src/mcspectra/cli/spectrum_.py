@@ -92,8 +92,10 @@ def _write(result: xr.Dataset, path: Path) -> None:
         if path.suffix == ".npz":
             np.savez(path, **{str(name): v.values for name, v in result.variables.items()})  # type: ignore[arg-type]
             return
-        from mcspectra.report import spectrum_figure
+        from mcspectra.report import figures
 
-        spectrum_figure({result.attrs["sampler"]: result}).savefig(path)
+        dims = len(result["power"].dims)
+        draw = {1: figures.power_lines, 2: figures.power_images}.get(dims, figures.radial_power)
+        draw(result).savefig(path)
     except OSError as error:
         raise FileFormatError(f"{str(path)!r} cannot be written: {error.strerror}.") from None

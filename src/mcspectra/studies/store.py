@@ -79,7 +79,7 @@ class Store:
         partial = self.folder / f".partial-{hashlib.sha256(path.encode()).hexdigest()[:16]}"
         shutil.rmtree(partial, ignore_errors=True)
         try:
-            # Zarr v3 has no stable type for fixed-width text: bounds are named in open_results.
+            # Zarr v3 has no stable type for fixed-width text; the root's attribute `bound` names them.
             result.drop_vars("bound", errors="ignore").to_zarr(
                 partial, mode="w", zarr_format=3, consolidated=False
             )
@@ -157,16 +157,20 @@ def root_attributes(path: Path) -> dict[str, Any]:
     StoreError
         There is no store, or it is damaged.
     """
+    attributes: dict[str, Any] = _root_document(path)["attributes"]
+    return attributes
+
+
+def _root_document(path: Path) -> dict[str, Any]:
     try:
         document = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
-        attributes = document["attributes"]
     except FileNotFoundError:
         raise StoreError(f"There are no results in {str(path.parent)!r}.") from None
-    except (OSError, ValueError, KeyError, TypeError):
-        raise StoreError(f"{str(path)!r} is damaged: its zarr.json cannot be read.") from None
-    if not isinstance(attributes, dict):
-        raise StoreError(f"{str(path)!r} is damaged: its attributes cannot be read.")
-    return attributes
+    except (OSError, ValueError):
+        document = None
+    if not isinstance(document, dict) or not isinstance(document.get("attributes"), dict):
+        raise StoreError(f"{str(path)!r} is damaged: its zarr.json cannot be read.")
+    return document
 
 
 def open_results(folder: str | Path) -> xr.DataTree:
@@ -180,5 +184,5 @@ def open_results(folder: str | Path) -> xr.DataTree:
     import xarray as xr
 
     path = Path(folder) / STORE_NAME
-    root_attributes(path)
-    return xr.open_datatree(path, engine="zarr", consolidated=False)
+    consolidated = _root_document(path).get("consolidated_metadata") is not None
+    return xr.open_datatree(path, engine="zarr", consolidated=consolidated)

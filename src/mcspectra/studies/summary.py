@@ -40,14 +40,25 @@ class SummaryRow(msgspec.Struct, frozen=True, kw_only=True):
 
 def summarize(tree: xr.DataTree) -> list[SummaryRow]:
     """One row for every estimator, sampler and channel of a result tree, in the study's order."""
-    order = [e["name"] for e in tree.attrs.get("study", {}).get("estimators", [])]
-    rows: list[tuple[int, SummaryRow]] = []
-    for estimator in tree.children.values():
-        for pair in estimator.children.values():
-            for row in _rows(pair):
-                place = order.index(row.estimator) if row.estimator in order else len(order)
-                rows.append((place, row))
-    return [row for _, row in sorted(rows, key=lambda item: item[0])]
+    places = _places(tree.attrs.get("study", {}))
+    pairs = [pair for estimator in tree.children.values() for pair in estimator.children.values()]
+    pairs.sort(key=lambda pair: places.get(_names(pair), len(places)))
+    return [row for pair in pairs for row in _rows(pair)]
+
+
+def _places(study: dict[str, Any]) -> dict[tuple[str, str], int]:
+    """Place of every (estimator, sampler) in the study file; the store keeps no order."""
+    names = [
+        (e["name"], sampler)
+        for e in study.get("estimators", [])
+        for sampler in (e.get("samplers") or study.get("samplers") or [])
+    ]
+    return {name: place for place, name in enumerate(names)}
+
+
+def _names(pair: xr.DataTree) -> tuple[str, str]:
+    attrs = next(iter(pair.children.values())).attrs
+    return attrs.get("estimator_name", ""), attrs.get("sampler_spec", "")
 
 
 def _rows(pair: xr.DataTree) -> list[SummaryRow]:
