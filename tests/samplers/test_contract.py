@@ -46,8 +46,8 @@ ROWS = (
     Row("rank1-lattice", ANY, fixed=True, unbiased=False),
     Row("rank1-lattice(vector=[1, 7, 3])", {3: 16}, fixed=True, unbiased=False),
     Row("poisson-disk", {1: 16, 2: 16, 3: 16}),
-    Row("scipy(engine='Halton')", {1: 16, 2: 16, 3: 16, 10: 16}),
-    Row("points(path='{path}')", {1: 16, 2: 16, 3: 16, 10: 16}, unbiased=False),
+    Row("scipy(engine='LatinHypercube')", ANY),
+    Row("points(path='{path}')", ANY, unbiased=False),
 )
 
 CHAINS = {
@@ -158,7 +158,7 @@ def test_declared_unbiased(case, make):
 @pytest.mark.parametrize("case", [case for case in CASES if case.unbiased], ids=str)
 def test_every_point_is_uniform(case, make):
     """χ² over 16 cells in the first and last coordinate, of one point picked from each realisation."""
-    realizations = 400 if case.n > 100 else 2000
+    realizations = 320 if case.n > 100 else 800  # at least 20 a cell
     points = make(case).draw(case.n, realizations=realizations, rng=20)
     picked = np.random.default_rng(case.dims).integers(case.n, size=realizations)
     x = points[np.arange(realizations), picked]
