@@ -96,7 +96,6 @@ PYTHON = _rows(
 
 COMMAND = _rows(
     "command",
-    ("", "usage"),
     ("frobnicate", "no verb"),
     ("points no-such-sampler -n 16", "no sampler"),
     ("points jittered -n 250", "225 and 256"),
@@ -198,7 +197,7 @@ def page() -> str:
     with tempfile.TemporaryDirectory() as name:
         for row in ROWS:
             code, text = answer(row, Path(name))
-            given = _difference(row.given) if row.door == "toml" else row.given or "(nothing)"
+            given = _difference(row.given) if row.door == "toml" else row.given
             first = text.splitlines()[0].replace("mcspectra: ", "", 1)
             cells = [row.door, f"`{_cell(given)}`", _cell(code), _cell(first)]
             lines.append("| " + " | ".join(cells) + " |")

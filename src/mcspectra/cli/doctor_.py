@@ -44,14 +44,13 @@ def _try_transform() -> tuple[bool, str]:
     """Compare one NUFFT with the direct sum."""
     import numpy as np
 
-    from mcspectra.samplers import Random
     from mcspectra.spectra.transforms import FrequencyGrid, Transform, direct_sum
 
     grid = FrequencyGrid(2, 8)
+    points = np.random.default_rng(0).random((2, 256, 2))
     try:
-        points = Random(dims=2).draw(256, realizations=2, rng=0)
         got = Transform(grid, 256, engine="nufft").coefficients(points)
-    except Exception as error:
+    except (ImportError, OSError, RuntimeError) as error:
         return False, f"NUFFT fails: {type(error).__name__}: {error}"
     error_size = float(np.abs(got - direct_sum(points, grid.half_indices())).max())
     return error_size < 1e-8, f"NUFFT against the direct sum: largest difference {error_size:.1e}"

@@ -69,11 +69,11 @@ def run(options: argparse.Namespace) -> int:
 
 def _text(result: xr.Dataset) -> str:
     attrs = result.attrs
-    lines = [
-        f"{attrs['estimator']}  with  {attrs['sampler']},  n = {attrs['n']}",
+    about = (
         f"coefficients: {attrs['coefficients']}; {attrs['realizations']} realisations; "
-        f"{attrs['space']} space",
-    ]
+        f"{attrs['space']} space"
+    )
+    lines = [f"{attrs['estimator']}  with  {attrs['sampler']},  n = {attrs['n']}", about]
     rows = []
     for name in _VALUES:
         interval = ""

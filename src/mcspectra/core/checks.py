@@ -53,8 +53,8 @@ def as_real(
         inside = (above is None or x > above) and (least is None or x >= least)
         if math.isfinite(x) and inside and (most is None or x <= most):
             return x
-    wanted = " and ".join(["a finite number", *rules])
-    raise ParameterError(f"{name} is {value!r}; give {wanted}.")
+    wanted = f" {' and '.join(rules)}" if rules else ""
+    raise ParameterError(f"{name} is {value!r}; give a finite number{wanted}.")
 
 
 def as_reals(name: str, value: object, length: int, **limits: float | None) -> tuple[float, ...]:
@@ -73,8 +73,10 @@ def as_choice(name: str, value: object, allowed: Sequence[str]) -> str:
     """Return `value` if it is one of `allowed`."""
     if isinstance(value, str) and value in allowed:
         return value
-    hint, _ = close_match_hint(str(value), allowed)
-    raise ParameterError(f"{name} is {value!r}; it must be one of {', '.join(allowed)}.{hint}")
+    hint, close = close_match_hint(str(value), allowed)
+    raise ParameterError(
+        f"{name} is {value!r}; it must be one of {', '.join(allowed)}.{hint if close else ''}"
+    )
 
 
 def as_unit_points(points: object, *, dims: int | None = None, name: str = "points") -> Array:

@@ -85,9 +85,10 @@ class Registry(Mapping[str, str]):
         for key in arguments:
             if key not in allowed:
                 shown = [p.rstrip("_") for p in allowed]
-                offer, _ = hint(key, shown)
+                offer, close = hint(key, shown)
                 takes = f"it takes {', '.join(shown)}" if shown else "it takes no parameters"
-                raise ParameterError(f"{call.name} has no parameter {key!r}; {takes}.{offer}")
+                sentence = f"{call.name} has no parameter {key!r}; {takes}."
+                raise ParameterError(sentence + (offer if close else ""))
         if dims is not None:
             given = arguments.setdefault("dims", dims) if "dims" in allowed else dims
             if given != dims:

@@ -145,6 +145,9 @@ class Stream:
         return out
 
     def generator(self, realization: int) -> np.random.Generator:
-        """Return a NumPy generator for one realisation, for libraries that want one."""
+        """Return a NumPy generator for one realisation, for libraries that want one.
+
+        It can spawn, which `scipy.stats.qmc` asks for: hence a SeedSequence, not a key.
+        """
         k0, k1 = self.keys(realization, 1)[0]
-        return np.random.Generator(np.random.Philox(key=np.array([k0, k1], np.uint64)))
+        return np.random.Generator(np.random.Philox(np.random.SeedSequence([int(k0), int(k1)])))

@@ -87,7 +87,7 @@ class Density(Component, ABC):
     def _sample(self, u: Array) -> Array:
         """Warp float64 points (..., d)."""
 
-    def _invert(self, x: Array) -> Array:
+    def _invert(self, x: Array) -> Array:  # noqa: ARG002
         raise DensityError(f"The density {self.spec} was given without an inverse; give invert=.")
 
     @staticmethod

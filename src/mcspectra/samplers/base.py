@@ -110,13 +110,17 @@ class Sampler(Component, ABC):
         if not isinstance(randomization, Randomization):
             raise ParameterError(f"{randomization!r} is not a randomisation; use e.g. Shift().")
         randomization.check(self)
-        if isinstance(self, Randomized):
-            return Randomized(base=self.base, steps=(*self.steps, randomization))
-        return Randomized(base=self, steps=(randomization,))
+        base, steps = (self.base, self.steps) if isinstance(self, Randomized) else (self, ())
+        return Randomized(base=base._before(randomization), steps=(*steps, randomization))
 
     @abstractmethod
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         """Make realisations first … first+count−1: float64 (count, n, dims)."""
+
+    def _before(self, randomization: Randomization) -> Sampler:
+        """Return what to draw from when `randomization` follows: given sets may then be reused."""
+        del randomization
+        return self
 
     def _counts_near(self, n: int) -> tuple[int | None, int]:
         """Return the largest possible count ≤ n (None if none) and the smallest ≥ n."""

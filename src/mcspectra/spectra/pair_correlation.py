@@ -69,7 +69,7 @@ def pair_correlation(
     def one(realization: int) -> Array:
         counts = np.zeros(bins, np.int64)
         histogram_distances(source.draw_stream(n, stream, realization, 1)[0], width, counts)
-        return counts / expected
+        return np.asarray(counts / expected)
 
     total, squares = np.zeros(bins), np.zeros(bins)
     for g in map_in_order(one, range(realizations), available_workers(workers)):

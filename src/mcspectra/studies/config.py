@@ -130,15 +130,18 @@ def decode_study(text: str, source: str = "study") -> StudyConfig:
 
 
 def _explained(message: str) -> str:
-    """Add what is allowed to msgspec's sentence about an unknown field."""
+    """Turn msgspec's "Expected `int`, got `str` - at `$.terms.n`" into a sentence."""
+    what, _, place = message.partition(" - at `$")
+    path = place.rstrip("`").lstrip(".")
+    where = f"{path}: " if path else ""
     marker = "unknown field `"
-    if marker not in message:
-        return f"{message}."
-    field = message.split(marker)[1].split("`")[0]
-    path = message.rpartition("`$")[2].rstrip("`") if "`$" in message else ""
+    if marker not in what:
+        return f"{where}{what[:1].lower()}{what[1:].replace('`', '')}."
+    field = what.split(marker)[1].split("`")[0]
     allowed = _allowed_fields(path)
-    hint, _ = close_match_hint(field, allowed)
-    return f"{message}; allowed here: {', '.join(allowed)}.{hint if 'Did' in hint else ''}"
+    hint, close = close_match_hint(field, allowed)
+    known = f"{where}there is no key {field!r}; allowed here: {', '.join(allowed)}."
+    return known + (hint if close else "")
 
 
 def _allowed_fields(path: str) -> tuple[str, ...]:

@@ -61,6 +61,7 @@ class Store:
                 )
             store._check_same(config)
             store._remove_partial()
+            store._forget_consolidation()
             return store
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -138,6 +139,14 @@ class Store:
                 f"{str(self.path)!r} belongs to another study or another version of this one; "
                 "give another --out."
             )
+
+    def _forget_consolidation(self) -> None:
+        """Drop consolidated metadata before cells are added: readers would not see those."""
+        document = _root_document(self.path)
+        if document.pop("consolidated_metadata", None) is not None:
+            partial = self.folder / f".{STORE_NAME}.root"
+            partial.write_text(json.dumps(document), encoding="utf-8")
+            partial.replace(self.path / "zarr.json")
 
     def _remove_partial(self) -> None:
         for partial in self.folder.glob(".partial-*"):

@@ -250,7 +250,7 @@ class _View:
 def radial_bands(grid: FrequencyGrid) -> Array:
     """Shell of each half-grid frequency, round(|m|): int64 (H,)."""
     length = np.sqrt((grid.half_indices() ** 2).sum(axis=1))
-    return np.rint(length).astype(np.int64)
+    return np.asarray(np.rint(length), np.int64)
 
 
 def _band_labels(bands: str | Array, grid: FrequencyGrid) -> Array:

@@ -1,0 +1,95 @@
+"""Inversion of tabulated cdfs. Legend: `borders` are cdf values at cell borders, from 0 to 1.
+
+Tables of points in 1-D have one row. Cell i of k covers [i/k, (i+1)/k) *as rounded*, for the look-up
+as for the samples: no sample is counted to the cell next to its own.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.jit import kernel
+
+__all__ = ["look_up", "unwarp", "warp"]
+
+
+@kernel
+def _below(x: float) -> float:
+    """The float before x, for x in (0, 1]."""
+    return np.nextafter(x, 0.0)  # type: ignore[no-any-return]
+
+
+@kernel
+def _cell_at(x: float, cells: int) -> int:
+    """i with i/cells <= x < (i+1)/cells; points outside belong to the end cells."""
+    i = min(max(math.floor(x * cells), 0), cells - 1)
+    if i > 0 and x < i / cells:
+        return i - 1
+    if i < cells - 1 and x >= (i + 1) / cells:
+        return i + 1
+    return i
+
+
+@kernel
+def _cell_of_share(borders: Array, u: float) -> int:
+    """i with borders[i] <= u < borders[i+1], by bisection; never a cell without mass."""
+    low, high = 0, borders.size - 1
+    while high - low > 1:
+        middle = (low + high) >> 1
+        if borders[middle] <= u:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@kernel
+def _stretch(borders: Array, u: float) -> tuple[int, float]:
+    """The cell of u and the point in it."""
+    cells = borders.size - 1
+    i = _cell_of_share(borders, u)
+    x = (i + (u - borders[i]) / (borders[i + 1] - borders[i])) / cells
+    return i, min(max(x, i / cells), _below((i + 1) / cells))
+
+
+@kernel
+def _shrink(borders: Array, x: float) -> tuple[int, float]:
+    """The cell of x and the share up to it."""
+    cells = borders.size - 1
+    i = _cell_at(x, cells)
+    width = borders[i + 1] - borders[i]
+    u = borders[i] + (x * cells - i) * width
+    return i, max(borders[i], min(u, _below(borders[i + 1]) if width > 0 else borders[i]))
+
+
+@kernel
+def warp(rows: Array, columns: Array, u: Array, x: Array) -> None:
+    """Fill x (N, d) from u (N, d): `rows` (h+1,) by the last coordinate, then columns[row] (w+1,)."""
+    row = 0
+    for k in range(u.shape[0]):
+        if u.shape[1] == 2:
+            row, x[k, 1] = _stretch(rows, u[k, 1])
+        _, x[k, 0] = _stretch(columns[row], u[k, 0])
+
+
+@kernel
+def unwarp(rows: Array, columns: Array, x: Array, u: Array) -> None:
+    """Undo `warp`."""
+    row = 0
+    for k in range(x.shape[0]):
+        if x.shape[1] == 2:
+            row, u[k, 1] = _shrink(rows, x[k, 1])
+        _, u[k, 0] = _shrink(columns[row], x[k, 0])
+
+
+@kernel
+def look_up(table: Array, x: Array, out: Array) -> None:
+    """Fill out (N,) with the entries of `table` (h, w) at x (N, d)."""
+    row = 0
+    for k in range(x.shape[0]):
+        if x.shape[1] == 2:
+            row = _cell_at(x[k, 1], table.shape[0])
+        out[k] = table[row, _cell_at(x[k, 0], table.shape[1])]

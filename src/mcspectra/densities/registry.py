@@ -1,0 +1,76 @@
+"""Densities by name."""
+
+from __future__ import annotations
+
+from mcspectra.core.checks import as_integer
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.registry import Registry
+from mcspectra.core.spec import parse
+from mcspectra.densities.base import Density
+
+__all__ = ["DENSITIES", "as_density", "density"]
+
+DENSITIES = Registry(
+    "density",
+    "mcspectra.densities",
+    {
+        "image": "mcspectra.densities.tabulated:ImageDensity",
+        "linear": "mcspectra.densities.analytic:Linear",
+        "piecewise-constant": "mcspectra.densities.tabulated:PiecewiseConstant",
+        "truncated-normal": "mcspectra.densities.analytic:TruncatedNormal",
+        "uniform": "mcspectra.densities.analytic:Uniform",
+    },
+)
+"""Densities that spec strings can name."""
+
+
+def density(spec: str, dims: int | None = None) -> Density:
+    """Make a density of a spec string such as ``"linear(slope=1)"``.
+
+    Parameters
+    ----------
+    spec
+        ``name`` or ``name(key=value, ...)``; see ``mcspectra list densities``.
+    dims
+        Number of dims; by default those the spec says, or the density's own, or 2.
+
+    Raises
+    ------
+    SpecError
+        The spec cannot be read; `UnknownName` if nobody registered the name.
+    ParameterError
+        A parameter is unknown, missing or out of range, or dims disagree.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> float(mcs.density("linear(slope=2)", dims=1).sample([0.25])[0])
+    0.5
+    """
+    asked = None if dims is None else as_integer("dims", dims, least=1)
+    call = parse(spec)
+    made = DENSITIES.build(call, asked)
+    if not isinstance(made, Density):
+        raise ParameterError(f"{call.name} is registered as a density but does not make one.")
+    return made
+
+
+def as_density(given: object, dims: int | None = None) -> Density | None:
+    """Return a density from one or from a spec string, None from None; `dims`, if given, must agree.
+
+    Raises
+    ------
+    ParameterError
+        `given` is something else, or a density of other dims.
+    """
+    if given is None:
+        return None
+    if isinstance(given, str):
+        return density(given, dims)
+    if not isinstance(given, Density):
+        raise ParameterError(
+            f"{given!r} is not a density; give one, a spec string, or Density.from_functions(...)."
+        )
+    if dims is not None and given.dims != dims:
+        raise ParameterError(f"{given.spec} has {given.dims} dims, but {dims} dims are needed.")
+    return given
