@@ -182,11 +182,17 @@ def test_ctrl_c_leaves_a_resumable_store(tmp_path):
     assert process.returncode == 130, err
     assert "--resume" in err
     assert "Traceback" not in err
-    again = subprocess.run([*command, "--quiet"], cwd=tmp_path, capture_output=True, text=True)
+    again = subprocess.run(
+        [*command, "--quiet"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert again.returncode == 2
     assert "--resume" in again.stderr
     done = subprocess.run(
-        [*command, "--resume", "--json"], cwd=tmp_path, capture_output=True, text=True
+        [*command, "--resume", "--json"], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     assert len(json.loads(done.stdout)["rows"]) == 6

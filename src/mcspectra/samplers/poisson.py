@@ -16,6 +16,8 @@ uncovered part all the same, so that this changes the time and not the law.
 References
 ----------
 .. [Cook1986] Cook, "Stochastic sampling in computer graphics", doi 10.1145/7529.8927.
+.. [Torquato2006] Torquato, Uche, Stillinger, "Random sequential addition of hard spheres in high
+   Euclidean dimensions", doi 10.1103/PhysRevE.74.061308: where dart throwing jams.
 .. [Lagae2008] Lagae, Dutré, "A comparison of methods for generating Poisson disk distributions",
    doi 10.1111/j.1467-8659.2007.01100.x: radius relative to the densest packing.
 .. [Ebeida2012] Ebeida et al., "A simple algorithm for maximal Poisson-disk sampling in high
@@ -44,7 +46,7 @@ _DENSEST = (1.0, 2.0 / 3.0**0.5, 2.0**0.5, 2.0)
 [Conway, Sloane (1999), "Sphere Packings, Lattices and Groups", table 1.2]."""
 
 _DEFAULT_RADIUS = (0.7, 0.75, 0.75, 0.75)
-"""A little below where random sequential addition jams: 0.7476, 0.777, 0.803, 0.806."""
+"""A little below where dart throwing jams: 0.748, 0.777, 0.803, 0.806 [Torquato2006]_."""
 
 _BELOW_ONE = 1.0 - 2.0**-53
 _FINEST = 2**40

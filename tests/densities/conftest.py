@@ -1,0 +1,61 @@
+"""Densities of all kinds, for the tests that every density has to pass."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.densities import ImageDensity, PiecewiseConstant
+
+
+def table(*shape: int) -> np.ndarray:
+    """Relative densities over three decades, a quarter of them 0."""
+    rng = np.random.default_rng(shape)
+    return 10 ** rng.uniform(-3, 0, shape) * (rng.random(shape) > 0.25)
+
+
+SPECS = [
+    ("uniform", 1),
+    ("uniform", 3),
+    ("linear(slope=1)", 1),
+    ("linear(slope=2)", 1),
+    ("linear(slope=-2)", 1),
+    ("linear(slope=1e-9)", 1),
+    ("linear(slope=0)", 1),
+    ("linear(slope=[1.5, -0.7])", 2),
+    ("linear(slope=[2, -2, 0.3, 1, -1, 0, 0.9, 1e-3, 1.9, -1.9])", 10),
+    ("truncated-normal", 1),
+    ("truncated-normal(mean=3, sigma=0.2)", 1),
+    ("truncated-normal(mean=-3, sigma=0.2)", 1),
+    ("truncated-normal(mean=0.3, sigma=100)", 1),
+    ("truncated-normal(mean=[0, 1, -0.1], sigma=[0.2, 0.01, 1])", 3),
+    ("piecewise-constant(values=[0, 3, 1, 0, 0, 2, 0])", 1),
+    ("piecewise-constant(values=[5])", 1),
+    ("piecewise-constant(values=[[1, 0, 2], [0, 0, 0], [4, 1, 1e-6]])", 2),
+]
+
+
+@pytest.fixture(scope="session")
+def picture(tmp_path_factory):
+    path = tmp_path_factory.mktemp("pictures") / "table.npy"
+    np.save(path, table(5, 9))
+    return path
+
+
+MADE = {
+    "table 1-D": lambda picture: PiecewiseConstant(values=table(613)),
+    "table 2-D": lambda picture: PiecewiseConstant(values=table(13, 7)),
+    "picture": lambda picture: ImageDensity(path=picture, floor=0.1),
+    "functions": lambda picture: mcs.Density.from_functions(
+        pdf=lambda x: 2 * x[..., 0], sample=np.sqrt, invert=np.square
+    ),
+}
+
+
+@pytest.fixture(params=[*SPECS, *MADE], ids=str)
+def density(request, picture):
+    if request.param in MADE:
+        return MADE[request.param](picture)
+    spec, dims = request.param
+    return mcs.density(spec, dims=dims)

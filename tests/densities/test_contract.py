@@ -1,0 +1,136 @@
+"""What every density promises: warp and inverse, shapes, range, mass, and samples that follow it."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import chi2
+
+from mcspectra.densities.adaptive import integrate
+
+EPS = np.finfo(float).eps
+LAST = np.nextafter(1.0, 0.0)
+FALSE_ALARM = 1e-6  # of the whole module
+
+
+def dense(dims, rows=2000):
+    """Points with both ends, tiny numbers and everything between, mixed over the dims."""
+    line = np.concatenate([[0, 5e-324, 1e-300, 1e-17, LAST], np.linspace(0, LAST, rows)])
+    return np.stack([np.roll(line, 7 * i) for i in range(dims)], axis=-1)
+
+
+def test_samples_are_in_the_unit_cube_and_keep_their_shape(density):
+    u = dense(density.dims)
+    x = density.sample(u)
+    assert x.dtype == np.float64
+    assert x.shape == u.shape
+    assert x.min() >= 0
+    assert x.max() < 1
+    stacked = u[:6].reshape(2, 3, -1)
+    np.testing.assert_array_equal(density.sample(stacked), x[:6].reshape(2, 3, -1))
+    assert density.pdf(stacked).shape == (2, 3)
+    assert density.invert(stacked).shape == stacked.shape
+
+
+def test_invert_undoes_sample(density):
+    u = dense(density.dims)
+    x = density.sample(u)
+    back = density.invert(x)
+    assert back.min() >= 0
+    assert back.max() < 1
+    # x carries a rounding error of eps, u that of |du/dx| <= p in 1-D; in products and tables p is
+    # that of one axis, at most the product of p's maximum and the other axes' lengths. Logarithms
+    # of truncated normals at z = 15 add |log Φ| = 118 times eps.
+    steep = max(1.0, float(density.pdf(x).max()))
+    assert np.abs(back - u).max() <= 500 * EPS * steep
+
+
+def test_small_shares_keep_their_digits_in_lines():
+    import mcspectra as mcs
+
+    u = np.logspace(-300, -17, 50)[:, None]
+    for slope in (-2, -1, 0, 1e-9, 1, 2):
+        p = mcs.density(f"linear(slope={slope})", dims=1)
+        np.testing.assert_allclose(p.invert(p.sample(u)), u, rtol=8 * EPS)
+
+
+def test_samples_never_land_where_the_density_is_zero(density):
+    u = np.random.default_rng(1).random((20_000, density.dims))
+    assert (density.pdf(density.sample(u)) > 0).all()
+
+
+def test_the_input_is_left_alone(density):
+    u = dense(density.dims, 50)
+    kept = u.copy()
+    density.sample(u)
+    density.invert(u)
+    density.pdf(u)
+    np.testing.assert_array_equal(u, kept)
+
+
+def test_the_mass_is_one(density):
+    if density.dims <= 2:
+        found = integrate(density.pdf, density.dims, cells=64 // density.dims)
+        # 1 % of the largest jump, over the smallest cell, at each border that nodes do not see
+        assert abs(found.totals[-1] - 1) <= 1e-4
+    else:
+        u = np.random.default_rng(2).random((100_000, density.dims))
+        weights = 1 / np.maximum(density.pdf(density.sample(u)), 1e-300)
+        inside = (density.sample(u) < 0.5).all(axis=-1)  # ∫1 over a box, by importance sampling
+        estimate = weights * inside
+        error = estimate.std() / np.sqrt(len(u))
+        assert abs(estimate.mean() - 0.5**density.dims) <= 6 * error
+
+
+def test_samples_follow_the_pdf(density):
+    """χ² of cell counts along every axis, against masses by the inverse: P(x_i < t)."""
+    n, cells = 20_000, 16
+    x = density.sample(np.random.default_rng(3).random((n, density.dims)))
+    if density.dims <= 2:
+        masses = integrate(density.pdf, density.dims, cells=cells).cells
+        index = np.minimum((x * cells).astype(int), cells - 1)
+        index = index @ cells ** np.arange(density.dims)[::-1]
+        counts = np.bincount(index, minlength=cells**density.dims)
+        expected = n * masses
+        enough = expected > 5
+        statistic = ((counts - expected)[enough] ** 2 / expected[enough]).sum()
+        degrees = int(enough.sum()) - (1 if enough.all() else 0)
+        each = 1 - (1 - FALSE_ALARM) ** (1 / 21)  # Šidák, for the number of densities
+        assert statistic <= chi2.isf(each, max(1, degrees))
+        assert counts[expected == 0].sum() == 0
+    else:
+        density.check()  # by the Jacobian
+
+
+def test_check_accepts_it(density):
+    density.check()
+
+
+def test_the_exact_reciprocal_integral_is_that_of_the_quadrature(density):
+    from mcspectra.densities import reciprocal_integral
+
+    exact = density.reciprocal_integral()
+    if density.dims == 1:
+        found = reciprocal_integral(density)
+        assert np.isinf(exact) == np.isinf(found)
+        if np.isfinite(exact):
+            np.testing.assert_allclose(found, exact, rtol=1e-9 if not density.breaks[0] else 1e-3)
+    else:
+        assert exact >= 1  # Jensen
+
+
+def test_breaks_are_shares(density):
+    assert len(density.breaks) == density.dims
+    for axis in density.breaks:
+        assert all(0 < b < 1 for b in axis)
+        assert list(axis) == sorted(set(axis))
+
+
+def test_spec_makes_it_again(density):
+    import mcspectra as mcs
+
+    if density.name == "function" or "<array" in density.spec:
+        return
+    again = mcs.density(density.spec, dims=density.dims)
+    u = dense(density.dims, 100)
+    np.testing.assert_array_equal(again.sample(u), density.sample(u))
+    assert again.spec == density.spec

@@ -1,0 +1,47 @@
+"""Names, dims and conversion of densities."""
+
+from __future__ import annotations
+
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import ParameterError
+from mcspectra.densities import DENSITIES, Linear, as_density
+
+
+def test_all_names_load_and_say_what_they_are():
+    expected = {"image", "linear", "piecewise-constant", "truncated-normal", "uniform"}
+    assert expected <= set(DENSITIES)
+    for name in DENSITIES:
+        cls = DENSITIES.load(name)
+        assert cls.name == name
+        assert len(cls.summary()) > 10
+
+
+@pytest.mark.parametrize(
+    ("spec", "dims", "expected"),
+    [
+        ("uniform", None, 2),
+        ("uniform", 5, 5),
+        ("uniform(dims=3)", None, 3),
+        ("piecewise-constant(values=[1, 2])", None, 1),
+        ("piecewise-constant(values=[[1, 2]])", None, 2),
+    ],
+)
+def test_dims(spec, dims, expected):
+    assert mcs.density(spec, dims).dims == expected
+
+
+def test_as_density():
+    line = Linear(dims=1)
+    assert as_density(None, 3) is None
+    assert as_density(line) is line
+    assert as_density(line, 1) is line
+    assert as_density("linear", 1) == line
+    with pytest.raises(ParameterError, match="has 1 dims, but 2"):
+        as_density(line, 2)
+    for wrong in (3, lambda x: x, ["linear"]):
+        with pytest.raises(ParameterError, match="is not a density"):
+            as_density(wrong)
+    with pytest.raises(ParameterError):
+        mcs.density(None)
