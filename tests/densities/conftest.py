@@ -44,18 +44,19 @@ def picture(tmp_path_factory):
 
 
 MADE = {
-    "table 1-D": lambda picture: PiecewiseConstant(values=table(613)),
-    "table 2-D": lambda picture: PiecewiseConstant(values=table(13, 7)),
-    "picture": lambda picture: ImageDensity(path=picture, floor=0.1),
-    "functions": lambda picture: mcs.Density.from_functions(
+    "table 1-D": lambda: PiecewiseConstant(values=table(613)),
+    "table 2-D": lambda: PiecewiseConstant(values=table(13, 7)),
+    "functions": lambda: mcs.Density.from_functions(
         pdf=lambda x: 2 * x[..., 0], sample=np.sqrt, invert=np.square
     ),
 }
 
 
-@pytest.fixture(params=[*SPECS, *MADE], ids=str)
+@pytest.fixture(params=[*SPECS, *MADE, "picture"], ids=str)
 def density(request, picture):
     if request.param in MADE:
-        return MADE[request.param](picture)
+        return MADE[request.param]()
+    if request.param == "picture":
+        return ImageDensity(path=picture, floor=0.1)
     spec, dims = request.param
     return mcs.density(spec, dims=dims)

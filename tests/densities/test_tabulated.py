@@ -71,9 +71,11 @@ def test_invert_gives_the_border_where_there_is_no_mass():
 
 def test_scale_does_not_matter():
     u = np.random.default_rng(1).random((100, 1))
-    small, large = (PiecewiseConstant(values=np.array([1, 2, 0, 5]) * s) for s in (1e-300, 1e307))
+    small, large = (
+        PiecewiseConstant(values=np.array([1, 2, 0, 5]) * s) for s in (2.0**-1000, 2.0**1020)
+    )
     np.testing.assert_array_equal(small.sample(u), large.sample(u))
-    np.testing.assert_allclose(small.pdf(u), large.pdf(u), rtol=1e-15)
+    np.testing.assert_array_equal(small.pdf(u), large.pdf(u))
 
 
 def test_arrays_are_copied_and_small_ones_shown():
@@ -110,7 +112,7 @@ def test_arrays_are_copied_and_small_ones_shown():
     ],
 )
 def test_bad_tables(values):
-    with pytest.raises(ParameterError, match="^values ") as caught:
+    with pytest.raises(ParameterError, match=r"^values ") as caught:
         PiecewiseConstant(values=values)
     assert "\n" not in str(caught.value)
 

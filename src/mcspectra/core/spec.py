@@ -20,6 +20,7 @@ __all__ = ["Call", "Component", "format_call", "parse", "parse_chain"]
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)*")
 _MAX_LENGTH = 20_000
+_MAX_SHOWN = 80
 _OPEN, _CLOSE = "([{", ")]}"
 
 
@@ -70,7 +71,7 @@ def parse(text: str) -> Call:
     calls = parse_chain(text)
     if len(calls) != 1:
         raise SpecError(
-            f"{text!r} chains {len(calls)} parts with '|'; only samplers can be chained."
+            f"{_brief(text)!r} chains {len(calls)} parts with '|'; only samplers can be chained."
         )
     return calls[0]
 
@@ -85,6 +86,11 @@ def format_call(component: object) -> str:
         shown.append(f"{field.name.rstrip('_')}={_literal(value)}")
     name = getattr(component, "name", type(component).__name__)
     return f"{name}({', '.join(shown)})" if shown else name
+
+
+def _brief(text: str) -> str:
+    """Return the text as messages quote it: its beginning, when it is long."""
+    return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}…"
 
 
 def _default(field: dataclasses.Field[Any]) -> object:
@@ -129,11 +135,11 @@ def _split(text: str) -> list[str]:
             start = i + 1
         if depth < 0:
             raise SpecError(
-                f"{text!r} closes a bracket that it did not open, at character {i + 1}."
+                f"{_brief(text)!r} closes a bracket that it did not open, at character {i + 1}."
             )
     if quote or depth:
         what = "quote" if quote else "bracket"
-        raise SpecError(f"{text!r} opens a {what} and does not close it.")
+        raise SpecError(f"{_brief(text)!r} opens a {what} and does not close it.")
     return [*parts, text[start:]]
 
 
@@ -142,26 +148,29 @@ def _parse_call(part: str, whole: str) -> Call:
     match = _NAME.match(part)
     if not match:
         raise SpecError(
-            f"{part!r} in {whole!r} does not start with a name; "
+            f"{_brief(part)!r} in {_brief(whole)!r} does not start with a name; "
             "write name or name(key=value), names in lower case with hyphens."
         )
     name, rest = match.group(), part[match.end() :].strip()
     if not rest:
         return Call(name, {})
     if not (rest.startswith("(") and rest.endswith(")")):
-        raise SpecError(f"{part!r} is not of the form name(key=value, ...).")
+        raise SpecError(f"{_brief(part)!r} is not of the form name(key=value, ...).")
     return Call(name, _parse_arguments(name, rest))
 
 
 def _parse_arguments(name: str, brackets: str) -> dict[str, Any]:
+    source = f"f{brackets}"
     try:
-        tree = ast.parse(f"f{brackets}", mode="eval").body
+        tree = ast.parse(source, mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        raise SpecError(f"The brackets of {name}{brackets} are not key=value pairs.") from None
+        shown = _brief(name + brackets)
+        raise SpecError(f"The brackets of {shown} are not key=value pairs.") from None
     if not (isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name)):
-        raise SpecError(f"{name}{brackets} is not of the form name(key=value, ...).")
+        raise SpecError(f"{_brief(name + brackets)} is not of the form name(key=value, ...).")
     if tree.args:
-        shown = ast.unparse(tree.args[0])
+        # Not ast.unparse, which recurses and gives up on deep nesting.
+        shown = _brief(ast.get_source_segment(source, tree.args[0]) or "a value")
         raise SpecError(f"{name} was given {shown} without a name; write key={shown}.")
     arguments: dict[str, Any] = {}
     for keyword in tree.keywords:
