@@ -111,15 +111,19 @@ class Density(Component, ABC):
 
 
 def as_points(x: object, dims: int, name: str) -> Array:
-    """Return x as float64 (..., d); NaN and infinity are errors."""
+    """Return x as float64 (..., d) in [0,1] (a grid may end at 1); anything else is an error."""
     try:
         points = np.asarray(x, dtype=np.float64)
     except (TypeError, ValueError):
         raise DomainError(f"{name} is not an array of numbers; give shape (..., {dims}).") from None
     if points.ndim == 0 or points.shape[-1] != dims:
         raise DomainError(f"{name} has shape {points.shape}; give points of shape (..., {dims}).")
-    if not np.isfinite(points).all():
-        raise DomainError(f"{name} holds NaN or infinity; give finite points in [0,1).")
+    if points.size and not (points.min() >= 0.0 and points.max() <= 1.0):
+        if not np.isfinite(points).all():
+            raise DomainError(f"{name} holds NaN or infinity; give finite points in [0,1).")
+        raise DomainError(
+            f"{name} runs from {points.min():.6g} to {points.max():.6g}; give points in [0,1)."
+        )
     return points
 
 

@@ -15,6 +15,7 @@ __all__ = ["explain"]
 
 _DOMINANT = 0.9
 _CLOSE = 0.1  # prediction and measurement are said to agree
+_RATE_MARGIN = 1.5
 
 
 def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
@@ -54,9 +55,11 @@ def _rate_sentence(row: SummaryRow) -> str:
     if row.rate_low is None or row.rate_high is None:
         return f"The variance falls like n to the {number(row.rate)}, interval unknown."
     fitted = rate(row.rate, row.rate_low, row.rate_high)
-    if row.rate_high < -1.0:
+    # A page makes dozens of such statements: ask for 3 σ, half as much again as the 95 % interval.
+    half = 0.5 * _RATE_MARGIN * (row.rate_high - row.rate_low)
+    if row.rate + half < -1.0:
         return f"The rate {fitted} is faster than random sampling's −1."
-    if row.rate_low > -1.0:
+    if row.rate - half > -1.0:
         return f"The rate {fitted} is slower than random sampling's −1."
     return f"The rate {fitted} cannot be told from random sampling's −1."
 

@@ -48,6 +48,7 @@ _DENSEST = (1.0, 2.0 / 3.0**0.5, 2.0**0.5, 2.0)
 _DEFAULT_RADIUS = (0.7, 0.75, 0.75, 0.75)
 """A little below where dart throwing jams: 0.748, 0.777, 0.803, 0.806 [Torquato2006]_."""
 
+_LEAST_RADIUS = 0.25  # below, sets are as good as random, and the grid of (c/r)^d cells grows large
 _BELOW_ONE = 1.0 - 2.0**-53
 _FINEST = 2**40
 _NOWHERE = 9.0  # coordinate of an empty cell, farther away than any radius
@@ -66,7 +67,7 @@ class PoissonDisk(Sampler):
         Whether distances go round the edges of the domain. If not, discs may stick out of it,
         which makes points near the boundary more likely: `unbiased` is then False.
     radius_
-        Minimum distance relative to that of the densest known packing of n points. By
+        Minimum distance relative to that of the densest known packing of n points, 0.25 to 1. By
         default 0.7 in 1-D and 0.75 above, near the largest that dart throwing can do: it jams
         on average at 0.748, 0.777, 0.803, 0.806 in 1 to 4 dims.
     """
@@ -82,7 +83,7 @@ class PoissonDisk(Sampler):
         if not isinstance(self.toroidal, bool):
             raise ParameterError(f"toroidal is {self.toroidal!r}; give True or False.")
         if self.radius_ is not None:
-            radius = as_real("radius", self.radius_, above=0.0, most=1.0)
+            radius = as_real("radius", self.radius_, least=_LEAST_RADIUS, most=1.0)
             object.__setattr__(self, "radius_", radius)
 
     @property
@@ -220,14 +221,16 @@ def _throw_set(k0: Any, k1: Any, at: int, disks: Any, points: Array) -> tuple[in
             if grid[home, 0] == _NOWHERE:
                 if _is_covered(x, 0.0, home, radius, near, grid):
                     continue
-                points[placed] = x
+                for j in range(dims):
+                    points[placed, j] = x[j]
                 _place(x, side, reach, wrap, grid)
                 placed += 1
                 if placed == n:
                     return placed, at
             # The cell has its point: take it off the list.
             m -= 1
-            active[pick] = active[m]
+            for j in range(dims):
+                active[pick, j] = active[m, j]
             if m == 0:
                 break
         active = _halved(active[:m], scale, side, reach, radius, near, grid)
@@ -240,7 +243,7 @@ def _throw_sets(keys: Array, disks: Any, attempts: int, out: Array) -> bool:
     # Fill out (R, n, d); False if a realisation jams in every attempt.
     n = out.shape[1]
     for r in range(out.shape[0]):
-        at, placed, attempt = 0, 0, 0
+        at, placed, attempt = np.int64(0), 0, 0  # a literal 0 would compile _throw_set twice
         while placed < n:
             if attempt == attempts:
                 return False

@@ -133,7 +133,8 @@ def captured_curves(data: Group, *, styles: Mapping[str, LineStyle] | None = Non
     names = labels(list(group), 40)
     curves = {n: d["captured_by_half_width"].values for n, d in group.items()}
     everything = np.concatenate(list(curves.values()))
-    positive = everything[np.isfinite(everything) & (everything > 0)]
+    # Half width 0 is the dc term alone: rounding (1e-20) where weights are uniform.
+    positive = everything[np.isfinite(everything) & (everything > NEGLIGIBLE)]
     logarithmic = float(positive.max(initial=1.0)) > _LINEAR_TOP
     figure = new_figure(NARROW, 2.7 + 0.16 * ((len(curves) + 1) // 2))
     axes = figure.subplots()
@@ -141,12 +142,12 @@ def captured_curves(data: Group, *, styles: Mapping[str, LineStyle] | None = Non
     axes.axhline(1.0, color=GRAY, lw=0.9)
     for (name, curve), thickness in zip(curves.items(), line_widths(len(curves)), strict=True):
         style = styles[name]
-        shown = np.where(curve > 0, curve, np.nan) if logarithmic else curve
+        shown = np.where(curve > NEGLIGIBLE, curve, np.nan) if logarithmic else curve
         width = group[name]["half_width"].values
         label = names[name] + ("" if np.isfinite(curve).any() else ": no finite prediction")
         axes.plot(width, shown, color=style.color, ls=style.dashes, lw=thickness, label=label)
     if logarithmic:
-        log_axis(axes, "y", min(float(positive.min()), 1.0), float(positive.max()))
+        log_axis(axes, "y", min(float(positive.min(initial=1.0)), 1.0), float(positive.max()))
     else:
         axes.set_ylim(0.0, max(1.1, 1.08 * float(positive.max(initial=1.0))))
     axes.set(xlabel="half width of the spectrum", ylabel="predicted / measured")

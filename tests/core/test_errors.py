@@ -1,0 +1,74 @@
+"""Errors: one root, built-in parents, data beside the message; hints name what is close."""
+
+from __future__ import annotations
+
+import builtins
+
+import pytest
+
+from mcspectra.core import errors
+from mcspectra.core.errors import CountError, McspectraError, UnknownName, close_match_hint
+
+CLASSES = [getattr(errors, name) for name in errors.__all__ if name[0].isupper()]
+ERRORS = [cls for cls in CLASSES if not issubclass(cls, Warning)]
+
+
+@pytest.mark.parametrize("cls", ERRORS)
+def test_every_error_has_one_root_and_a_built_in_parent(cls):
+    assert issubclass(cls, McspectraError)
+    if cls is not McspectraError:
+        parents = [base for base in cls.__mro__ if base.__module__ == builtins.__name__]
+        assert len(parents) > 3, "only Exception, BaseException and object"
+    assert str(cls("What was given.")) == "What was given."
+
+
+def test_errors_about_values_are_value_errors():
+    values = ["ParameterError", "DomainError", "CountError", "DensityError", "SpecError"]
+    values += ["UnknownName", "ConfigError", "FileFormatError"]
+    assert all(issubclass(getattr(errors, name), ValueError) for name in values)
+    assert issubclass(errors.NoClosedForm, NotImplementedError)
+    assert issubclass(errors.MissingDependency, ImportError)
+
+
+def test_warnings_are_user_warnings():
+    assert [cls for cls in CLASSES if cls not in ERRORS]
+    assert all(issubclass(cls, UserWarning) for cls in CLASSES if cls not in ERRORS)
+
+
+def test_errors_carry_data():
+    assert CountError("No.", (16, 25)).nearest == (16, 25)
+    assert CountError("No.").nearest == ()
+    assert UnknownName("No.", ("jittered",)).close == ("jittered",)
+    assert UnknownName("No.").close == ()
+
+
+def test_everything_is_documented():
+    assert all((cls.__doc__ or "").strip().endswith(".") for cls in CLASSES)
+
+
+NAMES = ["halton", "jittered", "multi-jittered", "sobol"]
+
+
+@pytest.mark.parametrize(
+    ("given", "close"),
+    [
+        ("jiterd", ("jittered", "multi-jittered")),
+        ("jitter", ("jittered", "multi-jittered")),
+        ("multijittered", ("multi-jittered", "jittered")),
+        ("sobl", ("sobol",)),
+        ("", ()),
+        ("zzz", ()),
+    ],
+)
+def test_close_matches(given, close):
+    hint, found = close_match_hint(given, NAMES)
+    assert found == close
+    assert hint.startswith(" Did you mean") == bool(close)
+    assert all(repr(name) in hint for name in close)
+
+
+def test_hints_list_few_names_and_count_many():
+    hint, close = close_match_hint("zzz", reversed(NAMES))
+    assert (hint, close) == (" Allowed: halton, jittered, multi-jittered, sobol.", ())
+    hint, close = close_match_hint("zzz", [f"name-{i:02}" for i in range(40)])
+    assert (hint, close) == (" There are 40 names, from 'name-00' to 'name-39'.", ())
