@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from mcspectra.integrands.base import Integrand
     from mcspectra.samplers.base import Sampler
 
-__all__ = ["AbstractEstimator", "check_counts"]
+__all__ = ["AbstractEstimator", "DomainEstimator", "check_counts"]
 
 _TECHNIQUE = 1 << 20  # stream labels of the second and further techniques
 
@@ -134,6 +134,43 @@ class AbstractEstimator(ABC):
     def moments(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> Moments:
         """Moments of `count` estimates over realisations."""
         return Moments.of(self.estimate(self.draw(sampler, n, stream, first, count)))
+
+
+class DomainEstimator(AbstractEstimator):
+    """An estimator of one integrand f on one domain: what it knows of f.
+
+    Attributes
+    ----------
+    integrand
+        f.
+    """
+
+    integrand: Integrand
+
+    @property
+    def dims(self) -> int:
+        """Number of dims of f."""
+        return self.integrand.dims
+
+    @property
+    def channels(self) -> int:
+        """Channels of f."""
+        return self.integrand.channels
+
+    @property
+    def integral(self) -> Any:
+        """∫ f."""
+        return self.integrand.integral
+
+    @property
+    def integral_source(self) -> str:
+        """Where `integral` comes from."""
+        return self.integrand.integral_source
+
+    @property
+    def domain_integrand(self) -> Integrand:
+        """f."""
+        return self.integrand
 
 
 def check_counts(counts: Any, techniques: int) -> tuple[int, ...]:

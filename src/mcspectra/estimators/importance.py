@@ -10,7 +10,7 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import DensityError, ParameterError
 from mcspectra.densities import Density, as_density
 from mcspectra.densities.base import divide_by_density
-from mcspectra.estimators.base import AbstractEstimator
+from mcspectra.estimators.base import DomainEstimator
 from mcspectra.estimators.primary import PrimaryIntegrand
 from mcspectra.integrands import Integrand, as_integrand
 
@@ -20,7 +20,7 @@ _PROBES = 4096
 
 
 @final
-class Estimator(AbstractEstimator):
+class Estimator(DomainEstimator):
     """The estimator (1/n) Σ f(x_k)/p(x_k) with x_k = T(u_k).
 
     Parameters
@@ -62,34 +62,9 @@ class Estimator(AbstractEstimator):
         return f"Estimator({self.spec})"
 
     @property
-    def dims(self) -> int:
-        """Number of dims."""
-        return self.integrand.dims
-
-    @property
-    def channels(self) -> int:
-        """Channels of the integrand."""
-        return self.integrand.channels
-
-    @property
     def spec(self) -> str:
         """``integrand / density``."""
         return self.integrand.spec + (f" / {self.density.spec}" if self.density else "")
-
-    @property
-    def integral(self) -> Any:
-        """∫ f."""
-        return self.integrand.integral
-
-    @property
-    def integral_source(self) -> str:
-        """Where `integral` comes from."""
-        return self.integrand.integral_source
-
-    @property
-    def domain_integrand(self) -> Integrand:
-        """f."""
-        return self.integrand
 
     @property
     def infinite_weights(self) -> bool:

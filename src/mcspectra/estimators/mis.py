@@ -13,7 +13,7 @@ import numpy as np
 from mcspectra.core.checks import Array, as_choice
 from mcspectra.core.errors import ParameterError
 from mcspectra.densities import Density, as_density
-from mcspectra.estimators.base import AbstractEstimator, check_counts
+from mcspectra.estimators.base import AbstractEstimator, DomainEstimator, check_counts
 from mcspectra.estimators.importance import check_same_dims, check_support, scale
 from mcspectra.estimators.primary import PrimaryIntegrand
 from mcspectra.integrands import Integrand, as_integrand
@@ -24,7 +24,7 @@ _POWERS = {"balance": 1.0, "power": 2.0}
 
 
 @final
-class MultipleImportance(AbstractEstimator):
+class MultipleImportance(DomainEstimator):
     """Multiple importance sampling, I = Σ_t (1/n_t) Σ_k w_t f/p_t [VeachGuibas1995]_.
 
     Parameters
@@ -76,36 +76,11 @@ class MultipleImportance(AbstractEstimator):
         return f"MultipleImportance({self.spec})"
 
     @property
-    def dims(self) -> int:
-        """Number of dims."""
-        return self.integrand.dims
-
-    @property
-    def channels(self) -> int:
-        """Channels of the integrand."""
-        return self.integrand.channels
-
-    @property
     def spec(self) -> str:
         """``integrand / heuristic[densities]``."""
         parts = zip(self.counts, self.densities, strict=True)
         shown = ", ".join(f"{c}×{p.spec}" if c > 1 else p.spec for c, p in parts)
         return f"{self.integrand.spec} / {self.heuristic}[{shown}]"
-
-    @property
-    def integral(self) -> Any:
-        """∫ f."""
-        return self.integrand.integral
-
-    @property
-    def integral_source(self) -> str:
-        """Where `integral` comes from."""
-        return self.integrand.integral_source
-
-    @property
-    def domain_integrand(self) -> Integrand:
-        """f."""
-        return self.integrand
 
     @property
     def infinite_weights(self) -> bool:
