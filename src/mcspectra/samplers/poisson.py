@@ -243,7 +243,8 @@ def _throw_sets(keys: Array, disks: Any, attempts: int, out: Array) -> bool:
     # Fill out (R, n, d); False if a realisation jams in every attempt.
     n = out.shape[1]
     for r in range(out.shape[0]):
-        at, placed, attempt = np.int64(0), 0, 0  # a literal 0 would compile _throw_set twice
+        at: Any = np.int64(0)  # a literal 0 would compile _throw_set twice
+        placed, attempt = 0, 0
         while placed < n:
             if attempt == attempts:
                 return False

@@ -1,0 +1,435 @@
+"""Points from outside: arrays, files, callables and the engines of scipy.stats.qmc."""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.stats import qmc
+
+import mcspectra as mcs
+from mcspectra.core.errors import (
+    CountError,
+    DomainError,
+    FileFormatError,
+    McspectraError,
+    ParameterError,
+)
+from mcspectra.core.pointfiles import write_points
+from mcspectra.samplers import FunctionSampler, GivenPoints, ScipySampler, Shift, sampler
+
+FALSE_ALARMS = 1e-6
+CHECKS = 8  # statistical tests in this file
+LEVEL = 1 - (1 - FALSE_ALARMS) ** (1 / CHECKS)  # Šidák
+
+SETS = np.random.default_rng(0).random((3, 5, 2))
+
+
+@pytest.fixture
+def files(tmp_path):
+    """Two files of two sets and one."""
+    write_points(tmp_path / "a.dat", SETS[:2])
+    write_points(tmp_path / "b.bin", SETS[2:])
+    return [str(tmp_path / "a.dat"), str(tmp_path / "b.bin")]
+
+
+def refused(error, words, function, *args, **kwargs):
+    """Check that the call raises `error` with one sentence that has these words."""
+    with pytest.raises(error, match=words) as caught:
+        function(*args, **kwargs)
+    text = str(caught.value)
+    assert isinstance(caught.value, McspectraError)
+    assert "\n" not in text
+    assert text.endswith(".")
+
+
+class TestGivenPoints:
+    """Realisation r is set r, unless a randomisation makes the sets reusable."""
+
+    def test_sets_come_in_order_whatever_the_seed(self, files):
+        for source in (
+            mcs.Sampler.from_points(SETS),
+            mcs.Sampler.from_files(*files),
+            GivenPoints.from_sets(list(SETS), "somewhere"),
+            sampler(f"points(path={files!r})"),
+        ):
+            np.testing.assert_array_equal(source.draw(5, realizations=3, rng=1), SETS)
+            np.testing.assert_array_equal(source.draw(5, first=1, realizations=2), SETS[1:])
+            assert (source.dims, source.unbiased) == (2, False)
+
+    def test_one_set(self):
+        source = mcs.Sampler.from_points(SETS[0].tolist())
+        np.testing.assert_array_equal(source.draw(5), SETS[:1])
+        assert sampler("points(points=[[0.5], [0.25]])", 1).draw(2).tolist() == [[[0.5], [0.25]]]
+
+    def test_points_are_copied_in_and_out(self):
+        mine = SETS.copy()
+        source = mcs.Sampler.from_points(mine)
+        mine[:] = 0.0
+        drawn = source.draw(5, realizations=3)
+        np.testing.assert_array_equal(drawn, SETS)
+        drawn[:] = 0.0
+        np.testing.assert_array_equal(source.draw(5, realizations=3), SETS)
+        with pytest.raises(ValueError, match="read-only"):
+            source.points[0, 0, 0] = 0.5
+
+    def test_what_was_not_given_is_refused(self, files):
+        source = mcs.Sampler.from_files(*files)
+        refused(CountError, "holds 3 realisations, but number 4", source.draw, 5, realizations=4)
+        refused(CountError, "holds 3 realisations, but number 4", source.draw, 5, first=3)
+        for n in (4, 6):
+            refused(CountError, f"cannot make {n} points; the nearest count is 5", source.draw, n)
+            assert source.nearest_count(n) == 5
+        assert source.nearest_count(2**31) == 5
+
+    @pytest.mark.parametrize("name", ["shift", "digital-shift", "owen"])
+    def test_one_set_is_enough_before_a_uniform_randomization(self, files, name):
+        chain = sampler(f"points(path={files[1]!r}) | {name}")
+        points = chain.draw(5, realizations=100, rng=1)
+        assert len(np.unique(points.reshape(100, -1), axis=0)) == 100
+        assert chain.unbiased
+        np.testing.assert_array_equal(chain.draw(5, realizations=3, first=60, rng=1), points[60:63])
+
+    def test_several_sets_are_used_in_turn(self):
+        chain = mcs.Sampler.from_points(SETS).then(Shift())
+        points = chain.draw(5, realizations=7, rng=2)
+        for r, x in enumerate(points):
+            moved = (x - SETS[r % 3]) % 1.0
+            spread = np.abs(moved - moved[0])
+            assert np.minimum(spread, 1 - spread).max() < 1e-15
+
+    def test_a_fixed_shift_does_not_multiply_sets(self):
+        source = mcs.Sampler.from_points(SETS)
+        fixed = source.then(mcs.samplers.StrataShift())
+        refused(CountError, "holds 3 realisations", fixed.draw, 5, realizations=4)
+        assert fixed.then(Shift()).draw(5, realizations=4, rng=1).shape == (4, 5, 2)
+
+    def test_cycle_on_request(self, files):
+        source = sampler(f"points(path={files!r}, cycle=True)")
+        np.testing.assert_array_equal(source.draw(5, realizations=7), SETS[[0, 1, 2, 0, 1, 2, 0]])
+
+    def test_spec_and_digest(self, files):
+        source = mcs.Sampler.from_files(*files)
+        assert sampler(source.spec) == source
+        assert source.digest == mcs.Sampler.from_points(SETS).digest
+        assert len(source.digest) == 12
+        assert source.digest != mcs.Sampler.from_points(SETS[:, ::-1]).digest
+        assert source.digest != mcs.Sampler.from_points(SETS.reshape(5, 3, 2)).digest
+        assert mcs.Sampler.from_points(SETS) == mcs.Sampler.from_points(SETS.copy())
+        assert mcs.Sampler.from_points(SETS) != mcs.Sampler.from_points(SETS[:2])
+        assert len({source, sampler(source.spec)}) == 1
+        assert "3x5x2" in mcs.Sampler.from_points(SETS).spec
+        assert pickle.loads(pickle.dumps(source)) == source
+
+    @pytest.mark.parametrize(
+        ("points", "error", "words"),
+        [
+            ([], DomainError, "at least one point"),
+            (np.zeros((0, 2)), DomainError, "at least one point"),
+            (0.5, DomainError, r"shape \(\)"),
+            ([0.5, 0.25], ParameterError, r"shape \(2,\); give \(n, d\), or \(R, n, d\)"),
+            (np.zeros((1, 1, 1, 1)), ParameterError, r"shape \(1, 1, 1, 1\)"),
+            ([[0.5, 1.0]], DomainError, r"must lie in \[0,1\)"),
+            ([[0.5, -1e-9]], DomainError, r"must lie in \[0,1\)"),
+            ([[0.5, np.nan]], DomainError, "NaN"),
+            ([[0.5, np.inf]], DomainError, "infinite"),
+            ([["a", "b"]], DomainError, "not an array of numbers"),
+            ([[0.5], [0.5, 0.25]], DomainError, "not an array of numbers"),
+            (None, DomainError, "."),
+        ],
+    )
+    def test_bad_arrays(self, points, error, words):
+        refused(error, words, mcs.Sampler.from_points, points)
+
+    def test_bad_files(self, tmp_path, files):
+        refused(FileFormatError, "no-such.dat", mcs.Sampler.from_files, "no-such.dat")
+        refused(ParameterError, "needs a file", mcs.Sampler.from_files)
+        refused(ParameterError, "path is 5", GivenPoints, path=5)
+        refused(ParameterError, "path is", GivenPoints, path=["a.dat", 5])
+        refused(ParameterError, "cycle is 1", GivenPoints, path=files[0], cycle=1)
+        refused(ParameterError, "2 dims, but 3 dims", sampler, f"points(path={files[0]!r})", 3)
+        refused(ParameterError, "dims is 0", sampler, f"points(path={files[0]!r})", 0)
+        (tmp_path / "c.dat").write_text("0.1 0.2\n#\n0.3 0.4\n0.5 0.6\n")
+        uneven = str(tmp_path / "c.dat")
+        refused(ParameterError, r"Set 2 \(of .*c.dat\) has shape", mcs.Sampler.from_files, uneven)
+        (tmp_path / "d.dat").write_text("0.1 1.5\n")
+        refused(
+            DomainError, "d.dat run from 0.1 to 1.5", mcs.Sampler.from_files, tmp_path / "d.dat"
+        )
+
+
+def draw_uniform(n, generator):
+    return generator.random((n, 3))
+
+
+class TestFunctionSampler:
+    """A callable gets a fresh generator for each realisation."""
+
+    def test_realizations_are_reproducible_and_differ(self):
+        source = mcs.Sampler.from_function(draw_uniform, dims=3)
+        whole = source.draw(8, realizations=6, rng=1)
+        assert whole.shape == (6, 8, 3)
+        np.testing.assert_array_equal(source.draw(8, realizations=2, first=3, rng=1), whole[3:5])
+        assert len(np.unique(whole)) == whole.size
+        assert source.unbiased
+        assert not FunctionSampler(function=draw_uniform, dims=3, unbiased_=False).unbiased
+        assert source.then(Shift()).draw(8, rng=1).shape == (1, 8, 3)
+
+    def test_the_spec_names_the_function_without_its_address(self):
+        spec = mcs.Sampler.from_function(draw_uniform, dims=3).spec
+        assert spec.startswith("function(")
+        assert spec.endswith("draw_uniform)")
+        assert " at 0x" not in mcs.Sampler.from_function(np.vectorize(abs), dims=1).spec
+
+    @pytest.mark.parametrize(
+        ("draw", "error", "words"),
+        [
+            (lambda n, g: g.random((n, 3)), ParameterError, r"shape \(4, 3\); \(4, 2\) is needed"),
+            (lambda n, g: g.random(n), ParameterError, r"shape \(4,\)"),
+            (lambda n, g: g.random((n + 1, 2)), ParameterError, r"shape \(5, 2\)"),
+            (lambda n, g: g.random((n - 1, 2)), CountError, "returned 3 of 4 points"),
+            (lambda n, g: g.random((n, 2)) + 0.9, DomainError, r"must lie in \[0,1\)"),
+            (lambda n, g: np.full((n, 2), np.nan), DomainError, "NaN"),
+            (lambda n, g: None, DomainError, "The points of function"),
+            (lambda n, g: [[0.5], [0.5, 0.5]], DomainError, "not an array of numbers"),
+        ],
+    )
+    def test_what_it_returns_is_checked(self, draw, error, words):
+        source = mcs.Sampler.from_function(draw, dims=2)
+        refused(error, words, source.draw, 4, rng=2)
+
+    def test_bad_arguments(self):
+        refused(ParameterError, "is not callable", mcs.Sampler.from_function, "draw", dims=2)
+        refused(ParameterError, "dims is 0", mcs.Sampler.from_function, draw_uniform, dims=0)
+
+    def test_errors_of_the_function_are_its_own(self):
+        source = mcs.Sampler.from_function(lambda n, g: 1 / 0, dims=2)
+        with pytest.raises(ZeroDivisionError):
+            source.draw(4)
+
+
+class Tilted(qmc.QMCEngine):
+    """An engine of somebody else, with an argument of its own."""
+
+    def __init__(self, d, *, tilt=0.25, rng=None):
+        super().__init__(d=d, rng=rng)
+        self._tilt = tilt
+
+    def _random(self, n=1, *, workers=1):
+        del workers
+        return (self.rng.random((n, self.d)) + self._tilt) % 1.0
+
+
+class Old(qmc.QMCEngine):
+    """An engine written for `seed=`."""
+
+    def __init__(self, d, seed=None):
+        super().__init__(d=d, seed=seed)
+
+    def _random(self, n=1, *, workers=1):
+        del workers
+        return self.rng.random((n, self.d))
+
+
+class Forgetful(Tilted):
+    """Does not keep its argument."""
+
+    def __init__(self, d, *, secret=1, rng=None):
+        super().__init__(d, rng=rng)
+        del secret
+
+
+class Open(Tilted):
+    """Takes anything."""
+
+    def __init__(self, **anything):
+        super().__init__(**anything)
+
+
+class Fixed(Tilted):
+    """Takes no generator."""
+
+    def __init__(self, d=2):
+        super().__init__(d, rng=0)
+
+
+class Flat(Tilted):
+    """Always in 3-D."""
+
+    def __init__(self, rng=None):
+        super().__init__(3, rng=rng)
+
+
+ENGINES = [
+    ("Sobol", 8),
+    ("Halton", 7),
+    ("LatinHypercube", 7),
+    (qmc.Sobol, 8),
+    (qmc.Halton(2, rng=1), 7),
+    (qmc.LatinHypercube(2, strength=2), 9),
+    (qmc.PoissonDisk(2, radius=0.05, ncandidates=10), 5),
+    (Tilted(2, tilt=0.5), 7),
+    (Tilted, 7),
+    (Old, 7),
+    (Old(2, seed=3), 7),
+    (Open, 7),
+    (lambda rng: qmc.Halton(2, rng=rng), 7),
+]
+
+
+def engine_name(engine):
+    """Return a name without an address, the same in every process."""
+    named = engine if isinstance(engine, str | int | type) else type(engine)
+    return getattr(named, "__name__", str(named))
+
+
+class TestScipySampler:
+    """Fresh engines, one for each realisation."""
+
+    @pytest.mark.parametrize(("engine", "n"), ENGINES, ids=engine_name)
+    def test_realizations_are_reproducible_and_independent(self, engine, n):
+        sizes = {"d": 2} if isinstance(engine, str | type) else {}
+        source = mcs.Sampler.from_scipy(engine, **sizes)
+        assert source.dims == 2
+        whole = source.draw(n, realizations=5, rng=1)
+        np.testing.assert_array_equal(source.draw(n, realizations=2, first=3, rng=1), whole[3:])
+        assert len(np.unique(whole)) == whole.size
+        assert not np.array_equal(source.draw(n, rng=2), whole[:1])
+
+    def test_points_are_those_of_the_engine(self):
+        source = ScipySampler(engine="Sobol", scramble=False)
+        expected = qmc.Sobol(2, scramble=False).random(8)
+        np.testing.assert_array_equal(source.draw(8, rng=1)[0], expected)
+        assert not source.unbiased
+        stream = mcs.core.streams.Stream.from_rng(1)
+        expected = qmc.Halton(2, rng=stream.generator(3)).random(7)
+        np.testing.assert_array_equal(
+            ScipySampler(engine="Halton").draw(7, rng=1, first=3)[0], expected
+        )
+
+    def test_arguments_of_an_instance_are_kept(self):
+        source = mcs.Sampler.from_scipy(qmc.Sobol(3, scramble=False, bits=40))
+        assert (source.dims, source.scramble, source.options["bits"]) == (3, False, 40)
+        source = mcs.Sampler.from_scipy(qmc.LatinHypercube(2, scramble=False, strength=2))
+        assert (source.scramble, source.options["strength"]) == (False, 2)
+        source = mcs.Sampler.from_scipy(qmc.LatinHypercube(2, optimization="random-cd"))
+        assert source.options["optimization"] == "random-cd"
+        source = mcs.Sampler.from_scipy(qmc.PoissonDisk(2, radius=0.1, hypersphere="surface"))
+        assert source.options["radius"] == 0.1
+        assert source.options["hypersphere"] == "surface"
+        assert mcs.Sampler.from_scipy(Tilted(2, tilt=0.5)).options == {"tilt": 0.5}
+
+    def test_an_instance_is_not_advanced(self):
+        engine = qmc.Halton(2, rng=1)
+        mcs.Sampler.from_scipy(engine).draw(8, rng=1)
+        assert engine.num_generated == 0
+
+    def test_dims_may_be_the_engine_s_own(self):
+        assert mcs.Sampler.from_scipy(Flat).dims == 3
+        assert mcs.Sampler.from_scipy(lambda rng: qmc.Halton(4, rng=rng)).dims == 4
+        assert mcs.Sampler.from_scipy(qmc.Sobol, dims=5).dims == 5
+
+    @pytest.mark.parametrize(
+        ("source", "spec"),
+        [
+            (ScipySampler(), "scipy"),
+            (
+                ScipySampler(engine="Halton", dims=3, scramble=True),
+                "scipy(engine='Halton', scramble=True)",
+            ),
+            (
+                ScipySampler(engine=qmc.LatinHypercube, options={"strength": 2}),
+                "scipy(engine='LatinHypercube', options={'strength': 2})",
+            ),
+        ],
+    )
+    def test_spec_round_trip(self, source, spec):
+        assert source.spec == spec
+        assert sampler(spec, source.dims) == source
+        assert hash(source) == hash(sampler(spec, source.dims))
+
+    def test_the_spec_names_what_it_cannot_make(self):
+        assert "Tilted" in mcs.Sampler.from_scipy(Tilted(2, tilt=0.5)).spec
+        assert "'tilt': 0.5" in mcs.Sampler.from_scipy(Tilted(2, tilt=0.5)).spec
+
+    @pytest.mark.parametrize(
+        ("engine", "arguments", "unbiased"),
+        [
+            ("Sobol", {}, True),
+            ("Halton", {"scramble": True}, True),
+            ("LatinHypercube", {}, True),
+            ("LatinHypercube", {"scramble": False}, False),
+            ("LatinHypercube", {"options": {"optimization": "lloyd"}}, False),
+            ("PoissonDisk", {}, False),
+            (Tilted, {}, False),
+        ],
+    )
+    def test_unbiased_is_what_is_known(self, engine, arguments, unbiased):
+        assert ScipySampler(engine=engine, **arguments).unbiased == unbiased
+
+    @pytest.mark.parametrize("engine", ["Sobol", "Halton", "LatinHypercube"])
+    def test_scrambled_engines_are_uniform_across_realizations(self, engine):
+        """χ² on 4×4 cells of point 3 of 2000 realisations: the generators are independent."""
+        x = np.floor(4 * ScipySampler(engine=engine).draw(4, realizations=2000, rng=4)[:, 3])
+        counts = np.bincount((4 * x[:, 0] + x[:, 1]).astype(int), minlength=16)
+        assert stats.chisquare(counts).pvalue > LEVEL
+
+    @pytest.mark.parametrize(
+        ("engine", "arguments", "words"),
+        [
+            ("Sobl", {}, "no engine 'Sobl'. Did you mean 'Sobol'"),
+            ("QMCEngine", {}, "no engine 'QMCEngine'"),
+            ("discrepancy", {}, "no engine 'discrepancy'"),
+            (5, {}, "5 is no engine"),
+            (None, {}, "None is no engine"),
+            (int, {}, "is no engine"),
+            ("Sobol", {}, "needs its number of dims: give d="),
+            ("Sobol", {"d": 0}, "d is 0"),
+            ("Sobol", {"d": 2, "dims": 2}, "d and dims are the same"),
+            ("Sobol", {"d": 2, "seed": 1}, "seed is not an option"),
+            ("Sobol", {"d": 2, "rng": 1}, "rng is not an option"),
+            ("Sobol", {"d": 2, "skramble": 1}, "Sobol cannot be made with d=2, skramble=1"),
+            ("Sobol", {"d": 2, "scramble": "no"}, "scramble is 'no'"),
+            ("Sobol", {"d": 30_000}, "Sobol cannot be made"),
+            (qmc.Halton(2), {"d": 2}, "has its arguments already"),
+            (Forgetful(2), {}, "does not say which secret"),
+            (Open(d=2), {}, r"does not say which further arguments \(\*anything\)"),
+            (Fixed, {}, "takes neither rng nor seed"),
+            (lambda rng: qmc.Halton(2, rng=rng), {"scramble": True}, "takes no scramble"),
+            (lambda rng: 5, {}, "made 5, which is no QMCEngine"),
+        ],
+    )
+    def test_what_is_no_engine_is_refused(self, engine, arguments, words):
+        with pytest.raises(ParameterError, match=words) as caught:
+            mcs.Sampler.from_scipy(engine, **arguments)
+        assert "\n" not in str(caught.value)
+        assert str(caught.value).endswith((".", "?"))
+
+    def test_dims_that_an_engine_has_not(self):
+        refused(ParameterError, "in 3 dims, not in 2", ScipySampler, engine=Flat, dims=2)
+        refused(ParameterError, "options are 5", ScipySampler, options=5)
+        refused(ParameterError, "d is not an option", ScipySampler, options={"d": 3})
+
+    def test_counts_that_an_engine_cannot_make(self):
+        few = mcs.Sampler.from_scipy(qmc.PoissonDisk(2, radius=0.3))
+        refused(CountError, r"returned \d+ of 1000 points", few.draw, 1000, rng=1)
+        square = mcs.Sampler.from_scipy("LatinHypercube", d=2, strength=2)
+        refused(CountError, "cannot make 10 points", square.draw, 10, rng=1)
+
+    def test_as_sampler_takes_engines(self):
+        for engine in (qmc.Halton, qmc.Halton(2)):
+            assert mcs.samplers.as_sampler(engine, 2).spec.startswith("scipy(engine='Halton'")
+
+
+def test_scipy_stats_is_imported_only_for_engines():
+    """It takes half a second, which nobody else should pay."""
+    code = (
+        "import sys; from mcspectra.samplers import external, poisson, sampler; "
+        "sampler('points(points=[[0.5]])').draw(1); print('scipy.stats' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
