@@ -109,7 +109,7 @@ class Registry(Mapping[str, str]):
 
     @staticmethod
     def _spelled(allowed: Mapping[str, Any], key: str) -> str:
-        """Spec strings say ``lambda=1``; Python's field is then ``lambda_``."""
+        """Specs say ``radius=0.7`` where Python's field is ``radius_``, its name being taken."""
         return f"{key}_" if f"{key}_" in allowed else key
 
     def _targets(self) -> dict[str, str]:
