@@ -57,6 +57,8 @@ PYTHON = _rows(
     ("mcs.sampler('random', dims=2).draw(2**31, realizations=4)", "at a time"),
     ("mcs.Sampler.from_points([[0.5, 1.5]])", "must lie in [0,1)"),
     ("mcs.Sampler.from_points([[0.5, float('nan')]])", "NaN"),
+    ("mcs.Sampler.from_points([[0.5 + 0.1j, 0.2]])", "not an array of real numbers"),
+    ("mcs.Sampler.from_points(np.ma.masked_greater([[0.1, 0.2]], 0.15))", "masked"),
     ("mcs.Sampler.from_points([])", "at least one point"),
     ("mcs.Sampler.from_points(np.full((2, 4, 2), 0.5)).draw(4, realizations=3)", "2"),
     ("mcs.Sampler.from_files('no-such.dat')", "no-such.dat"),
@@ -68,6 +70,9 @@ PYTHON = _rows(
         "mcs.Density.from_functions(pdf=lambda x: 2 * x[..., 0], sample=lambda u: u, dims=1)",
         "pdf",
     ),
+    ("mcs.density('uniform', dims=2).pdf([[0.5, 1.5]])", "[0,1)"),
+    ("mcs.integrand('gaussian', dims=2)([[0.5, 2.0]])", "unit cube"),
+    ("mcs.integrand('gaussian', dims=10**9)", "1024"),
     ("mcs.integrand('disk(radius=-1)')", "radius"),
     ("mcs.integrand('gaussian', dims=2).fourier([[0.5, 1]])", "integer"),
     ("mcs.integrand('gaussian', dims=2)(np.zeros((4, 3)))", "(..., 2)"),
@@ -90,6 +95,12 @@ PYTHON = _rows(
         "GiB",
     ),
     ("mcs.convergence(mcs.Estimator('gaussian', dims=2), 'random', [16, 4])", "ascending"),
+    ("mcs.convergence(3, 'random', [4, 16])", "not an estimator"),
+    ("mcs.convergence('gaussian', 3, [4, 16])", "not a sampler"),
+    ("mcs.convergence('gaussian', 'random', 16)", "counts"),
+    ("mcs.convergence('gaussian', ['random', 'random'], [4, 16])", "twice"),
+    ("mcs.power_spectrum('random', 16, frequency_step=1e300)", "frequency_step"),
+    ("mcs.pair_correlation('random(dims=50)', 64)", "dims"),
     ("mcs.closed_form_power('poisson-disk', 16, [[1, 1]])", "No closed-form"),
     ("mcs.power_spectrum('random', 16, frequency_step=0)", "frequency_step"),
 )
@@ -114,6 +125,9 @@ COMMAND = _rows(
     ("variance gaussian --sampler random -n 16 --space time", "primary"),
     ("variance gaussian --sampler random -n 16 --realizations 1", "at least 2"),
     ("variance linear -d 1 --density linear(slope=5) --sampler random -n 4", "slope"),
+    ("variance gaussian --sampler random --sampler jittered -n 16", "given twice"),
+    ("variance gaussian --sampler random -n 16 --heuristic power", "two or more"),
+    ("converge gaussian --sampler random --sampler random --counts 16,32", "twice"),
     ("converge gaussian --sampler random --counts 16,x", "whole number"),
     ("converge gaussian --sampler jittered --counts 16,20", "16 and 25"),
     (
@@ -146,6 +160,12 @@ TOML = _rows(
     (STUDY.replace("[convergence]", "[convergences]"), "Did you mean 'convergence'"),
     (STUDY.replace("[convergence]\ncounts = [4, 16]\nrealizations = 10\n", ""), "no analysis"),
     ("seed = -1\n" + STUDY, ">= 0"),
+    (STUDY + 'heuristic = "power"\n', "give densities"),
+    (STUDY + "terms = { n = 4, half_width = 100000 }\n", "half_width"),
+    (STUDY + "terms = { n = 4, cross_matrix = true }\n", "GiB"),
+    (STUDY + 'terms = { n = 4, space = "time" }\n', "'domain' or 'primary'"),
+    (STUDY.replace('["jittered"]', '["jittered", "jittered()"]'), "same sampler"),
+    ("a = " + "[" * 3000, "nested too deeply"),
 )
 
 ROWS = [*PYTHON, *COMMAND, *TOML]
@@ -199,7 +219,12 @@ def page() -> str:
             code, text = answer(row, Path(name))
             given = _difference(row.given) if row.door == "toml" else row.given
             first = text.splitlines()[0].replace("mcspectra: ", "", 1)
-            cells = [row.door, f"`{_cell(given)}`", _cell(code), _cell(first)]
+            cells = [
+                row.door,
+                f"`{_cell(given if len(given) < 200 else given[:40] + ' …')}`",
+                _cell(code),
+                _cell(first),
+            ]
             lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 

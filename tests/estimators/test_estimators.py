@@ -84,9 +84,31 @@ def test_density_zero_where_f_is_not():
     mcs.Estimator("step(at=0.5)", "piecewise-constant(values=[1, 0])", dims=1)
 
 
+def test_a_single_empty_cell_is_found():
+    table = np.ones((200, 200))
+    table[100, 100] = 0
+    density = mcs.densities.PiecewiseConstant(values=table)
+    with pytest.raises(DensityError, match="would miss"):
+        mcs.Estimator("constant", density)
+
+
+def test_functions_cannot_change_their_points():
+    """The points are weighted after f has seen them: f gets a read-only view."""
+
+    def in_place(x):
+        x **= 2
+        return x[..., 0]
+
+    with pytest.raises(ParameterError, match="in place"):
+        mcs.Integrand.from_function(in_place, dims=1)
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
+        (lambda: mcs.TechniqueSum(["linear(dims=1)", "linear(dims=2)"]), "dims"),
+        (lambda: mcs.TechniqueSum(5), "one or more"),
+        (lambda: mcs.MultipleImportance(SQUARE, None), "one or more"),
         (lambda: mcs.Estimator(np.sin), "integrand"),
         (lambda: mcs.Estimator("no-such"), "no integrand"),
         (lambda: mcs.Estimator(SQUARE, 3), "density"),

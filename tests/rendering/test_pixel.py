@@ -249,7 +249,7 @@ def test_a_million_points() -> None:
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -0.1, 1.1])
 def test_samples_outside_the_square_are_refused(bad: float) -> None:
-    with pytest.raises(DomainError, match=r"\[0,1\)"):
+    with pytest.raises(DomainError, match="unit cube"):
         Pixel(**WALL)([[0.5, bad]])
 
 

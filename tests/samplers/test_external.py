@@ -137,8 +137,8 @@ class TestGivenPoints:
             ([[0.5, -1e-9]], DomainError, r"must lie in \[0,1\)"),
             ([[0.5, np.nan]], DomainError, "NaN"),
             ([[0.5, np.inf]], DomainError, "infinite"),
-            ([["a", "b"]], DomainError, "not an array of numbers"),
-            ([[0.5], [0.5, 0.25]], DomainError, "not an array of numbers"),
+            ([["a", "b"]], DomainError, "not an array of real numbers"),
+            ([[0.5], [0.5, 0.25]], DomainError, "not an array of real numbers"),
             (None, DomainError, "."),
         ],
     )
@@ -195,7 +195,7 @@ class TestFunctionSampler:
             (lambda n, g: g.random((n, 2)) + 0.9, DomainError, r"must lie in \[0,1\)"),
             (lambda n, g: np.full((n, 2), np.nan), DomainError, "NaN"),
             (lambda n, g: None, DomainError, "The points of function"),
-            (lambda n, g: [[0.5], [0.5, 0.5]], DomainError, "not an array of numbers"),
+            (lambda n, g: [[0.5], [0.5, 0.5]], DomainError, "not an array of real numbers"),
         ],
     )
     def test_what_it_returns_is_checked(self, draw, error, words):

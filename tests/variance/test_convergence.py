@@ -111,7 +111,7 @@ def test_results_do_not_depend_on_workers():
         ({"counts": [64, 16]}, ParameterError, "ascending"),
         ({"counts": []}, ParameterError, "ascending"),
         ({"counts": [0, 4]}, ParameterError, "at least 1"),
-        ({"realizations": 1}, ParameterError, "at least 2"),
+        ({"realizations": 1}, ParameterError, "from 2 to"),
         ({"fit_last": 3}, ParameterError, "fit_last"),
         ({"sampler": []}, ParameterError, "at least one"),
         ({"sampler": "jitterd"}, ParameterError, "Did you mean 'jittered'"),

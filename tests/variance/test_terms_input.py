@@ -14,7 +14,7 @@ GAUSSIAN = mcs.Estimator("gaussian", dims=2)
     [
         ({"n": 15}, CountError, "9 and 16"),
         ({"n": float("nan")}, CountError, "whole number"),
-        ({"realizations": 1}, ParameterError, "at least 2"),
+        ({"realizations": 1}, ParameterError, "from 2 to"),
         ({"half_width": -1}, ParameterError, "half_width"),
         ({"basis": "walsh"}, ParameterError, "fourier"),
         ({"space": "fourier"}, ParameterError, "domain, primary"),

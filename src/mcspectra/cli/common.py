@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from mcspectra.samplers import Sampler
 
 __all__ = [
+    "Once",
     "add_estimator_arguments",
     "build_estimator",
     "counts_option",
@@ -47,6 +48,22 @@ def seed_option(options: argparse.Namespace) -> int:
     return 0 if options.seed is None else whole_number("--seed", options.seed, least=0)
 
 
+class Once(argparse.Action):
+    """An option that may be given once only, where argparse would take the last."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        """Store the value, or refuse a second one."""
+        if getattr(namespace, self.dest) is not None:
+            parser.error(f"{option_string} is given twice; give it once")
+        setattr(namespace, self.dest, values)
+
+
 def counts_option(text: str) -> list[int]:
     """Read comma-separated counts."""
     return [whole_number("--counts", part.strip()) for part in text.split(",")]
@@ -63,6 +80,8 @@ def read_sampler(text: str, dims: int | None) -> Sampler:
     from mcspectra.core.spec import parse_chain
     from mcspectra.samplers import RANDOMIZATIONS
 
+    if sys.stdin is None or sys.stdin.closed:
+        raise ParameterError("'-' reads points from standard input, which is closed.")
     given: Any = GivenPoints.from_sets(
         parse_dat(sys.stdin.read(), "standard input"), "standard input"
     )
@@ -80,7 +99,7 @@ def add_estimator_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--density", action="append", metavar="SPEC", help="density; several mean MIS"
     )
-    parser.add_argument("--heuristic", default="balance", help="MIS: balance or power")
+    parser.add_argument("--heuristic", help="MIS: balance (default) or power")
     parser.add_argument(
         "--plus",
         action="append",
@@ -95,13 +114,15 @@ def build_estimator(options: argparse.Namespace) -> AbstractEstimator:
 
     dims = None if options.dims is None else whole_number("--dims", options.dims)
     densities = options.density or []
+    if options.heuristic is not None and len(densities) < 2:
+        raise ParameterError("--heuristic weights several --density options; give two or more.")
     if options.plus:
         if densities:
             raise ParameterError("--plus adds whole techniques; it cannot be used with --density.")
         return TechniqueSum([options.integrand, *options.plus], dims=dims)
     if len(densities) > 1:
         return MultipleImportance(
-            options.integrand, densities, heuristic=options.heuristic, dims=dims
+            options.integrand, densities, heuristic=options.heuristic or "balance", dims=dims
         )
     return Estimator(options.integrand, densities[0] if densities else None, dims=dims)
 

@@ -7,7 +7,9 @@ Exit codes: 0 done; 1 the run failed; 2 bad input; 130 interrupted. Verbs are bo
 from __future__ import annotations
 
 import argparse
+import errno
 import importlib
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -45,6 +47,10 @@ class _Parser(argparse.ArgumentParser):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal that lacks a character such as ² shows '?' instead of losing the result.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     try:
         return _dispatch(given)
     except SystemExit as stop:  # argparse: --help (0) or bad usage (2)
@@ -119,7 +125,13 @@ def _explain(error: Exception) -> int:
         failed = isinstance(error, RuntimeError) and type(error).__name__ == "CellFailed"
         return 1 if failed else 2
     if isinstance(error, MemoryError):
-        print("mcspectra: Not enough memory; ask for fewer points or frequencies.", file=sys.stderr)
+        print(
+            "mcspectra: Not enough memory; ask for fewer points, dims or frequencies.",
+            file=sys.stderr,
+        )
+        return 2
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
+        print(f"mcspectra: The output cannot be written: {error.strerror}.", file=sys.stderr)
         return 1
     text = " ".join(str(error).split()) or "no message"
     print(

@@ -47,8 +47,7 @@ def run(options: argparse.Namespace) -> int:
     from mcspectra.spectra.power import power_spectrum
 
     dims = None if options.dims is None else whole_number("--dims", options.dims)
-    ending = Path(options.out).suffix if options.out else ""
-    if ending not in ("", ".npz", ".png", ".pdf"):
+    if options.out is not None and Path(options.out).suffix not in (".npz", ".png", ".pdf"):
         raise ParameterError(f"--out is {options.out!r}; it must end in .npz, .png or .pdf.")
     try:
         step = float(options.frequency_step)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mcspectra.cli.common import (
+    Once,
     add_estimator_arguments,
     build_estimator,
     one_sentence_warnings,
@@ -36,7 +37,9 @@ _VALUES = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options."""
     add_estimator_arguments(parser)
-    parser.add_argument("--sampler", required=True, metavar="SPEC", help="sampler spec")
+    parser.add_argument(
+        "--sampler", action=Once, required=True, metavar="SPEC", help="sampler spec"
+    )
     parser.add_argument("-n", required=True, metavar="N", help="points (of each technique)")
     parser.add_argument("-m", "--realizations", default=1000, metavar="R", help="default 1000")
     parser.add_argument("--half-width", default=64, metavar="K", help="default 64")

@@ -12,16 +12,25 @@ import numpy.typing as npt
 from mcspectra.core.errors import DomainError, ParameterError, close_match_hint
 
 __all__ = [
+    "MAX_DIMS",
+    "MAX_FREQUENCY",
     "Array",
     "as_choice",
     "as_frequencies",
     "as_integer",
     "as_real",
+    "as_real_array",
     "as_reals",
     "as_unit_points",
 ]
 
 Array = npt.NDArray[Any]
+
+MAX_DIMS = 1024
+"""Most dims of anything that does not say otherwise."""
+
+MAX_FREQUENCY = 2.0**40
+"""Largest frequency: phases m·x of 53-bit points keep 13 bits there."""
 
 
 def as_integer(name: str, value: object, *, least: int, most: int | None = None) -> int:
@@ -79,6 +88,28 @@ def as_choice(name: str, value: object, allowed: Sequence[str]) -> str:
     )
 
 
+def as_real_array(name: str, value: object) -> Array:
+    """Return `value` as float64 if it holds integers or floats and nothing is masked.
+
+    Raises
+    ------
+    DomainError
+        Complex numbers, booleans, text, ragged lists or masked values: NumPy would convert them
+        to floats and lose what they mean.
+    """
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError):
+        array = np.asarray("ragged")
+    if np.ma.is_masked(value):
+        raise DomainError(f"{name} has masked values; fill them in or leave those points out.")
+    if array.dtype.kind not in "iuf" and array.size:
+        raise DomainError(
+            f"{name} is not an array of real numbers (type {array.dtype}); give floats."
+        )
+    return array.astype(np.float64, copy=False)
+
+
 def as_unit_points(points: object, *, dims: int | None = None, name: str = "points") -> Array:
     """Return float64 points of shape (..., d) after checking that they lie in [0,1)^d.
 
@@ -87,12 +118,7 @@ def as_unit_points(points: object, *, dims: int | None = None, name: str = "poin
     DomainError
         Empty, not numeric, wrong number of dims, NaN, infinite, or outside [0,1).
     """
-    try:
-        x = np.asarray(points, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise DomainError(
-            f"{name} are not an array of numbers; give floats of shape (..., d)."
-        ) from None
+    x = as_real_array(name, points)
     if x.ndim == 0 or x.size == 0:
         raise DomainError(f"{name} have shape {x.shape}; give at least one point, shape (..., d).")
     if dims is not None and x.shape[-1] != dims:
@@ -113,16 +139,16 @@ def as_unit_points(points: object, *, dims: int | None = None, name: str = "poin
 
 def as_frequencies(frequencies: object, dims: int) -> Array:
     """Return float64 frequencies of shape (..., d), in cycles per unit."""
-    try:
-        m = np.asarray(frequencies, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ParameterError(
-            "frequencies are not an array of numbers; give shape (..., d)."
-        ) from None
+    m = as_real_array("frequencies", frequencies)
     if m.ndim == 0 or m.shape[-1] != dims or m.size == 0:
         raise ParameterError(
             f"frequencies have shape {m.shape}; give shape (..., {dims}), one row a frequency."
         )
     if not np.isfinite(m).all():
         raise ParameterError("frequencies hold NaN or infinity; give finite numbers.")
+    if np.abs(m).max() > MAX_FREQUENCY:
+        raise ParameterError(
+            f"frequencies reach {np.abs(m).max():.3g}; beyond {MAX_FREQUENCY:.3g} the phases of "
+            "float64 points mean nothing."
+        )
     return m

@@ -114,7 +114,7 @@ def _existing(path: object) -> Path:
             f"{file} does not end in one of {', '.join(IMAGE_EXTENSIONS)}; convert the image."
         )
     try:
-        kind = "a folder" if file.is_dir() else "" if file.exists() else "no file"
+        kind = "" if file.is_file() else "a folder" if file.is_dir() else "no file"
     except (OSError, ValueError):  # a name too long, or with a null character
         kind = "no file"
     if kind:

@@ -14,13 +14,16 @@ from typing import TypeVar
 
 from mcspectra.core.checks import as_integer
 
-__all__ = ["Block", "available_workers", "map_in_order", "realization_blocks"]
+__all__ = ["MAX_REALIZATIONS", "Block", "available_workers", "map_in_order", "realization_blocks"]
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 Block = tuple[int, int]
 """First realisation and number of realisations."""
+
+MAX_REALIZATIONS = 10**9
+"""Most realisations of one analysis."""
 
 _BLOCK_NUMBERS = 2**21  # about 16 MiB of float64 a block: larger than any cache, far below memory
 
@@ -35,11 +38,11 @@ def available_workers(workers: int | None = None) -> int:
 
 def realization_blocks(
     realizations: int, numbers_each: int, *, multiple: int = 1, first: int = 0
-) -> list[Block]:
+) -> Iterator[Block]:
     """Split realisations into blocks of about `_BLOCK_NUMBERS` numbers, a multiple of `multiple`."""
     size = max(1, _BLOCK_NUMBERS // max(1, numbers_each) // multiple) * multiple
     stop = first + realizations
-    return [(start, min(size, stop - start)) for start in range(first, stop, size)]
+    return ((start, min(size, stop - start)) for start in range(first, stop, size))
 
 
 def map_in_order(

@@ -49,6 +49,8 @@ def read_points(path: str | PathLike[str]) -> list[Array]:
     """
     file, extension = _file(path)
     try:
+        if file.exists() and not (file.is_file() or file.is_dir()):
+            raise FileFormatError(f"{file} is a device or a pipe; give a point-set file.")
         return _READERS[extension](file)
     except FileNotFoundError:
         raise FileFormatError(f"There is no file {file}; give the path of a point set.") from None

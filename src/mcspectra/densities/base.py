@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import Array, as_real_array
 from mcspectra.core.errors import DensityError, DomainError
 from mcspectra.core.spec import Component
 
@@ -56,6 +56,10 @@ class Density(Component, ABC):
     def breaks(self) -> tuple[tuple[float, ...], ...]:
         """For each axis of *primary* space, where the warp is not smooth (for quadrature)."""
         return ((),) * self.dims
+
+    def zero_points(self) -> Array:
+        """Points (k, d) where p is known to be 0 on a set of positive measure; often none."""
+        return np.empty((0, self.dims))
 
     def reciprocal_integral(self) -> float:
         """Return ∫ 1/p over [0,1)^d, infinite where it diverges: 1 + n Var(S_0) of random points.
@@ -112,10 +116,7 @@ class Density(Component, ABC):
 
 def as_points(x: object, dims: int, name: str) -> Array:
     """Return x as float64 (..., d) in [0,1] (a grid may end at 1); anything else is an error."""
-    try:
-        points = np.asarray(x, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise DomainError(f"{name} is not an array of numbers; give shape (..., {dims}).") from None
+    points = as_real_array(name, x)
     if points.ndim == 0 or points.shape[-1] != dims:
         raise DomainError(f"{name} has shape {points.shape}; give points of shape (..., {dims}).")
     if points.size and not (points.min() >= 0.0 and points.max() <= 1.0):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mcspectra.core.checks import as_integer
+from mcspectra.core.checks import MAX_DIMS, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import parse
@@ -47,7 +47,7 @@ def density(spec: str, dims: int | None = None) -> Density:
     >>> float(mcs.density("linear(slope=2)", dims=1).sample([0.25])[0])
     0.5
     """
-    asked = None if dims is None else as_integer("dims", dims, least=1)
+    asked = None if dims is None else as_integer("dims", dims, least=1, most=MAX_DIMS)
     call = parse(spec)
     made = DENSITIES.build(call, asked)
     if not isinstance(made, Density):

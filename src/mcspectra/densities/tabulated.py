@@ -87,6 +87,11 @@ class PiecewiseConstant(Density):
         """Mean over cells of 1/p, infinite where a cell is 0."""
         return float((1.0 / self._pdf_table).mean()) if self._pdf_table.all() else np.inf
 
+    def zero_points(self) -> Array:
+        """Centres of the cells that hold nothing."""
+        cells = np.argwhere(self._table == 0)[:, ::-1]  # rows run along axis 1
+        return np.asarray((cells + 0.5) / np.array(self._table.shape[::-1]))
+
     @cached_property
     def _table(self) -> Array:
         return np.asarray(self.values, np.float64)
@@ -174,6 +179,10 @@ class ImageDensity(Density):
     def breaks(self) -> tuple[tuple[float, ...], ...]:
         """Those of the table (see `PiecewiseConstant.breaks`)."""
         return self._inside.breaks
+
+    def zero_points(self) -> Array:
+        """Centres of the pixels that are black."""
+        return self._inside.zero_points()
 
     def reciprocal_integral(self) -> float:
         """Mean over pixels of 1/p."""

@@ -10,11 +10,11 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import DensityError, ParameterError
 from mcspectra.densities import Density, as_density
 from mcspectra.densities.base import divide_by_density
-from mcspectra.estimators.base import DomainEstimator
+from mcspectra.estimators.base import AbstractEstimator, DomainEstimator
 from mcspectra.estimators.primary import PrimaryIntegrand
 from mcspectra.integrands import Integrand, as_integrand
 
-__all__ = ["Estimator", "check_same_dims", "check_support", "probe_points", "scale"]
+__all__ = ["Estimator", "as_estimator", "check_same_dims", "check_support", "probe_points", "scale"]
 
 _PROBES = 4096
 
@@ -35,7 +35,8 @@ class Estimator(DomainEstimator):
     Raises
     ------
     DensityError
-        p is zero at points where f is not (found by probing 4096 points).
+        p is zero at points where f is not: found by probing 4096 points and the empty cells of
+        tables; what slips through is an error when it is sampled, or a bias.
     ParameterError
         Different numbers of dims.
     """
@@ -95,6 +96,24 @@ class Estimator(DomainEstimator):
         return divide_by_density(np.ones(x.shape[:-1]), self.density.pdf(x), x, self.spec)
 
 
+def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
+    """Return an estimator as it is; an integrand or its spec string becomes a plain `Estimator`.
+
+    Raises
+    ------
+    ParameterError
+        `given` is something else.
+    """
+    if isinstance(given, AbstractEstimator):
+        return given
+    if isinstance(given, Integrand | str):
+        return Estimator(given, dims=dims)
+    raise ParameterError(
+        f"{given!r:.80} is not an estimator; give Estimator(integrand, density), an integrand, or "
+        "an integrand's spec."
+    )
+
+
 def scale(values: Array, weights: Array) -> Array:
     """values (...) or (..., channels) times weights (...)."""
     return np.asarray(values * (weights if values.ndim == weights.ndim else weights[..., None]))
@@ -108,7 +127,7 @@ def probe_points(dims: int) -> Array:
 
 
 def check_support(integrand: Integrand, densities: list[Density]) -> None:
-    x = probe_points(integrand.dims)
+    x = np.concatenate([probe_points(integrand.dims), *(p.zero_points() for p in densities)])
     covered = sum((density.pdf(x) for density in densities), np.zeros(len(x))) > 0
     if covered.all():
         return
@@ -125,7 +144,6 @@ def check_support(integrand: Integrand, densities: list[Density]) -> None:
 
 def check_same_dims(components: list[Any]) -> None:
     """Raise ParameterError unless all components have the same number of dims."""
-    dims = {component.spec: component.dims for component in components}
-    if len(set(dims.values())) > 1:
-        shown = ", ".join(f"{name} has {d}" for name, d in dims.items())
+    if len({component.dims for component in components}) > 1:
+        shown = ", ".join(f"{component.spec} has {component.dims}" for component in components)
         raise ParameterError(f"All parts of an estimator need the same number of dims: {shown}.")

@@ -57,7 +57,7 @@ class MultipleImportance(DomainEstimator):
         counts: Sequence[int] | None = None,
         dims: int | None = None,
     ) -> None:
-        if isinstance(densities, str | Density) or len(densities) == 0:
+        if not isinstance(densities, list | tuple) or len(densities) == 0:
             raise ParameterError(f"densities is {densities!r}; give a list of one or more.")
         if dims is None:
             parts = (integrand, *densities)
@@ -133,7 +133,7 @@ class TechniqueSum(AbstractEstimator):
         counts: Sequence[int] | None = None,
         dims: int | None = None,
     ) -> None:
-        if isinstance(integrands, str | Integrand) or len(integrands) == 0:
+        if not isinstance(integrands, list | tuple) or len(integrands) == 0:
             raise ParameterError(f"integrands is {integrands!r}; give a list of one or more.")
         if dims is None:
             dims = next((g.dims for g in integrands if isinstance(g, Integrand)), None)

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_frequencies, as_integer
+from mcspectra.core.checks import MAX_DIMS, Array, as_frequencies, as_integer, as_real_array
 from mcspectra.core.errors import DomainError, ParameterError
 from mcspectra.core.spec import Component
 
@@ -46,19 +46,15 @@ class Integrand(Component, ABC):
         ParameterError
             The function gave something else than real numbers of that shape.
         """
-        try:
-            points = np.asarray(x, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise DomainError(
-                f"{self.spec} takes an array of numbers of shape (..., {self.dims})."
-            ) from None
+        points = as_real_array("x", x)
         if points.ndim == 0 or points.shape[-1] != self.dims:
             raise DomainError(
                 f"{self.spec} takes points of shape (..., {self.dims}), not {points.shape}."
             )
-        if not np.isfinite(points).all():
+        if points.size and not (points.min() >= 0.0 and points.max() <= 1.0):
             raise DomainError(
-                f"{self.spec} was given NaN or infinite points; give points in [0,1)."
+                f"{self.spec} was given points that are not finite or outside [0,1]; its domain "
+                "is the unit cube."
             )
         return self._evaluate(points)
 
@@ -189,6 +185,6 @@ class Integrand(Component, ABC):
 def check_dims(integrand: Integrand) -> int:
     """Return an integrand's `dims` as an int, at most its class's `max_dims`; for `__post_init__`."""
     try:
-        return as_integer("dims", integrand.dims, least=1, most=integrand.max_dims)
+        return as_integer("dims", integrand.dims, least=1, most=integrand.max_dims or MAX_DIMS)
     except ParameterError as error:
         raise ParameterError(f"{integrand.name}: {error}") from None

@@ -65,7 +65,7 @@ class FunctionIntegrand(Integrand):
 
     def _evaluate(self, x: Array) -> Array:
         shape = (*x.shape[:-1], self.channels) if self.channels else x.shape[:-1]
-        values = _real(self.function(x))
+        values = _real(_called(self.function, x))
         if values.shape != shape:
             raise ParameterError(
                 f"{self.spec} gave values of shape {values.shape} at points of shape {x.shape}; "
@@ -86,7 +86,9 @@ def _probe(function: Callable[[Any], Any], dims: int) -> int:
     """Return the number of channels, 0 for a scalar function, after a try on 28 points."""
     x = _probe_points(dims)
     try:
-        given = function(x)
+        given = _called(function, x)
+    except ParameterError:
+        raise
     except (TypeError, ValueError, IndexError) as error:
         if _works_on_one_point(function, x[0, 0]):
             raise ParameterError(
@@ -120,7 +122,23 @@ def _works_on_one_point(function: Callable[[Any], Any], point: Array) -> bool:
     return False
 
 
+def _called(function: Callable[[Any], Any], x: Array) -> Any:
+    """Call `function` with a read-only view: the same points are weighted afterwards."""
+    view = x.view()
+    view.flags.writeable = False
+    try:
+        return function(view)
+    except ValueError as error:
+        if "read-only" not in str(error):
+            raise
+        raise ParameterError(
+            "The function changes its argument in place; work on a copy, x = x.copy()."
+        ) from error
+
+
 def _real(given: object) -> Array:
+    if np.ma.is_masked(given):
+        raise ParameterError("The function gave masked values; it must give a plain array.")
     try:
         values = np.asarray(given)
     except ValueError:

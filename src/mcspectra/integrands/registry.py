@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mcspectra.core.checks import as_integer
+from mcspectra.core.checks import MAX_DIMS, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import parse
@@ -54,7 +54,7 @@ def integrand(spec: str, dims: int | None = None) -> Integrand:
     ParameterError
         A parameter is unknown, missing or out of range, or dims disagree.
     """
-    asked = None if dims is None else as_integer("dims", dims, least=1)
+    asked = None if dims is None else as_integer("dims", dims, least=1, most=MAX_DIMS)
     return _as_built(INTEGRANDS.build(parse(spec), asked))
 
 

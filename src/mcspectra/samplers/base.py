@@ -69,7 +69,7 @@ class Sampler(Component, ABC):
         """
         n = self.check_count(n)
         count = as_integer("realizations", realizations, least=1)
-        start = as_integer("first", first, least=0)
+        start = as_integer("first", first, least=0, most=2**62)
         if n * count * self.dims > MAX_COUNT:
             raise CountError(
                 f"{count} realisations of {n} points in {self.dims} dims are "
@@ -213,7 +213,7 @@ class Randomized(Sampler):
 def check_dims(sampler: Any) -> None:
     """Make a sampler's `dims` an int from 1 to its class's `max_dims`; for `__post_init__`."""
     try:
-        dims = as_integer("dims", sampler.dims, least=1, most=sampler.max_dims)
+        dims = as_integer("dims", sampler.dims, least=1, most=sampler.max_dims or 2**16)
         object.__setattr__(sampler, "dims", dims)
     except ParameterError as error:
         raise ParameterError(f"{sampler.name}: {error}") from None

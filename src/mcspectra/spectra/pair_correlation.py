@@ -9,7 +9,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.parallel import available_workers, map_in_order
+from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers, map_in_order
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.samplers import Sampler, as_sampler
@@ -55,11 +55,12 @@ def pair_correlation(
     g = pairs in a shell / (n(n−1)/2 · volume of the shell). Cost O(n²) a realisation.
     """
     source = as_sampler(sampler)
+    as_integer("dims of a pair correlation", source.dims, least=1, most=8)
     n = source.check_count(n)
     if n < 2:
         raise ParameterError("pair_correlation needs n of at least 2, not 1.")
     bins = as_integer("bins", bins, least=1, most=10**6)
-    realizations = as_integer("realizations", realizations, least=1)
+    realizations = as_integer("realizations", realizations, least=1, most=MAX_REALIZATIONS)
     stream = Stream.from_rng(rng)
     width = 0.5 / bins
     edges = np.arange(bins + 1) * width

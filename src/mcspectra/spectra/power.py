@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.parallel import Block, available_workers, map_in_order, realization_blocks
+from mcspectra.core.parallel import (
+    MAX_REALIZATIONS,
+    Block,
+    available_workers,
+    map_in_order,
+    realization_blocks,
+)
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.densities import Density, as_density
@@ -82,7 +88,7 @@ def power_spectrum(
     source = as_sampler(sampler, getattr(density, "dims", None))
     p = as_density(density, source.dims)
     n = source.check_count(n)
-    realizations = as_integer("realizations", realizations, least=1)
+    realizations = as_integer("realizations", realizations, least=1, most=MAX_REALIZATIONS)
     grid = FrequencyGrid(source.dims, half_width, frequency_step)
     transform = Transform(grid, n, engine=engine, eps=eps)
     stream = Stream.from_rng(rng)

@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice, as_integer, as_real
+from mcspectra.core.checks import MAX_FREQUENCY, Array, as_choice, as_integer, as_real
 from mcspectra.core.errors import ParameterError
 from mcspectra.spectra._kernels import power_sums, split_pair
 
@@ -54,9 +54,9 @@ class FrequencyGrid:
     step: float = 1.0
 
     def __post_init__(self) -> None:
-        as_integer("dims", self.dims, least=1)
-        as_integer("half_width", self.half_width, least=0)
-        as_real("frequency_step", self.step, above=0.0)
+        as_integer("dims of a frequency grid", self.dims, least=1, most=16)
+        as_integer("half_width", self.half_width, least=0, most=MAX_FREQUENCIES)
+        as_real("frequency_step", self.step, above=0.0, most=MAX_FREQUENCY / MAX_FREQUENCIES)
         if self.size > MAX_FREQUENCIES:
             raise ParameterError(
                 f"half_width {self.half_width} in {self.dims} dims is {self.size:.3g} frequencies, "

@@ -25,6 +25,7 @@ __all__ = [
     "read_study",
 ]
 
+_LARGEST_FILE = 4 * 2**20
 Positive = Annotated[int, msgspec.Meta(ge=1, le=2**31)]
 Realizations = Annotated[int, msgspec.Meta(ge=2, le=10**9)]
 Text = Annotated[str, msgspec.Meta(min_length=1, max_length=20_000)]
@@ -69,12 +70,12 @@ class EstimatorConfig(_Struct, frozen=True, kw_only=True):
     """
 
     name: Text
-    dims: Annotated[int, msgspec.Meta(ge=1)] | None = None
+    dims: Annotated[int, msgspec.Meta(ge=1, le=1024)] | None = None
     integrand: Text | None = None
     integrands: tuple[Text, ...] | None = None
     density: Text | None = None
     densities: tuple[Text, ...] | None = None
-    heuristic: str = "balance"
+    heuristic: str | None = None
     technique_counts: tuple[Positive, ...] | None = None
     samplers: tuple[Text, ...] | None = None
     convergence: ConvergenceConfig | None = None
@@ -104,7 +105,11 @@ def read_study(path: str | Path) -> StudyConfig:
     """
     file = Path(path)
     try:
-        text = file.read_text(encoding="utf-8")
+        if file.exists() and not file.is_file():
+            raise ConfigError(f"{str(file)!r} is not a file; give the path of a .toml file.")
+        if file.stat().st_size > _LARGEST_FILE:
+            raise ConfigError(f"{str(file)!r} is larger than a study file can be (4 MiB).")
+        text = file.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise ConfigError(
             f"There is no study file {str(file)!r}; give the path of a .toml file."
@@ -121,6 +126,8 @@ def decode_study(text: str, source: str = "study") -> StudyConfig:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{source} is not valid TOML: {error}.") from None
+    except RecursionError:
+        raise ConfigError(f"{source} is nested too deeply for a study.") from None
     try:
         config = msgspec.convert(table, StudyConfig, strict=True)
     except msgspec.ValidationError as error:
@@ -135,6 +142,8 @@ def _explained(message: str) -> str:
     path = place.rstrip("`").lstrip(".")
     where = f"{path}: " if path else ""
     marker = "unknown field `"
+    if "enum value" in what and path.endswith("space"):
+        what += "; give 'domain' or 'primary'"
     if marker not in what:
         return f"{where}{what[:1].lower()}{what[1:].replace('`', '')}."
     field = what.split(marker)[1].split("`")[0]
@@ -175,6 +184,16 @@ def _check_names(config: StudyConfig, source: str) -> None:
         if e.density is not None and e.densities is not None:
             raise ConfigError(
                 f"{source}: the estimator {e.name!r} has density and densities; give one of them."
+            )
+        if e.densities is None and (e.heuristic is not None):
+            raise ConfigError(
+                f"{source}: the estimator {e.name!r} has a heuristic, which weights densities; "
+                "give densities, or leave it out."
+            )
+        if e.densities is None and e.integrands is None and e.technique_counts is not None:
+            raise ConfigError(
+                f"{source}: the estimator {e.name!r} has technique_counts but one technique; "
+                "give densities or integrands, or leave it out."
             )
         if e.integrands is not None and (e.density is not None or e.densities is not None):
             raise ConfigError(

@@ -14,6 +14,7 @@ from mcspectra.densities import DENSITIES
 from mcspectra.estimators import AbstractEstimator, Estimator, MultipleImportance, TechniqueSum
 from mcspectra.integrands import INTEGRANDS
 from mcspectra.samplers import Sampler, sampler_from_calls
+from mcspectra.spectra.transforms import FrequencyGrid
 from mcspectra.studies.config import (
     ConvergenceConfig,
     EstimatorConfig,
@@ -21,6 +22,7 @@ from mcspectra.studies.config import (
     StudyConfig,
     TermsConfig,
 )
+from mcspectra.variance.terms import check_terms
 
 __all__ = ["Analysis", "Cell", "Plan", "make_plan"]
 
@@ -80,8 +82,10 @@ def make_plan(config: StudyConfig, folder: Path) -> Plan:
             estimator = _build_estimator(entry, folder)
             parent = _slug(entry.name, slugs)
             inner: dict[str, str] = {}
+            specs: dict[str, str] = {}
             for text in entry.samplers if entry.samplers is not None else config.samplers:
                 sampler = sampler_from_calls(_resolved(text, folder), estimator.dims)
+                _check_new(sampler, text, specs)
                 path = f"{parent}/{_slug(text, inner)}"
                 cells += _cells(config, entry, estimator, sampler, text, path)
         except ConfigError:
@@ -105,7 +109,7 @@ def _build_estimator(entry: EstimatorConfig, folder: Path) -> AbstractEstimator:
     if entry.densities is not None:
         densities = [DENSITIES.build(_one(t, folder), f.dims) for t in entry.densities]
         return MultipleImportance(
-            f, densities, heuristic=entry.heuristic, counts=entry.technique_counts
+            f, densities, heuristic=entry.heuristic or "balance", counts=entry.technique_counts
         )
     if entry.density is None:
         return Estimator(f)
@@ -143,15 +147,24 @@ def _cells(
     terms = entry.terms or config.terms
     if terms is not None:
         estimator.check_sampler(sampler, terms.n)
-        frequencies = (2 * terms.half_width + 1) ** estimator.dims
+        frequencies = check_terms(
+            estimator, terms.half_width, terms.space, cross_matrix=terms.cross_matrix
+        )
         add("terms", terms, terms.realizations * (techniques * terms.n + frequencies))
     spectrum = entry.spectrum or config.spectrum
     if spectrum is not None:
         estimator.check_sampler(sampler, spectrum.n)
-        frequencies = (2 * spectrum.half_width + 1) ** estimator.dims
+        frequencies = FrequencyGrid(estimator.dims, spectrum.half_width).size
         add("spectrum", spectrum, spectrum.realizations * (spectrum.n + 0.5 * frequencies))
         add("points", spectrum, spectrum.n)
     return cells
+
+
+def _check_new(sampler: Sampler, text: str, specs: dict[str, str]) -> None:
+    """Refuse a sampler that is listed already under another spelling."""
+    if sampler.spec in specs:
+        raise ConfigError(f"{specs[sampler.spec]!r} and {text!r} are the same sampler; list one.")
+    specs[sampler.spec] = text
 
 
 def _check_fit(name: str, settings: ConvergenceConfig) -> None:

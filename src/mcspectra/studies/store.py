@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -71,8 +72,14 @@ class Store:
         return store
 
     def done(self, path: str) -> bool:
-        """Whether the cell at `path` is complete."""
-        return (self.path / path / "zarr.json").is_file()
+        """Whether the cell at `path` is there and can be read; a damaged one is removed."""
+        group = self.path / path
+        if not group.exists():
+            return False
+        if _readable(group):
+            return True
+        shutil.rmtree(group, ignore_errors=True)
+        return False
 
     def write(self, path: str, result: xr.Dataset) -> None:
         """Commit a cell: write beside the tree, then rename into place."""
@@ -82,7 +89,7 @@ class Store:
         try:
             # Zarr v3 has no stable type for fixed-width text; the root's attribute `bound` names them.
             result.drop_vars("bound", errors="ignore").to_zarr(
-                partial, mode="w", zarr_format=3, consolidated=False
+                partial, mode="w", zarr_format=3, consolidated=False, write_empty_chunks=True
             )
             self._make_parents(path)
             partial.replace(target)
@@ -151,6 +158,25 @@ class Store:
     def _remove_partial(self) -> None:
         for partial in self.folder.glob(".partial-*"):
             shutil.rmtree(partial, ignore_errors=True)
+
+
+def _readable(group: Path) -> bool:
+    """Whether every chunk of a cell is there and decodes; zarr reads missing ones as fill values."""
+    import xarray as xr
+
+    try:
+        for array in group.glob("*/zarr.json"):
+            document = json.loads(array.read_text(encoding="utf-8"))
+            chunk = document["chunk_grid"]["configuration"]["chunk_shape"]
+            expected = math.prod(-(-n // c) for n, c in zip(document["shape"], chunk, strict=True))
+            folder = array.parent / "c"
+            found = 1 if folder.is_file() else sum(f.is_file() for f in folder.rglob("*"))
+            if found != expected:
+                return False
+        xr.open_zarr(group, consolidated=False).load()
+    except (OSError, ValueError, KeyError, TypeError, RuntimeError):
+        return False
+    return True
 
 
 def config_hash(config: StudyConfig) -> str:

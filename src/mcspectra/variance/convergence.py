@@ -16,10 +16,16 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.parallel import Block, available_workers, map_in_order, realization_blocks
+from mcspectra.core.parallel import (
+    MAX_REALIZATIONS,
+    Block,
+    available_workers,
+    map_in_order,
+    realization_blocks,
+)
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Moments
+from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
 from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.samplers import Sampler, as_sampler
 
@@ -30,8 +36,8 @@ __all__ = ["convergence", "count_moments", "fit_rate"]
 
 
 def convergence(
-    estimator: AbstractEstimator | Sequence[AbstractEstimator],
-    sampler: Sampler | str | Sequence[Sampler | str],
+    estimator: Any,
+    sampler: Any,
     counts: Sequence[int],
     *,
     realizations: int = 1000,
@@ -44,7 +50,8 @@ def convergence(
     Parameters
     ----------
     estimator, sampler
-        One or a list of each; samplers may be spec strings.
+        One or a list of each, no sampler twice. Samplers may be spec strings, estimators may be
+        integrands or their spec strings, for plain sampling.
     counts
         Numbers of points n, ascending; each must be one that every sampler can do.
     realizations
@@ -77,14 +84,17 @@ def convergence(
     >>> round(float(curve["rate"]), 1)
     -3.0
     """
-    estimators = [estimator] if isinstance(estimator, AbstractEstimator) else list(estimator)
-    given = [sampler] if isinstance(sampler, Sampler | str) else list(sampler)
-    if not estimators or not given:
+    several, given = isinstance(estimator, list | tuple), isinstance(sampler, list | tuple)
+    if (several and not estimator) or (given and not sampler):
         raise ParameterError("convergence needs at least one estimator and one sampler.")
-    samplers = [as_sampler(s, estimators[0].dims) for s in given]
+    estimators = [as_estimator(e) for e in (estimator if several else [estimator])]
+    samplers = [as_sampler(s, estimators[0].dims) for s in (sampler if given else [sampler])]
+    _check_comparable(estimators, samplers)
     ns = _check_counts(counts, estimators, samplers)
-    realizations = as_integer("realizations", realizations, least=2)
-    last = len(ns) if fit_last is None else as_integer("fit_last", fit_last, least=2, most=len(ns))
+    realizations = as_integer("realizations", realizations, least=2, most=MAX_REALIZATIONS)
+    last = len(ns) if fit_last is None else as_integer("fit_last", fit_last, least=2)
+    if last > len(ns):
+        raise ParameterError(f"fit_last is {last}, but there are {len(ns)} counts.")
     stream = Stream.from_rng(rng)
     grid = [
         [_curve(e, s, ns, realizations, stream, last, available_workers(workers)) for s in samplers]
@@ -96,8 +106,8 @@ def convergence(
         drop=[
             name
             for name, single in (
-                ("estimator", isinstance(estimator, AbstractEstimator)),
-                ("sampler", isinstance(sampler, Sampler | str)),
+                ("estimator", not several),
+                ("sampler", not given),
                 ("channel", all(e.channels == 0 for e in estimators)),
             )
             if single
@@ -169,9 +179,25 @@ def fit_rate(
     return rate, (rate - half, rate + half)
 
 
+def _check_comparable(estimators: list[AbstractEstimator], samplers: list[Sampler]) -> None:
+    """Raise unless all fit in one dataset: equal channels, samplers that differ."""
+    channels = sorted({e.channels for e in estimators})
+    if len(channels) > 1:
+        raise ParameterError(
+            f"The estimators have {' and '.join(map(str, channels))} channels; compare those of "
+            "equal numbers."
+        )
+    names = [s.spec for s in samplers]
+    for name in names:
+        if names.count(name) > 1:
+            raise ParameterError(f"The sampler {name} is listed twice; list each once.")
+
+
 def _check_counts(
-    counts: Sequence[int], estimators: list[AbstractEstimator], samplers: list[Sampler]
+    counts: Any, estimators: list[AbstractEstimator], samplers: list[Sampler]
 ) -> list[int]:
+    if not isinstance(counts, Sequence | np.ndarray) or isinstance(counts, str):
+        raise ParameterError(f"counts is {counts!r}; give a list of ascending numbers of points.")
     ns = [as_integer("counts", n, least=1) for n in counts]
     if not ns or any(b <= a for a, b in itertools.pairwise(ns)):
         raise ParameterError(f"counts is {list(counts)}; give ascending numbers of points.")

@@ -18,7 +18,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import NoClosedForm
-from mcspectra.estimators import AbstractEstimator
+from mcspectra.estimators import AbstractEstimator, as_estimator
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import (
     Jittered,
@@ -48,7 +48,9 @@ def _towards_ends(depth: int) -> tuple[float, ...]:
 _GRADED = {1: _towards_ends(40), 2: _towards_ends(14)}
 
 
-def exact_variance(estimator: AbstractEstimator, sampler: Sampler | str, n: int) -> Any:
+def exact_variance(
+    estimator: AbstractEstimator | Integrand | str, sampler: Sampler | str, n: int
+) -> Any:
     """Return the exact variance of an estimator, without sampling.
 
     Parameters
@@ -75,6 +77,7 @@ def exact_variance(estimator: AbstractEstimator, sampler: Sampler | str, n: int)
     >>> round(variance * 12 * 4**3, 9)
     1.0
     """
+    estimator = as_estimator(estimator, getattr(sampler, "dims", None))
     source = as_sampler(sampler, estimator.dims)
     n = source.check_count(n)
     estimator.check_sampler(source, n)
@@ -156,6 +159,11 @@ class _Axis:
 
 def _spread_within_strata(g: Integrand, sides: int, offset: Array, order: int) -> Array:
     """Mean over strata, displaced by `offset` on the torus, of the variance within one: (channels,)."""
+    if float(sides) ** g.dims > _MAX_EVALUATIONS:
+        raise NoClosedForm(
+            f"The quadrature of {float(sides) ** g.dims:.2g} strata would take more than "
+            f"{_MAX_EVALUATIONS:.2g} evaluations; use convergence or variance_terms."
+        )
     axes = [_Axis.cut(sides, float(o), b) for o, b in zip(offset, g.breaks, strict=True)]
     moments = _box_moments(g, axes)
     if moments is None:

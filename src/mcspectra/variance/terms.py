@@ -24,10 +24,17 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_choice, as_integer
 from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError
-from mcspectra.core.parallel import Block, available_workers, map_in_order, realization_blocks
+from mcspectra.core.parallel import (
+    MAX_REALIZATIONS,
+    Block,
+    available_workers,
+    map_in_order,
+    realization_blocks,
+)
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Moments
+from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
+from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra.transforms import FrequencyGrid, Transform
 from mcspectra.variance.sums import Partition, SpectralSums
@@ -35,16 +42,17 @@ from mcspectra.variance.sums import Partition, SpectralSums
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["MAX_MATRIX", "SPACES", "radial_bands", "variance_terms"]
+__all__ = ["MAX_MATRIX", "SPACES", "check_terms", "radial_bands", "variance_terms"]
 
 SPACES = ("domain", "primary")
+_MAX_BANDS = 4096
 BASES = ("fourier",)
 MAX_MATRIX = 4096
 """Most frequencies of a full cross matrix: two of that size take 0.5 GiB."""
 
 
 def variance_terms(
-    estimator: AbstractEstimator,
+    estimator: AbstractEstimator | Integrand | str,
     sampler: Sampler | str,
     n: int,
     *,
@@ -121,16 +129,13 @@ def variance_terms(
     """
     as_choice("basis", basis, BASES)
     as_choice("space", space, SPACES)
+    estimator = as_estimator(estimator, getattr(sampler, "dims", None))
     source = as_sampler(sampler, estimator.dims)
     n = source.check_count(n)
     estimator.check_sampler(source, n)
-    realizations = as_integer("realizations", realizations, least=2)
+    realizations = as_integer("realizations", realizations, least=2, most=MAX_REALIZATIONS)
+    check_terms(estimator, half_width, space, cross_matrix=cross_matrix)
     view = _View.of(estimator, n, space, FrequencyGrid(estimator.dims, half_width), engine, eps)
-    if cross_matrix and view.size > MAX_MATRIX:
-        raise ParameterError(
-            f"The cross matrix of {view.size} frequencies takes {32 * view.size**2 / 2**30:.3g} GiB; "
-            f"ask for at most {MAX_MATRIX} frequencies, or use contribution and band_covariance."
-        )
     partition = view.partition(_band_labels(bands, view.grid), cross_matrix)
     stream = Stream.from_rng(rng)
 
@@ -197,11 +202,7 @@ class _View:
         techniques = range(len(estimator.counts))
         if space == "domain":
             integrand = estimator.domain_integrand
-            if integrand is None:
-                raise ParameterError(
-                    f"{estimator.spec} has no common domain: its techniques are given on their own "
-                    "unit cubes; use space='primary'."
-                )
+            assert integrand is not None  # check_terms has seen to it
             integrands, counts = [integrand], [n * sum(estimator.counts)]
         else:
             integrands = [estimator.primary_integrand(t) for t in techniques]
@@ -218,11 +219,6 @@ class _View:
             np.stack(stacked, axis=1).astype(np.complex128),
             "; ".join(dict.fromkeys(g.fourier_source for g in integrands)),
         )
-
-    @property
-    def size(self) -> int:
-        """Number of coefficients of all techniques together, both signs."""
-        return self.grid.size * len(self.transforms)
 
     def coefficients(self, points: list[Array]) -> Array:
         """Spectra of a block, half grids of the techniques side by side: (R, T·H)."""
@@ -247,6 +243,32 @@ class _View:
         )
 
 
+def check_terms(
+    estimator: AbstractEstimator, half_width: int, space: str | None, *, cross_matrix: bool
+) -> int:
+    """Check what `variance_terms` can refuse before any work; return the number of coefficients.
+
+    Raises
+    ------
+    ParameterError
+        The grid or the cross matrix would be too large, or there is no domain to work in.
+    """
+    grid = FrequencyGrid(estimator.dims, half_width)
+    if space == "domain" and estimator.domain_integrand is None:
+        raise ParameterError(
+            f"{estimator.spec} has no common domain: its techniques are given on their own "
+            "unit cubes; use space='primary'."
+        )
+    primary = space == "primary" or estimator.domain_integrand is None
+    size = grid.size * (len(estimator.counts) if primary else 1)
+    if cross_matrix and size > MAX_MATRIX:
+        raise ParameterError(
+            f"The cross matrix of {size} frequencies takes {32 * size**2 / 2**30:.3g} GiB; "
+            f"ask for at most {MAX_MATRIX} frequencies, or use contribution and band_covariance."
+        )
+    return size
+
+
 def radial_bands(grid: FrequencyGrid) -> Array:
     """Shell of each half-grid frequency, round(|m|): int64 (H,)."""
     length = np.sqrt((grid.half_indices() ** 2).sum(axis=1))
@@ -258,10 +280,11 @@ def _band_labels(bands: str | Array, grid: FrequencyGrid) -> Array:
         as_choice("bands", bands, ("radial",))
         return radial_bands(grid)
     labels = np.asarray(bands)
-    if labels.shape != grid.shape or labels.dtype.kind not in "iu" or labels.min() < 0:
+    integer = labels.shape == grid.shape and labels.dtype.kind in "iu"
+    if not integer or labels.min() < 0 or labels.max() >= _MAX_BANDS:
         raise ParameterError(
             f"bands has shape {labels.shape} and type {labels.dtype}; give 'radial' or integer "
-            f"labels ≥ 0 of shape {grid.shape}."
+            f"labels from 0 to {_MAX_BANDS - 1} of shape {grid.shape}."
         )
     if not np.array_equal(labels, labels[(slice(None, None, -1),) * grid.dims]):
         raise ParameterError(
