@@ -104,7 +104,7 @@ def make(tmp_path_factory):
     folder = tmp_path_factory.mktemp("points")
 
     def build(case):
-        path = folder / f"{case.dims}.npz"
+        path = folder / f"{case.dims}-{case.n}.npz"
         if not path.exists():
             points = np.random.default_rng(case.dims).random((GIVEN_SETS, case.n, case.dims))
             np.savez(path, points=points)
