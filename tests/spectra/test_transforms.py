@@ -66,8 +66,8 @@ def test_full_grid_is_hermitian_and_in_order():
 
 
 def test_512_squared_meets_the_promised_accuracy():
-    """4096 points on 511² frequencies: error against the direct sum at most 1e-8 of the peak."""
-    grid = FrequencyGrid(2, 255)
+    """4096 points on 513² frequencies: error against the direct sum at most 1e-8 of the peak."""
+    grid = FrequencyGrid(2, 256)
     x = _points(2, 4096, 2, seed=3)
     got = Transform(grid, 4096).coefficients(x)
     chosen = np.random.default_rng(4).choice(grid.half_size, 400, replace=False)
