@@ -198,3 +198,36 @@ def test_ctrl_c_leaves_a_resumable_store(tmp_path):
     assert len(json.loads(done.stdout)["rows"]) == 6
     assert (tmp_path / "out/report.html").exists()
     assert any((tmp_path / "out/figures").iterdir())
+
+
+def test_a_terminal_without_unicode_loses_characters_not_results():
+    import os
+
+    environment = {
+        **os.environ,
+        "PYTHONIOENCODING": "ascii",
+        "PYTHONUTF8": "0",
+        "PYTHONCOERCECLOCALE": "0",
+        "LC_ALL": "C",
+    }
+    command = [sys.executable, "-m", "mcspectra", "list", "integrands"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert "gaussian" in done.stdout
+
+
+def test_closed_standard_input_is_a_sentence():
+    command = f"{sys.executable} -m mcspectra points - -n 4 <&-"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "closed" in done.stderr
+
+
+def test_a_pipe_is_no_study_file(tmp_path):
+    import os
+
+    os.mkfifo(tmp_path / "pipe.toml")
+    command = [sys.executable, "-m", "mcspectra", "run", str(tmp_path / "pipe.toml")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 2
+    assert "not a file" in done.stderr
