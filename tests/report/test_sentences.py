@@ -62,7 +62,7 @@ def curve(rate: float | None, half: float = 0.03, **more: Any) -> SummaryRow:
         (curve(-1.01), "cannot be told from"),
         (curve(-1.52, half=0.6), "cannot be told from"),
         (curve(None, variance=0.0), "is zero"),
-        (curve(None, variance=1.0), "fewer than two counts"),
+        (curve(None, variance=1.0), "it takes two counts"),
     ],
 )
 def test_rate(row: SummaryRow, words: str) -> None:
@@ -123,7 +123,7 @@ def test_captured__agreement_and_doubt() -> None:
     assert "agree (98 %)" in explain(*case(predicted=0.98))
     assert "agree (100 %)" in explain(*case(predicted=1.00002))
     doubt = explain(*case(predicted=0.7, power=0.7, width=1.5))
-    assert "the intervals overlap" in doubt
+    assert "the spectrum predicts" in doubt
     assert "Only" not in doubt
 
 

@@ -54,6 +54,6 @@ def run(options: argparse.Namespace) -> int:
             print_json({**meta, "shape": points.shape, "file": options.out})
     elif options.json:
         print_json({**meta, "points": points})
-    elif not options.quiet:
+    else:  # the points are the result: --quiet silences warnings only
         sys.stdout.write(format_dat(list(points)))
     return 0

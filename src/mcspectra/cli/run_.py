@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = ["add_arguments", "run"]
 
+_FAR = 0.5
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options."""
@@ -103,14 +105,21 @@ def _progress(silent: bool) -> Iterator[Any]:
 def summary_text(rows: list[SummaryRow]) -> str:
     """The table that a person reads: rate, predicted/measured, largest term."""
     header = ["estimator", "sampler", "rate", "±", "predicted/measured", "largest term"]
-    return text_table(header, [_summary_cells(row) for row in rows])
+    table = text_table(header, [_summary_cells(row) for row in rows])
+    far = any(_far(row) for row in rows)
+    note = "* far from 1: the sum over frequencies has not converged at this half width (report)"
+    return f"{table}\n{note}" if far else table
+
+
+def _far(row: SummaryRow) -> bool:
+    return row.captured is not None and abs(row.captured - 1.0) > _FAR
 
 
 def _summary_cells(row: SummaryRow) -> list[str]:
     rate, half = "–", "–"
     if row.rate is not None and row.rate_low is not None and row.rate_high is not None:
         rate, half = f"{row.rate:+.2f}", f"{(row.rate_high - row.rate_low) / 2:.2f}"
-    captured = "–" if row.captured is None else f"{row.captured:.3f}"
+    captured = "–" if row.captured is None else f"{row.captured:.3f}{'*' if _far(row) else ' '}"
     term = row.largest_term or ("infinite" if row.note else "–")
     if row.largest_term is not None:
         term = f"{row.largest_term} {getattr(row, row.largest_term):+.2e}"

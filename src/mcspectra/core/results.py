@@ -40,7 +40,7 @@ VARIABLES: Mapping[str, tuple[str, str]] = {
     "pair_correlation": ("pair correlation g(r), 1 for random points", "1"),
     "pair_correlation_se": ("standard error of g(r) over realisations", "1"),
     "points": ("points of one realisation", "1"),
-    "power": ("expected power ⟨|S_m|²⟩; random points: 1/n", "1"),
+    "power": ("expected power ⟨|S_m|²⟩; random points: ∫1/p / n", "1"),
     "power_se": ("standard error of the expected power over realisations", "1"),
     "power_contribution": ("|f_m|² C_mm, the diagonal part of the contribution", "f²"),
     "power_term": ("power term Σ_{m≠0} |f_m|² C_mm", "f²"),

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.estimators.moments import Moments
 
@@ -98,8 +98,14 @@ class AbstractEstimator(ABC):
                 f"The estimator {self.spec} needs a sampler in {self.dims} dims; "
                 f"{sampler.spec} has {sampler.dims}."
             )
-        for count in self.counts:
-            sampler.check_count(n * count)
+        for technique, multiple in enumerate(self.counts):
+            try:
+                sampler.check_count(n * multiple)
+            except CountError as error:
+                if multiple == 1:
+                    raise
+                where = f"Technique {technique} draws {multiple} · {n} points: "
+                raise CountError(where + str(error), error.nearest) from None
 
     def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:
         """Draw realisations first … first+count−1 for each technique: arrays (count, n_t, d).

@@ -12,10 +12,12 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 
-__all__ = ["CONFIDENCE_Z", "Moments", "variance_interval"]
+__all__ = ["CONFIDENCE_Z", "Moments", "rounding_floor", "variance_interval"]
 
 CONFIDENCE_Z = 1.959963984540054
 """Half width of a two-sided 95 % interval in standard errors."""
+
+_PRIOR = 20  # values' worth of the belief that the estimates are normal
 
 
 @dataclass(frozen=True)
@@ -73,16 +75,16 @@ class Moments:
     def relative_se(self) -> Array:
         """Standard error of the variance relative to it, from the kurtosis of the values.
 
-        Var(s²)/σ⁴ = (κ − (R−3)/(R−1))/R [Kenney & Keeping 1951], κ from the sample. A two-valued
-        estimate has κ near 1, for which the formula tends to 0; a floor of 1/(2R) keeps the
-        interval open.
+        Var(s²)/σ⁴ = (κ − (R−3)/(R−1))/R [Kenney & Keeping 1951]. Few values understate κ: it is
+        drawn towards a normal's 3 with the weight of 20 values.
         """
         n = self.count
         if n < 2:
             return np.full_like(self.m2, np.nan)
         with np.errstate(invalid="ignore", divide="ignore"):
             kurtosis = np.where(self.m2 > 0, n * self.m4 / self.m2**2, 3.0)
-        spread = (kurtosis - (n - 3) / (n - 1)) / n
+        drawn = (n * kurtosis + 3.0 * _PRIOR) / (n + _PRIOR)
+        spread = (drawn - (n - 3) / (n - 1)) / n
         return np.asarray(np.sqrt(np.maximum(spread, 0.5 / n)))
 
     @property
@@ -97,6 +99,17 @@ class Moments:
 
 
 def variance_interval(variance: Array, relative_se: Array) -> Array:
-    """95 % interval s² exp(±z se), symmetric in the logarithm because s² is skew: (..., 2)."""
-    factor = np.exp(CONFIDENCE_Z * relative_se)
-    return np.stack([variance / factor, variance * factor], axis=-1)
+    """95 % interval of a variance, (..., 2), from χ² quantiles with ν = 2/relative_se² degrees.
+
+    For normal values ν is R − 1 and the interval is exact; heavier tails have fewer degrees.
+    """
+    from scipy.special import gammaincinv
+
+    half = 1.0 / np.square(relative_se)
+    low, high = (variance * half / gammaincinv(half, p) for p in (0.975, 0.025))
+    return np.stack([low, high], axis=-1)
+
+
+def rounding_floor(size: Array) -> Array:
+    """Variance below which estimates of this size differ by rounding only: (16 ulps)²."""
+    return np.asarray((16 * np.finfo(float).eps * np.abs(size)) ** 2)

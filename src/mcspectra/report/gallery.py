@@ -126,7 +126,7 @@ def _maps(data: Datasets, styles: Styles) -> Iterator[Picture]:
 
 def _spectrum(data: Datasets, styles: Styles) -> Iterator[Picture]:
     dims = len(frequency_dims(next(iter(data.values()))["power"].to_dataset()))
-    level = "n times the expected power, so that random points are at 1; m = 0 is left out."
+    level = "the expected power over that of random points (∫1/p / n); m = 0 is left out."
     if dims == 1:
         yield Picture(
             kind="spectrum",

@@ -51,7 +51,7 @@ def _rate_sentence(row: SummaryRow) -> str:
     if row.rate is None:
         if row.variance == 0:
             return f"The variance at n = {row.n} is zero: there is no rate to fit."
-        return "There is no rate: fewer than two counts have a variance above rounding noise."
+        return "There is no rate: it takes two counts with a variance above rounding noise."
     if row.rate_low is None or row.rate_high is None:
         return f"The variance falls like n to the {number(row.rate)}, interval unknown."
     fitted = rate(row.rate, row.rate_low, row.rate_high)
@@ -75,6 +75,8 @@ def _term_sentences(row: SummaryRow, terms: xr.Dataset) -> list[str]:
         ]
     if row.measured == 0:
         return ["The measured variance is zero: there is nothing to explain."]
+    if row.captured is None:
+        return ["The measured variance is rounding noise: there is nothing to explain."]
     if row.dc is None or row.power is None or row.predicted is None or row.measured is None:
         return []
     low, high = (float(end) for end in terms["predicted_variance_ci"].values)
@@ -112,9 +114,10 @@ def _cross_sentence(
     change = predicted / diagonal - 1.0
     if high < diagonal:
         fate = "; a random shift would lose that" if uniform else ""
+        cause = "strata aligned to it" if uniform else "a density that follows it"
         return (
             f"The cross term removes {percent(-change)} of what {what}: frequencies are correlated "
-            f"in the integrand's favour, as with strata aligned to it{fate}."
+            f"in the integrand's favour, as with {cause}{fate}."
         )
     if low > diagonal:
         cure = "; for unbiased points a random shift would avoid that" if uniform else ""
@@ -143,6 +146,6 @@ def _captured_sentence(row: SummaryRow, interval: tuple[float, float], half_widt
             )
         )
     return (
-        f"The spectrum predicts {percent(captured)} of the measured variance at half width "
-        f"{half_width}, but the intervals overlap: more realisations would tell."
+        f"At half width {half_width} the spectrum predicts {percent(captured)} of the measured "
+        "variance."
     )

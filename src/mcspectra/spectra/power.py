@@ -65,7 +65,7 @@ def power_spectrum(
     -------
     xarray.Dataset
         ``power``, ``power_se`` on dims m0, m1, … (power 1/n is random sampling; m = 0 holds
-        ⟨S_0²⟩); ``radial_power``, ``radial_power_se`` on dim radius (|m|, cycles per unit, rings of
+        ⟨S_0²⟩; with a density random is ∫1/p / n, the attribute ``random_level`` over n); ``radial_power``, ``radial_power_se`` on dim radius (|m|, cycles per unit, rings of
         one frequency step, without m = 0).
 
     Raises
@@ -135,7 +135,8 @@ def power_spectrum(
         seed=rng if isinstance(rng, int) else None,
         engine=transform.engine,
         eps=eps,
-        convention="power = <|S_m|^2>, random points 1/n",
+        random_level=1.0 if p is None else p.reciprocal_integral(),
+        convention="power = <|S_m|^2>; random points: random_level/n, random_level = ∫1/p",
     )
 
 

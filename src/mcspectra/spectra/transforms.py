@@ -165,12 +165,18 @@ class Transform:
         if self.engine == "direct":
             for r in range(sets):
                 out[r] = self._direct(points[r], weights[r])
-            return out
+        else:
+            self._transform_pairs(points, weights, out)
+        # S_0 is the sum of the weights: exactly, so that equal weights have no dc term.
+        out[:, -1] = weights.sum(axis=1)
+        return out
+
+    def _transform_pairs(self, points: Array, weights: Array, out: Array) -> None:
+        sets = len(points)
         for r in range(0, sets - 1, 2):
             split_pair(self._pair(points[r : r + 2], weights[r : r + 2]), out[r], out[r + 1])
         if sets % 2:
             out[-1] = self._nufft(points[-1], weights[-1].astype(np.complex128))[: out.shape[1]]
-        return out
 
     def add_power(self, points: Array, weights: Array | None, total: Array, squares: Array) -> None:
         """Add Σ_r |S_m|² and Σ_r |S_m|⁴ of a block to `total` and `squares`, both (H,)."""

@@ -106,11 +106,13 @@ def _term_values(terms: xr.Dataset) -> dict[str, Any]:
         "measured_low": _number(low),
         "measured_high": _number(high),
         "captured": _number(terms["captured"]),
-        "largest_term": max(known, key=known.__getitem__)
-        if known and any(known.values())
-        else None,
+        "largest_term": _largest(known) if _number(terms["captured"]) is not None else None,
         "note": terms.attrs.get("note"),
     }
+
+
+def _largest(known: dict[str, float]) -> str | None:
+    return max(known, key=known.__getitem__) if any(known.values()) else None
 
 
 def _number(value: Any) -> float | None:

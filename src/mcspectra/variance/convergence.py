@@ -26,7 +26,7 @@ from mcspectra.core.parallel import (
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
-from mcspectra.estimators.moments import CONFIDENCE_Z
+from mcspectra.estimators.moments import CONFIDENCE_Z, rounding_floor
 from mcspectra.samplers import Sampler, as_sampler
 
 if TYPE_CHECKING:
@@ -232,8 +232,7 @@ def curve_from_moments(
     variance = np.stack([m.variance for m in moments])
     relative = np.stack([m.relative_se for m in moments])
     mean = np.stack([m.mean for m in moments])
-    # Rounding: a mean of n terms of size |I| is good to a few ulps; its variance is then noise.
-    floor = (16 * np.finfo(float).eps * np.maximum(np.abs(mean), np.abs(integral))) ** 2
+    floor = rounding_floor(np.maximum(np.abs(mean), np.abs(integral)))
     fits = [
         fit_rate(np.array(ns[-last:]), variance[-last:, c], relative[-last:, c], floor[-last:, c])
         for c in range(variance.shape[1])

@@ -35,7 +35,8 @@ from mcspectra.samplers import (
 
 __all__ = ["exact_variance"]
 
-_ORDERS = (6, 10)
+_ORDERS = {1: (12, 20)}
+_ORDERS_ELSE = (6, 10)
 _TOLERANCE = 1e-6
 _MAX_EVALUATIONS = 2**25
 
@@ -84,7 +85,9 @@ def exact_variance(
     total: Any = 0.0
     for technique, count in enumerate(estimator.counts):
         g = estimator.primary_integrand(technique)
-        low, high = (_variance(source, n * count, g, order) for order in _ORDERS)
+        low, high = (
+            _variance(source, n * count, g, order) for order in _ORDERS.get(g.dims, _ORDERS_ELSE)
+        )
         scale = np.abs(high) + (1e-14 * np.abs(g.integral)) ** 2 / _TOLERANCE
         if not np.all(np.abs(high - low) <= _TOLERANCE * scale):
             raise NoClosedForm(

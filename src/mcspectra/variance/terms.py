@@ -34,6 +34,7 @@ from mcspectra.core.parallel import (
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
+from mcspectra.estimators.moments import rounding_floor
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra.transforms import FrequencyGrid, Transform
@@ -98,7 +99,8 @@ def variance_terms(
     -------
     xarray.Dataset
         ``dc_term``, ``power_term``, ``cross_term``, ``predicted_variance`` (their sum) with ``_ci``,
-        ``measured_variance`` with ``_ci``, ``captured`` (predicted/measured), ``contribution`` and
+        ``measured_variance`` with ``_ci``, ``captured`` (predicted/measured, NaN where the
+        measured variance is rounding noise), ``contribution`` and
         ``power_contribution`` on m0, m1, …, ``band_covariance(band, band_other)``,
         ``truncated_variance(half_width)`` and ``captured_by_half_width(half_width)``; a dim channel
         where f has several, a dim technique on maps of a primary space with several. With
@@ -310,9 +312,10 @@ def _variables(
     dc = diagonal[:, is_dc].sum(axis=1)
     power = (diagonal * partition.double)[:, ~is_dc].sum(axis=1)
     shape = (len(f), len(view.transforms), grid.half_size)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        captured = total / measured.variance
-        curve = sums.truncated.variance / measured.variance[:, None]
+    # A variance of rounding noise captures nothing.
+    real = np.where(measured.variance > rounding_floor(measured.mean), measured.variance, np.nan)
+    captured = total / real
+    curve = sums.truncated.variance / real[:, None]
     maps = ("channel", "technique", *grid.names)
     by_width = ("channel", "half_width")
     variables: Variables = {

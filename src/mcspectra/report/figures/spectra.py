@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -74,7 +74,7 @@ def power_images(data: Group) -> Figure:
     bar = figure.colorbar(
         drawn, ax=[b[0] for b in blocks], extend="max", shrink=0.85, aspect=24, pad=0.02
     )
-    quiet_colorbar(bar, "n · ⟨|Sₘ|²⟩   (random points: 1)")
+    quiet_colorbar(bar, power_label(group.values()))
     return figure
 
 
@@ -96,7 +96,7 @@ def power_lines(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -
     group = as_group(data, "power")
     curves = {n: (d["m0"].values, _without_dc(d, 1)) for n, d in group.items()}
     figure = _lines(curves, styles or sampler_styles(list(group)), log_x=False)
-    figure.axes[0].set(xlabel="frequency m (cycles per unit)")
+    figure.axes[0].set(xlabel="frequency m (cycles per unit)", ylabel=power_label(group.values()))
     return figure
 
 
@@ -119,10 +119,14 @@ def radial_power(data: Group, *, styles: Mapping[str, LineStyle] | None = None) 
     curves = {}
     for name, each in group.items():
         n, dims = int(each.attrs["n"]), len(frequency_dims(each))
-        curves[name] = (each["radius"].values / n ** (1 / dims), n * each["radial_power"].values)
+        scale = n / random_level(each)
+        curves[name] = (
+            each["radius"].values / n ** (1 / dims),
+            scale * each["radial_power"].values,
+        )
     figure = _lines(curves, styles or sampler_styles(list(group)), log_x=True)
     root = {1: "n", 2: "√n", 3: "∛n"}.get(dims, f"n^(1/{dims})")
-    figure.axes[0].set(xlabel=f"|m| / {root}")
+    figure.axes[0].set(xlabel=f"|m| / {root}", ylabel=power_label(group.values()))
     return figure
 
 
@@ -148,20 +152,32 @@ def _lines(
     if log_x:
         xs = np.concatenate([x[x > 0] for x, _ in curves.values()])
         log_axis(axes, "x", float(xs.min(initial=1.0)), float(xs.max(initial=1.0)))
-    axes.set_ylabel("n · ⟨|Sₘ|²⟩   (random: 1)")
     legend_below(figure, axes)
     return figure
 
 
+def random_level(data: xr.Dataset) -> float:
+    """∫1/p of the points' density, what n · power is for random points; 1 where it diverges."""
+    level = float(data.attrs.get("random_level", 1.0))
+    return level if np.isfinite(level) else 1.0
+
+
+def power_label(datasets: Iterable[xr.Dataset]) -> str:
+    """Label of an axis of n · power, divided by ∫1/p where there is a density."""
+    weighted = any(random_level(each) != 1.0 for each in datasets)
+    return f"n · ⟨|Sₘ|²⟩{' / ∫1/p' if weighted else ''}   (random: 1)"
+
+
 def _without_dc(data: xr.Dataset, dims: int) -> Array:
-    """Return n · power with NaN at m = 0."""
+    """Return n · power over that of random points, with NaN at m = 0."""
     names = frequency_dims(data)
     if len(names) != dims:
         raise ParameterError(
             f"The spectrum has {len(names)} frequency dims; this figure shows {dims}: "
             "use radial_power for any number of dims."
         )
-    power = int(data.attrs["n"]) * data["power"].transpose(*names).values
+    scale = int(data.attrs["n"]) / random_level(data)
+    power = scale * data["power"].transpose(*names).values
     centre = tuple(size // 2 for size in power.shape)
     power[centre] = np.nan
     return np.asarray(power)
