@@ -1,6 +1,6 @@
 """The contract of samplers: every registered one, plain and after every randomisation.
 
-A new sampler is one row of `ROWS`; a new randomisation one entry of `CHAINS`.
+A new sampler is one row of `rows.ROWS`; a new randomisation one entry of `CHAINS`.
 """
 
 from __future__ import annotations
@@ -14,41 +14,11 @@ from scipy import stats
 import mcspectra as mcs
 from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.samplers import RANDOMIZATIONS, SAMPLERS, Randomized, sampler
+from tests.samplers.rows import ROWS, Row
 
 FALSE_ALARMS = 1e-6  # for the whole file
 GIVEN_SETS = 8
 
-
-@dataclass(frozen=True)
-class Row:
-    """A sampler to hold to the contract: spec, dims and a count that it can make in each."""
-
-    spec: str
-    counts: dict[int, int]
-    fixed: bool = False  # the same points in every realisation
-    unbiased: bool = True
-
-
-ANY = {1: 16, 2: 16, 3: 16, 10: 16}
-GRIDS = {1: 16, 2: 16, 3: 27, 10: 1024}
-
-ROWS = (
-    Row("random", ANY),
-    Row("regular", GRIDS, fixed=True, unbiased=False),
-    Row("regular(position='corner')", GRIDS, fixed=True, unbiased=False),
-    Row("uniform-jitter", GRIDS),
-    Row("jittered", GRIDS),
-    Row("latin-hypercube", ANY),
-    Row("multi-jittered", {2: 16}),
-    Row("halton", ANY, fixed=True, unbiased=False),
-    Row("halton(skip=5, scramble='permute')", ANY),
-    Row("sobol", ANY, fixed=True, unbiased=False),
-    Row("rank1-lattice", ANY, fixed=True, unbiased=False),
-    Row("rank1-lattice(vector=[1, 7, 3])", {3: 16}, fixed=True, unbiased=False),
-    Row("poisson-disk", {1: 16, 2: 16, 3: 16}),
-    Row("scipy(engine='LatinHypercube')", ANY),
-    Row("points(path='{path}')", ANY, unbiased=False),
-)
 
 CHAINS = {
     "": False,
@@ -85,13 +55,28 @@ class Case:
         return f"{self.row.spec}{self.chain}-{self.dims}d"
 
 
-CASES = [
+def parts_of(chain):
+    """Names of the randomisations of a chain."""
+    return [part.strip().partition("(")[0] for part in chain.split("|") if part.strip()]
+
+
+def fits(row, chain):
+    """Whether every step of the chain keeps what the steps before it have left."""
+    structure = SAMPLERS.load(row.spec.partition("(")[0]).structure
+    for name in parts_of(chain):
+        structure = RANDOMIZATIONS.load(name).fits.get(structure)
+    return structure is not None
+
+
+ALL = [
     Case(row, dims, chain)
     for row in ROWS
     for chain in CHAINS
     for dims in row.counts
     if not chain or dims in (2, max(row.counts))
 ]
+CASES = [case for case in ALL if fits(case.row, case.chain)]
+MISFITS = [case for case in ALL if not fits(case.row, case.chain)]
 PLAIN = [case for case in CASES if not case.chain and case.dims == max(2, min(case.row.counts))]
 
 every_case = pytest.mark.parametrize("case", CASES, ids=str)
@@ -115,8 +100,13 @@ def make(tmp_path_factory):
 
 def test_rows_cover_the_registries():
     assert {row.spec.partition("(")[0] for row in ROWS} == set(SAMPLERS)
-    parts = {part.strip().partition("(")[0] for chain in CHAINS for part in chain.split("|")}
-    assert parts - {""} == set(RANDOMIZATIONS)
+    assert {part for chain in CHAINS for part in parts_of(chain)} == set(RANDOMIZATIONS)
+
+
+@pytest.mark.parametrize("case", MISFITS, ids=str)
+def test_randomizations_that_break_a_set_are_refused_with_a_reason(case, make):
+    with pytest.raises(ParameterError, match=r"^[a-z-]+ would break the .* of .*; .*\.$"):
+        make(case)
 
 
 @every_case
@@ -228,6 +218,8 @@ def test_randomizations_leave_their_input_alone(case, make, name):
 @pytest.mark.parametrize("name", list(RANDOMIZATIONS))
 def test_then_is_the_chain_of_the_spec_string(case, make, name):
     source = make(case)
+    if not fits(case.row, name):
+        return  # refused: see above
     chained = source.then(RANDOMIZATIONS.load(name)())
     spelled = sampler(f"{source.spec} | {name}", case.dims)
     assert isinstance(chained, Randomized)

@@ -7,25 +7,37 @@ and say which counts they can do; everything else (checks, seeds, shapes) is her
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from enum import Enum
 from os import PathLike
 from typing import Any, ClassVar, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.errors import CountError, ParameterError
+from mcspectra.core.errors import CountError, NotPowerOfTwoWarning, ParameterError
 from mcspectra.core.spec import Component
 from mcspectra.core.streams import RngLike, Stream
 
-__all__ = ["MAX_COUNT", "Randomization", "Randomized", "Sampler", "check_dims"]
+__all__ = ["MAX_COUNT", "Randomization", "Randomized", "Sampler", "Structure", "check_dims"]
 
 MAX_COUNT = 2**31
 """Most points in one realisation, and most numbers in one `draw` of a sampler (16 GiB)."""
 
 _FIRST_STEP = 1 << 16  # stream labels below this one are free for the samplers' own parts
+
+
+class Structure(Enum):
+    """What makes a point set better than random, and so what a randomisation must not break."""
+
+    NONE = "independent points"
+    UNKNOWN = "points from outside"
+    STRATA = "strata"
+    DIGITS = "elementary intervals"
+    TORUS = "distances and differences on the torus"
 
 
 class Sampler(Component, ABC):
@@ -37,11 +49,19 @@ class Sampler(Component, ABC):
         Number of dimensions d.
     unbiased
         Whether every point is uniform on [0,1)^d by itself, so that means are unbiased.
+    structure
+        What randomisations of this sampler have to keep: `Structure`.
     """
 
     dims: int
     unbiased: ClassVar[bool] = True
+    structure: ClassVar[Structure] = Structure.UNKNOWN
     max_dims: ClassVar[int | None] = None
+
+    @property
+    def digit_bases(self) -> tuple[int, ...]:
+        """Base of the digits of each coordinate, for randomisations of digits: 2 unless said."""
+        return (2,) * self.dims
 
     def draw(self, n: int, *, realizations: int = 1, rng: RngLike = None, first: int = 0) -> Array:
         """Draw realisations first … first+realizations−1 of a set of `n` points.
@@ -90,6 +110,8 @@ class Sampler(Component, ABC):
             raise CountError(str(error)) from None
         below, above = self._counts_near(count)
         if count in (below, above):
+            if sentence := self._count_warning(count):
+                warnings.warn(sentence, NotPowerOfTwoWarning, stacklevel=3)
             return count
         options = tuple(c for c in (below, above) if c is not None and c <= MAX_COUNT)
         verb = "count is" if len(options) == 1 else "counts are"
@@ -109,9 +131,9 @@ class Sampler(Component, ABC):
         """Return this sampler with `randomization` applied to every realisation."""
         if not isinstance(randomization, Randomization):
             raise ParameterError(f"{randomization!r} is not a randomisation; use e.g. Shift().")
-        randomization.check(self)
+        fitted = randomization.fit(self)
         base, steps = (self.base, self.steps) if isinstance(self, Randomized) else (self, ())
-        return Randomized(base=base._before(randomization), steps=(*steps, randomization))
+        return Randomized(base=base._before(fitted), steps=(*steps, fitted))
 
     @abstractmethod
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
@@ -125,6 +147,11 @@ class Sampler(Component, ABC):
     def _counts_near(self, n: int) -> tuple[int | None, int]:
         """Return the largest possible count ≤ n (None if none) and the smallest ≥ n."""
         return n, n
+
+    def _count_warning(self, n: int) -> str | None:
+        """Return what to warn of when `n` points, a possible count, are asked for."""
+        del n
+        return None
 
     @staticmethod
     def from_points(points: object) -> Sampler:
@@ -164,13 +191,49 @@ class Randomization(Component, ABC):
     """Whether the result is statistically the same after any toroidal translation."""
     debiases: ClassVar[bool] = False
     """Whether every point is uniform afterwards, whatever it was before."""
+    fits: ClassVar[Mapping[Structure, Structure]] = {s: s for s in Structure}
+    """The structures that survive, and what is left of each; samplers of others are refused."""
 
     @abstractmethod
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
         """Return new points (count, n, d) in [0,1) for realisations first … first+count−1."""
 
-    def check(self, sampler: Sampler) -> None:
-        """Raise ParameterError, with the reason, if this does not fit `sampler`."""
+    def fit(self, sampler: Sampler) -> Randomization:
+        """Return this randomisation as it is applied to `sampler`, e.g. in its digits' base.
+
+        Raises
+        ------
+        ParameterError
+            It would break what the sampler is made for; the message says what and what fits.
+        """
+        if sampler.structure not in self.fits:
+            raise ParameterError(
+                f"{self.name} would break the {sampler.structure.value} of {sampler.spec}; "
+                f"{_advice(sampler.structure)}."
+            )
+        return self
+
+    def draw(
+        self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
+    ) -> Array:
+        """Draw realisations of `sampler` from `stream` and randomise them from the stream `own`.
+
+        To be overridden where other counts or realisations of `sampler` are needed than those
+        asked for.
+        """
+        return self.apply(sampler.draw_stream(n, stream, first, count), own, first)
+
+    def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
+        """Return the largest count ≤ n (None if none) and the smallest ≥ n that can be made."""
+        return sampler._counts_near(n)
+
+
+def _advice(structure: Structure) -> str:
+    if structure is Structure.TORUS:
+        return "shift keeps them"
+    if structure is Structure.DIGITS:
+        return "shift, digital-shift and owen fit"
+    return "shift fits"
 
 
 @final
@@ -196,18 +259,31 @@ class Randomized(Sampler):
         """Whether every point is uniform after the last step."""
         return self.base.unbiased or any(step.debiases for step in self.steps)
 
-    def check_count(self, n: object) -> int:
-        """Defer to the sampler inside."""
-        return self.base.check_count(n)
+    @property
+    def structure(self) -> Structure:  # type: ignore[override]
+        """What the steps have left of the structure of the sampler inside."""
+        return self.steps[-1].fits[self._inner.structure]
+
+    @property
+    def digit_bases(self) -> tuple[int, ...]:
+        """Bases of the sampler inside."""
+        return self.base.digit_bases
+
+    @property
+    def _inner(self) -> Sampler:
+        """What the last step is applied to."""
+        rest = self.steps[:-1]
+        return Randomized(base=self.base, steps=rest) if rest else self.base
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        points = self.base.draw_stream(n, stream, first, count)
-        for label, step in enumerate(self.steps, start=_FIRST_STEP):
-            points = step.apply(points, stream.child(label), first)
-        return points
+        own = stream.child(_FIRST_STEP + len(self.steps) - 1)
+        return self.steps[-1].draw(self._inner, n, stream, own, first, count)
 
     def _counts_near(self, n: int) -> tuple[int | None, int]:
-        return self.base._counts_near(n)
+        return self.steps[-1].counts_near(self._inner, n)
+
+    def _count_warning(self, n: int) -> str | None:
+        return self.base._count_warning(n)
 
 
 def check_dims(sampler: Any) -> None:

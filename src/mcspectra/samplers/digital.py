@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
@@ -11,11 +10,10 @@ from typing import ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import NotPowerOfTwoWarning
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import _kernels
-from mcspectra.samplers.base import Sampler, check_dims
+from mcspectra.samplers.base import Sampler, Structure, check_dims
 
 __all__ = ["Sobol"]
 
@@ -39,29 +37,24 @@ class Sobol(Sampler):
 
     name: ClassVar[str] = "sobol"
     unbiased: ClassVar[bool] = False
+    structure: ClassVar[Structure] = Structure.DIGITS
     max_dims: ClassVar[int | None] = 1111
     dims: int = DEFAULT_DIMS
 
     def __post_init__(self) -> None:
         check_dims(self)
 
-    def check_count(self, n: object) -> int:
-        """Return `n` as an int; warn if it is not a power of two."""
-        count = Sampler.check_count(self, n)
-        if count & (count - 1):
-            below = 1 << (count.bit_length() - 1)
-            warnings.warn(
-                f"{count} Sobol' points are not balanced; {below} and {2 * below} would be.",
-                NotPowerOfTwoWarning,
-                stacklevel=3,
-            )
-        return count
-
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         del stream, first  # the same points every time
         points = np.empty((n, self.dims))
         _kernels.fill_sobol(_directions()[: self.dims], points)
         return np.tile(points, (count, 1, 1))
+
+    def _count_warning(self, n: int) -> str | None:
+        if not n & (n - 1):
+            return None
+        below = 1 << (n.bit_length() - 1)
+        return f"{n} Sobol' points are not balanced; {below} and {2 * below} would be."
 
 
 @lru_cache

@@ -13,7 +13,7 @@ from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
-from mcspectra.samplers.base import Sampler, check_dims
+from mcspectra.samplers.base import Sampler, Structure, check_dims
 
 __all__ = ["Rank1Lattice"]
 
@@ -49,6 +49,7 @@ class Rank1Lattice(Sampler):
     """
 
     name: ClassVar[str] = "rank1-lattice"
+    structure: ClassVar[Structure] = Structure.TORUS
     unbiased: ClassVar[bool] = False
     dims: int = DEFAULT_DIMS
     vector: Sequence[int] | None = None

@@ -37,7 +37,7 @@ from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream, mix_uniform
-from mcspectra.samplers.base import Sampler, check_dims
+from mcspectra.samplers.base import Sampler, Structure, check_dims
 
 __all__ = ["PoissonDisk"]
 
@@ -73,6 +73,7 @@ class PoissonDisk(Sampler):
     """
 
     name: ClassVar[str] = "poisson-disk"
+    structure: ClassVar[Structure] = Structure.TORUS
     max_dims: ClassVar[int | None] = 4
     dims: int = DEFAULT_DIMS
     toroidal: bool = True

@@ -12,7 +12,7 @@ from mcspectra.core.checks import Array, as_choice, as_integer
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import _kernels
-from mcspectra.samplers.base import MAX_COUNT, Sampler, check_dims
+from mcspectra.samplers.base import MAX_COUNT, Sampler, Structure, check_dims
 
 __all__ = ["Halton"]
 
@@ -42,6 +42,7 @@ class Halton(Sampler):
     """
 
     name: ClassVar[str] = "halton"
+    structure: ClassVar[Structure] = Structure.DIGITS
     max_dims: ClassVar[int | None] = 1000
     dims: int = DEFAULT_DIMS
     skip: int = 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, final
 
@@ -11,9 +11,18 @@ import numpy as np
 from mcspectra.core.checks import Array, as_real, as_reals
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import _kernels
-from mcspectra.samplers.base import Randomization, Sampler
+from mcspectra.samplers.base import Randomization, Sampler, Structure
 
 __all__ = ["DigitalShift", "Owen", "Shift", "StrataShift"]
+
+_TRANSLATED: dict[Structure, Structure] = {s: s for s in Structure} | {
+    Structure.STRATA: Structure.TORUS,
+    Structure.DIGITS: Structure.TORUS,
+}
+"""What a toroidal translation leaves: strata and elementary intervals are no longer at the origin."""
+
+_DIGITAL: dict[Structure, Structure] = {s: s for s in Structure if s is not Structure.TORUS}
+"""What randomisations of digits leave."""
 
 
 @final
@@ -27,6 +36,7 @@ class Shift(Randomization):
     """
 
     name: ClassVar[str] = "shift"
+    fits: ClassVar[Mapping[Structure, Structure]] = _TRANSLATED
     stationary: ClassVar[bool] = True
     debiases: ClassVar[bool] = True
 
@@ -52,6 +62,7 @@ class DigitalShift(Randomization):
     """
 
     name: ClassVar[str] = "digital-shift"
+    fits: ClassVar[Mapping[Structure, Structure]] = _DIGITAL
     debiases: ClassVar[bool] = True
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
@@ -76,6 +87,7 @@ class Owen(Randomization):
     """
 
     name: ClassVar[str] = "owen"
+    fits: ClassVar[Mapping[Structure, Structure]] = _DIGITAL
     debiases: ClassVar[bool] = True
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
@@ -101,6 +113,7 @@ class StrataShift(Randomization):
     """
 
     name: ClassVar[str] = "strata-shift"
+    fits: ClassVar[Mapping[Structure, Structure]] = _TRANSLATED
     offset: float | Sequence[float] = 0.5
 
     def __post_init__(self) -> None:
@@ -109,9 +122,10 @@ class StrataShift(Randomization):
         value = as_reals("offset", given, len(given)) if listed else as_real("offset", given)
         object.__setattr__(self, "offset", value)
 
-    def check(self, sampler: Sampler) -> None:
+    def fit(self, sampler: Sampler) -> Randomization:
         """Refuse a list of offsets that has not one for each dim."""
         as_reals("offset", self.offset, sampler.dims)
+        return Randomization.fit(self, sampler)
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
         """Translate all realisations alike."""

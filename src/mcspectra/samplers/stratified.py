@@ -18,7 +18,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import _kernels
-from mcspectra.samplers.base import Sampler, check_dims
+from mcspectra.samplers.base import Sampler, Structure, check_dims
 
 __all__ = ["Jittered", "LatinHypercube", "MultiJittered", "Random", "Regular", "UniformJitter"]
 
@@ -29,6 +29,7 @@ class Random(Sampler):
     """Independent uniform points."""
 
     name: ClassVar[str] = "random"
+    structure: ClassVar[Structure] = Structure.NONE
     dims: int = DEFAULT_DIMS
 
     def __post_init__(self) -> None:
@@ -50,6 +51,7 @@ class Regular(Sampler):
     """
 
     name: ClassVar[str] = "regular"
+    structure: ClassVar[Structure] = Structure.STRATA
     unbiased: ClassVar[bool] = False
     dims: int = DEFAULT_DIMS
     position: str = "center"
@@ -84,6 +86,7 @@ class UniformJitter(Sampler):
     """
 
     name: ClassVar[str] = "uniform-jitter"
+    structure: ClassVar[Structure] = Structure.TORUS
     dims: int = DEFAULT_DIMS
 
     def __post_init__(self) -> None:
@@ -110,6 +113,7 @@ class Jittered(Sampler):
     """One uniform point in each of s^d cells."""
 
     name: ClassVar[str] = "jittered"
+    structure: ClassVar[Structure] = Structure.STRATA
     dims: int = DEFAULT_DIMS
 
     def __post_init__(self) -> None:
@@ -141,6 +145,7 @@ class LatinHypercube(Sampler):
     """
 
     name: ClassVar[str] = "latin-hypercube"
+    structure: ClassVar[Structure] = Structure.STRATA
     dims: int = DEFAULT_DIMS
 
     def __post_init__(self) -> None:
@@ -167,6 +172,7 @@ class MultiJittered(Sampler):
     """
 
     name: ClassVar[str] = "multi-jittered"
+    structure: ClassVar[Structure] = Structure.STRATA
     max_dims: ClassVar[int | None] = 2
     dims: int = 2
 

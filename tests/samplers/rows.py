@@ -1,0 +1,39 @@
+"""The samplers that are held to the contract: one row each, more where parameters change much."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["ANY", "GRIDS", "ROWS", "Row"]
+
+
+@dataclass(frozen=True)
+class Row:
+    """A sampler to hold to the contract: spec, dims and a count that it can make in each."""
+
+    spec: str
+    counts: dict[int, int]
+    fixed: bool = False  # the same points in every realisation
+    unbiased: bool = True
+
+
+ANY = {1: 16, 2: 16, 3: 16, 10: 16}
+GRIDS = {1: 16, 2: 16, 3: 64, 10: 1024}
+
+ROWS = (
+    Row("random", ANY),
+    Row("regular", GRIDS, fixed=True, unbiased=False),
+    Row("regular(position='corner')", GRIDS, fixed=True, unbiased=False),
+    Row("uniform-jitter", GRIDS),
+    Row("jittered", GRIDS),
+    Row("latin-hypercube", ANY),
+    Row("multi-jittered", {2: 16}),
+    Row("halton", ANY, fixed=True, unbiased=False),
+    Row("halton(skip=5, scramble='permute')", ANY),
+    Row("sobol", ANY, fixed=True, unbiased=False),
+    Row("rank1-lattice", ANY, fixed=True, unbiased=False),
+    Row("rank1-lattice(vector=[1, 7, 3])", {3: 16}, fixed=True, unbiased=False),
+    Row("poisson-disk", {1: 16, 2: 16, 3: 16}),
+    Row("scipy(engine='LatinHypercube')", ANY),
+    Row("points(path='{path}')", ANY, unbiased=False),
+)
