@@ -11,6 +11,7 @@ import difflib
 from collections.abc import Iterable
 
 __all__ = [
+    "CacheWarning",
     "ConfigError",
     "CountError",
     "DensityError",
@@ -83,6 +84,10 @@ class NoClosedForm(McspectraError, NotImplementedError):
 
 class MissingDependency(McspectraError, ImportError):
     """An optional package is needed; the message names the extra to install."""
+
+
+class CacheWarning(UserWarning):
+    """An entry of the cache is damaged, or the cache cannot be written; results are the same."""
 
 
 class NotPowerOfTwoWarning(UserWarning):

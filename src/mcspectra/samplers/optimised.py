@@ -1,0 +1,83 @@
+"""What samplers share whose sets an optimisation makes: a cache, progress, sets used again."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
+
+import numpy as np
+
+from mcspectra.core.cache import cached_array
+from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.progress import report
+from mcspectra.core.streams import Stream
+from mcspectra.samplers import _kernels
+from mcspectra.samplers.base import Sampler, Structure
+
+__all__ = ["OptimisedSampler", "check_sets"]
+
+_CHILD = 1  # label of the stream that translates sets used again
+
+
+@dataclass(frozen=True, kw_only=True)
+class OptimisedSampler(Sampler, ABC):
+    """A sampler whose sets take long: kept in the user's cache folder, with reports of progress.
+
+    Attributes
+    ----------
+    sets
+        None: every realisation is a set of its own, made from its own random numbers. K: only K
+        sets are made, the same for every seed; realisation r is set r mod K under a random
+        toroidal translation. Means and variances stay right on average, but they, and standard
+        errors of spectra, know K sets only.
+    """
+
+    version: ClassVar[int] = 1
+    """Version of the method: sets of another one are not taken from the cache."""
+    structure: ClassVar[Structure] = Structure.TORUS
+    sets: int | None = None
+
+    @abstractmethod
+    def _optimize(self, n: int, keys: Array, report: Callable[[float], None]) -> Array:
+        """Make one set (n, dims) in [0,1) from keys uint64 (2,); report the fraction done."""
+
+    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        source = stream if self.sets is None else Stream(0)
+        wanted = range(first, first + count)
+        chosen = wanted if self.sets is None else [r % self.sets for r in wanted]
+        points = np.stack([self._set(n, source, r) for r in chosen])
+        if self.sets is None:
+            return points
+        offsets = np.empty((count, self.dims))
+        _kernels.random_offsets(stream.child(_CHILD).keys(first, count), offsets)
+        moved = np.empty_like(points)
+        _kernels.translate(points, offsets, moved)
+        return moved
+
+    def _set(self, n: int, stream: Stream, realization: int) -> Array:
+        """Fetch one set from the cache, or make it."""
+        keys = stream.keys(realization, 1)[0]
+        what = f"{self.name}, {n} points, set {realization}"
+
+        def make() -> Array:
+            report(what, 0.0)
+            points = self._optimize(n, keys, lambda fraction: report(what, fraction))
+            report(what, 1.0)
+            return points
+
+        return cached_array(self._key(n, keys), make)
+
+    def _key(self, n: int, keys: Array) -> str:
+        """Everything a set depends on, as text: name, version, parameters, n, dims, random keys."""
+        names = sorted(field.name for field in fields(self) if field.name != "sets")
+        values: dict[str, Any] = {name: getattr(self, name) for name in names}
+        words = ", ".join(f"{int(word):016x}" for word in keys)
+        return f"{self.name} {self.version} {values!r} n={n} keys={words}"
+
+
+def check_sets(sampler: OptimisedSampler) -> None:
+    """Make `sets` None or an int of at least 1; for `__post_init__`."""
+    if sampler.sets is not None:
+        object.__setattr__(sampler, "sets", as_integer("sets", sampler.sets, least=1, most=10**6))
