@@ -18,6 +18,7 @@ from mcspectra.cli.common import (
     text_table,
     whole_number,
 )
+from mcspectra.cli.progress import progress_bars
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -44,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
     last = (
         None if options.fit_last is None else whole_number("--fit-last", options.fit_last, least=2)
     )
-    with one_sentence_warnings(options.quiet):
+    with one_sentence_warnings(options.quiet), progress_bars(options.quiet):
         result = convergence(
             estimator,
             [read_sampler(text, estimator.dims) for text in options.sampler],

@@ -8,6 +8,7 @@ import platform
 from typing import Any
 
 from mcspectra.cli.common import print_json
+from mcspectra.core.cache import cache_folder, cache_size
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.results import package_versions
 
@@ -25,6 +26,7 @@ def run(options: argparse.Namespace) -> int:
         "platform": platform.platform(),
         "processors": available_workers(),
         **package_versions(),
+        "cache of point sets": _cache(),
         "numba cache": os.environ.get("NUMBA_CACHE_DIR", "beside the package"),
     }
     works, sentence = _try_transform()
@@ -54,6 +56,12 @@ def _try_transform() -> tuple[bool, str]:
         return False, f"NUFFT fails: {type(error).__name__}: {error}"
     error_size = float(np.abs(got - direct_sum(points, grid.half_indices())).max())
     return error_size < 1e-8, f"NUFFT against the direct sum: largest difference {error_size:.1e}"
+
+
+def _cache() -> str:
+    """Where sets that took long are kept; the folder may be deleted at any time."""
+    entries, size = cache_size()
+    return f"{entries} sets, {size / 2**20:.1f} MiB in {cache_folder()}"
 
 
 def _renderer() -> dict[str, Any]:

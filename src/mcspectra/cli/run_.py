@@ -7,15 +7,16 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mcspectra.cli.common import one_sentence_warnings, print_json, text_table, whole_number
+from mcspectra.cli.progress import Bars, progress_bars
 
 if TYPE_CHECKING:
     from mcspectra.studies import SummaryRow
+    from mcspectra.studies.run import Progress
 
 __all__ = ["add_arguments", "run"]
 
@@ -47,14 +48,14 @@ def run(options: argparse.Namespace) -> int:
         config = msgspec.structs.replace(config, seed=whole_number("--seed", options.seed, least=0))
     silent = options.quiet or options.json
     try:
-        with one_sentence_warnings(silent), _progress(silent) as report:
+        with one_sentence_warnings(silent), progress_bars(silent) as bars:
             run_study(
                 config,
                 out,
                 folder=study.parent,
                 resume=options.resume,
                 workers=workers,
-                report=report,
+                report=_reporter(bars),
             )
     except KeyboardInterrupt:
         print(
@@ -73,33 +74,16 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-@contextmanager
-def _progress(silent: bool) -> Iterator[Any]:
-    """A progress bar with the time left, on standard error; nothing when silent."""
-    if silent:
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+def _reporter(bars: Bars | None) -> Callable[[Progress], None] | None:
+    """What the study is to call after each cell."""
+    if bars is None:
+        return None
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[cells]}"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("study", total=1.0, cells="")
+    def report(progress: Progress) -> None:
+        cells = f"{progress.done}/{progress.cells} cells"
+        bars.show("study", progress.done_cost / max(progress.total_cost, 1e-300), cells)
 
-        def report(progress: Any) -> None:
-            bar.update(
-                task,
-                completed=progress.done_cost,
-                total=progress.total_cost,
-                cells=f"{progress.done}/{progress.cells} cells",
-            )
-
-        yield report
+    return report
 
 
 def summary_text(rows: list[SummaryRow]) -> str:

@@ -20,6 +20,7 @@ from mcspectra.cli.common import (
     text_table,
     whole_number,
 )
+from mcspectra.cli.progress import progress_bars
 from mcspectra.core.errors import FileFormatError, ParameterError
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
         raise ParameterError(
             f"--frequency-step is {options.frequency_step!r}; give a number greater than 0."
         ) from None
-    with one_sentence_warnings(options.quiet):
+    with one_sentence_warnings(options.quiet), progress_bars(options.quiet):
         result = power_spectrum(
             read_sampler(options.sampler, dims),
             whole_number("-n", options.n),

@@ -18,6 +18,7 @@ from mcspectra.cli.common import (
     text_table,
     whole_number,
 )
+from mcspectra.cli.progress import progress_bars
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -52,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
 
     estimator = build_estimator(options)
     domain = "domain" if estimator.domain_integrand is not None else "primary"
-    with one_sentence_warnings(options.quiet):
+    with one_sentence_warnings(options.quiet), progress_bars(options.quiet):
         result = variance_terms(
             estimator,
             read_sampler(options.sampler, estimator.dims),

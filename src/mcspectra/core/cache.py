@@ -1,7 +1,7 @@
 """Arrays that take seconds to make, kept in the user's cache folder under a key that says it all.
 
-An entry is one file: a line that names the format, a line of JSON (key, shape, SHA-256 of the
-data), the data as little-endian float64. What is read is checked against all of these; a damaged
+An entry is one file: a line that names the format, a line of JSON (key, shape, SHA-256 of all),
+the data as little-endian float64. What is read is checked against all of these; a damaged
 entry is made again. The folder is the platform's cache folder, or ``MCSPECTRA_CACHE``.
 """
 
@@ -100,7 +100,7 @@ def _decoded(content: bytes, key: str) -> Array | None:
             name + b"\n" == _FORMAT
             and entry["key"] == key
             and math.prod(shape) * _DATA.itemsize == len(data)
-            and entry["sha256"] == hashlib.sha256(data).hexdigest()
+            and entry["sha256"] == _digest(key, shape, data)
         )
     except (ValueError, KeyError, TypeError):
         return None
@@ -110,7 +110,7 @@ def _decoded(content: bytes, key: str) -> Array | None:
 def _keep(file: Path, key: str, made: Array) -> None:
     """Write an entry; other processes see all of it or nothing."""
     data = np.ascontiguousarray(made, _DATA).tobytes()
-    digest = hashlib.sha256(data).hexdigest()
+    digest = _digest(key, made.shape, data)
     head = json.dumps({"key": key, "shape": made.shape, "sha256": digest}).encode()
     part = file.with_suffix(f".{os.getpid()}-{time.monotonic_ns()}.part")
     try:
@@ -121,6 +121,10 @@ def _keep(file: Path, key: str, made: Array) -> None:
     except OSError as error:
         part.unlink(missing_ok=True) if file.parent.is_dir() else None
         _say_once(f"Sets are not kept in {cache_folder()}: {error.strerror or error}.")
+
+
+def _digest(key: str, shape: tuple[int, ...], data: bytes) -> str:
+    return hashlib.sha256(f"{key} {shape}".encode() + data).hexdigest()
 
 
 @lru_cache

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 
 from mcspectra.core.cache import cached_array
 from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.parallel import available_workers, map_in_order
 from mcspectra.core.progress import report
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import _kernels
@@ -45,9 +48,12 @@ class OptimisedSampler(Sampler, ABC):
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         source = stream if self.sets is None else Stream(0)
-        wanted = range(first, first + count)
-        chosen = wanted if self.sets is None else [r % self.sets for r in wanted]
-        points = np.stack([self._set(n, source, r) for r in chosen])
+        wanted = np.arange(first, first + count)
+        chosen, place = np.unique(
+            wanted if self.sets is None else wanted % self.sets, return_inverse=True
+        )
+        made = map_in_order(partial(self._set, n, source), chosen.tolist(), _workers(len(chosen)))
+        points = np.stack(list(made))[place]
         if self.sets is None:
             return points
         offsets = np.empty((count, self.dims))
@@ -72,9 +78,20 @@ class OptimisedSampler(Sampler, ABC):
     def _key(self, n: int, keys: Array) -> str:
         """Everything a set depends on, as text: name, version, parameters, n, dims, random keys."""
         names = sorted(field.name for field in fields(self) if field.name != "sets")
-        values: dict[str, Any] = {name: getattr(self, name) for name in names}
+        values: dict[str, Any] = {name: _exact(getattr(self, name)) for name in names}
         words = ", ".join(f"{int(word):016x}" for word in keys)
         return f"{self.name} {self.version} {values!r} n={n} keys={words}"
+
+
+def _exact(value: object) -> object:
+    """Return what a `repr` shows completely: that of an array leaves numbers out."""
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def _workers(count: int) -> int:
+    """All processors for a draw from the main thread; one where a pool draws side by side."""
+    alone = threading.current_thread() is threading.main_thread()
+    return min(count, available_workers()) if alone else 1
 
 
 def check_sets(sampler: OptimisedSampler) -> None:
