@@ -21,17 +21,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print names, parameters and summaries."""
-    rows = _rows(_registry(as_choice("kind", options.kind, _KINDS)))
+    kind = as_choice("kind", options.kind, _KINDS)
+    rows = _rows(kind, _registry(kind))
     if options.json:
         print_json(rows)
     elif not options.quiet:
-        table = [[r["name"], r["summary"], ", ".join(r["parameters"])] for r in rows]
-        widest = max(len(row[0]) for row in table)
-        for name, summary, parameters in table:
-            print(f"{name.ljust(widest)}  {summary}")
-            if parameters:
-                print(f"{'':{widest}}    {parameters}")
+        widest = max(len(row["name"]) for row in rows)
+        for row in rows:
+            print(f"{row['name'].ljust(widest)}  {row['summary']}")
+            for line in filter(None, (", ".join(row["parameters"]), _abilities(row))):
+                print(f"{'':{widest}}    {line}")
     return 0
+
+
+def _abilities(row: dict[str, Any]) -> str:
+    """The dims and counts of a sampler, in a line."""
+    return f"dims: {row['dims']}; n: {row['counts']}" if "dims" in row else ""
 
 
 def _registry(kind: str) -> Any:
@@ -48,11 +53,12 @@ def _registry(kind: str) -> Any:
     return INTEGRANDS
 
 
-def _rows(registry: Any) -> list[dict[str, Any]]:
+def _rows(kind: str, registry: Any) -> list[dict[str, Any]]:
     """One object a name; a component that cannot be loaded says why in its summary."""
     from mcspectra.core.errors import MissingDependency
+    from mcspectra.samplers.facts import sampler_facts
 
-    rows = []
+    rows: list[dict[str, Any]] = []
     for name in registry:
         try:
             cls = registry.load(name)
@@ -64,4 +70,7 @@ def _rows(registry: Any) -> list[dict[str, Any]]:
             for p in inspect.signature(cls).parameters.values()
         ]
         rows.append({"name": name, "summary": cls.summary(), "parameters": parameters})
+        if kind == "samplers":
+            facts = sampler_facts(name)
+            rows[-1] |= {"dims": facts.dims, "counts": facts.counts}
     return rows

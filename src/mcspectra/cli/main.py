@@ -21,6 +21,7 @@ _VERBS = {
     "run": "run a study file: results, figures and report.html",
     "list": "list samplers, randomizations, densities or integrands",
     "points": "draw point sets and write them as text or files",
+    "gallery": "measure samplers and show them side by side",
     "spectrum": "expected power spectrum of a sampler",
     "variance": "the three terms of an estimator's variance against its measurement",
     "converge": "variance against n and the fitted rate",

@@ -48,7 +48,7 @@ class Bars:
                 self._bar(what, fraction, note)
 
     def _line(self, what: str, fraction: float, note: str) -> None:
-        if time.monotonic() - self._last > _BETWEEN_LINES:
+        if fraction < 1.0 and time.monotonic() - self._last > _BETWEEN_LINES:
             self._last = time.monotonic()
             print(f"mcspectra: {what}: {note or f'{fraction:.0%}'}", file=sys.stderr, flush=True)
 

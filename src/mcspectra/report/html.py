@@ -21,8 +21,9 @@ from mcspectra.studies import SummaryRow, open_results
 
 if TYPE_CHECKING:
     import xarray as xr
+    from jinja2 import Template
 
-__all__ = ["REPORT_NAME", "write_report"]
+__all__ = ["REPORT_NAME", "page_template", "write_report"]
 
 REPORT_NAME = "report.html"
 _FIGURES = "figures"
@@ -195,18 +196,9 @@ def _anchors(groups: Sequence[EstimatorGroup]) -> list[str]:
 
 
 def _page(tree: xr.DataTree, groups: Sequence[EstimatorGroup], sections: Sequence[_Section]) -> str:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("mcspectra.report", ""),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     study = tree.attrs.get("study") or {}
     rows: list[SummaryRow] = [r for group in groups for pair in group.pairs for r in pair.rows]
-    return environment.get_template("template.html.j2").render(
+    return page_template("template.html.j2").render(
         title=study.get("title", "Results"),
         seed=study.get("seed", "unknown"),
         samplers=len({pair.sampler for group in groups for pair in group.pairs}),
@@ -220,6 +212,20 @@ def _page(tree: xr.DataTree, groups: Sequence[EstimatorGroup], sections: Sequenc
         },
         study=study_toml(study),
     )
+
+
+def page_template(name: str) -> Template:
+    """Load a page template; everything put into it is escaped."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("mcspectra.report", ""),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(name)
 
 
 def study_toml(study: Mapping[str, Any]) -> str:

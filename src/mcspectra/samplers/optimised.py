@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -52,7 +51,8 @@ class OptimisedSampler(Sampler, ABC):
         chosen, place = np.unique(
             wanted if self.sets is None else wanted % self.sets, return_inverse=True
         )
-        made = map_in_order(partial(self._set, n, source), chosen.tolist(), _workers(len(chosen)))
+        workers = min(len(chosen), available_workers())
+        made = map_in_order(partial(self._set, n, source), chosen.tolist(), workers)
         points = np.stack(list(made))[place]
         if self.sets is None:
             return points
@@ -86,12 +86,6 @@ class OptimisedSampler(Sampler, ABC):
 def _exact(value: object) -> object:
     """Return what a `repr` shows completely: that of an array leaves numbers out."""
     return value.tolist() if isinstance(value, np.ndarray) else value
-
-
-def _workers(count: int) -> int:
-    """All processors for a draw from the main thread; one where a pool draws side by side."""
-    alone = threading.current_thread() is threading.main_thread()
-    return min(count, available_workers()) if alone else 1
 
 
 def check_sets(sampler: OptimisedSampler) -> None:

@@ -1,0 +1,45 @@
+"""Measure samplers and show them side by side: points, spectrum, projections, rates, quality, cost.
+
+Writes DIR/index.html (one page that stands alone) or, with --markdown, DIR/index.md and pictures;
+DIR/gallery.json holds the numbers. Without a SPEC, all samplers that can be named.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from mcspectra.cli.common import one_sentence_warnings, print_json, seed_option
+from mcspectra.cli.progress import progress_bars
+
+__all__ = ["add_arguments", "run"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the verb's options."""
+    parser.add_argument(
+        "specs", nargs="*", metavar="SPEC", help="samplers, e.g. pmj02 \"points(path='mine.dat')\""
+    )
+    parser.add_argument("--out", default="out/gallery", metavar="DIR", help="output folder")
+    parser.add_argument("--quick", action="store_true", help="fewer points and realisations")
+    parser.add_argument("--markdown", action="store_true", help="write Markdown and PNG files")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure and write."""
+    from mcspectra.report.sampler_cards import FULL, QUICK
+    from mcspectra.report.sampler_gallery import write_gallery
+
+    silent = options.quiet or options.json
+    with one_sentence_warnings(silent), progress_bars(silent):
+        page = write_gallery(
+            options.out,
+            options.specs or None,
+            effort=QUICK if options.quick else FULL,
+            format="markdown" if options.markdown else "html",
+            rng=seed_option(options),
+        )
+    if options.json:
+        print_json({"gallery": str(page)})
+    elif not options.quiet:
+        print(f"gallery: {page}")
+    return 0

@@ -1,0 +1,106 @@
+"""What a registered sampler can do, found out by asking it: dims, counts, sources."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from dataclasses import dataclass
+from typing import final
+
+from mcspectra.core.errors import McspectraError
+from mcspectra.core.spec import Call
+from mcspectra.samplers.base import Sampler
+from mcspectra.samplers.registry import SAMPLERS
+
+__all__ = ["Facts", "sampler_facts"]
+
+_DIMS_TRIED = 8
+_COUNTS_TRIED = 100
+_COUNTS_SHOWN = 6
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Facts:
+    """A sampler's name, summary, dims, counts and sources, in words.
+
+    Attributes
+    ----------
+    dims
+        Such as ``any``, ``2`` or ``1–1111``; ``as given`` where parameters decide.
+    counts
+        Such as ``any`` or ``1, 4, 9, 16, 25, 36, …`` (in 2-D where it can do 2-D).
+    sources
+        The references of its docstring, one line.
+    """
+
+    name: str
+    summary: str
+    dims: str
+    counts: str
+    sources: str
+
+
+def sampler_facts(name: str) -> Facts:
+    """Return the facts of a registered sampler with its default parameters.
+
+    Raises
+    ------
+    UnknownName
+        Nobody registered the name.
+    MissingDependency
+        It needs a package that is not installed.
+    """
+    cls = SAMPLERS.load(name)
+    made = {dims: _made(name, dims) for dims in range(1, _DIMS_TRIED + 1)}
+    possible = {dims: sampler for dims, sampler in made.items() if sampler is not None}
+    shown = possible.get(2) or next(iter(possible.values()), None)
+    return Facts(
+        name=name,
+        summary=cls.summary(),
+        dims=_dims_in_words(list(possible), cls.max_dims),
+        counts="as given" if shown is None else _counts_in_words(shown),
+        sources=_sources(cls),
+    )
+
+
+def _made(name: str, dims: int) -> Sampler | None:
+    try:
+        return SAMPLERS.build(Call(name, {}), dims)  # type: ignore[no-any-return]
+    except McspectraError:
+        return None
+
+
+def _dims_in_words(dims: list[int], most: int | None) -> str:
+    if not dims:
+        return "as given"
+    low, high = dims[0], dims[-1]
+    if high == _DIMS_TRIED:
+        high = most or 0
+    if low == 1 and not high:
+        return "any"
+    return str(low) if low == high else f"{low}–{high or '…'}"
+
+
+def _counts_in_words(sampler: Sampler) -> str:
+    asked = range(1, _COUNTS_TRIED + 1)
+    possible = [n for n in asked if n in sampler._counts_near(n)]
+    if len(possible) == _COUNTS_TRIED:
+        balanced = [n for n in asked if sampler._count_warning(n) is None]
+        return "any" if len(balanced) == _COUNTS_TRIED else f"any; balanced: {_first(balanced)}"
+    if possible == [*range(possible[0], _COUNTS_TRIED + 1)]:
+        return f"{possible[0]} and more"
+    return _first(possible)
+
+
+def _first(counts: list[int]) -> str:
+    return ", ".join(map(str, counts[:_COUNTS_SHOWN])) + ", …"
+
+
+def _sources(cls: type) -> str:
+    """Return the References section of a numpydoc docstring as one line."""
+    text = inspect.cleandoc(cls.__doc__ or "")
+    match = re.search(
+        r"^References\n-+\n(.*?)(?=^\w[^\n]*\n-+\n|\Z)", text, re.MULTILINE | re.DOTALL
+    )
+    return " ".join(match.group(1).split()) if match else ""

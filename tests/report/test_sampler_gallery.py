@@ -1,0 +1,118 @@
+"""The gallery: what is measured for a card, and the page and files it becomes."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import McspectraError, ParameterError, StoreError
+from mcspectra.report.sampler_cards import QUICK, measure_card
+from mcspectra.report.sampler_gallery import gallery_specs, write_gallery
+from mcspectra.samplers import SAMPLERS
+
+TINY = replace(QUICK, n=16, spectra=6, rates=40, counts=(4, 16, 64))
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def test_a_card_shows_what_the_analyses_give():
+    card = measure_card("jittered", effort=TINY, rng=3)
+    assert card.n == 16
+    np.testing.assert_array_equal(card.points, mcs.sampler("jittered").draw(16, rng=3)[0])
+    spectrum = mcs.power_spectrum("jittered", 16, half_width=8, realizations=6, rng=3)
+    np.testing.assert_array_equal(card.spectrum["power"], spectrum["power"])
+    curve = mcs.convergence(mcs.Estimator("disk"), "jittered", [4, 16, 64], realizations=40, rng=3)
+    assert card.rates["disk"] == (float(curve["rate"]), *curve["rate_ci"].values.tolist())
+    assert card.projected.shape == (16, 2)
+    assert card.speed > 0
+
+
+def test_sets_that_are_always_the_same_are_randomized_for_their_rates():
+    net, lattice = (measure_card(s, effort=TINY) for s in ("sobol", "rank1-lattice"))
+    assert (net.randomized, lattice.randomized) == ("sobol | owen", "rank1-lattice | shift")
+    assert net.spectrum.attrs["realizations"] == 1
+    assert net.rates["gaussian"][0] < -1.5
+
+
+def test_given_points_stand_beside_known_samplers(tmp_path):
+    sets = np.random.default_rng(1).random((3, 20, 2))
+    np.savez(tmp_path / "mine.npz", points=sets)
+    card = measure_card(f"points(path='{(tmp_path / 'mine.npz').as_posix()}')", effort=TINY)
+    assert card.n == 20
+    assert card.spectrum.attrs["realizations"] == 3
+    assert np.isnan(card.rates["disk"][0])  # one count has no rate
+
+
+def test_the_whole_gallery_names_every_sampler_that_needs_nothing():
+    heads = {spec.partition("|")[0].partition("(")[0].strip() for spec in gallery_specs()}
+    assert heads == set(SAMPLERS) - {"points", "scipy", "qmcpy", "mitsuba"}
+
+
+class Reader(HTMLParser):
+    """Collects anchors, links and what would be loaded."""
+
+    def __init__(self):
+        super().__init__()
+        self.ids, self.links, self.loaded = set(), set(), []
+
+    def handle_starttag(self, tag, attrs):
+        given = dict(attrs)
+        self.ids.add(given.get("id"))
+        if tag == "a":
+            self.links.add(given["href"])
+        self.loaded += [given[k] for k in ("src", "srcset", "data") if given.get(k)]
+
+
+def test_the_page_stands_alone(tmp_path):
+    page = write_gallery(tmp_path, ["random", "sobol | owen"], effort=TINY)
+    text = page.read_text(encoding="utf-8")
+    reader = Reader()
+    reader.feed(text)
+    assert page.name == "index.html"
+    assert {link.removeprefix("#") for link in reader.links} <= reader.ids
+    assert len(reader.loaded) == 2
+    assert all(source.startswith("data:image/png;base64,") for source in reader.loaded)
+    assert not re.search(r"url\(|@import|<script|<link", text)
+    assert "sobol | owen" in text
+    assert "Joe, Kuo" in text
+
+
+def test_markdown_has_a_picture_and_the_facts_of_each(tmp_path):
+    page = write_gallery(tmp_path, ["random", "halton"], effort=TINY, format="markdown")
+    text = page.read_text(encoding="utf-8")
+    for name in re.findall(r"\]\((.*?\.png)\)", text):
+        assert (tmp_path / name).read_bytes().startswith(PNG)
+    assert text.count("## `") == text.count(".png)") == 2
+    assert "* Rate on gaussian (randomised): −" in text
+    assert "* Counts: any" in text
+
+
+def test_numbers_are_there_for_programs(tmp_path):
+    write_gallery(tmp_path, ["random"], effort=TINY)
+    (card,) = json.loads((tmp_path / "gallery.json").read_text(encoding="utf-8"))
+    assert card["name"] == card["spec"] == card["randomized"] == "random"
+    assert len(card["rates"]["disk"]) == 3
+    assert card["facts"]["dims"] == "any"
+
+
+@pytest.mark.parametrize("specs", [["nothing"], ["sobol(x=1)"], ["points"], ["random |"]])
+def test_samplers_that_cannot_be_made_write_nothing(tmp_path, specs):
+    with pytest.raises(McspectraError):
+        write_gallery(tmp_path / "out", specs, effort=TINY)
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_empty_gallery():
+    with pytest.raises(ParameterError, match="name a sampler"):
+        write_gallery("unused", [])
+
+
+def test_a_folder_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("here")
+    with pytest.raises(StoreError, match="cannot be written"):
+        write_gallery(tmp_path / "file", ["random"], effort=TINY)

@@ -1,0 +1,57 @@
+"""The checks for users' samplers find what is wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from mcspectra import Sampler
+from mcspectra.testing import BrokenContract, check_sampler
+
+
+def made(points):
+    """A sampler class whose `_points` is the given function."""
+
+    @dataclass(frozen=True, kw_only=True)
+    class Made(Sampler):
+        """Made for a test."""
+
+        name: ClassVar[str] = "made"
+        dims: int = 2
+
+        def _points(self, n, stream, first, count):
+            return points(self, n, stream, first, count)
+
+    return Made()
+
+
+def sound(self, n, stream, first, count):
+    return stream.uniforms(first, count, n * 2).reshape(count, n, 2)
+
+
+FAULTS = {
+    "no array": (lambda *a: sound(*a).tolist(), "gives list, no array"),
+    "shape": (lambda *a: sound(*a)[:, :-1], r"gives shape \(3, 15, 2\), not \(3, 16, 2\)"),
+    "type": (lambda *a: sound(*a).astype(np.float32) * 0.5, "gives float32, not float64"),
+    "range": (lambda *a: 1.0 - sound(*a) * 0.0, r"from 1.0 to 1.0, not in \[0,1\)"),
+    "negative": (lambda *a: sound(*a) - 0.5, r"not in \[0,1\)"),
+    "call": (
+        lambda s, n, stream, first, count: sound(s, n, stream.child(count), first, count),
+        "drawn by another call",
+    ),
+    "bias": (lambda *a: sound(*a) ** 1.5, "single points are not uniform"),
+}
+
+
+@pytest.mark.parametrize(("points", "words"), FAULTS.values(), ids=FAULTS)
+def test_faults_are_found(points, words):
+    with pytest.raises(BrokenContract, match=f"^made with n = 16 .*{words}"):
+        check_sampler(made(points))
+
+
+def test_a_sound_sampler_passes():
+    check_sampler(made(sound))
+    check_sampler("sobol | owen")
