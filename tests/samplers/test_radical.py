@@ -1,4 +1,4 @@
-"""Halton points: against SciPy, balance in base b, and the law of the permuted digits."""
+"""Radical inverses: against SciPy, balance in base b, and the laws of the scrambled digits."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ import pytest
 from scipy import stats
 from scipy.stats import qmc
 
+import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
-from mcspectra.samplers import Halton
+from mcspectra.samplers import Halton, Hammersley, VanDerCorput
 
-LEVEL = 1 - (1 - 1e-6) ** (1 / 8)  # Šidák: 8 statistical tests in this file share 1e-6
+LEVEL = 1 - (1 - 1e-6) ** (1 / 24)  # Šidák: 24 statistical tests in this file share 1e-6
 SIGMAS = stats.norm.isf(LEVEL / 2)
 EPS = np.finfo(float).eps
 
@@ -40,7 +41,71 @@ def test_a_thousand_dims_have_a_thousand_primes():
     assert all(p % q for p in primes for q in range(2, int(p**0.5) + 1))
 
 
-@pytest.mark.parametrize("source", [Halton(dims=3), Halton(dims=3, scramble="permute")])
+@pytest.mark.parametrize("base", [2, 3, 10, 97, 7919])
+def test_van_der_corput_is_the_radical_inverse(base):
+    """Slow reference: the decimal places of each index in the base, reversed, in whole numbers."""
+    n = 300
+    expected = []
+    for i in range(n):
+        value, scale, rest = 0, 1, i
+        while rest:
+            value, scale, rest = value * base + rest % base, scale * base, rest // base
+        expected.append(value / scale)
+    np.testing.assert_array_equal(VanDerCorput(base=base).draw(n)[0, :, 0], expected)
+
+
+def test_blocks_of_indices_join_without_a_seam():
+    """5,000 indices are several tables of low digits, entered in the middle when some are left out."""
+    whole = Halton(dims=3).draw(5000)[0]
+    for i in (0, 1, 1023, 1024, 2187, 4096, 4999):
+        np.testing.assert_allclose(Halton(dims=3, skip=i).draw(1)[0, 0], whole[i], rtol=EPS)
+
+
+@pytest.mark.parametrize("dims", [1, 2, 10])
+def test_hammersley_is_the_nths_beside_halton(dims):
+    points = Hammersley(dims=dims).draw(100)[0]
+    np.testing.assert_array_equal(points[:, 0], np.arange(100) / 100)
+    if dims > 1:
+        np.testing.assert_array_equal(points[:, 1:], Halton(dims=dims - 1).draw(100)[0])
+
+
+@pytest.mark.parametrize("scramble", ["none", "permute", "owen"])
+@pytest.mark.parametrize("n", [1, 64, 100, 101])
+def test_hammersley_holds_one_point_in_each_nth(scramble, n):
+    x = Hammersley(dims=3, scramble=scramble).draw(n, realizations=20, rng=1)[..., 0]
+    strata = np.sort(np.floor(x * n + 2.0**-40), axis=1)
+    np.testing.assert_array_equal(strata, np.tile(np.arange(n), (20, 1)))
+
+
+@pytest.mark.parametrize("scramble", ["none", "permute", "owen"])
+def test_hammersley_of_two_dims_is_a_net(scramble):
+    """One point in each of the 64 elementary intervals of every shape: a (0, 6, 2)-net."""
+    points = Hammersley(scramble=scramble).draw(64, realizations=20, rng=1)
+    for k in range(7):
+        cells = np.floor(points * [2**k, 2 ** (6 - k)]) @ [2 ** (6 - k), 1]
+        np.testing.assert_array_equal(np.sort(cells, axis=1), np.tile(np.arange(64), (20, 1)))
+
+
+@pytest.mark.parametrize("scramble", ["permute", "owen"])
+def test_scrambled_hammersley_moves_its_first_coordinate(scramble):
+    """With n = 2^m the first point's n-th is any; else it keeps it, uniform inside."""
+    for n, scale in ((16, 16), (18, 18 * 16)):
+        x = Hammersley(scramble=scramble).draw(n, realizations=3200, rng=1)[:, 0, 0]
+        counts = np.bincount(np.floor(x * scale).astype(int), minlength=16)
+        assert len(counts) == 16
+        assert stats.chisquare(counts).pvalue > LEVEL
+
+
+SOURCES = [
+    Halton(dims=3),
+    Halton(dims=3, scramble="permute"),
+    Halton(dims=3, scramble="owen"),
+    Halton(dims=3, skip=12345, scramble="permute"),
+    Halton(dims=3, skip=12345, scramble="owen"),
+]
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=lambda source: source.spec)
 def test_one_point_in_each_interval_of_its_base(source):
     """The first b^k points hold one in each [a/b^k, (a+1)/b^k), and likewise in boxes (2^i, 3^j)."""
     for j, (base, power) in enumerate([(2, 6), (3, 4), (5, 3)]):
@@ -54,15 +119,51 @@ def test_one_point_in_each_interval_of_its_base(source):
     np.testing.assert_array_equal(np.sort(boxes, axis=1), np.tile(np.arange(72), (20, 1)))
 
 
-def test_digits_are_permuted_uniformly_and_independently():
+@pytest.mark.parametrize("scramble", ["permute", "owen"])
+def test_digits_are_permuted_uniformly_and_independently(scramble):
     """Base 3: the images of the digits 0, 1, 2 at two positions are 36 equally likely pairs."""
-    points = Halton(dims=2, scramble="permute").draw(9, realizations=18_000, rng=2)
+    points = Halton(dims=2, scramble=scramble).draw(9, realizations=18_000, rng=2)
     digits = np.floor(points[..., 1] * 9).astype(int)
     first = digits[:, :3] // 3 @ [9, 3, 1]  # indices 0, 1, 2 have the lowest digits 0, 1, 2
     second = digits[:, ::3] % 3 @ [9, 3, 1]  # indices 0, 3, 6 the next
     codes = np.unique(first * 27 + second, return_counts=True)[1]
     assert len(codes) == 36
     assert stats.chisquare(codes).pvalue > LEVEL
+
+
+@pytest.mark.parametrize("base", [2, 3, 5, 7])
+@pytest.mark.parametrize("scramble", ["permute", "owen"])
+def test_scrambling_keeps_the_number_of_common_leading_digits(base, scramble):
+    """Points i and k share as many leading digits as before, also when the tree is cut anywhere."""
+    n = 300
+    plain = VanDerCorput(base=base).draw(n)[0, :, 0]
+    moved = VanDerCorput(base=base, scramble=scramble).draw(n, realizations=5, rng=6)[..., 0]
+    for level in range(1, 4):
+        before = np.floor(plain * base**level + 2.0**-30).astype(int)
+        after = np.floor(moved * base**level).astype(int)
+        for row in after:
+            pairs = np.unique(np.stack([before, row]), axis=1)
+            assert pairs.shape[1] == len(np.unique(before)) == len(np.unique(row))
+
+
+def test_nested_permutations_hang_on_the_digits_above():
+    """Base 3, 9 points: the permutations of the second digit after two first digits, 36 pairs."""
+    points = VanDerCorput(base=3, scramble="owen").draw(9, realizations=18_000, rng=7)[..., 0]
+    digits = np.floor(points * 9).astype(int) % 3
+    after_zero, after_one = digits[:, 0::3] @ [9, 3, 1], digits[:, 1::3] @ [9, 3, 1]
+    codes = np.unique(after_zero * 27 + after_one, return_counts=True)[1]
+    assert len(codes) == 36
+    assert stats.chisquare(codes).pvalue > LEVEL
+    permuted = VanDerCorput(base=3, scramble="permute").draw(9, realizations=20, rng=7)[..., 0]
+    digits = np.floor(permuted * 9).astype(int) % 3
+    np.testing.assert_array_equal(digits[:, 0::3], digits[:, 1::3])
+
+
+def test_nested_tails_are_uniform_and_independent():
+    n = 27
+    points = VanDerCorput(base=3, scramble="owen").draw(n, realizations=6400, rng=8)[..., 0]
+    tails = np.floor(points[:, :2] * n % 1.0 * 8).astype(int) @ [8, 1]
+    assert stats.chisquare(np.bincount(tails, minlength=64)).pvalue > LEVEL
 
 
 def test_the_tail_is_uniform_and_shared():
@@ -90,14 +191,64 @@ def test_permuted_points_beat_random_ones():
 
 
 @pytest.mark.parametrize(
+    ("spec", "n"),
+    [("van-der-corput(base=3, scramble='owen')", 27), ("hammersley(scramble='owen')", 32)],
+)
+def test_nested_scrambling_has_the_variance_of_independent_strata(spec, n):
+    """At n = b^m every n-th holds one point, uniform and independent: variance 1/(12 n³)."""
+    dims = 1 if "corput" in spec else 2
+    realizations = 5000
+    means = mcs.sampler(spec, dims).draw(n, realizations=realizations, rng=4)[..., -1].mean(axis=1)
+    # A mean of n uniforms has a kurtosis below 3: sqrt(2/R) bounds the relative standard error
+    ratio = means.var(ddof=1) * 12 * n**3
+    assert abs(ratio - 1) < SIGMAS * np.sqrt(2 / realizations)
+
+
+def test_rates_on_the_disk():
+    """Discontinuous functions: −1.5 in 2-D for balanced sets (Christensen et al. 2018, disk)."""
+    counts = [36, 144, 576, 2304]  # 2^i 3^k: whole boxes of both bases
+    f = mcs.Estimator("disk(center=[0.463, 0.517], radius=0.27)", dims=2)
+    for spec in ("halton(scramble='permute')", "halton(scramble='owen')"):
+        d = mcs.convergence(f, spec, counts, realizations=600, rng=2)
+        low, high = d["rate_ci"].values
+        half = (high - low) / 2 / 1.96 * 4
+        assert abs(float(d["rate"]) + 1.5) < half + 0.05, (spec, float(d["rate"]))
+
+
+@pytest.mark.parametrize("dims", [0, 2, 1.5, "1", None])
+def test_van_der_corput_is_one_dimensional(dims):
+    with pytest.raises(ParameterError, match="must be 1"):
+        VanDerCorput(dims=dims)
+
+
+@pytest.mark.parametrize("base", [1, 0, -2, 2.5, "2", None, True, float("nan"), 2**20])
+def test_bad_bases(base):
+    with pytest.raises(ParameterError, match="base is"):
+        VanDerCorput(base=base)
+
+
+@pytest.mark.parametrize("cls", [Hammersley, VanDerCorput])
+def test_bad_scrambles(cls):
+    with pytest.raises(ParameterError, match="none, permute, owen"):
+        cls(scramble="faure")
+
+
+def test_digit_bases():
+    assert Halton(dims=4).digit_bases == (2, 3, 5, 7)
+    assert Hammersley(dims=4).digit_bases == (2, 2, 3, 5)
+    assert Hammersley(dims=1).digit_bases == (2,)
+    assert VanDerCorput(base=10).digit_bases == (10,)
+
+
+@pytest.mark.parametrize(
     ("arguments", "words"),
     [
         ({"skip": -1}, "skip"),
         ({"skip": 0.5}, "skip"),
         ({"skip": 2**40}, "skip"),
         ({"skip": None}, "skip"),
-        ({"scramble": "owen"}, "none, permute"),
-        ({"scramble": True}, "none, permute"),
+        ({"scramble": "nested"}, "none, permute, owen"),
+        ({"scramble": True}, "none, permute, owen"),
         ({"dims": 1001}, "from 1 to 1000"),
     ],
 )

@@ -1,6 +1,7 @@
 from .base import Randomization as Randomization
 from .base import Randomized as Randomized
 from .base import Sampler as Sampler
+from .base import Structure as Structure
 from .digital import Sobol as Sobol
 from .external import FunctionSampler as FunctionSampler
 from .external import GivenPoints as GivenPoints
@@ -8,6 +9,8 @@ from .external import ScipySampler as ScipySampler
 from .lattice import Rank1Lattice as Rank1Lattice
 from .poisson import PoissonDisk as PoissonDisk
 from .radical import Halton as Halton
+from .radical import Hammersley as Hammersley
+from .radical import VanDerCorput as VanDerCorput
 from .randomizations import DigitalShift as DigitalShift
 from .randomizations import Owen as Owen
 from .randomizations import Shift as Shift
@@ -31,6 +34,7 @@ __all__ = [
     "FunctionSampler",
     "GivenPoints",
     "Halton",
+    "Hammersley",
     "Jittered",
     "LatinHypercube",
     "MultiJittered",
@@ -46,7 +50,9 @@ __all__ = [
     "Shift",
     "Sobol",
     "StrataShift",
+    "Structure",
     "UniformJitter",
+    "VanDerCorput",
     "as_sampler",
     "sampler",
     "sampler_from_calls",

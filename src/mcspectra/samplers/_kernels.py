@@ -17,11 +17,9 @@ from mcspectra.core.streams import mix_bits, mix_uniform
 
 __all__ = [
     "direction_numbers",
-    "fill_halton",
     "fill_jittered",
     "fill_latin",
     "fill_multi_jittered",
-    "fill_scrambled_halton",
     "fill_sobol",
     "random_offsets",
     "scramble_nested",
@@ -98,63 +96,6 @@ def fill_multi_jittered(keys: Array, columns: int, rows: int, out: Array) -> Non
                 p = i * rows + j
                 y = j * columns + across[i] + mix_uniform(k0, k1, 2 * p + 1)
                 points[p, 1] = min(y / n, _BELOW_ONE)
-
-
-@kernel
-def _radical_inverses(skip: int, table: Array, tail: float, out: Array) -> None:
-    # Radical inverses of skip, skip+1, … into out (n,), `tail` added below the last digit.
-    # table (K, b): what digit value v at position k (0 = lowest of the index) is replaced by.
-    digits, base = table.shape
-    digit = np.zeros(digits, np.int64)
-    partial = np.zeros(digits + 1, np.int64)  # partial[k]: what positions ≥ k contribute
-    weight = np.ones(digits, np.int64)
-    for k in range(digits - 2, -1, -1):
-        weight[k] = weight[k + 1] * base
-    rest = skip
-    for k in range(digits):
-        digit[k] = rest % base
-        rest //= base
-    changed = digits - 1
-    scale = float(weight[0] * base)
-    for i in range(out.size):
-        for k in range(changed, -1, -1):
-            partial[k] = partial[k + 1] + table[k, digit[k]] * weight[k]
-        out[i] = min((partial[0] + tail) / scale, _BELOW_ONE)
-        # Count on: only the positions that a carry reaches change, b/(b − 1) of them on average
-        changed = 0
-        while changed < digits - 1 and digit[changed] == base - 1:
-            digit[changed] = 0
-            changed += 1
-        digit[changed] += 1
-
-
-@kernel
-def fill_halton(skip: int, bases: Array, digits: Array, out: Array) -> None:
-    """Halton points: bases and digits (d,), base^digits ≥ skip + n; out (n, d)."""
-    for j in range(out.shape[1]):
-        table = np.empty((digits[j], bases[j]), np.int64)
-        for k in range(digits[j]):
-            for v in range(bases[j]):
-                table[k, v] = v
-        _radical_inverses(skip, table, 0.0, out[:, j])
-
-
-@kernel
-def fill_scrambled_halton(keys: Array, skip: int, bases: Array, digits: Array, out: Array) -> None:
-    """Halton points with a random permutation at every digit position of every realisation.
-
-    Beyond the last position that differs between points, permuted zeros are one uniform number.
-    """
-    for r in range(out.shape[0]):
-        k0, k1 = keys[r, 0], keys[r, 1]
-        number = 0
-        for j in range(out.shape[2]):
-            base = bases[j]
-            table = np.empty((digits[j], base), np.int64)
-            for k in range(digits[j]):
-                _shuffle(k0, k1, number + k * base, table[k])
-            number += digits[j] * base + 1
-            _radical_inverses(skip, table, mix_uniform(k0, k1, number - 1), out[r, :, j])
 
 
 @kernel

@@ -21,6 +21,7 @@ SAMPLERS = Registry(
     "mcspectra.samplers",
     {
         "halton": "mcspectra.samplers.radical:Halton",
+        "hammersley": "mcspectra.samplers.radical:Hammersley",
         "jittered": "mcspectra.samplers.stratified:Jittered",
         "latin-hypercube": "mcspectra.samplers.stratified:LatinHypercube",
         "multi-jittered": "mcspectra.samplers.stratified:MultiJittered",
@@ -32,6 +33,7 @@ SAMPLERS = Registry(
         "scipy": "mcspectra.samplers.external:ScipySampler",
         "sobol": "mcspectra.samplers.digital:Sobol",
         "uniform-jitter": "mcspectra.samplers.stratified:UniformJitter",
+        "van-der-corput": "mcspectra.samplers.radical:VanDerCorput",
     },
 )
 
