@@ -5,16 +5,17 @@ A new sampler is one row of `rows.ROWS`; a new randomisation one entry of `CHAIN
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from scipy import stats
+from tests.samplers.rows import ROWS, Row
 
 import mcspectra as mcs
 from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.samplers import RANDOMIZATIONS, SAMPLERS, Randomized, sampler
-from tests.samplers.rows import ROWS, Row
 
 FALSE_ALARMS = 1e-6  # for the whole file
 GIVEN_SETS = 8
@@ -201,6 +202,34 @@ def test_impossible_realizations(case, make, arguments):
 def test_too_many_numbers_are_refused_before_they_are_made(case, make):
     with pytest.raises(CountError, match="at a time"):
         make(case).draw(case.n, realizations=2**31)
+
+
+@every_sampler
+def test_huge_counts_are_refused_or_too_large_at_once(case, make):
+    source = make(case)
+    n = source.nearest_count(2**30)
+    with pytest.raises(CountError, match=r"at a time|at most|nearest"):
+        source.draw(n, realizations=2**31 // n + 1)
+    assert n <= source.max_count
+
+
+@every_sampler
+def test_one_point_is_made_or_refused_with_the_nearest_count(case, make):
+    source = make(case)
+    try:
+        assert source.draw(1, realizations=2, rng=1).shape == (2, 1, case.dims)
+    except CountError as error:
+        assert error.nearest == (source.nearest_count(1),)
+        assert str(error.nearest[0]) in str(error)
+
+
+@every_sampler
+def test_threads_draw_the_same_bits(case, make):
+    source = make(case)
+    whole = source.draw(case.n, realizations=8, rng=7)
+    with ThreadPoolExecutor(4) as pool:
+        parts = list(pool.map(lambda r: source.draw(case.n, rng=7, first=r)[0], range(8)))
+    np.testing.assert_array_equal(parts, whole)
 
 
 @every_sampler

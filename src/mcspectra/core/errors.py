@@ -106,4 +106,4 @@ def close_match_hint(given: str, allowed: Iterable[str]) -> tuple[str, tuple[str
         return f" Did you mean {' or '.join(map(repr, close))}?", close
     if len(names) <= 12:
         return f" Allowed: {', '.join(names)}.", close
-    return f" There are {len(names)} names, from {names[0]!r} to {names[-1]!r}.", close
+    return f" There are {len(names)} names; 'mcspectra list' shows them.", close

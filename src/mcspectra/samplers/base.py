@@ -51,12 +51,15 @@ class Sampler(Component, ABC):
         Whether every point is uniform on [0,1)^d by itself, so that means are unbiased.
     structure
         What randomisations of this sampler have to keep: `Structure`.
+    max_dims, max_count
+        Most dims and most points of a realisation; beyond, it would take hours or all memory.
     """
 
     dims: int
     unbiased: ClassVar[bool] = True
     structure: ClassVar[Structure] = Structure.UNKNOWN
     max_dims: ClassVar[int | None] = None
+    max_count: ClassVar[int] = MAX_COUNT
 
     @property
     def digit_bases(self) -> tuple[int, ...]:
@@ -108,6 +111,12 @@ class Sampler(Component, ABC):
             count = as_integer("n", n, least=1, most=MAX_COUNT)
         except ParameterError as error:
             raise CountError(str(error)) from None
+        if count > self.max_count:
+            raise CountError(
+                f"{self.spec} makes {self.max_count} points at most, not {count}; ask for fewer, or "
+                "use a sampler that takes no search.",
+                (self.max_count,),
+            )
         below, above = self._counts_near(count)
         if count in (below, above):
             if sentence := self._count_warning(count):
@@ -123,8 +132,8 @@ class Sampler(Component, ABC):
 
     def nearest_count(self, n: int) -> int:
         """Return the count nearest to `n` that this sampler can make (the lower one on a tie)."""
-        count = as_integer("n", n, least=1, most=MAX_COUNT)
-        options = [c for c in self._counts_near(count) if c is not None]
+        count = min(as_integer("n", n, least=1, most=MAX_COUNT), self.max_count)
+        options = [c for c in self._counts_near(count) if c is not None and c <= self.max_count]
         return min(options, key=lambda c: (abs(c - count), c))
 
     def then(self, randomization: Randomization) -> Sampler:
@@ -268,6 +277,11 @@ class Randomized(Sampler):
     def digit_bases(self) -> tuple[int, ...]:
         """Bases of the sampler inside."""
         return self.base.digit_bases
+
+    @property
+    def max_count(self) -> int:  # type: ignore[override]
+        """Most points of the sampler inside."""
+        return self.base.max_count
 
     @property
     def _inner(self) -> Sampler:

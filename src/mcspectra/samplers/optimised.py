@@ -39,6 +39,7 @@ class OptimisedSampler(Sampler, ABC):
     version: ClassVar[int] = 1
     """Version of the method: sets of another one are not taken from the cache."""
     structure: ClassVar[Structure] = Structure.TORUS
+    max_count: ClassVar[int] = 2**16
     sets: int | None = None
 
     @abstractmethod
