@@ -1,18 +1,22 @@
-"""Poisson disks: exactly n points, the declared distance, uniform points, a hole in the spectrum."""
+"""Poisson disks: n points, the declared distance, no gaps, uniform points, a hole in the spectrum."""
 
 from __future__ import annotations
+
+from itertools import product
 
 import numpy as np
 import pytest
 from scipy import stats
-from scipy.spatial import cKDTree
+from scipy.spatial import Voronoi, cKDTree
 
+import mcspectra as mcs
 from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.samplers import PoissonDisk, sampler
 
 FALSE_ALARMS = 1e-6
 CHECKS = 12  # statistical tests in this file
 LEVEL = 1 - (1 - FALSE_ALARMS) ** (1 / CHECKS)  # Šidák
+SHARP = 1e-9  # relative: holes are found to 1e-10 of their size
 ROUNDING = 1e-12  # of a distance computed from coordinates below 1
 
 CASES = [
@@ -39,7 +43,7 @@ def nearest(points, toroidal):
 
 @pytest.mark.parametrize(("dims", "n", "toroidal"), CASES)
 def test_exactly_n_points_keep_the_declared_distance(dims, n, toroidal):
-    source = PoissonDisk(dims=dims, toroidal=toroidal)
+    source = PoissonDisk(dims=dims, boundary="toroidal" if toroidal else "bounded")
     points = source.draw(n, realizations=20, rng=1)
     assert points.shape == (20, n, dims)
     assert points.min() >= 0.0
@@ -60,8 +64,57 @@ def test_the_radius_can_be_chosen(radius):
     assert min(nearest(x, True).min() for x in points) < 1.2 * source.radius(100)
 
 
+def largest_gap(points, toroidal):
+    """Distance to the nearest point of the place farthest from all: a corner of a Voronoi cell.
+
+    On the torus, of the points and their periodic images. In the cube, of the points and their
+    mirror images, which are no nearer to any place inside, and put corners on its faces.
+    """
+    dims = points.shape[1]
+    tiles = []
+    for tile in product((-1, 0, 1), repeat=dims):
+        t = np.array(tile)
+        tiles.append(points + t if toroidal else np.where(t == 0, points, (t == 1) * 2 - points))
+    if dims == 1:
+        return np.diff(np.sort(np.concatenate(tiles).ravel())).max() / 2
+    corners = Voronoi(np.concatenate(tiles)).vertices
+    inside = corners[((corners >= -ROUNDING) & (corners <= 1 + ROUNDING)).all(axis=1)]
+    return cKDTree(np.concatenate(tiles)).query(inside)[0].max()
+
+
+@pytest.mark.parametrize("toroidal", [True, False])
+@pytest.mark.parametrize(("dims", "n"), [(1, 30), (2, 3), (2, 6), (2, 64), (2, 500), (3, 40)])
+def test_maximal_sets_leave_no_room_for_another_disk(dims, n, toroidal):
+    """The farthest place is no farther from all points than they are from one another."""
+    boundary = "toroidal" if toroidal else "bounded"
+    points = PoissonDisk(dims=dims, mode="maximal", boundary=boundary).draw(
+        n, realizations=4, rng=9
+    )
+    assert points.shape == (4, n, dims)
+    for x in points:
+        assert largest_gap(x, toroidal) <= nearest(x, toroidal).min() * (1 + SHARP)
+
+
+def test_exact_sets_leave_room_that_maximal_ones_do_not():
+    points = PoissonDisk().draw(500, realizations=4, rng=9)
+    assert max(largest_gap(x, True) for x in points) > 1.1 * PoissonDisk().radius(500)
+
+
+def test_maximal_sets_are_near_the_density_at_jamming():
+    """Relative radius 0.777 [Torquato 2006]; the points that fill holes come a few percent later."""
+    points = PoissonDisk(mode="maximal").draw(500, realizations=10, rng=10)
+    least = np.array([nearest(x, True).min() for x in points])
+    relative = least * np.sqrt(500 * np.sqrt(3) / 2)
+    assert relative.min() > 0.75
+    assert relative.max() < 0.80
+
+
 def test_spec_round_trip():
-    for spec in ("poisson-disk", "poisson-disk(toroidal=False, radius=0.5)"):
+    for spec in (
+        "poisson-disk",
+        "poisson-disk(mode='maximal')",
+        "poisson-disk(boundary='bounded', radius=0.5)",
+    ):
         assert sampler(spec, 3).spec == spec
         assert sampler(spec, 3) == sampler(sampler(spec, 3).spec, 3)
     assert sampler("poisson-disk(radius=1)").spec == "poisson-disk(radius=1.0)"
@@ -78,8 +131,8 @@ def test_a_realization_does_not_depend_on_the_call(dims):
 
 def test_only_the_torus_is_unbiased():
     assert PoissonDisk().unbiased
-    assert not PoissonDisk(toroidal=False).unbiased
-    assert sampler("poisson-disk(toroidal=False) | shift").unbiased
+    assert not PoissonDisk(boundary="bounded").unbiased
+    assert sampler("poisson-disk(boundary='bounded') | shift").unbiased
 
 
 @pytest.fixture(scope="module", params=[5, 40])
@@ -100,7 +153,7 @@ def test_every_point_is_uniform_on_the_torus(many_sets, order):
 
 def test_the_bounded_kind_prefers_the_boundary():
     """Disks may stick out: more points than the area's share lie near the edges."""
-    points = PoissonDisk(toroidal=False).draw(64, realizations=400, rng=6)
+    points = PoissonDisk(boundary="bounded").draw(64, realizations=400, rng=6)
     margin = 0.25 / np.sqrt(64)
     near = ((points < margin) | (points >= 1 - margin)).any(axis=2)
     share = 1 - (1 - 2 * margin) ** 2
@@ -149,13 +202,29 @@ def test_power_is_low_at_low_frequencies_and_peaks_near_the_inverse_distance():
     assert periodogram(points, peak).mean() > 1 + noise[1]
 
 
+def test_variance_falls_between_the_rates_of_its_two_terms():
+    """Power at low frequencies, which stays, gives −1; gaps at the edge of the disk, −1.5.
+
+    The first is what is left at large n [Pilleboue et al. 2015, table 1: Poisson disk].
+    """
+    disk = mcs.Estimator("disk(center=[0.463, 0.517], radius=0.27)")
+    fit = mcs.convergence(disk, "poisson-disk", [16, 64, 256], realizations=400, rng=11)
+    low, high = fit["rate_ci"].values
+    assert -1.5 < low < high < -1.0
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         ({"dims": 5}, "poisson-disk: dims is 5; give a whole number from 1 to 4"),
         ({"dims": 0}, "dims is 0"),
-        ({"toroidal": "no"}, "toroidal is 'no'; give True or False"),
-        ({"toroidal": 1}, "toroidal is 1"),
+        ({"boundary": "torodial"}, "boundary is 'torodial'; .* Did you mean 'toroidal'"),
+        ({"boundary": True}, "boundary is True; it must be one of toroidal, bounded"),
+        ({"mode": "minimal"}, "mode is 'minimal'; it must be one of exact, maximal"),
+        ({"mode": None}, "mode is None"),
+        ({"mode": "maximal", "radius_": 0.5}, "radius is 0.5, but a maximal set .* of its own"),
+        ({"mode": "maximal", "dims": 4}, "are for 1 to 3 dims, not 4"),
+        ({"radius_": float("inf")}, "radius is inf"),
         ({"radius_": 0}, "radius is 0; give a finite number at least 0.25 and at most 1"),
         ({"radius_": -0.5}, "radius is -0.5"),
         ({"radius_": 1.5}, "radius is 1.5"),
@@ -174,6 +243,17 @@ def test_bad_counts(n):
         PoissonDisk().draw(n)
     with pytest.raises(CountError, match="give a whole number"):
         PoissonDisk().radius(n)
+
+
+@pytest.mark.parametrize("mode", ["exact", "maximal"])
+def test_huge_counts_are_refused_at_once(mode):
+    with pytest.raises(CountError, match="nearest count is 67108864"):
+        PoissonDisk(mode=mode, dims=1).draw(2**31)
+
+
+def test_maximal_sets_have_no_common_radius():
+    with pytest.raises(ParameterError, match="no radius that holds for all its sets"):
+        PoissonDisk(mode="maximal").radius(16)
 
 
 def test_a_radius_that_leaves_no_room_is_said():
