@@ -48,6 +48,7 @@ ROWS = (
     Row("poisson-disk", {1: 16, 2: 16, 3: 16}),
     Row("poisson-disk(mode='maximal')", {1: 16, 2: 16, 3: 4}),
     Row("poisson-disk(boundary='bounded')", {1: 16, 2: 16, 3: 16}, unbiased=False),
+    Row("void-and-cluster", {2: 16}),
     Row("scipy(engine='LatinHypercube')", ANY),
     Row("points(path='{path}')", ANY, unbiased=False),
 )

@@ -1,4 +1,4 @@
-"""Rank-1 lattices: the dual lattice exactly, the construction against exhaustive search."""
+"""Lattices: the dual lattice exactly, the constructions against exhaustive search, a rate."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ import math
 import numpy as np
 import pytest
 
-from mcspectra.core.errors import ParameterError
-from mcspectra.samplers import Rank1Lattice
+import mcspectra as mcs
+from mcspectra.core.errors import CountError, ParameterError
+from mcspectra.samplers import Fibonacci, Korobov, Rank1Lattice
 
 
-def worst_case_error(vector, n):
-    """P_2 with weights 1/j², as in the class's notes, summed as it stands."""
+def worst_case_error(vector, n, power=2):
+    """P_2 with weights 1/j^power, as in the classes' notes, summed as it stands."""
     x = np.arange(n)[:, None] * np.asarray(vector) % n / n
-    weights = 1.0 / np.arange(1, len(vector) + 1) ** 2
+    weights = 1.0 / np.arange(1, len(vector) + 1) ** power
     kernel = 2 * np.pi**2 * (x * x - x + 1 / 6)
     return np.prod(1 + weights * kernel, axis=1).mean() - 1
 
@@ -27,6 +28,11 @@ def worst_case_error(vector, n):
         (Rank1Lattice(dims=3), 31),
         (Rank1Lattice(dims=2, vector=[1, 21]), 34),
         (Rank1Lattice(dims=3, vector=(40, 7, 3)), 12),
+        (Korobov(dims=3), 32),
+        (Korobov(dims=3, a=50), 31),
+        (Fibonacci(), 1),
+        (Fibonacci(), 2),
+        (Fibonacci(), 34),
     ],
 )
 def test_exponential_sums_are_one_on_the_dual_lattice_and_zero_off_it(source, n):
@@ -41,6 +47,62 @@ def test_exponential_sums_are_one_on_the_dual_lattice_and_zero_off_it(source, n)
 def test_points_are_the_multiples():
     points = Rank1Lattice(dims=2, vector=[1, 5]).draw(8)[0]
     np.testing.assert_array_equal(points * 8, [[k, 5 * k % 8] for k in range(8)])
+
+
+def test_korobov_vectors_are_the_powers():
+    np.testing.assert_array_equal(Korobov(dims=5, a=7).generating_vector(100), [1, 7, 49, 43, 1])
+    big = Korobov(dims=3, a=2**40 + 3).generating_vector(2**31 - 1)
+    assert big.tolist() == [1, (2**40 + 3) % (2**31 - 1), (2**40 + 3) ** 2 % (2**31 - 1)]
+    assert Korobov(dims=3).generating_vector(1).tolist() == [0, 0, 0]
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 16, 30, 31, 101])
+@pytest.mark.parametrize("dims", [1, 2, 4])
+def test_korobov_generator_is_the_best_of_all(n, dims):
+    units = [a for a in range(1, n) if math.gcd(a, n) == 1] or [1]
+    best = min(worst_case_error([a**j % n for j in range(dims)], n, power=0) for a in units)
+    found = worst_case_error(Korobov(dims=dims).generating_vector(n), n, power=0)
+    assert found <= best * (1 + 1e-9)
+
+
+def test_fibonacci_points_and_counts():
+    points = Fibonacci().draw(13)[0]
+    np.testing.assert_array_equal(points * 13, [[k, 8 * k % 13] for k in range(13)])
+    assert Fibonacci().nearest_count(100) == 89
+    with pytest.raises(CountError, match="89 and 144") as caught:
+        Fibonacci().draw(100)
+    assert caught.value.nearest == (89, 144)
+    with pytest.raises(CountError, match="nearest count is 1836311903"):
+        Fibonacci().check_count(2**31 - 1)
+
+
+@pytest.mark.parametrize("n", [89, 233, 610])
+def test_fibonacci_lattices_are_well_spread(n):
+    """Shortest toroidal distance at least sqrt(2/(sqrt(5) n)), that of the limit lattice less 5 %.
+
+    Hexagonal lattices, the best, have sqrt(2/(sqrt(3) n)).
+    """
+    points = Fibonacci().draw(n)[0, 1:]
+    shortest = np.linalg.norm(points - np.rint(points), axis=1).min()
+    assert 0.95 * np.sqrt(2 / (np.sqrt(5) * n)) < shortest <= np.sqrt(2 / (np.sqrt(3) * n))
+
+
+def test_shifted_lattices_have_the_variance_of_their_dual_lattice():
+    """Var = Σ |f_m|² over the dual lattice: cos(2π(8x − y)) has 1/2 at n = 13, others none."""
+    points = mcs.sampler("fibonacci | shift").draw(13, realizations=100, rng=1)
+    on = np.cos(2 * np.pi * points @ [8, -1]).mean(axis=1)
+    off = np.cos(2 * np.pi * points @ [7, -1]).mean(axis=1)
+    np.testing.assert_allclose(off, 0.0, atol=1e-13)
+    np.testing.assert_allclose(on, np.cos(2 * np.pi * points[:, 0] @ [8, -1]), atol=1e-13)
+
+
+def test_rate_on_the_disk():
+    """|f_m|² ~ |m|^-3 on a dual lattice of density n: n^-1.5; 0.05 for the bend at small n."""
+    f = mcs.Estimator("disk(center=[0.463, 0.517], radius=0.27)", dims=2)
+    counts = [21, 89, 377, 1597]
+    d = mcs.convergence(f, "fibonacci | shift", counts, realizations=1000, rng=2)
+    low, high = d["rate_ci"].values
+    assert abs(float(d["rate"]) + 1.5) < 2 * (high - low) / 1.96 + 0.05
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 16, 30, 31, 101])
@@ -89,3 +151,23 @@ def test_axes_hold_one_point_in_each_nth():
 def test_bad_vectors(vector, words):
     with pytest.raises(ParameterError, match=words):
         Rank1Lattice(dims=2, vector=vector)
+
+
+@pytest.mark.parametrize("a", [0, -1, 2.5, "x", True, float("nan"), float("inf"), [1]])
+def test_bad_generators(a):
+    with pytest.raises(ParameterError, match="a is"):
+        Korobov(a=a)
+
+
+@pytest.mark.parametrize("dims", [0, 1, 3, 2.5, "2", None])
+def test_fibonacci_is_two_dimensional(dims):
+    with pytest.raises(ParameterError, match="must be 2"):
+        Fibonacci(dims=dims)
+
+
+@pytest.mark.parametrize("dims", [1, 2, 10])
+def test_searches_of_large_lattices_end(dims):
+    """The thinned search takes 16 candidates of 2^18 points."""
+    vector = Korobov(dims=dims).generating_vector(2**18)
+    assert vector[0] == 1
+    assert len(vector) == dims

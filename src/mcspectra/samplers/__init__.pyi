@@ -3,9 +3,13 @@ from .base import Randomized as Randomized
 from .base import Sampler as Sampler
 from .base import Structure as Structure
 from .digital import Sobol as Sobol
+from .dither import VoidAndCluster as VoidAndCluster
 from .external import FunctionSampler as FunctionSampler
 from .external import GivenPoints as GivenPoints
 from .external import ScipySampler as ScipySampler
+from .kronecker import Kronecker as Kronecker
+from .lattice import Fibonacci as Fibonacci
+from .lattice import Korobov as Korobov
 from .lattice import Rank1Lattice as Rank1Lattice
 from .poisson import PoissonDisk as PoissonDisk
 from .radical import Halton as Halton
@@ -31,11 +35,14 @@ __all__ = [
     "RANDOMIZATIONS",
     "SAMPLERS",
     "DigitalShift",
+    "Fibonacci",
     "FunctionSampler",
     "GivenPoints",
     "Halton",
     "Hammersley",
     "Jittered",
+    "Korobov",
+    "Kronecker",
     "LatinHypercube",
     "MultiJittered",
     "Owen",
@@ -53,6 +60,7 @@ __all__ = [
     "Structure",
     "UniformJitter",
     "VanDerCorput",
+    "VoidAndCluster",
     "as_sampler",
     "sampler",
     "sampler_from_calls",

@@ -20,9 +20,12 @@ SAMPLERS = Registry(
     "sampler",
     "mcspectra.samplers",
     {
+        "fibonacci": "mcspectra.samplers.lattice:Fibonacci",
         "halton": "mcspectra.samplers.radical:Halton",
         "hammersley": "mcspectra.samplers.radical:Hammersley",
         "jittered": "mcspectra.samplers.stratified:Jittered",
+        "korobov": "mcspectra.samplers.lattice:Korobov",
+        "kronecker": "mcspectra.samplers.kronecker:Kronecker",
         "latin-hypercube": "mcspectra.samplers.stratified:LatinHypercube",
         "multi-jittered": "mcspectra.samplers.stratified:MultiJittered",
         "points": "mcspectra.samplers.external:GivenPoints",
@@ -34,6 +37,7 @@ SAMPLERS = Registry(
         "sobol": "mcspectra.samplers.digital:Sobol",
         "uniform-jitter": "mcspectra.samplers.stratified:UniformJitter",
         "van-der-corput": "mcspectra.samplers.radical:VanDerCorput",
+        "void-and-cluster": "mcspectra.samplers.dither:VoidAndCluster",
     },
 )
 
