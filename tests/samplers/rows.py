@@ -28,6 +28,7 @@ ROWS = (
     Row("jittered", GRIDS),
     Row("latin-hypercube", ANY),
     Row("multi-jittered", {2: 16}),
+    Row("gaussian-blue-noise(iterations=5)", {1: 16, 2: 16, 3: 16, 10: 3}),
     Row("halton", ANY, fixed=True, unbiased=False),
     Row("halton(skip=5, scramble='permute')", ANY),
     Row("halton(skip=5, scramble='owen')", ANY),

@@ -8,6 +8,7 @@ from .external import FunctionSampler as FunctionSampler
 from .external import GivenPoints as GivenPoints
 from .external import ScipySampler as ScipySampler
 from .kronecker import Kronecker as Kronecker
+from .gaussian_blue_noise import GaussianBlueNoise as GaussianBlueNoise
 from .lattice import Fibonacci as Fibonacci
 from .lattice import Korobov as Korobov
 from .lattice import Rank1Lattice as Rank1Lattice
@@ -37,6 +38,7 @@ __all__ = [
     "DigitalShift",
     "Fibonacci",
     "FunctionSampler",
+    "GaussianBlueNoise",
     "GivenPoints",
     "Halton",
     "Hammersley",

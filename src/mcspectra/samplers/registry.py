@@ -21,6 +21,7 @@ SAMPLERS = Registry(
     "mcspectra.samplers",
     {
         "fibonacci": "mcspectra.samplers.lattice:Fibonacci",
+        "gaussian-blue-noise": "mcspectra.samplers.gaussian_blue_noise:GaussianBlueNoise",
         "halton": "mcspectra.samplers.radical:Halton",
         "hammersley": "mcspectra.samplers.radical:Hammersley",
         "jittered": "mcspectra.samplers.stratified:Jittered",
