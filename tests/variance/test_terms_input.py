@@ -16,7 +16,7 @@ GAUSSIAN = mcs.Estimator("gaussian", dims=2)
         ({"n": float("nan")}, CountError, "whole number"),
         ({"realizations": 1}, ParameterError, "from 2 to"),
         ({"half_width": -1}, ParameterError, "half_width"),
-        ({"basis": "walsh"}, ParameterError, "fourier"),
+        ({"basis": "wavelet"}, ParameterError, "fourier, cosine, walsh, haar"),
         ({"space": "fourier"}, ParameterError, "domain, primary"),
         ({"bands": "wedge"}, ParameterError, "radial"),
         ({"bands": np.zeros((3, 3), int)}, ParameterError, r"shape \(9, 9\)"),

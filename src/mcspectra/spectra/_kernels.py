@@ -11,7 +11,7 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
 
-__all__ = ["histogram_distances", "power_sums", "split_pair"]
+__all__ = ["bin_weights", "histogram_distances", "power_sums", "split_pair"]
 
 
 @kernel
@@ -65,3 +65,15 @@ def histogram_distances(points: Array, width: float, counts: Array) -> None:
                 index = int(np.sqrt(square) / width)
                 if index < counts.size:
                     counts[index] += 1
+
+
+@kernel
+def bin_weights(points: Array, weights: Array, size: int, out: Array) -> None:
+    """Add the weights (R, n) of points (R, n, d) to size^d equal cells; out (R, size^d) zeros."""
+    count, n, dims = points.shape
+    for r in range(count):
+        for k in range(n):
+            cell = 0
+            for j in range(dims):
+                cell = cell * size + int(points[r, k, j] * size)
+            out[r, cell] += weights[r, k]

@@ -27,19 +27,22 @@ class Partition:
     Attributes
     ----------
     coefficients
-        f_m of the half spectra of all techniques, one after the other: complex128 (C, H).
+        f_m of all techniques, as far as they are stored, one after the other: (C, H), real or complex.
     double
-        2.0 for a coefficient that stands for −m too, 1.0 for m = 0: (H,).
+        2.0 for a coefficient that stands for −m too, else 1.0: (H,).
+    dc
+        Which coefficients are those of the constant function: bool (H,).
     band
         Band of each coefficient: int64 (H,).
     shell
-        max_i |m_i| of each coefficient: int64 (H,).
+        Half width at which each coefficient comes in: int64 (H,).
     matrix
         Whether to keep the full covariance matrix.
     """
 
     coefficients: Array
     double: Array
+    dc: Array
     band: Array
     shell: Array
     matrix: bool = False
@@ -61,7 +64,7 @@ class SpectralSums:
 
     @staticmethod
     def of(s: Array, partition: Partition) -> SpectralSums:
-        """Sums of a block: s is complex128 (R, H)."""
+        """Sums of a block: s is (R, H), real or complex like the coefficients."""
         f, double = partition.coefficients, partition.double
         shape = (len(s), len(f))
         bands = np.zeros((*shape, int(partition.band.max()) + 1))

@@ -37,7 +37,7 @@ from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.spectra.transforms import FrequencyGrid, Transform
+from mcspectra.spectra.bases import BASES, Basis, Coefficients, fitting_basis, make_basis
 from mcspectra.variance.sums import Partition, SpectralSums
 
 if TYPE_CHECKING:
@@ -47,7 +47,6 @@ __all__ = ["MAX_MATRIX", "SPACES", "check_terms", "radial_bands", "variance_term
 
 SPACES = ("domain", "primary")
 _MAX_BANDS = 4096
-BASES = ("fourier",)
 MAX_MATRIX = 4096
 """Most frequencies of a full cross matrix: two of that size take 0.5 GiB."""
 
@@ -81,7 +80,8 @@ def variance_terms(
     rng
         Seed (SPEC 7). Realisation r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
     basis
-        ``"fourier"``.
+        ``"fourier"``, ``"cosine"``, ``"walsh"`` or ``"haar"`` (`mcspectra.spectra.bases`), or ``"auto"``:
+        the one that fits the sampler's randomisation, which the attribute ``basis`` then names.
     space
         ``"domain"``: f with the warped, weighted points (the paper's view); ``"primary"``: g(u) with
         the sampler's own points, where discontinuities made by the warp are visible.
@@ -129,16 +129,18 @@ def variance_terms(
     >>> bool(terms["cross_term"] < 0 < terms["power_term"])
     True
     """
-    as_choice("basis", basis, BASES)
     as_choice("space", space, SPACES)
     estimator = as_estimator(estimator, getattr(sampler, "dims", None))
     source = as_sampler(sampler, estimator.dims)
     n = source.check_count(n)
     estimator.check_sampler(source, n)
     realizations = as_integer("realizations", realizations, least=2, most=MAX_REALIZATIONS)
-    check_terms(estimator, half_width, space, cross_matrix=cross_matrix)
-    view = _View.of(estimator, n, space, FrequencyGrid(estimator.dims, half_width), engine, eps)
-    partition = view.partition(_band_labels(bands, view.grid), cross_matrix)
+    if as_choice("basis", basis, (*BASES, "auto")) == "auto":
+        basis = fitting_basis(source, half_width)
+    check_terms(estimator, half_width, space, cross_matrix=cross_matrix, basis=basis)
+    functions = make_basis(basis, estimator.dims, half_width)
+    view = _View.of(estimator, n, space, functions, engine, eps)
+    partition = view.partition(_band_labels(bands, functions), cross_matrix)
     stream = Stream.from_rng(rng)
 
     def block_sums(block: Block) -> tuple[SpectralSums, Moments]:
@@ -175,7 +177,7 @@ def variance_terms(
         coefficients=view.source,
         stream_key=f"{stream.key:#x}",
         seed=rng if isinstance(rng, int) else None,
-        engine=view.transforms[0].engine,
+        engine=view.engine,
         eps=eps,
         note="spectral terms are infinite: ∫1/p diverges" if infinite else None,
     )
@@ -187,19 +189,15 @@ class _View:
 
     estimator: AbstractEstimator
     space: str
-    grid: FrequencyGrid
-    transforms: tuple[Transform, ...]
+    basis: Basis
+    transforms: tuple[Coefficients, ...]
+    engine: str
     integrand_coefficients: Array  # (C, T, H)
     source: str
 
     @staticmethod
     def of(
-        estimator: AbstractEstimator,
-        n: int,
-        space: str,
-        grid: FrequencyGrid,
-        engine: str,
-        eps: float,
+        estimator: AbstractEstimator, n: int, space: str, basis: Basis, engine: str, eps: float
     ) -> _View:
         techniques = range(len(estimator.counts))
         if space == "domain":
@@ -209,36 +207,36 @@ class _View:
         else:
             integrands = [estimator.primary_integrand(t) for t in techniques]
             counts = [n * count for count in estimator.counts]
-        stacked = [
-            grid.half(g.fourier_grid(grid.half_width)).reshape(grid.half_size, -1).T
-            for g in integrands
-        ]
+        transforms = [basis.transform(count, engine, eps) for count in counts]
+        found = [basis.integrand(g) for g in integrands]
         return _View(
             estimator,
             space,
-            grid,
-            tuple(Transform(grid, count, engine=engine, eps=eps) for count in counts),
-            np.stack(stacked, axis=1).astype(np.complex128),
-            "; ".join(dict.fromkeys(g.fourier_source for g in integrands)),
+            basis,
+            tuple(coefficients for coefficients, _ in transforms),
+            transforms[0][1],
+            np.stack([coefficients for coefficients, _ in found], axis=1),
+            "; ".join(dict.fromkeys(source for _, source in found)),
         )
 
     def coefficients(self, points: list[Array]) -> Array:
-        """Spectra of a block, half grids of the techniques side by side: (R, T·H)."""
+        """Spectra of a block, those of the techniques side by side: (R, T·H)."""
         if self.space == "domain":
-            return self.transforms[0].coefficients(*self.estimator.weighted_points(points))
-        parts = [t.coefficients(u) for t, u in zip(self.transforms, points, strict=True)]
+            return self.transforms[0](*self.estimator.weighted_points(points))
+        parts = [transform(u, None) for transform, u in zip(self.transforms, points, strict=True)]
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
     def partition(self, band: Array, matrix: bool) -> Partition:
         """Coefficients and labels, repeated for each technique."""
         techniques = len(self.transforms)
-        double = np.full(self.grid.half_size, 2.0)
-        double[-1] = 1.0
-        shell = np.abs(self.grid.half_indices()).max(axis=1)
+        shell = self.basis.oscillations().max(axis=1)
+        dc = np.zeros(self.basis.stored, bool)
+        dc[self.basis.dc] = True
         flat = self.integrand_coefficients.reshape(len(self.integrand_coefficients), -1)
         return Partition(
             np.ascontiguousarray(flat),
-            np.tile(double, techniques),
+            np.tile(self.basis.double, techniques),
+            np.tile(dc, techniques),
             np.tile(band, techniques),
             np.tile(shell, techniques),
             matrix,
@@ -246,7 +244,12 @@ class _View:
 
 
 def check_terms(
-    estimator: AbstractEstimator, half_width: int, space: str | None, *, cross_matrix: bool
+    estimator: AbstractEstimator,
+    half_width: int,
+    space: str | None,
+    *,
+    cross_matrix: bool,
+    basis: str = "fourier",
 ) -> int:
     """Check what `variance_terms` can refuse before any work; return the number of coefficients.
 
@@ -255,14 +258,14 @@ def check_terms(
     ParameterError
         The grid or the cross matrix would be too large, or there is no domain to work in.
     """
-    grid = FrequencyGrid(estimator.dims, half_width)
+    size = make_basis(basis, estimator.dims, half_width).size
     if space == "domain" and estimator.domain_integrand is None:
         raise ParameterError(
             f"{estimator.spec} has no common domain: its techniques are given on their own "
             "unit cubes; use space='primary'."
         )
     primary = space == "primary" or estimator.domain_integrand is None
-    size = grid.size * (len(estimator.counts) if primary else 1)
+    size *= len(estimator.counts) if primary else 1
     if cross_matrix and size > MAX_MATRIX:
         raise ParameterError(
             f"The cross matrix of {size} frequencies takes {32 * size**2 / 2**30:.3g} GiB; "
@@ -271,28 +274,29 @@ def check_terms(
     return size
 
 
-def radial_bands(grid: FrequencyGrid) -> Array:
-    """Shell of each half-grid frequency, round(|m|): int64 (H,)."""
-    length = np.sqrt((grid.half_indices() ** 2).sum(axis=1))
+def radial_bands(basis: Basis) -> Array:
+    """Shell of each stored coefficient, the length of its oscillations rounded: int64 (H,)."""
+    length = np.sqrt((basis.oscillations() ** 2).sum(axis=1))
     return np.asarray(np.rint(length), np.int64)
 
 
-def _band_labels(bands: str | Array, grid: FrequencyGrid) -> Array:
+def _band_labels(bands: str | Array, basis: Basis) -> Array:
     if isinstance(bands, str):
         as_choice("bands", bands, ("radial",))
-        return radial_bands(grid)
+        return radial_bands(basis)
     labels = np.asarray(bands)
-    integer = labels.shape == grid.shape and labels.dtype.kind in "iu"
+    integer = labels.shape == basis.shape and labels.dtype.kind in "iu"
     if not integer or labels.min() < 0 or labels.max() >= _MAX_BANDS:
         raise ParameterError(
             f"bands has shape {labels.shape} and type {labels.dtype}; give 'radial' or integer "
-            f"labels from 0 to {_MAX_BANDS - 1} of shape {grid.shape}."
+            f"labels from 0 to {_MAX_BANDS - 1} of shape {basis.shape}."
         )
-    if not np.array_equal(labels, labels[(slice(None, None, -1),) * grid.dims]):
+    stored = basis.pick(labels).astype(np.int64)
+    if not np.array_equal(basis.full(stored), labels):
         raise ParameterError(
             "bands must be the same for m and −m, so that band estimates are real."
         )
-    return grid.half(labels).astype(np.int64)
+    return stored
 
 
 Variables = dict[str, tuple[tuple[str, ...], Any]]
@@ -302,21 +306,20 @@ def _variables(
     sums: SpectralSums, measured: Moments, view: _View, partition: Partition
 ) -> Variables:
     """All result variables with a leading channel axis."""
-    f, grid = partition.coefficients, view.grid
+    f, basis = partition.coefficients, view.basis
     degrees = sums.count - 1
     spectrum = sums.m2 / degrees
     diagonal = np.abs(f) ** 2 * spectrum
     contribution = (f.conj() * sums.cov).real / degrees
     total = (contribution * partition.double).sum(axis=1)
-    is_dc = partition.double == 1.0
-    dc = diagonal[:, is_dc].sum(axis=1)
-    power = (diagonal * partition.double)[:, ~is_dc].sum(axis=1)
-    shape = (len(f), len(view.transforms), grid.half_size)
+    dc = diagonal[:, partition.dc].sum(axis=1)
+    power = (diagonal * partition.double)[:, ~partition.dc].sum(axis=1)
+    shape = (len(f), len(view.transforms), basis.stored)
     # A variance of rounding noise captures nothing.
     real = np.where(measured.variance > rounding_floor(measured.mean), measured.variance, np.nan)
     captured = total / real
     curve = sums.truncated.variance / real[:, None]
-    maps = ("channel", "technique", *grid.names)
+    maps = ("channel", "technique", *basis.names)
     by_width = ("channel", "half_width")
     variables: Variables = {
         "dc_term": (("channel",), dc),
@@ -329,8 +332,8 @@ def _variables(
         "mean": (("channel",), measured.mean),
         "mean_se": (("channel",), measured.mean_se),
         "captured": (("channel",), captured),
-        "contribution": (maps, grid.full(contribution.reshape(shape))),
-        "power_contribution": (maps, grid.full(diagonal.reshape(shape))),
+        "contribution": (maps, basis.full(contribution.reshape(shape))),
+        "power_contribution": (maps, basis.full(diagonal.reshape(shape))),
         "band_covariance": (("channel", "band", "band_other"), sums.band_m2 / degrees),
         "truncated_variance": (by_width, sums.truncated.variance),
         "captured_by_half_width": (by_width, curve),
@@ -340,20 +343,18 @@ def _variables(
     return variables
 
 
-def _matrices(half: Array, f: Array, view: _View) -> Variables:
-    """Full C_ml and conj(f_m) f_l C_ml from the covariances of half spectra, with and without conj.
+def _matrices(stored: Array, f: Array, view: _View) -> Variables:
+    """Full C_ml and conj(f_m) f_l C_ml from the covariances of what is stored, with and without conj.
 
     S_{−l} = conj S_l gives C_{m,−l} = Cov(S_m, conj S_l), the pseudo-covariance. In primary space
     the coefficients of the techniques follow one another.
     """
-    techniques, h = len(view.transforms), view.grid.half_size
-    last = h - 1
+    techniques, h = len(view.transforms), view.basis.stored
+    place, conjugate = view.basis.whole()
+    index = (np.arange(techniques)[:, None] * h + place).ravel()
+    flip = np.tile(conjugate, techniques)
     size = techniques * h
-    mirror = np.arange(size).reshape(techniques, h)[:, :last][:, ::-1]  # m > 0, ascending
-    plus = np.arange(size).reshape(techniques, h)
-    index = np.concatenate([plus, mirror], axis=1).ravel()
-    flip = np.concatenate([np.zeros_like(plus), np.ones_like(mirror)], axis=1).ravel().astype(bool)
-    plain, pseudo = half[:, :size][np.ix_(index, index)], half[:, size:][np.ix_(index, index)]
+    plain, pseudo = stored[:, :size][np.ix_(index, index)], stored[:, size:][np.ix_(index, index)]
     # ⟨S_a conj S_b⟩ for a, b plain or conjugated
     both = np.where(flip[:, None], plain.conj(), plain)
     mixed = np.where(flip[:, None], pseudo.conj(), pseudo)
@@ -379,7 +380,7 @@ def _undefined(name: str, values: Array) -> Array:
 
 def _labelled(variables: Variables, view: _View, **provenance: Any) -> xr.Dataset:
     """Make the dataset; axes of one channel or technique are dropped."""
-    grid = view.grid
+    basis = view.basis
     scalar, single = view.estimator.channels == 0, len(view.transforms) == 1
     dropped = {name for name, gone in (("channel", scalar), ("technique", single)) if gone}
     kept: Variables = {}
@@ -388,27 +389,27 @@ def _labelled(variables: Variables, view: _View, **provenance: Any) -> xr.Datase
         kept[name] = (tuple(dim for dim in dims if dim not in dropped), values[index])
     bands = {"long_name": "band (radial: |m| rounded)", "units": "1"}
     coords: dict[str, Any] = {
-        **grid.coords,
+        **basis.coords,
         "bound": ["low", "high"],
         "band": ("band", np.arange(variables["band_covariance"][1].shape[1]), bands),
         "band_other": ("band_other", np.arange(variables["band_covariance"][1].shape[1]), bands),
-        "half_width": ("half_width", np.arange(grid.half_width + 1), {"units": "cycles per unit"}),
+        "half_width": ("half_width", np.arange(basis.half_width + 1), {"units": "cycles per unit"}),
     }
     if "cross_matrix" in kept:
-        coords |= _matrix_coords(grid, len(view.transforms))
+        coords |= _matrix_coords(basis, len(view.transforms))
     return dataset(kept, coords, **provenance)
 
 
-def _matrix_coords(grid: FrequencyGrid, techniques: int) -> dict[str, Any]:
+def _matrix_coords(basis: Basis, techniques: int) -> dict[str, Any]:
     """Frequencies along m and l: themselves in 1-D, a running number with m_0, m_1 … beside it else."""
-    if grid.dims == 1 and techniques == 1:
-        return {"m": grid.axis, "l": grid.axis}
-    size = grid.size * techniques
-    m = np.indices(grid.shape).reshape(grid.dims, -1) - grid.half_width
+    if basis.dims == 1 and techniques == 1:
+        return {"m": basis.axis, "l": basis.axis}
+    size = basis.size * techniques
+    m = basis.axis[np.indices(basis.shape).reshape(basis.dims, -1)]
     coords: dict[str, Any] = {"m": np.arange(size), "l": np.arange(size)}
     for name in ("m", "l"):
-        for i in range(grid.dims):
+        for i in range(basis.dims):
             coords[f"{name}_{i}"] = (name, np.tile(m[i], techniques))
         if techniques > 1:
-            coords[f"{name}_technique"] = (name, np.repeat(np.arange(techniques), grid.size))
+            coords[f"{name}_technique"] = (name, np.repeat(np.arange(techniques), basis.size))
     return coords

@@ -1,0 +1,125 @@
+"""Coefficients of integrands in product bases other than Fourier, by quadrature axis by axis."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import ParameterError
+from mcspectra.integrands._quadrature import AxisRule
+from mcspectra.integrands.base import Integrand
+
+__all__ = ["axis_rules", "cell_integrals", "product_coefficients"]
+
+_ORDER = 16
+_LEAST = {1: 512, 2: 512, 3: 64, 4: 32}
+_LIMIT = 2**24  # evaluations
+_BLOCK = 2**18  # points evaluated at once
+_CELL_NODES = {1: 64, 2: 16, 3: 4, 4: 2}
+
+
+def axis_rules(f: Integrand, half_width: int) -> list[AxisRule]:
+    """Composite Gauss-Legendre rules, 16 nodes to a wave of the half width (fewer beyond 2-D).
+
+    Raises
+    ------
+    ParameterError
+        The product of the rules has more than 2^24 nodes.
+    """
+    least = _LEAST.get(f.dims, 16)
+    for per_wave in (16, 8, 4):
+        count = 1 << (max(least, per_wave * half_width) - 1).bit_length()
+        if float(count) ** f.dims <= _LIMIT:
+            return [AxisRule.make(count, min(_ORDER, count), breaks) for breaks in f.breaks]
+    raise ParameterError(
+        f"The coefficients of {f.spec} up to half width {half_width} in {f.dims} dims take "
+        f"{float(count) ** f.dims:.2g} evaluations, more than {_LIMIT:.2g}; ask for a smaller one."
+    )
+
+
+def product_coefficients(
+    f: Integrand, rules: Sequence[AxisRule], functions: Sequence[Array]
+) -> Array:
+    """∫ f Π_i φ_i for all products of real functions of one variable.
+
+    Parameters
+    ----------
+    f
+        The integrand.
+    rules
+        A rule for each axis, P_i nodes.
+    functions
+        Their values at the nodes of each axis, (P_i, N_i).
+
+    Returns
+    -------
+    ndarray
+        float64 (channels or 1, N_0 · … · N_{d−1}), C order.
+    """
+    total: Array | float = 0.0
+    for start, values in _slabs(f, rules):
+        weighted = [rule.weights[:, None] * phi for rule, phi in zip(rules, functions, strict=True)]
+        weighted[0] = weighted[0][start : start + values.shape[1]]
+        # values (C, P_0, …): each step takes the first axis of nodes and adds one of functions
+        for phi in weighted:
+            values = np.tensordot(values, phi, axes=([1], [0]))
+        total = total + values
+    return np.asarray(total).reshape(max(1, f.channels), -1)
+
+
+def cell_integrals(f: Integrand, size: int) -> tuple[Array, str]:
+    """∫ f over each of size^d equal cells: float64 (channels or 1, size^d), and how it was found.
+
+    Raises
+    ------
+    ParameterError
+        More than 2^24 evaluations.
+    """
+    cells = float(size) ** f.dims
+    if cells > _LIMIT:
+        raise ParameterError(
+            f"{cells:.2g} cells in {f.dims} dims are more than {_LIMIT:.2g}; ask for a smaller "
+            "half_width."
+        )
+    exact = _box_means(f, size)
+    if exact is not None:
+        return exact / cells, "exact"
+    return _quadrature_of_cells(f, size), "composite Gauss-Legendre quadrature"
+
+
+def _box_means(f: Integrand, size: int) -> Array | None:
+    low = np.stack(np.meshgrid(*[np.arange(size) / size] * f.dims, indexing="ij"), axis=-1)
+    low = low.reshape(-1, f.dims)
+    found = f.box_moments(low, low + 1.0 / size)
+    return None if found is None else np.asarray(found[0]).reshape(len(low), -1).T
+
+
+def _quadrature_of_cells(f: Integrand, size: int) -> Array:
+    nodes = _CELL_NODES.get(f.dims, 2)
+    while nodes > 1 and (float(nodes) * size) ** f.dims > _LIMIT:
+        nodes //= 2
+    order = min(nodes, _ORDER)
+    rules = [AxisRule.make(size * nodes, order, breaks) for breaks in f.breaks]
+    inside = [
+        (np.floor(rule.nodes * size).astype(np.int64)[:, None] == np.arange(size)).astype(float)
+        for rule in rules
+    ]
+    return product_coefficients(f, rules, inside)
+
+
+def _slabs(f: Integrand, rules: Sequence[AxisRule]) -> Iterator[tuple[int, Array]]:
+    """Values on slabs of the product of the nodes, along the first axis: start, (C, p, P_1, …)."""
+    rest = [rule.nodes for rule in rules[1:]]
+    size = math.prod(nodes.size for nodes in rest)
+    height = max(1, _BLOCK // size)
+    first = rules[0].nodes
+    for start in range(0, first.size, height):
+        axes = [first[start : start + height], *rest]
+        x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        values = np.asarray(f(x))
+        shape = x.shape[:-1]
+        channels = values.reshape(*shape, -1)
+        yield start, np.moveaxis(channels, -1, 0)

@@ -1,0 +1,376 @@
+"""Orthonormal bases of functions on the unit cube, in which a variance is decomposed.
+
+With an orthonormal basis φ_m of L²([0,1]^d), f_m = ∫ f conj(φ_m) and S_m = Σ_k w_k conj(φ_m(x_k)), the
+estimate is Σ_m conj(f_m) S_m and its variance dc + power + cross, in any basis (DESIGN §1). What differs is
+how much of it is cross term, that is how badly the basis fits the sampler's randomisation, and how fast
+the sum over m converges:
+
+=========  ==========================================  =====================================
+basis      φ_m, in each dim                            no cross term for
+=========  ==========================================  =====================================
+fourier    exp(2πi m x), m = −K … K                    toroidal shifts
+cosine     1, √2 cos(π m x), m = 1 … 2K                sets mirrored at random
+walsh      (−1)^(Σ_i m_i x_{i+1}), m < 2K (Paley)       digital shifts, nested scrambling
+haar       1, 2^(j/2) ψ(2^j x − t), m = 2^j + t < 2K   jittered sets with 2^k strata a side
+=========  ==========================================  =====================================
+
+K is the half width: all four then have about (2K)^d functions, of up to K oscillations. The dims of a
+product basis are transformed one after the other. Walsh and Haar functions are constant in dyadic
+cells of side 1/2K: points are counted in these and transformed by butterflies, in O(n + M log M),
+exactly.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_choice
+from mcspectra.core.errors import ParameterError
+from mcspectra.integrands import Integrand
+from mcspectra.integrands.products import axis_rules, cell_integrals, product_coefficients
+from mcspectra.samplers import Randomized, Sampler
+from mcspectra.samplers.base import Structure
+from mcspectra.spectra._kernels import bin_weights
+from mcspectra.spectra.transforms import FrequencyGrid, Transform
+
+__all__ = ["BASES", "Basis", "Cosine", "Fourier", "Haar", "Walsh", "fitting_basis", "make_basis"]
+
+Coefficients = Callable[[Array, "Array | None"], Array]
+"""Transform of points (R, n, d) with weights (R, n), or None for 1/n each: (R, stored)."""
+
+
+@dataclass(frozen=True)
+class Basis(ABC):
+    """Products over the axes of functions of one variable, those of up to `half_width` oscillations.
+
+    Attributes
+    ----------
+    dims, half_width
+        d and K.
+    """
+
+    dims: int
+    half_width: int
+    name: ClassVar[str] = ""
+    label: ClassVar[str] = "index of the basis function"
+
+    @property
+    @abstractmethod
+    def axis(self) -> Array:
+        """Indices along one axis, as coordinates: int64 (N,)."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the whole array of coefficients."""
+        return (len(self.axis),) * self.dims
+
+    @property
+    def size(self) -> int:
+        """M, the number of functions."""
+        return int(np.prod(self.shape, dtype=np.float64))
+
+    @property
+    def stored(self) -> int:
+        """Number of coefficients that are kept: all, unless the others follow from them."""
+        return self.size
+
+    @property
+    def double(self) -> Array:
+        """How many functions each stored coefficient stands for: float64 (stored,)."""
+        return np.ones(self.stored)
+
+    @property
+    def dc(self) -> int:
+        """Place of the constant function among the stored coefficients."""
+        return 0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the dims, m0, m1, …"""
+        return tuple(f"m{i}" for i in range(self.dims))
+
+    @property
+    def coords(self) -> dict[str, Any]:
+        """Coordinates of these dims."""
+        attributes = {"long_name": self.label, "units": "1"}
+        return {name: (name, self.axis, attributes) for name in self.names}
+
+    def oscillations(self) -> Array:
+        """Least half width at which each stored function takes part, along each axis: (stored, dims)."""
+        flat = np.unravel_index(np.arange(self.stored), self.shape)
+        return np.stack([self._axis_oscillations()[place] for place in flat], axis=-1)
+
+    def full(self, stored: Array) -> Array:
+        """Reshape stored values (..., stored) to the whole array (..., *shape)."""
+        return stored.reshape(*stored.shape[:-1], *self.shape)
+
+    def pick(self, full: Array) -> Array:
+        """Stored values (stored,) of a whole array (*shape): the inverse of `full`."""
+        return full.reshape(-1)[: self.stored]
+
+    def whole(self) -> tuple[Array, Array]:
+        """For every function, in C order: its place among those stored, and whether it is conjugate."""
+        return np.arange(self.size), np.zeros(self.size, bool)
+
+    @abstractmethod
+    def transform(self, n: int, engine: str, eps: float) -> tuple[Coefficients, str]:
+        """Return what transforms sets of n points, safe in threads, and the name of its engine."""
+
+    @abstractmethod
+    def integrand(self, f: Integrand) -> tuple[Array, str]:
+        """Coefficients of f, (channels or 1, stored), and how they were computed."""
+
+    @abstractmethod
+    def _axis_oscillations(self) -> Array:
+        """Half width at which each index of an axis takes part: int64 (N,)."""
+
+
+@final
+@dataclass(frozen=True)
+class Fourier(Basis):
+    """Fourier basis: complex; the coefficients of −m are conjugates of those of m and not kept."""
+
+    name: ClassVar[str] = "fourier"
+    label: ClassVar[str] = "frequency"
+
+    @property
+    def grid(self) -> FrequencyGrid:
+        """Its frequencies."""
+        return FrequencyGrid(self.dims, self.half_width)
+
+    @property
+    def axis(self) -> Array:
+        """−K … K."""
+        return self.grid.axis
+
+    @property
+    def coords(self) -> dict[str, Any]:
+        """Frequencies in cycles per unit."""
+        return self.grid.coords
+
+    @property
+    def stored(self) -> int:
+        """Those up to m = 0, which is last."""
+        return self.grid.half_size
+
+    @property
+    def double(self) -> Array:
+        """2 for m and −m, 1 for m = 0."""
+        twice = np.full(self.stored, 2.0)
+        twice[self.dc] = 1.0
+        return twice
+
+    @property
+    def dc(self) -> int:
+        """The last."""
+        return self.stored - 1
+
+    def full(self, stored: Array) -> Array:
+        """Extend to −m, for values that are equal there."""
+        return self.grid.full(stored)
+
+    def whole(self) -> tuple[Array, Array]:
+        """S_{−m} = conj S_m."""
+        place = np.concatenate([np.arange(self.stored), np.arange(self.dc)[::-1]])
+        return place, np.arange(self.size) >= self.stored
+
+    def transform(self, n: int, engine: str, eps: float) -> tuple[Coefficients, str]:
+        """By NUFFT or directly."""
+        transform = Transform(self.grid, n, engine=engine, eps=eps)
+        return transform.coefficients, transform.engine
+
+    def integrand(self, f: Integrand) -> tuple[Array, str]:
+        """Exact where f knows them."""
+        found = f.fourier_grid(self.half_width)
+        half = self.grid.half(found).reshape(self.stored, -1).T
+        return np.ascontiguousarray(half, np.complex128), f.fourier_source
+
+    def _axis_oscillations(self) -> Array:
+        return np.abs(self.grid.axis)
+
+
+@final
+@dataclass(frozen=True)
+class Cosine(Basis):
+    """Cosine basis: no jump from f(1) to f(0), so that smooth f converge fast, periodic or not."""
+
+    name: ClassVar[str] = "cosine"
+
+    @property
+    def axis(self) -> Array:
+        """0 … 2K."""
+        return np.arange(2 * self.half_width + 1)
+
+    def transform(self, n: int, engine: str, eps: float) -> tuple[Coefficients, str]:
+        """Half-integer frequencies by NUFFT, the signs of each axis averaged: Re exp = cos."""
+        grid = FrequencyGrid(self.dims, 2 * self.half_width, 0.5)
+        transform = Transform(grid, n, engine=engine, eps=eps)
+        scale = np.full(grid.half_width + 1, np.sqrt(2.0))
+        scale[0] = 1.0
+
+        def coefficients(points: Array, weights: Array | None) -> Array:
+            folded = grid.full(transform.coefficients(points, weights).real)
+            for axis in range(1, 1 + self.dims):
+                folded = np.moveaxis(folded, axis, -1)
+                right = folded[..., grid.half_width :]
+                left = folded[..., grid.half_width :: -1]
+                folded = np.moveaxis(0.5 * scale * (right + left), -1, axis)
+            return np.ascontiguousarray(folded.reshape(len(points), -1))
+
+        return coefficients, transform.engine
+
+    def integrand(self, f: Integrand) -> tuple[Array, str]:
+        """Composite Gauss-Legendre quadrature, cut at the breaks of f."""
+        rules = axis_rules(f, self.half_width)
+        waves = [
+            np.cos(np.pi * np.outer(rule.nodes, self.axis)) * np.where(self.axis, np.sqrt(2.0), 1.0)
+            for rule in rules
+        ]
+        found = product_coefficients(f, rules, waves)
+        return found, "composite Gauss-Legendre quadrature"
+
+    def _axis_oscillations(self) -> Array:
+        return (self.axis + 1) // 2
+
+
+@dataclass(frozen=True)
+class _Dyadic(Basis):
+    """What Walsh and Haar functions share: they are constant in cells of side 1/2K."""
+
+    def __post_init__(self) -> None:
+        if self.half_width & (self.half_width - 1):
+            below = 1 << (self.half_width.bit_length() - 1)
+            raise ParameterError(
+                f"half_width is {self.half_width}; the {self.name} basis needs a power of two, "
+                f"such as {below} or {2 * below}."
+            )
+
+    @property
+    def axis(self) -> Array:
+        """0 … 2K − 1 (0 alone for K = 0)."""
+        return np.arange(max(1, 2 * self.half_width))
+
+    def transform(self, n: int, engine: str, eps: float) -> tuple[Coefficients, str]:
+        """Weights of the cells, then butterflies: exact."""
+        del n, eps
+        as_choice("engine", engine, ("auto", "direct"))
+
+        def coefficients(points: Array, weights: Array | None) -> Array:
+            sets, n, _ = points.shape
+            if weights is None:
+                weights = np.broadcast_to(1.0 / n, (sets, n))
+            cells = np.zeros((sets, self.size))
+            bin_weights(points, weights, len(self.axis), cells)
+            return self._of_cells(cells)
+
+        return coefficients, "butterflies"
+
+    def integrand(self, f: Integrand) -> tuple[Array, str]:
+        """Integrals over the cells, exact where f knows its means over boxes."""
+        cells, source = cell_integrals(f, len(self.axis))
+        return self._of_cells(cells), source
+
+    def _of_cells(self, cells: Array) -> Array:
+        """Transform weights of cells (..., N^d) along every axis."""
+        values = cells.reshape(len(cells), *self.shape)
+        for axis in range(1, 1 + self.dims):
+            values = np.moveaxis(self._along_last(np.moveaxis(values, axis, -1)), -1, axis)
+        return np.ascontiguousarray(values.reshape(len(cells), -1))
+
+    @abstractmethod
+    def _along_last(self, values: Array) -> Array:
+        """Transform of the weights of N cells along the last axis."""
+
+    def _axis_oscillations(self) -> Array:
+        level = np.frexp(self.axis)[1] - 1  # index 0 has none
+        return np.where(self.axis > 0, 2 ** np.maximum(level, 0), 0)
+
+
+@final
+@dataclass(frozen=True)
+class Walsh(_Dyadic):
+    """Walsh basis in Paley order, as in the theory of digital nets."""
+
+    name: ClassVar[str] = "walsh"
+
+    def _along_last(self, values: Array) -> Array:
+        """Hadamard butterflies, the index bits reversed: its lowest meets the first digit of x."""
+        size = values.shape[-1]
+        step = 1
+        while step < size:
+            pairs = values.reshape(*values.shape[:-1], -1, 2, step)
+            left, right = pairs[..., 0, :], pairs[..., 1, :]
+            values = np.stack([left + right, left - right], axis=-2).reshape(values.shape)
+            step *= 2
+        return values[..., _reversed_bits(size)]
+
+
+@final
+@dataclass(frozen=True)
+class Haar(_Dyadic):
+    """Haar basis: index 2^j + t is the wavelet of level j in the t-th interval of length 2^-j."""
+
+    name: ClassVar[str] = "haar"
+
+    def _along_last(self, values: Array) -> Array:
+        """From the finest level to the constant."""
+        parts: list[Array] = []
+        size = values.shape[-1]
+        while size > 1:
+            size //= 2
+            left, right = values[..., 0::2], values[..., 1::2]
+            parts.append(np.sqrt(size) * (left - right))
+            values = left + right
+        return np.concatenate([values, *reversed(parts)], axis=-1)
+
+
+def _reversed_bits(size: int) -> Array:
+    order = np.zeros(1, np.int64)
+    while len(order) < size:
+        order = np.concatenate([2 * order, 2 * order + 1])
+    return order
+
+
+_CLASSES: dict[str, type[Basis]] = {c.name: c for c in (Fourier, Cosine, Walsh, Haar)}
+BASES = tuple(_CLASSES)
+"""Names of the bases."""
+
+
+def make_basis(name: str, dims: int, half_width: int) -> Basis:
+    """Make a basis by name.
+
+    Raises
+    ------
+    ParameterError
+        The name is unknown, the half width too large, or not one that the basis can do.
+    """
+    FrequencyGrid(dims, half_width)  # the same limits for all
+    return _CLASSES[as_choice("basis", name, BASES)](dims, half_width)
+
+
+_DYADIC_STEPS = ("digital-shift", "owen", "lms", "permute")
+
+
+def fitting_basis(sampler: Sampler, half_width: int) -> str:
+    """Name the basis in which a sampler's randomisation leaves the least cross term.
+
+    Fourier after a shift and for sets that are statistically the same after any translation; Walsh
+    after randomisations of binary digits, if the half width is a power of two; cosine else: it has
+    no boundary term, and jittered sets are nearly diagonal in it.
+    """
+    steps = sampler.steps if isinstance(sampler, Randomized) else ()
+    dyadic = not half_width & (half_width - 1) and set(sampler.digit_bases) == {2}
+    for step in reversed(steps):
+        if step.stationary:
+            return "fourier"
+        if step.name == "mirror":
+            return "cosine"
+        if step.name in _DYADIC_STEPS and dyadic:
+            return "walsh"
+    stationary = sampler.structure is Structure.TORUS and sampler.unbiased and not steps
+    return "fourier" if stationary else "cosine"
