@@ -8,7 +8,7 @@ from scipy.stats import qmc
 
 from mcspectra.core.errors import NotPowerOfTwoWarning, ParameterError
 from mcspectra.samplers import Sobol, sampler
-from mcspectra.samplers.digital import _directions
+from mcspectra.samplers.digital import _sobol_directions
 
 
 def bit_reversed(n):
@@ -56,7 +56,7 @@ def test_dims_do_not_repeat():
 
 def test_direction_numbers_are_odd_multiples_of_their_place():
     """v_i = m_i 2^(32−i) with m_i odd and below 2^i: what makes every axis stratified."""
-    v = _directions().astype(np.int64)
+    v = _sobol_directions().astype(np.int64)
     place = np.int64(1) << np.arange(31, -1, -1)
     assert v.shape == (1111, 32)
     assert (v % place == 0).all()

@@ -2,17 +2,27 @@ from .base import Randomization as Randomization
 from .base import Randomized as Randomized
 from .base import Sampler as Sampler
 from .base import Structure as Structure
+from .candidates import BestCandidate as BestCandidate
+from .candidates import DartThrowing as DartThrowing
+from .candidates import FarthestPoint as FarthestPoint
+from .decorrelate import Decorrelate as Decorrelate
+from .digital import LarcherPillichshammer as LarcherPillichshammer
+from .digital import Niederreiter as Niederreiter
 from .digital import Sobol as Sobol
 from .dither import VoidAndCluster as VoidAndCluster
 from .external import FunctionSampler as FunctionSampler
 from .external import GivenPoints as GivenPoints
 from .external import ScipySampler as ScipySampler
-from .kronecker import Kronecker as Kronecker
 from .gaussian_blue_noise import GaussianBlueNoise as GaussianBlueNoise
+from .kronecker import Kronecker as Kronecker
 from .lattice import Fibonacci as Fibonacci
 from .lattice import Korobov as Korobov
 from .lattice import Rank1Lattice as Rank1Lattice
+from .mirror import Mirror as Mirror
+from .nets import DigitalNet as DigitalNet
+from .nets import Faure as Faure
 from .poisson import PoissonDisk as PoissonDisk
+from .projective import ProjectiveBlueNoise as ProjectiveBlueNoise
 from .radical import Halton as Halton
 from .radical import Hammersley as Hammersley
 from .radical import VanDerCorput as VanDerCorput
@@ -25,6 +35,10 @@ from .registry import SAMPLERS as SAMPLERS
 from .registry import as_sampler as as_sampler
 from .registry import sampler as sampler
 from .registry import sampler_from_calls as sampler_from_calls
+from .rotation import RandomRotation as RandomRotation
+from .selection import Shuffle as Shuffle
+from .selection import Skip as Skip
+from .selection import Subset as Subset
 from .stratified import Jittered as Jittered
 from .stratified import LatinHypercube as LatinHypercube
 from .stratified import MultiJittered as MultiJittered
@@ -35,7 +49,13 @@ from .stratified import UniformJitter as UniformJitter
 __all__ = [
     "RANDOMIZATIONS",
     "SAMPLERS",
+    "BestCandidate",
+    "DartThrowing",
+    "Decorrelate",
+    "DigitalNet",
     "DigitalShift",
+    "FarthestPoint",
+    "Faure",
     "Fibonacci",
     "FunctionSampler",
     "GaussianBlueNoise",
@@ -45,11 +65,16 @@ __all__ = [
     "Jittered",
     "Korobov",
     "Kronecker",
+    "LarcherPillichshammer",
     "LatinHypercube",
+    "Mirror",
     "MultiJittered",
+    "Niederreiter",
     "Owen",
     "PoissonDisk",
+    "ProjectiveBlueNoise",
     "Random",
+    "RandomRotation",
     "Randomization",
     "Randomized",
     "Rank1Lattice",
@@ -57,9 +82,12 @@ __all__ = [
     "Sampler",
     "ScipySampler",
     "Shift",
+    "Shuffle",
+    "Skip",
     "Sobol",
     "StrataShift",
     "Structure",
+    "Subset",
     "UniformJitter",
     "VanDerCorput",
     "VoidAndCluster",

@@ -16,11 +16,9 @@ from mcspectra.core.jit import kernel
 from mcspectra.core.streams import mix_bits, mix_uniform
 
 __all__ = [
-    "direction_numbers",
     "fill_jittered",
     "fill_latin",
     "fill_multi_jittered",
-    "fill_sobol",
     "random_offsets",
     "scramble_nested",
     "translate",
@@ -96,44 +94,6 @@ def fill_multi_jittered(keys: Array, columns: int, rows: int, out: Array) -> Non
                 p = i * rows + j
                 y = j * columns + across[i] + mix_uniform(k0, k1, 2 * p + 1)
                 points[p, 1] = min(y / n, _BELOW_ONE)
-
-
-@kernel
-def direction_numbers(polynomials: Array, initial: Array, out: Array) -> None:
-    """Continue Sobol' direction numbers by their recurrence; out uint32 (d, 32), 2^31 is ½.
-
-    polynomials (d,): bit k is the coefficient of x^k; initial (d, s): the odd m_1 … m_s.
-    """
-    for j in range(out.shape[0]):
-        degree = 0
-        while polynomials[j] >> (degree + 1):
-            degree += 1
-        v = out[j]
-        for i in range(32):
-            if degree == 0 or i < degree:
-                v[i] = (initial[j, i] if degree else 1) << (31 - i)
-                continue
-            word = v[i - degree] ^ (v[i - degree] >> degree)
-            for k in range(1, degree):
-                if (polynomials[j] >> (degree - k)) & 1:
-                    word ^= v[i - k]
-            v[i] = word
-
-
-@kernel
-def fill_sobol(directions: Array, out: Array) -> None:
-    """Sobol' points 0 … n−1 in natural order; directions uint32 (d, 32), out (n, d)."""
-    n, dims = out.shape
-    words = np.zeros((n, dims), np.uint32)
-    for i in range(n):
-        if i:
-            bit = 0
-            while not (i >> bit) & 1:
-                bit += 1
-            for j in range(dims):
-                words[i, j] = words[i ^ (1 << bit), j] ^ directions[j, bit]
-        for j in range(dims):
-            out[i, j] = words[i, j] * 2.0**-32
 
 
 @kernel

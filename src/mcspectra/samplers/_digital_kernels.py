@@ -1,0 +1,115 @@
+"""Numba kernels of digital nets: points from generator matrices, in base 2 and in any base.
+
+Legend: n points, d dims; ``directions`` uint32 (d, 32): column k of each generator matrix, its
+first digit the highest bit, so that 2^31 stands for ½; ``out`` float64 (n, d).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.jit import kernel
+
+__all__ = ["BLOCK", "block_words", "direction_numbers", "fill_base", "fill_binary", "low_words"]
+
+BLOCK = 256
+"""Indices that share their upper bits: their words are one table, XORed with one word a block."""
+_LOW_BITS = 8
+_UNIT_32 = 2.0**-32
+
+
+@kernel
+def direction_numbers(polynomials: Array, initial: Array, out: Array) -> None:
+    """Continue Sobol' direction numbers by their recurrence; out uint32 (d, 32), 2^31 is ½.
+
+    polynomials (d,): bit k is the coefficient of x^k; initial (d, s): the odd m_1 … m_s.
+    """
+    for j in range(out.shape[0]):
+        degree = 0
+        while polynomials[j] >> (degree + 1):
+            degree += 1
+        v = out[j]
+        for i in range(32):
+            if degree == 0 or i < degree:
+                v[i] = (initial[j, i] if degree else 1) << (31 - i)
+                continue
+            word = v[i - degree] ^ (v[i - degree] >> degree)
+            for k in range(1, degree):
+                if (polynomials[j] >> (degree - k)) & 1:
+                    word ^= v[i - k]
+            v[i] = word
+
+
+@kernel
+def low_words(directions: Array, n: int) -> Array:
+    """Words of the first 256 (or 2^k ≥ n) indices: uint32 (d, size)."""
+    size, bits = 1, 0
+    while size < n and bits < _LOW_BITS:
+        size, bits = 2 * size, bits + 1
+    table = np.zeros((directions.shape[0], size), np.uint32)
+    for j in range(directions.shape[0]):
+        for k in range(bits):
+            for i in range(1 << k):
+                table[j, i + (1 << k)] = table[j, i] ^ directions[j, k]
+    return table
+
+
+@kernel
+def block_words(directions: Array, block: int, out: Array) -> None:
+    """What the index bits above the lowest eight contribute in `block`; out uint32 (d,)."""
+    for j in range(out.size):
+        word, k, rest = np.uint32(0), _LOW_BITS, block
+        while rest:
+            if rest & 1:
+                word ^= directions[j, k]
+            k, rest = k + 1, rest >> 1
+        out[j] = word
+
+
+@kernel
+def fill_binary(directions: Array, out: Array) -> None:
+    """Points 0 … n−1 of a digital sequence in base 2, in natural order."""
+    n, dims = out.shape
+    low = low_words(directions, n)
+    high = np.empty(dims, np.uint32)
+    for start in range(0, n, low.shape[1]):
+        block_words(directions, start // BLOCK, high)
+        stop = min(low.shape[1], n - start)
+        for j in range(dims):
+            base: Any = high[j]
+            for t in range(stop):
+                out[start + t, j] = np.float64(low[j, t] ^ base) * _UNIT_32
+
+
+@kernel
+def fill_base(columns: Array, base: int, out: Array) -> None:
+    """Points 0 … n−1 of a digital net in any base; columns int64 (d, m, rows), base^rows ≤ 2^53.
+
+    An odometer: where a digit of the index goes up by one, or from base − 1 to 0 (which is one up,
+    too, modulo the base), its column is added once.
+    """
+    n, dims = out.shape
+    _, places, rows = columns.shape
+    scale = float(base) ** rows
+    index = np.zeros(places + 1, np.int64)
+    y = np.zeros((dims, rows), np.int64)
+    for i in range(n):
+        k = 0
+        while i and k < places:
+            for j in range(dims):
+                for r in range(rows):
+                    s = y[j, r] + columns[j, k, r]
+                    y[j, r] = s - base if s >= base else s
+            index[k] += 1
+            if index[k] < base:
+                break
+            index[k] = 0
+            k += 1
+        for j in range(dims):
+            v = 0.0
+            for r in range(rows):
+                v = v * base + y[j, r]
+            out[i, j] = v / scale

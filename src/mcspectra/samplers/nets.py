@@ -1,0 +1,405 @@
+"""Digital nets in any base: given generator matrices, Faure's sequence; the quality t of any net.
+
+Digit r of coordinate j of point i is the r-th entry of C_j·(digits of i, the lowest first) modulo
+the base b. A set of n = b^m points is a (t, m, d)-net if every elementary interval of volume
+b^(t−m), a box of sides b^-k_j at multiples of them, holds b^t points.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_integer, as_unit_points
+from mcspectra.core.errors import CountError, FileFormatError, ParameterError
+from mcspectra.core.registry import DEFAULT_DIMS
+from mcspectra.core.streams import Stream
+from mcspectra.samplers import _digital_kernels, _net_kernels
+from mcspectra.samplers.base import MAX_COUNT, Sampler, Structure, check_dims
+
+__all__ = ["DigitalNet", "Faure", "elementary_intervals", "net_t_value", "t_value"]
+
+_LARGEST_BASE = 2**13
+_MOST_WORK = 2**34  # points times shapes of intervals of one volume: about a minute
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class DigitalNet(Sampler):
+    """Digital net from given generator matrices, the same every time; randomise with owen or lms.
+
+    As many dims as matrices; at most b^m points for matrices of m columns, balanced (with luck)
+    where n is a power of b.
+
+    Attributes
+    ----------
+    matrices
+        One matrix for each dim: a list of its rows of digits, or a list of its columns as whole
+        numbers, the highest digit of which is that of the first row. Or a text file of them.
+    base
+        The base b.
+    digits
+        Rows of matrices given as columns: digits of each number, from highest to lowest; by
+        default as many as columns.
+    dims
+        By default the number of matrices; fewer leaves out the last ones.
+
+    Notes
+    -----
+    Files have one number a line (what follows it is ignored, so are lines that start with ``#``):
+    base, dims, largest n, digits; then the columns of one matrix a line, as whole numbers. LatNet
+    Builder, the Magic Point Shop and QMCPy share nets in this form.
+
+    References
+    ----------
+    Niederreiter (1987), "Point sets and sequences with small discrepancy",
+    doi 10.1007/BF01294651.
+    """
+
+    name: ClassVar[str] = "digital-net"
+    structure: ClassVar[Structure] = Structure.DIGITS
+    unbiased: ClassVar[bool] = False
+    matrices: str | Sequence[Any]
+    base: int = 2
+    digits: int | None = None
+    dims: int = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        base = as_integer("base", self.base, least=2, most=_LARGEST_BASE)
+        object.__setattr__(self, "base", base)
+        if not isinstance(self.matrices, str):
+            object.__setattr__(self, "matrices", _as_tuples(self.matrices))
+        given: Any = self.dims
+        most = len(self._columns())
+        object.__setattr__(self, "dims", most if given is None else given)
+        check_dims(self)
+        if self.dims > most:
+            raise ParameterError(
+                f"digital-net: {self.dims} dims are needed, but there are {most} matrices; "
+                "give one for each dim."
+            )
+
+    @property
+    def digit_bases(self) -> tuple[int, ...]:
+        """The base of the matrices, which a file says itself."""
+        return (self._net()[0],) * self.dims
+
+    @property
+    def max_count(self) -> int:  # type: ignore[override]
+        """b^m for matrices of m columns."""
+        base, columns = self._net()
+        return int(min(base ** columns.shape[1], MAX_COUNT))
+
+    def generator_matrices(self) -> Array:
+        """Return the matrices as int64 (dims, rows, columns)."""
+        return np.ascontiguousarray(self._columns()[: self.dims].transpose(0, 2, 1))
+
+    def _net(self) -> tuple[int, Array]:
+        if isinstance(self.matrices, str):
+            return _net_of_file(self.matrices)
+        assert isinstance(self.matrices, tuple)
+        return self.base, _columns_of_lists(self.matrices, self.base, self.digits)
+
+    def _columns(self) -> Array:
+        return self._net()[1]
+
+    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        del stream, first  # the same points every time
+        base, columns = self._net()
+        return _net_points(columns[: self.dims], base, n, count)
+
+    def _count_warning(self, n: int) -> str | None:
+        return _not_a_power(n, self._net()[0], "digital-net")
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Faure(Sampler):
+    """Faure points 0 … n−1, the same every time: a (0, d)-sequence in a prime base b ≥ d.
+
+    Up to 1000 dims; any count, with a warning where it is not a power of b. Randomise with owen,
+    lms or digital-shift.
+
+    Attributes
+    ----------
+    base
+        A prime, at least `dims`; by default the smallest such.
+
+    Notes
+    -----
+    Matrix j is the (j−1)-th power of Pascal's matrix modulo b: the entry in row r and column c is
+    binomial(c, r) (j−1)^(c−r).
+
+    References
+    ----------
+    Faure (1982), "Discrépance de suites associées à un système de numération (en dimension s)",
+    Acta Arithmetica 41, 337–351, doi 10.4064/aa-41-4-337-351.
+    """
+
+    name: ClassVar[str] = "faure"
+    structure: ClassVar[Structure] = Structure.DIGITS
+    unbiased: ClassVar[bool] = False
+    max_dims: ClassVar[int | None] = 1000
+    dims: int = DEFAULT_DIMS
+    base: int | None = None
+
+    def __post_init__(self) -> None:
+        check_dims(self)
+        if self.base is None:
+            return
+        base = as_integer("base", self.base, least=2, most=_LARGEST_BASE)
+        if base < self.dims or not _is_prime(base):
+            raise ParameterError(
+                f"faure: base is {base}; give a prime that is at least dims = {self.dims}."
+            )
+        object.__setattr__(self, "base", base)
+
+    @property
+    def digit_bases(self) -> tuple[int, ...]:
+        """The same prime for all dims."""
+        return (self.base or _prime_from(self.dims),) * self.dims
+
+    def generator_matrices(self, digits: int) -> Array:
+        """Return the matrices of so many rows and columns: int64 (dims, digits, digits)."""
+        digits = as_integer("digits", digits, least=1, most=32)
+        return _pascal_powers(self.digit_bases[0], self.dims, digits)
+
+    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        del stream, first  # the same points every time
+        base = self.digit_bases[0]
+        matrices = _pascal_powers(base, self.dims, max(1, _power_from(n, base)))
+        return _net_points(matrices.transpose(0, 2, 1), base, n, count)
+
+    def _count_warning(self, n: int) -> str | None:
+        return _not_a_power(n, self.digit_bases[0], "faure")
+
+
+def net_t_value(points: object, base: int = 2) -> int | None:
+    """Return the smallest t for which a set is a (t, m, d)-net, by counting.
+
+    Parameters
+    ----------
+    points
+        The set, shape (n, d), in [0,1). Coordinates within 2^-52 below a multiple of b^-m count
+        as that multiple, which they are but for rounding.
+    base
+        The base b.
+
+    Returns
+    -------
+    int or None
+        t from 0 to m; None if n is not a power b^m.
+
+    Raises
+    ------
+    DomainError
+        Not points of the unit cube.
+    ParameterError
+        It would take more than about a minute: there are too many shapes of intervals.
+
+    Notes
+    -----
+    Volumes b^-1, b^-2, … are tried until one fails; the shapes of volume b^-q are
+    binomial(q + d − 1, d − 1), each in O(n d).
+    """
+    x, base, places = _as_net(points, base)
+    if base**places != len(x):
+        return None
+    digits = _leading_digits(x, base, places)
+    for level in range(1, places + 1):
+        _check_work(len(x), x.shape[1], level)
+        if not _net_kernels.all_balanced(digits, base, places, level):
+            return places - level + 1
+    return 0
+
+
+def elementary_intervals(points: object, base: int = 2, t: int = 0) -> bool:
+    """Whether every elementary interval of volume b^(t−m) holds b^t of the n = b^m `points`.
+
+    Parameters and errors as for `net_t_value`; a CountError if n is not a power of the base.
+    """
+    x, base, places = _as_net(points, base)
+    if base**places != len(x):
+        raise CountError(f"{len(x)} points are not a power of the base {base}; give b^m points.")
+    level = places - as_integer("t", t, least=0, most=places)
+    _check_work(len(x), x.shape[1], level)
+    digits = _leading_digits(x, base, places)
+    return bool(_net_kernels.all_balanced(digits, base, places, level))
+
+
+def t_value(matrices: object, base: int = 2) -> int:
+    """Return t of the digital net of generator matrices (d, m, m), from the ranks of their rows.
+
+    t = m − ρ, ρ the largest number for which any first k_1, …, k_d rows of the matrices, k_1 + … +
+    k_d = ρ, are linearly independent modulo the base, a prime.
+
+    Raises
+    ------
+    ParameterError
+        The matrices are not whole numbers of that shape, or the base is not a prime.
+    """
+    base = as_integer("base", base, least=2, most=_LARGEST_BASE)
+    if not _is_prime(base):
+        raise ParameterError(f"base is {base}; give a prime: ranks are taken modulo it.")
+    c = np.asarray(matrices)
+    if c.ndim != 3 or 0 in c.shape or c.shape[1] < c.shape[2] or c.dtype.kind not in "iu":
+        raise ParameterError(
+            f"matrices have shape {c.shape} and type {c.dtype}; give whole numbers of shape "
+            "(d, rows, m), with at least m rows."
+        )
+    c = c.astype(np.int64) % base
+    columns: int = c.shape[2]
+    for level in range(1, columns + 1):
+        _check_work(level**2 * columns, c.shape[0], level)
+        if not _net_kernels.all_independent(c, base, level):
+            return columns - level + 1
+    return 0
+
+
+def _as_net(points: object, base: int) -> tuple[Array, int, int]:
+    """Points (n, d), base, and the smallest m with base^m ≥ n."""
+    base = as_integer("base", base, least=2, most=_LARGEST_BASE)
+    x = as_unit_points(points)
+    if x.ndim != 2:
+        raise ParameterError(f"points have shape {x.shape}; give one set, shape (n, d).")
+    return x, base, _power_from(len(x), base)
+
+
+def _leading_digits(x: Array, base: int, places: int) -> Array:
+    """First digits of each coordinate as a whole number: int64 (d, n)."""
+    scale = float(base**places)
+    nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-52
+    return np.minimum(np.floor(x.T * scale + nudge), scale - 1.0).astype(np.int64)
+
+
+def _check_work(size: int, dims: int, level: int) -> None:
+    shapes = math.comb(level + dims - 1, level)
+    if size * shapes > _MOST_WORK:
+        raise ParameterError(
+            f"There are {shapes:.3g} shapes of elementary intervals to check; "
+            "give fewer points or dims."
+        )
+
+
+def _net_points(columns: Array, base: int, n: int, count: int) -> Array:
+    """The net of columns (d, m, rows), `count` times: float64 (count, n, d)."""
+    points = np.empty((n, len(columns)))
+    _digital_kernels.fill_base(np.ascontiguousarray(columns), base, points)
+    return points[None] if count == 1 else np.tile(points, (count, 1, 1))
+
+
+def _not_a_power(n: int, base: int, name: str) -> str | None:
+    above: int = base ** _power_from(n, base)
+    if above == n:
+        return None
+    return f"{n} {name} points are not balanced; {above // base} and {above} can be."
+
+
+def _power_from(n: int, base: int) -> int:
+    """Smallest m with base^m ≥ n."""
+    m = 0
+    while base**m < n:
+        m += 1
+    return m
+
+
+def _is_prime(n: int) -> bool:
+    return n > 1 and all(n % k for k in range(2, math.isqrt(n) + 1))
+
+
+def _prime_from(n: int) -> int:
+    """Smallest prime ≥ n."""
+    n = max(n, 2)
+    while not _is_prime(n):
+        n += 1
+    return n
+
+
+@lru_cache(maxsize=16)
+def _pascal_powers(base: int, dims: int, digits: int) -> Array:
+    """Powers 0 … dims−1 of Pascal's upper triangular matrix modulo a prime ≥ dims."""
+    r, c = np.indices((digits, digits))
+    pascal = np.array([[math.comb(k, i) % base for k in range(digits)] for i in range(digits)])
+    powers = [pascal * np.where(c >= r, _powers(j, base, digits)[c - r], 0) for j in range(dims)]
+    out = np.stack(powers) % base
+    out.setflags(write=False)
+    return out
+
+
+def _powers(value: int, base: int, count: int) -> Array:
+    """value^0, value^1, … modulo the base; 0^0 is 1."""
+    return np.array([pow(value, k, base) for k in range(count)], dtype=np.int64)
+
+
+def _as_tuples(matrices: object) -> Any:
+    """Lists and arrays, nested, as tuples: they can be compared, hashed and written."""
+    if isinstance(matrices, np.ndarray):
+        matrices = matrices.tolist()
+    if isinstance(matrices, Sequence) and not isinstance(matrices, str | bytes):
+        return tuple(_as_tuples(part) for part in matrices)
+    return matrices
+
+
+@lru_cache(maxsize=16)
+def _columns_of_lists(matrices: Any, base: int, digits: int | None) -> Array:
+    """Columns of matrices given as lists: int64 (d, columns, rows)."""
+    rows_or_columns = [m for m in matrices if isinstance(m, tuple) and m]
+    if not matrices or len(rows_or_columns) != len(matrices):
+        raise ParameterError(
+            "matrices is not a list of matrices; give each as a list of rows of digits "
+            "or of whole numbers, its columns."
+        )
+    read = [_matrix(j, m, base, digits) for j, m in enumerate(rows_or_columns)]
+    if len({c.shape for c in read}) > 1:
+        shapes = ", ".join(f"{c.shape[1]}x{c.shape[0]}" for c in read)
+        raise ParameterError(f"matrices have shapes {shapes}; give all the same shape.")
+    if base ** read[0].shape[1] > 2**53:
+        raise ParameterError(
+            f"matrices have {read[0].shape[1]} rows; {base}^rows must be at most 2^53."
+        )
+    return np.stack(read)
+
+
+def _matrix(j: int, matrix: tuple[Any, ...], base: int, digits: int | None) -> Array:
+    """One matrix as its columns of digits: int64 (columns, rows)."""
+    if all(isinstance(row, tuple) for row in matrix):
+        if len({len(row) for row in matrix}) != 1 or not matrix[0]:
+            raise ParameterError(f"matrices[{j}] has rows of different lengths or empty ones.")
+        entries = [
+            [as_integer(f"matrices[{j}]", x, least=0, most=base - 1) for x in row] for row in matrix
+        ]
+        return np.array(entries, dtype=np.int64).T
+    rows = len(matrix) if digits is None else as_integer("digits", digits, least=1, most=53)
+    most = base**rows - 1
+    numbers = [as_integer(f"matrices[{j}]", x, least=0, most=most) for x in matrix]
+    places = [base**r for r in range(rows - 1, -1, -1)]
+    return np.array([[x // p % base for p in places] for x in numbers], dtype=np.int64)
+
+
+@lru_cache(maxsize=16)
+def _net_of_file(path: str) -> tuple[int, Array]:
+    """Base and columns (d, m, rows) of a text file of generator matrices."""
+    try:
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileFormatError(f"{path} cannot be read as generator matrices: {error}.") from None
+    kept = [line.partition("#")[0].split() for line in lines]
+    kept = [words for words in kept if words]
+    try:
+        base, dims, _, digits = (int(words[0]) for words in kept[:4])
+        matrices = tuple(tuple(int(word) for word in words) for words in kept[4 : 4 + dims])
+        if len(matrices) != dims or base < 2:
+            raise ValueError
+        return base, _columns_of_lists(matrices, base, digits)
+    except ValueError as error:
+        reason = str(error) if isinstance(error, ParameterError) else ""
+        raise FileFormatError(
+            f"{path} is not a file of generator matrices (base, dims, n, digits, then a line of "
+            f"columns for each dim). {reason}".strip()
+        ) from None
