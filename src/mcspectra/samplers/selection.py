@@ -1,0 +1,229 @@
+"""Randomisations that choose among the points of a sampler or reorder them: subset, skip, shuffle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_choice, as_integer
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.jit import kernel
+from mcspectra.core.streams import Stream, mix_bits, mix_uniform
+from mcspectra.samplers.base import (
+    MAX_COUNT,
+    Randomization,
+    Randomized,
+    Sampler,
+    Structure,
+)
+
+__all__ = ["Shuffle", "Skip", "Subset"]
+
+_NUMBERS = 2**24  # of larger sets in memory at a time: 128 MiB
+_PARTS: dict[Structure, Structure] = dict.fromkeys(Structure, Structure.NONE) | {
+    Structure.UNKNOWN: Structure.UNKNOWN,
+    Structure.TORUS: Structure.TORUS,
+}
+"""What a part of the points has: least distances, but no point in each stratum."""
+
+_SEQUENCES: dict[Structure, Structure] = {
+    s: s for s in (Structure.NONE, Structure.UNKNOWN, Structure.DIGITS)
+}
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Subset(Randomization):
+    """Subset: n points out of a larger set of the sampler, in their order.
+
+    Attributes
+    ----------
+    of
+        Number N of points of the whole set. By default the least count ≥ n that the sampler can
+        do: any n then works with any sampler.
+    pick
+        ``"random"``: every n of the N points with the same probability. ``"run"``: n successive
+        points from a random one on, the first after the last.
+
+    Notes
+    -----
+    Least distances stay; strata and elementary intervals with one point each do not, unless n = N.
+
+    References
+    ----------
+    Knuth (1997), "The Art of Computer Programming" vol. 2, section 3.4.2, algorithm S.
+    """
+
+    name: ClassVar[str] = "subset"
+    fits: ClassVar[Mapping[Structure, Structure]] = _PARTS
+    of: int | None = None
+    pick: str = "random"
+
+    def __post_init__(self) -> None:
+        as_choice("pick", self.pick, ("random", "run"))
+        if self.of is not None:
+            object.__setattr__(self, "of", as_integer("of", self.of, least=1, most=MAX_COUNT))
+
+    def fit(self, sampler: Sampler) -> Randomization:
+        """Refuse a number of points that `sampler` cannot make."""
+        if self.of is not None:
+            sampler.check_count(self.of)
+        return Randomization.fit(self, sampler)
+
+    def apply(self, points: Array, stream: Stream, first: int) -> Array:
+        """Return the subset of all points: a copy."""
+        del stream, first
+        return points.copy()
+
+    def draw(
+        self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
+    ) -> Array:
+        """Draw the whole sets and pick from them."""
+
+        def pick(points: Array, start: int, out: Array) -> None:
+            _pick(own.keys(start, len(out)), self.pick == "run", points, out)
+
+        size = self.of or sampler._counts_near(n)[1]
+        return _picked(sampler, size, pick, stream, first, np.empty((count, n, sampler.dims)))
+
+    def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
+        """Return n itself where the whole set is large enough."""
+        below, above = sampler._counts_near(n) if self.of is None else (self.of, self.of)
+        if n <= above <= MAX_COUNT:
+            return n, n
+        return below, 2 * MAX_COUNT
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Skip(Randomization):
+    """Skip: leave out the first points of a sequence.
+
+    Attributes
+    ----------
+    count
+        How many points to leave out.
+
+    Notes
+    -----
+    For sequences (sobol, halton, random): other sets cover only a part of the domain without their
+    first points, and are refused. A run of b^m points of a sequence in base b has the balance of a
+    net only if `count` is a multiple of b^m: leaving out just the origin spoils it (Owen 2020).
+    Skipped points are made and thrown away.
+
+    References
+    ----------
+    Owen (2020), "On dropping the first Sobol' point", doi 10.1007/978-3-030-98319-2_4.
+    """
+
+    name: ClassVar[str] = "skip"
+    fits: ClassVar[Mapping[Structure, Structure]] = _SEQUENCES
+    count: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "count", as_integer("count", self.count, least=0, most=MAX_COUNT))
+
+    def fit(self, sampler: Sampler) -> Randomization:
+        """Refuse the one set of digits that is no sequence."""
+        inside = sampler.base if isinstance(sampler, Randomized) else sampler
+        if inside.name == "hammersley" and self.count:
+            raise ParameterError(
+                f"skip would break the {sampler.structure.value} of {sampler.spec}, "
+                "which is not a sequence; use halton."
+            )
+        return Randomization.fit(self, sampler)
+
+    def apply(self, points: Array, stream: Stream, first: int) -> Array:
+        """Return all points but the first `count`."""
+        del stream, first
+        return points[:, self.count :].copy()
+
+    def draw(
+        self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
+    ) -> Array:
+        """Draw n + count points and leave out the first."""
+        del own
+
+        def pick(points: Array, start: int, out: Array) -> None:
+            del start
+            out[:] = points[:, self.count :]
+
+        out = np.empty((count, n, sampler.dims))
+        return _picked(sampler, n + self.count, pick, stream, first, out)
+
+    def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
+        """Return what `sampler` can do, less the points left out."""
+        below, above = sampler._counts_near(n + self.count)
+        kept = 0 if below is None else below - self.count
+        return (kept if kept > 0 else None), above - self.count
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Shuffle(Randomization):
+    """Shuffle: the same points in random order, every order with the same probability.
+
+    Sets padded side by side are then not correlated, and the first points are a random subset.
+
+    References
+    ----------
+    Knuth (1997), "The Art of Computer Programming" vol. 2, section 3.4.2, algorithm P.
+    """
+
+    name: ClassVar[str] = "shuffle"
+
+    def apply(self, points: Array, stream: Stream, first: int) -> Array:
+        """Reorder each realisation by its own permutation."""
+        out = points.copy()
+        _shuffle_points(stream.keys(first, len(points)), out)
+        return out
+
+
+def _picked(
+    sampler: Sampler,
+    size: int,
+    pick: Callable[[Array, int, Array], None],
+    stream: Stream,
+    first: int,
+    out: Array,
+) -> Array:
+    """Fill out (R, n, d) by ``pick(sets, first, out)``, a few sets of `size` points at a time."""
+    block = max(1, _NUMBERS // (size * sampler.dims))
+    for start in range(0, len(out), block):
+        part = out[start : start + block]
+        pick(sampler.draw_stream(size, stream, first + start, len(part)), first + start, part)
+    return out
+
+
+@kernel
+def _pick(keys: Array, run: bool, points: Array, out: Array) -> None:
+    # n of N points of each realisation: out (R, n, d), points (R, N, d)
+    for r in range(out.shape[0]):
+        n, size = out.shape[1], points.shape[1]
+        k0, k1 = keys[r, 0], keys[r, 1]
+        start = int(mix_uniform(k0, k1, 0) * size)
+        taken = 0
+        for i in range(size):
+            # Selection sampling: take it with probability (still wanted)/(still there)
+            if run:
+                if taken == n:
+                    break
+                out[r, taken] = points[r, (start + i) % size]
+                taken += 1
+            elif mix_uniform(k0, k1, i) * (size - i) < n - taken:
+                out[r, taken] = points[r, i]
+                taken += 1
+
+
+@kernel
+def _shuffle_points(keys: Array, out: Array) -> None:
+    # Fisher and Yates from the end, in place; the bias of the remainder is below n/2^64
+    count, n, dims = out.shape
+    for r in range(count):
+        for i in range(n - 1, 0, -1):
+            chosen = np.int64(mix_bits(keys[r, 0], keys[r, 1], i) % np.uint64(i + 1))
+            for j in range(dims):
+                out[r, i, j], out[r, chosen, j] = out[r, chosen, j], out[r, i, j]
