@@ -47,9 +47,9 @@ from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import _spacing_kernels as kernels
 from mcspectra.samplers._kernels import random_offsets, translate
-from mcspectra.samplers.base import MAX_COUNT, Sampler, Structure, check_dims
+from mcspectra.samplers.base import Sampler, Structure, check_dims
 
-__all__ = ["DENSEST", "MOST_POINTS", "PoissonDisk", "densest_distance"]
+__all__ = ["DENSEST", "PoissonDisk", "densest_distance"]
 
 Disks: TypeAlias = tuple[float, int, int, Array, bool, int]
 """Radius, cells an axis, reach of a disk in cells, cells it can touch, torus?, darts a cell."""
@@ -57,9 +57,6 @@ Disks: TypeAlias = tuple[float, int, int, Array, bool, int]
 DENSEST = (1.0, 2.0 / 3.0**0.5, 2.0**0.5, 2.0, 2.0 * 2.0**0.5, 8.0 / 3.0**0.5, 8.0, 16.0)
 """n·r^d of the densest known packings of spheres of diameter r in 1 to 8 dims: line, hexagons, fcc,
 D4, D5, E6, E7, E8 [Conway, Sloane (1999), "Sphere Packings, Lattices and Groups", table 1.2]."""
-
-MOST_POINTS = 2**26
-"""Most points of a set that is made in grids of cells: their memory is many times the points'."""
 
 _DEFAULT_RADIUS = (0.7, 0.75, 0.75, 0.75)
 """A little below where dart throwing jams: 0.748, 0.777, 0.803, 0.806 [Torquato2006]_."""
@@ -103,6 +100,7 @@ class PoissonDisk(Sampler):
     name: ClassVar[str] = "poisson-disk"
     structure: ClassVar[Structure] = Structure.TORUS
     max_dims: ClassVar[int | None] = 4
+    max_count: ClassVar[int] = 2**26  # grids of cells take many times the memory of the points
     dims: int = DEFAULT_DIMS
     boundary: str = "toroidal"
     mode: str = "exact"
@@ -133,16 +131,19 @@ class PoissonDisk(Sampler):
         return self.boundary == "toroidal"
 
     def radius(self, n: int) -> float:
-        """Return the minimum distance r between any two of n points, in units of the domain."""
+        """Return the minimum distance r between any two of n points, in units of the domain.
+
+        Raises
+        ------
+        ParameterError
+            In mode "maximal": every set has its own.
+        """
         if self.mode == "maximal":
             raise ParameterError(
                 f"{self.spec} has no radius that holds for all its sets; measure that of the points."
             )
         relative = _DEFAULT_RADIUS[self.dims - 1] if self.radius_ is None else self.radius_
         return relative * densest_distance(self.check_count(n), self.dims)
-
-    def _counts_near(self, n: int) -> tuple[int | None, int]:
-        return (n, n) if n <= MOST_POINTS else (MOST_POINTS, MAX_COUNT + 1)
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         if self.mode == "maximal":
