@@ -139,6 +139,14 @@ def test_bad_parameters(arguments, words):
         Decorrelate(**arguments)
 
 
+def test_counts_are_those_of_the_mode():
+    jittered = Jittered(dims=2)
+    for mode, step in (("shift", Shift()), ("digital-shift", DigitalShift()), ("owen", Owen())):
+        for n in (16, 30, 36, 60):
+            counts = Decorrelate(mode=mode).counts_near(jittered, n)
+            assert counts == step.fit(jittered).counts_near(jittered, n)
+
+
 def test_misfits_are_refused():
     with pytest.raises(ParameterError, match="would break"):
         mcs.sampler("rank1-lattice | decorrelate(mode='owen')", 2)

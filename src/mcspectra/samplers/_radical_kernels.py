@@ -83,7 +83,8 @@ def fill_permuted(
             base = bases[j]
             images = np.empty((digits[j], base), np.int64)
             for k in range(digits[j]):
-                images[k] = np.arange(base)
+                for digit in range(base):
+                    images[k, digit] = digit
                 if permuted:
                     _draw_digits(k0, k1, number, base, images[k])
                 number += base
@@ -93,11 +94,16 @@ def fill_permuted(
 
 
 @kernel
-def _nested(k0: np.uint64, k1: np.uint64, number: int, start: int, base: int, out: Array) -> int:
+def _nested(
+    k0: np.uint64, k1: np.uint64, number: int, start: int, order: Array, sums: Array, out: Array
+) -> int:
     # Scrambled radical inverses of start, start+1, … into out (n,); returns the next free number.
-    # sums[v]: scrambled digits of the residue v modulo `width`, the tree of permutations so far.
-    n = out.size
-    order, sums = np.arange(base), np.zeros(n)
+    # order (b,): room for a permutation. sums (n,): room for the scrambled digits of the residues
+    # modulo `width`, the tree of permutations so far.
+    n, base = out.size, order.size
+    for digit in range(base):
+        order[digit] = digit
+    sums[0] = 0.0
     width = 1
     while width * base < n:
         for v in range(width):
@@ -111,10 +117,12 @@ def _nested(k0: np.uint64, k1: np.uint64, number: int, start: int, base: int, ou
     # what lies below is a subtree of its own for each, a uniform number.
     scale = float(width * base)
     for v in range(width):
-        i = (v - start) % width
-        _draw_digits(k0, k1, number, (n - i + width - 1) // width, order)
+        i = v - start % width
+        i += width if i < 0 else 0  # the first point whose index leaves v modulo width
+        count = (n - i + width - 1) // width
+        _draw_digits(k0, k1, number, count, order)
         number += base
-        for t in range((n - i + width - 1) // width):
+        for t in range(count):
             x = sums[v] * base + order[t] + mix_uniform(k0, k1, number)
             out[i + t * width] = min(x / scale, _BELOW_ONE)
             number += 1
@@ -124,7 +132,10 @@ def _nested(k0: np.uint64, k1: np.uint64, number: int, start: int, base: int, ou
 @kernel
 def fill_nested(keys: Array, start: int, bases: Array, out: Array) -> None:
     """Radical inverses with Owen's nested uniform scrambling in the base of each coordinate."""
+    order, sums = np.empty(bases.max(), np.int64), np.empty(out.shape[1])
     for r in range(out.shape[0]):
+        k0, k1 = keys[r, 0], keys[r, 1]
         number = 0
         for j in range(out.shape[2]):
-            number = _nested(keys[r, 0], keys[r, 1], number, start, bases[j], out[r, :, j])
+            room = order[: bases[j]]
+            number = _nested(k0, k1, number, start, room, sums, out[r, :, j])

@@ -99,6 +99,10 @@ class Decorrelate(Randomization):
         shared = np.tile(sampler.draw_stream(n, stream, 0, 1), (count, 1, 1))
         return self._moved(self._step().fit(sampler), shared, own, first)
 
+    def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
+        """Return the counts that the mode allows."""
+        return self._step().fit(sampler).counts_near(sampler, n)
+
     def offsets(self, stream: Stream, first: int, count: int, dims: int) -> Array:
         """Return the masks' shifts of pixels first … first+count−1: float64 (count, dims)."""
         pixels = np.arange(first, first + count)
