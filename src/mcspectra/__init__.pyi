@@ -1,6 +1,7 @@
 from . import densities as densities
 from . import estimators as estimators
 from . import integrands as integrands
+from . import quality as quality
 from . import rendering as rendering
 from . import report as report
 from . import samplers as samplers
@@ -16,6 +17,7 @@ from .estimators.mis import MultipleImportance as MultipleImportance
 from .estimators.mis import TechniqueSum as TechniqueSum
 from .integrands.base import Integrand as Integrand
 from .integrands.registry import integrand as integrand
+from .quality.figures import quality_figures as quality_figures
 from .samplers.base import Randomization as Randomization
 from .samplers.base import Sampler as Sampler
 from .samplers.registry import sampler as sampler
@@ -48,6 +50,8 @@ __all__ = [
     "integrands",
     "pair_correlation",
     "power_spectrum",
+    "quality",
+    "quality_figures",
     "rendering",
     "report",
     "sampler",

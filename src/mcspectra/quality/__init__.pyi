@@ -1,0 +1,23 @@
+from .discrepancy import diaphony as diaphony
+from .discrepancy import generalized_l2_discrepancy as generalized_l2_discrepancy
+from .discrepancy import l2_discrepancy as l2_discrepancy
+from .discrepancy import star_discrepancy as star_discrepancy
+from .distances import best_minimum_distance as best_minimum_distance
+from .distances import nearest_distances as nearest_distances
+from .figures import FIGURES as FIGURES
+from .figures import quality_figures as quality_figures
+from .summary import FigureSummary as FigureSummary
+from .summary import summarize as summarize
+
+__all__ = [
+    "FIGURES",
+    "FigureSummary",
+    "best_minimum_distance",
+    "diaphony",
+    "generalized_l2_discrepancy",
+    "l2_discrepancy",
+    "nearest_distances",
+    "quality_figures",
+    "star_discrepancy",
+    "summarize",
+]

@@ -1,0 +1,221 @@
+"""All quality figures of a sampler's realisations, or of given sets, in one dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_choice, as_integer
+from mcspectra.core.errors import McspectraError, ParameterError
+from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers, map_in_order
+from mcspectra.core.results import dataset
+from mcspectra.core.streams import RngLike, Stream
+from mcspectra.quality.discrepancy import (
+    diaphony,
+    generalized_l2_discrepancy,
+    l2_discrepancy,
+    star_discrepancy,
+)
+from mcspectra.quality.distances import nearest_distances, relative_minimum_distance
+from mcspectra.samplers import GivenPoints, Sampler, as_sampler
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["FIGURES", "MOST_PROJECTED_AXES", "default_realizations", "quality_figures"]
+
+MOST_PROJECTED_AXES = 10
+"""Projections on pairs of axes are looked at for the first so many axes: 45 pairs."""
+
+Figure = Callable[[Array, int], float | None]
+"""Computes a figure of one set (n, d); the integer is the base of its digits."""
+
+Value = tuple[float, str]
+"""A figure, or NaN and the reason."""
+
+
+def quality_figures(
+    source: Sampler | str | Any,
+    n: int | None = None,
+    *,
+    figures: Sequence[str] | None = None,
+    realizations: int | None = None,
+    rng: RngLike = 0,
+    workers: int | None = None,
+) -> xr.Dataset:
+    """Measure how good point sets are.
+
+    Parameters
+    ----------
+    source
+        Sampler, spec string, or points of shape (n, d) or (R, n, d).
+    n
+        Points in a realisation; may be left out for given points.
+    figures
+        Names of `FIGURES`; by default all, those of projections from 3 dims on.
+    realizations
+        How many realisations; by default all sets of given points, else 16.
+    rng
+        Seed (SPEC 7).
+    workers
+        Threads; all processors by default.
+
+    Returns
+    -------
+    xarray.Dataset
+        A variable for each figure on dim ``realization``. Where one cannot be had (too many
+        points, too many dims, not a power of the base) it is NaN, with the reason in its attribute
+        ``missing``. Attribute ``projections`` says which pairs of axes were looked at.
+
+    Raises
+    ------
+    ParameterError, CountError
+        Unknown figure, no `n`, or one that the sampler cannot make.
+
+    Notes
+    -----
+    The base of the t-value and of elementary intervals is that of the sampler's digits, where all
+    its coordinates share one, else 2.
+    """
+    sampler = as_sampler(source)
+    n = sampler.check_count(_given_count(sampler) if n is None else n)
+    names = _names(figures, sampler.dims)
+    count = default_realizations(sampler) if realizations is None else realizations
+    count = as_integer("realizations", count, least=1, most=MAX_REALIZATIONS)
+    stream, base = Stream.from_rng(rng), _common_base(sampler)
+
+    def one(realization: int) -> list[Value]:
+        points = sampler.draw_stream(n, stream, realization, 1)[0]
+        return [_value(FIGURES[name], points, base) for name in names]
+
+    rows = list(map_in_order(one, range(count), available_workers(workers)))
+    return _labelled(names, rows, sampler, n, base)
+
+
+def default_realizations(sampler: Sampler) -> int:
+    """How many realisations are measured unless said: 16, or all sets of given points."""
+    return len(sampler.points) if isinstance(sampler, GivenPoints) else 16
+
+
+def _given_count(sampler: Sampler) -> int:
+    if isinstance(sampler, GivenPoints):
+        return int(sampler.points.shape[1])
+    raise ParameterError(f"n is needed: how many points of {sampler.spec} are to be measured?")
+
+
+def _names(figures: Sequence[str] | None, dims: int) -> list[str]:
+    if figures is None:
+        return [name for name in FIGURES if dims > 2 or "projected" not in name]
+    given: object = figures
+    if isinstance(given, str) or not isinstance(given, Sequence) or not given:
+        raise ParameterError(f"figures is {figures!r}; give a list of names.")
+    return list(dict.fromkeys(as_choice("figures", name, tuple(FIGURES)) for name in figures))
+
+
+def _common_base(sampler: Sampler) -> int:
+    bases = set(sampler.digit_bases)
+    return bases.pop() if len(bases) == 1 else 2
+
+
+def _value(figure: Figure, points: Array, base: int) -> Value:
+    try:
+        value = figure(points, base)
+    except McspectraError as error:
+        return np.nan, str(error)
+    if value is None:
+        return np.nan, f"{len(points)} is not a power of {base}."
+    return float(value), ""
+
+
+def _labelled(
+    names: list[str], rows: list[list[Value]], sampler: Sampler, n: int, base: int
+) -> xr.Dataset:
+    columns = dict(zip(names, zip(*rows, strict=True), strict=True))
+    variables = {k: (("realization",), [value for value, _ in v]) for k, v in columns.items()}
+    result = dataset(
+        variables,
+        {"realization": range(len(rows))},
+        sampler=sampler.spec,
+        n=n,
+        dims=sampler.dims,
+        base=base,
+        projections=_projections_looked_at(sampler.dims) if sampler.dims > 2 else None,
+    )
+    for name, values in columns.items():
+        if reason := next((why for _, why in values if why), ""):
+            result[name].attrs["missing"] = reason
+    return result
+
+
+def _projections_looked_at(dims: int) -> str:
+    pairs, all_pairs = len(_pairs(dims)), dims * (dims - 1) // 2
+    return f"{pairs} of {all_pairs} pairs of axes, the lowest axes first"
+
+
+def _pairs(dims: int) -> list[tuple[int, int]]:
+    return list(combinations(range(min(dims, MOST_PROJECTED_AXES)), 2))
+
+
+def _projected(
+    figure: Callable[[Array], float], choose: Callable[[Array], Any], points: Array, base: int
+) -> float:
+    """The worst or the mean figure of the projections on two axes."""
+    del base
+    if points.shape[1] < 3:
+        raise ParameterError("Projections on two axes are of sets in 3 dims or more.")
+    values = [figure(points[:, pair]) for pair in map(list, _pairs(points.shape[1]))]
+    return float(choose(np.array(values)))
+
+
+def _plain(figure: Callable[[Array], float], points: Array, base: int) -> float:
+    del base
+    return figure(points)
+
+
+def _minimum_distance(points: Array) -> float:
+    return float(nearest_distances(points).min())
+
+
+def _mean_nearest_distance(points: Array) -> float:
+    return float(nearest_distances(points).mean())
+
+
+def _t_value(points: Array, base: int) -> float | None:
+    from mcspectra.samplers.nets import net_t_value
+
+    return net_t_value(points, base)
+
+
+def _elementary_intervals(points: Array, base: int) -> float | None:
+    t = _t_value(points, base)
+    return None if t is None else float(t == 0)
+
+
+_PLAIN: Mapping[str, Callable[[Array], float]] = {
+    "minimum_distance": _minimum_distance,
+    "relative_minimum_distance": relative_minimum_distance,
+    "mean_nearest_distance": _mean_nearest_distance,
+    "star_discrepancy": star_discrepancy,
+    "l2_star_discrepancy": partial(l2_discrepancy, kind="star"),
+    "centered_discrepancy": partial(l2_discrepancy, kind="centered"),
+    "wraparound_discrepancy": partial(l2_discrepancy, kind="wraparound"),
+    "mixture_discrepancy": partial(l2_discrepancy, kind="mixture"),
+    "generalized_l2_discrepancy": generalized_l2_discrepancy,
+    "diaphony": diaphony,
+}
+FIGURES: Mapping[str, Figure] = {
+    **{name: partial(_plain, figure) for name, figure in _PLAIN.items()},
+    "t_value": _t_value,
+    "elementary_intervals": _elementary_intervals,
+    "worst_projected_distance": partial(_projected, _minimum_distance, np.min),
+    "mean_projected_distance": partial(_projected, _minimum_distance, np.mean),
+    "worst_projected_discrepancy": partial(_projected, star_discrepancy, np.max),
+    "mean_projected_discrepancy": partial(_projected, star_discrepancy, np.mean),
+    "worst_projected_diaphony": partial(_projected, diaphony, np.max),
+    "mean_projected_diaphony": partial(_projected, diaphony, np.mean),
+}
+"""The figures by name; `core.results` says what each is."""
