@@ -22,7 +22,7 @@ __all__ = ["GaussianBlueNoise"]
 
 _CUTOFF = 6.0  # σ: exp(−18) = 1.5e-8, as small as the kernel's own spectrum at the spacing
 _SERIES_END = 6.0  # e^(−½ 6²), of the terms of the Fourier series in many dims
-_LARGEST = 4  # cells a cut-off is cut into
+_CELLS = 4  # along a cut-off
 
 
 @final
@@ -44,7 +44,8 @@ class GaussianBlueNoise(OptimisedSampler):
     -----
     The paper descends along the gradient; here the same gradient drives limited-memory BFGS, which
     needs fewer steps. Up to 3 dims pairs are cut off at 6 σ, beyond them all images count through
-    the Fourier series of the Gaussian on the torus. The start is random, and the energy does not
+    the Fourier series of the Gaussian on the torus: work grows like n, or
+    like n². The start is random, and the energy does not
     change under translations: hence every point is uniform.
 
     References
@@ -91,7 +92,7 @@ def _near(sigma: float, points: Array) -> tuple[float, Array]:
 def _neighbours(sigma: float, dims: int) -> tuple[Array, Array]:
     """Return the cells along each of 3 axes and the steps to neighbours: half of them, 0 first."""
     reach = _CUTOFF * sigma
-    side = max(1, min(int(_LARGEST / reach), 1024))
+    side = max(1, min(int(_CELLS / reach), 1024))
     steps = math.ceil(reach * side)
     axes = [range(-steps, steps + 1) if j < dims else range(1) for j in range(3)]
     half = [
