@@ -164,6 +164,9 @@ def test_nested_tails_are_uniform_and_independent():
     points = VanDerCorput(base=3, scramble="owen").draw(n, realizations=6400, rng=8)[..., 0]
     tails = np.floor(points[:, :2] * n % 1.0 * 8).astype(int) @ [8, 1]
     assert stats.chisquare(np.bincount(tails, minlength=64)).pvalue > LEVEL
+    first = points[:, 0] * n
+    digit_and_tail = np.floor(first % 3).astype(int) * 8 + np.floor(first % 1.0 * 8).astype(int)
+    assert stats.chisquare(np.bincount(digit_and_tail, minlength=24)).pvalue > LEVEL
 
 
 def test_the_tail_is_uniform_and_shared():
