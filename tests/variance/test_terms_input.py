@@ -18,7 +18,7 @@ GAUSSIAN = mcs.Estimator("gaussian", dims=2)
         ({"half_width": -1}, ParameterError, "half_width"),
         ({"basis": "wavelet"}, ParameterError, "fourier, cosine, walsh, haar"),
         ({"space": "fourier"}, ParameterError, "domain, primary"),
-        ({"bands": "wedge"}, ParameterError, "radial"),
+        ({"bands": "rings"}, ParameterError, "radial, anova, wedge, dyadic"),
         ({"bands": np.zeros((3, 3), int)}, ParameterError, r"shape \(9, 9\)"),
         ({"bands": np.arange(81).reshape(9, 9)}, ParameterError, "same for m and −m"),
         ({"half_width": 40, "cross_matrix": True}, ParameterError, "GiB"),

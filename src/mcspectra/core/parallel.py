@@ -37,10 +37,14 @@ def available_workers(workers: int | None = None) -> int:
 
 
 def realization_blocks(
-    realizations: int, numbers_each: int, *, multiple: int = 1, first: int = 0
+    realizations: int, numbers_each: int, *, multiple: int = 1, first: int = 0, least: int = 1
 ) -> Iterator[Block]:
-    """Split realisations into blocks of about `_BLOCK_NUMBERS` numbers, a multiple of `multiple`."""
+    """Split realisations into blocks of about `_BLOCK_NUMBERS` numbers, a multiple of `multiple`.
+
+    There are at least `least` blocks, if there are `multiple` realisations for each.
+    """
     size = max(1, _BLOCK_NUMBERS // max(1, numbers_each) // multiple) * multiple
+    size = min(size, max(1, realizations // least // multiple) * multiple)
     stop = first + realizations
     return ((start, min(size, stop - start)) for start in range(first, stop, size))
 

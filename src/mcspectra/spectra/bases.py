@@ -100,6 +100,11 @@ class Basis(ABC):
         attributes = {"long_name": self.label, "units": "1"}
         return {name: (name, self.axis, attributes) for name in self.names}
 
+    def indices(self) -> Array:
+        """Index m of each stored function: int64 (stored, dims)."""
+        flat = np.unravel_index(np.arange(self.stored), self.shape)
+        return np.stack([self.axis[place] for place in flat], axis=-1)
+
     def oscillations(self) -> Array:
         """Least half width at which each stored function takes part, along each axis: (stored, dims)."""
         flat = np.unravel_index(np.arange(self.stored), self.shape)

@@ -4,8 +4,8 @@ With sinc(x) = sin x / x, n points, s = n^(1/d) strata a side, real frequencies 
 paper's supplement):
 
 * random, density p:   (1/n) ∫1/p + ((n−1)/n) Π_i sinc²(πν_i)
-* jittered:            (1/n)(1 − Π_i sinc²(πν_i/s)) + Π_i sinc²(πν_i)
-* regular and uniform-jitter: Π_i (sin(πν_i) / (s sin(πν_i/s)))²
+* jittered:            (1/n)(1 − Π_i sinc²(πν_i/s)) + Π_i sinc²(πν_i), s_i where sides differ
+* regular and uniform-jitter: Π_i (sin(πν_i) / (s sin(πν_i/s)))², likewise
 * Latin hypercube:     1/n + ((n−1)/n) Π_i (n sinc²(πν_i) − sinc²(πν_i/n))/(n−1)
 * rank-1 lattice, integer m: 1 where m·z ≡ 0 (mod n), else 0
 
@@ -25,6 +25,7 @@ from mcspectra.densities import Density, Uniform, as_density
 from mcspectra.samplers import (
     Jittered,
     LatinHypercube,
+    NRooks,
     Random,
     Randomized,
     Rank1Lattice,
@@ -115,15 +116,15 @@ def _random(n: int, nu: Array, density: Density | None) -> Array:
 
 def _uniform_power(sampler: Any, n: int, nu: Array) -> Array:
     if isinstance(sampler, Jittered):
-        s = sampler.sides(n)
+        s = np.asarray(sampler.sides(n))
         return np.asarray((1.0 - _sinc2(nu / s)) / n + _sinc2(nu))
     if isinstance(sampler, Regular | UniformJitter):
-        s = sampler.sides(n)
+        s = np.asarray(sampler.sides(n))
         # sinc(πν)/sinc(πν/s) per axis; where both vanish (multiples of s) the limit is ±1.
         bottom = np.sinc(nu / s)
         ratio = np.divide(np.sinc(nu), bottom, out=np.ones_like(nu), where=np.abs(bottom) > 1e-12)
         return np.asarray(np.prod(ratio**2, axis=-1))
-    if isinstance(sampler, LatinHypercube):
+    if isinstance(sampler, NRooks) or _is_plain_latin(sampler):
         if n == 1:
             return np.ones(nu.shape[:-1])
         pair = (n * np.sinc(nu) ** 2 - np.sinc(nu / n) ** 2) / (n - 1)
@@ -132,6 +133,10 @@ def _uniform_power(sampler: Any, n: int, nu: Array) -> Array:
         product = np.rint(nu).astype(np.int64) @ sampler.generating_vector(n)
         return np.asarray((product % n == 0).astype(np.float64))
     raise NoClosedForm(f"No closed-form power is known for {sampler.spec}; use power_spectrum.")
+
+
+def _is_plain_latin(sampler: Sampler) -> bool:
+    return isinstance(sampler, LatinHypercube) and sampler.strength == 1
 
 
 def _sinc2(nu: Array) -> Array:

@@ -22,7 +22,7 @@ from mcspectra.studies.config import (
     StudyConfig,
     TermsConfig,
 )
-from mcspectra.variance.terms import check_terms
+from mcspectra.variance.views import check_terms
 
 __all__ = ["Analysis", "Cell", "Plan", "make_plan"]
 

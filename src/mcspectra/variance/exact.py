@@ -11,6 +11,8 @@ over boxes, exactly. Two orders must agree, else NoClosedForm.
 from __future__ import annotations
 
 import itertools
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -102,15 +104,14 @@ def _variance(sampler: Sampler, n: int, g: Integrand, order: int) -> Array:
     """Variance of the mean of g over a stratified set; (channels,) or (1,)."""
     base, offset, shifted = _decompose(sampler, g.dims)
     if isinstance(base, Random):
-        return _spread_within_strata(g, 1, np.zeros(g.dims), order) / n
-    side = 1.0 / base.sides(n) if not isinstance(base, LatinHypercube) else 1.0 / n
-    sides = round(1.0 / side)
+        return _spread_within_strata(g, (1,) * g.dims, np.zeros(g.dims), order) / n
+    sides = (n,) if isinstance(base, LatinHypercube) else base.sides(n)
     jittered = isinstance(base, Jittered | LatinHypercube)
     if jittered and not shifted:
-        return _spread_within_strata(g, sides, offset * side, order) / n
+        return _spread_within_strata(g, sides, offset * n ** (-1.0 / g.dims), order) / n
     if not jittered and not (shifted or isinstance(base, UniformJitter)):
         return np.zeros(max(1, g.channels))  # a deterministic set
-    nodes, weights = _offsets(g, side, order)
+    nodes, weights = _offsets(g, sides, order)
     if jittered:
         spreads = np.stack([_spread_within_strata(g, sides, d, order) for d in nodes])
         return np.asarray(weights @ spreads) / n
@@ -160,23 +161,29 @@ class _Axis:
         return _Axis(low, high, np.minimum(stratum, sides - 1), (high - low) * sides)
 
 
-def _spread_within_strata(g: Integrand, sides: int, offset: Array, order: int) -> Array:
+def _spread_within_strata(g: Integrand, sides: tuple[int, ...], offset: Array, order: int) -> Array:
     """Mean over strata, displaced by `offset` on the torus, of the variance within one: (channels,)."""
-    if float(sides) ** g.dims > _MAX_EVALUATIONS:
+    if math.prod(sides) > _MAX_EVALUATIONS:
         raise NoClosedForm(
-            f"The quadrature of {float(sides) ** g.dims:.2g} strata would take more than "
+            f"The quadrature of {math.prod(sides):.2g} strata would take more than "
             f"{_MAX_EVALUATIONS:.2g} evaluations; use convergence or variance_terms."
         )
-    axes = [_Axis.cut(sides, float(o), b) for o, b in zip(offset, g.breaks, strict=True)]
+    axes = _cut_axes(sides, offset, g.breaks)
     moments = _box_moments(g, axes)
     if moments is None:
         graded = _GRADED.get(g.dims, ())
         cuts = [(*b, *graded) for b in g.breaks]
-        axes = [_Axis.cut(sides, float(o), b) for o, b in zip(offset, cuts, strict=True)]
+        axes = _cut_axes(sides, offset, cuts)
         moments = _gauss_moments(g, axes, order)
     means, squares = (_gather(m, axes, sides) for m in moments)
     # Second pass about the stratum means would cost a second evaluation; clip what cancels.
     return np.asarray(np.maximum(squares - means * means, 0.0).mean(axis=0))
+
+
+def _cut_axes(
+    sides: tuple[int, ...], offset: Array, breaks: Sequence[tuple[float, ...]]
+) -> list[_Axis]:
+    return [_Axis.cut(s, float(o), b) for s, o, b in zip(sides, offset, breaks, strict=True)]
 
 
 def _box_moments(g: Integrand, axes: list[_Axis]) -> tuple[Array, Array] | None:
@@ -216,24 +223,25 @@ def _gauss_moments(g: Integrand, axes: list[_Axis], order: int) -> tuple[Array, 
     return mean, square
 
 
-def _gather(piece_means: Array, axes: list[_Axis], sides: int) -> Array:
-    """Means over strata from means over pieces: (sides^d, channels)."""
+def _gather(piece_means: Array, axes: list[_Axis], sides: tuple[int, ...]) -> Array:
+    """Means over strata from means over pieces: (strata, channels)."""
     values = piece_means.reshape(*(len(a.low) for a in axes), -1)
     for i, axis in enumerate(axes):
         shape = [1] * values.ndim
         shape[i] = -1
-        gathered = np.zeros((*values.shape[:i], sides, *values.shape[i + 1 :]))
+        gathered = np.zeros((*values.shape[:i], sides[i], *values.shape[i + 1 :]))
         where: Any = (slice(None),) * i + (axis.stratum,)
         np.add.at(gathered, where, values * axis.share.reshape(shape))
         values = gathered
-    return np.asarray(values.reshape(sides ** len(axes), -1))
+    return np.asarray(values.reshape(math.prod(sides), -1))
 
 
-def _offsets(g: Integrand, side: float, order: int) -> tuple[Array, Array]:
+def _offsets(g: Integrand, sides: tuple[int, ...], order: int) -> tuple[Array, Array]:
     """Gauss nodes and weights for an offset uniform in one stratum, cut where breaks line up."""
     node, weight = np.polynomial.legendre.leggauss(order)
     per_axis = []
-    for breaks in g.breaks:
+    for s, breaks in zip(sides, g.breaks, strict=True):
+        side = 1.0 / s
         folded = [b % side for b in breaks]
         ends = np.unique([0.0, side, *(b for b in folded if 1e-14 < b < side - 1e-14)])
         low, width = ends[:-1, None], np.diff(ends)[:, None]
@@ -244,8 +252,8 @@ def _offsets(g: Integrand, side: float, order: int) -> tuple[Array, Array]:
     return nodes, np.array([np.prod([w for _, w in combo]) for combo in combos])
 
 
-def _grid_mean(g: Integrand, sides: int, offset: Array) -> Array:
+def _grid_mean(g: Integrand, sides: tuple[int, ...], offset: Array) -> Array:
     """Mean of g over the grid (j + offset·sides)/sides: (channels,)."""
-    axes = [(np.arange(sides) / sides + o) % 1.0 for o in offset]
+    axes = [(np.arange(s) / s + o) % 1.0 for s, o in zip(sides, offset, strict=True)]
     x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    return np.asarray(g(x).reshape(sides**g.dims, -1).mean(axis=0))
+    return np.asarray(g(x).reshape(math.prod(sides), -1).mean(axis=0))

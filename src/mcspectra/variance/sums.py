@@ -89,6 +89,15 @@ class SpectralSums:
             matrix=_outer(s - mean) if partition.matrix else None,
         )
 
+    def terms(self, partition: Partition) -> tuple[Array, Array, Array]:
+        """Dc, power and cross term, each (C,): unbiased, and their sum is the variance of I."""
+        f, degrees = partition.coefficients, max(self.count - 1, 1)
+        diagonal = np.abs(f) ** 2 * (self.m2 / degrees * partition.double)
+        total = ((f.conj() * self.cov).real * partition.double).sum(axis=1) / degrees
+        dc = diagonal[:, partition.dc].sum(axis=1)
+        power = diagonal[:, ~partition.dc].sum(axis=1)
+        return dc, power, total - dc - power
+
     def merge(self, other: SpectralSums) -> SpectralSums:
         """Sums of both sets of realisations together."""
         a, b = self.count, other.count

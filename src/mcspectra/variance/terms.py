@@ -17,13 +17,13 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mcspectra.core.checks import Array, as_choice, as_integer
-from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError
+from mcspectra.core.errors import InfiniteWeightVarianceWarning
 from mcspectra.core.parallel import (
     MAX_REALIZATIONS,
     Block,
@@ -37,18 +37,18 @@ from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.spectra.bases import BASES, Basis, Coefficients, fitting_basis, make_basis
+from mcspectra.spectra.bases import BASES, Basis, fitting_basis, make_basis
+from mcspectra.variance.bands import Bands, make_bands
+from mcspectra.variance.batches import Batches, Variables
 from mcspectra.variance.sums import Partition, SpectralSums
+from mcspectra.variance.views import SPACES, View, check_terms
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["MAX_MATRIX", "SPACES", "check_terms", "radial_bands", "variance_terms"]
+__all__ = ["variance_terms"]
 
-SPACES = ("domain", "primary")
-_MAX_BANDS = 4096
-MAX_MATRIX = 4096
-"""Most frequencies of a full cross matrix: two of that size take 0.5 GiB."""
+_BATCHES = 20  # blocks of realisations at least, whose spread gives the errors of the terms
 
 
 def variance_terms(
@@ -86,8 +86,8 @@ def variance_terms(
         ``"domain"``: f with the warped, weighted points (the paper's view); ``"primary"``: g(u) with
         the sampler's own points, where discontinuities made by the warp are visible.
     bands
-        ``"radial"`` (shells of |m|, one frequency wide) or an integer label ≥ 0 for every frequency,
-        an array of the grid's shape that is the same for m and −m.
+        ``"radial"``, ``"dyadic"``, ``"anova"``, ``"wedge"``, or an integer label ≥ 0 for every basis
+        function: `mcspectra.variance.bands.make_bands`.
     cross_matrix
         Also return C_ml and conj(f_m) f_l C_ml in full, for at most `MAX_MATRIX` frequencies.
     engine, eps
@@ -99,8 +99,9 @@ def variance_terms(
     -------
     xarray.Dataset
         ``dc_term``, ``power_term``, ``cross_term``, ``predicted_variance`` (their sum) with ``_ci``,
-        ``measured_variance`` with ``_ci``, ``captured`` (predicted/measured, NaN where the
-        measured variance is rounding noise), ``contribution`` and
+        ``measured_variance`` with ``_ci``, ``captured`` with ``_ci`` (predicted/measured, NaN where the
+        measured variance is rounding noise), standard errors ``dc_term_se``, ``power_term_se``,
+        ``cross_term_se`` (batch means: from 4 realisations on), ``contribution`` and
         ``power_contribution`` on m0, m1, …, ``band_covariance(band, band_other)``,
         ``truncated_variance(half_width)`` and ``captured_by_half_width(half_width)``; a dim channel
         where f has several, a dim technique on maps of a primary space with several. With
@@ -139,8 +140,9 @@ def variance_terms(
         basis = fitting_basis(source, half_width)
     check_terms(estimator, half_width, space, cross_matrix=cross_matrix, basis=basis)
     functions = make_basis(basis, estimator.dims, half_width)
-    view = _View.of(estimator, n, space, functions, engine, eps)
-    partition = view.partition(_band_labels(bands, functions), cross_matrix)
+    view = View.of(estimator, n, space, functions, engine, eps)
+    chosen = make_bands(bands, functions)
+    partition = view.partition(chosen.of, cross_matrix)
     stream = Stream.from_rng(rng)
 
     def block_sums(block: Block) -> tuple[SpectralSums, Moments]:
@@ -149,11 +151,10 @@ def variance_terms(
         return SpectralSums.of(view.coefficients(points), partition), measured
 
     numbers = max(n * estimator.dims * sum(estimator.counts), 2 * partition.double.size)
-    blocks = realization_blocks(realizations, numbers, multiple=2)
-    results = map_in_order(block_sums, blocks, available_workers(workers))
-    sums, measured = next(results)
-    for other_sums, other_measured in results:
-        sums, measured = sums.merge(other_sums), measured.merge(other_measured)
+    blocks = realization_blocks(realizations, numbers, multiple=2, least=_BATCHES)
+    sums, measured, batches = _merged(
+        map_in_order(block_sums, blocks, available_workers(workers)), partition
+    )
     infinite = space == "domain" and estimator.infinite_weights
     if infinite:
         warnings.warn(
@@ -163,11 +164,13 @@ def variance_terms(
             stacklevel=2,
         )
     variables = _variables(sums, measured, view, partition)
+    variables |= batches.errors(variables["captured"][1])
     if infinite:
         variables = {name: (d, _undefined(name, v)) for name, (d, v) in variables.items()}
     return _labelled(
         variables,
         view,
+        chosen,
         estimator=estimator.spec,
         sampler=source.spec,
         n=n,
@@ -183,127 +186,21 @@ def variance_terms(
     )
 
 
-@dataclass(frozen=True)
-class _View:
-    """Domain or primary view: which integrand coefficients meet which point spectra."""
-
-    estimator: AbstractEstimator
-    space: str
-    basis: Basis
-    transforms: tuple[Coefficients, ...]
-    engine: str
-    integrand_coefficients: Array  # (C, T, H)
-    source: str
-
-    @staticmethod
-    def of(
-        estimator: AbstractEstimator, n: int, space: str, basis: Basis, engine: str, eps: float
-    ) -> _View:
-        techniques = range(len(estimator.counts))
-        if space == "domain":
-            integrand = estimator.domain_integrand
-            assert integrand is not None  # check_terms has seen to it
-            integrands, counts = [integrand], [n * sum(estimator.counts)]
-        else:
-            integrands = [estimator.primary_integrand(t) for t in techniques]
-            counts = [n * count for count in estimator.counts]
-        transforms = [basis.transform(count, engine, eps) for count in counts]
-        found = [basis.integrand(g) for g in integrands]
-        return _View(
-            estimator,
-            space,
-            basis,
-            tuple(coefficients for coefficients, _ in transforms),
-            transforms[0][1],
-            np.stack([coefficients for coefficients, _ in found], axis=1),
-            "; ".join(dict.fromkeys(source for _, source in found)),
-        )
-
-    def coefficients(self, points: list[Array]) -> Array:
-        """Spectra of a block, those of the techniques side by side: (R, T·H)."""
-        if self.space == "domain":
-            return self.transforms[0](*self.estimator.weighted_points(points))
-        parts = [transform(u, None) for transform, u in zip(self.transforms, points, strict=True)]
-        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
-
-    def partition(self, band: Array, matrix: bool) -> Partition:
-        """Coefficients and labels, repeated for each technique."""
-        techniques = len(self.transforms)
-        shell = self.basis.oscillations().max(axis=1)
-        dc = np.zeros(self.basis.stored, bool)
-        dc[self.basis.dc] = True
-        flat = self.integrand_coefficients.reshape(len(self.integrand_coefficients), -1)
-        return Partition(
-            np.ascontiguousarray(flat),
-            np.tile(self.basis.double, techniques),
-            np.tile(dc, techniques),
-            np.tile(band, techniques),
-            np.tile(shell, techniques),
-            matrix,
-        )
-
-
-def check_terms(
-    estimator: AbstractEstimator,
-    half_width: int,
-    space: str | None,
-    *,
-    cross_matrix: bool,
-    basis: str = "fourier",
-) -> int:
-    """Check what `variance_terms` can refuse before any work; return the number of coefficients.
-
-    Raises
-    ------
-    ParameterError
-        The grid or the cross matrix would be too large, or there is no domain to work in.
-    """
-    size = make_basis(basis, estimator.dims, half_width).size
-    if space == "domain" and estimator.domain_integrand is None:
-        raise ParameterError(
-            f"{estimator.spec} has no common domain: its techniques are given on their own "
-            "unit cubes; use space='primary'."
-        )
-    primary = space == "primary" or estimator.domain_integrand is None
-    size *= len(estimator.counts) if primary else 1
-    if cross_matrix and size > MAX_MATRIX:
-        raise ParameterError(
-            f"The cross matrix of {size} frequencies takes {32 * size**2 / 2**30:.3g} GiB; "
-            f"ask for at most {MAX_MATRIX} frequencies, or use contribution and band_covariance."
-        )
-    return size
-
-
-def radial_bands(basis: Basis) -> Array:
-    """Shell of each stored coefficient, the length of its oscillations rounded: int64 (H,)."""
-    length = np.sqrt((basis.oscillations() ** 2).sum(axis=1))
-    return np.asarray(np.rint(length), np.int64)
-
-
-def _band_labels(bands: str | Array, basis: Basis) -> Array:
-    if isinstance(bands, str):
-        as_choice("bands", bands, ("radial",))
-        return radial_bands(basis)
-    labels = np.asarray(bands)
-    integer = labels.shape == basis.shape and labels.dtype.kind in "iu"
-    if not integer or labels.min() < 0 or labels.max() >= _MAX_BANDS:
-        raise ParameterError(
-            f"bands has shape {labels.shape} and type {labels.dtype}; give 'radial' or integer "
-            f"labels from 0 to {_MAX_BANDS - 1} of shape {basis.shape}."
-        )
-    stored = basis.pick(labels).astype(np.int64)
-    if not np.array_equal(basis.full(stored), labels):
-        raise ParameterError(
-            "bands must be the same for m and −m, so that band estimates are real."
-        )
-    return stored
-
-
-Variables = dict[str, tuple[tuple[str, ...], Any]]
+def _merged(
+    results: Iterator[tuple[SpectralSums, Moments]], partition: Partition
+) -> tuple[SpectralSums, Moments, Batches]:
+    """Sums over all blocks, and what each block says by itself."""
+    batches = Batches()
+    sums, measured = next(results)
+    batches.add(sums, measured, partition)
+    for other_sums, other_measured in results:
+        batches.add(other_sums, other_measured, partition)
+        sums, measured = sums.merge(other_sums), measured.merge(other_measured)
+    return sums, measured, batches
 
 
 def _variables(
-    sums: SpectralSums, measured: Moments, view: _View, partition: Partition
+    sums: SpectralSums, measured: Moments, view: View, partition: Partition
 ) -> Variables:
     """All result variables with a leading channel axis."""
     f, basis = partition.coefficients, view.basis
@@ -311,9 +208,8 @@ def _variables(
     spectrum = sums.m2 / degrees
     diagonal = np.abs(f) ** 2 * spectrum
     contribution = (f.conj() * sums.cov).real / degrees
-    total = (contribution * partition.double).sum(axis=1)
-    dc = diagonal[:, partition.dc].sum(axis=1)
-    power = (diagonal * partition.double)[:, ~partition.dc].sum(axis=1)
+    dc, power, cross = sums.terms(partition)
+    total = dc + power + cross
     shape = (len(f), len(view.transforms), basis.stored)
     # A variance of rounding noise captures nothing.
     real = np.where(measured.variance > rounding_floor(measured.mean), measured.variance, np.nan)
@@ -324,7 +220,7 @@ def _variables(
     variables: Variables = {
         "dc_term": (("channel",), dc),
         "power_term": (("channel",), power),
-        "cross_term": (("channel",), total - dc - power),
+        "cross_term": (("channel",), cross),
         "predicted_variance": (("channel",), total),
         "predicted_variance_ci": (("channel", "bound"), sums.truncated.variance_ci[:, -1]),
         "measured_variance": (("channel",), measured.variance),
@@ -343,7 +239,7 @@ def _variables(
     return variables
 
 
-def _matrices(stored: Array, f: Array, view: _View) -> Variables:
+def _matrices(stored: Array, f: Array, view: View) -> Variables:
     """Full C_ml and conj(f_m) f_l C_ml from the covariances of what is stored, with and without conj.
 
     S_{−l} = conj S_l gives C_{m,−l} = Cov(S_m, conj S_l), the pseudo-covariance. In primary space
@@ -378,7 +274,7 @@ def _undefined(name: str, values: Array) -> Array:
     return np.full_like(values, math.inf if name in _INFINITE else math.nan)
 
 
-def _labelled(variables: Variables, view: _View, **provenance: Any) -> xr.Dataset:
+def _labelled(variables: Variables, view: View, chosen: Bands, **provenance: Any) -> xr.Dataset:
     """Make the dataset; axes of one channel or technique are dropped."""
     basis = view.basis
     scalar, single = view.estimator.channels == 0, len(view.transforms) == 1
@@ -387,12 +283,14 @@ def _labelled(variables: Variables, view: _View, **provenance: Any) -> xr.Datase
     for name, (dims, values) in variables.items():
         index = tuple(0 if dim in dropped else slice(None) for dim in dims)
         kept[name] = (tuple(dim for dim in dims if dim not in dropped), values[index])
-    bands = {"long_name": "band (radial: |m| rounded)", "units": "1"}
+    bands = {"long_name": chosen.meaning, "units": "1"}
+    numbers = np.arange(len(chosen.labels))
     coords: dict[str, Any] = {
         **basis.coords,
         "bound": ["low", "high"],
-        "band": ("band", np.arange(variables["band_covariance"][1].shape[1]), bands),
-        "band_other": ("band_other", np.arange(variables["band_covariance"][1].shape[1]), bands),
+        "band": ("band", numbers, bands),
+        "band_other": ("band_other", numbers, bands),
+        "band_label": ("band", list(chosen.labels), {"long_name": chosen.meaning}),
         "half_width": ("half_width", np.arange(basis.half_width + 1), {"units": "cycles per unit"}),
     }
     if "cross_matrix" in kept:
