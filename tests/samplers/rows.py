@@ -80,5 +80,12 @@ ROWS = (
     Row("perturbed-lattice(correlation=1.0)", GRIDS),
     Row("stealthy-hyperuniform(stealthiness=0.2)", {1: 16, 2: 16, 3: 16, 10: 8}),
     Row("determinantal", ANY),
+    Row("mitsuba(sampler='independent')", ANY),
+    Row("mitsuba", {1: 16, 2: 12, 3: 16, 10: 16}),
+    Row("mitsuba(sampler='orthogonal')", {2: 9, 3: 9, 10: 25}),
+    Row("mitsuba(sampler='ldsampler')", ANY),
+    Row("qmcpy", ANY),
+    Row("qmcpy(generator='Lattice')", ANY),
+    Row("qmcpy(generator='Halton')", {2: 15}),
     Row("points(path='{path}')", ANY, unbiased=False),
 )

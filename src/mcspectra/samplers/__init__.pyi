@@ -6,6 +6,7 @@ from .candidates import BestCandidate as BestCandidate
 from .candidates import DartThrowing as DartThrowing
 from .candidates import FarthestPoint as FarthestPoint
 from .decorrelate import Decorrelate as Decorrelate
+from .determinantal import Determinantal as Determinantal
 from .digital import LarcherPillichshammer as LarcherPillichshammer
 from .digital import Niederreiter as Niederreiter
 from .digital import Sobol as Sobol
@@ -14,20 +15,32 @@ from .external import FunctionSampler as FunctionSampler
 from .external import GivenPoints as GivenPoints
 from .external import ScipySampler as ScipySampler
 from .gaussian_blue_noise import GaussianBlueNoise as GaussianBlueNoise
+from .hexagonal import Hexagonal as Hexagonal
+from .hyperuniform import PerturbedLattice as PerturbedLattice
+from .hyperuniform import StealthyHyperuniform as StealthyHyperuniform
+from .jitter import AntitheticJittered as AntitheticJittered
+from .jitter import BoxJitter as BoxJitter
+from .jitter import GaussianJitter as GaussianJitter
 from .kronecker import Kronecker as Kronecker
 from .lattice import Fibonacci as Fibonacci
 from .lattice import Korobov as Korobov
 from .lattice import Rank1Lattice as Rank1Lattice
 from .mirror import Mirror as Mirror
+from .multijitter import CorrelatedMultiJittered as CorrelatedMultiJittered
+from .multijitter import MultiJittered as MultiJittered
 from .nets import DigitalNet as DigitalNet
 from .nets import Faure as Faure
+from .orthogonal import LatinHypercube as LatinHypercube
+from .orthogonal import NRooks as NRooks
+from .orthogonal import OrthogonalArray as OrthogonalArray
 from .poisson import PoissonDisk as PoissonDisk
+from .progressive import PMJ as PMJ
+from .progressive import PMJ02 as PMJ02
+from .progressive import PMJ02BlueNoise as PMJ02BlueNoise
 from .projective import ProjectiveBlueNoise as ProjectiveBlueNoise
 from .radical import Halton as Halton
 from .radical import Hammersley as Hammersley
 from .radical import VanDerCorput as VanDerCorput
-from .randomizations import DigitalShift as DigitalShift
-from .randomizations import Owen as Owen
 from .randomizations import Shift as Shift
 from .randomizations import StrataShift as StrataShift
 from .registry import RANDOMIZATIONS as RANDOMIZATIONS
@@ -36,22 +49,30 @@ from .registry import as_sampler as as_sampler
 from .registry import sampler as sampler
 from .registry import sampler_from_calls as sampler_from_calls
 from .rotation import RandomRotation as RandomRotation
+from .scrambles import DigitalShift as DigitalShift
+from .scrambles import Lms as Lms
+from .scrambles import Owen as Owen
+from .scrambles import Permute as Permute
 from .selection import Shuffle as Shuffle
 from .selection import Skip as Skip
 from .selection import Subset as Subset
 from .stratified import Jittered as Jittered
-from .stratified import LatinHypercube as LatinHypercube
-from .stratified import MultiJittered as MultiJittered
 from .stratified import Random as Random
 from .stratified import Regular as Regular
 from .stratified import UniformJitter as UniformJitter
 
 __all__ = [
+    "PMJ",
+    "PMJ02",
     "RANDOMIZATIONS",
     "SAMPLERS",
+    "AntitheticJittered",
     "BestCandidate",
+    "BoxJitter",
+    "CorrelatedMultiJittered",
     "DartThrowing",
     "Decorrelate",
+    "Determinantal",
     "DigitalNet",
     "DigitalShift",
     "FarthestPoint",
@@ -59,18 +80,26 @@ __all__ = [
     "Fibonacci",
     "FunctionSampler",
     "GaussianBlueNoise",
+    "GaussianJitter",
     "GivenPoints",
     "Halton",
     "Hammersley",
+    "Hexagonal",
     "Jittered",
     "Korobov",
     "Kronecker",
     "LarcherPillichshammer",
     "LatinHypercube",
+    "Lms",
     "Mirror",
     "MultiJittered",
+    "NRooks",
     "Niederreiter",
+    "OrthogonalArray",
     "Owen",
+    "PMJ02BlueNoise",
+    "Permute",
+    "PerturbedLattice",
     "PoissonDisk",
     "ProjectiveBlueNoise",
     "Random",
@@ -85,6 +114,7 @@ __all__ = [
     "Shuffle",
     "Skip",
     "Sobol",
+    "StealthyHyperuniform",
     "StrataShift",
     "Structure",
     "Subset",

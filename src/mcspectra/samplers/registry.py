@@ -20,30 +20,45 @@ SAMPLERS = Registry(
     "sampler",
     "mcspectra.samplers",
     {
+        "antithetic-jittered": "mcspectra.samplers.jitter:AntitheticJittered",
         "best-candidate": "mcspectra.samplers.candidates:BestCandidate",
+        "box-jitter": "mcspectra.samplers.jitter:BoxJitter",
+        "correlated-multi-jittered": "mcspectra.samplers.multijitter:CorrelatedMultiJittered",
         "dart-throwing": "mcspectra.samplers.candidates:DartThrowing",
+        "determinantal": "mcspectra.samplers.determinantal:Determinantal",
         "digital-net": "mcspectra.samplers.nets:DigitalNet",
         "farthest-point": "mcspectra.samplers.candidates:FarthestPoint",
         "faure": "mcspectra.samplers.nets:Faure",
         "fibonacci": "mcspectra.samplers.lattice:Fibonacci",
         "gaussian-blue-noise": "mcspectra.samplers.gaussian_blue_noise:GaussianBlueNoise",
+        "gaussian-jitter": "mcspectra.samplers.jitter:GaussianJitter",
         "halton": "mcspectra.samplers.radical:Halton",
         "hammersley": "mcspectra.samplers.radical:Hammersley",
+        "hexagonal": "mcspectra.samplers.hexagonal:Hexagonal",
         "jittered": "mcspectra.samplers.stratified:Jittered",
         "korobov": "mcspectra.samplers.lattice:Korobov",
         "kronecker": "mcspectra.samplers.kronecker:Kronecker",
         "larcher-pillichshammer": "mcspectra.samplers.digital:LarcherPillichshammer",
-        "latin-hypercube": "mcspectra.samplers.stratified:LatinHypercube",
-        "multi-jittered": "mcspectra.samplers.stratified:MultiJittered",
+        "latin-hypercube": "mcspectra.samplers.orthogonal:LatinHypercube",
+        "mitsuba": "mcspectra.rendering.point_sampler:MitsubaSampler",
+        "multi-jittered": "mcspectra.samplers.multijitter:MultiJittered",
+        "n-rooks": "mcspectra.samplers.orthogonal:NRooks",
         "niederreiter": "mcspectra.samplers.digital:Niederreiter",
+        "orthogonal-array": "mcspectra.samplers.orthogonal:OrthogonalArray",
+        "perturbed-lattice": "mcspectra.samplers.hyperuniform:PerturbedLattice",
+        "pmj": "mcspectra.samplers.progressive:PMJ",
+        "pmj02": "mcspectra.samplers.progressive:PMJ02",
+        "pmj02-blue-noise": "mcspectra.samplers.progressive:PMJ02BlueNoise",
         "points": "mcspectra.samplers.external:GivenPoints",
         "poisson-disk": "mcspectra.samplers.poisson:PoissonDisk",
         "projective-blue-noise": "mcspectra.samplers.projective:ProjectiveBlueNoise",
+        "qmcpy": "mcspectra.samplers.qmcpy_:QmcpySampler",
         "random": "mcspectra.samplers.stratified:Random",
         "rank1-lattice": "mcspectra.samplers.lattice:Rank1Lattice",
         "regular": "mcspectra.samplers.stratified:Regular",
         "scipy": "mcspectra.samplers.external:ScipySampler",
         "sobol": "mcspectra.samplers.digital:Sobol",
+        "stealthy-hyperuniform": "mcspectra.samplers.hyperuniform:StealthyHyperuniform",
         "uniform-jitter": "mcspectra.samplers.stratified:UniformJitter",
         "van-der-corput": "mcspectra.samplers.radical:VanDerCorput",
         "void-and-cluster": "mcspectra.samplers.dither:VoidAndCluster",
@@ -55,9 +70,11 @@ RANDOMIZATIONS = Registry(
     "mcspectra.randomizations",
     {
         "decorrelate": "mcspectra.samplers.decorrelate:Decorrelate",
-        "digital-shift": "mcspectra.samplers.randomizations:DigitalShift",
+        "digital-shift": "mcspectra.samplers.scrambles:DigitalShift",
+        "lms": "mcspectra.samplers.scrambles:Lms",
         "mirror": "mcspectra.samplers.mirror:Mirror",
-        "owen": "mcspectra.samplers.randomizations:Owen",
+        "owen": "mcspectra.samplers.scrambles:Owen",
+        "permute": "mcspectra.samplers.scrambles:Permute",
         "random-rotation": "mcspectra.samplers.rotation:RandomRotation",
         "shift": "mcspectra.samplers.randomizations:Shift",
         "shuffle": "mcspectra.samplers.selection:Shuffle",
@@ -107,7 +124,7 @@ def as_sampler(source: Any, dims: int | None = None) -> Sampler:
     ----------
     source
         A sampler, a spec string, an array of points (n, d) or (R, n, d), or an engine of
-        `scipy.stats.qmc` or its class.
+        `scipy.stats.qmc`, a generator of QMCPy, or the class of one.
     dims
         Number of dims that is needed.
 
@@ -138,9 +155,12 @@ def _from_object(source: Any, dims: int | None) -> Sampler:
     if _is_engine(source):
         sizes = {"d": dims} if isinstance(source, type) and dims is not None else {}
         return Sampler.from_scipy(source, **sizes)
+    if _is_generator(source):
+        sizes = {"dims": dims} if isinstance(source, type) and dims is not None else {}
+        return Sampler.from_qmcpy(source, **sizes)
     raise ParameterError(
-        f"{source!r} is not a sampler; give a Sampler, a spec such as 'jittered | shift', "
-        "an array of points (n, d) or (R, n, d), or a scipy.stats.qmc engine."
+        f"{source!r} is not a sampler; give a Sampler, a spec such as 'jittered | shift', an array "
+        "of points (n, d) or (R, n, d), a scipy.stats.qmc engine, or a QMCPy generator."
     )
 
 
@@ -150,6 +170,14 @@ def _is_engine(source: object) -> bool:
     if engine is None:
         return False
     return isinstance(source, engine) or (isinstance(source, type) and issubclass(source, engine))
+
+
+def _is_generator(source: object) -> bool:
+    if "qmcpy" not in sys.modules:
+        return False
+    from mcspectra.samplers.qmcpy_ import is_qmcpy
+
+    return is_qmcpy(source)
 
 
 def _build_sampler(call: Call, dims: int | None) -> Sampler:

@@ -1,0 +1,174 @@
+"""Progressive sequences: strata and elementary intervals of every power of two points, exactly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+from tests.samplers.test_dither import toroidal_distances
+
+import mcspectra as mcs
+from mcspectra.core.errors import CountError, NotPowerOfTwoWarning, ParameterError
+from mcspectra.samplers import PMJ, PMJ02, PMJ02BlueNoise
+from mcspectra.samplers.progressive import _pairings
+
+ALL = [PMJ(), PMJ02(), PMJ02BlueNoise()]
+NETS = [PMJ02(), PMJ02BlueNoise()]
+LEVEL = 1 - (1 - 1e-6) ** (1 / 8)  # Šidák
+
+every_sequence = pytest.mark.parametrize("source", ALL, ids=lambda source: source.name)
+every_net = pytest.mark.parametrize("source", NETS, ids=lambda source: source.name)
+
+
+def occupancy(points, columns, rows):
+    """How many points of each realisation are in each of columns × rows cells: (R, cells)."""
+    cells = (np.floor(points * [columns, rows]) @ [rows, 1]).astype(int)
+    return np.stack([np.bincount(row, minlength=columns * rows) for row in cells])
+
+
+def uniform(counts):
+    """Whether counts pass as those of equally likely cells."""
+    return stats.chisquare(counts).pvalue > LEVEL
+
+
+@every_sequence
+@pytest.mark.parametrize("level", range(11))
+def test_one_point_in_each_interval_of_either_axis(source, level):
+    prefix = source.draw(2**10, realizations=20, rng=1)[:, : 2**level]
+    assert (occupancy(prefix, 2**level, 1) == 1).all()
+    assert (occupancy(prefix, 1, 2**level) == 1).all()
+
+
+@every_sequence
+@pytest.mark.parametrize("level", range(6))
+def test_cells_have_one_point_then_two_on_a_diagonal(source, level):
+    sequence = source.draw(2**10, realizations=20, rng=2)
+    cells = 2**level
+    assert (occupancy(sequence[:, : cells**2], cells, cells) == 1).all()
+    if level == 5:
+        return
+    two = sequence[:, : 2 * cells**2]
+    first, second = two[:, : cells**2], two[:, cells**2 :]
+    quarters = np.floor(first * 2 * cells).astype(int)
+    np.testing.assert_array_equal(quarters ^ 1, np.floor(second * 2 * cells).astype(int))
+
+
+@every_net
+@pytest.mark.parametrize("level", range(11))
+def test_one_point_in_each_elementary_interval(source, level):
+    prefix = source.draw(2**10, realizations=20, rng=3)[:, : 2**level]
+    for across in range(level + 1):
+        assert (occupancy(prefix, 2**across, 2 ** (level - across)) == 1).all()
+
+
+@every_net
+def test_every_block_of_the_sequence_is_a_net(source):
+    blocks = source.draw(2**10, realizations=10, rng=4).reshape(10, 16, 64, 2)
+    for block in blocks.transpose(1, 0, 2, 3):
+        assert all((occupancy(block, 2**k, 2 ** (6 - k)) == 1).all() for k in range(7))
+
+
+def test_pmj_is_no_net():
+    prefix = PMJ().draw(64, realizations=50, rng=3)
+    assert (occupancy(prefix, 2, 32) != 1).any()
+
+
+@pytest.mark.parametrize("source", [PMJ(), PMJ02()], ids=["pmj", "pmj02"])
+def test_shorter_sets_are_the_beginning_of_longer_ones(source):
+    whole = source.draw(256, rng=5)
+    np.testing.assert_array_equal(source.draw(32, rng=5), whole[:, :32])
+    with pytest.warns(NotPowerOfTwoWarning, match=f"{source.name} are not balanced; 128 and 256"):
+        np.testing.assert_array_equal(source.draw(200, rng=5), whole[:, :200])
+
+
+def test_pairings_are_those_of_scrambled_sobol_points():
+    """Sobol' points in the order of pmj02: partners differ in digit k alone, of the first k + 1."""
+    sobol = mcs.samplers.sampler("sobol").draw(2**10)[0]
+    digits = (sobol * 2**10).astype(int)
+    order = [0]
+    for level in range(10):  # x of point i differs from that of its partner in digit `level`
+        xor = _pairings()[:, level].astype(int)
+        size = 2**level
+        for i in range(size, 2 * size):
+            pairs = [digits[order[i ^ xor[j]], j] >> (9 - level) ^ 1 for j in range(2)]
+            found = np.flatnonzero((digits[: 2 * size] >> (9 - level) == pairs).all(axis=1))
+            assert found.size == 1
+            order.append(int(found[0]))
+    assert sorted(order) == list(range(2**10))
+
+
+@pytest.mark.parametrize("source", [PMJ(), PMJ02()], ids=["pmj", "pmj02"])
+def test_points_and_pairs_of_points_are_as_random_as_can_be(source):
+    """Four points: each in any of 4 × 4 intervals, the third beside or above the first."""
+    points = source.draw(4, realizations=16_000, rng=6)
+    intervals = np.floor(points * 4) @ [4, 1]
+    for i in range(4):
+        assert uniform(np.bincount(intervals[:, i].astype(int), minlength=16))
+    halves = np.floor(points * 2)
+    beside = halves[:, 2, 1] == halves[:, 0, 1]
+    assert uniform(np.bincount(beside, minlength=2))
+    # a permutation of four intervals on either axis, in which the first two are in other halves
+    codes = np.unique(np.floor(points[..., 0] * 4), axis=0, return_counts=True)[1]
+    assert len(codes) == 16
+    assert uniform(codes)
+
+
+def test_low_bits_are_uniform():
+    points = PMJ().draw(16, realizations=2000, rng=7)
+    assert uniform(np.bincount((points.ravel() * 16 % 1 * 64).astype(int), minlength=64))
+
+
+@pytest.mark.parametrize("n", [64, 512])
+def test_blue_noise_keeps_points_apart(n):
+    """The nearest two are twice as far apart as in pmj02, by many standard errors."""
+    near = [
+        [toroidal_distances(points).min() for points in source.draw(n, realizations=20, rng=8)]
+        for source in NETS
+    ]
+    plain, spread = np.array(near)
+    error = np.hypot(2 * plain.std(), spread.std()) / np.sqrt(20)
+    assert spread.mean() - 2 * plain.mean() > 5 * error
+
+
+def test_more_sweeps_spread_more():
+    def energy(sweeps):
+        sets = PMJ02BlueNoise(sweeps=sweeps).draw(256, realizations=20, rng=9)
+        return np.array([(toroidal_distances(points) ** -8.0).sum() for points in sets])
+
+    assert (
+        stats.ttest_rel(np.log(energy(1)), np.log(energy(8)), alternative="greater").pvalue < 1e-3
+    )
+
+
+@pytest.mark.parametrize(("source", "slope"), [("pmj", -2.0), ("pmj02", -2.8)])
+def test_rates(source, slope):
+    """Squared errors fall as those of jittered sets, n^-2, or of scrambled nets, near n^-3."""
+    estimator = mcs.Estimator("gaussian", dims=2)
+    counts = [16, 64, 256, 1024]
+    fit = mcs.convergence(estimator, source, counts, realizations=300, rng=2)
+    assert float(fit["rate_ci"].values[0]) < slope
+
+
+@every_sequence
+@pytest.mark.parametrize("dims", [0, 1, 3, 2.5, "2", None])
+def test_two_dimensional(source, dims):
+    with pytest.raises(ParameterError, match=f"{source.name}: dims is .* must be 2"):
+        type(source)(dims=dims)
+
+
+@every_sequence
+def test_other_counts_warn(source):
+    for n in (3, 100):
+        with pytest.warns(NotPowerOfTwoWarning, match=f"{source.name} are not balanced"):
+            assert source.draw(n, rng=1).shape == (1, n, 2)
+
+
+@pytest.mark.parametrize("sweeps", [0, -1, 101, 1.5, "2", None, True, float("nan"), float("inf")])
+def test_impossible_sweeps(sweeps):
+    with pytest.raises(ParameterError, match="sweeps is .* from 1 to 100"):
+        PMJ02BlueNoise(sweeps=sweeps)
+
+
+def test_blue_noise_has_a_largest_count():
+    with pytest.raises(CountError, match="makes 262144 points at most"):
+        PMJ02BlueNoise().draw(2**19)
