@@ -38,6 +38,7 @@ from .progressive import PMJ as PMJ
 from .progressive import PMJ02 as PMJ02
 from .progressive import PMJ02BlueNoise as PMJ02BlueNoise
 from .projective import ProjectiveBlueNoise as ProjectiveBlueNoise
+from .qmcpy_ import QmcpySampler as QmcpySampler
 from .radical import Halton as Halton
 from .radical import Hammersley as Hammersley
 from .radical import VanDerCorput as VanDerCorput
@@ -60,6 +61,9 @@ from .stratified import Jittered as Jittered
 from .stratified import Random as Random
 from .stratified import Regular as Regular
 from .stratified import UniformJitter as UniformJitter
+from .voronoi import Bnot as Bnot
+from .voronoi import Lloyd as Lloyd
+from .voronoi import transport_cost as transport_cost
 
 __all__ = [
     "PMJ",
@@ -68,6 +72,7 @@ __all__ = [
     "SAMPLERS",
     "AntitheticJittered",
     "BestCandidate",
+    "Bnot",
     "BoxJitter",
     "CorrelatedMultiJittered",
     "DartThrowing",
@@ -90,6 +95,7 @@ __all__ = [
     "Kronecker",
     "LarcherPillichshammer",
     "LatinHypercube",
+    "Lloyd",
     "Lms",
     "Mirror",
     "MultiJittered",
@@ -102,6 +108,7 @@ __all__ = [
     "PerturbedLattice",
     "PoissonDisk",
     "ProjectiveBlueNoise",
+    "QmcpySampler",
     "Random",
     "RandomRotation",
     "Randomization",
@@ -124,4 +131,5 @@ __all__ = [
     "as_sampler",
     "sampler",
     "sampler_from_calls",
+    "transport_cost",
 ]

@@ -45,11 +45,11 @@ def direction_numbers(polynomials: Array, initial: Array, out: Array) -> None:
 
 @kernel
 def low_words(directions: Array, n: int) -> Array:
-    """Words of the first 256 (or 2^k ≥ n) indices: uint32 (d, size)."""
+    """Words of the first 256 (or 2^k ≥ n) indices: (d, size), of the type of `directions`."""
     size, bits = 1, 0
     while size < n and bits < _LOW_BITS:
         size, bits = 2 * size, bits + 1
-    table = np.zeros((directions.shape[0], size), np.uint32)
+    table = np.zeros((directions.shape[0], size), directions.dtype)
     for j in range(directions.shape[0]):
         for k in range(bits):
             for i in range(1 << k):
@@ -59,14 +59,14 @@ def low_words(directions: Array, n: int) -> Array:
 
 @kernel
 def block_words(directions: Array, block: int, out: Array) -> None:
-    """What the index bits above the lowest eight contribute in `block`; out uint32 (d,)."""
+    """What the index bits above the lowest eight contribute in `block`; out (d,)."""
     for j in range(out.size):
-        word, k, rest = np.uint32(0), _LOW_BITS, block
+        out[j] = 0
+        k, rest = _LOW_BITS, block
         while rest:
             if rest & 1:
-                word ^= directions[j, k]
+                out[j] ^= directions[j, k]
             k, rest = k + 1, rest >> 1
-        out[j] = word
 
 
 @kernel

@@ -13,16 +13,13 @@ from mcspectra.core.streams import Stream
 from mcspectra.samplers import _kernels
 from mcspectra.samplers.base import Randomization, Sampler, Structure
 
-__all__ = ["DigitalShift", "Owen", "Shift", "StrataShift"]
+__all__ = ["Shift", "StrataShift"]
 
 _TRANSLATED: dict[Structure, Structure] = {s: s for s in Structure} | {
     Structure.STRATA: Structure.TORUS,
     Structure.DIGITS: Structure.TORUS,
 }
 """What a toroidal translation leaves: strata and elementary intervals are no longer at the origin."""
-
-_DIGITAL: dict[Structure, Structure] = {s: s for s in Structure if s is not Structure.TORUS}
-"""What randomisations of digits leave."""
 
 
 @final
@@ -45,56 +42,6 @@ class Shift(Randomization):
         offsets = np.empty((points.shape[0], points.shape[2]))
         _kernels.random_offsets(stream.keys(first, len(points)), offsets)
         return _translated(points, offsets)
-
-
-@final
-@dataclass(frozen=True, kw_only=True)
-class DigitalShift(Randomization):
-    """Digital shift: XOR of the bits of each coordinate with one random word for all points.
-
-    All 53 bits are changed: elementary intervals go to elementary intervals, and every point
-    becomes uniform.
-
-    References
-    ----------
-    Dick, Pillichshammer (2010), "Digital Nets and Sequences", section 4.4,
-    doi 10.1017/CBO9780511761188.
-    """
-
-    name: ClassVar[str] = "digital-shift"
-    fits: ClassVar[Mapping[Structure, Structure]] = _DIGITAL
-    debiases: ClassVar[bool] = True
-
-    def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """XOR each realisation with its own words."""
-        out = np.empty(points.shape)
-        _kernels.xor_digits(stream.keys(first, len(points)), points, out)
-        return out
-
-
-@final
-@dataclass(frozen=True, kw_only=True)
-class Owen(Randomization):
-    """Owen's nested uniform scrambling in base 2: the flip of a bit depends on all bits above it.
-
-    32 levels are scrambled; what is below 2^-32 becomes independent and uniform. Only the balance
-    of nets in base 2 (sobol) survives it: other sets keep their multiplicities in the dyadic
-    intervals of each axis and little else.
-
-    References
-    ----------
-    Owen (1995), doi 10.1007/978-1-4612-2552-2_19; (1997), doi 10.1214/aos/1031594731.
-    """
-
-    name: ClassVar[str] = "owen"
-    fits: ClassVar[Mapping[Structure, Structure]] = _DIGITAL
-    debiases: ClassVar[bool] = True
-
-    def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """Scramble each realisation with its own tree of flips."""
-        out = np.empty(points.shape)
-        _kernels.scramble_nested(stream.keys(first, len(points)), points, out)
-        return out
 
 
 @final

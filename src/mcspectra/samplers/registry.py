@@ -22,6 +22,7 @@ SAMPLERS = Registry(
     {
         "antithetic-jittered": "mcspectra.samplers.jitter:AntitheticJittered",
         "best-candidate": "mcspectra.samplers.candidates:BestCandidate",
+        "bnot": "mcspectra.samplers.voronoi:Bnot",
         "box-jitter": "mcspectra.samplers.jitter:BoxJitter",
         "correlated-multi-jittered": "mcspectra.samplers.multijitter:CorrelatedMultiJittered",
         "dart-throwing": "mcspectra.samplers.candidates:DartThrowing",
@@ -40,6 +41,7 @@ SAMPLERS = Registry(
         "kronecker": "mcspectra.samplers.kronecker:Kronecker",
         "larcher-pillichshammer": "mcspectra.samplers.digital:LarcherPillichshammer",
         "latin-hypercube": "mcspectra.samplers.orthogonal:LatinHypercube",
+        "lloyd": "mcspectra.samplers.voronoi:Lloyd",
         "mitsuba": "mcspectra.rendering.point_sampler:MitsubaSampler",
         "multi-jittered": "mcspectra.samplers.multijitter:MultiJittered",
         "n-rooks": "mcspectra.samplers.orthogonal:NRooks",
