@@ -71,6 +71,8 @@ ROWS = (
     Row("best-candidate", ANY),
     Row("farthest-point(sets=3, sweeps=5)", {2: 16}),
     Row("projective-blue-noise", {1: 16, 2: 16, 3: 16, 6: 8}),
+    Row("lloyd(iterations=5)", {2: 16}),
+    Row("bnot(iterations=5)", {2: 16}),
     Row("void-and-cluster", {2: 16}),
     Row("pmj", {2: 16}),
     Row("pmj02", {2: 16}),
@@ -87,5 +89,9 @@ ROWS = (
     Row("qmcpy", ANY),
     Row("qmcpy(generator='Lattice')", ANY),
     Row("qmcpy(generator='Halton')", {2: 15}),
+    Row("step-blue-noise(iterations=3)", {2: 16}),
+    Row("target-spectrum(iterations=3)", {2: 16}),
+    Row("target-pcf(iterations=3)", {2: 16}),
+    Row("sliced-optimal-transport(iterations=2)", {2: 16, 3: 16, 10: 16}, unbiased=False),
     Row("points(path='{path}')", ANY, unbiased=False),
 )

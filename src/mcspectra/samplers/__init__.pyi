@@ -57,6 +57,10 @@ from .scrambles import Permute as Permute
 from .selection import Shuffle as Shuffle
 from .selection import Skip as Skip
 from .selection import Subset as Subset
+from .sliced import SlicedOptimalTransport as SlicedOptimalTransport
+from .spectral_targets import StepBlueNoise as StepBlueNoise
+from .spectral_targets import TargetPcf as TargetPcf
+from .spectral_targets import TargetSpectrum as TargetSpectrum
 from .stratified import Jittered as Jittered
 from .stratified import Random as Random
 from .stratified import Regular as Regular
@@ -120,11 +124,15 @@ __all__ = [
     "Shift",
     "Shuffle",
     "Skip",
+    "SlicedOptimalTransport",
     "Sobol",
     "StealthyHyperuniform",
+    "StepBlueNoise",
     "StrataShift",
     "Structure",
     "Subset",
+    "TargetPcf",
+    "TargetSpectrum",
     "UniformJitter",
     "VanDerCorput",
     "VoidAndCluster",
