@@ -72,16 +72,15 @@ class Niederreiter(Sampler):
     -----
     Coordinate j has the j-th irreducible polynomial p over the field of two elements (x, x + 1,
     x² + x + 1, … of degrees e_j), and row q·e_j + u of its matrix holds the coefficients of
-    x^-1, x^-2, … in x^u / p^(q+1), u < e_j: the order of [BratleyFoxNiederreiter1992]_. The
-    sequence has t = Σ (e_j − 1). Single axes of degree e are balanced at n = 2^k for k divisible
-    by e only; scrambling does not change that.
+    x^-1, x^-2, … in x^u / p^(q+1), u < e_j, in the order of Bratley, Fox and Niederreiter. The
+    sequence has t = Σ (e_j − 1). A single axis of degree e > 1 is sure to be balanced at n = 2^k
+    for k divisible by e only; scrambling does not change that.
 
     References
     ----------
-    .. [BratleyFoxNiederreiter1992] "Implementation and tests of low-discrepancy sequences",
-       doi 10.1145/146382.146385.
-    .. [Niederreiter1988] "Low-discrepancy and low-dispersion sequences",
-       doi 10.1016/0022-314X(88)90025-X.
+    Niederreiter (1988), "Low-discrepancy and low-dispersion sequences",
+    doi 10.1016/0022-314X(88)90025-X; Bratley, Fox, Niederreiter (1992), "Implementation and tests
+    of low-discrepancy sequences", doi 10.1145/146382.146385.
     """
 
     name: ClassVar[str] = "niederreiter"
@@ -111,15 +110,14 @@ class Niederreiter(Sampler):
 class LarcherPillichshammer(Sampler):
     """Larcher and Pillichshammer's (0, m, 2)-net of n = 2^m points, the same every time (2-D).
 
-    The first coordinate is i/n; the matrix of the second is the upper triangle of ones. Its star
-    discrepancy is about the least of all digital (0, m, 2)-nets. Randomise with owen or
-    digital-shift.
+    The first coordinate is i/n; the matrix of the second is the upper triangle of ones, which
+    makes the star discrepancy less than that of hammersley. Randomise with owen or digital-shift.
 
     References
     ----------
-    Larcher, Pillichshammer (2003), "Sums of distances to the nearest integer and the discrepancy
-    of digital nets", doi 10.4064/aa106-4-4; Kollig, Keller (2002), "Efficient multidimensional
-    sampling", doi 10.1111/1467-8659.00706.
+    Larcher, Pillichshammer (2001), "Walsh series analysis of the L2-discrepancy of symmetrisized
+    point sets", Monatshefte für Mathematik 132, 1–18; Kollig, Keller (2002), "Efficient
+    multidimensional sampling", doi 10.1111/1467-8659.00706.
     """
 
     name: ClassVar[str] = "larcher-pillichshammer"

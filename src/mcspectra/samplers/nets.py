@@ -26,6 +26,10 @@ from mcspectra.samplers.base import MAX_COUNT, Sampler, Structure, check_dims
 __all__ = ["DigitalNet", "Faure", "elementary_intervals", "net_t_value", "t_value"]
 
 _LARGEST_BASE = 2**13
+_NO_MATRICES = (
+    "matrices is not a list of matrices; give each as a list of rows of digits "
+    "or of whole numbers, its columns."
+)
 _MOST_WORK = 2**34  # points times shapes of intervals of one volume: about a minute
 
 
@@ -103,7 +107,6 @@ class DigitalNet(Sampler):
     def _net(self) -> tuple[int, Array]:
         if isinstance(self.matrices, str):
             return _net_of_file(self.matrices)
-        assert isinstance(self.matrices, tuple)
         return self.base, _columns_of_lists(self.matrices, self.base, self.digits)
 
     def _columns(self) -> Array:
@@ -343,19 +346,18 @@ def _as_tuples(matrices: object) -> Any:
         matrices = matrices.tolist()
     if isinstance(matrices, Sequence) and not isinstance(matrices, str | bytes):
         return tuple(_as_tuples(part) for part in matrices)
-    return matrices
+    if isinstance(matrices, int | float | np.number):
+        return matrices
+    raise ParameterError(_NO_MATRICES)
 
 
 @lru_cache(maxsize=16)
 def _columns_of_lists(matrices: Any, base: int, digits: int | None) -> Array:
     """Columns of matrices given as lists: int64 (d, columns, rows)."""
-    rows_or_columns = [m for m in matrices if isinstance(m, tuple) and m]
-    if not matrices or len(rows_or_columns) != len(matrices):
-        raise ParameterError(
-            "matrices is not a list of matrices; give each as a list of rows of digits "
-            "or of whole numbers, its columns."
-        )
-    read = [_matrix(j, m, base, digits) for j, m in enumerate(rows_or_columns)]
+    listed = isinstance(matrices, tuple) and all(isinstance(m, tuple) and m for m in matrices)
+    if not (listed and matrices):
+        raise ParameterError(_NO_MATRICES)
+    read = [_matrix(j, m, base, digits) for j, m in enumerate(matrices)]
     if len({c.shape for c in read}) > 1:
         shapes = ", ".join(f"{c.shape[1]}x{c.shape[0]}" for c in read)
         raise ParameterError(f"matrices have shapes {shapes}; give all the same shape.")

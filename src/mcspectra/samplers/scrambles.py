@@ -120,8 +120,8 @@ class Owen(Randomization):
     ----------
     method
         ``"nested"``: all permutations independent, up to a 64-bit hash of the digits above.
-        ``"hash"``: in base 2 only, some ten times as fast: all bits by a few multiplications in
-        which lower bits of the reversed word change higher ones only [Burley2020]_. Points are
+        ``"hash"``: in base 2 only, some six times as fast: all bits by a few multiplications in
+        which lower bits of the reversed word change higher ones only. Points are
         exactly uniform and nets stay nets; the flips of two points below their first different
         digit are independent but for what so short a hash leaves.
     base
@@ -134,13 +134,11 @@ class Owen(Randomization):
 
     References
     ----------
-    .. [Owen1995] "Randomly permuted (t, m, s)-nets and (t, s)-sequences",
-       doi 10.1007/978-1-4612-2552-2_19.
-    .. [Owen1997] "Scrambled net variance for integrals of smooth functions",
-       doi 10.1214/aos/1031594731.
-    .. [Burley2020] "Practical hash-based Owen scrambling", Journal of Computer Graphics Techniques
-       9(4), 1–20.
-    .. [Vegdahl2021] "Building a better LK hash", psychopath.io.
+    Owen (1995), "Randomly permuted (t, m, s)-nets and (t, s)-sequences",
+    doi 10.1007/978-1-4612-2552-2_19; Owen (1997), "Scrambled net variance for integrals of smooth
+    functions", doi 10.1214/aos/1031594731; Burley (2020), "Practical hash-based Owen scrambling",
+    Journal of Computer Graphics Techniques 9(4), 1–20; Vegdahl (2021), "Building a better LK hash",
+    psychopath.io.
     """
 
     name: ClassVar[str] = "owen"
@@ -202,8 +200,8 @@ class Lms(Randomization):
     """Random linear matrix scrambling: each generator matrix times a random lower triangular one.
 
     The digits of each coordinate are multiplied by a random lower triangular matrix, its diagonal
-    not zero, modulo the base, a prime: nets stay nets. Random bits of digital nets' variance are
-    those of owen for pairs of points, at less cost.
+    not zero, modulo the base, a prime: nets stay nets. Pairs of points of a net are moved as by
+    owen, so that variances are the same, at less cost; sets are fewer and more regular.
 
     Attributes
     ----------

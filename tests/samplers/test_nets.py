@@ -1,0 +1,249 @@
+"""Digital nets in any base: against slow references and theory; the quality t by two ways."""
+
+from __future__ import annotations
+
+from itertools import product
+from math import comb
+
+import numpy as np
+import pytest
+
+from mcspectra.core.errors import (
+    CountError,
+    DomainError,
+    FileFormatError,
+    NotPowerOfTwoWarning,
+    ParameterError,
+)
+from mcspectra.samplers import DigitalNet, Faure, Random, Sobol, sampler
+from mcspectra.samplers.nets import elementary_intervals, net_t_value, t_value
+
+
+def slow_net(matrices, base, n):
+    """Points from matrices (d, rows, columns), one digit at a time, in whole numbers."""
+    points = []
+    for i in range(n):
+        index = [i // base**k % base for k in range(len(matrices[0][0]))]
+        digits = [[np.dot(row, index) % base for row in matrix] for matrix in matrices]
+        points.append(
+            [sum(int(y) * base ** (len(d) - 1 - r) for r, y in enumerate(d)) for d in digits]
+        )
+    return np.array(points) / float(base ** len(matrices[0]))
+
+
+def slow_t(points, base):
+    """The quality t straight from its definition."""
+    n, dims = points.shape
+    m = round(np.log(n) / np.log(base))
+    for t in range(m + 1):
+        shapes = [k for k in product(range(m - t + 1), repeat=dims) if sum(k) == m - t]
+        sides = np.array([[base**part for part in k] for k in shapes])
+        boxes = [np.unique(np.floor(points * side), axis=0, return_counts=True) for side in sides]
+        if all(len(b) == base ** (m - t) and (c == base**t).all() for b, c in boxes):
+            return t
+    raise AssertionError
+
+
+def random_matrices(base, dims, size, seed):
+    return np.random.default_rng(seed).integers(0, base, (dims, size, size))
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(("base", "dims", "size"), [(2, 2, 5), (2, 4, 4), (3, 3, 3), (5, 2, 2)])
+def test_points_and_quality_of_random_matrices(base, dims, size, seed):
+    """Matrices of random digits: all t occur. Points by hand, t by definition, count and rank."""
+    matrices = random_matrices(base, dims, size, seed)
+    points = DigitalNet(matrices=matrices, base=base).draw(base**size)[0]
+    np.testing.assert_array_equal(points, slow_net(matrices, base, base**size))
+    # Multiples of 1/b^m are floats just below or at what they are: test their middles
+    t = slow_t(points + 0.5 / base**size, base)
+    assert net_t_value(points, base) == t
+    assert t_value(matrices, base) == t
+    assert [elementary_intervals(points, base, q) for q in range(size + 1)] == [
+        q >= t for q in range(size + 1)
+    ]
+
+
+def test_quality_of_other_sets():
+    assert net_t_value(np.array([[0.3, 0.9]])) == 0
+    assert net_t_value(np.array([[0.1, 0.1], [0.2, 0.2]])) == 1
+    assert net_t_value(Random(dims=2).draw(12, rng=1)[0]) is None
+    assert net_t_value(np.full((64, 2), 0.3)) == 6
+    grid = sampler("regular", 2).draw(64)[0]
+    assert net_t_value(grid) == 3  # 8 points in each column of width 1/8, none between
+
+
+@pytest.mark.parametrize("dims", [1, 2, 3, 4, 5, 7])
+def test_faure_sequences_have_quality_0(dims):
+    faure = Faure(dims=dims)
+    base = faure.digit_bases[0]
+    for m in range(1, 5):
+        assert net_t_value(faure.draw(base**m)[0], base) == 0
+        assert t_value(faure.generator_matrices(m), base) == 0
+
+
+@pytest.mark.parametrize(("dims", "base"), [(3, 7), (2, 31), (6, 7)])
+def test_faure_in_a_given_base(dims, base):
+    assert net_t_value(Faure(dims=dims, base=base).draw(base**2)[0], base) == 0
+
+
+@pytest.mark.parametrize(("dims", "base", "digits"), [(3, 3, 4), (4, 5, 3)])
+def test_faure_by_hand(dims, base, digits):
+    pascal = [
+        [
+            [comb(c, r) * j ** (c - r) % base if c >= r else 0 for c in range(digits)]
+            for r in range(digits)
+        ]
+        for j in range(dims)
+    ]
+    np.testing.assert_array_equal(Faure(dims=dims).generator_matrices(digits), pascal)
+    n = base**digits
+    np.testing.assert_allclose(
+        Faure(dims=dims).draw(n)[0], slow_net(pascal, base, n), rtol=0, atol=2.0**-53
+    )
+
+
+@pytest.mark.filterwarnings("ignore::mcspectra.core.errors.NotPowerOfTwoWarning")
+def test_faure_is_a_sequence():
+    """Fewer points are the first of more, to the last bit, however many digits are kept."""
+    many = Faure(dims=10).draw(11**3 + 5)[0]
+    for n in (1, 2, 11, 12, 121, 1000):
+        np.testing.assert_array_equal(Faure(dims=10).draw(n)[0], many[:n])
+    assert len(np.unique(many, axis=0)) == len(many)
+
+
+def test_faure_in_many_dims():
+    points = Faure(dims=1000).draw(1009)[0]
+    strata = np.sort(np.floor(points * 1009 + 1e-6), axis=0)
+    np.testing.assert_array_equal(strata, np.broadcast_to(np.arange(1009)[:, None], strata.shape))
+
+
+def test_faure_warns_of_unbalanced_counts():
+    with pytest.warns(NotPowerOfTwoWarning, match="10 faure points are not balanced; 9 and 27"):
+        Faure(dims=3).draw(10)
+
+
+@pytest.mark.parametrize("base", [1, 2, 4, 9, 8193, 2.5, "x", True, float("nan")])
+def test_bad_bases_of_faure(base):
+    with pytest.raises(ParameterError, match="base is"):
+        Faure(dims=3, base=base)
+
+
+def test_rows_and_columns_say_the_same():
+    rows = [[[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[1, 1, 1], [0, 1, 0], [0, 0, 1]]]
+    columns = [[4, 2, 1], [4, 6, 5]]
+    by_rows, by_columns = DigitalNet(matrices=rows), DigitalNet(matrices=columns)
+    np.testing.assert_array_equal(by_rows.draw(8), by_columns.draw(8))
+    np.testing.assert_array_equal(by_columns.generator_matrices(), rows)
+    assert by_columns.dims == 2
+    more = DigitalNet(matrices=[[16, 8, 4], [16, 24, 20]], digits=5)
+    np.testing.assert_array_equal(more.draw(8), by_rows.draw(8))
+
+
+def test_sobol_by_its_matrices():
+    columns = (Sobol(dims=3).direction_numbers(1)[:, :10] >> np.uint32(22)).tolist()
+    np.testing.assert_array_equal(DigitalNet(matrices=columns).draw(1024), Sobol(dims=3).draw(1024))
+    assert t_value(DigitalNet(matrices=columns).generator_matrices()) == 1
+
+
+def test_fewer_dims_and_points_than_there_are():
+    columns = [[4, 2, 1], [4, 6, 5], [1, 2, 4]]
+    net, whole = sampler(f"digital-net(matrices={columns})", 2), DigitalNet(matrices=columns)
+    np.testing.assert_array_equal(net.draw(4)[0], whole.draw(8)[0, :4, :2])
+    assert whole.max_count == 8
+    with pytest.raises(CountError, match="makes 8 points at most, not 9"):
+        whole.draw(9)
+    with pytest.warns(NotPowerOfTwoWarning, match="5 digital-net points are not balanced"):
+        whole.draw(5)
+
+
+def test_files_of_matrices(tmp_path):
+    path = tmp_path / "net.txt"
+    path.write_text(
+        "# dnet\n3  # base\n2  # dims\n9  # points\n3  # digits\n# columns\n9 3\n9 12\n", "utf-8"
+    )
+    net = sampler(f"digital-net(matrices={path.as_posix()!r}) | owen")
+    assert net.digit_bases == (3, 3)
+    assert all(elementary_intervals(set_, 3) for set_ in net.draw(9, realizations=20, rng=1))
+    assert sampler(net.spec) == net
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "2\n2\n4\n",
+        "2\n2\n4\n2\n2 1\n",
+        "2\n1\n4\n2\n2 x\n",
+        "2\n1\n4\n2\n2 4\n",
+        "1\n1\n1\n1\n0",
+    ],
+)
+def test_bad_files(tmp_path, text):
+    path = tmp_path / "net.txt"
+    path.write_text(text, "utf-8")
+    with pytest.raises(FileFormatError, match="is not a file of generator matrices"):
+        DigitalNet(matrices=str(path))
+
+
+def test_missing_and_binary_files(tmp_path):
+    with pytest.raises(FileFormatError, match="cannot be read"):
+        DigitalNet(matrices=str(tmp_path / "none.txt"))
+    (tmp_path / "net.bin").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(FileFormatError, match="cannot be read"):
+        DigitalNet(matrices=str(tmp_path / "net.bin"))
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"matrices": []}, "not a list of matrices"),
+        ({"matrices": None}, "not a list of matrices"),
+        ({"matrices": 3}, "not a list of matrices"),
+        ({"matrices": {}}, "not a list of matrices"),
+        ({"matrices": [[{}]]}, "not a list of matrices"),
+        ({"matrices": [["x"]]}, "not a list of matrices"),
+        ({"matrices": [1, 2]}, "not a list of matrices"),
+        ({"matrices": [[]]}, "not a list of matrices"),
+        ({"matrices": [[2, 4]]}, r"matrices\[0\] is 4"),
+        ({"matrices": [[2, -1]]}, r"matrices\[0\] is -1"),
+        ({"matrices": [[2, float("nan")]]}, r"matrices\[0\] is nan"),
+        ({"matrices": [[[1, 2], [0, 1]]]}, r"matrices\[0\] is 2"),
+        ({"matrices": [[[1, 0], [1]]]}, "rows of different lengths"),
+        ({"matrices": [[2, 1], [1]]}, "have shapes 2x2, 1x1"),
+        ({"matrices": [[2, [1]]]}, r"matrices\[0\] is \(1,\)"),
+        ({"matrices": [[1]], "base": 1}, "base is 1"),
+        ({"matrices": [[1]], "digits": 0}, "digits is 0"),
+        ({"matrices": [[1]], "digits": 40, "base": 3}, r"3\^rows must be at most 2\^53"),
+        ({"matrices": [[1]], "dims": 2}, "2 dims are needed, but there are 1 matrices"),
+    ],
+)
+def test_bad_matrices(parameters, message):
+    with pytest.raises(ParameterError, match=message):
+        DigitalNet(**parameters)
+
+
+@pytest.mark.parametrize("points", [[[0.5, 1.0]], [[float("nan"), 0.5]], [], [["x", "y"]]])
+def test_quality_of_what_are_no_points(points):
+    with pytest.raises(DomainError):
+        net_t_value(points)
+
+
+def test_quality_of_wrong_shapes_and_bases():
+    with pytest.raises(ParameterError, match="give one set"):
+        net_t_value(np.zeros((2, 4, 2)))
+    with pytest.raises(ParameterError, match="base is 1"):
+        net_t_value(np.zeros((4, 2)), 1)
+    with pytest.raises(CountError, match="12 points are not a power of the base 2"):
+        elementary_intervals(np.zeros((12, 2)))
+    with pytest.raises(ParameterError, match="t is 3"):
+        elementary_intervals(np.zeros((4, 2)), t=3)
+    with pytest.raises(ParameterError, match="base is 4; give a prime"):
+        t_value(np.zeros((1, 2, 2), int), 4)
+    with pytest.raises(ParameterError, match=r"matrices have shape \(2, 2\)"):
+        t_value(np.zeros((2, 2), int))
+
+
+def test_quality_that_would_take_hours_is_refused_at_once():
+    with pytest.raises(ParameterError, match="shapes of elementary intervals"):
+        elementary_intervals(np.zeros((2**12, 100)))
