@@ -93,5 +93,8 @@ ROWS = (
     Row("target-spectrum(iterations=3)", {2: 16}),
     Row("target-pcf(iterations=3)", {2: 16}),
     Row("sliced-optimal-transport(iterations=2)", {2: 16, 3: 16, 10: 16}, unbiased=False),
+    Row("mitsuba", {1: 16, 2: 12, 3: 16, 10: 16}),
+    Row("mitsuba(sampler='ldsampler')", {2: 16}),
+    Row("qmcpy", ANY),
     Row("points(path='{path}')", ANY, unbiased=False),
 )

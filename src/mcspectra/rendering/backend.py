@@ -27,7 +27,15 @@ from typing import Any
 
 from mcspectra.core.errors import MissingDependency
 
-__all__ = ["LOCK", "VARIANT", "Verdict", "describe", "find_library", "load_mitsuba"]
+__all__ = [
+    "LOCK",
+    "VARIANT",
+    "Verdict",
+    "describe",
+    "find_library",
+    "import_mitsuba",
+    "load_mitsuba",
+]
 
 VARIANT = "llvm_ad_rgb"
 """The vectorised CPU variant, float32 and RGB."""
@@ -146,6 +154,27 @@ def describe() -> dict[str, Any]:
     return found | {"library": best.library, "variant": VARIANT}
 
 
+def import_mitsuba() -> Any:
+    """Return the module `mitsuba` with the library that `load_mitsuba` will need, no variant set.
+
+    Dr.Jit looks for libLLVM when it is imported, whatever for: a program that imports it in any
+    other way first may get one that ends the process later.
+
+    Raises
+    ------
+    MissingDependency
+        Mitsuba is not installed. A missing libLLVM is none for this function.
+    """
+    with LOCK:
+        if importlib.util.find_spec("mitsuba") is None:
+            raise MissingDependency(_no_mitsuba())
+        if "mitsuba" not in sys.modules:
+            best, _ = find_library()
+            if best is not None:
+                os.environ[_LIBRARY_VARIABLE] = best.library
+        return _imported()
+
+
 def _start() -> Any:
     if importlib.util.find_spec("mitsuba") is None:
         raise MissingDependency(_no_mitsuba())
@@ -154,11 +183,16 @@ def _start() -> Any:
         if best is None:
             raise MissingDependency(_no_library(refused))
         os.environ[_LIBRARY_VARIABLE] = best.library
+    mitsuba = _imported()
+    mitsuba.set_variant(VARIANT)
+    return mitsuba
+
+
+def _imported() -> Any:
     try:
         import mitsuba
     except ImportError as error:
         raise MissingDependency(f"Mitsuba is installed but cannot be imported: {error}.") from error
-    mitsuba.set_variant(VARIANT)
     return mitsuba
 
 

@@ -192,6 +192,13 @@ class Sampler(Component, ABC):
 
         return ScipySampler.from_engine(engine, **arguments)
 
+    @staticmethod
+    def from_qmcpy(generator: object, **arguments: object) -> Sampler:
+        """Make a sampler of a QMCPy generator: an instance, its class with arguments, or a name."""
+        from mcspectra.samplers.qmcpy_ import QmcpySampler
+
+        return QmcpySampler.from_generator(generator, **arguments)
+
 
 class Randomization(Component, ABC):
     """A change to the points of a sampler, with randomness of its own."""

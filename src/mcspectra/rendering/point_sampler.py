@@ -1,0 +1,168 @@
+"""Mitsuba's own samplers as point sets.
+
+They run in the variant ``scalar_rgb`` without setting it: the variant of the process, on which
+pixels depend, stays what it is. The module is here and not among the samplers because it needs
+`backend`, which sees to it that importing Mitsuba leaves rendering possible.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_choice
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.registry import DEFAULT_DIMS
+from mcspectra.core.streams import Stream
+from mcspectra.rendering.backend import LOCK, import_mitsuba
+from mcspectra.samplers.base import Sampler, check_dims
+
+__all__ = ["MitsubaSampler"]
+
+_SEEDS = 2**32
+_LARGEST_SAMPLE = 1.0 - 2.0**-24  # the largest float32 below 1
+
+Counts = Callable[[int], tuple[int | None, int]]
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class MitsubaSampler(Sampler):
+    """One of Mitsuba 3's samplers, drawn dimension by dimension as an integrator does.
+
+    1 to 1024 dims: pairs of them are drawn by ``next_2d``, the last one of an odd number by
+    ``next_1d``. Counts are those that Mitsuba does not round: any for ``independent``, s² for
+    ``stratified``, s², s(s + 1) and s(s + 2) for ``multijitter``, squares of primes for
+    ``orthogonal``, powers of 4 from 4 for ``ldsampler``; 2^20 at most.
+
+    Attributes
+    ----------
+    sampler
+        ``"independent"``, ``"stratified"``, ``"multijitter"`` (Kensler 2013), ``"orthogonal"``
+        (Jarosz et al. 2019) or ``"ldsampler"`` ((0,2)-sequence, Kollig & Keller 2002).
+    jitter
+        Whether points lie anywhere in their strata, or in the middle; for the three that have
+        strata.
+
+    Notes
+    -----
+    Points are float32 numbers; a coordinate that Mitsuba rounded up to 1 becomes the largest
+    float32 below 1. Its seeds have 32 bits: realisations 2^32 apart are the same. Every point is a
+    call into Mitsuba: some hundred thousand points a second.
+
+    References
+    ----------
+    Jakob et al. (2022), "Mitsuba 3 renderer", https://mitsuba-renderer.org. Kensler (2013),
+    "Correlated multi-jittered sampling", Pixar technical memo 13-01. Jarosz et al. (2019),
+    "Orthogonal array sampling for Monte Carlo rendering", doi 10.1111/cgf.13777. Kollig, Keller
+    (2002), "Efficient multidimensional sampling", doi 10.1111/1467-8659.00706.
+    """
+
+    name: ClassVar[str] = "mitsuba"
+    max_dims: ClassVar[int | None] = 1024
+    max_count: ClassVar[int] = 2**20
+    sampler: str = "multijitter"
+    jitter: bool = True
+    dims: int = DEFAULT_DIMS
+
+    def __post_init__(self) -> None:
+        check_dims(self)
+        as_choice("sampler", self.sampler, tuple(_COUNTS))
+        given: object = self.jitter
+        if not isinstance(given, bool) or not (given or self.sampler in _STRATA):
+            raise ParameterError(
+                f"jitter is {given!r}; it is True or, with {', '.join(_STRATA)}, False."
+            )
+
+    @property
+    def unbiased(self) -> bool:  # type: ignore[override]
+        """Whether points are jittered or scrambled."""
+        return self.jitter
+
+    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        start = int(stream.keys(0, 1)[0, 0])
+        source = self._source(n)
+        out = np.empty((count, n, self.dims))
+        for r in range(count):
+            source.seed((start + first + r) % _SEEDS)
+            _draw(source, out[r])
+        return np.minimum(out, _LARGEST_SAMPLE, out=out)
+
+    def _source(self, n: int) -> Any:
+        options = {} if self.jitter else {"jitter": False}
+        with LOCK:
+            parser, config = _parser()
+            state = parser.parse_dict(config, {"type": self.sampler, "sample_count": n, **options})
+            return parser.instantiate(config, state)
+
+    def _counts_near(self, n: int) -> tuple[int | None, int]:
+        return _COUNTS[self.sampler](n)
+
+
+@functools.cache
+def _parser() -> tuple[Any, Any]:
+    """Mitsuba's parser, and what makes it build objects of the scalar variant."""
+    parser = import_mitsuba().parser
+    importlib.import_module("mitsuba.scalar_rgb")  # registers the classes of its objects
+    return parser, parser.ParserConfig("scalar_rgb")
+
+
+def _draw(source: Any, points: Array) -> None:
+    pairs, odd = divmod(points.shape[1], 2)
+    for point in points:
+        for k in range(pairs):
+            point[2 * k : 2 * k + 2] = source.next_2d()
+        if odd:
+            point[-1] = source.next_1d()
+        source.advance()
+
+
+def _any(n: int) -> tuple[int | None, int]:
+    return n, n
+
+
+def _squares(n: int) -> tuple[int | None, int]:
+    s = math.isqrt(n)
+    return s * s, n if s * s == n else (s + 1) ** 2
+
+
+def _nearly_squares(n: int) -> tuple[int | None, int]:
+    s = math.isqrt(n)
+    counts = (s * s, s * (s + 1), s * (s + 2), (s + 1) ** 2)
+    return max(c for c in counts if c <= n), min(c for c in counts if c >= n)
+
+
+def _prime_squares(n: int) -> tuple[int | None, int]:
+    below = math.isqrt(n)
+    above = below if below * below == n else below + 1
+    while below > 1 and not _is_prime(below):
+        below -= 1
+    while not _is_prime(above):
+        above += 1
+    return (below * below if below > 1 else None), above * above
+
+
+def _powers_of_4(n: int) -> tuple[int | None, int]:
+    below = 4 ** ((n.bit_length() - 1) // 2)
+    above = max(4, below if below == n else 4 * below)
+    return (below if below > 1 else None), above
+
+
+def _is_prime(n: int) -> bool:
+    return n > 1 and all(n % k for k in range(2, math.isqrt(n) + 1))
+
+
+_STRATA = ("stratified", "multijitter", "orthogonal")
+_COUNTS: dict[str, Counts] = {
+    "independent": _any,
+    "stratified": _squares,
+    "multijitter": _nearly_squares,
+    "orthogonal": _prime_squares,
+    "ldsampler": _powers_of_4,
+}
