@@ -52,8 +52,8 @@ def test_what_is_written_is_read_back_to_the_bit(tmp_path, extension, count, n, 
     assert len(read_points(str(path))) == count
 
 
-@pytest.mark.parametrize("extension", [".dat", ".csv"])
-def test_text_formats_keep_sets_of_different_sizes(tmp_path, extension):
+@pytest.mark.parametrize("extension", [".dat", ".csv", ".parquet"])
+def test_text_and_tables_keep_sets_of_different_sizes(tmp_path, extension):
     sets = [np.full((n, 2), 0.1 * n) for n in (1, 3, 2)]
     write_points(tmp_path / f"p{extension}", sets)
     found = read_points(tmp_path / f"p{extension}")
@@ -187,7 +187,11 @@ BAD_FILES = [
     ("p.npz", npz_of(HUGE), "announces 'points' of shape"),
     ("p.npz", npz_of(PICKLED, b"cos\nsystem\n" * 8), "allow_pickle"),
     ("p.npz", npz_of("{'descr': 'no type'}"), "not a sound .npz"),
-    ("p.xyz", "0.1 0.2\n", "extension '.xyz'; point sets are .dat, .bin, .npz, .csv files"),
+    (
+        "p.xyz",
+        "0.1 0.2\n",
+        "extension '.xyz'; point sets are .dat, .bin, .npz, .csv, .parquet files",
+    ),
     ("points", "0.1 0.2\n", "no extension"),
 ]
 

@@ -1,14 +1,16 @@
-"""Point-set files: UTK text and binary, npz, csv, each a list of sets of points.
+"""Point-set files: UTK text and binary, npz, csv, parquet, each a list of sets of points.
 
-=========  ==========================================================================
-``.dat``   UTK text: a point a line, coordinates between blanks; a line that begins
-           with ``#`` starts the next set (at the top of the file it is a comment)
-``.bin``   UTK binary: five 32-bit words (magic 0x214B5455 = "UTK!", type code, number
-           of sets, of points in a set, of dims), then all coordinates in order
-``.npz``   array ``points`` of shape (n, d) or (R, n, d), text ``meta`` (JSON)
-``.csv``   commas or semicolons, optional line of names; sets in a column ``set``, else
-           between blank lines
-=========  ==========================================================================
+============  ====================================================================================
+``.dat``      UTK text: a point a line, coordinates between blanks; a line that begins
+              with ``#`` starts the next set (at the top of the file it is a comment)
+``.bin``      UTK binary: five 32-bit words (magic 0x214B5455 = "UTK!", type code, number
+              of sets, of points in a set, of dims), then all coordinates in order
+``.npz``      array ``points`` of shape (n, d) or (R, n, d), text ``meta`` (JSON)
+``.csv``      commas or semicolons, optional line of names; sets in a column ``set``, else
+              between blank lines
+``.parquet``  columns of numbers, one for each axis; sets in a column ``set``; written
+              with ``x0``, ``x1``, …; needs pyarrow
+============  ====================================================================================
 
 UTK is the Uni{corn|form} toolkit, https://github.com/utk-team/utk, whose
 ``include/utk/utils/PointsetIO.hpp`` defines its formats: the type codes are 0 int32, 1 int64,
@@ -28,13 +30,14 @@ from typing import Any
 import numpy as np
 
 from mcspectra.core._pointbytes import format_bin, format_npz, read_bin, read_npz
+from mcspectra.core._pointparquet import format_parquet, read_parquet
 from mcspectra.core._pointtext import format_csv, format_dat, parse_dat, read_csv, read_dat
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import FileFormatError
 
 __all__ = ["EXTENSIONS", "format_dat", "parse_dat", "read_points", "write_points"]
 
-EXTENSIONS = (".dat", ".bin", ".npz", ".csv")
+EXTENSIONS = (".dat", ".bin", ".npz", ".csv", ".parquet")
 """The file name extensions that `read_points` and `write_points` know."""
 
 
@@ -72,8 +75,8 @@ def write_points(
     sets
         One array (n, d) for each set; ``.bin`` and ``.npz`` need sets of equal shape.
     meta
-        What to say about the points, as JSON: kept by ``.npz`` and, as a comment, by ``.dat``;
-        the other formats have no place for it.
+        What to say about the points, as JSON: kept by ``.npz``, ``.parquet`` and, as a comment, by
+        ``.dat``; the other formats have no place for it.
 
     Raises
     ------
@@ -123,6 +126,8 @@ def _encoded(extension: str, sets: list[Array], meta: Mapping[str, Any] | None, 
         return format_dat(sets, meta).encode()
     if extension == ".csv":
         return format_csv(sets, name).encode()
+    if extension == ".parquet":
+        return format_parquet(sets, meta or {}, name)
     return format_npz(sets, meta or {}, name) if extension == ".npz" else format_bin(sets, name)
 
 
@@ -131,4 +136,5 @@ _READERS: dict[str, Callable[[Path], list[Array]]] = {
     ".bin": read_bin,
     ".npz": read_npz,
     ".csv": read_csv,
+    ".parquet": read_parquet,
 }

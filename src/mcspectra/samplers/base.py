@@ -171,7 +171,7 @@ class Sampler(Component, ABC):
 
     @staticmethod
     def from_files(*paths: str | PathLike[str]) -> Sampler:
-        """Make a sampler of point files (.dat, .bin, .npz, .csv), their sets in order."""
+        """Make a sampler of point files (.dat, .bin, .npz, .csv, .parquet), their sets in order."""
         from mcspectra.samplers.external import GivenPoints
 
         return GivenPoints.from_files(*paths)

@@ -28,7 +28,7 @@ Draw: TypeAlias = Callable[[int, np.random.Generator], object]
 @final
 @dataclass(frozen=True, kw_only=True)
 class GivenPoints(Sampler):
-    """Given points: realisation r is set r of an array or of .dat, .bin, .npz, .csv files.
+    """Given points: realisation r is set r of an array or of point-set files.
 
     More realisations than sets, or another n, are errors. Followed by a randomisation that makes
     every point uniform (shift, digital-shift, owen) the sets are used again and again, each time
@@ -37,7 +37,8 @@ class GivenPoints(Sampler):
     Attributes
     ----------
     path
-        File or files that hold the sets, in order; beside `points`, only their name.
+        File or files (.dat, .bin, .npz, .csv, .parquet) that hold the sets, in order; beside
+        `points`, only their name.
     points
         The sets, shape (R, n, d) or (n, d), in [0,1). Copied, then read-only.
     cycle

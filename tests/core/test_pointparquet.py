@@ -1,0 +1,104 @@
+"""Parquet files of points: what others write is read, the rest is refused in one sentence."""
+
+import json
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from mcspectra.core.errors import FileFormatError, MissingDependency
+from mcspectra.core.pointfiles import read_points, write_points
+
+
+def save(path, **columns):
+    parquet.write_table(pa.table(columns), path)
+    return path
+
+
+def test_columns_and_meta_are_those_that_were_said(tmp_path):
+    sets = np.random.default_rng(0).random((2, 3, 2))
+    write_points(tmp_path / "p.parquet", sets, meta={"sampler": "random", "seed": 3})
+    table = parquet.read_table(tmp_path / "p.parquet")
+    assert table.column_names == ["set", "x0", "x1"]
+    assert table.column("set").to_pylist() == [0, 0, 0, 1, 1, 1]
+    np.testing.assert_array_equal(table.column("x1"), sets[..., 1].ravel())
+    assert json.loads(table.schema.metadata[b"mcspectra"]) == {"sampler": "random", "seed": 3}
+    write_points(tmp_path / "one.parquet", sets[:1])
+    assert parquet.read_table(tmp_path / "one.parquet").column_names == ["x0", "x1"]
+
+
+def test_tables_of_others_are_read(tmp_path):
+    path = save(
+        tmp_path / "p.parquet",
+        u=np.float32([0.5, 0.25, 0.75]),
+        Set=["b", "a", "b"],
+        v=[0, 0, 0],
+    )
+    assert [x.tolist() for x in read_points(path)] == [[[0.5, 0], [0.75, 0]], [[0.25, 0]]]
+
+
+def test_sets_come_in_the_order_of_their_first_rows(tmp_path):
+    path = save(tmp_path / "p.parquet", set=[10, 9, 10], x=[0.1, 0.2, 0.3])
+    assert [x.ravel().tolist() for x in read_points(path)] == [[0.1, 0.3], [0.2]]
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ({"x": ["a", "b"]}, "column 'x' holds string"),
+        ({"x": [True, False]}, "column 'x' holds bool"),
+        ({"x": [0.5, None]}, "column 'x', row 1 .* is empty or not finite"),
+        ({"x": [0.5, float("nan")]}, "row 1"),
+        ({"x": [[0.5], [0.2]]}, "column 'x' holds list"),
+        ({"x": [0.5, 0.2], "set": [1, None]}, "column 'set' is empty in a row"),
+        ({"set": [1, 2]}, "holds no points"),
+        ({"x": pa.array([], "float64")}, "holds no points"),
+    ],
+)
+def test_tables_that_are_no_points(tmp_path, columns, words):
+    with pytest.raises(FileFormatError, match=words):
+        read_points(save(tmp_path / "p.parquet", **columns))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.3, 0.6, 0.9, 0.999])
+def test_truncated_files_are_one_sentence(tmp_path, share):
+    path = tmp_path / "p.parquet"
+    write_points(path, [np.random.default_rng(0).random((500, 3))])
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(FileFormatError, match="is not a sound .parquet file") as caught:
+        read_points(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_damaged_bytes_never_escape_as_other_errors(tmp_path):
+    path = tmp_path / "p.parquet"
+    write_points(path, [np.random.default_rng(0).random((50, 2))])
+    sound = bytearray(path.read_bytes())
+    rng = np.random.default_rng(1)
+    sentences = []
+    for _ in range(150):
+        damaged = sound.copy()
+        for place in rng.integers(0, len(sound), 4):
+            damaged[place] = rng.integers(0, 256)
+        path.write_bytes(damaged)
+        try:
+            read_points(path)
+        except FileFormatError as error:
+            sentences.append(str(error))
+    assert len(sentences) > 10
+    assert not any("\n" in sentence for sentence in sentences)
+
+
+def test_sets_of_different_dims_need_several_files(tmp_path):
+    with pytest.raises(FileFormatError, match="same dims"):
+        write_points(tmp_path / "p.parquet", [np.ones((2, 2)), np.ones((2, 3))])
+
+
+def test_a_missing_package_is_one_sentence(tmp_path, monkeypatch):
+    path = save(tmp_path / "p.parquet", x=[0.5])
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    for call in (lambda: read_points(path), lambda: write_points(path, [np.ones((1, 1))])):
+        with pytest.raises(MissingDependency, match=r"pip install 'mcspectra\[parquet\]'"):
+            call()
