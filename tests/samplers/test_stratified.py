@@ -1,4 +1,4 @@
-"""Stratified sets: who sits in which stratum, exactly; what is random in it, by χ² and moments."""
+"""Grids: who sits in which cell, exactly; what is random in it, by χ² and moments."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from mcspectra.core.errors import CountError, ParameterError
-from mcspectra.core.streams import Stream, mix_bits
+from mcspectra.core.streams import mix_bits
 from mcspectra.samplers import (
     Jittered,
     LatinHypercube,
@@ -15,8 +15,10 @@ from mcspectra.samplers import (
     Random,
     Regular,
     UniformJitter,
+    sampler,
 )
-from mcspectra.samplers._kernels import _mix_below, fill_jittered
+from mcspectra.samplers._grid import cell_side
+from mcspectra.samplers._kernels import _mix_below
 
 LEVEL = 1 - (1 - 1e-6) ** (1 / 16)  # Šidák: 16 statistical tests in this file share 1e-6
 SIGMAS = stats.norm.isf(LEVEL / 2)
@@ -33,15 +35,68 @@ def assert_variance(estimates, expected):
 def cell_indices(points, sides):
     """Number of the cell of every point, row-major: (R, n)."""
     cells = np.floor(points * sides).astype(int)
-    return cells @ sides ** np.arange(points.shape[-1])[::-1]
+    return np.ravel_multi_index(np.moveaxis(cells, -1, 0), sides)
 
 
 @pytest.mark.parametrize("cls", [Jittered, UniformJitter, Regular])
-@pytest.mark.parametrize(("dims", "sides"), [(1, 7), (2, 5), (3, 4), (6, 2), (40, 1)])
-def test_one_point_in_each_cell_in_row_major_order(cls, dims, sides):
-    n = sides**dims
+@pytest.mark.parametrize(("dims", "s"), [(1, 7), (2, 5), (3, 4), (6, 2), (30, 1)])
+def test_one_point_in_each_cell_in_row_major_order(cls, dims, s):
+    n = s**dims
     points = cls(dims=dims).draw(n, realizations=50, rng=3)
-    np.testing.assert_array_equal(cell_indices(points, sides), np.tile(np.arange(n), (50, 1)))
+    cells = cell_indices(points, (s,) * dims)
+    np.testing.assert_array_equal(cells, np.tile(np.arange(n), (50, 1)))
+
+
+@pytest.mark.parametrize("cls", [Jittered, UniformJitter, Regular])
+@pytest.mark.parametrize("sides", [(5,), (3, 7), (2, 1, 4), (1, 1)])
+def test_one_point_in_each_cell_of_given_sides(cls, sides):
+    source = cls(dims=len(sides), sides_=sides)
+    n = int(np.prod(sides))
+    cells = cell_indices(source.draw(n, realizations=50, rng=3), sides)
+    np.testing.assert_array_equal(cells, np.tile(np.arange(n), (50, 1)))
+    assert source.sides(n) == sides
+
+
+def test_given_sides_of_equal_length_make_the_same_points():
+    given = sampler("jittered(sides=[4, 4])").draw(16, realizations=3, rng=1)
+    np.testing.assert_array_equal(given, Jittered().draw(16, realizations=3, rng=1))
+
+
+@pytest.mark.parametrize("name", ["jittered", "uniform-jitter", "regular"])
+def test_given_sides_allow_their_product_only(name):
+    source = sampler(f"{name}(sides=[3, 5])")
+    assert source.spec == f"{name}(sides=[3, 5])"
+    assert [source.nearest_count(n) for n in (1, 15, 999)] == [15, 15, 15]
+    for n in (1, 14, 16):
+        with pytest.raises(CountError, match=r"nearest count is 15\.$") as caught:
+            source.draw(n)
+        assert caught.value.nearest == (15,)
+
+
+@pytest.mark.parametrize(
+    ("sides", "sentence"),
+    [
+        ("[3]", "give one for each of the 2 dims"),
+        ("[3, 0]", r"sides\[1\] is 0; give a whole number at least 1"),
+        ("[3, 2.5]", r"sides\[1\] is 2.5"),
+        ("[3, True]", r"sides\[1\] is True"),
+        ("'33'", "give a list of 2 whole numbers"),
+        ("4", "give a list of 2 whole numbers"),
+        ("[65536, 65536]", "4.29e[+]09 cells; 2.15e[+]09 at most"),
+    ],
+)
+@pytest.mark.parametrize("name", ["jittered", "uniform-jitter", "regular"])
+def test_impossible_sides(name, sides, sentence):
+    with pytest.raises(ParameterError, match=sentence):
+        sampler(f"{name}(sides={sides})")
+
+
+def test_positions_of_a_grid_of_given_sides():
+    corner = sampler("regular(position='corner', sides=[1, 2])").draw(2)[0]
+    np.testing.assert_array_equal(corner, [[0, 0], [0, 0.5]])
+    np.testing.assert_array_equal(
+        sampler("regular(sides=[1, 2])").draw(2)[0], [[0.5, 0.25], [0.5, 0.75]]
+    )
 
 
 def test_regular_positions():
@@ -70,26 +125,12 @@ def test_uniform_jitter_has_one_offset_for_all_points():
     assert stats.chisquare(np.bincount(bins, minlength=64)).pvalue > LEVEL
 
 
-def test_sums_that_round_to_one_stay_below_it():
-    """A last cell of half an ulp, of which the upper half would round to 1."""
-    below_one = np.nextafter(1.0, 0.0)
-    out = np.empty((1, 1000))
-    fill_jittered(Stream(1).keys(0, 1), np.full(1000, below_one), 2.0**-53, out)
-    np.testing.assert_array_equal(out, below_one)
-
-
-@pytest.mark.parametrize(("n", "dims"), [(1, 3), (7, 1), (50, 2), (33, 5)])
-def test_latin_hypercube_projections(n, dims):
-    strata = np.floor(LatinHypercube(dims=dims).draw(n, realizations=50, rng=2) * n)
-    expected = np.broadcast_to(np.arange(n)[:, None], strata.shape)
-    np.testing.assert_array_equal(np.sort(strata, axis=1), expected)
-
-
-def test_latin_hypercube_permutations_are_uniform_and_independent():
-    strata = np.floor(LatinHypercube(dims=2).draw(3, realizations=18_000, rng=4) * 3)
-    codes = np.unique(strata.reshape(len(strata), -1), axis=0, return_counts=True)[1]
-    assert len(codes) == 36
-    assert stats.chisquare(codes).pvalue > LEVEL
+@pytest.mark.parametrize("s", [1, 2, 3, 5, 7, 1000, 4099, 99_991, 2**20 + 1])
+def test_sums_that_would_round_up_stay_in_their_cell(s):
+    """The largest uniform number, 1 − 2^-53, in every cell."""
+    largest = np.arange(s) / s + cell_side(s) * (1.0 - 2.0**-53)
+    assert np.all(largest < np.arange(1, s + 1) / s)
+    assert cell_side(s) > 0.999_999 / s
 
 
 def test_bounded_numbers_are_the_upper_word_of_the_product():
@@ -99,50 +140,13 @@ def test_bounded_numbers_are_the_upper_word_of_the_product():
         assert _mix_below(k0, k1, i, bound) == (bits * bound) >> 64
 
 
-@pytest.mark.parametrize(("n", "columns", "rows"), [(1, 1, 1), (2, 1, 2), (16, 4, 4), (24, 4, 6)])
-def test_multi_jittered_is_jittered_and_latin(n, columns, rows):
-    points = MultiJittered().draw(n, realizations=50, rng=9)
-    cells = np.floor(points * [columns, rows]) @ [rows, 1]
-    np.testing.assert_array_equal(np.sort(cells, axis=1), np.tile(np.arange(n), (50, 1)))
-    latin = np.sort(np.floor(points * n), axis=1)
-    np.testing.assert_array_equal(latin, np.broadcast_to(np.arange(n)[:, None], latin.shape))
-
-
-def test_multi_jittered_shuffles_are_uniform_and_independent():
-    """2 × 2 cells: four shuffles of two, 16 equally likely patterns."""
-    strata = np.floor(MultiJittered().draw(4, realizations=16_000, rng=6) * 4)
-    codes = np.unique(strata.reshape(len(strata), -1), axis=0, return_counts=True)[1]
-    assert len(codes) == 16
-    assert stats.chisquare(codes).pvalue > LEVEL
-
-
-def test_multi_jittered_counts_are_the_nearly_square_products():
-    possible = [a * b for a in range(1, 40) for b in range(a, 2 * a + 1)]
-    source = MultiJittered()
-    for n in range(1, 800):
-        if n in possible:
-            assert source.check_count(n) == n
-            continue
-        below = max(m for m in possible if m < n)
-        above = min(m for m in possible if m > n)
-        with pytest.raises(CountError, match=f"{below} and {above}") as caught:
-            source.check_count(n)
-        assert caught.value.nearest == (below, above)
-
-
-@pytest.mark.parametrize("dims", [0, 1, 3, 2.5, "2", None])
-def test_multi_jittered_is_two_dimensional(dims):
-    with pytest.raises(ParameterError, match="must be 2"):
-        MultiJittered(dims=dims)
-
-
 @pytest.mark.parametrize("dims", [2, 3, 5, 13, 31])
 def test_sides_are_exact_roots(dims):
     source = Jittered(dims=dims)
     largest = int(2 ** (31 / dims) + 1e-9)
     for s in {1, 2, 3, largest - 1, largest} - {0}:
         if s <= largest:
-            assert source.sides(s**dims) == s
+            assert source.sides(s**dims) == (s,) * dims
     with pytest.raises(CountError, match="nearest") as caught:
         source.sides(largest**dims - 1)
     assert caught.value.nearest == ((largest - 1) ** dims, largest**dims)
