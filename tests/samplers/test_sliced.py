@@ -1,0 +1,116 @@
+"""Sliced optimal transport: quantiles of projected cubes in closed form, evenness on new lines."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import ParameterError
+from mcspectra.samplers import SlicedOptimalTransport
+from mcspectra.samplers.sliced import projected_quantiles
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path))
+
+
+def unevenness(points, directions):
+    """Root mean square distance of the ordered projections from their quantiles."""
+    n = len(points)
+    squares = [
+        np.mean((np.sort((points - 0.5) @ theta) - projected_quantiles(theta, n)) ** 2)
+        for theta in directions
+    ]
+    return np.sqrt(np.mean(squares))
+
+
+def random_directions(dims, count):
+    theta = np.random.default_rng(77).standard_normal((count, dims))
+    return theta / np.linalg.norm(theta, axis=1, keepdims=True)
+
+
+def test_quantiles_along_an_axis_are_those_of_a_uniform_number():
+    found = projected_quantiles(np.array([0.0, 1.0, 0.0]), 8)
+    np.testing.assert_allclose(found, (np.arange(8) + 0.5) / 8 - 0.5, atol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [0.1, 0.5, np.pi / 4, 2.0])
+def test_quantiles_of_a_projected_square(angle):
+    """The density is a trapezium: its distribution function at the quantiles found."""
+    theta, n = np.array([np.cos(angle), np.sin(angle)]), 200
+    wide, narrow = np.sort(np.abs(theta))[::-1]
+    t = projected_quantiles(theta, n)
+
+    def ramp(x):  # ∫∫ of the step, twice
+        return np.maximum(x, 0) ** 2 / (2 * wide * narrow)
+
+    ends = [(wide + narrow) / 2, (wide - narrow) / 2]
+    below = ramp(t + ends[0]) - ramp(t + ends[1]) - ramp(t - ends[1]) + ramp(t - ends[0])
+    np.testing.assert_allclose(below, (np.arange(n) + 0.5) / n, atol=1e-5)
+
+
+def test_quantiles_along_the_diagonal_are_those_of_irwin_and_hall():
+    s = (projected_quantiles(np.full(3, 3**-0.5), 100) + 3**0.5 / 2) * 3**0.5
+    below = sum(sign * np.maximum(s - k, 0) ** 3 for k, sign in enumerate((1, -3, 3, -1))) / 6
+    np.testing.assert_allclose(below, (np.arange(100) + 0.5) / 100, atol=1e-5)
+
+
+def test_quantiles_in_many_dims_are_nearly_normal():
+    """Of 64 equal widths: variance 1/12, fourth cumulant −1/(120 · 64) of the sum.
+
+    Each of 63 linear interpolations in a table of steps h = 8/2048 adds h²/8 or so: 1.2e-4.
+    """
+    t = projected_quantiles(np.full(64, 0.125), 4000)
+    assert abs(t.mean()) < 1e-6
+    assert abs(np.var(t) - 1 / 12) < 2e-4
+    assert abs(np.mean(t**4) - 3 * np.var(t) ** 2 + 1 / (120 * 64)) < 1e-4
+
+
+@pytest.mark.parametrize(("n", "dims"), [(64, 2), (256, 2), (128, 3), (64, 8)])
+def test_projections_on_new_lines_are_more_even_than_at_random(n, dims):
+    """By n^(1/(2d)), what strata would gain: n^(−1/2−1/(2d)) for n^(−1/2) (Paulin et al. 2020)."""
+    theta = random_directions(dims, 100)
+    found = unevenness(SlicedOptimalTransport(dims=dims, iterations=60).draw(n, rng=1)[0], theta)
+    rng = np.random.default_rng(5)
+    usual = np.median([unevenness(rng.random((n, dims)), theta) for _ in range(9)])
+    assert found < usual / n ** (0.5 / dims)
+
+
+def test_every_iteration_counts():
+    theta = random_directions(2, 100)
+    found = [
+        unevenness(SlicedOptimalTransport(iterations=i).draw(128, rng=3)[0], theta)
+        for i in (1, 4, 16, 64)
+    ]
+    assert all(np.diff(found) < 0)
+
+
+def test_only_translated_sets_are_unbiased():
+    assert not SlicedOptimalTransport().unbiased
+    assert SlicedOptimalTransport(sets=2).unbiased
+    assert SlicedOptimalTransport().then(mcs.samplers.Shift()).unbiased
+
+
+def test_variance_of_the_disk_falls_faster_than_at_random():
+    """Blue noise keeps n^(−3/2) of an edge; sliced sets end between −1 and that."""
+    sampler = SlicedOptimalTransport(iterations=40, directions=16, sets=4).then(
+        mcs.samplers.Shift()
+    )
+    f = mcs.Estimator(mcs.integrand("disk"))
+    d = mcs.convergence(f, sampler, [16, 64, 256], realizations=400, rng=3)
+    assert d["rate_ci"].values[1] < -1.1
+
+
+@pytest.mark.parametrize("dims", [1, 0, 1.5, "x", True, float("nan")])
+def test_impossible_dims(dims):
+    with pytest.raises(ParameterError, match="sliced-optimal-transport: dims is"):
+        SlicedOptimalTransport(dims=dims)
+
+
+@pytest.mark.parametrize("field", ["iterations", "directions"])
+@pytest.mark.parametrize("value", [0, -1, 1.5, float("nan"), float("inf"), "x", None, True])
+def test_bad_numbers(field, value):
+    with pytest.raises(ParameterError, match=f"^{field} is .*; give a whole number"):
+        SlicedOptimalTransport(**{field: value})

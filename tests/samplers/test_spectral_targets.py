@@ -1,0 +1,177 @@
+"""Sets made to measure: transforms in closed form, gradients, power within its band, refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import special
+
+import mcspectra as mcs
+from mcspectra.core.errors import DomainError, ParameterError
+from mcspectra.samplers import StepBlueNoise, TargetPcf, TargetSpectrum
+from mcspectra.samplers._spectrum_matching import RingLoss, hankel, piecewise_linear
+
+TARGETS = [
+    (StepBlueNoise(), lambda nu: nu >= 0.55),
+    (StepBlueNoise(cutoff=0.3), lambda nu: nu >= 0.3),
+    (TargetSpectrum(), lambda nu: np.clip((nu - 0.2) / 0.6, 0, 1)),
+    (
+        TargetSpectrum(frequencies=[0.0, 0.5, 0.8, 1.2], power=[0.3, 0.3, 1.2, 1.0]),
+        lambda nu: np.interp(nu, [0.5, 0.8, 1.2], [0.3, 1.2, 1.0]),
+    ),
+]
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path))
+
+
+def ring_power(points, most):
+    """Radius and mean power of the rings |m| = 1 … most, by direct sums."""
+    axis = np.arange(-most - 1, most + 2)
+    x, y = (np.exp(2j * np.pi * np.outer(axis, points[:, j])) for j in (0, 1))
+    power = np.abs(x @ y.T) ** 2 / len(points)
+    norm = np.hypot(axis[:, None], axis)
+    rings = [np.round(norm) == r for r in range(1, most + 1)]
+    return norm, power, rings
+
+
+@pytest.mark.parametrize(("sampler", "target"), TARGETS, ids=lambda v: getattr(v, "spec", ""))
+@pytest.mark.parametrize("n", [50, 256])
+def test_power_is_within_its_band(sampler, target, n):
+    """Each ring's mean power within one standard error of independent exponential powers."""
+    points = sampler.draw(n, rng=1)[0]
+    norm, power, rings = ring_power(points, int(2 * n**0.5))
+    wanted = target(norm / n**0.5).astype(float)
+    for ring in rings:
+        band = max(wanted[ring].mean(), 0.1) / np.sqrt(ring.sum() / 2)
+        assert abs(power[ring].mean() - wanted[ring].mean()) < band
+    assert sampler.misfit(points) < 0.01
+    assert sampler.misfit(np.random.default_rng(1).random((n, 2))) > 0.1
+
+
+def test_misfit_is_the_root_mean_square_over_frequencies():
+    points = np.random.default_rng(2).random((30, 2))
+    norm, power, rings = ring_power(points, 11)
+    wanted = (norm / 30**0.5 >= 0.4).astype(float)
+    squares = sum(r.sum() * (power[r].mean() - wanted[r].mean()) ** 2 for r in rings)
+    expected = np.sqrt(squares / sum(r.sum() for r in rings))
+    assert abs(StepBlueNoise(cutoff=0.4).misfit(points) - expected) < 1e-7
+
+
+def test_pair_correlation_follows_the_target():
+    """Pairs of six sets in seven bins, against n²/2 ∫ g 2πr dr: within 5 Poisson errors."""
+    n, sampler = 128, TargetPcf(iterations=80)
+    points = sampler.draw(n, realizations=6, rng=1)
+    delta = points[:, :, None] - points[:, None]
+    r = np.linalg.norm(delta - np.round(delta), axis=-1)[:, *np.triu_indices(n, 1)] * n**0.5
+    edges = np.array([0.0, 0.3, 0.5, 0.7, 0.9, 1.2, 1.6, 2.0])
+    pairs = np.histogram(r, edges)[0]
+    fine = np.linspace(0, 2, 20_001)
+    integral = np.cumsum(np.interp(fine, [0.4, 0.6], [0, 1]) * 2 * np.pi * fine) * 1e-4
+    expected = 6 * n / 2 * np.diff(np.interp(edges, fine, integral))
+    # Details finer than 1/(2·4) are not matched: pairs of a bin's ends wander by 1/16 of a unit
+    smear = 6 * n / 2 * 2 * np.pi * edges[1:] / 16 * (np.abs(edges[1:] - 0.5) < 0.3)
+    assert (np.abs(pairs - expected) < 5 * np.sqrt(expected) + smear).all()
+
+
+def test_transform_of_a_step_is_a_bessel_function():
+    s = np.array([0.0, 0.1, 0.5, 2.0, 6.0])
+    found = hankel(lambda t: (t >= 0.5).astype(float), np.array([0.5]), s)
+    expected = [1 - np.pi / 4, *(1 - 0.5 * special.j1(np.pi * s[1:]) / s[1:])]
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_transform_of_the_transform_is_the_profile():
+    knots = np.array([0.2, 0.5, 0.9])
+    profile = piecewise_linear(knots, np.array([0.3, 1.4, 1.0]))
+    line = np.linspace(0, 40, 40_001)
+    inner = hankel(profile, knots, line)
+    at = np.array([0.1, 0.35, 0.7, 1.5])
+    waves = special.j0(2 * np.pi * np.outer(at, line)) * (inner - 1) * line
+    again = 1 + 2 * np.pi * np.sum(waves, axis=1) * 1e-3
+    np.testing.assert_allclose(again, profile(at), atol=0.01)  # the tail beyond 40: 40^(−3/2)
+
+
+@pytest.mark.parametrize("n", [1, 2, 30])
+def test_gradient_of_the_loss(n):
+    rng = np.random.default_rng(n)
+    points, direction, h = rng.random((n, 2)), rng.standard_normal((n, 2)), 1e-5
+    loss = RingLoss(n, lambda nu: (nu > 0.5).astype(float), 2.0)
+    value, gradient = loss(points)
+    slope = (loss(points + h * direction)[0] - loss(points - h * direction)[0]) / (2 * h)
+    assert abs(slope - np.sum(gradient * direction)) < 1e-5 * (value + 1)
+
+
+def test_rate_of_the_disk():
+    """Power 0 below √n/2: edges leave n^(−3/2) (Pilleboue et al. 2015)."""
+    sampler = StepBlueNoise(cutoff=0.5, iterations=60, sets=4)
+    f = mcs.Estimator(mcs.integrand("disk"))
+    d = mcs.convergence(f, sampler, [16, 64, 256], realizations=500, rng=3)
+    low, high = d["rate_ci"].values
+    assert low - 0.1 < -1.5 < high + 0.1 or high < -1.5  # rings are whole: cutoffs within 10 %
+
+
+@pytest.mark.parametrize("value", [0.6, 0.57, 3])
+def test_steps_that_cannot_be_made(value):
+    with pytest.raises(ParameterError, match="negative density of pairs"):
+        StepBlueNoise(cutoff=value)
+
+
+def test_the_largest_step_is_where_the_pair_correlation_reaches_zero():
+    largest = 1 / np.sqrt(np.pi)
+    assert StepBlueNoise(cutoff=largest).cutoff == largest
+    step = {"power": [0, 0]}
+    TargetSpectrum(frequencies=[0, largest - 1e-4], **step)
+    with pytest.raises(ParameterError, match=r"No points have this power: .* would be -0.0"):
+        TargetSpectrum(frequencies=[0, largest + 1e-3], **step)
+
+
+def test_pair_correlations_that_cannot_be_made():
+    TargetPcf(distances=[0, 0.56], pcf=[0, 0])
+    with pytest.raises(ParameterError, match=r"their power would be -.* at the frequency 0 √n"):
+        TargetPcf(distances=[0, 0.57], pcf=[0, 0])
+
+
+def test_lists_become_tuples_and_specs():
+    made = mcs.samplers.sampler("target-spectrum(frequencies=[0, 1], power=[0.5, 1])")
+    assert made == TargetSpectrum(frequencies=(0.0, 1.0), power=np.array([0.5, 1.0]))
+    assert hash(made) == hash(TargetSpectrum(frequencies=(0.0, 1.0), power=(0.5, 1.0)))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"frequencies": [0, 1]}, "shapes"),
+        ({"frequencies": [0, 1], "power": [1]}, "shapes"),
+        ({"frequencies": 1, "power": 1}, "shapes"),
+        ({"frequencies": [], "power": []}, "shapes"),
+        ({"frequencies": [1, 0], "power": [1, 1]}, "increasing"),
+        ({"frequencies": [0, 5], "power": [1, 1]}, "increasing numbers from 0 to 4"),
+        ({"frequencies": [0, float("nan")], "power": [1, 1]}, "increasing"),
+        ({"frequencies": [0, 1], "power": [-1, 1]}, "none negative"),
+        ({"frequencies": [0, 1], "power": [1, float("inf")]}, "none negative"),
+        ({"frequencies": "x", "power": [1]}, "not an array of real numbers"),
+        ({"iterations": 0}, "iterations is 0"),
+        ({"dims": 3}, "dims is 3"),
+        ({"dims": 1}, "it must be 2"),
+        ({"sets": 0}, "sets is 0"),
+    ],
+)
+def test_bad_targets(arguments, message):
+    if "frequencies" in arguments and "power" not in arguments:
+        arguments = arguments | {"power": [1, 1, 1]}
+    with pytest.raises(ParameterError, match=message):
+        TargetSpectrum(**arguments)
+
+
+@pytest.mark.parametrize("value", [0, -1, float("nan"), float("inf"), "x", None, True])
+def test_cutoff_out_of_range(value):
+    with pytest.raises(ParameterError, match=r"^cutoff is .*; give a finite number"):
+        StepBlueNoise(cutoff=value)
+
+
+def test_misfit_wants_points():
+    with pytest.raises(DomainError, match="2 are needed"):
+        StepBlueNoise().misfit(np.zeros((4, 3)))
