@@ -25,6 +25,7 @@ from .kronecker import Kronecker as Kronecker
 from .lattice import Fibonacci as Fibonacci
 from .lattice import Korobov as Korobov
 from .lattice import Rank1Lattice as Rank1Lattice
+from .ldbn import LowDiscrepancyBlueNoise as LowDiscrepancyBlueNoise
 from .mirror import Mirror as Mirror
 from .multijitter import CorrelatedMultiJittered as CorrelatedMultiJittered
 from .multijitter import MultiJittered as MultiJittered
@@ -101,6 +102,7 @@ __all__ = [
     "LatinHypercube",
     "Lloyd",
     "Lms",
+    "LowDiscrepancyBlueNoise",
     "Mirror",
     "MultiJittered",
     "NRooks",

@@ -41,6 +41,7 @@ SAMPLERS = Registry(
         "kronecker": "mcspectra.samplers.kronecker:Kronecker",
         "larcher-pillichshammer": "mcspectra.samplers.digital:LarcherPillichshammer",
         "latin-hypercube": "mcspectra.samplers.orthogonal:LatinHypercube",
+        "ldbn": "mcspectra.samplers.ldbn:LowDiscrepancyBlueNoise",
         "lloyd": "mcspectra.samplers.voronoi:Lloyd",
         "mitsuba": "mcspectra.rendering.point_sampler:MitsubaSampler",
         "multi-jittered": "mcspectra.samplers.multijitter:MultiJittered",
