@@ -11,7 +11,7 @@ from scipy import stats
 import mcspectra as mcs
 from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.core.streams import Stream
-from mcspectra.samplers import DigitalShift, Lms, Owen, Permute, Random, sampler
+from mcspectra.samplers import DigitalShift, Lms, Owen, Permute, Random, _digit_kernels, sampler
 from mcspectra.samplers.nets import elementary_intervals, net_t_value
 
 LEVEL = 1 - (1 - 1e-6) ** (1 / 120)  # Šidák: fewer than 120 statistical tests here share 1e-6
@@ -204,6 +204,22 @@ def test_owen_keeps_the_number_of_common_leading_digits(step, base, places):
     assert max(shared) >= places - 1
     kept = [common_digits(a, b, base, places) for a, b in zip(*moved, strict=True)]
     np.testing.assert_array_equal(kept, shared)
+
+
+@pytest.mark.parametrize("base", [3, 7, 96, 97, 2003, 8191])
+def test_what_is_written_is_read_again(base):
+    """Digits of any interval, even with the tail next to its ends, and ⌊x b^p⌋ in floats."""
+    places, scale, nudge, unit = _digit_kernels._format(base)
+    assert 2.0**32 <= scale < 2.0**32 * base
+    rng = np.random.default_rng(base)
+    starts = rng.integers(0, base, 300) * base ** (places - 1)
+    ends = starts + base ** (places - 1) - 1
+    for v in np.concatenate([starts, ends, rng.integers(0, int(scale), 300)]).tolist():
+        for tail in (0.0, BELOW_ONE):
+            x = _digit_kernels._write(v, tail, scale, unit)
+            assert _digit_kernels._read(x, scale, nudge) == v
+            assert np.floor(x * base) == v // base ** (places - 1)
+            assert v < Fraction(x) * base**places < v + 1
 
 
 @pytest.mark.parametrize("method", ["nested", "hash"])

@@ -122,8 +122,9 @@ class Owen(Randomization):
         ``"nested"``: all permutations independent, up to a 64-bit hash of the digits above.
         ``"hash"``: in base 2 only, some six times as fast: all bits by a few multiplications in
         which lower bits of the reversed word change higher ones only. Points are
-        exactly uniform and nets stay nets; the flips of two points below their first different
-        digit are independent but for what so short a hash leaves.
+        exactly uniform, nets stay nets, and the flips of two points below their first different
+        digit are independent as far as tests can tell, which is what variances depend on; those
+        of many points together are not.
     base
         As for digital-shift.
 
