@@ -19,6 +19,7 @@ from mcspectra.samplers._power_diagram import Diagram, power_diagram
 __all__ = ["balance"]
 
 _SOLVED = 1e-3  # residual of the linear equations, relative: Newton's steps need no better
+_LONGER = 4.0  # than the step before, at most: far from the goal, short steps come in series
 _HALVINGS = 40
 
 
@@ -97,12 +98,12 @@ def balance(points: Array, weights: Array, masses: Array, tolerance: float, step
         weights[:] = 0.0
         diagram = power_diagram(points, weights)
     least = 0.5 * min(diagram.areas.min(), masses.min())
-    rest = np.empty(weights.size)
+    rest, length = np.empty(weights.size), 1.0
     worst, square = _compare(diagram.areas, masses, rest)
     for _ in range(steps):
         if worst <= tolerance:
             break
-        change, length = _solve(diagram, rest), 1.0
+        change, length = _solve(diagram, rest), min(1.0, _LONGER * length)
         for _ in range(_HALVINGS):
             trial = power_diagram(points, weights + length * change)
             trial_worst, trial_square = _compare(trial.areas, masses, rest)
