@@ -54,6 +54,20 @@ def test_what_cannot_be_had_is_missing_with_a_reason():
         assert bool(np.isnan(array).any()) == bool(reasons[name])
 
 
+@pytest.mark.parametrize(("dims", "cost"), [(1, 1 / 12 / 16**2), (2, 1 / 6 / 16)])
+def test_transport_cost_of_a_grid(dims, cost):
+    regular = mcs.sampler("regular", dims)
+    figures = mcs.quality_figures(regular, 16, figures=["transport_cost"], realizations=1)
+    assert figures["transport_cost"].item() == pytest.approx(cost, rel=1e-9)
+
+
+def test_transport_cost_has_limits():
+    for dims, n, words in ((3, 8, "1 and 2 dims, not for 3"), (2, 8193, "8192 are possible")):
+        points = np.full((n, dims), 0.5)
+        figures = mcs.quality_figures(points, figures=["transport_cost"])
+        assert words in figures["transport_cost"].attrs["missing"]
+
+
 def test_projections_worst_and_mean():
     x = np.random.default_rng(1).random((20, 3))
     figures = mcs.quality_figures(x)

@@ -31,6 +31,8 @@ __all__ = ["FIGURES", "MOST_PROJECTED_AXES", "default_realizations", "quality_fi
 MOST_PROJECTED_AXES = 10
 """Projections on pairs of axes are looked at for the first so many axes: 45 pairs."""
 
+_MOST_TRANSPORTED = 2**13  # seconds
+
 Figure = Callable[[Array, int], float | None]
 """Computes a figure of one set (n, d); the integer is the base of its digits."""
 
@@ -195,6 +197,19 @@ def _elementary_intervals(points: Array, base: int) -> float | None:
     return None if t is None else float(t == 0)
 
 
+def _transport_cost(points: Array) -> float:
+    if points.shape[1] > 2:
+        raise ParameterError(f"The transport cost is for 1 and 2 dims, not for {points.shape[1]}.")
+    if points.shape[1] == 2 and len(points) > _MOST_TRANSPORTED:
+        raise ParameterError(
+            f"{len(points)} points are too many for the transport cost; "
+            f"{_MOST_TRANSPORTED} are possible."
+        )
+    from mcspectra.samplers.voronoi import transport_cost
+
+    return transport_cost(points)
+
+
 _PLAIN: Mapping[str, Callable[[Array], float]] = {
     "minimum_distance": _minimum_distance,
     "relative_minimum_distance": relative_minimum_distance,
@@ -206,6 +221,7 @@ _PLAIN: Mapping[str, Callable[[Array], float]] = {
     "mixture_discrepancy": partial(l2_discrepancy, kind="mixture"),
     "generalized_l2_discrepancy": generalized_l2_discrepancy,
     "diaphony": diaphony,
+    "transport_cost": _transport_cost,
 }
 FIGURES: Mapping[str, Figure] = {
     **{name: partial(_plain, figure) for name, figure in _PLAIN.items()},
