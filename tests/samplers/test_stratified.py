@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import mcspectra as mcs
 from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.core.streams import mix_bits
 from mcspectra.samplers import (
@@ -20,7 +21,7 @@ from mcspectra.samplers import (
 from mcspectra.samplers._grid import cell_side
 from mcspectra.samplers._kernels import _mix_below
 
-LEVEL = 1 - (1 - 1e-6) ** (1 / 16)  # Šidák: 16 statistical tests in this file share 1e-6
+LEVEL = 1 - (1 - 1e-6) ** (1 / 16)  # Šidák: at most 16 statistical tests in this file share 1e-6
 SIGMAS = stats.norm.isf(LEVEL / 2)
 
 
@@ -177,3 +178,52 @@ def test_variance_of_the_mean_coordinate(source, n, expected):
     means = source.draw(n, realizations=20_000, rng=8)[..., 0].mean(axis=1)
     assert_variance(means, expected)
     assert abs(means.mean() - 0.5) < SIGMAS * np.sqrt(expected / len(means))
+
+
+@pytest.mark.parametrize("sides", [(2, 5), (3, 1, 4)])
+def test_closed_form_power_of_given_sides(sides):
+    """From the characteristic functions of the points: |mean|² and, jittered, their own spread."""
+    n, dims = int(np.prod(sides)), len(sides)
+    nu = np.array(
+        [np.arange(1, dims + 1), np.full(dims, 0.7), np.array(sides) * 2.0, -np.ones(dims)]
+    )
+    spec = f"(sides={list(sides)})"
+    grid = sampler("regular" + spec, dims).draw(n)[0]
+    waves = np.exp(-2j * np.pi * grid @ nu.T)
+    for name in ("regular", "uniform-jitter"):
+        power = mcs.closed_form_power(name + spec, n, nu)
+        np.testing.assert_allclose(power, np.abs(waves.mean(axis=0)) ** 2, atol=1e-14)
+    waves *= np.prod(np.sinc(nu / sides), axis=1)
+    spread = np.sum(1 - np.abs(waves) ** 2, axis=0) / n**2
+    power = mcs.closed_form_power("jittered" + spec, n, nu)
+    np.testing.assert_allclose(power, np.abs(waves.mean(axis=0)) ** 2 + spread, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    "spec", ["jittered", "uniform-jitter", "jittered | shift", "regular | shift", "regular"]
+)
+def test_exact_variance_of_given_sides(spec):
+    """Against one Gauss rule a cell and an offset, written differently."""
+    name, _, rest = spec.partition(" ")
+    sides = np.array([3, 5])
+    n = 15
+    estimator = mcs.Estimator("christensen-gaussian", dims=2)
+    found = mcs.exact_variance(estimator, f"{name}(sides=[3, 5]) {rest}", n)
+    node, weight = np.polynomial.legendre.leggauss(12)
+    u = (node + 1) / 2
+    inside = np.stack(np.meshgrid(u, u, indexing="ij"), axis=-1).reshape(-1, 2)
+    weights = np.outer(weight, weight).ravel() / 4
+    corner = np.stack(np.meshgrid(*map(np.arange, sides), indexing="ij"), axis=-1).reshape(-1, 1, 2)
+
+    values = estimator.integrand((corner + inside) / sides)
+    if spec == "jittered":
+        variance = np.sum(values**2 @ weights - (values @ weights) ** 2) / n**2
+        np.testing.assert_allclose(found, variance, rtol=1e-6)
+    elif spec == "regular":
+        assert found == 0.0
+    elif name == "jittered":  # the seam of the torus cuts cells
+        points = sampler(f"jittered(sides=[3, 5]) {rest}").draw(n, realizations=20_000, rng=4)
+        assert_variance(estimator.integrand(points).mean(axis=1), found)
+    else:
+        means = values.mean(axis=0)
+        np.testing.assert_allclose(found, weights @ means**2 - (weights @ means) ** 2, rtol=1e-6)
