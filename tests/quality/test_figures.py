@@ -114,6 +114,7 @@ def test_summary_is_mean_and_standard_error():
     ("arguments", "words"),
     [
         ({"figures": ["diafony"]}, "Did you mean 'diaphony'"),
+        ({"figures": [3]}, "no quality figure 3. The names are in"),
         ({"figures": "diaphony"}, "list of names"),
         ({"figures": []}, "list of names"),
         ({"figures": 3}, "list of names"),

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice, as_integer
-from mcspectra.core.errors import McspectraError, ParameterError
+from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.errors import McspectraError, ParameterError, close_match_hint
 from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers, map_in_order
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
@@ -112,10 +112,15 @@ def _given_count(sampler: Sampler) -> int:
 def _names(figures: Sequence[str] | None, dims: int) -> list[str]:
     if figures is None:
         return [name for name in FIGURES if dims > 2 or "projected" not in name]
-    given: object = figures
+    given: Any = figures
     if isinstance(given, str) or not isinstance(given, Sequence) or not given:
-        raise ParameterError(f"figures is {figures!r}; give a list of names.")
-    return list(dict.fromkeys(as_choice("figures", name, tuple(FIGURES)) for name in figures))
+        raise ParameterError(f"figures is {given!r}; give a list of names.")
+    for name in given:
+        if not isinstance(name, str) or name not in FIGURES:
+            hint, close = close_match_hint(str(name), FIGURES)
+            known = hint if close else " The names are in mcspectra.quality.FIGURES."
+            raise ParameterError(f"There is no quality figure {name!r}.{known}")
+    return list(dict.fromkeys(given))
 
 
 def _common_base(sampler: Sampler) -> int:
