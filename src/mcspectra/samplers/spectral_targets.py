@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar, final
 
 import numpy as np
@@ -25,9 +26,10 @@ __all__ = ["StepBlueNoise", "TargetPcf", "TargetSpectrum"]
 _REACH = 2.0  # |m|/√n up to where power is matched
 _PCF_REACH = 4.0  # the same for pair correlations: details of ⅛ of the mean distance
 _TRIED = np.linspace(0.0, 6.0, 601)  # where transforms of targets are looked at
+_LINE = np.linspace(0.0, 2 * _PCF_REACH, 1601)  # beyond the corners of the square of frequencies
 _NEGATIVE = -1e-6  # what counts as negative there: quadrature leaves 1e-9
 _LARGEST_STEP = 1 / math.sqrt(math.pi)
-_MOST_KNOTS, _LARGEST_PLACE = 1000, 4.0
+_MOST_KNOTS, _LARGEST_PLACE = 200, 4.0
 
 
 @final
@@ -196,13 +198,18 @@ class TargetPcf(OptimisedSampler):
         return piecewise_linear(np.array(self.distances), np.array(self.pcf))
 
     def _loss(self, n: int) -> RingLoss:
-        # Frequencies of one norm share a value: the transform is taken on a fine line only
-        line = np.linspace(0.0, 2 * _PCF_REACH, 1601)
-        power = hankel(self._correlation, np.array(self.distances), line)
-        return RingLoss(n, lambda nu: np.interp(nu, line, np.maximum(power, 0.0)), _PCF_REACH)
+        power = _power(self.distances, self.pcf)
+        return RingLoss(n, lambda nu: np.interp(nu, _LINE, power), _PCF_REACH)
 
     def _optimize(self, n: int, keys: Array, report: Callable[[float], None]) -> Array:
         return _matched(self._loss(n), n, keys, self.iterations, report)
+
+
+@lru_cache(maxsize=8)  # many small sets have one target
+def _power(distances: tuple[float, ...], pcf: tuple[float, ...]) -> Array:
+    """Return the power of a pair correlation along `_LINE`."""
+    places = np.array(distances)
+    return np.maximum(hankel(piecewise_linear(places, np.array(pcf)), places, _LINE), 0.0)
 
 
 def ring_misfit(loss: Callable[[int], RingLoss], points: object) -> float:
