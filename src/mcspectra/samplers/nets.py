@@ -1,8 +1,7 @@
-"""Digital nets in any base: given generator matrices, Faure's sequence; the quality t of any net.
+"""Digital nets in any base: given generator matrices, Faure's sequence.
 
 Digit r of coordinate j of point i is the r-th entry of C_j·(digits of i, the lowest first) modulo
-the base b. A set of n = b^m points is a (t, m, d)-net if every elementary interval of volume
-b^(t−m), a box of sides b^-k_j at multiples of them, holds b^t points.
+the base b.
 """
 
 from __future__ import annotations
@@ -16,21 +15,21 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer, as_unit_points
-from mcspectra.core.errors import CountError, FileFormatError, ParameterError
+from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
-from mcspectra.samplers import _digital_kernels, _net_kernels
+from mcspectra.samplers import _digital_kernels
+from mcspectra.samplers._primes import LARGEST_BASE, is_prime, power_from, prime_from
 from mcspectra.samplers.base import MAX_COUNT, Sampler, Structure, check_dims
+from mcspectra.samplers.net_quality import elementary_intervals, net_t_value, t_value
 
 __all__ = ["DigitalNet", "Faure", "elementary_intervals", "net_t_value", "t_value"]
 
-_LARGEST_BASE = 2**13
 _NO_MATRICES = (
     "matrices is not a list of matrices; give each as a list of rows of digits "
     "or of whole numbers, its columns."
 )
-_MOST_WORK = 2**34  # points times shapes of intervals of one volume: about a minute
 
 
 @final
@@ -75,7 +74,7 @@ class DigitalNet(Sampler):
     dims: int = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
-        base = as_integer("base", self.base, least=2, most=_LARGEST_BASE)
+        base = as_integer("base", self.base, least=2, most=LARGEST_BASE)
         object.__setattr__(self, "base", base)
         if not isinstance(self.matrices, str):
             object.__setattr__(self, "matrices", _as_tuples(self.matrices))
@@ -156,8 +155,8 @@ class Faure(Sampler):
         check_dims(self)
         if self.base is None:
             return
-        base = as_integer("base", self.base, least=2, most=_LARGEST_BASE)
-        if base < self.dims or not _is_prime(base):
+        base = as_integer("base", self.base, least=2, most=LARGEST_BASE)
+        if base < self.dims or not is_prime(base):
             raise ParameterError(
                 f"faure: base is {base}; give a prime that is at least dims = {self.dims}."
             )
@@ -166,7 +165,7 @@ class Faure(Sampler):
     @property
     def digit_bases(self) -> tuple[int, ...]:
         """The same prime for all dims."""
-        return (self.base or _prime_from(self.dims),) * self.dims
+        return (self.base or prime_from(self.dims),) * self.dims
 
     def generator_matrices(self, digits: int) -> Array:
         """Return the matrices of so many rows and columns: int64 (dims, digits, digits)."""
@@ -176,118 +175,11 @@ class Faure(Sampler):
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         del stream, first  # the same points every time
         base = self.digit_bases[0]
-        matrices = _pascal_powers(base, self.dims, max(1, _power_from(n, base)))
+        matrices = _pascal_powers(base, self.dims, max(1, power_from(n, base)))
         return _net_points(matrices.transpose(0, 2, 1), base, n, count)
 
     def _count_warning(self, n: int) -> str | None:
         return _not_a_power(n, self.digit_bases[0], "faure")
-
-
-def net_t_value(points: object, base: int = 2) -> int | None:
-    """Return the smallest t for which a set is a (t, m, d)-net, by counting.
-
-    Parameters
-    ----------
-    points
-        The set, shape (n, d), in [0,1). Coordinates within 2^-52 below a multiple of b^-m count
-        as that multiple, which they are but for rounding.
-    base
-        The base b.
-
-    Returns
-    -------
-    int or None
-        t from 0 to m; None if n is not a power b^m.
-
-    Raises
-    ------
-    DomainError
-        Not points of the unit cube.
-    ParameterError
-        It would take more than about a minute: there are too many shapes of intervals.
-
-    Notes
-    -----
-    Volumes b^-1, b^-2, … are tried until one fails; the shapes of volume b^-q are
-    binomial(q + d − 1, d − 1), each in O(n d).
-    """
-    x, base, places = _as_net(points, base)
-    if base**places != len(x):
-        return None
-    digits = _leading_digits(x, base, places)
-    for level in range(1, places + 1):
-        _check_work(len(x), x.shape[1], level)
-        if not _net_kernels.all_balanced(digits, base, places, level):
-            return places - level + 1
-    return 0
-
-
-def elementary_intervals(points: object, base: int = 2, t: int = 0) -> bool:
-    """Whether every elementary interval of volume b^(t−m) holds b^t of the n = b^m `points`.
-
-    Parameters and errors as for `net_t_value`; a CountError if n is not a power of the base.
-    """
-    x, base, places = _as_net(points, base)
-    if base**places != len(x):
-        raise CountError(f"{len(x)} points are not a power of the base {base}; give b^m points.")
-    level = places - as_integer("t", t, least=0, most=places)
-    _check_work(len(x), x.shape[1], level)
-    digits = _leading_digits(x, base, places)
-    return bool(_net_kernels.all_balanced(digits, base, places, level))
-
-
-def t_value(matrices: object, base: int = 2) -> int:
-    """Return t of the digital net of generator matrices (d, m, m), from the ranks of their rows.
-
-    t = m − ρ, ρ the largest number for which any first k_1, …, k_d rows of the matrices, k_1 + … +
-    k_d = ρ, are linearly independent modulo the base, a prime.
-
-    Raises
-    ------
-    ParameterError
-        The matrices are not whole numbers of that shape, or the base is not a prime.
-    """
-    base = as_integer("base", base, least=2, most=_LARGEST_BASE)
-    if not _is_prime(base):
-        raise ParameterError(f"base is {base}; give a prime: ranks are taken modulo it.")
-    c = np.asarray(matrices)
-    if c.ndim != 3 or 0 in c.shape or c.shape[1] < c.shape[2] or c.dtype.kind not in "iu":
-        raise ParameterError(
-            f"matrices have shape {c.shape} and type {c.dtype}; give whole numbers of shape "
-            "(d, rows, m), with at least m rows."
-        )
-    c = c.astype(np.int64) % base
-    columns: int = c.shape[2]
-    for level in range(1, columns + 1):
-        _check_work(level**2 * columns, c.shape[0], level)
-        if not _net_kernels.all_independent(c, base, level):
-            return columns - level + 1
-    return 0
-
-
-def _as_net(points: object, base: int) -> tuple[Array, int, int]:
-    """Points (n, d), base, and the smallest m with base^m ≥ n."""
-    base = as_integer("base", base, least=2, most=_LARGEST_BASE)
-    x = as_unit_points(points)
-    if x.ndim != 2:
-        raise ParameterError(f"points have shape {x.shape}; give one set, shape (n, d).")
-    return x, base, _power_from(len(x), base)
-
-
-def _leading_digits(x: Array, base: int, places: int) -> Array:
-    """First digits of each coordinate as a whole number: int64 (d, n)."""
-    scale = float(base**places)
-    nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-52
-    return np.minimum(np.floor(x.T * scale + nudge), scale - 1.0).astype(np.int64)
-
-
-def _check_work(size: int, dims: int, level: int) -> None:
-    shapes = math.comb(level + dims - 1, level)
-    if size * shapes > _MOST_WORK:
-        raise ParameterError(
-            f"There are {shapes:.3g} shapes of elementary intervals to check; "
-            "give fewer points or dims."
-        )
 
 
 def _net_points(columns: Array, base: int, n: int, count: int) -> Array:
@@ -298,30 +190,10 @@ def _net_points(columns: Array, base: int, n: int, count: int) -> Array:
 
 
 def _not_a_power(n: int, base: int, name: str) -> str | None:
-    above: int = base ** _power_from(n, base)
+    above: int = base ** power_from(n, base)
     if above == n:
         return None
     return f"{n} {name} points are not balanced; {above // base} and {above} can be."
-
-
-def _power_from(n: int, base: int) -> int:
-    """Smallest m with base^m ≥ n."""
-    m = 0
-    while base**m < n:
-        m += 1
-    return m
-
-
-def _is_prime(n: int) -> bool:
-    return n > 1 and all(n % k for k in range(2, math.isqrt(n) + 1))
-
-
-def _prime_from(n: int) -> int:
-    """Smallest prime ≥ n."""
-    n = max(n, 2)
-    while not _is_prime(n):
-        n += 1
-    return n
 
 
 @lru_cache(maxsize=16)

@@ -6,7 +6,6 @@ the primes of halton, the base of faure.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Protocol, TypeAlias, TypeVar, final, runtime_checkable
@@ -17,13 +16,13 @@ from mcspectra.core.checks import Array, as_choice, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import _digit_kernels, _scramble_kernels
+from mcspectra.samplers._primes import LARGEST_BASE, is_prime
 from mcspectra.samplers.base import MAX_COUNT, Randomization, Sampler, Structure
 
 __all__ = ["DigitalShift", "Lms", "Owen", "Permute"]
 
 Base: TypeAlias = int | Sequence[int] | None
 
-_LARGEST_BASE = 2**13
 _FITS: dict[Structure, Structure] = {s: s for s in Structure if s is not Structure.TORUS}
 """What randomisations of digits leave."""
 
@@ -235,7 +234,7 @@ class Lms(Randomization):
     def fit(self, sampler: Sampler) -> Randomization:
         """Take over the bases of the sampler; they must be primes."""
         fitted = _fitted(self, sampler)
-        composite = [b for b in _as_bases(fitted.base, sampler.dims) if not _is_prime(b)]
+        composite = [b for b in _as_bases(fitted.base, sampler.dims) if not is_prime(b)]
         if composite:
             raise ParameterError(
                 f"lms needs digits in a prime base, but {sampler.spec} has base {composite[0]}; "
@@ -303,7 +302,7 @@ def _fitted(step: _Step, sampler: Sampler) -> _Step:
 
 
 def _check_strata(step: _Step, sampler: Sampler, bases: tuple[int, ...]) -> None:
-    if len(set(bases)) > 1 or not _is_prime(bases[0]):
+    if len(set(bases)) > 1 or not is_prime(bases[0]):
         raise ParameterError(
             f"{step.spec} would break the strata of {sampler.spec}; give base= one prime."
         )
@@ -344,7 +343,7 @@ def _checked_base(base: object) -> Base:
 
 
 def _one_base(base: object) -> int:
-    return as_integer("base", base, least=2, most=_LARGEST_BASE)
+    return as_integer("base", base, least=2, most=LARGEST_BASE)
 
 
 def _as_bases(base: Base, dims: int) -> tuple[int, ...]:
@@ -364,7 +363,3 @@ def _binary(base: Base) -> bool:
 
 def _in_words(bases: tuple[int, ...]) -> str:
     return str(bases[0]) if len(set(bases)) == 1 else ", ".join(map(str, bases))
-
-
-def _is_prime(n: int) -> bool:
-    return n > 1 and all(n % k for k in range(2, math.isqrt(n) + 1))

@@ -1,0 +1,127 @@
+"""The quality t of nets, by counting points and by the ranks of generator matrices.
+
+A set of n = b^m points is a (t, m, d)-net in base b if every elementary interval of volume b^(t−m),
+a box of sides b^-k_j at multiples of them, holds b^t points.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_integer, as_unit_points
+from mcspectra.core.errors import CountError, ParameterError
+from mcspectra.samplers import _net_kernels
+from mcspectra.samplers._primes import LARGEST_BASE, is_prime, power_from
+
+__all__ = ["elementary_intervals", "net_t_value", "t_value"]
+
+_MOST_WORK = 2**34  # points times shapes of intervals of one volume: about a minute
+
+
+def net_t_value(points: object, base: int = 2) -> int | None:
+    """Return the smallest t for which a set is a (t, m, d)-net, by counting.
+
+    Parameters
+    ----------
+    points
+        The set, shape (n, d), in [0,1). Coordinates within 2^-52 below a multiple of b^-m count
+        as that multiple, which they are but for rounding.
+    base
+        The base b.
+
+    Returns
+    -------
+    int or None
+        t from 0 to m; None if n is not a power b^m.
+
+    Raises
+    ------
+    DomainError
+        Not points of the unit cube.
+    ParameterError
+        It would take more than about a minute: there are too many shapes of intervals.
+
+    Notes
+    -----
+    Volumes b^-1, b^-2, … are tried until one fails; the shapes of volume b^-q are
+    binomial(q + d − 1, d − 1), each in O(n d).
+    """
+    x, base, places = _as_net(points, base)
+    if base**places != len(x):
+        return None
+    digits = _leading_digits(x, base, places)
+    for level in range(1, places + 1):
+        _check_work(len(x), x.shape[1], level)
+        if not _net_kernels.all_balanced(digits, base, places, level):
+            return places - level + 1
+    return 0
+
+
+def elementary_intervals(points: object, base: int = 2, t: int = 0) -> bool:
+    """Whether every elementary interval of volume b^(t−m) holds b^t of the n = b^m `points`.
+
+    Parameters and errors as for `net_t_value`; a CountError if n is not a power of the base.
+    """
+    x, base, places = _as_net(points, base)
+    if base**places != len(x):
+        raise CountError(f"{len(x)} points are not a power of the base {base}; give b^m points.")
+    level = places - as_integer("t", t, least=0, most=places)
+    _check_work(len(x), x.shape[1], level)
+    digits = _leading_digits(x, base, places)
+    return bool(_net_kernels.all_balanced(digits, base, places, level))
+
+
+def t_value(matrices: object, base: int = 2) -> int:
+    """Return t of the digital net of generator matrices (d, m, m), from the ranks of their rows.
+
+    t = m − ρ, ρ the largest number for which any first k_1, …, k_d rows of the matrices, k_1 + … +
+    k_d = ρ, are linearly independent modulo the base, a prime.
+
+    Raises
+    ------
+    ParameterError
+        The matrices are not whole numbers of that shape, or the base is not a prime.
+    """
+    base = as_integer("base", base, least=2, most=LARGEST_BASE)
+    if not is_prime(base):
+        raise ParameterError(f"base is {base}; give a prime: ranks are taken modulo it.")
+    c = np.asarray(matrices)
+    if c.ndim != 3 or 0 in c.shape or c.shape[1] < c.shape[2] or c.dtype.kind not in "iu":
+        raise ParameterError(
+            f"matrices have shape {c.shape} and type {c.dtype}; give whole numbers of shape "
+            "(d, rows, m), with at least m rows."
+        )
+    c = c.astype(np.int64) % base
+    columns: int = c.shape[2]
+    for level in range(1, columns + 1):
+        _check_work(level**2 * columns, c.shape[0], level)
+        if not _net_kernels.all_independent(c, base, level):
+            return columns - level + 1
+    return 0
+
+
+def _as_net(points: object, base: int) -> tuple[Array, int, int]:
+    """Points (n, d), base, and the smallest m with base^m ≥ n."""
+    base = as_integer("base", base, least=2, most=LARGEST_BASE)
+    x = as_unit_points(points)
+    if x.ndim != 2:
+        raise ParameterError(f"points have shape {x.shape}; give one set, shape (n, d).")
+    return x, base, power_from(len(x), base)
+
+
+def _leading_digits(x: Array, base: int, places: int) -> Array:
+    """First digits of each coordinate as a whole number: int64 (d, n)."""
+    scale = float(base**places)
+    nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-52
+    return np.minimum(np.floor(x.T * scale + nudge), scale - 1.0).astype(np.int64)
+
+
+def _check_work(size: int, dims: int, level: int) -> None:
+    shapes = math.comb(level + dims - 1, level)
+    if size * shapes > _MOST_WORK:
+        raise ParameterError(
+            f"There are {shapes:.3g} shapes of elementary intervals to check; "
+            "give fewer points or dims."
+        )
