@@ -8,7 +8,7 @@ from mcspectra.core.errors import UnknownName
 from mcspectra.samplers import SAMPLERS
 from mcspectra.samplers.facts import sampler_facts
 
-OWN = {"random", "regular", "points", "scipy", "qmcpy", "mitsuba"}  # nothing to cite
+OWN = {"points", "scipy", "qmcpy", "mitsuba"}  # nothing to cite
 YEAR = re.compile(r"\((1[89]|20)\d\d\)|[A-Za-z](1[89]|20)\d\d\]")
 BUILT_IN = [name for name, target in SAMPLERS.items() if target.startswith("mcspectra.")]
 
@@ -38,7 +38,7 @@ def test_every_sampler_has_a_summary_and_a_source(name):
 
 def test_sources_end_with_their_section():
     assert "Attributes" not in sampler_facts("halton").sources
-    assert sampler_facts("random").sources == ""
+    assert sampler_facts("points").sources == ""
 
 
 def test_unknown_names():

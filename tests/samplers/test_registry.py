@@ -43,7 +43,7 @@ def test_from_calls_is_from_the_string():
         ("jittered | sobol", SpecError, "'sobol' is a sampler, not a randomization"),
         ("jittered |", SpecError, "does not start with a name"),
         ("", SpecError, "does not start with a name"),
-        ("jittered(sides=4)", ParameterError, "no parameter 'sides'"),
+        ("jittered(cells=4)", ParameterError, "no parameter 'cells'"),
         ("regular(position='middle')", ParameterError, "center, corner"),
         ("jittered | strata-shift(offset=[1, 2, 3])", ParameterError, "3 values"),
         ("jittered | shift(amount=1)", ParameterError, "takes no parameters"),
