@@ -12,7 +12,7 @@ from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.rendering.backend import import_mitsuba
 from mcspectra.rendering.point_sampler import MitsubaSampler
 from mcspectra.samplers import sampler
-from mcspectra.samplers.nets import net_t_value
+from mcspectra.samplers.net_quality import net_t_value
 
 NAMES = ["independent", "stratified", "multijitter", "orthogonal", "ldsampler"]
 
@@ -92,7 +92,7 @@ _PROGRAM = """
 import mcspectra as mcs
 pixel, points = "pixel(x=100, y=100)", mcs.sampler("mitsuba", 2)
 {steps}
-print(repr(value), points.draw(4, rng=1).sum().hex())
+print(value, again, points.draw(4, rng=1).sum().hex())
 """
 _PIXEL = "value = float(mcs.integrand(pixel)([[0.3, 0.4]])[0])"
 _DRAW = "points.draw(4, rng=1)"
@@ -100,7 +100,10 @@ _DRAW = "points.draw(4, rng=1)"
 
 def test_points_and_pixels_do_not_disturb_each_other_in_either_order():
     outputs = set()
-    for steps in (f"{_PIXEL}", f"{_PIXEL}; {_DRAW}; {_PIXEL}", f"{_DRAW}; {_PIXEL}"):
+    for steps in (
+        f"{_PIXEL}; {_DRAW}; again = value; {_PIXEL}",
+        f"{_DRAW}; {_PIXEL}; again = value",
+    ):
         run = subprocess.run(
             [sys.executable, "-c", _PROGRAM.format(steps=steps)],
             capture_output=True,

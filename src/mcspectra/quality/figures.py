@@ -192,7 +192,7 @@ def _mean_nearest_distance(points: Array) -> float:
 
 
 def _t_value(points: Array, base: int) -> float | None:
-    from mcspectra.samplers.nets import net_t_value
+    from mcspectra.samplers.net_quality import net_t_value
 
     return net_t_value(points, base)
 

@@ -21,6 +21,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
 from mcspectra.rendering.backend import LOCK, import_mitsuba
+from mcspectra.samplers._primes import is_prime
 from mcspectra.samplers.base import Sampler, check_dims
 
 __all__ = ["MitsubaSampler"]
@@ -141,9 +142,9 @@ def _nearly_squares(n: int) -> tuple[int | None, int]:
 def _prime_squares(n: int) -> tuple[int | None, int]:
     below = math.isqrt(n)
     above = below if below * below == n else below + 1
-    while below > 1 and not _is_prime(below):
+    while below > 1 and not is_prime(below):
         below -= 1
-    while not _is_prime(above):
+    while not is_prime(above):
         above += 1
     return (below * below if below > 1 else None), above * above
 
@@ -152,10 +153,6 @@ def _powers_of_4(n: int) -> tuple[int | None, int]:
     below = 4 ** ((n.bit_length() - 1) // 2)
     above = max(4, below if below == n else 4 * below)
     return (below if below > 1 else None), above
-
-
-def _is_prime(n: int) -> bool:
-    return n > 1 and all(n % k for k in range(2, math.isqrt(n) + 1))
 
 
 _STRATA = ("stratified", "multijitter", "orthogonal")
