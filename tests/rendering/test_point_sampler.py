@@ -14,6 +14,8 @@ from mcspectra.rendering.point_sampler import MitsubaSampler
 from mcspectra.samplers import sampler
 from mcspectra.samplers.net_quality import net_t_value
 
+pytestmark = pytest.mark.render
+
 NAMES = ["independent", "stratified", "multijitter", "orthogonal", "ldsampler"]
 
 
