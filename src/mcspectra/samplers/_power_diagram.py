@@ -120,20 +120,27 @@ def _copy_back(new: Array, size: int, cell: Array) -> float:
 
 @kernel
 def _cut_by_bucket(
-    s: int, sites: Array, start: int, end: int, x: float, y: float, radius2: float, cell: Any
+    s: int,
+    sites: Array,
+    bucket: Any,
+    place: Any,
+    radius2: float,
+    size: int,
+    cell: Array,
+    new: Array,
 ) -> Any:
-    # Cut the cell of site s, as seen from (x, y), by the sites of a bucket near enough to reach it.
-    corners, spare, size = cell
-    for t in range(start, end):
-        dx, dy = sites[t, 0] - x, sites[t, 1] - y
+    # Cut the cell of site s, which is at `place` as seen from the bucket, by the sites in there
+    # near enough to reach it; return the new square of the farthest corner's distance, and size.
+    for t in range(bucket[0], bucket[1]):
+        dx, dy = sites[t, 0] - place[0], sites[t, 1] - place[1]
         d2 = dx * dx + dy * dy
         level = 0.5 * (d2 + sites[s, 2] - sites[t, 2])
         if t == s or (level > 0.0 and level * level >= radius2 * d2):
             continue
-        if _extent(dx, dy, corners, size) > level:
-            size = _cut(dx, dy, level, t, corners, size, spare)
-            radius2 = _copy_back(spare, size, corners)
-    return size, radius2
+        if _extent(dx, dy, cell, size) > level:
+            size = _cut(dx, dy, level, t, cell, size, new)
+            radius2 = _copy_back(new, size, cell)
+    return radius2, size
 
 
 @kernel
@@ -152,16 +159,8 @@ def _cut_cell(s: int, sites: Array, buckets: Any, heaviest: float, cell: Array, 
             step = 1 if abs(a - row) == ring else 2 * ring
             for b in range(column - ring, column + ring + 1, step):
                 k = i * side + b % side
-                size, radius2 = _cut_by_bucket(
-                    s,
-                    sites,
-                    starts[k],
-                    starts[k + 1],
-                    x - turns,
-                    y - b // side,
-                    radius2,
-                    (cell, new, size),
-                )
+                bucket, place = (starts[k], starts[k + 1]), (x - turns, y - b // side)
+                radius2, size = _cut_by_bucket(s, sites, bucket, place, radius2, size, cell, new)
         if size == 0:
             break
         ring += 1
@@ -208,8 +207,8 @@ def power_diagram(points: Array, weights: Array) -> Diagram:
     areas, moments, offsets = np.empty(n), np.empty(n), np.empty((n, 2))
     rows, used = np.zeros((n, 2), np.int64), 0
     neighbors, couplings = np.empty(8 * n + 8, np.int64), np.empty(8 * n + 8)
-    # At most 9 images of a site have a face with a cell, which lies within a unit square
-    cell, spare = np.empty((9 * n + 4, 4)), np.empty((9 * n + 4, 4))
+    # A cell lies within a unit square, where at most 9 images of a site can have a face with it
+    cell, spare = np.empty((10 * n + 10, 4)), np.empty((10 * n + 10, 4))
     for s in range(n):
         i = order[s]
         size = _cut_cell(s, sites, (side, starts), heaviest, cell, spare)
