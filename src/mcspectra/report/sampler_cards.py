@@ -14,6 +14,7 @@ from mcspectra.core.errors import McspectraError
 from mcspectra.core.spec import parse_chain
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import Estimator
+from mcspectra.quality import quality_figures, summarize
 from mcspectra.samplers import SAMPLERS, GivenPoints, Sampler, sampler
 from mcspectra.samplers.base import Randomized, Structure
 from mcspectra.samplers.facts import Facts, sampler_facts
@@ -28,6 +29,14 @@ __all__ = ["FULL", "QUICK", "Card", "Effort", "measure_card"]
 
 _SHARED_SETS = 8  # optimised sets, used again under random translations
 _PROJECTED_DIMS = 4
+_QUALITY = (
+    "relative_minimum_distance",
+    "star_discrepancy",
+    "centered_discrepancy",
+    "diaphony",
+    "transport_cost",
+    "t_value",
+)
 _INTEGRANDS = {1: ("gaussian", "step(at=0.3)"), 2: ("gaussian", "disk")}
 
 
@@ -213,4 +222,11 @@ def _seconds(source: Sampler, n: int, rng: int) -> float:
 
 
 def _quality(source: Sampler, n: int, rng: int) -> dict[str, tuple[str, float, float]]:
-    return {}
+    """Long name, mean and standard error of the figures that can be had."""
+    count = _different(source, n, _SHARED_SETS, rng)
+    found = quality_figures(source, n, figures=_QUALITY, realizations=count, rng=rng)
+    return {
+        figure.name: (figure.long_name, figure.mean, figure.standard_error)
+        for figure in summarize(found)
+        if not figure.missing
+    }

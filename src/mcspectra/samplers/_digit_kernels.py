@@ -44,18 +44,18 @@ def _format(base: int) -> tuple[int, float, float, float]:
 
 
 @kernel
-def _read(x: float, scale: float, nudge: float) -> int:
+def _read(x: float, scale: float, nudge: float) -> Any:
     return np.int64(min(x * scale + nudge, scale - 1.0))
 
 
 @kernel
-def _write(v: int, tail: float, scale: float, unit: float) -> float:
+def _write(v: int, tail: float, scale: float, unit: float) -> Any:
     # tail uniform in [0, 1), taken to the middle of its 2^-k
     return (np.float64(v) + (np.floor(tail / unit) + 0.5) * unit) / scale
 
 
 @kernel
-def _quotient(v: int, inverse: float) -> int:
+def _quotient(v: int, inverse: float) -> Any:
     # ⌊v/b⌋ by the float 1/b, for v < 2^45: the error, below 2^-7/b, is less than the ½/b to spare
     return np.int64((np.float64(v) + 0.5) * inverse)
 
@@ -142,7 +142,7 @@ def _image(k0: np.uint64, k1: np.uint64, node: Any, digit: int, base: int) -> in
             drawn, used = drawn + 1, base - t
             bits = mix_bits(mix_bits(k0, k1, node), k1, drawn)
         upper = (bits >> _S32) * choices + (((bits & _LOW32) * choices) >> _S32)
-        chosen = t + np.int64(upper >> _S32)
+        chosen: Any = t + np.int64(upper >> _S32)
         bits *= choices
         if position == chosen:
             return t
