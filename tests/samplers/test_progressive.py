@@ -113,6 +113,15 @@ def test_points_and_pairs_of_points_are_as_random_as_can_be(source):
     assert uniform(codes)
 
 
+def test_pmj_deals_out_free_intervals_at_random():
+    """Points 64 … 127 in 16 columns of 8 intervals: four are free, in one of 24 orders."""
+    x = PMJ().draw(128, realizations=400, rng=10)[:, 64:, 0]
+    order = np.argsort(np.floor(x * 16), axis=1, kind="stable")
+    four = np.take_along_axis(x, order, axis=1).reshape(-1, 4)  # of a column, in order of index
+    ranks = np.argsort(np.argsort(four, axis=1), axis=1)
+    assert uniform(np.unique(ranks @ [64, 16, 4, 1], return_counts=True)[1])
+
+
 def test_low_bits_are_uniform():
     points = PMJ().draw(16, realizations=2000, rng=7)
     assert uniform(np.bincount((points.ravel() * 16 % 1 * 64).astype(int), minlength=64))
