@@ -26,6 +26,7 @@ from .spectra.pair_correlation import pair_correlation as pair_correlation
 from .spectra.power import power_spectrum as power_spectrum
 from .variance.convergence import convergence as convergence
 from .variance.exact import exact_variance as exact_variance
+from .variance.stopping import realizations_needed as realizations_needed
 from .variance.terms import variance_terms as variance_terms
 from .version import __version__ as __version__
 
@@ -52,6 +53,7 @@ __all__ = [
     "power_spectrum",
     "quality",
     "quality_figures",
+    "realizations_needed",
     "rendering",
     "report",
     "sampler",

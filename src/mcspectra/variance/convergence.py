@@ -1,14 +1,13 @@
 """Convergence: measured variance against n and its fitted rate.
 
-The rate is the slope of log variance against log n by weighted least squares, each variance
-weighted by the inverse square of its relative standard error (from the kurtosis of the estimates).
-Its 95 % interval is widened by the lack of fit, χ² per degree of freedom, where that exceeds 1.
+The rate is the slope of log variance against log n (`mcspectra.variance.fit`). The variance is that of
+the realisations, a sample variance with ddof = 1, which is unbiased for the variance of the estimator;
+its relative standard error, from the kurtosis of the estimates, is its weight in the fit.
 """
 
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -16,23 +15,19 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.parallel import (
-    MAX_REALIZATIONS,
-    Block,
-    available_workers,
-    map_in_order,
-    realization_blocks,
-)
+from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
-from mcspectra.estimators.moments import CONFIDENCE_Z, rounding_floor
+from mcspectra.estimators.moments import rounding_floor
 from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.variance.fit import check_window, fit_rate
+from mcspectra.variance.stopping import check_relative_error, count_moments, moments_until
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["convergence", "count_moments", "fit_rate"]
+__all__ = ["convergence"]
 
 
 def convergence(
@@ -42,7 +37,8 @@ def convergence(
     *,
     realizations: int = 1000,
     rng: RngLike = 0,
-    fit_last: int | None = None,
+    relative_error: float | None = None,
+    fit_last: int | str | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
     """Measure variance against the number of points and fit its rate.
@@ -55,12 +51,16 @@ def convergence(
     counts
         Numbers of points n, ascending; each must be one that every sampler can do.
     realizations
-        Independent realisations for each n, at least 2.
+        Independent realisations for each n, at least 2; with `relative_error` the most of each.
     rng
         Seed (SPEC 7); each n has a stream of its own, shared by all estimators and samplers
         (common random numbers).
+    relative_error
+        Stop each count as soon as the standard error of its variance, relative to it, is this small
+        (`realizations_needed`); by default all realisations are used.
     fit_last
-        Fit only the last so many counts; all by default.
+        Fit only the last so many counts; all by default. ``"auto"`` takes as many as lie on a
+        line: `mcspectra.variance.fit.fit_rate`.
     workers
         Threads; all processors by default. Results do not depend on it.
 
@@ -68,9 +68,11 @@ def convergence(
     -------
     xarray.Dataset
         ``variance(n)``, ``variance_ci(n, bound)``, ``mean(n)``, ``mean_se(n)``, ``bias(n)`` and
-        ``mse(n)`` against the estimator's integral, ``rate``, ``rate_ci(bound)``. Lists add the dims
-        estimator and sampler, several channels the dim channel. Counts whose variance is rounding
-        noise are left out of the fit; the rate of fewer than two others is NaN.
+        ``mse(n)`` against the estimator's integral, ``realizations_used(n)``, ``rate``,
+        ``rate_ci(bound)``, ``fit_first_n`` (the smallest count of the fit) and ``fit_chi2`` (its lack of
+        fit per degree of freedom). Lists add the dims estimator and sampler, several channels the dim
+        channel. Counts whose variance is rounding noise are left out of the fit; the rate of fewer
+        than two others is NaN.
 
     Raises
     ------
@@ -92,14 +94,21 @@ def convergence(
     _check_comparable(estimators, samplers)
     ns = _check_counts(counts, estimators, samplers)
     realizations = as_integer("realizations", realizations, least=2, most=MAX_REALIZATIONS)
-    last = len(ns) if fit_last is None else as_integer("fit_last", fit_last, least=2)
-    if last > len(ns):
-        raise ParameterError(f"fit_last is {last}, but there are {len(ns)} counts.")
+    window = check_window(fit_last, len(ns))
+    goal = None if relative_error is None else check_relative_error(relative_error)
     stream = Stream.from_rng(rng)
-    grid = [
-        [_curve(e, s, ns, realizations, stream, last, available_workers(workers)) for s in samplers]
-        for e in estimators
-    ]
+    threads = available_workers(workers)
+
+    def curve(e: AbstractEstimator, s: Sampler) -> dict[str, Array]:
+        def cell(n: int) -> Moments:
+            own = count_stream(stream, n)
+            if goal is None:
+                return count_moments(e, s, n, realizations, own, threads)
+            return moments_until(e, s, n, goal, realizations, own, threads)[0]
+
+        return curve_from_moments(ns, [cell(n) for n in ns], np.atleast_1d(e.integral), window)
+
+    grid = [[curve(e, s) for s in samplers] for e in estimators]
     return _labelled(
         grid,
         ns,
@@ -114,69 +123,18 @@ def convergence(
         ],
         coords={"estimator": [e.spec for e in estimators], "sampler": [s.spec for s in samplers]},
         realizations=realizations,
-        fit_last=last,
+        relative_error=goal,
+        fit_last=_largest_window(ns, grid),
+        fit_window="auto" if window == "auto" else None,
         stream_key=f"{stream.key:#x}",
         seed=rng if isinstance(rng, int) else None,
         integral_source="; ".join(dict.fromkeys(e.integral_source for e in estimators)),
     )
 
 
-def count_moments(
-    estimator: AbstractEstimator,
-    sampler: Sampler,
-    n: int,
-    realizations: int,
-    stream: Stream,
-    workers: int = 1,
-) -> Moments:
-    """Moments of the estimates of one cell (estimator, sampler, n), channels last."""
-
-    def block_moments(block: Block) -> Moments:
-        points = estimator.draw(sampler, n, stream, *block)
-        return Moments.of(estimator.estimate(points).reshape(block[1], -1))
-
-    blocks = realization_blocks(realizations, n * estimator.dims * sum(estimator.counts))
-    results = map_in_order(block_moments, blocks, workers)
-    total = next(results)
-    for moments in results:
-        total = total.merge(moments)
-    return total
-
-
 def count_stream(stream: Stream, n: int) -> Stream:
     """The stream of one count: the same for every estimator and sampler, another for every n."""
     return stream.child(n)
-
-
-def fit_rate(
-    ns: Array, variance: Array, relative_se: Array, floor: Array
-) -> tuple[float, tuple[float, float]]:
-    """Fit log variance = a + rate · log n by weighted least squares.
-
-    Parameters
-    ----------
-    ns, variance, relative_se, floor
-        Counts, variances, their relative standard errors, and the variances below which they are
-        rounding noise: all (N,).
-
-    Returns
-    -------
-    tuple
-        Rate and its 95 % interval; NaN where fewer than two variances are above the floor, an
-        infinite interval where exactly two are not enough to show the lack of fit but are fitted.
-    """
-    used = (variance > floor) & np.isfinite(relative_se) & (relative_se > 0)
-    if used.sum() < 2:
-        return math.nan, (math.nan, math.nan)
-    x, y, weight = np.log(ns[used]), np.log(variance[used]), relative_se[used] ** -2.0
-    centre = np.average(x, weights=weight)
-    spread = (weight * (x - centre) ** 2).sum()
-    rate = float((weight * (x - centre) * y).sum() / spread)
-    residual = y - np.average(y, weights=weight) - rate * (x - centre)
-    degrees = int(used.sum()) - 2
-    excess = float((weight * residual**2).sum() / degrees) if degrees else 1.0
-    half = CONFIDENCE_Z * math.sqrt(max(excess, 1.0) / spread)
-    return rate, (rate - half, rate + half)
 
 
 def _check_comparable(estimators: list[AbstractEstimator], samplers: list[Sampler]) -> None:
@@ -208,25 +166,8 @@ def _check_counts(
     return ns
 
 
-def _curve(
-    estimator: AbstractEstimator,
-    sampler: Sampler,
-    ns: list[int],
-    realizations: int,
-    stream: Stream,
-    last: int,
-    workers: int,
-) -> dict[str, Array]:
-    """One convergence curve; arrays (n, channel), (n, channel, bound), (channel,), ..."""
-    moments = [
-        count_moments(estimator, sampler, n, realizations, count_stream(stream, n), workers)
-        for n in ns
-    ]
-    return curve_from_moments(ns, moments, np.atleast_1d(estimator.integral), last)
-
-
 def curve_from_moments(
-    ns: list[int], moments: list[Moments], integral: Array, last: int
+    ns: list[int], moments: list[Moments], integral: Array, window: int | str
 ) -> dict[str, Array]:
     """Variances, intervals, bias and rate of one curve from the moments of its counts."""
     variance = np.stack([m.variance for m in moments])
@@ -234,7 +175,7 @@ def curve_from_moments(
     mean = np.stack([m.mean for m in moments])
     floor = rounding_floor(np.maximum(np.abs(mean), np.abs(integral)))
     fits = [
-        fit_rate(np.array(ns[-last:]), variance[-last:, c], relative[-last:, c], floor[-last:, c])
+        fit_rate(np.array(ns), variance[:, c], relative[:, c], floor[:, c], window)
         for c in range(variance.shape[1])
     ]
     return {
@@ -245,9 +186,18 @@ def curve_from_moments(
         "bias": mean - integral,
         "mse": (mean - integral) ** 2
         + variance * np.array([(m.count - 1) / m.count for m in moments])[:, None],
-        "rate": np.array([rate for rate, _ in fits]),
-        "rate_ci": np.array([interval for _, interval in fits]),
+        "realizations_used": np.array([m.count for m in moments]),
+        "rate": np.array([fit.rate for fit in fits]),
+        "rate_ci": np.array([fit.interval for fit in fits]),
+        "fit_first_n": np.array([fit.first_n for fit in fits]),
+        "fit_chi2": np.array([fit.chi2 for fit in fits]),
     }
+
+
+def _largest_window(ns: list[int], grid: list[list[dict[str, Array]]]) -> int:
+    """How many counts the fits go over, the most of any."""
+    first = np.array([curve["fit_first_n"] for row in grid for curve in row])
+    return sum(n >= np.nanmin(first, initial=ns[-1]) for n in ns)
 
 
 _DIMS = {
@@ -257,8 +207,11 @@ _DIMS = {
     "mean_se": ("n", "channel"),
     "bias": ("n", "channel"),
     "mse": ("n", "channel"),
+    "realizations_used": ("n",),
     "rate": ("channel",),
     "rate_ci": ("channel", "bound"),
+    "fit_first_n": ("channel",),
+    "fit_chi2": ("channel",),
 }
 
 

@@ -1,0 +1,123 @@
+"""Sequential stopping: what is promised is reached, skewed values take longer, nothing is invented."""
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.streams import Stream
+from mcspectra.variance.stopping import count_moments
+
+LINEAR = mcs.Estimator("linear", dims=1)
+
+
+def _step(share):
+    return mcs.Estimator(f"step(at={share})", dims=1)
+
+
+def test_reaches_the_wanted_error():
+    """Kurtosis of one uniform value is 9/5: about 0.8/ε² realisations."""
+    d = mcs.realizations_needed(LINEAR, "random", 1, relative_error=0.02, rng=1)
+    assert float(d["reached"]) == 1
+    assert float(d["variance_relative_se"]) <= 0.02
+    assert abs(float(d["kurtosis"]) - 1.8) < 0.1
+    assert 0.75 / 0.02**2 < int(d["realizations_used"]) < 2 * 0.8 / 0.02**2
+    assert abs(float(d["variance"]) * 12 - 1) < 4 * 0.02
+
+
+def test_error_is_the_spread_over_seeds():
+    """100 runs: the spread of the variances about the truth is the error they state, by χ²."""
+    runs = [
+        mcs.realizations_needed(LINEAR, "jittered", 4, relative_error=0.1, rng=seed)
+        for seed in range(100)
+    ]
+    exact = mcs.exact_variance(LINEAR, "jittered", 4)
+    pulls = [(float(d["variance"]) / exact - 1) / float(d["variance_relative_se"]) for d in runs]
+    # Σ pull² of 100 values: χ² with 100 degrees, 4 σ
+    assert abs(np.mean(np.square(pulls)) - 1) < 4 * np.sqrt(2 / 100)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.01])
+def test_skewed_values_take_as_many_more(share):
+    """One value of 1[x < p] has the kurtosis (1 − 3pq)/pq: R ≥ (κ − 1)/ε² within its own error."""
+    d = mcs.realizations_needed(_step(share), "random", 1, relative_error=0.1, rng=1)
+    q = share * (1 - share)
+    expected = ((1 - 3 * q) / q - 1) / 0.1**2
+    # κ is known to about ε (rare values are Poisson), the stop is confirmed a quarter later
+    assert 0.7 * expected < int(d["realizations_used"]) < 1.25**2 * 1.3 * expected
+    assert float(d["reached"]) == 1
+    assert abs(float(d["variance"]) / q - 1) < 4 * 0.1
+
+
+def test_skewed_values_do_not_stop_early():
+    """The sample that has seen no rare value yet, or too few, must not be believed."""
+    used, low = [], []
+    for seed in range(60):
+        d = mcs.realizations_needed(_step(0.02), "random", 1, relative_error=0.2, rng=seed)
+        used.append(int(d["realizations_used"]))
+        low.append(float(d["variance_ci"][1]) < 0.02 * 0.98)
+    # 2.5 % of intervals may lie below the truth; 5 σ of 60 draws above that
+    assert np.mean(low) < 0.025 + 5 * np.sqrt(0.025 * 0.975 / 60)
+    assert min(used) > 100
+
+
+def test_no_spread_is_no_evidence():
+    d = mcs.realizations_needed(_step(1e-9), "random", 1, rng=1)
+    assert float(d["reached"]) == 0
+    assert np.isnan(float(d["variance_relative_se"]))
+    assert np.isnan(float(d["kurtosis"]))
+    assert int(d["realizations_used"]) >= 10_000
+    short = mcs.realizations_needed(_step(1e-9), "random", 1, max_realizations=500, rng=1)
+    assert int(short["realizations_used"]) == 500
+
+
+def test_maximum_is_kept():
+    d = mcs.realizations_needed(LINEAR, "random", 1, relative_error=0.01, max_realizations=150)
+    assert (int(d["realizations_used"]), float(d["reached"])) == (150, 0)
+
+
+def test_every_channel_counts():
+    two = mcs.Estimator(
+        mcs.Integrand.from_function(
+            lambda x: np.stack([x[..., 0], 1.0 * (x[..., 0] < 0.01)], axis=-1), dims=1
+        )
+    )
+    d = mcs.realizations_needed(two, "random", 1, relative_error=0.1, rng=1)
+    assert d["variance_ci"].dims == ("channel", "bound")
+    assert (d["variance_relative_se"] <= 0.1).all()
+    assert int(d["realizations_used"]) > 5000  # as the rare one needs
+
+
+def test_workers_and_stages_do_not_matter():
+    one = mcs.realizations_needed(LINEAR, "jittered", 4096, relative_error=0.1, rng=1, workers=1)
+    two = mcs.realizations_needed(LINEAR, "jittered", 4096, relative_error=0.1, rng=1, workers=2)
+    assert one.identical(two)
+    sampler, stream = mcs.sampler("random", dims=1), Stream.from_rng(1)
+    whole = count_moments(LINEAR, sampler, 3, 50, stream)
+    parts = count_moments(LINEAR, sampler, 3, 20, stream).merge(
+        count_moments(LINEAR, sampler, 3, 30, stream, first=20)
+    )
+    assert np.allclose(whole.m4, parts.m4, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "words"),
+    [
+        ({"relative_error": 0}, ParameterError, "greater than 0"),
+        ({"relative_error": 2.0}, ParameterError, "at most 1"),
+        ({"relative_error": 1e-9}, ParameterError, "1e-4"),
+        ({"relative_error": float("nan")}, ParameterError, "finite"),
+        ({"relative_error": "5 %"}, ParameterError, "finite number"),
+        ({"max_realizations": 1}, ParameterError, "from 2 to"),
+        ({"max_realizations": 10**12}, ParameterError, "from 2 to"),
+        ({"n": 0}, ParameterError, "n is 0"),
+        ({"n": 10**30}, ParameterError, "n is"),
+        ({"workers": 0}, ParameterError, "workers"),
+        ({"sampler": mcs.sampler("jittered", dims=2)}, ParameterError, "2"),
+        ({"sampler": "sobol", "n": 2**60}, ParameterError, "n is"),
+    ],
+)
+def test_bad_input(changes, error, words):
+    arguments = {"sampler": "jittered", "n": 4, **changes}
+    with pytest.raises(error, match=words):
+        mcs.realizations_needed(LINEAR, **arguments)
