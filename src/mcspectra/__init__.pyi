@@ -22,10 +22,13 @@ from .samplers.base import Randomization as Randomization
 from .samplers.base import Sampler as Sampler
 from .samplers.registry import sampler as sampler
 from .spectra.closed_forms import closed_form_power as closed_form_power
+from .spectra.listed import power_at as power_at
 from .spectra.pair_correlation import pair_correlation as pair_correlation
 from .spectra.power import power_spectrum as power_spectrum
 from .variance.convergence import convergence as convergence
 from .variance.exact import exact_variance as exact_variance
+from .variance.prediction import integrand_decay as integrand_decay
+from .variance.prediction import predicted_rate as predicted_rate
 from .variance.stopping import realizations_needed as realizations_needed
 from .variance.terms import variance_terms as variance_terms
 from .version import __version__ as __version__
@@ -48,9 +51,12 @@ __all__ = [
     "estimators",
     "exact_variance",
     "integrand",
+    "integrand_decay",
     "integrands",
     "pair_correlation",
+    "power_at",
     "power_spectrum",
+    "predicted_rate",
     "quality",
     "quality_figures",
     "realizations_needed",

@@ -1,0 +1,132 @@
+"""Predicted rates: the closed formula, sums of it, exact variances and measured rates."""
+
+import math
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import ParameterError
+
+INF = math.inf
+
+
+@pytest.mark.parametrize(
+    ("b", "decay", "dims", "rate"),
+    [
+        # Pilleboue et al. 2015: random, Poisson disk (b = 0), jittered (2), CCVT (3), step noise
+        (0, "smooth", 2, -1.0),
+        (0, "jump", 2, -1.0),
+        (2, "smooth", 2, -2.0),
+        (2, "jump", 2, -1.5),
+        (3, "smooth", 2, -2.5),
+        (3, "jump", 2, -1.5),
+        (INF, "jump", 3, -4 / 3),
+        (INF, "smooth", 3, -INF),
+        (2, "smooth", 1, -3.0),
+        (2, "jump", 1, -2.0),
+        (4, "kink", 2, -2.5),
+        (1, 2.5, 2, -1.25),
+        (-1, "jump", 2, -0.5),  # hyperfluctuating: worse than random
+    ],
+)
+def test_table(b, decay, dims, rate):
+    assert mcs.predicted_rate(b, decay, dims) == pytest.approx(rate)
+
+
+@pytest.mark.parametrize("dims", [1, 2, 3])
+@pytest.mark.parametrize("b", [0.0, 1.0, 2.0, 3.5])
+@pytest.mark.parametrize("excess", [0.5, 1.5, 2.6, 6.0])
+def test_formula_is_the_exponent_of_the_sum(dims, b, excess):
+    """Σ_ρ ρ^(d − 1 − γ) min(1, (ρ/N)^b)/n over integer shells, at large N, by its local slope.
+
+    The other power is smaller by N^-|b − excess|; its share bends the slope by no more than the gap
+    times that share.
+    """
+    rho = np.arange(1, 2**21, dtype=float)
+    ends = np.array([2.0**11, 2.0**13])
+    sums = [(rho ** (-1 - excess) * np.minimum(1, (rho / end) ** b)).sum() for end in ends]
+    slope = np.diff(np.log(sums))[0] / np.log(4)
+    gap = abs(b - excess)
+    share = 3 * gap * ends[0] ** -gap / max(1e-9, min(b, excess) or 1.0)
+    tail = (2**21 / ends[1]) ** -excess  # the sum ends somewhere
+    expected = (mcs.predicted_rate(b, dims + excess, dims) + 1) * dims
+    assert abs(slope - expected) < share + tail
+
+
+GAUSSIAN, DISK = "christensen-gaussian", "disk(center=[0.463, 0.517], radius=0.27)"
+
+
+@pytest.mark.parametrize(
+    ("integrand", "sampler", "b", "decay"),
+    [
+        (GAUSSIAN, "random", 0, "jump"),
+        (GAUSSIAN, "jittered | shift", 2, "jump"),  # of the torus
+        (GAUSSIAN, "jittered", 2, "smooth"),
+        (DISK, "random", 0, "jump"),
+        (DISK, "jittered | shift", 2, "jump"),
+        ("cosine(frequency=[2, 1])", "jittered | shift", 2, "smooth"),
+        ("cosine(frequency=[2, 1])", "random", 0, "smooth"),
+    ],
+)
+def test_measured_rates_in_2d(integrand, sampler, b, decay):
+    """Of the lower-order terms n^-1/2 is left: at 256 … 4096, 2 % of the variance, 0.02 of the rate."""
+    curve = mcs.convergence(
+        mcs.Estimator(integrand, dims=2), sampler, [256, 1024, 4096], realizations=600, rng=4
+    )
+    low, high = curve["rate_ci"].values
+    middle, half = (low + high) / 2, (high - low) / 2
+    assert abs(middle - mcs.predicted_rate(b, decay, 2)) < 2 * half + 0.02
+
+
+@pytest.mark.parametrize(
+    ("integrand", "dims", "excess"),
+    [("step(at=0.31)", 1, 1.0), (DISK, 2, 1.0), (GAUSSIAN, 2, 1.0), ("linear", 1, 1.0)],
+)
+def test_decay_of_jumps(integrand, dims, excess):
+    """d + 1. Ripples sin²(π m a) of a shell of M frequencies leave ½ M^-1/sin(π a) and less."""
+    f = mcs.integrand(integrand, dims=dims)
+    width = 512 if dims == 1 else 64
+    assert mcs.integrand_decay(f, half_width=width) == pytest.approx(dims + excess, abs=8 / width)
+
+
+def test_decay_of_kinks_and_smooth():
+    kink = mcs.Integrand.from_function(lambda x: np.abs(x[..., 0] - 0.5), dims=1)
+    # |f_m|² = 1/(πm)^4 at odd m
+    assert mcs.integrand_decay(kink, half_width=64) == pytest.approx(4.0, abs=0.15)
+    assert mcs.integrand_decay("cosine(frequency=[2, 1])") == INF
+    bump = mcs.Integrand.from_function(lambda x: np.exp(np.cos(2 * np.pi * x[..., 0])), dims=1)
+    assert mcs.integrand_decay(bump, half_width=16) > 10
+
+
+def test_decay_of_channels_is_the_least():
+    two = mcs.Integrand.from_function(
+        lambda x: np.stack([np.cos(2 * np.pi * x[..., 0]), 1.0 * x[..., 0]], axis=-1), dims=1
+    )
+    assert mcs.integrand_decay(two, half_width=32) == pytest.approx(2.0, abs=0.15)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((-2, "jump", 2), "greater than -2"),
+        ((float("nan"), "jump", 2), "b is nan"),
+        (("two", "jump", 2), "b is 'two'"),
+        ((True, "jump", 2), "b is True"),
+        ((2, 2.0, 2), "decay is 2.0; give a number greater than 2"),
+        ((2, float("nan"), 2), "decay is nan"),
+        ((2, "jmp", 2), "Did you mean 'jump'"),
+        ((2, "jump", 0), "dims is 0"),
+        ((2, "jump", 10**9), "dims is"),
+        ((2, "jump", 1.5), "dims is 1.5"),
+    ],
+)
+def test_bad_exponents(arguments, words):
+    with pytest.raises(ParameterError, match=words):
+        mcs.predicted_rate(*arguments)
+
+
+@pytest.mark.parametrize("half_width", [0, 7, 2.5, float("nan"), 10**9])
+def test_bad_half_width(half_width):
+    with pytest.raises(ParameterError):
+        mcs.integrand_decay("disk", half_width=half_width)
