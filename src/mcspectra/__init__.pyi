@@ -21,6 +21,7 @@ from .quality.figures import quality_figures as quality_figures
 from .samplers.base import Randomization as Randomization
 from .samplers.base import Sampler as Sampler
 from .samplers.registry import sampler as sampler
+from .spectra.closed_forms import closed_form_covariance as closed_form_covariance
 from .spectra.closed_forms import closed_form_power as closed_form_power
 from .spectra.listed import power_at as power_at
 from .spectra.pair_correlation import pair_correlation as pair_correlation
@@ -44,6 +45,7 @@ __all__ = [
     "Sampler",
     "TechniqueSum",
     "__version__",
+    "closed_form_covariance",
     "closed_form_power",
     "convergence",
     "densities",

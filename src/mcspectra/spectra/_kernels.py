@@ -11,7 +11,7 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
 
-__all__ = ["bin_weights", "histogram_distances", "power_sums", "split_pair"]
+__all__ = ["bin_weights", "histogram_distances", "pair_mean", "power_sums", "split_pair"]
 
 
 @kernel
@@ -46,6 +46,16 @@ def power_sums(packed: Array, pair: bool, total: Array, squares: Array) -> None:
             p = a.real * a.real + a.imag * a.imag
             total[h] += p
             squares[h] += p * p
+
+
+@kernel
+def pair_mean(packed: Array, total: Array) -> None:
+    """Add S1 + S2 of a pair F = S1 + i S2 to total (H,): see `split_pair`."""
+    last = packed.size - 1
+    for h in range(total.size):
+        a = packed[h]
+        b = np.conj(packed[last - h])
+        total[h] += 0.5 * ((a + b) - 1j * (a - b))
 
 
 @kernel

@@ -29,12 +29,13 @@ import numpy as np
 
 from mcspectra.core.checks import MAX_FREQUENCY, Array, as_choice, as_integer, as_real
 from mcspectra.core.errors import ParameterError
-from mcspectra.spectra._kernels import power_sums, split_pair
+from mcspectra.spectra._kernels import pair_mean, power_sums, split_pair
 
 __all__ = ["ENGINES", "FrequencyGrid", "Transform", "direct_sum"]
 
 ENGINES = ("auto", "nufft", "direct")
 _DIRECT_BELOW = 4000
+_DIRECT_NUMBERS = 2**22  # 64 MiB of phases
 MAX_FREQUENCIES = 2**27
 """Most frequencies of one grid: 2 GiB of complex128."""
 
@@ -178,21 +179,35 @@ class Transform:
         if sets % 2:
             out[-1] = self._nufft(points[-1], weights[-1].astype(np.complex128))[: out.shape[1]]
 
-    def add_power(self, points: Array, weights: Array | None, total: Array, squares: Array) -> None:
-        """Add Σ_r |S_m|² and Σ_r |S_m|⁴ of a block to `total` and `squares`, both (H,)."""
+    def add_power(
+        self,
+        points: Array,
+        weights: Array | None,
+        total: Array,
+        squares: Array,
+        mean: Array | None = None,
+    ) -> None:
+        """Add Σ_r |S_m|² and Σ_r |S_m|⁴ of a block to `total` and `squares`, Σ_r S_m to `mean`: (H,)."""
         sets, n, _ = points.shape
-        if self.engine == "direct":
-            power = np.abs(self.coefficients(points, weights)) ** 2
-            total += power.sum(axis=0)
-            squares += (power * power).sum(axis=0)
-            return
         if weights is None:
             weights = np.broadcast_to(1.0 / n, (sets, n))
-        for r in range(0, sets - 1, 2):
-            power_sums(self._pair(points[r : r + 2], weights[r : r + 2]), True, total, squares)
-        if sets % 2:
-            last = self._nufft(points[-1], weights[-1].astype(np.complex128))
-            power_sums(last, False, total, squares)
+        paired = 0 if self.engine == "direct" else sets - sets % 2
+        for r in range(0, paired, 2):
+            packed = self._pair(points[r : r + 2], weights[r : r + 2])
+            power_sums(packed, True, total, squares)
+            if mean is not None:
+                pair_mean(packed, mean)
+        for r in range(paired, sets):
+            single = self._single(points[r], weights[r])
+            power_sums(single, False, total, squares)
+            if mean is not None:
+                mean += single[: mean.size]
+
+    def _single(self, points: Array, weights: Array) -> Array:
+        """Transform of one set, of which at least the half grid is there."""
+        if self.engine == "direct":
+            return self._direct(points, weights)
+        return self._nufft(points, weights.astype(np.complex128))
 
     def _pair(self, points: Array, weights: Array) -> Array:
         """Transform of set 0 plus i times set 1, full grid, flat."""
@@ -227,19 +242,33 @@ class Transform:
         )
 
     def _direct(self, points: Array, weights: Array) -> Array:
-        """Separable sum: one matrix product of the phases along the first axis with the rest."""
+        """Separable sum: a matrix product of the phases along the first axes with those of the rest.
+
+        Axes are divided evenly, so that in four dims the factors have n (2K+1)² numbers; points are
+        taken in blocks that keep them below `_DIRECT_NUMBERS`.
+        """
         grid = self.grid
-        phases = [
-            np.exp(
-                (-2j * np.pi * grid.step)
-                * np.outer(points[:, j], np.arange(-grid.half_width, grid.half_width + 1))
-            )
-            for j in range(grid.dims)
-        ]
-        rest = weights[:, None].astype(np.complex128)
-        for phase in phases[1:]:
-            rest = (rest[:, :, None] * phase[:, None, :]).reshape(len(points), -1)
-        return np.asarray((phases[0].T @ rest).ravel()[: grid.half_size])
+        split = max(1, grid.dims // 2)
+        side = 2 * grid.half_width + 1
+        used = (side**split + 1) // 2  # rows of the half grid
+        total = np.zeros((used, side ** (grid.dims - split)), np.complex128)
+        block = max(1, _DIRECT_NUMBERS // max(total.shape))
+        for low in range(0, len(points), block):
+            x = points[low : low + block]
+            left = self._phases(x[:, :split])[:, :used]
+            right = self._phases(x[:, split:]) * weights[low : low + block, None]
+            total += left.T @ right
+        return np.asarray(total.ravel()[: grid.half_size])
+
+    def _phases(self, points: Array) -> Array:
+        """exp(−2πi m·x) of points (n, any) on the grid of as many dims: (n, (2K+1)^any)."""
+        grid = self.grid
+        index = np.arange(-grid.half_width, grid.half_width + 1)
+        found = np.ones((len(points), 1), np.complex128)
+        for x in points.T:
+            phase = np.exp((-2j * np.pi * grid.step) * np.outer(x, index))
+            found = (found[:, :, None] * phase[:, None, :]).reshape(len(points), -1)
+        return found
 
 
 def direct_sum(points: Array, frequencies: Array, weights: Array | None = None) -> Array:

@@ -1,0 +1,122 @@
+"""Numba kernels of spectra at listed frequencies: arrays only, no checks.
+
+Legend: k points, j axes, f frequencies, u factors. A frequency is a list of its nonzero axes in
+compressed rows, start (F+1,) into entries; points lie axis by axis, (d, n), so that the innermost
+loops run over neighbours in memory. They take points in blocks that stay in the first cache.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.jit import kernel
+
+__all__ = ["phase_sum", "product_sum", "unit_phases"]
+
+_BLOCK = 256
+_ROUND = 1.5 * 2.0**52  # t + _ROUND − _ROUND is the nearest integer for |t| < 2^51, without a call
+# Taylor coefficients of cos a in a², and of −sin a, divided by a.
+_C = tuple((-1) ** i / math.factorial(2 * i) for i in range(9))
+_S = tuple(-((-1) ** i) / math.factorial(2 * i + 1) for i in range(8))
+
+
+@kernel
+def unit_phases(turns: Array, real: Array, imag: Array) -> None:
+    """Return exp(−2πi t) of each t of `turns`: accurate to 1e-15 and free of branches.
+
+    A quarter of the turn, reduced to |t| ≤ 1/8, by the Taylor series (the first term left out is
+    (π/4)^17/17! = 5e-17), then squared twice: compilers turn the loop into vector instructions, which
+    they cannot do with divisions and calls of sin and cos.
+    """
+    for k in range(turns.size):
+        t = turns[k]
+        a = (t - ((t + _ROUND) - _ROUND)) * (0.5 * np.pi)
+        z = a * a
+        c = _C[5] + z * (_C[6] + z * (_C[7] + z * _C[8]))
+        c = _C[0] + z * (_C[1] + z * (_C[2] + z * (_C[3] + z * (_C[4] + z * c))))
+        s = _S[4] + z * (_S[5] + z * (_S[6] + z * _S[7]))
+        s = a * (_S[0] + z * (_S[1] + z * (_S[2] + z * (_S[3] + z * s))))
+        c, s = c * c - s * s, 2 * c * s
+        real[k] = c * c - s * s
+        imag[k] = 2 * c * s
+
+
+@kernel
+def _sum(values: Array) -> float:
+    """Sum by halves, which overwrites `values`: vector instructions, and little rounding."""
+    size = values.size
+    while size > 8:
+        odd = size & 1
+        size = size // 2
+        for k in range(size):
+            values[k] += values[size + odd + k]
+        size += odd
+    total = 0.0
+    for k in range(size):
+        total += values[k]
+    return total
+
+
+@kernel
+def phase_sum(
+    points: Array, weights: Array, start: Array, axes: Array, values: Array, out: Array
+) -> None:
+    """Σ_k w_k exp(−2πi ν_f·x_k) into out (F,): one phase for every point and frequency."""
+    n = weights.size
+    turns, real, imag = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
+    out[:] = 0.0
+    for low in range(0, n, _BLOCK):
+        size = min(_BLOCK, n - low)
+        w = weights[low : low + size]
+        for f in range(out.size):
+            turns[:size] = 0.0
+            for e in range(start[f], start[f + 1]):
+                x = points[axes[e], low : low + size]
+                for k in range(size):
+                    t = values[e] * x[k]
+                    # whole turns are taken off axis by axis: less is lost to rounding
+                    turns[k] += t - ((t + _ROUND) - _ROUND)
+            unit_phases(turns[:size], real, imag)
+            for k in range(size):
+                real[k] *= w[k]
+                imag[k] *= w[k]
+            out[f] += complex(_sum(real[:size]), _sum(imag[:size]))
+
+
+@kernel
+def product_sum(
+    points: Array,
+    weights: Array,
+    start: Array,
+    entries: Array,
+    axes: Array,
+    values: Array,
+    out: Array,
+) -> None:
+    """As `phase_sum`, phases as products of factors exp(−2πi v_u x_{a_u}) that frequencies share.
+
+    entries: factors of each frequency; axes, values (U,): what a factor is.
+    """
+    n = weights.size
+    table = np.empty((axes.size, 2, _BLOCK))
+    turns, real, imag = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
+    out[:] = 0.0
+    for low in range(0, n, _BLOCK):
+        size = min(_BLOCK, n - low)
+        for u in range(axes.size):
+            for k in range(size):
+                turns[k] = values[u] * points[axes[u], low + k]
+            unit_phases(turns[:size], table[u, 0], table[u, 1])
+        for f in range(out.size):
+            real[:size] = weights[low : low + size]
+            imag[:size] = 0.0
+            for e in range(start[f], start[f + 1]):
+                c, s = table[entries[e], 0], table[entries[e], 1]
+                for k in range(size):
+                    a = real[k] * c[k] - imag[k] * s[k]
+                    imag[k] = real[k] * s[k] + imag[k] * c[k]
+                    real[k] = a
+            out[f] += complex(_sum(real[:size]), _sum(imag[:size]))

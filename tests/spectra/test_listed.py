@@ -1,0 +1,264 @@
+"""Power at listed frequencies: against the definition, closed forms and the grid; lists of them."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import CountError, ParameterError
+from mcspectra.spectra import transforms
+from mcspectra.spectra._listed_kernels import unit_phases
+from mcspectra.spectra.frequencies import (
+    axis_frequencies,
+    diagonal_frequencies,
+    plane_frequencies,
+    subset_frequencies,
+)
+from mcspectra.spectra.listed import listed_transform
+from mcspectra.spectra.transforms import FrequencyGrid, Transform, direct_sum
+
+# Šidák: 5e-7 two-sided over a few thousand frequencies of one test is about 6 σ.
+SIGMAS = 6.0
+
+
+def _agrees(spectrum, expected, *, floor=1e-14):
+    error = np.abs(spectrum["power"].values - expected)
+    allowed = SIGMAS * spectrum["power_se"].values + floor
+    assert (error <= allowed).all(), float((error / allowed).max())
+
+
+def test_phases_are_exact_to_rounding():
+    """Two squarings multiply the error of four roundings by four: 16 ulps of 1 are enough."""
+    turns = np.concatenate([np.linspace(-2, 2, 4097), [0.125, 1e-300, -0.375, 2.0**40 + 0.25]])
+    real, imag = np.empty_like(turns), np.empty_like(turns)
+    unit_phases(turns, real, imag)
+    reduced = 2 * np.pi * (turns - np.rint(turns))
+    assert np.abs(real - np.cos(reduced)).max() < 16 * 2.0**-53
+    assert np.abs(imag + np.sin(reduced)).max() < 16 * 2.0**-53
+
+
+@pytest.mark.parametrize("dims", [1, 2, 3, 7, 1024])
+@pytest.mark.parametrize("kind", ["grid", "real"])
+def test_engines_agree_with_the_definition(dims, kind):
+    """More points than a block of the kernels, sparse and dense rows, shared factors or not."""
+    rng = np.random.default_rng(dims)
+    nu = rng.integers(-3, 4, (200, dims)).astype(float)
+    if kind == "real":
+        nu = rng.uniform(-20, 20, (200, dims)) * (rng.random((200, dims)) < 0.7)
+    nu[5] = 0.0
+    points, weights = rng.random((700, dims)), rng.standard_normal(700)
+    expected = direct_sum(points, nu, weights)
+    # 700 phases, each off by ulps of its turns
+    allowed = 700 * 1e-15 * (1 + np.abs(nu).sum(axis=1))
+    for engine in ("direct", "nufft") if dims <= 3 else ("direct",):
+        transform, name = listed_transform(nu, 700, engine=engine, eps=1e-9)
+        assert name == engine
+        error = np.abs(transform(points, weights) - expected)
+        limit = allowed if engine == "direct" else 1e-8 * np.abs(weights).sum()
+        assert (error <= limit).all()
+
+
+@pytest.mark.parametrize(
+    ("count", "dims", "n", "engine"),
+    [(20_000, 2, 4096, "nufft"), (20, 2, 4096, "direct"), (20_000, 4, 4096, "direct")],
+)
+def test_auto_takes_the_cheaper_engine(count, dims, n, engine):
+    nu = np.random.default_rng(0).uniform(-64, 64, (count, dims))
+    assert listed_transform(nu, n)[1] == engine
+
+
+def test_few_points_far_apart_in_frequency_stay_direct():
+    """The grid of a type 3 transform spans the frequencies: 2e6 a side would be terabytes."""
+    nu = np.random.default_rng(0).uniform(-1e6, 1e6, (50_000, 2))
+    assert listed_transform(nu, 4096)[1] == "direct"
+
+
+@pytest.mark.parametrize(
+    ("dims", "n", "engine"), [(1, 8, "nufft"), (2, 16, "nufft"), (2, 16, "direct"), (4, 16, "auto")]
+)
+def test_same_as_the_grid(dims, n, engine):
+    """An odd number of sets, so that pairs and a single one take part; 4-D splits 2 + 2 axes."""
+    given = {"density": "linear(slope=1)"} if dims == 1 else {}
+    sampler = mcs.sampler("jittered", dims=dims)
+    grid = mcs.power_spectrum(
+        sampler,
+        n,
+        half_width=3,
+        realizations=13,
+        rng=3,
+        eps=1e-12,
+        engine=engine,
+        mean=True,
+        **given,
+    )
+    nu = plane_frequencies(dims, range(dims), 3)
+    listed = mcs.power_at(sampler, n, nu, realizations=13, rng=3, **given)
+    for name in ("power", "power_se", "mean_coefficient", "mean_coefficient_se"):
+        # √ of rounding where nothing varies
+        floor = 1e-7 if name.endswith("_se") else 1e-9
+        assert np.abs(grid[name].values.ravel() - listed[name].values).max() < floor, name
+
+
+def test_direct_engine_takes_points_in_blocks(monkeypatch):
+    """Blocks of 5 points and of all give the same sums."""
+    grid = FrequencyGrid(4, 2)
+    points = np.random.default_rng(1).random((1, 23, 4))
+    whole = Transform(grid, 23, engine="direct").coefficients(points)
+    monkeypatch.setattr(transforms, "_DIRECT_NUMBERS", 5 * 25)
+    blocks = Transform(grid, 23, engine="direct").coefficients(points)
+    assert np.abs(whole - blocks).max() < 1e-14
+    assert np.abs(whole - direct_sum(points, grid.half_indices())).max() < 1e-14
+
+
+@pytest.mark.parametrize(
+    ("name", "dims", "n"),
+    [("random", 1, 7), ("jittered", 2, 16), ("latin-hypercube", 20, 8), ("random", 1024, 5)],
+)
+def test_closed_forms_in_any_dims(name, dims, n):
+    """Real and integer frequencies along axes, diagonals and of a pair of axes."""
+    nu = np.concatenate(
+        [
+            axis_frequencies(dims, 2, step=0.7)[-6:],
+            diagonal_frequencies(dims, 3),
+            subset_frequencies(dims, (0, dims - 1)[: min(dims, 2)], 2),
+        ]
+    )
+    sampler = mcs.sampler(name, dims=dims)
+    found = mcs.power_at(sampler, n, nu, realizations=2000, rng=4)
+    _agrees(found, mcs.closed_form_power(sampler, n, nu))
+
+
+def test_mean_is_zero_at_integers_and_the_bias_of_a_cell_elsewhere():
+    """Unbiased: ⟨S_ν⟩ = ∫ exp(−2πiνx) = exp(−πiν) sinc(πν) at every real ν, 0 at integers."""
+    nu = np.concatenate([np.arange(1, 20), np.arange(0.25, 8, 0.5)])[:, None]
+    found = mcs.power_at("random", 9, nu, realizations=3000, rng=5)
+    expected = (np.exp(-1j * np.pi * nu) * np.sinc(nu))[:, 0]
+    error = np.abs(found["mean_coefficient"].values - expected)
+    assert (error <= SIGMAS * found["mean_coefficient_se"].values).all()
+    # E|error|² = se²: the mean of |error|²/se² over F independent-ish frequencies is near 1
+    ratio = np.mean((error / found["mean_coefficient_se"].values) ** 2)
+    assert 0.3 < ratio < 2.5
+
+
+def test_mean_shows_the_bias_of_a_plain_grid():
+    """The regular grid has S_m = ±1 at multiples of n in every realisation: error 0, no spread."""
+    found = mcs.power_at(mcs.sampler("regular", dims=1), 8, [[8.0], [3.0]], realizations=5)
+    assert np.allclose(np.abs(found["mean_coefficient"]), [1, 0], atol=1e-14)
+    assert found["mean_coefficient_se"].values.max() < 1e-7  # √ of rounding in ⟨|S|²⟩ − |⟨S⟩|²
+
+
+def test_weighted_points_of_a_density():
+    """⟨|S_m|²⟩ = (1/n)∫1/p at m ≠ 0, and ⟨S_m⟩ = 0: ORACLES, p = ½ + x has ∫1/p = ln 3."""
+    nu = np.arange(1, 30)[:, None]
+    found = mcs.power_at("random", 12, nu, density="linear(slope=1)", realizations=4000, rng=6)
+    _agrees(found, np.log(3) / 12)
+    error = np.abs(found["mean_coefficient"].values)
+    assert (error <= SIGMAS * found["mean_coefficient_se"].values).all()
+
+
+def test_workers_do_not_change_results():
+    nu = axis_frequencies(6, 40)
+    one = mcs.power_at("latin-hypercube", 64, nu, realizations=101, rng=2, workers=1)
+    two = mcs.power_at("latin-hypercube", 64, nu, realizations=101, rng=2, workers=2)
+    assert np.array_equal(one["power"], two["power"])
+    assert np.array_equal(one["mean_coefficient"], two["mean_coefficient"])
+
+
+def test_memory_is_flat_in_realizations():
+    """Blocks hold 2^21 numbers, 512 of these sets, however many follow."""
+    peaks = []
+    for realizations in (2048, 6144):
+        tracemalloc.start()
+        mcs.power_at("random", 4096, [[1.0]], realizations=realizations, workers=1)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.1 * peaks[0]
+
+
+def test_labels():
+    found = mcs.power_at("jittered", 16, [[1, 0.5], [2, 0]], realizations=1, rng=3)
+    assert found["power"].dims == ("frequency",)
+    assert found["m_1"].values.tolist() == [0.5, 0.0]
+    assert found["m_0"].attrs["units"] == "cycles per unit"
+    assert np.isnan(found["power_se"]).all()
+    assert found.attrs["engine"] == "direct"
+    assert found["mean_coefficient"].attrs["units"] == "1"
+
+
+def test_lists_of_frequencies():
+    assert len(axis_frequencies(3, 5)) == 15
+    assert (np.count_nonzero(axis_frequencies(3, 5, step=0.5), axis=1) == 1).all()
+    plane = plane_frequencies(4, (3, 1), 2)
+    assert plane.shape == (25, 4)
+    assert not plane[:, [0, 2]].any()
+    assert plane[1].tolist() == [0, -1, 0, -2]  # C order of the axes as given
+    subset = subset_frequencies(5, (0, 2, 4), 2, step=2.0)
+    assert len({tuple(row) for row in subset}) == 4**3
+    assert ((subset != 0) == [True, False, True, False, True]).all()
+    assert np.abs(subset).max() == 4
+    assert np.array_equal(diagonal_frequencies(3, 2), [[1, 1, 1], [2, 2, 2]])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"frequencies": [1.0, 2.0]}, r"shape \(F, 2\)"),
+        ({"frequencies": [[1.0, np.nan]]}, "NaN"),
+        ({"frequencies": [[np.inf, 1.0]]}, "NaN or infinity"),
+        ({"frequencies": [[1e13, 1.0]]}, "phases"),
+        ({"frequencies": [["a", "b"]]}, "real numbers"),
+        ({"frequencies": []}, "shape"),
+        ({"frequencies": 3.0}, "shape"),
+        ({"frequencies": [[1j, 1.0]]}, "real numbers"),
+        ({"frequencies": [[1.0, 2.0, 3.0]]}, "shape"),
+        ({"realizations": 0}, "realizations"),
+        ({"engine": "fft"}, "engine"),
+        ({"eps": 1.0}, "eps"),
+        ({"n": 15}, "9 and 16"),
+        ({"n": 10**30}, "n"),
+        ({"density": mcs.density("linear(slope=1)", dims=1)}, "dims"),
+    ],
+)
+def test_bad_input(arguments, words):
+    given = {"n": 16, "frequencies": [[1.0, 2.0]], **arguments}
+    with pytest.raises((ParameterError, CountError), match=words):
+        mcs.power_at(mcs.sampler("jittered", dims=2), given.pop("n"), **given)
+
+
+def test_type_3_ends_at_three_dims():
+    with pytest.raises(ParameterError, match="1 to 3 dims, not 4"):
+        mcs.power_at("random", 4, np.ones((1, 4)), engine="nufft")
+
+
+@pytest.mark.parametrize(
+    ("function", "arguments", "words"),
+    [
+        (axis_frequencies, (0, 4), "dims"),
+        (axis_frequencies, (2, 0), "half_width"),
+        (axis_frequencies, (1024, 10**6), "GiB"),
+        (diagonal_frequencies, (2000, 4), "dims"),
+        (plane_frequencies, (3, (0, 3), 4), "axes"),
+        (plane_frequencies, (3, (1, 1), 4), "once"),
+        (plane_frequencies, (3, "01", 4), "axes"),
+        (plane_frequencies, (3, (), 4), "axes"),
+        (plane_frequencies, (3, 1, 4), "axes"),
+        (subset_frequencies, (20, tuple(range(20)), 64), "fewer axes"),
+        (subset_frequencies, (3, (0.5,), 4), "axes"),
+    ],
+)
+def test_bad_lists(function, arguments, words):
+    with pytest.raises(ParameterError, match=words):
+        function(*arguments)
+
+
+@pytest.mark.parametrize("step", [0.0, -1.0, np.nan, np.inf, "1"])
+def test_bad_step(step):
+    with pytest.raises(ParameterError, match="step"):
+        axis_frequencies(2, 3, step=step)
+
+
+@pytest.mark.parametrize("signs", [(1,), (0, 0), (2, 1), (np.nan, 1)])
+def test_bad_signs(signs):
+    with pytest.raises(ParameterError, match="signs"):
+        diagonal_frequencies(2, 3, signs=signs)
