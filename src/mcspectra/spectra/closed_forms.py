@@ -1,15 +1,17 @@
-"""Expected power spectra that are known exactly.
+"""Expected power spectra and covariances of S_m that are known exactly.
 
-With sinc(x) = sin x / x, n points, s = n^(1/d) strata a side, real frequencies ν (DESIGN and the
-paper's supplement):
+With sinc(x) = sin x / x, n points, s = n^(1/d) strata a side, real frequencies ν, for example:
 
-* random, density p:   (1/n) ∫1/p + ((n−1)/n) Π_i sinc²(πν_i)
-* jittered:            (1/n)(1 − Π_i sinc²(πν_i/s)) + Π_i sinc²(πν_i), s_i where sides differ
-* regular and uniform-jitter: Π_i (sin(πν_i) / (s sin(πν_i/s)))², likewise
-* Latin hypercube:     1/n + ((n−1)/n) Π_i (n sinc²(πν_i) − sinc²(πν_i/n))/(n−1)
+* random, density p:   ⟨|S_ν|²⟩ = (1/n) ∫1/p + ((n−1)/n) Π_i sinc²(πν_i),
+  and at integers C_ml = (1/n) ((1/p)^_{m−l} − δ_m0 δ_l0)
+* jittered:            ⟨|S_ν|²⟩ = (1/n)(1 − Π_i sinc²(πν_i/s)) + Π_i sinc²(πν_i), and at integers
+  C_ml = (1/n)(δ_ml − Π_i (−1)^((m_i−l_i)/s) sinc(πm_i/s) sinc(πl_i/s)) where s divides m − l, else 0
+* regular and uniform-jitter: ⟨|S_ν|²⟩ = Π_i (sin(πν_i) / (s sin(πν_i/s)))²
+* Latin hypercube:     ⟨|S_ν|²⟩ = 1/n + ((n−1)/n) Π_i (n sinc²(πν_i) − sinc²(πν_i/n))/(n−1)
 * rank-1 lattice, integer m: 1 where m·z ≡ 0 (mod n), else 0
 
-A Cranley-Patterson shift multiplies S_m by a phase at *integer* m and leaves the power as it is.
+The general forms are in `closed_moments` and `closed_pairs`. At *integer* m a Cranley-Patterson shift
+multiplies S_m by a random phase: it leaves the power as it is and makes C_ml diagonal.
 """
 
 from __future__ import annotations
@@ -20,23 +22,14 @@ from typing import Any
 import numpy as np
 
 from mcspectra.core.checks import Array, as_frequencies
-from mcspectra.core.errors import InfiniteWeightVarianceWarning, NoClosedForm
+from mcspectra.core.errors import InfiniteWeightVarianceWarning, NoClosedForm, ParameterError
 from mcspectra.densities import Density, Uniform, as_density
-from mcspectra.samplers import (
-    Jittered,
-    LatinHypercube,
-    NRooks,
-    Random,
-    Randomized,
-    Rank1Lattice,
-    Regular,
-    Sampler,
-    Shift,
-    UniformJitter,
-    as_sampler,
-)
+from mcspectra.integrands import Integrand
+from mcspectra.samplers import Randomized, Sampler, Shift, StrataShift, as_sampler
+from mcspectra.spectra.closed_moments import known_moments
+from mcspectra.spectra.closed_terms import Moments, interval, product
 
-__all__ = ["closed_form_power"]
+__all__ = ["closed_form_covariance", "closed_form_power", "moments_of"]
 
 
 def closed_form_power(
@@ -50,9 +43,12 @@ def closed_form_power(
     Parameters
     ----------
     sampler, n
-        Sampler (or spec string) and number of points.
+        Sampler (or spec string) and number of points. Known are random, jittered, regular grids,
+        lattices, Latin hypercubes, orthogonal arrays of strength 2, multi-jittered, jitters around
+        a grid, determinantal sets and nets; each also with shift.
     frequencies
-        Real frequencies ν, shape (..., d), in cycles per unit; integers only after a shift.
+        Real frequencies ν, shape (..., d), in cycles per unit; integers only after a shift, and
+        for sets that are wrapped around the torus.
     density
         Importance density, for random points.
 
@@ -71,74 +67,176 @@ def closed_form_power(
     >>> closed_form_power("random", 10, [[3, 0], [0, 0]])
     array([0.1, 1. ])
     """
+    source, n, nu, p = _checked(sampler, n, frequencies, density)
+    if p is not None:
+        return _weighted_power(source, n, nu, p)
+    moments = moments_of(source, n, nu)
+    return np.asarray(moments.covariance(nu, nu).real + np.abs(moments.mean(nu)) ** 2)
+
+
+def closed_form_covariance(
+    sampler: Sampler | str,
+    n: int,
+    frequencies: Any,
+    others: Any,
+    density: Density | str | None = None,
+) -> Array:
+    """Return the exact covariance C_ml = ⟨S_m conj S_l⟩ − ⟨S_m⟩ conj⟨S_l⟩ of listed pairs m, l.
+
+    Parameters
+    ----------
+    sampler, n, density
+        As for `closed_form_power`.
+    frequencies, others
+        m and l, shapes (..., d) that broadcast; integers only with a density.
+
+    Returns
+    -------
+    ndarray
+        complex128 (...).
+
+    Raises
+    ------
+    NoClosedForm
+        None is known for this combination, or C_ml are infinite because ∫1/p diverges.
+
+    Examples
+    --------
+    >>> closed_form_covariance("jittered", 4, [[1], [1]], [[1], [-3]]).real.round(3)
+    array([0.047, 0.068])
+    """
+    source, n, m, p = _checked(sampler, n, frequencies, density)
+    m, other = _broadcast(m, as_frequencies(others, source.dims))
+    if p is None:
+        return moments_of(source, n, m, other).covariance(m, other)
+    return _weighted_covariance(source, n, m, other, p)
+
+
+def moments_of(sampler: Sampler, n: int, *frequencies: Array) -> Moments:
+    """Return the exact moments of a sampler, valid at the given frequencies.
+
+    Raises
+    ------
+    NoClosedForm
+        None are known.
+    """
+    base, steps = _translations(sampler)
+    integer = all(np.array_equal(nu, np.rint(nu)) for nu in frequencies)
+    moments = known_moments(base, n)
+    if moments is None:
+        raise _unknown(sampler)
+    if base.name == "random":
+        return moments
+    if not integer and (steps or moments.integer):
+        raise _unknown(sampler, "at real frequencies")
+    for step in steps:
+        moments = _shifted(moments) if isinstance(step, Shift) else _moved(moments, step, n)
+    return moments
+
+
+def _checked(
+    sampler: Sampler | str, n: int, frequencies: Any, density: Density | str | None
+) -> tuple[Sampler, int, Array, Density | None]:
     dims = np.shape(frequencies)[-1] if np.ndim(frequencies) else None
     source = as_sampler(sampler, None if isinstance(sampler, Sampler) else dims)
     n = source.check_count(n)
     nu = as_frequencies(frequencies, source.dims)
     p = as_density(density, source.dims)
-    if isinstance(p, Uniform):
-        p = None
-    base = _strip_shift(source, nu)
-    if isinstance(base, Random):
-        return _random(n, nu, p)
-    if p is not None:
-        raise NoClosedForm(
-            f"No closed-form power is known for {source.spec} with the density {p.spec}; "
-            "use power_spectrum(..., density=...)."
-        )
-    return _uniform_power(base, n, nu)
+    return source, n, nu, None if isinstance(p, Uniform) else p
 
 
-def _strip_shift(sampler: Sampler, nu: Array) -> Sampler:
-    """Return the sampler inside shifts; at other than integer frequencies a shift changes power."""
+def _broadcast(m: Array, other: Array) -> tuple[Array, Array]:
+    try:
+        shape = np.broadcast_shapes(m.shape, other.shape)
+    except ValueError:
+        raise ParameterError(
+            f"frequencies and others have shapes {m.shape} and {other.shape}, which do not "
+            "broadcast; give one l for each m, or insert axes of length 1."
+        ) from None
+    return np.broadcast_to(m, shape), np.broadcast_to(other, shape)
+
+
+def _translations(sampler: Sampler) -> tuple[Sampler, tuple[Shift | StrataShift, ...]]:
+    """Return the sampler inside its randomisations, and these, if they do no more than translate."""
     if not isinstance(sampler, Randomized):
-        return sampler
-    integer = np.array_equal(nu, np.rint(nu))
-    shifts = all(isinstance(step, Shift) for step in sampler.steps)
-    if shifts and (integer or isinstance(sampler.base, Random)):
-        return sampler.base
-    reason = "at real frequencies" if shifts else "with these randomisations"
-    raise NoClosedForm(
-        f"No closed-form power is known for {sampler.spec} {reason}; use power_spectrum."
+        return sampler, ()
+    steps = [step for step in sampler.steps if step.name != "shuffle"]  # sums have no order
+    moves = tuple(step for step in steps if isinstance(step, Shift | StrataShift))
+    if len(moves) < len(steps):
+        raise _unknown(sampler, "with these randomisations")
+    return sampler.base, moves
+
+
+def _unknown(sampler: Sampler, reason: str = "") -> NoClosedForm:
+    return NoClosedForm(
+        f"No closed-form power is known for {sampler.spec}{' ' if reason else ''}{reason}; "
+        "use power_spectrum, or variance_terms for covariances."
     )
 
 
-def _random(n: int, nu: Array, density: Density | None) -> Array:
-    reciprocal = 1.0 if density is None else density.reciprocal_integral()
+def _shifted(moments: Moments) -> Moments:
+    """After a uniform translation, at integer frequencies: unbiased, and diagonal."""
+
+    def covariance(m: Array, other: Array) -> Array:
+        power = moments.covariance(m, m).real + np.abs(moments.mean(m)) ** 2
+        zero = np.all(m == 0, axis=-1)
+        return np.asarray(np.where(np.all(m == other, axis=-1), power - zero, 0.0) + 0j)
+
+    return Moments(lambda nu: np.all(nu == 0, axis=-1) + 0j, covariance, integer=True)
+
+
+def _moved(moments: Moments, step: StrataShift, n: int) -> Moments:
+    """After a fixed translation, at integer frequencies: phases."""
+
+    def phase(nu: Array) -> Array:
+        move = np.asarray(step.offset, float) * n ** (-1.0 / nu.shape[-1])
+        return np.asarray(np.exp(-2j * np.pi * np.remainder((nu * move).sum(axis=-1), 1.0)))
+
+    return Moments(
+        lambda nu: moments.mean(nu) * phase(nu),
+        lambda m, other: moments.covariance(m, other) * phase(m - other),
+        integer=True,
+    )
+
+
+def _weighted_power(sampler: Sampler, n: int, nu: Array, density: Density) -> Array:
+    """Random points of a density: (1/n) ∫1/p + (1 − 1/n) |χ|²."""
+    _check_random(sampler, density)
+    reciprocal = density.reciprocal_integral()
     if not np.isfinite(reciprocal):
         warnings.warn(
-            f"∫1/p diverges for {density.spec if density else ''}: the expected power is infinite.",
+            f"∫1/p diverges for {density.spec}: the expected power is infinite.",
             InfiniteWeightVarianceWarning,
             stacklevel=3,
         )
-    return np.asarray(reciprocal / n + (n - 1) / n * _sinc2(nu))
+    return np.asarray(reciprocal / n + (n - 1) / n * np.abs(product(interval(nu))) ** 2)
 
 
-def _uniform_power(sampler: Any, n: int, nu: Array) -> Array:
-    if isinstance(sampler, Jittered):
-        s = np.asarray(sampler.sides(n))
-        return np.asarray((1.0 - _sinc2(nu / s)) / n + _sinc2(nu))
-    if isinstance(sampler, Regular | UniformJitter):
-        s = np.asarray(sampler.sides(n))
-        # sinc(πν)/sinc(πν/s) per axis; where both vanish (multiples of s) the limit is ±1.
-        bottom = np.sinc(nu / s)
-        ratio = np.divide(np.sinc(nu), bottom, out=np.ones_like(nu), where=np.abs(bottom) > 1e-12)
-        return np.asarray(np.prod(ratio**2, axis=-1))
-    if isinstance(sampler, NRooks) or _is_plain_latin(sampler):
-        if n == 1:
-            return np.ones(nu.shape[:-1])
-        pair = (n * np.sinc(nu) ** 2 - np.sinc(nu / n) ** 2) / (n - 1)
-        return np.asarray(1.0 / n + (n - 1) / n * np.prod(pair, axis=-1))
-    if isinstance(sampler, Rank1Lattice) and np.array_equal(nu, np.rint(nu)):
-        product = np.rint(nu).astype(np.int64) @ sampler.generating_vector(n)
-        return np.asarray((product % n == 0).astype(np.float64))
-    raise NoClosedForm(f"No closed-form power is known for {sampler.spec}; use power_spectrum.")
+def _weighted_covariance(
+    sampler: Sampler, n: int, m: Array, other: Array, density: Density
+) -> Array:
+    """Random points of a density, integer frequencies: Toeplitz in the coefficients of 1/p."""
+    _check_random(sampler, density)
+    if not (np.array_equal(m, np.rint(m)) and np.array_equal(other, np.rint(other))):
+        raise _unknown(sampler, "with a density at real frequencies")
+    if not np.isfinite(density.reciprocal_integral()):
+        raise NoClosedForm(
+            f"∫1/p diverges for {density.spec}: the covariances of S_m are infinite; measure the "
+            "variance of the estimate by convergence instead."
+        )
+    toeplitz = _reciprocal(density).fourier(m - other)
+    constant = np.all(m == 0, axis=-1) & np.all(other == 0, axis=-1)
+    return np.asarray((toeplitz - constant) / n)
 
 
-def _is_plain_latin(sampler: Sampler) -> bool:
-    return isinstance(sampler, LatinHypercube) and sampler.strength == 1
+def _check_random(sampler: Sampler, density: Density) -> None:
+    if _translations(sampler)[0].name != "random":
+        raise _unknown(sampler, f"with the density {density.spec}")
 
 
-def _sinc2(nu: Array) -> Array:
-    """Π_i sinc²(πν_i)."""
-    return np.asarray(np.prod(np.sinc(nu) ** 2, axis=-1))
+def _reciprocal(density: Density) -> Integrand:
+    return Integrand.from_function(
+        lambda x: 1.0 / density.pdf(x),
+        dims=density.dims,
+        integral=density.reciprocal_integral(),
+    )
