@@ -28,6 +28,7 @@ from .spectra.pair_correlation import pair_correlation as pair_correlation
 from .spectra.power import power_spectrum as power_spectrum
 from .variance.convergence import convergence as convergence
 from .variance.exact import exact_variance as exact_variance
+from .variance.modes import covariance_modes as covariance_modes
 from .variance.prediction import integrand_decay as integrand_decay
 from .variance.prediction import predicted_rate as predicted_rate
 from .variance.stopping import realizations_needed as realizations_needed
@@ -48,6 +49,7 @@ __all__ = [
     "closed_form_covariance",
     "closed_form_power",
     "convergence",
+    "covariance_modes",
     "densities",
     "density",
     "estimators",

@@ -1,0 +1,168 @@
+"""Leading modes of the covariance against the eigenvectors of the full matrix."""
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import ParameterError
+from mcspectra.variance.subspace import CovarianceProduct, leading_eigenpairs
+
+ARGUMENTS = {"realizations": 200, "rng": 3}
+F1 = mcs.Estimator("linear", dims=1)
+F2 = mcs.Estimator("gaussian(center=[0.3, 0.6], width=0.2)", dims=2)
+WARPED = mcs.Estimator("gaussian", "linear(slope=1)")
+TWO = mcs.MultipleImportance("gaussian", ["uniform", "linear(slope=1)"])
+
+
+@pytest.mark.parametrize(
+    ("estimator", "sampler", "changes"),
+    [
+        (F1, "jittered", {"half_width": 12}),
+        (F1, "random", {"half_width": 12}),
+        (F1, "jittered", {"half_width": 8, "basis": "cosine"}),
+        (F1, "jittered", {"half_width": 16, "basis": "haar"}),
+        (F2, "jittered", {"half_width": 4}),
+        (F2, "latin-hypercube", {"half_width": 4, "basis": "walsh"}),
+        (WARPED, "jittered", {"half_width": 3}),
+        (TWO, "jittered", {"half_width": 3, "space": "primary"}),
+    ],
+)
+def test_modes_are_the_eigenvectors_of_the_cross_matrix(estimator, sampler, changes):
+    both = {**ARGUMENTS, **changes}
+    found = mcs.covariance_modes(estimator, sampler, 16, modes=3, passes=40, **both)
+    terms = mcs.variance_terms(estimator, sampler, 16, cross_matrix=True, **both)
+    matrix = terms["cross_matrix"].values
+    # the matrix pairs ⟨y_m conj(y_l)⟩
+    assert np.allclose(matrix, matrix.conj().T, atol=1e-12 * np.abs(matrix).max())
+    values, _ = np.linalg.eigh(matrix)
+    scale = values[-1]
+    assert np.allclose(found["eigenvalue"], values[::-1][:3], atol=1e-5 * scale)
+    assert float(found["band_trace"]) == pytest.approx(np.trace(matrix).real, rel=1e-9)
+    assert np.allclose(found["eigenvalue_share"], found["eigenvalue"] / found["band_trace"])
+    vectors = found["mode_vector"].values.reshape(3, -1)
+    assert np.allclose(vectors.conj() @ vectors.T, np.eye(3), atol=1e-9)
+    residual = matrix @ vectors.T - vectors.T * found["eigenvalue"].values
+    assert np.linalg.norm(residual, axis=0) == pytest.approx(
+        found["eigenvalue_residual"].values, rel=1e-3, abs=1e-9 * scale
+    )
+    expected = found["eigenvalue"].values * np.abs(vectors.sum(axis=1)) ** 2
+    assert scale > 0
+    assert np.allclose(found["mode_contribution"], expected, atol=1e-9 * scale)
+
+
+def test_all_modes_make_up_the_variance():
+    found = mcs.covariance_modes(F1, "jittered", 8, half_width=3, modes=8, **ARGUMENTS)
+    terms = mcs.variance_terms(F1, "jittered", 8, half_width=3, **ARGUMENTS)
+    total = float(found["mode_contribution"].sum())
+    assert total == pytest.approx(float(terms["predicted_variance"]), rel=1e-9)
+    trace = float(terms["dc_term"] + terms["power_term"])
+    assert float(found["eigenvalue"].sum()) == pytest.approx(trace, rel=1e-9)
+
+
+def test_unweighted_is_the_covariance_of_the_points():
+    found = mcs.covariance_modes(
+        F2, "jittered", 16, half_width=2, modes=25, weighted=False, **ARGUMENTS
+    )
+    terms = mcs.variance_terms(F2, "jittered", 16, half_width=2, cross_matrix=True, **ARGUMENTS)
+    values = np.linalg.eigvalsh(terms["coefficient_covariance"].values)[::-1]
+    assert np.allclose(found["eigenvalue"], values, atol=1e-12)
+    total = float(found["mode_contribution"].sum())
+    assert total == pytest.approx(float(terms["predicted_variance"]), rel=1e-9)
+
+
+def test_one_random_shift_has_two_modes_for_each_frequency_of_the_dual():
+    """A shifted grid of 4 points: S_±4, S_±8 of modulus 1 and random phase, nothing else."""
+    found = mcs.covariance_modes(
+        F1, "regular | shift", 4, half_width=11, modes=6, weighted=False, realizations=400, rng=1
+    )
+    support = np.abs(found["mode_vector"].values[:4]).sum(axis=0) > 1e-6
+    assert set(found["m0"].values[support]) == {-8, -4, 4, 8}
+    assert (found["eigenvalue"][4:] < 1e-12).all()
+    assert float(found["band_trace"]) == pytest.approx(4.0, rel=0.05)
+
+
+def test_restricted_to_bands():
+    terms = mcs.variance_terms(
+        F2, "jittered", 16, half_width=4, cross_matrix=True, bands="radial", **ARGUMENTS
+    )
+    found = mcs.covariance_modes(
+        F2, "jittered", 16, half_width=4, modes=4, band=["1", "2"], passes=8, **ARGUMENTS
+    )
+    m = np.stack(np.meshgrid(*[np.arange(-4, 5)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+    inside = np.isin(np.rint(np.linalg.norm(m, axis=1)), [1, 2])
+    matrix = terms["cross_matrix"].values[np.ix_(inside, inside)]
+    values = np.linalg.eigvalsh(matrix)[::-1][:4]
+    assert np.allclose(found["eigenvalue"], values, atol=1e-6 * values[0])
+    assert (np.abs(found["mode_vector"].values.reshape(4, -1)[:, ~inside]) == 0).all()
+
+
+def test_two_passes_are_bounded_by_their_residuals():
+    exact = mcs.covariance_modes(F2, "jittered", 64, half_width=8, passes=12, **ARGUMENTS)
+    quick = mcs.covariance_modes(F2, "jittered", 64, half_width=8, passes=2, **ARGUMENTS)
+    value, bound = float(quick["eigenvalue"][0]), float(quick["eigenvalue_residual"][0])
+    assert np.abs(exact["eigenvalue"].values - value).min() < bound * 1.001
+    assert value <= float(exact["eigenvalue"][0]) * (1 + 1e-9)  # Rayleigh quotients are below
+
+
+def test_workers_do_not_matter():
+    arguments = {"half_width": 16, "modes": 2, "realizations": 3000, "rng": 1}
+    one = mcs.covariance_modes(F2, "jittered", 64, workers=1, **arguments)
+    assert one.identical(mcs.covariance_modes(F2, "jittered", 64, workers=2, **arguments))
+
+
+def test_channels():
+    pair = mcs.Integrand.from_function(lambda x: np.stack([x[..., 0], x[..., 0] ** 2], -1), dims=1)
+    both = {"half_width": 5, "modes": 2, **ARGUMENTS}
+    found = mcs.covariance_modes(mcs.Estimator(pair), "jittered", 8, channel=1, **both)
+    alone = mcs.Integrand.from_function(lambda x: x[..., 0] ** 2, dims=1)
+    expected = mcs.covariance_modes(mcs.Estimator(alone), "jittered", 8, **both)
+    assert np.allclose(found["eigenvalue"], expected["eigenvalue"], rtol=1e-9)
+
+
+def test_product_in_parts_is_that_of_the_whole():
+    rng = np.random.default_rng(0)
+    z = 100.0 + rng.standard_normal((50, 6)) * np.arange(1, 7)
+    matrix = np.cov(z.T)
+
+    def product(vectors):
+        parts = (CovarianceProduct.of(part, vectors) for part in np.split(z, [7, 30]))
+        return CovarianceProduct.merged(parts, vectors)
+
+    assert np.allclose(product(np.eye(6)).product / 49, matrix, rtol=1e-10)
+    pairs = leading_eigenpairs(product, rng.standard_normal((6, 6)), 2)
+    assert np.allclose(pairs.values, np.linalg.eigvalsh(matrix)[::-1], rtol=1e-10)
+    assert pairs.trace == pytest.approx(np.trace(matrix))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"modes": 0}, "modes"),
+        ({"modes": 10**4}, "modes"),
+        ({"modes": 10**12}, "GiB"),
+        ({"modes": 1.5}, "modes"),
+        ({"passes": 1}, "passes"),
+        ({"realizations": 1}, "realizations"),
+        ({"channel": 1}, "channel"),
+        ({"channel": -1}, "channel"),
+        ({"band": "99"}, "band"),
+        ({"band": []}, "band is"),
+        ({"band": float("nan")}, "band"),
+        ({"bands": "rings"}, "bands"),
+        ({"half_width": 10**9}, ""),
+        ({"half_width": float("nan")}, "half_width"),
+        ({"basis": "fuorier"}, "Did you mean 'fourier'"),
+        ({"space": "elsewhere"}, "space"),
+        ({"n": 0}, "n is 0"),
+    ],
+)
+def test_bad_input(changes, words):
+    arguments = {"n": 8, "half_width": 4, "realizations": 4, **changes}
+    with pytest.raises(ParameterError, match=words or None):
+        mcs.covariance_modes(F1, "jittered", **arguments)
+
+
+def test_infinite_weights_are_refused():
+    f = mcs.Estimator("polynomial(coefficients=[0, 0, 1])", "linear(slope=2)")
+    with pytest.raises(ParameterError, match="primary"):
+        mcs.covariance_modes(f, "jittered", 9, realizations=4)
