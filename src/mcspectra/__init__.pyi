@@ -23,6 +23,9 @@ from .samplers.base import Sampler as Sampler
 from .samplers.registry import sampler as sampler
 from .spectra.closed_forms import closed_form_covariance as closed_form_covariance
 from .spectra.closed_forms import closed_form_power as closed_form_power
+from .spectra.gain import closed_form_walsh_power as closed_form_walsh_power
+from .spectra.gain import gain_coefficients as gain_coefficients
+from .spectra.gain import nested_variances as nested_variances
 from .spectra.listed import power_at as power_at
 from .spectra.pair_correlation import pair_correlation as pair_correlation
 from .spectra.power import power_spectrum as power_spectrum
@@ -48,15 +51,18 @@ __all__ = [
     "__version__",
     "closed_form_covariance",
     "closed_form_power",
+    "closed_form_walsh_power",
     "convergence",
     "covariance_modes",
     "densities",
     "density",
     "estimators",
     "exact_variance",
+    "gain_coefficients",
     "integrand",
     "integrand_decay",
     "integrands",
+    "nested_variances",
     "pair_correlation",
     "power_at",
     "power_spectrum",

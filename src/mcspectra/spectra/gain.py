@@ -1,0 +1,262 @@
+"""Scrambled nets in exact terms: gain coefficients, nested variances, and power in the Walsh basis.
+
+Owen [Owen1997]_ splits f into parts ν_l, l = (l_1, …, l_d): the part of level l varies with the first l_j
+digits of coordinate j, has mean 0 over its l_j-th digit, and does not depend on coordinate j where
+l_j = 0. (His u is {j: l_j > 0}, and his k_j is l_j − 1.) With σ²_l the integral of its square, a net with
+nested uniform scrambling has the variance (1/n) Σ_l Γ_l σ²_l; random points have Γ_l = 1. The gain is
+
+    Γ_l = (1/n) Σ_{i,k} Π_{j: l_j > 0} (b [x_ij, x_kj agree in l_j digits] − [agree in l_j − 1]) / (b − 1).
+
+In base 2, ν_l is the part of f in the Walsh functions of index 2^(l_j − 1) ≤ m_j < 2^l_j, and all these
+have the expected power Γ_l / n. A digital shift leaves the power of each as it is: 1 on the dual net,
+the indices to which all columns of the generator matrices are orthogonal, and 0 elsewhere.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_frequencies, as_integer
+from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.results import dataset
+from mcspectra.core.streams import Stream
+from mcspectra.integrands import Integrand
+from mcspectra.samplers import Randomized, Sampler, as_sampler
+from mcspectra.spectra.bases import Walsh
+from mcspectra.spectra.closed_moments import is_fixed
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["closed_form_walsh_power", "gain_coefficients", "nested_variances"]
+
+_MAX_WORK = 2**28  # points times levels to be counted: about a minute
+_BITS = 32
+_NESTED = frozenset({"owen", "lms", "digital-shift", "permute"})  # keep which digits agree
+
+
+def gain_coefficients(
+    sampler: Sampler | str, n: int, *, levels: int | None = None, dims: int | None = None
+) -> xr.Dataset:
+    """Return the gain coefficients Γ_l of nested uniform scrambling, exactly.
+
+    Parameters
+    ----------
+    sampler
+        Net or sequence in any base, or in one base for each axis; with or without owen.
+    n
+        Number of points.
+    levels
+        Largest level of each axis; by default one more than the digits of n in the least base.
+        Beyond, the gains of nets of distinct coordinates are 1.
+    dims
+        Dims of a spec string that does not say.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``gain`` on dims ``level0``, ``level1``, …, from 0. Level 0 of all axes, the mean, has none: 0.
+
+    Raises
+    ------
+    NoClosedForm
+        The sampler draws other points each time, so that its gains are random.
+    ParameterError
+        Too many levels, points or dims to count.
+
+    Examples
+    --------
+    >>> gain_coefficients("sobol", 4, dims=2, levels=2)["gain"].values
+    array([[0., 0., 0.],
+           [0., 0., 2.],
+           [0., 2., 1.]])
+    """
+    source = as_sampler(sampler, dims)
+    n = source.check_count(n)
+    base = _net_inside(source)
+    bases = base.digit_bases
+    most = max(1, math.floor(52 / math.log2(max(bases))))
+    digits = 1
+    while min(bases) ** digits < n:
+        digits += 1
+    default = min(digits + 1, most)
+    levels = default if levels is None else as_integer("levels", levels, least=1, most=most)
+    _check_work(n, levels, base)
+    names = tuple(f"level{i}" for i in range(base.dims))
+    attributes = {"long_name": "level of the digits, 0: not varying", "units": "1"}
+    return dataset(
+        {"gain": (names, _gains(base, n, levels))},
+        {name: (name, np.arange(levels + 1), attributes) for name in names},
+        sampler=source.spec,
+        n=n,
+    )
+
+
+def nested_variances(integrand: Integrand, levels: int) -> Array:
+    """Return σ²_l of an integrand in base 2, up to `levels` on each axis.
+
+    Returns
+    -------
+    ndarray
+        float64 (levels + 1, …), or (channels, levels + 1, …); 0 at level 0 of all axes. Their sum is
+        the variance of f but for finer levels.
+
+    Raises
+    ------
+    ParameterError
+        More than 2^24 cells.
+    """
+    levels = as_integer("levels", levels, least=1, most=24)
+    basis = Walsh(integrand.dims, 2 ** (levels - 1))
+    coefficients, _ = basis.integrand(integrand)
+    squares = basis.full(np.abs(coefficients) ** 2)
+    # The indices of a level are neighbours: 0, 1, 2–3, 4–7, …
+    starts = np.concatenate([[0], 2 ** np.arange(levels)])
+    for axis in range(1, squares.ndim):
+        squares = np.add.reduceat(squares, starts, axis=axis)
+    squares.reshape(len(squares), -1)[:, 0] = 0.0
+    return squares if integrand.channels else squares[0]
+
+
+def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Array:
+    """Return the exact expected power ⟨|S_m|²⟩ in the Walsh basis, for digital nets in base 2.
+
+    Parameters
+    ----------
+    sampler
+        Digital net or sequence with digital-shift, or with owen.
+    n
+        Number of points, a power of two.
+    indices
+        m in Paley order, whole numbers from 0 to 2^32 − 1, shape (..., d).
+
+    Returns
+    -------
+    ndarray
+        float64 (...): with digital-shift 1 on the dual net and 0 elsewhere, with owen Γ/n.
+
+    Raises
+    ------
+    NoClosedForm
+        Another sampler, another randomisation, or another count.
+
+    Examples
+    --------
+    >>> closed_form_walsh_power("sobol | digital-shift", 4, [[1, 1], [2, 2], [3, 1]])
+    array([0., 1., 1.])
+    """
+    dims = np.shape(indices)[-1] if np.ndim(indices) else None
+    source = as_sampler(sampler, None if isinstance(sampler, Sampler) else dims)
+    n = source.check_count(n)
+    m = _as_indices(indices, source.dims)
+    steps = {step.name for step in source.steps} if isinstance(source, Randomized) else set()
+    columns = _columns(_net_inside(source), n)
+    if steps == {"digital-shift"}:
+        return _in_dual_net(columns, m).astype(float)
+    if "owen" not in steps:
+        raise NoClosedForm(
+            f"No power in the Walsh basis is known for {source.spec}; add digital-shift or owen, or "
+            "use variance_terms with basis='walsh'."
+        )
+    level = np.frexp(m.astype(float))[1]
+    levels = max(1, int(level.max()))
+    _check_work(n, levels, source)
+    power = _gains(_net_inside(source), n, levels) / n
+    power[(0,) * source.dims] = 1.0
+    return np.asarray(power[tuple(np.moveaxis(level, -1, 0))])
+
+
+def _net_inside(sampler: Sampler) -> Sampler:
+    """Return the net inside randomisations of its digits, which keep which digits agree."""
+    base = sampler.base if isinstance(sampler, Randomized) else sampler
+    steps = sampler.steps if isinstance(sampler, Randomized) else ()
+    if not is_fixed(base) or not all(step.name in _NESTED for step in steps):
+        raise NoClosedForm(
+            f"No gain coefficients are known for {sampler.spec}; give a net that is the same every "
+            "time, such as sobol, alone or with owen."
+        )
+    return base
+
+
+def _check_work(n: int, levels: int, sampler: Sampler) -> None:
+    work = float(n) * float(levels + 1) ** sampler.dims
+    if work > _MAX_WORK:
+        raise ParameterError(
+            f"{levels} levels in {sampler.dims} dims of {n} points are {work:.2g} counts, more than "
+            f"{_MAX_WORK:.2g}; lower levels, n or dims."
+        )
+
+
+def _gains(sampler: Sampler, n: int, levels: int) -> Array:
+    """Γ_l from the numbers of pairs that agree: a difference of levels along each axis."""
+    points = sampler.draw_stream(n, Stream.from_rng(0), 0, 1)[0]
+    gains = _agreeing_pairs(points, sampler.digit_bases, levels) / n
+    for axis, base in enumerate(sampler.digit_bases):
+        values = np.moveaxis(gains, axis, 0)
+        finer = (base * values[1:] - values[:-1]) / (base - 1)
+        gains = np.moveaxis(np.concatenate([values[:1], finer]), 0, axis)
+    gains[(0,) * sampler.dims] = 0.0
+    return gains
+
+
+def _agreeing_pairs(points: Array, bases: tuple[int, ...], levels: int) -> Array:
+    """Number of ordered pairs that agree in the first l_j digits of coordinate j, for all l."""
+    out = np.empty((levels + 1,) * len(bases))
+
+    def fill(cells: Array, axis: int, at: tuple[int, ...]) -> None:
+        if axis == len(bases):
+            out[at] = np.sum(np.bincount(cells).astype(float) ** 2)
+            return
+        for level in range(levels + 1):
+            prefix = _leading_digits(points[:, axis], bases[axis], level)
+            inner = cells * bases[axis] ** level + prefix if len(points) > 1 else cells
+            fill(np.unique(inner, return_inverse=True)[1], axis + 1, (*at, level))
+
+    fill(np.zeros(len(points), np.int64), 0, ())
+    return out
+
+
+def _leading_digits(x: Array, base: int, count: int) -> Array:
+    """First `count` digits as whole numbers; coordinates rounded down to below k/b^count count as k."""
+    scale = float(base**count)
+    nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-50
+    return np.minimum(np.floor(x * scale + nudge), scale - 1.0).astype(np.int64)
+
+
+def _as_indices(indices: Any, dims: int) -> Array:
+    m = as_frequencies(indices, dims)
+    if not np.array_equal(m, np.rint(m)) or m.min() < 0 or m.max() >= 2.0**_BITS:
+        raise ParameterError(
+            "Walsh indices are whole numbers from 0 to 2^32 − 1; those given are not."
+        )
+    return m.astype(np.uint64)
+
+
+def _columns(sampler: Sampler, n: int) -> Array:
+    """Columns of the generator matrices as 32-bit numbers, the first digit highest: (dims, log2 n)."""
+    count = n.bit_length() - 1
+    if 2**count == n and hasattr(sampler, "direction_numbers"):
+        directions: Array = sampler.direction_numbers(n)
+        return directions[:, :count].astype(np.uint64)
+    if 2**count == n and sampler.name == "digital-net" and set(sampler.digit_bases) == {2}:
+        matrices = sampler.generator_matrices()[:, :_BITS, :count]  # type: ignore[attr-defined]
+        places = 2 ** np.arange(_BITS - 1, _BITS - 1 - matrices.shape[1], -1, dtype=np.int64)
+        return np.tensordot(matrices, places, axes=([1], [0])).astype(np.uint64)
+    raise NoClosedForm(
+        f"{n} points of {sampler.spec} are not a digital net in base 2 with known matrices; take a "
+        "power of two of sobol, niederreiter, larcher-pillichshammer or digital-net."
+    )
+
+
+def _in_dual_net(columns: Array, m: Array) -> Array:
+    """Whether Σ_j (digits of m_j) · (column c of matrix j) is even for every column c."""
+    reversed_digits = np.zeros_like(m)
+    for bit in range(_BITS):
+        digit = (m >> np.uint64(bit)) & np.uint64(1)
+        reversed_digits |= digit << np.uint64(_BITS - 1 - bit)
+    both = reversed_digits[..., None] & columns
+    odd = np.bitwise_count(np.bitwise_xor.reduce(both, axis=-2)) & 1
+    return np.asarray(~odd.any(axis=-1)) if columns.shape[1] else np.ones(m.shape[:-1], bool)
