@@ -29,6 +29,11 @@ from .spectra.gain import nested_variances as nested_variances
 from .spectra.listed import power_at as power_at
 from .spectra.pair_correlation import pair_correlation as pair_correlation
 from .spectra.power import power_spectrum as power_spectrum
+from .spectra.shapes import low_frequency_exponent as low_frequency_exponent
+from .spectra.shapes import radial_statistics as radial_statistics
+from .spectra.shapes import slices as slices
+from .spectra.shapes import variance_from_spectrum as variance_from_spectrum
+from .spectra.shapes import wedge_means as wedge_means
 from .variance.convergence import convergence as convergence
 from .variance.exact import exact_variance as exact_variance
 from .variance.modes import covariance_modes as covariance_modes
@@ -62,6 +67,7 @@ __all__ = [
     "integrand",
     "integrand_decay",
     "integrands",
+    "low_frequency_exponent",
     "nested_variances",
     "pair_correlation",
     "power_at",
@@ -69,13 +75,17 @@ __all__ = [
     "predicted_rate",
     "quality",
     "quality_figures",
+    "radial_statistics",
     "realizations_needed",
     "rendering",
     "report",
     "sampler",
     "samplers",
+    "slices",
     "spectra",
     "studies",
     "variance",
+    "variance_from_spectrum",
     "variance_terms",
+    "wedge_means",
 ]

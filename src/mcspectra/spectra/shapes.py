@@ -1,0 +1,364 @@
+"""Shapes of a measured spectrum: rings, slices, wedges, and its exponent at low frequencies.
+
+All take the dataset of `power_spectrum`. Standard errors are those over realisations, for means over
+frequencies that are taken as uncorrelated, except that ν and −ν hold the same number.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_integer, as_real
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.results import dataset
+from mcspectra.spectra.transforms import FrequencyGrid
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "low_frequency_exponent",
+    "radial_statistics",
+    "slices",
+    "variance_from_spectrum",
+    "wedge_means",
+]
+
+_MAX_SLICE_DIMS = 4
+_MAX_WEDGES = 360
+_LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class _Half:
+    """One of each pair ν, −ν of a spectrum, without ν = 0."""
+
+    index: Array  # ν / step, int64 (H, d)
+    power: Array  # (H,)
+    se: Array
+    grid: FrequencyGrid
+    attrs: dict[str, Any]
+
+    @staticmethod
+    def of(spectrum: xr.Dataset) -> _Half:
+        power, grid = _checked(spectrum)
+        half = [grid.half(power.to_numpy()), grid.half(spectrum["power_se"].to_numpy())]
+        kept = ("sampler", "density", "n", "realizations", "seed", "convention")
+        attrs = {key: spectrum.attrs[key] for key in kept if key in spectrum.attrs}
+        return _Half(grid.half_indices()[:-1], half[0][:-1], half[1][:-1], grid, attrs)
+
+    @property
+    def length(self) -> Array:
+        """|ν| / step."""
+        return np.asarray(np.sqrt((self.index**2).sum(axis=1)))
+
+    def mean_by(self, label: Array, size: int) -> tuple[Array, Array, Array]:
+        """Mean power, its standard error and the number of frequencies of each label; −1 is left out."""
+        used = label >= 0
+        count = np.bincount(label[used], minlength=size)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = np.bincount(label[used], self.power[used], minlength=size) / count
+            se = np.sqrt(np.bincount(label[used], self.se[used] ** 2, minlength=size)) / count
+        return mean, se, count
+
+
+def _checked(spectrum: Any) -> tuple[xr.DataArray, FrequencyGrid]:
+    import xarray as xr
+
+    if not isinstance(spectrum, xr.Dataset) or not {"power", "power_se"} <= set(spectrum):
+        raise ParameterError(
+            f"The spectrum is {type(spectrum).__name__} without power and power_se; give the "
+            "dataset that power_spectrum returns."
+        )
+    power = spectrum["power"]
+    names = tuple(f"m{i}" for i in range(power.ndim))
+    sides = set(power.shape)
+    if power.dims != names or len(sides) > 1 or not power.shape[0] % 2 or power.shape[0] < 3:
+        raise ParameterError(
+            f"The power has dims {power.dims} of sizes {power.shape}; give the whole grid of "
+            "power_spectrum, with m0, m1, … from −half_width to half_width, at least 1."
+        )
+    axis = power["m0"].to_numpy()
+    return power, FrequencyGrid(power.ndim, len(axis) // 2, float(axis[-1] / (len(axis) // 2)))
+
+
+def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
+    """Mean over directions, its standard error over realisations, and anisotropy, by ring.
+
+    Parameters
+    ----------
+    spectrum
+        Result of `power_spectrum`; anisotropy says something in two dims or more.
+
+    Returns
+    -------
+    xarray.Dataset
+        On dim radius (rings of one frequency step): ``radial_power``, ``radial_power_error``;
+        ``anisotropy``, the variance over direction divided by the mean² [Ulichney1988]_, and
+        ``anisotropy_db``, 10 log10 of it; ``anisotropy_noise_db``, what noise alone makes of an
+        isotropic spectrum (−10 log10 of the realisations for Gaussian S), to compare with. NaN
+        where a ring has one direction or no power.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> spectrum = mcs.power_spectrum("jittered", 64, half_width=16, realizations=50)
+    >>> rings = radial_statistics(spectrum)
+    >>> bool(rings["anisotropy_db"][2] > rings["anisotropy_noise_db"][2] - 5)
+    True
+    """
+    half = _Half.of(spectrum)
+    size = half.grid.half_width
+    ring = np.rint(half.length).astype(np.int64) - 1
+    ring[ring >= size] = -1
+    mean, se, count = half.mean_by(ring, size)
+    used = ring >= 0
+    radius = np.bincount(ring[used], half.length[used], minlength=size) / count
+    spread = np.bincount(ring[used], (half.power[used] - mean[ring[used]]) ** 2, minlength=size)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        anisotropy = np.where(count > 1, spread / (count - 1), np.nan) / mean**2
+        noise = count * (se / mean) ** 2  # the mean of the squared errors, over mean²
+        decibels = [10 * np.log10(values) for values in (anisotropy, noise)]
+    found = {
+        "radial_power": mean,
+        "radial_power_error": se,
+        "anisotropy": anisotropy,
+        "anisotropy_db": decibels[0],
+        "anisotropy_noise_db": decibels[1],
+    }
+    labels = {"long_name": "|m|", "units": "cycles per unit"}
+    return dataset(
+        {name: (("radius",), values) for name, values in found.items()},
+        {"radius": ("radius", radius * half.grid.step, labels)},
+        **half.attrs,
+    )
+
+
+def slices(spectrum: xr.Dataset) -> xr.Dataset:
+    """Cut along the axes and all diagonals, of planes and of space, up to four dims.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``slice_power`` and ``slice_power_se`` on dims slice and multiple: the power at ν = multiple ·
+        frequency step · direction. slice is labelled by its direction, such as (1, -1); the
+        coordinate ``slice_radius`` is |ν|. There are 1, 4, 13 or 40 of them in one to four dims.
+    """
+    half = _Half.of(spectrum)  # checks
+    grid = half.grid
+    if grid.dims > _MAX_SLICE_DIMS:
+        raise ParameterError(
+            f"There are slices of up to {_MAX_SLICE_DIMS} dims, not {grid.dims}; use power_at "
+            "with axis_frequencies."
+        )
+    directions = np.array(
+        [
+            direction
+            for direction in itertools.product((1, 0, -1), repeat=grid.dims)
+            if next((c for c in direction if c), 0) > 0
+        ]
+    )
+    multiple = np.arange(1, grid.half_width + 1)
+    place = directions[:, None, :] * multiple[:, None] + grid.half_width
+    where = tuple(np.moveaxis(place, -1, 0))
+    radius = grid.step * np.outer(np.sqrt((directions**2).sum(axis=1)), multiple)
+    dims = ("slice", "multiple")
+    return dataset(
+        {
+            "slice_power": (dims, spectrum["power"].to_numpy()[where]),
+            "slice_power_se": (dims, spectrum["power_se"].to_numpy()[where]),
+        },
+        {
+            "slice": ("slice", [str(tuple(d.tolist())) for d in directions]),
+            "multiple": ("multiple", multiple, {"long_name": "multiple", "units": "1"}),
+            "slice_radius": (dims, radius, {"long_name": "|m|", "units": "cycles per unit"}),
+        },
+        **half.attrs,
+    )
+
+
+def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
+    """Mean power by direction: wedges of a 2-D spectrum, within the circle of its half width.
+
+    Parameters
+    ----------
+    spectrum
+        Result of `power_spectrum` in two dims.
+    wedges
+        How many divide the half turn; the first is centred on the m0 axis.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``wedge_power`` and ``wedge_power_se`` on dim angle (degrees, centres of the wedges); NaN
+        where no frequency lies in a wedge.
+    """
+    half = _Half.of(spectrum)
+    wedges = as_integer("wedges", wedges, least=1, most=_MAX_WEDGES)
+    if half.grid.dims != 2:
+        raise ParameterError(
+            f"The spectrum has {half.grid.dims} dims; wedges are of two: use radial_statistics "
+            "or slices."
+        )
+    turn = np.arctan2(half.index[:, 1], half.index[:, 0]) / np.pi
+    label = np.floor(turn * wedges + 0.5).astype(np.int64) % wedges
+    label[half.length > half.grid.half_width] = -1
+    mean, se, _ = half.mean_by(label, wedges)
+    angle = np.arange(wedges) * 180.0 / wedges
+    return dataset(
+        {"wedge_power": (("angle",), mean), "wedge_power_se": (("angle",), se)},
+        {"angle": ("angle", angle, {"long_name": "direction", "units": "degrees"})},
+        **half.attrs,
+    )
+
+
+def low_frequency_exponent(
+    spectrum: xr.Dataset, *, up_to: float | None = None, axis: int | None = None
+) -> xr.Dataset:
+    """Fit power ∝ |ν|^b at low frequencies: b decides the rate of the variance [Pilleboue2015]_.
+
+    Parameters
+    ----------
+    spectrum
+        Result of `power_spectrum`, of two realisations or more.
+    up_to
+        Largest |ν| of the fit; by default a quarter of n^(1/d), the mean frequency of the points,
+        but at least three lengths and at most the half width.
+    axis
+        Fit along this axis alone; by default over all directions, where the largest power of a
+        length counts.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``low_frequency_exponent``, its 95 % interval on dim bound, and ``exponent_fit_chi2``, the
+        lack of fit, χ² per degree of freedom: an interval is widened by its root where it is above 1.
+        Attributes ``up_to`` and ``lengths``; all NaN, with the attribute ``reason``, where lengths
+        have no power, as those of a lattice.
+
+    Notes
+    -----
+    Weighted least squares of log power on log |ν|, all frequencies of one length taken together.
+    b is that of the window: 1 − sinc² of jittered points, b = 2 at 0, bends to 1.8 at n^(1/d)/4.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> spectrum = mcs.power_spectrum("random", 256, half_width=8, realizations=400)
+    >>> bool(abs(low_frequency_exponent(spectrum)["low_frequency_exponent"]) < 0.2)
+    True
+    """
+    half = _Half.of(spectrum)
+    label, lengths = _lengths(half, axis)
+    window = _window(half, up_to, lengths)
+    lengths = lengths[lengths <= window * (1 + 1e-9)]
+    label[label >= len(lengths)] = -1
+    power, se, _ = half.mean_by(label, len(lengths))
+    if np.isnan(se).any():
+        raise ParameterError(
+            "The spectrum has no standard errors to weight the fit by; use two or more realisations."
+        )
+    eps = spectrum.attrs.get("eps", 0.0) if spectrum.attrs.get("engine") == "nufft" else 0.0
+    empty = int(np.count_nonzero(power <= max(10 * eps, 1e-14) ** 2))
+    reason = f"{empty} of {len(lengths)} lengths have no power: there is no power law."
+    b, interval, chi2 = math.nan, (math.nan, math.nan), math.nan
+    if not empty:
+        b, interval, chi2 = _fit(np.log(lengths * half.grid.step), power, se)
+    return dataset(
+        {
+            "low_frequency_exponent": ((), b),
+            "low_frequency_exponent_ci": (("bound",), np.array(interval)),
+            "exponent_fit_chi2": ((), chi2),
+        },
+        {"bound": ["low", "high"]},
+        up_to=window * half.grid.step,
+        lengths=len(lengths),
+        reason=reason if empty else None,
+        **half.attrs,
+    )
+
+
+def _lengths(half: _Half, axis: int | None) -> tuple[Array, Array]:
+    """Label of the length of each frequency, −1 for those not wanted, and the lengths, ascending."""
+    square = (half.index**2).sum(axis=1)
+    wanted = square <= half.grid.half_width**2
+    if axis is not None:
+        axis = as_integer("axis", axis, least=0, most=half.grid.dims - 1)
+        wanted &= square == half.index[:, axis] ** 2
+    found, inverse = np.unique(square[wanted], return_inverse=True)
+    label = np.full(len(square), -1)
+    label[wanted] = inverse
+    return label, np.sqrt(found)
+
+
+def _window(half: _Half, up_to: float | None, lengths: Array) -> float:
+    """Largest length of the fit, in steps: one that leaves three lengths at least."""
+    if len(lengths) < 3:
+        raise ParameterError(
+            f"The spectrum has {len(lengths)} lengths of frequency; a fit needs three: use a larger "
+            "half_width."
+        )
+    step = half.grid.step
+    if up_to is None:
+        count = float(half.attrs.get("n", 1))
+        quarter = count ** (1 / half.grid.dims) / 4 / step
+        return float(min(max(quarter, lengths[2]), half.grid.half_width))
+    most = half.grid.half_width * step
+    return as_real("up_to", up_to, least=float(lengths[2]) * step * (1 - 1e-9), most=most) / step
+
+
+def _fit(x: Array, power: Array, se: Array) -> tuple[float, tuple[float, float], float]:
+    """Slope of log power, its 95 % interval, and χ² per degree of freedom."""
+    from scipy.special import stdtrit
+
+    y, weight = np.log(power), np.maximum(se / power, 1e-9) ** -2.0
+    centre, level = np.average(x, weights=weight), np.average(y, weights=weight)
+    spread = (weight * (x - centre) ** 2).sum()
+    slope = float((weight * (x - centre) * y).sum() / spread)
+    degrees = len(x) - 2
+    chi2 = float((weight * (y - level - slope * (x - centre)) ** 2).sum() / degrees)
+    half = float(stdtrit(degrees, 0.5 + _LEVEL / 2)) * math.sqrt(max(chi2, 1.0) / spread)
+    return slope, (slope - half, slope + half), chi2
+
+
+def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
+    """Predict a variance as Σ_{ν≠0} |f_ν|² ⟨|S_ν|²⟩ Δν^d, the homogenised formula.
+
+    Parameters
+    ----------
+    spectrum
+        Result of `power_spectrum` with uniform density.
+    coefficients
+        f_ν on its whole grid.
+
+    Returns
+    -------
+    float
+        Exact, as far as the grid reaches, for randomly shifted sets at *integer* frequencies
+        (``frequency_step=1``). Between these ⟨S_ν⟩ is not 0: the sum takes the bias of a finite
+        window for variance and does not fall with n beyond it, as the paper's slides show
+        [Singh2019]_.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> spectrum = mcs.power_spectrum(mcs.sampler("random", dims=1), 50, half_width=8)
+    >>> f = mcs.integrand("cosine(frequency=3)", dims=1).fourier_grid(8)
+    >>> bool(abs(50 * variance_from_spectrum(spectrum, f) - 0.5) < 0.2)
+    True
+    """
+    power, grid = _checked(spectrum)
+    f = np.asarray(coefficients)
+    if f.shape != grid.shape or f.dtype.kind not in "iufc" or not np.isfinite(f).all():
+        raise ParameterError(
+            f"coefficients have shape {f.shape} and type {f.dtype}; give finite numbers of shape "
+            f"{grid.shape}, one for each frequency."
+        )
+    terms = np.abs(f) ** 2 * power.to_numpy()
+    terms[(grid.half_width,) * grid.dims] = 0.0
+    return float(terms.sum() * grid.step**grid.dims)

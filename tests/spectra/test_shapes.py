@@ -1,0 +1,319 @@
+"""Rings, slices, wedges and exponents of spectra: made-up spectra exactly, samplers in intervals."""
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.results import dataset
+from mcspectra.spectra.transforms import FrequencyGrid
+
+
+def _made(power_of, dims=2, half_width=8, step=1.0, se=0.01):
+    """A spectrum of which everything is known: power_of(ν) and errors se · power."""
+    grid = FrequencyGrid(dims, half_width, step)
+    nu = np.stack(np.meshgrid(*[grid.axis.astype(float)] * dims, indexing="ij"), axis=-1)
+    power = power_of(nu)
+    variables = {"power": (grid.names, power), "power_se": (grid.names, se * power)}
+    return dataset(variables, grid.coords, n=100, realizations=10)
+
+
+def _length(nu):
+    return np.sqrt((nu**2).sum(axis=-1))
+
+
+@pytest.mark.parametrize("dims", [2, 3])
+def test_rings_by_hand(dims):
+    """Power cos² of the angle to the m0 axis: mean and variance of the ring's own frequencies."""
+    made = _made(lambda nu: nu[..., 0] ** 2 / np.maximum(_length(nu), 1) ** 2, dims, 5)
+    rings = mcs.radial_statistics(made)
+    index = np.stack(np.meshgrid(*[np.arange(-5, 6)] * dims, indexing="ij"), axis=-1)
+    for ring in range(1, 6):
+        members = np.rint(_length(index)) == ring
+        power = made["power"].values[members]
+        assert rings["radial_power"].values[ring - 1] == pytest.approx(power.mean(), rel=1e-12)
+        assert rings["radius"].values[ring - 1] == pytest.approx(_length(index)[members].mean())
+        half = len(power) // 2
+        variance = power.var() * half / (half - 1)
+        anisotropy = variance / power.mean() ** 2
+        assert rings["anisotropy"].values[ring - 1] == pytest.approx(anisotropy, rel=1e-12)
+        assert rings["anisotropy_db"].values[ring - 1] == pytest.approx(10 * np.log10(anisotropy))
+        # ±ν hold one number: half of the squares count, and half of the frequencies
+        error = np.sqrt((made["power_se"].values[members] ** 2).sum() / 2) / half
+        assert rings["radial_power_error"].values[ring - 1] == pytest.approx(error, rel=1e-12)
+
+
+def test_anisotropy_of_random_points_is_noise():
+    """−10 log10 R: within 6 σ, the relative error of a variance of h values being √(8/h).
+
+    |S|² of a random set is exponential; means over R = 100 have kurtosis 3 + 6/100.
+    """
+    spectrum = mcs.power_spectrum("random", 256, half_width=24, realizations=100, rng=1)
+    rings = mcs.radial_statistics(spectrum)
+    independent = np.pi * rings["radius"].values
+    allowed = 6 * np.sqrt(2.2 / independent)
+    outer = independent > 60
+    assert (np.abs(rings["anisotropy"].values * 100 - 1) < allowed)[outer].all()
+    assert np.abs(rings["anisotropy_noise_db"].values[outer] + 20).max() < 1
+
+
+def test_radial_error_covers_the_known_power():
+    """Random points have power 1/n everywhere: the mean of z² over rings is 1 within 6 √(2/24)."""
+    spectrum = mcs.power_spectrum("random", 256, half_width=24, realizations=200, rng=2)
+    rings = mcs.radial_statistics(spectrum)
+    z = (rings["radial_power"].values - 1 / 256) / rings["radial_power_error"].values
+    assert abs(np.mean(z**2) - 1) < 6 * np.sqrt(2 / 24)
+
+
+def test_latin_hypercube_is_anisotropic_and_its_slices_show_why():
+    """Axes: power of 1-D strata, (1/n)(1 − sinc²(m/n)); diagonals: 1/n within a factor of n/(n−1)."""
+    n = 64
+    spectrum = mcs.power_spectrum("latin-hypercube", n, half_width=16, realizations=2000, rng=3)
+    rings = mcs.radial_statistics(spectrum)
+    signal = rings["anisotropy_db"] - rings["anisotropy_noise_db"]
+    assert (signal.values[1:] > 3).all()
+    cut = mcs.slices(spectrum)
+    assert cut["slice"].values.tolist() == ["(1, 1)", "(1, 0)", "(1, -1)", "(0, 1)"]
+    m = cut["multiple"].values
+    for name in ("(1, 0)", "(0, 1)"):
+        along = cut.sel(slice=name)
+        expected = (1 - np.sinc(m / n) ** 2) / n
+        assert (np.abs(along["slice_power"] - expected) < 6 * along["slice_power_se"]).all()
+    expected = mcs.closed_form_power("latin-hypercube", n, np.stack([m, m], axis=-1))
+    for name in ("(1, 1)", "(1, -1)"):
+        along = cut.sel(slice=name)
+        assert (np.abs(along["slice_power"] - expected) < 6 * along["slice_power_se"]).all()
+
+
+@pytest.mark.parametrize(("dims", "count"), [(1, 1), (2, 4), (3, 13), (4, 40)])
+def test_slices_hold_the_power_at_their_frequencies(dims, count):
+    made = _made(lambda nu: np.cos(nu @ np.arange(1, dims + 1)), dims, 3, step=0.5)
+    cut = mcs.slices(made)
+    assert cut["slice_power"].shape == (count, 3)
+    for label, values in zip(cut["slice"].values, cut["slice_power"].values, strict=True):
+        direction = np.array([int(part) for part in label.strip("(),").split(",")])
+        nu = 0.5 * np.arange(1, 4)[:, None] * direction
+        assert np.allclose(values, np.cos(nu @ np.arange(1, dims + 1)), atol=1e-15)
+        radius = cut["slice_radius"].sel(slice=label).values
+        assert np.allclose(radius, _length(nu))
+
+
+def test_wedges_by_hand():
+    """Power |angle|: each wedge's mean lies within it; the power of one axis fills its wedge only."""
+    made = _made(
+        lambda nu: np.mod(np.degrees(np.arctan2(nu[..., 1], nu[..., 0])) + 7.5, 180), 2, 40
+    )
+    found = mcs.wedge_means(made)
+    assert found["angle"].values.tolist() == list(range(0, 180, 15))
+    assert np.abs(found["wedge_power"].values - 7.5 - found["angle"].values).max() < 7.5
+    # frequencies are symmetric about the centre of a wedge at multiples of 45 degrees
+    assert np.allclose(found["wedge_power"].values[[0, 3, 6, 9]], [7.5, 52.5, 97.5, 142.5])
+    on_axis = _made(lambda nu: (nu[..., 1] == 0) * 1.0, 2, 16)
+    assert np.flatnonzero(mcs.wedge_means(on_axis, 4)["wedge_power"].values).tolist() == [0]
+    assert np.isnan(mcs.wedge_means(_made(_length, 2, 1), 12)["wedge_power"].values[1])
+
+
+def test_wedges_see_nothing_beyond_the_circle():
+    made = _made(lambda nu: (_length(nu) > 8) * 1.0)
+    assert not mcs.wedge_means(made)["wedge_power"].values.any()
+
+
+@pytest.mark.parametrize("b", [-1.0, 0.0, 2.0, 4.0])
+@pytest.mark.parametrize(("dims", "step"), [(1, 1.0), (2, 0.5), (3, 1.0)])
+def test_exponent_of_a_power_law_is_exact(b, dims, step):
+    made = _made(lambda nu: 0.3 * np.maximum(_length(nu), 0.1) ** b, dims, 8, step)
+    found = mcs.low_frequency_exponent(made)
+    assert float(found["low_frequency_exponent"]) == pytest.approx(b, abs=1e-10)
+    low, high = found["low_frequency_exponent_ci"].values
+    assert low < b < high
+    assert float(found["exponent_fit_chi2"]) < 1e-15
+
+
+def test_exponent_interval_has_its_level():
+    """95 % of 400 fits with errors of known size: 6 binomial σ are 6.5 %."""
+    rng = np.random.default_rng(0)
+    inside = 0
+    for _ in range(400):
+        made = _made(lambda nu: np.maximum(np.abs(nu[..., 0]), 0.1) ** 2, 1, 20, se=0.05)
+        noisy = made["power"].values * (1 + 0.05 * rng.standard_normal(41))
+        made["power"].values[:20] = noisy[:20]
+        made["power"].values[21:] = noisy[:20][::-1]
+        low, high = mcs.low_frequency_exponent(made, up_to=20)["low_frequency_exponent_ci"].values
+        inside += low < 2 < high
+    # widened where χ² is above 1, so on the safe side
+    assert inside / 400 > 0.95 - 6 * np.sqrt(0.95 * 0.05 / 400)
+
+
+def test_misfit_widens_the_interval():
+    bent = _made(lambda nu: 1 + np.abs(nu[..., 0]) ** 3, 1, 20, se=1e-4)
+    found = mcs.low_frequency_exponent(bent, up_to=20)
+    assert float(found["exponent_fit_chi2"]) > 100
+    low, high = found["low_frequency_exponent_ci"].values
+    assert high - low > 0.1
+
+
+def _exponent(spec, dims, n, *, half_width, up_to, axis=None, realizations=1000):
+    """b and three half widths of its 95 % interval: 5.9 σ of a normal."""
+    spectrum = mcs.power_spectrum(
+        mcs.sampler(spec, dims=dims), n, half_width=half_width, realizations=realizations, rng=7
+    )
+    found = mcs.low_frequency_exponent(spectrum, up_to=up_to, axis=axis)
+    low, high = found["low_frequency_exponent_ci"].values
+    return float(found["low_frequency_exponent"]), 1.5 * (high - low)
+
+
+@pytest.mark.parametrize("dims", [1, 2])
+def test_random_points_have_exponent_0(dims):
+    b, allowed = _exponent("random", dims, 256, half_width=8, up_to=8)
+    assert abs(b) < allowed < 0.2
+
+
+@pytest.mark.parametrize(
+    ("spec", "dims", "n", "axis"),
+    [
+        ("jittered", 1, 64, None),
+        ("jittered", 2, 1024, None),
+        ("jittered", 3, 13824, None),
+        ("sobol | owen", 1, 64, None),
+        ("sobol | owen", 2, 64, 0),
+        ("pmj02", 2, 64, 1),
+    ],
+)
+def test_stratified_points_have_exponent_2(spec, dims, n, axis):
+    """One point a stratum: P = (1 − Π sinc²(πm_i/s))/n, along an axis for nets (s = n) too.
+
+    Its slope d ln P / d ln |m| falls from 2 to that at πm/s = π/8 along an axis, where it is least; a
+    fit with positive weights of an average of slopes lies between.
+    """
+    s = n if axis is not None else round(n ** (1 / dims))
+    up_to = max(s / 8, 3.0)
+    x = np.pi * up_to / s
+    least = 2 * np.sin(x) / x * (np.sin(x) / x - np.cos(x)) / (1 - (np.sin(x) / x) ** 2)
+    assert 1.7 < least < 2
+    count = 40 if dims == 3 else 1000
+    b, allowed = _exponent(
+        spec, dims, n, half_width=int(up_to) + 1, up_to=up_to, axis=axis, realizations=count
+    )
+    assert least - allowed < b < 2 + allowed
+    assert allowed < 0.5
+
+
+def test_poisson_disk_is_flat_at_low_frequencies():
+    """Dart throwing leaves density fluctuations, P(0) > 0: b = 0 there [Pilleboue2015]_.
+
+    Far from 1, the least exponent that would improve a rate.
+    """
+    b, allowed = _exponent("poisson-disk", 2, 256, half_width=4, up_to=4, realizations=200)
+    assert abs(b) < max(0.5, allowed)
+
+
+def test_lattices_have_no_exponent_and_say_why():
+    spectrum = mcs.power_spectrum("fibonacci | shift", 89, half_width=6, realizations=20)
+    found = mcs.low_frequency_exponent(spectrum, up_to=4)
+    assert np.isnan(found["low_frequency_exponent"])
+    assert np.isnan(found["low_frequency_exponent_ci"]).all()
+    assert "no power" in found.attrs["reason"]
+
+
+def _bell_coefficients(half_width, step):
+    """∫_0^1 exp(−8(x − ½)²) exp(−2πiνx) dx by Gauss-Legendre quadrature."""
+    x, w = np.polynomial.legendre.leggauss(600)
+    x, w = (x + 1) / 2, w / 2
+    nu = step * np.arange(-half_width, half_width + 1)
+    return np.exp(-2j * np.pi * np.outer(nu, x)) @ (w * np.exp(-8 * (x - 0.5) ** 2))
+
+
+@pytest.mark.parametrize("spec", ["random", "jittered | shift"])
+def test_integer_frequencies_predict_the_variance_and_real_ones_do_not(spec):
+    """The slides' experiment: predictions from real frequencies diverge from the truth as n grows.
+
+    At integers the sum agrees with the measured variance. Between them |⟨S_ν⟩|² = sinc²(πν) does
+    not fall with n, and the prediction levels off at Δν Σ |f_ν|² sinc²(πν).
+    """
+    sampler, step = mcs.sampler(spec, dims=1), 0.25
+    bell = mcs.Estimator(mcs.integrand("gaussian", dims=1))
+    excess = []
+    for n in (4, 16, 64):
+        half_width = 2 * n + 32
+        given = {"realizations": 4000, "rng": 5, "eps": 1e-12}
+        whole = mcs.power_spectrum(sampler, n, half_width=half_width, **given)
+        f = _bell_coefficients(half_width, 1.0)
+        predicted = mcs.variance_from_spectrum(whole, f)
+        error = float((np.abs(f) ** 2 * whole["power_se"].values).sum())
+        measured = mcs.convergence(bell, sampler, [n], realizations=4000, rng=6)
+        truth = float(measured["variance"][0])
+        low, high = measured["variance_ci"].values[0]
+        assert abs(predicted - truth) < 3 * (high - low) / 2 + 6 * error
+        real = mcs.power_spectrum(
+            sampler, n, half_width=4 * half_width, frequency_step=step, **given
+        )
+        f = _bell_coefficients(4 * half_width, step)
+        predicted = mcs.variance_from_spectrum(real, f)
+        nu = real["m0"].values
+        level = np.where(nu != 0, np.abs(f) ** 2 * np.sinc(nu) ** 2, 0).sum() * step
+        assert predicted > 0.9 * level
+        excess.append(predicted / truth)
+    # truth falls at least like 1/n: four times the points, at least about three times the excess
+    assert excess[1] > 2 * excess[0]
+    assert excess[2] > 3 * excess[1]
+
+
+@pytest.mark.parametrize(
+    "function", [mcs.radial_statistics, mcs.slices, mcs.wedge_means, mcs.low_frequency_exponent]
+)
+def test_other_things_than_a_grid_spectrum_are_refused(function):
+    made = _made(_length)
+    listed = mcs.power_at("random", 4, [[1.0, 0.0]], realizations=3)
+    for given in (None, "jittered", np.ones((3, 3)), made.drop_vars("power_se"), listed):
+        with pytest.raises(ParameterError, match="power_spectrum"):
+            function(given)
+    for given in (made.isel(m0=slice(1, None)), made.isel(m0=0), made.isel(m0=[8], m1=[8])):
+        with pytest.raises(ParameterError, match="whole grid"):
+            function(given)
+
+
+@pytest.mark.parametrize("wedges", [0, -1, 2.5, 10**9, np.nan, "4"])
+def test_bad_wedges(wedges):
+    with pytest.raises(ParameterError, match="wedges"):
+        mcs.wedge_means(_made(_length), wedges)
+
+
+def test_wrong_dims():
+    with pytest.raises(ParameterError, match="wedges are of two"):
+        mcs.wedge_means(_made(_length, 3, 2))
+    with pytest.raises(ParameterError, match="up to 4 dims, not 5"):
+        mcs.slices(_made(_length, 5, 1))
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"up_to": 0.5},
+        {"up_to": 9.0},
+        {"up_to": np.nan},
+        {"up_to": np.inf},
+        {"up_to": "4"},
+        {"axis": 2},
+        {"axis": -1},
+        {"axis": 0.5},
+    ],
+)
+def test_bad_windows(given):
+    with pytest.raises(ParameterError, match=next(iter(given))):
+        mcs.low_frequency_exponent(_made(_length), **given)
+
+
+def test_exponents_need_lengths_and_errors():
+    with pytest.raises(ParameterError, match="three"):
+        mcs.low_frequency_exponent(_made(_length, 1, 2))
+    single = mcs.power_spectrum("random", 16, half_width=4, realizations=1)
+    with pytest.raises(ParameterError, match="two or more realisations"):
+        mcs.low_frequency_exponent(single)
+
+
+@pytest.mark.parametrize(
+    "f", [np.ones(3), np.full((17, 17), np.nan), np.full((17, 17), "a"), None, np.ones((17, 15))]
+)
+def test_bad_coefficients(f):
+    with pytest.raises(ParameterError, match="coefficients"):
+        mcs.variance_from_spectrum(_made(_length), f)
