@@ -34,6 +34,7 @@ from .spectra.shapes import radial_statistics as radial_statistics
 from .spectra.shapes import slices as slices
 from .spectra.shapes import variance_from_spectrum as variance_from_spectrum
 from .spectra.shapes import wedge_means as wedge_means
+from .variance.anova import anova_variances as anova_variances
 from .variance.convergence import convergence as convergence
 from .variance.exact import exact_variance as exact_variance
 from .variance.modes import covariance_modes as covariance_modes
@@ -55,6 +56,7 @@ __all__ = [
     "TechniqueSum",
     "__version__",
     "closed_form_covariance",
+    "anova_variances",
     "closed_form_power",
     "closed_form_walsh_power",
     "convergence",

@@ -1,0 +1,198 @@
+"""ANOVA parts of variances: known ones of integrands, and exact ones of samplers."""
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import ParameterError
+
+SIGMAS = 5.0  # the largest of up to 210 parts: Šidák at 1e-4 is 4.9 σ
+
+
+def _product(a):
+    """Π (1 + a_i (x_i − ½)), σ²_u = Π_{i∈u} a_i²/12."""
+    a = np.asarray(a, float)
+    return mcs.Integrand.from_function(
+        lambda x: np.prod(1 + a * (x - 0.5), axis=-1), dims=len(a), integral=1.0
+    ), a**2 / 12
+
+
+def _sobol_g(a):
+    """Sobol' g: Π (|4x_i − 2| + a_i)/(1 + a_i), σ²_u = Π_{i∈u} 1/(3 (1 + a_i)²)."""
+    a = np.asarray(a, float)
+    return mcs.Integrand.from_function(
+        lambda x: np.prod((np.abs(4 * x - 2) + a) / (1 + a), axis=-1), dims=len(a), integral=1.0
+    ), 1 / (3 * (1 + a) ** 2)
+
+
+def _axes(label):
+    return [int(i) for i in label.split("x")[1:]]
+
+
+def _check(found, expected, *, name="anova_variance"):
+    pull = (found[name].values - expected) / found[f"{name}_se"].values
+    assert np.abs(pull).max() < SIGMAS, (found[name].values, expected, pull)
+
+
+FAST = 0.5 ** np.arange(20)
+
+
+@pytest.mark.parametrize(
+    ("function", "a", "realizations"),
+    [
+        (_product, [1.0, 0.8, 0.5, 0.3, 0.1], 20_000),
+        (_product, 1.5 * FAST, 4_000),
+        (_sobol_g, [0.0, 1.0, 4.5, 9.0, 99.0], 20_000),
+        (_sobol_g, np.arange(20) * 2.0, 4_000),
+    ],
+)
+def test_variances_of_integrands(function, a, realizations):
+    f, part = function(a)
+    found = mcs.anova_variances(mcs.Estimator(f), realizations=realizations, rng=3)
+    dims, variance = len(part), np.prod(1 + part) - 1
+    assert found.sizes["subset"] == dims + dims * (dims - 1) // 2
+    expected = np.array([np.prod(part[_axes(u)]) for u in found["subset_label"].values])
+    _check(found, expected)
+    # all u with i: part_i times every product of the others
+    _check(found, part / (1 + part) * (1 + variance), name="total_variance")
+    _check(found, variance - expected.sum(), name="higher_order_variance")
+    low, high = found["variance_ci"].values
+    assert low * 0.9 < variance < high * 1.1
+    ratio = found["anova_variance"] / found["anova_share"]
+    assert np.allclose(ratio, ratio[0])
+    assert float(ratio[0] / found["variance"]) == pytest.approx(1, abs=5 / np.sqrt(realizations))
+
+
+@pytest.mark.parametrize("function", [_product, _sobol_g])
+def test_effective_dimensions(function):
+    """Both from the known σ²_u: the truncated shares are far enough from 99 % here."""
+    a = [1.5, 1.0, 0.05, 0.01, 0.01] if function is _product else [0.0, 1.0, 30.0, 99.0, 99.0]
+    f, part = function(a)
+    found = mcs.anova_variances(mcs.Estimator(f), realizations=20_000, rng=1)
+    variance = np.prod(1 + part) - 1
+    shares = (np.cumprod(1 + part) - 1) / variance
+    assert np.allclose(found["truncation_share"], shares, atol=0.02)
+    assert float(found["truncation_share"][-1]) == pytest.approx(1.0)
+    assert int(found["effective_dimension_truncation"]) == 1 + int(np.argmax(shares >= 0.99)) == 2
+    singles = part.sum() / variance
+    assert singles < 0.97
+    assert int(found["effective_dimension_superposition"]) == 2
+    mean = (part / (1 + part)).sum() * (1 + variance) / variance
+    assert float(found["mean_dimension"]) == pytest.approx(mean, abs=0.05)
+
+
+def test_additive_functions_have_dimension_one():
+    f = mcs.Integrand.from_function(lambda x: x.sum(axis=-1), dims=6)
+    found = mcs.anova_variances(mcs.Estimator(f), realizations=5000, rng=1)
+    assert float(found["mean_dimension"]) == pytest.approx(1.0, abs=1e-12)
+    assert float(found["anova_share"][:6].sum()) == pytest.approx(1.0, abs=1e-12)
+    assert int(found["effective_dimension_superposition"]) == 1
+    assert int(found["effective_dimension_truncation"]) == 6
+    one = mcs.anova_variances(mcs.Estimator(f), realizations=5000, rng=1, order=1)
+    assert one.sizes["subset"] == 6
+    assert np.array_equal(one["anova_variance"], found["anova_variance"][:6])
+
+
+def test_beyond_the_order_is_not_known():
+    f, _ = _product([6.0] * 5)
+    found = mcs.anova_variances(mcs.Estimator(f), realizations=2000, rng=1)
+    assert np.isnan(float(found["effective_dimension_superposition"]))
+    assert float(found["higher_order_variance"]) > 0
+
+
+def test_random_sets_share_by_n():
+    f, part = _product([1.0, 0.5, 0.5])
+    found = mcs.anova_variances(mcs.Estimator(f), "random", 16, realizations=4000, rng=2)
+    expected = [np.prod(part[_axes(u)]) / 16 for u in found["subset_label"].values]
+    _check(found, np.array(expected))
+
+
+def test_latin_hypercubes_take_single_axes_away():
+    """Exact: axes are jittered, σ²/n³; pairs lie in different strata, of means −s/(n − 1)."""
+    n, a = 8, np.array([1.0, 0.8, 0.6])
+    f, part = _product(a)
+    found = mcs.anova_variances(mcs.Estimator(f), "latin-hypercube", n, realizations=10_000, rng=2)
+    centres = (1 - n**-2) / 12
+    pair = 1 / (144 * n) + centres**2 / (n * (n - 1))
+    expected = [
+        part[u[0]] / n**3 if len(u) == 1 else np.prod(a[u] ** 2) * pair
+        for u in map(_axes, found["subset_label"].values)
+    ]
+    _check(found, np.array(expected))
+
+
+def test_two_axes_make_up_the_whole():
+    """In 2-D the parts of order 2 are all: their sum is the variance, but for Cov(I, I') ~ 0."""
+    f = mcs.Estimator("gaussian(center=[0.3, 0.6], width=0.2)", dims=2)
+    found = mcs.anova_variances(f, "jittered", 16, realizations=200, rng=2)
+    total = float(found["anova_variance"].sum())
+    assert abs(total / float(found["variance"]) - 1) < 5 / np.sqrt(200)
+    assert float(found["anova_share"].sum()) == pytest.approx(1.0, abs=1e-12)
+    assert abs(float(found["higher_order_variance"])) < 1e-12 * total
+
+
+def test_agrees_with_the_bands_of_the_spectrum():
+    """The same parts from frequencies: rows of the ANOVA band covariance, each its own error."""
+    f = mcs.Estimator("gaussian(center=[0.3, 0.6], width=0.2)", dims=2)
+    found = mcs.anova_variances(f, "latin-hypercube", 16, realizations=10_000, rng=2)
+    terms = mcs.variance_terms(
+        f, "latin-hypercube", 16, realizations=10_000, rng=5, half_width=16, bands="anova"
+    )
+    rows = terms["band_covariance"].values.sum(axis=1)[1:]
+    # the spectrum's error is about as large: √2
+    pull = (found["anova_variance"].values - rows) / found["anova_variance_se"].values
+    assert np.abs(pull).max() < SIGMAS * np.sqrt(2)
+
+
+def test_given_points_get_random_partners():
+    points = np.random.default_rng(0).random((4000, 4, 2))
+    f, part = _product([1.0, 0.5])
+    found = mcs.anova_variances(
+        mcs.Estimator(f), mcs.Sampler.from_points(points), 4, realizations=4000
+    )
+    _check(found, np.array([part[0], part[1], part[0] * part[1]]) / 4)
+
+
+def test_techniques_and_channels():
+    mis = mcs.MultipleImportance("gaussian", ["uniform", "linear(slope=1)"])
+    found = mcs.anova_variances(mis, "jittered", 4, realizations=50)
+    assert float(found["anova_share"].sum()) == pytest.approx(1.0)
+    two = mcs.Integrand.from_function(lambda x: x * np.array([1.0, 2.0]), dims=2)
+    pair = mcs.anova_variances(mcs.Estimator(two), realizations=500)
+    assert pair["anova_variance"].dims == ("subset", "channel")
+    assert np.allclose(np.diag(pair["anova_share"][:2]), 1.0)
+    one = mcs.anova_variances(mcs.Estimator("linear", dims=1), realizations=50)
+    assert float(one["anova_share"][0]) == pytest.approx(1.0)
+    assert float(one["total_variance"][0]) == pytest.approx(float(one["anova_variance"][0]))
+
+
+def test_no_variance_has_no_shares():
+    found = mcs.anova_variances(mcs.Estimator("constant", dims=3), realizations=10)
+    assert np.isnan(found["anova_share"]).all()
+    assert np.isnan(float(found["effective_dimension_truncation"]))
+
+
+def test_workers_do_not_matter():
+    f = mcs.Estimator("gaussian", dims=3)
+    one = mcs.anova_variances(f, "sobol | owen", 1024, realizations=400, workers=1)
+    assert one.identical(mcs.anova_variances(f, "sobol | owen", 1024, realizations=400, workers=2))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"order": 0}, "order"),
+        ({"order": 3}, "order"),
+        ({"order": float("nan")}, "order"),
+        ({"realizations": 1}, "realizations"),
+        ({"realizations": 10**8}, "GiB"),
+        ({"n": 0}, "n is 0"),
+        ({"n": 10**30}, "n is"),
+        ({"sampler": "jitterd"}, "Did you mean"),
+        ({"estimator": mcs.Estimator("linear", dims=65)}, "from 1 to 64"),
+    ],
+)
+def test_bad_input(changes, words):
+    arguments = {"estimator": mcs.Estimator("linear", dims=3), "realizations": 4, **changes}
+    with pytest.raises(ParameterError, match=words):
+        mcs.anova_variances(**arguments)
