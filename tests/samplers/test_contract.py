@@ -5,6 +5,7 @@ A new sampler is one row of `rows.ROWS`; a new randomisation one entry of `CHAIN
 
 from __future__ import annotations
 
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -14,8 +15,10 @@ from scipy import stats
 from tests.samplers.rows import ROWS, Row
 
 import mcspectra as mcs
-from mcspectra.core.errors import CountError, ParameterError
+from mcspectra.core.errors import CountError, NotPowerOfTwoWarning, ParameterError
 from mcspectra.samplers import RANDOMIZATIONS, SAMPLERS, Randomized, Structure, sampler
+from mcspectra.samplers.base import MAX_COUNT
+from mcspectra.samplers.optimised import OptimisedSampler
 
 FALSE_ALARMS = 1e-6  # for the whole file
 GIVEN_SETS = 8
@@ -34,12 +37,17 @@ CHAINS = {
     " | mirror": False,
     " | random-rotation": False,
     " | shuffle": False,
-    " | skip": False,
+    " | skip(count={n})": False,
     " | subset": False,
+    " | subset(of={more})": False,
+    " | mirror | shift": True,
 }
-"""What follows the sampler, and whether it makes every point uniform."""
+"""What follows the sampler, and whether it makes every point uniform.
 
-FIXED = ("", " | strata-shift", " | skip", " | subset")
+{n} is the count of the case, {more} a larger one that the sampler can make.
+"""
+
+FIXED = ("", " | strata-shift", " | skip(count={n})", " | subset")
 """What leaves a fixed set the same in every realisation."""
 
 
@@ -74,15 +82,24 @@ def parts_of(chain):
 
 def fits(row, chain):
     """Whether every step of the chain keeps what the steps before it have left."""
-    structure = SAMPLERS.load(row.spec.partition("(")[0]).structure
+    cls = SAMPLERS.load(row.spec.partition("(")[0])
+    structure = cls.structure
     for name in parts_of(chain):
+        if name == "skip" and not (cls.sequence or structure is Structure.UNKNOWN):
+            return False
         structure = RANDOMIZATIONS.load(name).fits.get(structure)
     return structure is not None
 
 
 def made(row, dims, chain):
-    """Whether the count of the row can be made: digits of strata keep powers of two only."""
-    strata = SAMPLERS.load(row.spec.partition("(")[0]).structure is Structure.STRATA
+    """Whether the chain can be tried: the count is possible, and optimising takes no minutes."""
+    name = row.spec.partition("(")[0]
+    if issubclass(SAMPLERS.load(name), OptimisedSampler) and chain not in ("", " | shift"):
+        return False
+    if "{" in chain and name in ("points", "digital-net"):  # these have no more points
+        return False
+    # Digits of strata keep powers of two only.
+    strata = SAMPLERS.load(name).structure is Structure.STRATA
     digits = {"digital-shift", "owen", "permute"}.intersection(parts_of(chain))
     return not (strata and digits and row.counts[dims].bit_count() > 1)
 
@@ -112,7 +129,11 @@ def make(tmp_path_factory):
         if not path.exists():
             points = np.random.default_rng(case.dims).random((GIVEN_SETS, case.n, case.dims))
             np.savez(path, points=points)
-        return sampler(case.row.spec.replace("{path}", path.as_posix()) + case.chain, case.dims)
+        spec = case.row.spec.replace("{path}", path.as_posix())
+        if "{more}" in case.chain:
+            more = sampler(spec, case.dims)._counts_near(2 * case.n)[1]
+            return sampler(spec + case.chain.replace("{more}", str(more)), case.dims)
+        return sampler(spec + case.chain.replace("{n}", str(case.n)), case.dims)
 
     return build
 
@@ -166,15 +187,36 @@ def test_declared_unbiased(case, make):
 
 @pytest.mark.parametrize("case", [case for case in CASES if case.unbiased], ids=str)
 def test_every_point_is_uniform(case, make):
-    """χ² over 16 cells in the first and last coordinate, of one point picked from each realisation."""
-    realizations = 320 if case.n > 100 else 800  # at least 20 a cell
-    points = make(case).draw(case.n, realizations=realizations, rng=20)
-    picked = np.random.default_rng(case.dims).integers(case.n, size=realizations)
+    assert p_of_uniformity(make(case), case.n, case.dims) > 1 - (1 - FALSE_ALARMS) ** (
+        1 / len(CASES)
+    )
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        "regular",
+        "regular(position='corner')",
+        "box-jitter(width=0.2)",
+        "gaussian-jitter(width=0.1)",
+    ],
+)
+@pytest.mark.parametrize(("dims", "n"), [(1, 16), (2, 16), (3, 64)])
+def test_that_test_sees_bias_within_strata(spec, dims, n):
+    assert p_of_uniformity(sampler(spec, dims), n, dims) < FALSE_ALARMS / len(CASES)
+
+
+def p_of_uniformity(source, n, dims):
+    """χ² over 35 cells in the first and last coordinate, of one point picked from each realisation.
+
+    5 × 7 cells are not those of any set here, so that strata do not hide what is within them.
+    """
+    realizations = 700 if n > 100 else 1400  # 20 or 40 a cell
+    points = source.draw(n, realizations=realizations, rng=20)
+    picked = np.random.default_rng(dims).integers(n, size=realizations)
     x = points[np.arange(realizations), picked]
-    cells = x[:, 0] * 16 if case.dims == 1 else 4 * np.floor(4 * x[:, 0]) + 4 * x[:, -1]
-    counts = np.bincount(cells.astype(int), minlength=16)
-    level = 1 - (1 - FALSE_ALARMS) ** (1 / len(CASES))
-    assert stats.chisquare(counts).pvalue > level
+    cells = 35 * x[:, 0] if dims == 1 else 7 * np.floor(5 * x[:, 0]) + np.floor(7 * x[:, -1])
+    return stats.chisquare(np.bincount(cells.astype(int), minlength=35)).pvalue
 
 
 @every_case
@@ -223,12 +265,29 @@ def test_too_many_numbers_are_refused_before_they_are_made(case, make):
 
 
 @every_sampler
-def test_huge_counts_are_refused_or_too_large_at_once(case, make):
+def test_counts_beyond_the_largest_are_refused_with_it(case, make):
     source = make(case)
-    n = source.nearest_count(2**30)
-    with pytest.raises(CountError, match=r"at a time|at most|nearest"):
-        source.draw(n, realizations=2**31 // n + 1)
-    assert n <= source.max_count
+    largest = source.nearest_count(source.max_count)
+    assert largest <= source.max_count <= MAX_COUNT
+    if source.max_count < MAX_COUNT:
+        with pytest.raises(CountError, match=f"makes {source.max_count} points at most") as error:
+            source.draw(source.max_count + 1)
+        assert error.value.nearest == (source.max_count,)
+
+
+@every_sampler
+def test_counts_named_in_a_refusal_can_be_drawn(case, make):
+    source = make(case)
+    for n in range(1, 24):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotPowerOfTwoWarning)
+            try:
+                source.check_count(n)
+            except CountError as error:
+                for count in error.nearest:
+                    if count <= 64:
+                        drawn = source.draw(count, rng=n)
+                        assert drawn.shape == (1, count, case.dims), (n, count)
 
 
 @every_sampler

@@ -113,7 +113,8 @@ def _measure(source: Any, points: Array, seed: int) -> list[FigureSummary]:
     from mcspectra.quality import quality_figures, summarize
 
     count, n, _ = points.shape
-    return summarize(quality_figures(source, n, realizations=count, rng=seed))
+    with one_sentence_warnings(quiet=True):  # said when the points were drawn
+        return summarize(quality_figures(source, n, realizations=count, rng=seed))
 
 
 def _print_quality(

@@ -48,9 +48,11 @@ class Sampler(Component, ABC):
     dims
         Number of dimensions d.
     unbiased
-        Whether every point is uniform on [0,1)^d by itself, so that means are unbiased.
+        Whether a point picked at random is uniform on [0,1)^d, so that means are unbiased.
     structure
         What randomisations of this sampler have to keep: `Structure`.
+    sequence
+        Whether the first k of n points are those of a set of k points, each run of them good.
     max_dims, max_count
         Most dims and most points of a realisation; beyond, it would take hours or all memory.
     """
@@ -58,6 +60,7 @@ class Sampler(Component, ABC):
     dims: int
     unbiased: ClassVar[bool] = True
     structure: ClassVar[Structure] = Structure.UNKNOWN
+    sequence: ClassVar[bool] = False
     max_dims: ClassVar[int | None] = None
     max_count: ClassVar[int] = MAX_COUNT
 
@@ -65,6 +68,16 @@ class Sampler(Component, ABC):
     def digit_bases(self) -> tuple[int, ...]:
         """Base of the digits of each coordinate, for randomisations of digits: 2 unless said."""
         return (2,) * self.dims
+
+    @property
+    def powers_only(self) -> bool:
+        """Whether randomisations of digits keep the set at powers of their base only."""
+        return self.structure is Structure.STRATA
+
+    def digit_strata(self, n: int, base: int) -> bool:
+        """Whether the strata of `n` points, a power of `base`, have sides that are powers too."""
+        del n, base
+        return True
 
     def draw(self, n: int, *, realizations: int = 1, rng: RngLike = None, first: int = 0) -> Array:
         """Draw realisations first … first+realizations−1 of a set of `n` points.
@@ -207,6 +220,8 @@ class Randomization(Component, ABC):
     """Whether the result is statistically the same after any toroidal translation."""
     debiases: ClassVar[bool] = False
     """Whether every point is uniform afterwards, whatever it was before."""
+    pointwise: ClassVar[bool] = False
+    """Whether each point moves by itself, so that sequences stay sequences."""
     fits: ClassVar[Mapping[Structure, Structure]] = {s: s for s in Structure}
     """The structures that survive, and what is left of each; samplers of others are refused."""
 
@@ -242,6 +257,14 @@ class Randomization(Component, ABC):
     def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
         """Return the largest count ≤ n (None if none) and the smallest ≥ n that can be made."""
         return sampler._counts_near(n)
+
+    def max_count(self, sampler: Sampler) -> int:
+        """Return the most points that can be made of what `sampler` makes at most."""
+        return sampler.max_count
+
+    def count_warning(self, sampler: Sampler, n: int) -> str | None:
+        """Return what to warn of when `n` points, a possible count, are asked for."""
+        return sampler._count_warning(n)
 
 
 def _advice(structure: Structure) -> str:
@@ -287,8 +310,22 @@ class Randomized(Sampler):
 
     @property
     def max_count(self) -> int:  # type: ignore[override]
-        """Most points of the sampler inside."""
-        return self.base.max_count
+        """What the last step makes of the most points inside."""
+        return self.steps[-1].max_count(self._inner)
+
+    @property
+    def sequence(self) -> bool:  # type: ignore[override]
+        """Whether all steps leave a sequence one."""
+        return self.base.sequence and all(step.pointwise for step in self.steps)
+
+    @property
+    def powers_only(self) -> bool:
+        """That of the sampler inside, while something of its structure is left."""
+        return self.base.powers_only and self.structure in (Structure.STRATA, Structure.DIGITS)
+
+    def digit_strata(self, n: int, base: int) -> bool:
+        """Those of the sampler inside."""
+        return self.base.digit_strata(n, base)
 
     @property
     def _inner(self) -> Sampler:
@@ -304,7 +341,7 @@ class Randomized(Sampler):
         return self.steps[-1].counts_near(self._inner, n)
 
     def _count_warning(self, n: int) -> str | None:
-        return self.base._count_warning(n)
+        return self.steps[-1].count_warning(self._inner, n)
 
 
 def check_dims(sampler: Any) -> None:

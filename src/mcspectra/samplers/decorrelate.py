@@ -44,6 +44,10 @@ class Decorrelate(Randomization):
 
     Notes
     -----
+    The realisations of one seed are the pixels of one image: they share a set, and with a mask their
+    shifts too are those of one pattern. Variances over them are those within an image, and do not
+    tend to those over seeds.
+
     Masks hold numbers, one for each dim: for shift, and for digital-shift in base 2. In one pixel
     every point is uniform whatever the mask. Over the width² pixels of a blue-noise mask, the
     shifts of each dim take each width²-th of [0,1) once.
@@ -56,6 +60,7 @@ class Decorrelate(Randomization):
     """
 
     name: ClassVar[str] = "decorrelate"
+    pointwise: ClassVar[bool] = True
     fits: ClassVar[Mapping[Structure, Structure]] = Shift.fits
     stationary: ClassVar[bool] = False
     debiases: ClassVar[bool] = True

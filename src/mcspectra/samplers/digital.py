@@ -42,6 +42,7 @@ class Sobol(Sampler):
     name: ClassVar[str] = "sobol"
     unbiased: ClassVar[bool] = False
     structure: ClassVar[Structure] = Structure.DIGITS
+    sequence: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 1111
     dims: int = DEFAULT_DIMS
 
@@ -86,6 +87,7 @@ class Niederreiter(Sampler):
     name: ClassVar[str] = "niederreiter"
     unbiased: ClassVar[bool] = False
     structure: ClassVar[Structure] = Structure.DIGITS
+    sequence: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 1377
     dims: int = DEFAULT_DIMS
 

@@ -51,6 +51,7 @@ class Kronecker(Sampler):
 
     name: ClassVar[str] = "kronecker"
     structure: ClassVar[Structure] = Structure.TORUS
+    sequence: ClassVar[bool] = True
     unbiased: ClassVar[bool] = False
     dims: int = DEFAULT_DIMS
     alpha: Sequence[float] | None = None

@@ -12,7 +12,7 @@ from mcspectra.core.checks import Array, as_choice
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import Stream, mix_bits
-from mcspectra.samplers.base import Randomization, Sampler, Structure
+from mcspectra.samplers.base import MAX_COUNT, Randomization, Sampler, Structure
 
 __all__ = ["Mirror", "folded"]
 
@@ -21,6 +21,8 @@ _MOST_DIMS = 30  # 2^d images of at least one point
 _NOTHING_LEFT: dict[Structure, Structure] = dict.fromkeys(Structure, Structure.NONE) | {
     Structure.UNKNOWN: Structure.UNKNOWN
 }
+_IMAGES: dict[Structure, Structure] = {s: s for s in Structure} | {Structure.TORUS: Structure.NONE}
+"""Reflections of a cell are cells; images of points near a face lie close to one another."""
 
 
 @final
@@ -64,7 +66,8 @@ class Mirror(Randomization):
     def __post_init__(self) -> None:
         as_choice("mode", self.mode, ("random", "uniform", "fold"))
         if self.mode == "uniform":
-            object.__setattr__(self, "fits", Randomization.fits)
+            object.__setattr__(self, "fits", _IMAGES)
+        object.__setattr__(self, "pointwise", self.mode != "uniform")
 
     def fit(self, sampler: Sampler) -> Randomization:
         """Refuse 2^d images of a point in too many dims."""
@@ -98,6 +101,14 @@ class Mirror(Randomization):
         below = sampler._counts_near(n // images)[0] if n >= images else None
         above = sampler._counts_near(-(-n // images))[1]
         return (below and below * images), above * images
+
+    def max_count(self, sampler: Sampler) -> int:
+        """Return 2^d times what `sampler` can do for the uniform mode."""
+        return min(sampler.max_count * self._images(sampler), MAX_COUNT)
+
+    def count_warning(self, sampler: Sampler, n: int) -> str | None:
+        """Return what `sampler` warns of."""
+        return sampler._count_warning(n // self._images(sampler))
 
     def _images(self, sampler: Sampler) -> int:
         return 1 << sampler.dims if self.mode == "uniform" else 1

@@ -71,8 +71,9 @@ class CorrelatedMultiJittered(Sampler):
     -----
     Counts n = a·b with a ≤ b ≤ 2a take the most nearly square such a × b: each of the a × b cells
     and each n-th of either axis holds one point. Other counts follow the memo's code: a = ⌊√n⌋
-    columns and b = ⌈n/a⌉ rows, of which the last is incomplete. Each n-th of the second axis then
-    holds one point, and each (a·b)-th of the first and each cell at most one. Shuffles are true
+    columns and b = ⌈n/a⌉ rows of height a/n, of which the last is incomplete. Each n-th of the
+    second axis then holds one point, and each (a·b)-th of the first and each cell at most one; digit
+    scrambles are for rectangles only. Shuffles are true
     random permutations, where the memo hashes indices. Points come in the order of their second
     coordinate; shuffle gives them another.
 
@@ -88,6 +89,11 @@ class CorrelatedMultiJittered(Sampler):
 
     def __post_init__(self) -> None:
         _check_two_dims(self)
+
+    def digit_strata(self, n: int, base: int) -> bool:
+        """Whether n is a rectangle of columns and rows that are powers of the base."""
+        columns = _nearly_square(n)
+        return columns > 0 and base ** round(math.log(columns, base)) == columns
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         columns = _nearly_square(n) or math.isqrt(n)

@@ -146,6 +146,7 @@ class Faure(Sampler):
 
     name: ClassVar[str] = "faure"
     structure: ClassVar[Structure] = Structure.DIGITS
+    sequence: ClassVar[bool] = True
     unbiased: ClassVar[bool] = False
     max_dims: ClassVar[int | None] = 1000
     dims: int = DEFAULT_DIMS

@@ -42,6 +42,7 @@ class PMJ(Sampler):
 
     name: ClassVar[str] = "pmj"
     structure: ClassVar[Structure] = Structure.DIGITS
+    sequence: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 2
     dims: int = 2
 
@@ -80,6 +81,7 @@ class PMJ02(Sampler):
 
     name: ClassVar[str] = "pmj02"
     structure: ClassVar[Structure] = Structure.DIGITS
+    sequence: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 2
     dims: int = 2
 

@@ -55,6 +55,7 @@ class Halton(Sampler):
 
     name: ClassVar[str] = "halton"
     structure: ClassVar[Structure] = Structure.DIGITS
+    sequence: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 1000
     dims: int = DEFAULT_DIMS
     skip: int = 0
@@ -102,6 +103,7 @@ class VanDerCorput(Sampler):
 
     name: ClassVar[str] = "van-der-corput"
     structure: ClassVar[Structure] = Structure.DIGITS
+    sequence: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 1
     dims: int = 1
     base: int = 2
@@ -179,6 +181,11 @@ class Hammersley(Sampler):
     def digit_bases(self) -> tuple[int, ...]:
         """2 for the first coordinate, then the first primes."""
         return (2, *_primes(self.dims - 1))
+
+    @property
+    def powers_only(self) -> bool:
+        """True: the n-ths have binary digits for n = 2^m only."""
+        return True
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         out = np.empty((count, n, self.dims))

@@ -33,6 +33,7 @@ class Shift(Randomization):
     """
 
     name: ClassVar[str] = "shift"
+    pointwise: ClassVar[bool] = True
     fits: ClassVar[Mapping[Structure, Structure]] = _TRANSLATED
     stationary: ClassVar[bool] = True
     debiases: ClassVar[bool] = True

@@ -47,6 +47,7 @@ class DigitalShift(Randomization):
     """
 
     name: ClassVar[str] = "digital-shift"
+    pointwise: ClassVar[bool] = True
     fits: ClassVar[Mapping[Structure, Structure]] = _FITS
     debiases: ClassVar[bool] = True
     base: Base = None
@@ -86,6 +87,7 @@ class Permute(Randomization):
     """
 
     name: ClassVar[str] = "permute"
+    pointwise: ClassVar[bool] = True
     fits: ClassVar[Mapping[Structure, Structure]] = _FITS
     debiases: ClassVar[bool] = True
     base: Base = None
@@ -142,6 +144,7 @@ class Owen(Randomization):
     """
 
     name: ClassVar[str] = "owen"
+    pointwise: ClassVar[bool] = True
     fits: ClassVar[Mapping[Structure, Structure]] = _FITS
     debiases: ClassVar[bool] = True
     method: str = "nested"
@@ -217,6 +220,7 @@ class Lms(Randomization):
     """
 
     name: ClassVar[str] = "lms"
+    pointwise: ClassVar[bool] = True
     fits: ClassVar[Mapping[Structure, Structure]] = {Structure.DIGITS: Structure.DIGITS}
     shift: bool = True
     base: Base = None
@@ -315,7 +319,7 @@ def _check_strata(step: _Step, sampler: Sampler, bases: tuple[int, ...]) -> None
 
 def _counts_near(step: _Step, sampler: Sampler, n: int) -> tuple[int | None, int]:
     """On strata powers of the base only: their sides then are powers, too."""
-    if sampler.structure is not Structure.STRATA:
+    if not sampler.powers_only:
         return sampler._counts_near(n)
     base = _as_bases(step.base, 1)[0] if not isinstance(step.base, tuple) else step.base[0]
     places = 0
@@ -331,7 +335,7 @@ def _counts_near(step: _Step, sampler: Sampler, n: int) -> tuple[int | None, int
 def _powers_possible(sampler: Sampler, base: int, exponents: range) -> Iterator[int]:
     """Powers of `base` that the sampler can make, in the order of the exponents."""
     powers = (base**k for k in exponents if base**k <= MAX_COUNT)
-    return (n for n in powers if n in sampler._counts_near(n))
+    return (n for n in powers if n in sampler._counts_near(n) and sampler.digit_strata(n, base))
 
 
 def _checked_base(base: object) -> Base:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar, final
@@ -9,16 +10,10 @@ from typing import ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_choice, as_integer
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import NotPowerOfTwoWarning, ParameterError
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import Stream, mix_bits, mix_uniform
-from mcspectra.samplers.base import (
-    MAX_COUNT,
-    Randomization,
-    Randomized,
-    Sampler,
-    Structure,
-)
+from mcspectra.samplers.base import MAX_COUNT, Randomization, Sampler, Structure
 
 __all__ = ["Shuffle", "Skip", "Subset"]
 
@@ -29,9 +24,8 @@ _PARTS: dict[Structure, Structure] = dict.fromkeys(Structure, Structure.NONE) | 
 }
 """What a part of the points has: least distances, but no point in each stratum."""
 
-_SEQUENCES: dict[Structure, Structure] = {
-    s: s for s in (Structure.NONE, Structure.UNKNOWN, Structure.DIGITS)
-}
+_MOST_MADE = 2**27
+"""Most numbers of a set of which a part is wanted: 1 GiB."""
 
 
 @final
@@ -70,7 +64,10 @@ class Subset(Randomization):
     def fit(self, sampler: Sampler) -> Randomization:
         """Refuse a number of points that `sampler` cannot make."""
         if self.of is not None:
-            sampler.check_count(self.of)
+            _check_size(self, sampler, self.of)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", NotPowerOfTwoWarning)  # a part is never balanced
+                sampler.check_count(self.of)
         return Randomization.fit(self, sampler)
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
@@ -96,6 +93,14 @@ class Subset(Randomization):
             return n, n
         return below, 2 * MAX_COUNT
 
+    def max_count(self, sampler: Sampler) -> int:
+        """Return the size of the whole set."""
+        return self.of or sampler.max_count
+
+    def count_warning(self, sampler: Sampler, n: int) -> str | None:
+        """Return what `sampler` warns of for the whole set, if all of it is taken."""
+        return sampler._count_warning(n) if self.of is None else None
+
 
 @final
 @dataclass(frozen=True, kw_only=True)
@@ -109,8 +114,8 @@ class Skip(Randomization):
 
     Notes
     -----
-    For sequences (sobol, halton, random): other sets cover only a part of the domain without their
-    first points, and are refused. A run of b^m points of a sequence in base b has the balance of a
+    For sequences (sobol, halton, kronecker, random, …) and points from outside: other sets cover only
+    a part of the domain without their first points, and are refused. A run of b^m points of a sequence in base b has the balance of a
     net only if `count` is a multiple of b^m: leaving out just the origin spoils it (Owen 2020).
     Skipped points are made and thrown away.
 
@@ -120,19 +125,19 @@ class Skip(Randomization):
     """
 
     name: ClassVar[str] = "skip"
-    fits: ClassVar[Mapping[Structure, Structure]] = _SEQUENCES
+    pointwise: ClassVar[bool] = True
     count: int = 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "count", as_integer("count", self.count, least=0, most=MAX_COUNT))
 
     def fit(self, sampler: Sampler) -> Randomization:
-        """Refuse the one set of digits that is no sequence."""
-        inside = sampler.base if isinstance(sampler, Randomized) else sampler
-        if inside.name == "hammersley" and self.count:
+        """Refuse sets that are no sequences."""
+        _check_size(self, sampler, self.count)
+        if not (sampler.sequence or sampler.structure is Structure.UNKNOWN):
             raise ParameterError(
-                f"skip would break the {sampler.structure.value} of {sampler.spec}, "
-                "which is not a sequence; use halton."
+                f"skip would break the cover of the domain by {sampler.spec}, which is no sequence; "
+                "take a sequence such as sobol, halton or kronecker, or subset."
             )
         return Randomization.fit(self, sampler)
 
@@ -160,6 +165,20 @@ class Skip(Randomization):
         kept = 0 if below is None else below - self.count
         return (kept if kept > 0 else None), above - self.count
 
+    def max_count(self, sampler: Sampler) -> int:
+        """Return what is left of the most points of `sampler`."""
+        return max(sampler.max_count - self.count, 0)
+
+    def count_warning(self, sampler: Sampler, n: int) -> str | None:
+        """Return what `sampler` warns of, or that the run does not begin at a multiple of n."""
+        sentence = sampler._count_warning(n)
+        if sentence is None and sampler.structure is Structure.DIGITS and self.count % n:
+            return (
+                f"{n} points of {sampler.spec} after the first {self.count} are not balanced; they "
+                f"are after a multiple of {n}."
+            )
+        return sentence
+
 
 @final
 @dataclass(frozen=True, kw_only=True)
@@ -180,6 +199,14 @@ class Shuffle(Randomization):
         out = points.copy()
         _shuffle_points(stream.keys(first, len(points)), out)
         return out
+
+
+def _check_size(step: Randomization, sampler: Sampler, size: int) -> None:
+    if size * sampler.dims > _MOST_MADE:
+        raise ParameterError(
+            f"{step.spec} makes {size} points in {sampler.dims} dims to leave them out again; "
+            f"{_MOST_MADE // sampler.dims} at most."
+        )
 
 
 def _picked(

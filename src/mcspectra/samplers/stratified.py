@@ -42,6 +42,7 @@ class Random(Sampler):
 
     name: ClassVar[str] = "random"
     structure: ClassVar[Structure] = Structure.NONE
+    sequence: ClassVar[bool] = True
     dims: int = DEFAULT_DIMS
 
     def __post_init__(self) -> None:

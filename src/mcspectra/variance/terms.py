@@ -283,14 +283,14 @@ def _labelled(variables: Variables, view: View, chosen: Bands, **provenance: Any
     for name, (dims, values) in variables.items():
         index = tuple(0 if dim in dropped else slice(None) for dim in dims)
         kept[name] = (tuple(dim for dim in dims if dim not in dropped), values[index])
-    bands = {"long_name": chosen.meaning, "units": "1"}
+    # Labels as an attribute: arrays of strings have no place in zarr's specification yet.
+    bands = {"long_name": chosen.meaning, "units": "1", "labels": ", ".join(chosen.labels)}
     numbers = np.arange(len(chosen.labels))
     coords: dict[str, Any] = {
         **basis.coords,
         "bound": ["low", "high"],
         "band": ("band", numbers, bands),
         "band_other": ("band_other", numbers, bands),
-        "band_label": ("band", list(chosen.labels), {"long_name": chosen.meaning}),
         "half_width": ("half_width", np.arange(basis.half_width + 1), {"units": "cycles per unit"}),
     }
     if "cross_matrix" in kept:
