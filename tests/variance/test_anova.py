@@ -121,6 +121,17 @@ def test_latin_hypercubes_take_single_axes_away():
     _check(found, np.array(expected))
 
 
+def test_jittered_sets_by_axis():
+    """Exact: of each stratum's moments. Points of equal number share a stratum: order must not matter."""
+    side, a = 4, np.array([1.0, 0.6])
+    f, part = _product(a)
+    n, between = side**2, part * (1 - side**-2)
+    expected = [*(part - between) / n, (part.prod() - between.prod()) / n]
+    found = mcs.anova_variances(mcs.Estimator(f), "jittered", n, realizations=10_000, rng=2)
+    _check(found, np.array(expected))
+    assert np.abs(found["anova_share"] - expected / np.sum(expected)).max() < 0.05
+
+
 def test_two_axes_make_up_the_whole():
     """In 2-D the parts of order 2 are all: their sum is the variance, but for Cov(I, I') ~ 0."""
     f = mcs.Estimator("gaussian(center=[0.3, 0.6], width=0.2)", dims=2)
