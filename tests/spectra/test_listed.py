@@ -75,7 +75,8 @@ def test_few_points_far_apart_in_frequency_stay_direct():
 
 
 @pytest.mark.parametrize(
-    ("dims", "n", "engine"), [(1, 8, "nufft"), (2, 16, "nufft"), (2, 16, "direct"), (4, 16, "auto")]
+    ("dims", "n", "engine"),
+    [(1, 8, "nufft"), (2, 16, "nufft"), (2, 16, "direct"), (4, 16, "direct"), (4, 16, "nufft")],
 )
 def test_same_as_the_grid(dims, n, engine):
     """An odd number of sets, so that pairs and a single one take part; 4-D splits 2 + 2 axes."""

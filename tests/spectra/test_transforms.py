@@ -11,11 +11,11 @@ def _points(sets, n, dims, seed=0):
     return np.random.default_rng(seed).random((sets, n, dims))
 
 
-@pytest.mark.parametrize("dims", [1, 2, 3])
+@pytest.mark.parametrize("dims", [1, 2, 3, 4])
 @pytest.mark.parametrize("sets", [1, 2, 5])
 @pytest.mark.parametrize("engine", ["nufft", "direct"])
 def test_coefficients_agree_with_the_definition(dims, sets, engine):
-    grid = FrequencyGrid(dims, {1: 20, 2: 9, 3: 4}[dims])
+    grid = FrequencyGrid(dims, {1: 20, 2: 9, 3: 4, 4: 2}[dims])
     x = _points(sets, 37, dims)
     w = np.random.default_rng(1).random((sets, 37)) - 0.3  # weights of either sign
     for weights in (None, w):
@@ -78,6 +78,10 @@ def test_512_squared_meets_the_promised_accuracy():
 def test_engine_auto_takes_the_direct_sum_for_small_sets_only():
     assert Transform(FrequencyGrid(1, 8), 16).engine == "direct"
     assert Transform(FrequencyGrid(2, 64), 256).engine == "nufft"
+    assert Transform(FrequencyGrid(4, 16), 500).engine == "direct"
+    assert Transform(FrequencyGrid(4, 16), 4096).engine == "nufft"
+    assert Transform(FrequencyGrid(4, 2), 10**6).engine == "direct"
+    assert Transform(FrequencyGrid(5, 4), 10**6).engine == "direct"
 
 
 @pytest.mark.parametrize(
@@ -99,7 +103,7 @@ def test_bad_grids_say_what_is_allowed(arguments, words):
 def test_bad_engines_say_what_is_allowed():
     with pytest.raises(ParameterError, match="nufft"):
         Transform(FrequencyGrid(1, 4), 8, engine="fft")
-    with pytest.raises(ParameterError, match="1 to 3 dims"):
-        Transform(FrequencyGrid(4, 2), 8, engine="nufft")
+    with pytest.raises(ParameterError, match="1 to 4 dims"):
+        Transform(FrequencyGrid(5, 2), 8, engine="nufft")
     with pytest.raises(ParameterError, match="eps"):
         Transform(FrequencyGrid(1, 4), 8, eps=1e-30)

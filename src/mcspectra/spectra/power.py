@@ -83,10 +83,9 @@ def power_spectrum(
     Notes
     -----
     Power is as in the slides, ⟨|S_m|²⟩. Multiply by n for the convention of UTK, random = 1.
-    Cost O(n log^d(1/eps) + M log M) for a pair of realisations of M frequencies; from four dims on
-    O(n M), by matrix products. Memory does not grow with the realisations: about 40 M bytes for
-    each thread (8 M more with `mean`), and 16 M or less for the results: in four dims at half width
-    16, 1.2 million frequencies, 60 MB a thread.
+    Cost O(n log^d(1/eps) + M log M) for a pair of realisations of M frequencies. Memory does not grow
+    with the realisations: 100 M bytes for each thread at most, and up to 64 MB for its points (and
+    phases, of the direct engine).
 
     Examples
     --------

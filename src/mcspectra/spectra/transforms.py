@@ -8,12 +8,14 @@ Engines
     core). Relative l2 error 1e-9, at ``eps=1e-12`` with ``upsampfac=2``. Real frequencies on a
     grid of step s are integer ones of the coordinates s·x. Two realisations share a transform:
     weights w of the first plus i times w of the second, separated by Hermitian symmetry. Cost
-    O(n log^d(1/eps) + M log M) for a pair.
+    O(n log^d(1/eps) + M log M) for a pair. Four dims are 3-D transforms for each frequency of the first
+    axis, of one realisation at a time.
 ``direct``
     Separable direct summation by matrix products, exact to rounding: the oracle, and the faster
     one for a handful of points. Cost O(n M).
 ``auto``
-    Direct where n M < 4000 (about a microsecond's worth of arithmetic below a plan call), else NUFFT.
+    Direct where n M < 4000 (about a microsecond's worth of arithmetic below a plan call), in four dims
+    below about a thousand points, and beyond four; else NUFFT.
 
 Real weights make S_{−m} = conj S_m, so results cover *half* the grid: the flat C-order indices up
 to and including that of m = 0, which comes last.
@@ -138,15 +140,15 @@ class Transform:
     ) -> None:
         as_choice("engine", engine, ENGINES)
         self.eps = as_real("eps", eps, least=1e-14, most=0.1)
-        if engine == "nufft" and grid.dims > 3:
+        if engine == "nufft" and grid.dims > 4:
             raise ParameterError(
-                f"The nufft engine works in 1 to 3 dims, not {grid.dims}; use engine='direct'."
+                f"The nufft engine works in 1 to 4 dims, not {grid.dims}; use engine='direct'."
             )
         if engine == "auto":
-            small = n * grid.size < _DIRECT_BELOW
-            engine = "direct" if small or grid.dims > 3 else "nufft"
+            engine = "direct" if _direct_pays(grid, n) else "nufft"
         self.engine = engine
         self.grid = grid
+        self._packs = engine == "nufft" and grid.dims <= 3
         self._local = threading.local()
 
     def coefficients(self, points: Array, weights: Array | None = None) -> Array:
@@ -163,21 +165,14 @@ class Transform:
         if weights is None:
             weights = np.broadcast_to(1.0 / n, (sets, n))
         out = np.empty((sets, self.grid.half_size), np.complex128)
-        if self.engine == "direct":
-            for r in range(sets):
-                out[r] = self._direct(points[r], weights[r])
-        else:
-            self._transform_pairs(points, weights, out)
+        paired = sets - sets % 2 if self._packs else 0
+        for r in range(0, paired, 2):
+            split_pair(self._pair(points[r : r + 2], weights[r : r + 2]), out[r], out[r + 1])
+        for r in range(paired, sets):
+            out[r] = self._single(points[r], weights[r])[: out.shape[1]]
         # S_0 is the sum of the weights: exactly, so that equal weights have no dc term.
         out[:, -1] = weights.sum(axis=1)
         return out
-
-    def _transform_pairs(self, points: Array, weights: Array, out: Array) -> None:
-        sets = len(points)
-        for r in range(0, sets - 1, 2):
-            split_pair(self._pair(points[r : r + 2], weights[r : r + 2]), out[r], out[r + 1])
-        if sets % 2:
-            out[-1] = self._nufft(points[-1], weights[-1].astype(np.complex128))[: out.shape[1]]
 
     def add_power(
         self,
@@ -191,7 +186,7 @@ class Transform:
         sets, n, _ = points.shape
         if weights is None:
             weights = np.broadcast_to(1.0 / n, (sets, n))
-        paired = 0 if self.engine == "direct" else sets - sets % 2
+        paired = sets - sets % 2 if self._packs else 0
         for r in range(0, paired, 2):
             packed = self._pair(points[r : r + 2], weights[r : r + 2])
             power_sums(packed, True, total, squares)
@@ -207,7 +202,8 @@ class Transform:
         """Transform of one set, of which at least the half grid is there."""
         if self.engine == "direct":
             return self._direct(points, weights)
-        return self._nufft(points, weights.astype(np.complex128))
+        strengths = weights.astype(np.complex128)
+        return self._nufft(points, strengths) if self._packs else self._slabs(points, strengths)
 
     def _pair(self, points: Array, weights: Array) -> Array:
         """Transform of set 0 plus i times set 1, full grid, flat."""
@@ -218,21 +214,34 @@ class Transform:
         return self._nufft(points.reshape(2 * n, -1), strengths)
 
     def _nufft(self, points: Array, strengths: Array) -> Array:
+        return np.asarray(self._plan_at(points).execute(strengths)).ravel()
+
+    def _slabs(self, points: Array, strengths: Array) -> Array:
+        """Four dims: for each m0 ≤ 0 the phases of the first axis, then a transform of the others."""
+        grid = self.grid
+        plan = self._plan_at(points[:, 1:])
+        out = np.empty((grid.half_width + 1, *grid.shape[1:]), np.complex128)
+        for slab, index in enumerate(range(-grid.half_width, 1)):
+            phase = np.exp((-2j * np.pi * grid.step * index) * points[:, 0])
+            out[slab] = plan.execute(strengths * phase)
+        return out.ravel()
+
+    def _plan_at(self, points: Array) -> Any:
+        """Return this thread's plan, with its points (n, up to 3) set."""
         plan = getattr(self._local, "plan", None)
         if plan is None:
-            plan = self._local.plan = self._new_plan()
-        scale = 2.0 * np.pi * self.grid.step
-        plan.setpts(*(points[:, j] * scale for j in range(self.grid.dims)))
-        return np.asarray(plan.execute(strengths)).ravel()
+            plan = self._local.plan = self._new_plan(self.grid.shape[-points.shape[1] :])
+        plan.setpts(*(2.0 * np.pi * self.grid.step * axis for axis in points.T))
+        return plan
 
-    def _new_plan(self) -> Any:
+    def _new_plan(self, shape: tuple[int, ...]) -> Any:
         import finufft
 
         # 1.25 cannot reach below 1e-9; spread_sort=2 lets FINUFFT decide by density of points.
         upsampling = 1.25 if self.eps >= 1e-9 else 2.0
         return finufft.Plan(
             1,
-            self.grid.shape,
+            shape,
             eps=self.eps,
             isign=-1,
             upsampfac=upsampling,
@@ -269,6 +278,14 @@ class Transform:
             phase = np.exp((-2j * np.pi * grid.step) * np.outer(x, index))
             found = (found[:, :, None] * phase[:, None, :]).reshape(len(points), -1)
         return found
+
+
+def _direct_pays(grid: FrequencyGrid, n: int) -> bool:
+    """Whether direct summation of n points is faster, by times measured on one core."""
+    if grid.dims <= 3:
+        return n * grid.size < _DIRECT_BELOW
+    slab = float(grid.size // grid.shape[0])
+    return grid.dims > 4 or n * slab < 9000.0 * n + 800.0 * slab
 
 
 def direct_sum(points: Array, frequencies: Array, weights: Array | None = None) -> Array:
