@@ -23,10 +23,17 @@ from .samplers.base import Sampler as Sampler
 from .samplers.registry import sampler as sampler
 from .spectra.closed_forms import closed_form_covariance as closed_form_covariance
 from .spectra.closed_forms import closed_form_power as closed_form_power
+from .spectra.frequencies import axis_frequencies as axis_frequencies
+from .spectra.frequencies import diagonal_frequencies as diagonal_frequencies
+from .spectra.frequencies import plane_frequencies as plane_frequencies
+from .spectra.frequencies import subset_frequencies as subset_frequencies
 from .spectra.gain import closed_form_walsh_power as closed_form_walsh_power
 from .spectra.gain import gain_coefficients as gain_coefficients
 from .spectra.gain import nested_variances as nested_variances
 from .spectra.listed import power_at as power_at
+from .spectra.pair_correlation import (
+    closed_form_pair_correlation as closed_form_pair_correlation,
+)
 from .spectra.pair_correlation import pair_correlation as pair_correlation
 from .spectra.power import power_spectrum as power_spectrum
 from .spectra.shapes import low_frequency_exponent as low_frequency_exponent
@@ -55,14 +62,17 @@ __all__ = [
     "Sampler",
     "TechniqueSum",
     "__version__",
-    "closed_form_covariance",
     "anova_variances",
+    "axis_frequencies",
+    "closed_form_covariance",
+    "closed_form_pair_correlation",
     "closed_form_power",
     "closed_form_walsh_power",
     "convergence",
     "covariance_modes",
     "densities",
     "density",
+    "diagonal_frequencies",
     "estimators",
     "exact_variance",
     "gain_coefficients",
@@ -72,6 +82,7 @@ __all__ = [
     "low_frequency_exponent",
     "nested_variances",
     "pair_correlation",
+    "plane_frequencies",
     "power_at",
     "power_spectrum",
     "predicted_rate",
@@ -86,6 +97,7 @@ __all__ = [
     "slices",
     "spectra",
     "studies",
+    "subset_frequencies",
     "variance",
     "variance_from_spectrum",
     "variance_terms",

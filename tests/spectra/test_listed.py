@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.errors import CountError, ParameterError
-from mcspectra.spectra import transforms
-from mcspectra.spectra._listed_kernels import unit_phases
-from mcspectra.spectra.frequencies import (
+from mcspectra import (
     axis_frequencies,
     diagonal_frequencies,
     plane_frequencies,
     subset_frequencies,
 )
+from mcspectra.core.errors import CountError, ParameterError
+from mcspectra.spectra import transforms
+from mcspectra.spectra._listed_kernels import unit_phases
 from mcspectra.spectra.listed import listed_transform
 from mcspectra.spectra.transforms import FrequencyGrid, Transform, direct_sum
 

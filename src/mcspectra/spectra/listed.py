@@ -73,7 +73,8 @@ def power_at(
     sampler, n
         Sampler (or spec string, which then has the dims of `frequencies`) and number of points.
     frequencies
-        Real frequencies ν, shape (F, d), in cycles per unit.
+        Real frequencies ν, shape (F, d), in cycles per unit: any, or those of `axis_frequencies`,
+        `diagonal_frequencies`, `plane_frequencies`, `subset_frequencies`.
     density
         Importance density p (or spec string): points are warped and weighted 1/(n p).
     realizations
