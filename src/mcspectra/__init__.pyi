@@ -23,6 +23,7 @@ from .samplers.base import Sampler as Sampler
 from .samplers.registry import sampler as sampler
 from .spectra.closed_forms import closed_form_covariance as closed_form_covariance
 from .spectra.closed_forms import closed_form_power as closed_form_power
+from .spectra.exponent import low_frequency_exponent as low_frequency_exponent
 from .spectra.frequencies import axis_frequencies as axis_frequencies
 from .spectra.frequencies import diagonal_frequencies as diagonal_frequencies
 from .spectra.frequencies import plane_frequencies as plane_frequencies
@@ -36,7 +37,6 @@ from .spectra.pair_correlation import (
 )
 from .spectra.pair_correlation import pair_correlation as pair_correlation
 from .spectra.power import power_spectrum as power_spectrum
-from .spectra.shapes import low_frequency_exponent as low_frequency_exponent
 from .spectra.shapes import radial_statistics as radial_statistics
 from .spectra.shapes import slices as slices
 from .spectra.shapes import variance_from_spectrum as variance_from_spectrum

@@ -1,10 +1,126 @@
-"""Pair correlation: random is 1, strata repel."""
+"""Pair correlation: counts, borders, exact forms, input."""
 
 import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.spectra.pair_correlation import count_pairs
+
+
+def some_points(n, dims):
+    """Random points, and a few whose distances are exactly ½ along the axes."""
+    points = np.random.default_rng(dims).random((n, dims))
+    points[: n // 4] = np.round(points[: n // 4] * 8) / 8 % 1
+    return points
+
+
+@pytest.mark.parametrize("dims", [1, 2, 3])
+@pytest.mark.parametrize("most", [0.5, 0.1, 0.01])
+def test_all_pairs_are_counted_once(dims, most):
+    x, bins = some_points(200, dims), 37
+    delta = np.abs(x[:, None] - x)
+    distance = np.sqrt((np.minimum(delta, 1 - delta) ** 2).sum(axis=-1))
+    place = (distance[np.triu_indices(200, 1)] * (bins / most)).astype(int)
+    expected = np.bincount(place[place < bins], minlength=bins)
+    found = count_pairs(x, np.linspace(0, most, bins + 1), wrap=True)
+    np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("dims", [1, 2, 3])
+def test_at_the_border_points_count_as_far_as_they_see(dims):
+    x, bins, most = some_points(200, dims), 20, 0.3
+    edges = np.linspace(0, most, bins + 1)
+    distance = np.sqrt(((x[:, None] - x) ** 2).sum(axis=-1))
+    room = np.minimum(x, 1 - x).min(axis=1)
+    expected = np.zeros(bins)
+    for a in range(200):
+        for b in range(200):
+            place = int(distance[a, b] * (bins / most))
+            if a != b and place < bins:
+                expected[place] += room[a] >= edges[place + 1]
+    np.testing.assert_array_equal(count_pairs(x, edges, wrap=False), expected)
+
+
+@pytest.mark.parametrize("dims", [1, 2, 3])
+def test_border_correction_is_unbiased_for_random_points(dims):
+    d = mcs.pair_correlation(
+        mcs.sampler("random", dims=dims), 100, bins=10, realizations=200, boundary="border", rng=4
+    )
+    pull = (d["pair_correlation"] - 1) / d["pair_correlation_se"]
+    assert np.abs(pull).max() < 5  # 10 bins, 199 degrees: probability 1e-5
+    assert d.attrs["boundary"] == "border"
+
+
+def test_both_boundaries_agree_for_stationary_sets():
+    """Away from the border a toroidal set is like a bounded one."""
+    both = [
+        mcs.pair_correlation(
+            "poisson-disk",
+            64,
+            bins=16,
+            realizations=300,
+            boundary=boundary,
+            max_distance=0.2,
+            rng=seed,
+        )
+        for seed, boundary in enumerate(("toroidal", "border"))
+    ]
+    difference = both[0]["pair_correlation"] - both[1]["pair_correlation"]
+    se = np.hypot(both[0]["pair_correlation_se"], both[1]["pair_correlation_se"])
+    assert (np.abs(difference) <= 5 * se + 1e-12).all()
+
+
+@pytest.mark.parametrize(
+    ("spec", "n"), [("jittered(dims=1)", 6), ("jittered", 16), ("jittered(sides=[2, 6])", 12)]
+)
+def test_jittered_against_the_exact_form(spec, n):
+    bins = 25
+    d = mcs.pair_correlation(spec, n, bins=bins, realizations=4000, rng=2)
+    dims = mcs.sampler(spec).dims
+    r = (np.arange(bins * 64) + 0.5) / (bins * 128)
+    weight = r ** (dims - 1)
+    exact = mcs.closed_form_pair_correlation(spec, n, r)
+    mean = (exact * weight).reshape(bins, 64).sum(axis=1) / weight.reshape(bins, 64).sum(axis=1)
+    pull = np.abs(d["pair_correlation"] - mean) / d["pair_correlation_se"]
+    assert pull.max() < 5
+
+
+def test_exact_form_of_jittered_is_the_mean_over_directions():
+    angle = (np.arange(200_000) + 0.5) * (np.pi / 400_000)
+    for r in (0.05, 0.2, 0.3, 0.45):
+        a, b = 2 * r * np.cos(angle), 6 * r * np.sin(angle)
+        shared = (np.maximum(0, 1 - a) * np.maximum(0, 1 - b)).mean()
+        found = mcs.closed_form_pair_correlation("jittered(sides=[2, 6])", 12, r)
+        np.testing.assert_allclose(found, 12 / 11 * (1 - shared), rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ({"boundary": "open"}, "boundary is 'open'"),
+        ({"boundary": "border", "max_distance": 0.5}, "with the border correction give less"),
+        ({"max_distance": 0}, "max_distance is 0"),
+        ({"max_distance": 0.6}, "at most 0.5"),
+        ({"max_distance": np.nan}, "finite number"),
+        ({"bins": 0}, "bins is 0"),
+        ({"bins": 2.5}, "bins is 2.5"),
+        ({"n": 2**20}, "give fewer points"),
+        ({"realizations": 0}, "realizations is 0"),
+    ],
+)
+def test_bad_input(arguments, sentence):
+    with pytest.raises(ParameterError, match=sentence):
+        mcs.pair_correlation("random", **({"n": 16} | arguments))
+
+
+def test_bad_input_of_the_exact_form():
+    with pytest.raises(ParameterError, match="from 0 to 1/2"):
+        mcs.closed_form_pair_correlation("random", 4, [0.6])
+    with pytest.raises(ParameterError, match="from 0 to 1/2"):
+        mcs.closed_form_pair_correlation("random", 4, [np.nan])
+    with pytest.raises(NoClosedForm, match="pair_correlation"):
+        mcs.closed_form_pair_correlation("jittered(dims=3)", 8, [0.1])
 
 
 @pytest.mark.parametrize("dims", [1, 2, 3])

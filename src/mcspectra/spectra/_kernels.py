@@ -11,7 +11,7 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
 
-__all__ = ["bin_weights", "histogram_distances", "pair_mean", "power_sums", "split_pair"]
+__all__ = ["bin_weights", "pair_mean", "power_sums", "split_pair"]
 
 
 @kernel
@@ -56,25 +56,6 @@ def pair_mean(packed: Array, total: Array) -> None:
         a = packed[h]
         b = np.conj(packed[last - h])
         total[h] += 0.5 * ((a + b) - 1j * (a - b))
-
-
-@kernel
-def histogram_distances(points: Array, width: float, counts: Array) -> None:
-    """Count toroidal distances of all pairs of points (n, d) into bins of `width`; counts (bins,)."""
-    n, d = points.shape
-    limit = (width * counts.size) ** 2
-    for a in range(n):
-        for b in range(a + 1, n):
-            square = 0.0
-            for j in range(d):
-                delta = abs(points[a, j] - points[b, j])
-                if delta > 0.5:
-                    delta = 1.0 - delta
-                square += delta * delta
-            if square < limit:
-                index = int(np.sqrt(square) / width)
-                if index < counts.size:
-                    counts[index] += 1
 
 
 @kernel

@@ -1,24 +1,28 @@
-"""Isotropic pair correlation g(r) of point sets on the torus."""
+"""Isotropic pair correlation g(r) of point sets: density of pairs at a distance, random = 1."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.checks import Array, as_choice, as_integer, as_real, as_real_array
+from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers, map_in_order
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.spectra._kernels import histogram_distances
+from mcspectra.spectra._pair_kernels import count_distances, count_ordered_pairs
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["pair_correlation"]
+__all__ = ["closed_form_pair_correlation", "count_pairs", "pair_correlation"]
+
+_BOUNDARIES = ("toroidal", "border")
+_MOST_PAIRS = 2**36  # about a minute a realisation
 
 
 def pair_correlation(
@@ -28,20 +32,27 @@ def pair_correlation(
     bins: int = 100,
     realizations: int = 16,
     rng: RngLike = 0,
+    boundary: str = "toroidal",
+    max_distance: float | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Estimate the pair correlation g(r): density of pairs at toroidal distance r, random = 1.
+    """Estimate the pair correlation g(r): density of pairs at distance r, random = 1.
 
     Parameters
     ----------
     sampler, n
         Sampler (or spec string) and number of points, at least 2.
     bins
-        Number of equal bins of r in [0, 1/2].
+        Number of equal bins of r in [0, max_distance].
     realizations
         Number of realisations averaged; 2 or more for standard errors.
     rng
         Seed (SPEC 7).
+    boundary
+        ``"toroidal"``: distances wrap around. ``"border"``, for sets that end at the border: they do
+        not, and pairs are counted from those points only that are further from it than r.
+    max_distance
+        Largest r, at most 1/2; by default 1/2, with the border correction 1/4.
     workers
         Threads; all processors by default.
 
@@ -52,40 +63,160 @@ def pair_correlation(
 
     Notes
     -----
-    g = pairs in a shell / (n(n−1)/2 · volume of the shell). Cost O(n²) a realisation.
+    g = pairs in a shell / (n(n−1)/2 · volume of the shell); with the border correction ordered pairs /
+    (n(n−1) · volume of the shell · volume (1−2r)^d of where the first may be), which is unbiased if the
+    set is stationary. Only points with first coordinates nearer than max_distance are compared: the
+    cost is O(n log n + n² max_distance) a realisation.
     """
     source = as_sampler(sampler)
     as_integer("dims of a pair correlation", source.dims, least=1, most=8)
-    n = source.check_count(n)
-    if n < 2:
-        raise ParameterError("pair_correlation needs n of at least 2, not 1.")
+    n = _checked_count(source, n)
     bins = as_integer("bins", bins, least=1, most=10**6)
     realizations = as_integer("realizations", realizations, least=1, most=MAX_REALIZATIONS)
+    wrap = as_choice("boundary", boundary, _BOUNDARIES) == "toroidal"
+    most = _checked_distance(max_distance, wrap)
     stream = Stream.from_rng(rng)
-    width = 0.5 / bins
-    edges = np.arange(bins + 1) * width
-    ball = math.pi ** (source.dims / 2) / math.gamma(source.dims / 2 + 1)
-    expected = 0.5 * n * (n - 1) * ball * np.diff(edges**source.dims)
+    edges = np.linspace(0.0, most, bins + 1)
+    expected = 0.5 * n * (n - 1) * np.diff(_ball(source.dims) * edges**source.dims)
+    if not wrap:
+        expected *= 2.0 * (1.0 - 2.0 * edges[1:]) ** source.dims
 
     def one(realization: int) -> Array:
-        counts = np.zeros(bins, np.int64)
-        histogram_distances(source.draw_stream(n, stream, realization, 1)[0], width, counts)
-        return np.asarray(counts / expected)
+        points = source.draw_stream(n, stream, realization, 1)[0]
+        return count_pairs(points, edges, wrap=wrap) / expected
 
-    total, squares = np.zeros(bins), np.zeros(bins)
-    for g in map_in_order(one, range(realizations), available_workers(workers)):
-        total += g
-        squares += g * g
-    mean = total / realizations
-    spread = np.maximum(squares / realizations - mean * mean, 0.0)
-    se = np.sqrt(spread / (realizations - 1)) if realizations > 1 else np.full(bins, np.nan)
-    r = ("r", 0.5 * (edges[1:] + edges[:-1]), {"long_name": "toroidal distance", "units": "1"})
+    mean, se = _mean_of(one, realizations, available_workers(workers))
+    r = ("r", 0.5 * (edges[1:] + edges[:-1]), {"long_name": f"{boundary} distance", "units": "1"})
     return dataset(
         {"pair_correlation": (("r",), mean), "pair_correlation_se": (("r",), se)},
         {"r": r},
         sampler=source.spec,
         n=n,
+        boundary=boundary,
         realizations=realizations,
         stream_key=f"{stream.key:#x}",
         seed=rng if isinstance(rng, int) else None,
     )
+
+
+def count_pairs(points: Array, edges: Array, *, wrap: bool) -> Array:
+    """Count pairs of points (n, d) by distance, in equal bins from 0: float64 (bins,).
+
+    Unordered pairs on the torus (wrap); else ordered pairs of which the first point is at least as far
+    from the border as the bin reaches.
+    """
+    n, bins = len(points), len(edges) - 1
+    limit = min(float(edges[-1]), 0.5) if wrap else float(edges[-1])
+    per_unit = bins / float(edges[-1])
+    coordinates = np.ascontiguousarray(points[np.argsort(points[:, 0], kind="stable")].T)
+    if not wrap:
+        room = np.minimum(coordinates, 1.0 - coordinates).min(axis=0)
+        ordered = np.zeros(bins, np.int64)
+        last = np.searchsorted(edges[1:], room, side="right")
+        count_ordered_pairs(coordinates, per_unit, limit, last, ordered)
+        return ordered.astype(float)
+    copies = coordinates[:, coordinates[0] <= limit]
+    copies = copies + np.eye(len(coordinates), 1)  # one further along the first axis
+    counts = np.zeros((4, bins + 1), np.int64)
+    count_distances(np.concatenate([coordinates, copies], axis=1), n, per_unit, limit, counts)
+    return np.asarray(counts[:, :bins].sum(axis=0), float)
+
+
+def closed_form_pair_correlation(sampler: Sampler | str, n: int, r: Any) -> Array:
+    """Return the exact pair correlation at toroidal distances r, averaged over place and direction.
+
+    Parameters
+    ----------
+    sampler
+        ``random`` in any dims, ``jittered`` in 1-D and 2-D.
+    n
+        Number of points, at least 2.
+    r
+        Distances from 0 to 1/2.
+
+    Raises
+    ------
+    NoClosedForm
+        Another sampler.
+
+    Notes
+    -----
+    Two points of a jittered set are independent, but not in one cell. Two places h apart share a cell
+    of sides 1/s_i with the probability Π max(0, 1 − s_i |h_i|), so that g is n/(n−1) times 1 minus its
+    mean over directions.
+
+    Examples
+    --------
+    >>> closed_form_pair_correlation("jittered(dims=1)", 4, [0.0, 0.125, 0.25]).round(3)
+    array([0.   , 0.667, 1.333])
+    """
+    source = as_sampler(sampler)
+    n = _checked_count(source, n)
+    distance = as_real_array("r", r)
+    if distance.size and not (distance.min() >= 0.0 and distance.max() <= 0.5):
+        raise ParameterError("r must hold distances from 0 to 1/2; those given do not.")
+    if source.name == "random":
+        return np.ones(distance.shape)
+    if source.name == "jittered" and source.dims <= 2:
+        sides = source.sides(n)  # type: ignore[attr-defined]
+        scaled = [s * distance for s in sides]
+        shared = np.maximum(0.0, 1.0 - scaled[0]) if len(sides) == 1 else _shared_cell(*scaled)
+        return np.asarray(n / (n - 1) * (1.0 - shared))
+    raise NoClosedForm(
+        f"No closed-form pair correlation is known for {source.spec} in {source.dims} dims; use "
+        "pair_correlation."
+    )
+
+
+def _shared_cell(a: Array, b: Array) -> Array:
+    """Mean over directions θ of max(0, 1 − a |cos θ|) max(0, 1 − b |sin θ|)."""
+    low = np.arccos(1.0 / np.maximum(a, 1.0))
+    high = np.arcsin(1.0 / np.maximum(b, 1.0))
+
+    def primitive(angle: Array) -> Array:
+        sine, cosine = np.sin(angle), np.cos(angle)
+        return np.asarray(angle - a * sine + b * cosine + 0.5 * a * b * sine**2)
+
+    return np.where(low < high, primitive(high) - primitive(low), 0.0) * (2.0 / np.pi)
+
+
+def _checked_count(sampler: Sampler, n: int) -> int:
+    count = sampler.check_count(n)
+    if count < 2:
+        raise ParameterError("pair_correlation needs n of at least 2, not 1.")
+    if 0.5 * float(count) ** 2 > _MOST_PAIRS:
+        raise ParameterError(
+            f"{count} points are {0.5 * float(count) ** 2:.2g} pairs, more than {_MOST_PAIRS:.2g}; "
+            "give fewer points."
+        )
+    return count
+
+
+def _checked_distance(given: float | None, wrap: bool) -> float:
+    if given is None:
+        return 0.5 if wrap else 0.25
+    most = as_real("max_distance", given, above=0.0, most=0.5)
+    if most == 0.5 and not wrap:
+        raise ParameterError(
+            "max_distance is 0.5; with the border correction give less: no point is that far inside."
+        )
+    return most
+
+
+def _ball(dims: int) -> float:
+    """Volume of the unit ball."""
+    return float(math.pi ** (dims / 2)) / math.gamma(dims / 2 + 1)
+
+
+def _mean_of(one: Callable[[int], Array], realizations: int, workers: int) -> tuple[Array, Array]:
+    """Mean over realisations and its standard error, NaN for a single one."""
+    total: Any = 0.0
+    squares: Any = 0.0
+    for values in map_in_order(one, range(realizations), workers):
+        total = total + values
+        squares = squares + values * values
+    mean = total / realizations
+    spread = np.maximum(squares / realizations - mean * mean, 0.0)
+    if realizations == 1:
+        return mean, np.full(mean.shape, np.nan)
+    return mean, np.sqrt(spread / (realizations - 1))
