@@ -105,7 +105,7 @@ def test_two_passes_are_bounded_by_their_residuals():
 
 
 def test_workers_do_not_matter():
-    arguments = {"half_width": 16, "modes": 2, "realizations": 3000, "rng": 1}
+    arguments = {"half_width": 16, "modes": 2, "realizations": 1500, "rng": 1}
     one = mcs.covariance_modes(F2, "jittered", 64, workers=1, **arguments)
     assert one.identical(mcs.covariance_modes(F2, "jittered", 64, workers=2, **arguments))
 
