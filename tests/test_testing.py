@@ -12,15 +12,16 @@ from mcspectra import Sampler
 from mcspectra.testing import BrokenContract, check_sampler
 
 
-def made(points):
-    """A sampler class whose `_points` is the given function."""
+def made(points, dims=2):
+    """A sampler whose `_points` is the given function."""
+    size = dims
 
     @dataclass(frozen=True, kw_only=True)
     class Made(Sampler):
         """Made for a test."""
 
         name: ClassVar[str] = "made"
-        dims: int = 2
+        dims: int = size
 
         def _points(self, n, stream, first, count):
             return points(self, n, stream, first, count)
@@ -42,7 +43,9 @@ FAULTS = {
         lambda s, n, stream, first, count: sound(s, n, stream.child(count), first, count),
         "drawn by another call",
     ),
-    "bias": (lambda *a: sound(*a) ** 1.5, "single points are not uniform"),
+    "bias": (lambda *a: sound(*a) ** 1.1, "its points are not uniform"),
+    "one coordinate": (lambda *a: sound(*a) * [1.0, 0.0] + [0.0, 0.5], "not uniform"),
+    "a corner": (lambda *a: np.where(sound(*a) > 0.9, 0.5, sound(*a)), "not uniform"),
 }
 
 
@@ -54,4 +57,15 @@ def test_faults_are_found(points, words):
 
 def test_a_sound_sampler_passes():
     check_sampler(made(sound))
-    check_sampler("sobol | owen")
+    for spec in ("sobol | owen", "jittered", "latin-hypercube", "rank1-lattice | shift"):
+        check_sampler(spec)
+
+
+def test_middle_coordinates_are_looked_at():
+    def flat(self, n, stream, first, count):
+        points = stream.uniforms(first, count, n * 3).reshape(count, n, 3)
+        points[..., 1] = 0.5
+        return points
+
+    with pytest.raises(BrokenContract, match="not uniform"):
+        check_sampler(made(flat, dims=3))

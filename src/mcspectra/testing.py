@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
@@ -10,7 +12,8 @@ from mcspectra.samplers import Sampler, as_sampler
 
 __all__ = ["BrokenContract", "check_sampler"]
 
-_REALIZATIONS = 640  # 40 in each of 16 cells
+_REALIZATIONS = 640
+_CELLS = 35
 _FALSE_ALARM = 1e-6
 
 
@@ -33,7 +36,7 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
     BrokenContract
         Points are not float64 of shape (R, n, dims) in [0,1); a realisation depends on the call
         that draws it; a count that `nearest_count` names cannot be drawn; or the sampler says that
-        it is unbiased and χ² of single points says otherwise (false alarm: 1e-6).
+        it is unbiased and the points of all realisations say otherwise (false alarm: 1e-6).
 
     Examples
     --------
@@ -73,26 +76,43 @@ def _check_repeats(source: Sampler, n: int) -> None:
 
 
 def _check_uniform(source: Sampler, n: int) -> None:
-    """χ² over 16 cells, of one point picked from each realisation: these are independent."""
-    from scipy.stats import chisquare
+    """Mean counts of points in cells against n over the number of cells, for all axes and pairs.
+
+    The spread over realisations gives the error of each mean, whatever ties the points of a set
+    together. Cells are 35 to an axis and 5 × 7 to a pair, which few strata are.
+    """
+    from scipy.stats import norm
 
     points = source.draw(n, realizations=_REALIZATIONS, rng=20)
-    picked = np.random.default_rng(n).integers(n, size=_REALIZATIONS)
-    cells = _cells(points[np.arange(_REALIZATIONS), picked])
-    p = float(chisquare(np.bincount(cells, minlength=16)).pvalue)
+    deviations = np.concatenate([_deviations(cells, n) for cells in _cells(points)])
+    worst = float(np.abs(deviations).max())
+    p = -np.expm1(deviations.size * np.log1p(-2 * norm.sf(worst)))
     _demand(
         p > _FALSE_ALARM,
         source,
         n,
-        f"says it is unbiased, but single points are not uniform (p {p:.1e})",
+        f"says it is unbiased, but its points are not uniform ({worst:.3g} standard errors in one "
+        f"of {deviations.size} cells)",
     )
 
 
-def _cells(x: Array) -> Array:
-    """Number of the cell, of 16, that each point is in: by its first and last coordinate."""
-    cells = 16 * x[:, 0] if x.shape[1] == 1 else 4 * np.floor(4 * x[:, 0]) + np.floor(4 * x[:, -1])
-    whole: Array = cells.astype(np.int64)
-    return whole
+def _cells(points: Array) -> Iterator[Array]:
+    """Number of the cell, of 35, of each point: by every coordinate and by pairs of neighbours."""
+    dims = points.shape[2]
+    coarse, fine = np.floor(5 * points), np.floor(7 * points)
+    for j in range(dims):
+        yield np.floor(_CELLS * points[..., j])
+        if dims > 1:
+            yield 7 * coarse[..., j] + fine[..., (j + 1) % dims]
+
+
+def _deviations(cells: Array, n: int) -> Array:
+    """Deviations of the mean counts of 35 cells in standard errors; cells (R, n)."""
+    counts = np.stack([(cells == cell).sum(axis=1) for cell in range(_CELLS)])
+    # Never below that of one point in one realisation: cells that are always, or never, hit
+    error = np.maximum(counts.std(axis=1, ddof=1), np.sqrt(n / _CELLS / len(cells)))
+    deviations: Array = (counts.mean(axis=1) - n / _CELLS) / (error / np.sqrt(len(cells)))
+    return deviations
 
 
 def _demand(holds: bool, source: Sampler, n: int, sentence: str) -> None:

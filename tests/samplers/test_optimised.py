@@ -80,6 +80,17 @@ def test_another_version_of_the_method_is_another_set(monkeypatch):
     assert len(CALLS) == 2
 
 
+def test_another_source_of_a_sampler_from_elsewhere_is_another_set(monkeypatch):
+    from mcspectra.samplers import optimised
+
+    Slow().draw(8, rng=1)
+    optimised._source.cache_clear()
+    monkeypatch.setattr(optimised.inspect, "getsource", lambda module: "edited")
+    Slow().draw(8, rng=1)
+    optimised._source.cache_clear()
+    assert len(CALLS) == 2
+
+
 def test_sets_used_again_are_translated_and_the_same_for_every_seed():
     points = Slow(sets=2).draw(8, realizations=5, rng=1)
     other = Slow(sets=2).draw(8, realizations=2, rng=2)

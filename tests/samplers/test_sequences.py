@@ -101,6 +101,34 @@ def test_digits_of_sets_that_have_them_at_powers_only(spec, n, nearest):
     assert error.value.nearest == nearest
 
 
+@pytest.mark.parametrize("step", ["owen", "owen(method='hash')", "lms"])
+def test_antithetic_pairs_are_not_scrambled_apart(step):
+    with pytest.raises(ParameterError, match="would break the pairs of antithetic-jittered"):
+        mcs.sampler(f"antithetic-jittered | {step}")
+
+
+@pytest.mark.parametrize("step", ["digital-shift", "permute"])
+def test_digital_shifts_keep_antithetic_pairs(step):
+    """The mean over a pair is the centre of a cell: the mean of all points is exactly ½."""
+    points = mcs.sampler(f"antithetic-jittered | {step}").draw(32, realizations=10, rng=1)
+    np.testing.assert_allclose(points.mean(axis=1), 0.5, atol=1e-15)
+
+
+def test_linear_scrambling_keeps_strata():
+    points = mcs.sampler("jittered | lms").draw(64, realizations=20, rng=1)
+    for cells in np.floor(8 * points).astype(int):
+        assert len(np.unique(cells, axis=0)) == 64
+
+
+def test_symmetries_keep_nets_whose_digits_have_one_base():
+    assert mcs.sampler("sobol | random-rotation").structure is Structure.DIGITS
+    assert mcs.sampler("halton | random-rotation").structure is Structure.TORUS
+    points = mcs.sampler("sobol | random-rotation | owen").draw(64, realizations=20, rng=1)
+    for a in range(7):
+        cells = np.floor(points * [2**a, 2 ** (6 - a)]).astype(int)
+        assert all(len(np.unique(each, axis=0)) == 64 for each in cells)
+
+
 def test_scrambled_rectangles_keep_their_cells():
     points = mcs.sampler("correlated-multi-jittered | owen").draw(32, realizations=20, rng=1)
     cells = np.floor(points * [4, 8]).astype(int)

@@ -21,6 +21,7 @@ from mcspectra.cli.common import (
     text_table,
     whole_number,
 )
+from mcspectra.cli.progress import progress_bars
 from mcspectra.core.checks import Array
 
 if TYPE_CHECKING:
@@ -49,11 +50,11 @@ def run(options: argparse.Namespace) -> int:
     dims = None if options.dims is None else whole_number("--dims", options.dims)
     sampler = read_sampler(options.sampler, dims)
     density = as_density(options.density, sampler.dims)
-    count = _realizations(options, sampler)
-    seed = seed_option(options)
+    seed, n = seed_option(options), whole_number("-n", options.n)
     _check_extension(options.out)
-    with one_sentence_warnings(options.quiet):
-        points = sampler.draw(whole_number("-n", options.n), realizations=count, rng=seed)
+    with one_sentence_warnings(options.quiet), progress_bars(options.quiet):
+        count = _realizations(options, sampler, n, seed)
+        points = sampler.draw(n, realizations=count, rng=seed)
     if density is not None:
         points = density.sample(points)
     meta: dict[str, Any] = {"sampler": sampler.spec, "n": points.shape[1], "seed": seed}
@@ -72,14 +73,15 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _realizations(options: argparse.Namespace, sampler: Sampler) -> int:
+def _realizations(options: argparse.Namespace, sampler: Sampler, n: int, seed: int) -> int:
     if options.realizations is not None:
         return whole_number("--realizations", options.realizations)
     if not options.quality:
         return 1
-    from mcspectra.quality.figures import default_realizations
+    from mcspectra.core.streams import Stream
+    from mcspectra.quality.figures import different_realizations
 
-    return default_realizations(sampler)
+    return different_realizations(sampler, sampler.check_count(n), Stream.from_rng(seed))
 
 
 def _check_extension(path: str) -> None:

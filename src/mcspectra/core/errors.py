@@ -15,6 +15,7 @@ __all__ = [
     "ConfigError",
     "CountError",
     "DensityError",
+    "DependentRealizationsWarning",
     "DomainError",
     "FileFormatError",
     "InfiniteWeightVarianceWarning",
@@ -88,6 +89,10 @@ class MissingDependency(McspectraError, ImportError):
 
 class CacheWarning(UserWarning):
     """An entry of the cache is damaged, or the cache cannot be written; results are the same."""
+
+
+class DependentRealizationsWarning(UserWarning):
+    """The realisations of a seed are not independent: variances and errors over them mislead."""
 
 
 class NotPowerOfTwoWarning(UserWarning):

@@ -10,13 +10,14 @@ and returns I = Σ_t (1/n_t) Σ_k g_t(u_tk). Two views of it are analysed:
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import CountError, ParameterError
+from mcspectra.core.errors import CountError, DependentRealizationsWarning, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.estimators.moments import Moments
 
@@ -97,6 +98,13 @@ class AbstractEstimator(ABC):
             raise ParameterError(
                 f"The estimator {self.spec} needs a sampler in {self.dims} dims; "
                 f"{sampler.spec} has {sampler.dims}."
+            )
+        if not sampler.independent:
+            warnings.warn(
+                f"The realisations of {sampler.spec} are the pixels of one image, not independent: "
+                "variances over them are those within it, and their intervals too narrow or wide.",
+                DependentRealizationsWarning,
+                stacklevel=3,
             )
         for technique, multiple in enumerate(self.counts):
             try:

@@ -4,6 +4,7 @@ from .discrepancy import l2_discrepancy as l2_discrepancy
 from .discrepancy import star_discrepancy as star_discrepancy
 from .distances import best_minimum_distance as best_minimum_distance
 from .distances import nearest_distances as nearest_distances
+from .distances import relative_minimum_distance as relative_minimum_distance
 from .figures import FIGURES as FIGURES
 from .figures import quality_figures as quality_figures
 from .summary import FigureSummary as FigureSummary
@@ -18,6 +19,7 @@ __all__ = [
     "l2_discrepancy",
     "nearest_distances",
     "quality_figures",
+    "relative_minimum_distance",
     "star_discrepancy",
     "summarize",
 ]

@@ -35,7 +35,7 @@ def star_discrepancy(points: object) -> float:
     Raises
     ------
     ParameterError
-        More than 2 dims, where no fast algorithm is known, or more than 2^14 points in 2-D.
+        More than 2 dims (exact algorithms take O(n^(1 + d/2)), none is built in), or more than 2^14 points in 2-D.
 
     Notes
     -----

@@ -26,7 +26,7 @@ from mcspectra.samplers import GivenPoints, Sampler, as_sampler
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["FIGURES", "MOST_PROJECTED_AXES", "default_realizations", "quality_figures"]
+__all__ = ["FIGURES", "MOST_PROJECTED_AXES", "different_realizations", "quality_figures"]
 
 MOST_PROJECTED_AXES = 10
 """Projections on pairs of axes are looked at for the first so many axes: 45 pairs."""
@@ -60,7 +60,8 @@ def quality_figures(
     figures
         Names of `FIGURES`; by default all, those of projections from 3 dims on.
     realizations
-        How many realisations; by default all sets of given points, else 16.
+        How many realisations; by default all sets of given points, else 16, or 1 of a set that is
+        the same every time.
     rng
         Seed (SPEC 7).
     workers
@@ -80,15 +81,15 @@ def quality_figures(
 
     Notes
     -----
-    The base of the t-value and of elementary intervals is that of the sampler's digits, where all
-    its coordinates share one, else 2.
+    The base of the t-value and of elementary intervals is that of the sampler's digits, where all its
+    coordinates share one; they are missing where the bases differ.
     """
     sampler = as_sampler(source)
     n = sampler.check_count(_given_count(sampler) if n is None else n)
     names = _names(figures, sampler.dims)
-    count = default_realizations(sampler) if realizations is None else realizations
-    count = as_integer("realizations", count, least=1, most=MAX_REALIZATIONS)
     stream, base = Stream.from_rng(rng), _common_base(sampler)
+    count = different_realizations(sampler, n, stream) if realizations is None else realizations
+    count = as_integer("realizations", count, least=1, most=MAX_REALIZATIONS)
 
     def one(realization: int) -> list[Value]:
         points = sampler.draw_stream(n, stream, realization, 1)[0]
@@ -98,9 +99,12 @@ def quality_figures(
     return _labelled(names, rows, sampler, n, base)
 
 
-def default_realizations(sampler: Sampler) -> int:
-    """How many realisations are measured unless said: 16, or all sets of given points."""
-    return len(sampler.points) if isinstance(sampler, GivenPoints) else 16
+def different_realizations(sampler: Sampler, n: int, stream: Stream, most: int = 16) -> int:
+    """How many realisations tell more than one: `most`, all given sets, 1 of a fixed set."""
+    if isinstance(sampler, GivenPoints):
+        return min(most, len(sampler.points)) if sampler.cycle else len(sampler.points)
+    first, second = sampler.draw_stream(n, stream, 0, 2)
+    return 1 if np.array_equal(first, second) else most
 
 
 def _given_count(sampler: Sampler) -> int:
@@ -124,8 +128,9 @@ def _names(figures: Sequence[str] | None, dims: int) -> list[str]:
 
 
 def _common_base(sampler: Sampler) -> int:
+    """The base of the digits of all coordinates, 0 where they differ."""
     bases = set(sampler.digit_bases)
-    return bases.pop() if len(bases) == 1 else 2
+    return bases.pop() if len(bases) == 1 else 0
 
 
 def _value(figure: Figure, points: Array, base: int) -> Value:
@@ -192,6 +197,8 @@ def _mean_nearest_distance(points: Array) -> float:
 
 
 def _t_value(points: Array, base: int) -> float | None:
+    if not base:
+        raise ParameterError("The digits of its coordinates are in different bases.")
     from mcspectra.samplers.net_quality import net_t_value
 
     return net_t_value(points, base)

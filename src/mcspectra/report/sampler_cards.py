@@ -15,7 +15,8 @@ from mcspectra.core.spec import parse_chain
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import Estimator
 from mcspectra.quality import quality_figures, summarize
-from mcspectra.samplers import SAMPLERS, GivenPoints, Sampler, sampler
+from mcspectra.quality.figures import different_realizations
+from mcspectra.samplers import SAMPLERS, Sampler, sampler
 from mcspectra.samplers.base import Randomized, Structure
 from mcspectra.samplers.facts import Facts, sampler_facts
 from mcspectra.samplers.optimised import OptimisedSampler
@@ -171,16 +172,9 @@ def _projection(spec: str, n: int, rng: int) -> Array | None:
 
 def _spectrum(source: Sampler, n: int, effort: Effort, rng: int, *, slow: bool) -> xr.Dataset:
     wide = round(2.0 * n ** (1.0 / source.dims))
-    count = _different(source, n, _SHARED_SETS if slow else effort.spectra, rng)
+    stream, most = Stream.from_rng(rng), _SHARED_SETS if slow else effort.spectra
+    count = different_realizations(source, n, stream, most)
     return power_spectrum(source, n, half_width=wide, realizations=count, rng=rng)
-
-
-def _different(source: Sampler, n: int, wanted: int, rng: int) -> int:
-    """How many realisations tell more than one: a set can be fixed, given sets are so many."""
-    if isinstance(source, GivenPoints):
-        return min(wanted, len(source.points))
-    first, second = source.draw(n, realizations=2, rng=rng)
-    return 1 if np.array_equal(first, second) else wanted
 
 
 def _integrands(source: Sampler) -> tuple[str, ...]:
@@ -223,7 +217,7 @@ def _seconds(source: Sampler, n: int, rng: int) -> float:
 
 def _quality(source: Sampler, n: int, rng: int) -> dict[str, tuple[str, float, float]]:
     """Long name, mean and standard error of the figures that can be had."""
-    count = _different(source, n, _SHARED_SETS, rng)
+    count = different_realizations(source, n, Stream.from_rng(rng), _SHARED_SETS)
     found = quality_figures(source, n, figures=_QUALITY, realizations=count, rng=rng)
     return {
         figure.name: (figure.long_name, figure.mean, figure.standard_error)

@@ -53,6 +53,10 @@ class Sampler(Component, ABC):
         What randomisations of this sampler have to keep: `Structure`.
     sequence
         Whether the first k of n points are those of a set of k points, each run of them good.
+    antithetic
+        Whether points come in pairs that mirror each other within a cell.
+    independent
+        Whether the realisations of a seed are independent of one another.
     max_dims, max_count
         Most dims and most points of a realisation; beyond, it would take hours or all memory.
     """
@@ -61,6 +65,8 @@ class Sampler(Component, ABC):
     unbiased: ClassVar[bool] = True
     structure: ClassVar[Structure] = Structure.UNKNOWN
     sequence: ClassVar[bool] = False
+    antithetic: ClassVar[bool] = False
+    independent: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = None
     max_count: ClassVar[int] = MAX_COUNT
 
@@ -222,6 +228,8 @@ class Randomization(Component, ABC):
     """Whether every point is uniform afterwards, whatever it was before."""
     pointwise: ClassVar[bool] = False
     """Whether each point moves by itself, so that sequences stay sequences."""
+    independent: ClassVar[bool] = True
+    """Whether realisations are moved independently of one another."""
     fits: ClassVar[Mapping[Structure, Structure]] = {s: s for s in Structure}
     """The structures that survive, and what is left of each; samplers of others are refused."""
 
@@ -243,6 +251,10 @@ class Randomization(Component, ABC):
                 f"{_advice(sampler.structure)}."
             )
         return self
+
+    def left(self, sampler: Sampler) -> Structure:
+        """Return what is left of the structure of `sampler`."""
+        return self.fits[sampler.structure]
 
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
@@ -301,7 +313,17 @@ class Randomized(Sampler):
     @property
     def structure(self) -> Structure:  # type: ignore[override]
         """What the steps have left of the structure of the sampler inside."""
-        return self.steps[-1].fits[self._inner.structure]
+        return self.steps[-1].left(self._inner)
+
+    @property
+    def antithetic(self) -> bool:  # type: ignore[override]
+        """Whether there are still pairs: all steps that are accepted keep them."""
+        return self.base.antithetic
+
+    @property
+    def independent(self) -> bool:  # type: ignore[override]
+        """Whether nothing in the chain ties realisations together."""
+        return self.base.independent and all(step.independent for step in self.steps)
 
     @property
     def digit_bases(self) -> tuple[int, ...]:

@@ -75,6 +75,7 @@ class Decorrelate(Randomization):
         object.__setattr__(self, "width", width)
         object.__setattr__(self, "fits", self._step().fits)
         object.__setattr__(self, "stationary", self.mode == "shift")
+        object.__setattr__(self, "independent", self.mask == "white")
         if self.mode == "owen" and self.mask != "white":
             raise ParameterError(
                 f"mask is {self.mask!r}, but mode='owen' has no single number for a mask to give; "

@@ -134,6 +134,7 @@ class AntitheticJittered(Sampler):
 
     name: ClassVar[str] = "antithetic-jittered"
     structure: ClassVar[Structure] = Structure.STRATA
+    antithetic: ClassVar[bool] = True
     dims: int = DEFAULT_DIMS
 
     def __post_init__(self) -> None:

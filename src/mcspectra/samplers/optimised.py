@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
+import inspect
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -81,7 +84,21 @@ class OptimisedSampler(Sampler, ABC):
         names = sorted(field.name for field in fields(self) if field.name != "sets")
         values: dict[str, Any] = {name: _exact(getattr(self, name)) for name in names}
         words = ", ".join(f"{int(word):016x}" for word in keys)
-        return f"{self.name} {self.version} {values!r} n={n} keys={words}"
+        return f"{self.name} {self.version}{_source(type(self))} {values!r} n={n} keys={words}"
+
+
+@lru_cache
+def _source(cls: type) -> str:
+    """Name and digest of the module of a class from elsewhere: its author may forget `version`."""
+    if cls.__module__.startswith("mcspectra."):
+        return ""
+    try:
+        text = inspect.getsource(sys.modules[cls.__module__])
+    except (OSError, TypeError, KeyError):
+        code = cls._optimize.__code__  # type: ignore[attr-defined]
+        text = f"{code.co_code!r} {code.co_consts!r}"
+    digest = hashlib.sha256(text.encode()).hexdigest()[:16]
+    return f" {cls.__module__}:{cls.__qualname__} {digest}"
 
 
 def _exact(value: object) -> object:

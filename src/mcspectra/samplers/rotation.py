@@ -63,6 +63,7 @@ class RandomRotation(Randomization):
             object.__setattr__(self, "fits", _CLIPPED)
             object.__setattr__(self, "debiases", True)
             object.__setattr__(self, "stationary", True)
+        object.__setattr__(self, "pointwise", self.boundary == "toroidal")
 
     def fit(self, sampler: Sampler) -> Randomization:
         """Refuse any angle in other than 2 dims."""
@@ -72,6 +73,13 @@ class RandomRotation(Randomization):
                 f"{sampler.dims}; use boundary='toroidal'."
             )
         return Randomization.fit(self, sampler)
+
+    def left(self, sampler: Sampler) -> Structure:
+        """Elementary intervals stay where all coordinates have digits in one base."""
+        same = self.boundary == "toroidal" and len(set(sampler.digit_bases)) == 1
+        if sampler.structure is Structure.DIGITS and same:
+            return Structure.DIGITS
+        return Randomization.left(self, sampler)
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
         """Rotate each realisation by its own symmetry or angle."""

@@ -158,6 +158,7 @@ class Owen(Randomization):
 
     def fit(self, sampler: Sampler) -> Randomization:
         """Take over the bases of the sampler."""
+        _check_pairs(self, sampler)
         fitted = _fitted(self, sampler)
         self._check_method(fitted.base)
         return fitted
@@ -221,7 +222,7 @@ class Lms(Randomization):
 
     name: ClassVar[str] = "lms"
     pointwise: ClassVar[bool] = True
-    fits: ClassVar[Mapping[Structure, Structure]] = {Structure.DIGITS: Structure.DIGITS}
+    fits: ClassVar[Mapping[Structure, Structure]] = _FITS
     shift: bool = True
     base: Base = None
 
@@ -237,6 +238,7 @@ class Lms(Randomization):
 
     def fit(self, sampler: Sampler) -> Randomization:
         """Take over the bases of the sampler; they must be primes."""
+        _check_pairs(self, sampler)
         fitted = _fitted(self, sampler)
         composite = [b for b in _as_bases(fitted.base, sampler.dims) if not is_prime(b)]
         if composite:
@@ -303,6 +305,14 @@ def _fitted(step: _Step, sampler: Sampler) -> _Step:
     if sampler.structure is Structure.STRATA:
         _check_strata(step, sampler, bases)
     return step if step.base is not None or _binary(bases) else replace(step, base=bases)
+
+
+def _check_pairs(step: Randomization, sampler: Sampler) -> None:
+    if sampler.antithetic:
+        raise ParameterError(
+            f"{step.name} would break the pairs of {sampler.spec}, whose points mirror each other; "
+            "shift, digital-shift and permute keep them."
+        )
 
 
 def _check_strata(step: _Step, sampler: Sampler, bases: tuple[int, ...]) -> None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["sampler_card"]
 
 _PANEL = 2.3  # inches
-_FLOOR = 1e-4
+_FLOOR = 1e-8
 _SECTIONS = {"axis 0": (1, 0), "axis 1": (0, 1), "diagonal": (1, 1)}
 
 
