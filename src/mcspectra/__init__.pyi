@@ -45,6 +45,7 @@ from .variance.anova import anova_variances as anova_variances
 from .variance.convergence import convergence as convergence
 from .variance.exact import exact_variance as exact_variance
 from .variance.modes import covariance_modes as covariance_modes
+from .variance.pair_route import variance_from_pair_correlation as variance_from_pair_correlation
 from .variance.prediction import integrand_decay as integrand_decay
 from .variance.prediction import predicted_rate as predicted_rate
 from .variance.stopping import realizations_needed as realizations_needed
@@ -99,6 +100,7 @@ __all__ = [
     "studies",
     "subset_frequencies",
     "variance",
+    "variance_from_pair_correlation",
     "variance_from_spectrum",
     "variance_terms",
     "wedge_means",

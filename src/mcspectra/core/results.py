@@ -109,6 +109,7 @@ VARIABLES: Mapping[str, tuple[str, str]] = {
     "variance_relative_se": ("standard error of the variance / variance", "1"),
     "wedge_power": ("expected power, mean over a wedge of directions", "1"),
     "wedge_power_se": ("standard error of the wedge power over realisations", "1"),
+    "variance_se": ("standard error of the variance", "f²"),
     "worst_projected_diaphony": ("largest diaphony of the 2-D projections", "1"),
     "worst_projected_discrepancy": ("largest star discrepancy of the 2-D projections", "1"),
     "worst_projected_distance": ("smallest minimum distance of the 2-D projections", "1"),

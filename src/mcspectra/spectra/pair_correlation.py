@@ -19,7 +19,12 @@ from mcspectra.spectra._pair_kernels import count_distances, count_ordered_pairs
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["closed_form_pair_correlation", "count_pairs", "pair_correlation"]
+__all__ = [
+    "closed_form_pair_correlation",
+    "count_pairs",
+    "mean_of_realizations",
+    "pair_correlation",
+]
 
 _BOUNDARIES = ("toroidal", "border")
 _MOST_PAIRS = 2**36  # about a minute a realisation
@@ -85,7 +90,7 @@ def pair_correlation(
         points = source.draw_stream(n, stream, realization, 1)[0]
         return count_pairs(points, edges, wrap=wrap) / expected
 
-    mean, se = _mean_of(one, realizations, available_workers(workers))
+    mean, se = mean_of_realizations(one, realizations, available_workers(workers))
     r = ("r", 0.5 * (edges[1:] + edges[:-1]), {"long_name": f"{boundary} distance", "units": "1"})
     return dataset(
         {"pair_correlation": (("r",), mean), "pair_correlation_se": (("r",), se)},
@@ -208,7 +213,9 @@ def _ball(dims: int) -> float:
     return float(math.pi ** (dims / 2)) / math.gamma(dims / 2 + 1)
 
 
-def _mean_of(one: Callable[[int], Array], realizations: int, workers: int) -> tuple[Array, Array]:
+def mean_of_realizations(
+    one: Callable[[int], Array], realizations: int, workers: int
+) -> tuple[Array, Array]:
     """Mean over realisations and its standard error, NaN for a single one."""
     total: Any = 0.0
     squares: Any = 0.0

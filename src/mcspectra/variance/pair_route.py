@@ -1,0 +1,199 @@
+"""The variance of an estimate from the pair correlation of the points: a route without spectra.
+
+With g the primary-space integrand, I its integral and G the density of pairs of different points,
+
+    Var = (1/n) ∫g² + (1 − 1/n) ∬ g(u) g(v) G(u, v) du dv − I².
+
+* Random points have G = 1: Var = (∫g² − I²)/n.
+* Jittered points have G = n/(n−1) in different cells and 0 within one, so that
+  Var = (1/n) ∫g² − Σ_j (∫_cell j g)².
+* A stationary set has G(v − u), and ∬ g g G = ∫ A(h) G(h) dh with A(h) = ∫ g(u) g(u + h) du on the torus.
+  Its pairs are counted in full, not by distance only: Var is the mean over realisations of
+  (1/n) ∫g² + (1/n²) Σ_{i≠k} A(x_i − x_k) − I². A is tabulated, and linear between the entries.
+
+Averaging A over directions, so that g(|h|) would do, is exact for isotropic sets only: measured at n = 16,
+it gives 1.7 to 3.7 times the variance of smooth integrands for latin-hypercube with shift.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
+from mcspectra.core.results import dataset
+from mcspectra.core.streams import RngLike, Stream
+from mcspectra.estimators import AbstractEstimator, as_estimator
+from mcspectra.integrands import Integrand
+from mcspectra.integrands.products import cell_integrals
+from mcspectra.samplers import Randomized, Sampler, as_sampler
+from mcspectra.samplers.base import Structure
+from mcspectra.spectra.closed_moments import is_fixed
+from mcspectra.spectra.pair_correlation import mean_of_realizations
+from mcspectra.variance._pair_kernels import pair_sum_1d, pair_sum_2d
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["variance_from_pair_correlation"]
+
+_GRID = {1: 2**15, 2: 2**10}  # points of an axis where the autocorrelation is sampled
+_MOST_POINTS = 2**17
+_MOVES = frozenset({"shift", "strata-shift", "shuffle"})  # keep the differences of points
+
+
+def variance_from_pair_correlation(
+    estimator: AbstractEstimator | Integrand | str,
+    sampler: Sampler | str,
+    n: int,
+    *,
+    realizations: int = 1000,
+    rng: RngLike = 0,
+    workers: int | None = None,
+) -> xr.Dataset:
+    """Return the variance of an estimate, from the pairs of points only.
+
+    Parameters
+    ----------
+    estimator, n
+        Any estimator, and the number of points.
+    sampler
+        ``random`` and ``jittered``, whose pairs are known exactly; else a stationary set in 1-D or
+        2-D, by shift or by itself, whose pairs are counted.
+    realizations
+        Number of sets of which the pairs are counted; 2 or more for a standard error.
+    rng
+        Seed (SPEC 7).
+    workers
+        Threads; all processors by default.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``variance`` and ``variance_se``, 0 where nothing was counted; with a dim ``channel`` where f has
+        several. The attribute ``method`` says which it was.
+
+    Raises
+    ------
+    NoClosedForm
+        The set is not stationary, has fixed differences (shifted grids and lattices), or has more dims.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> d = variance_from_pair_correlation(mcs.Estimator("linear", dims=1), "jittered", 4)
+    >>> round(float(d["variance"]) * 12 * 4**3, 6)
+    1.0
+    """
+    estimator = as_estimator(estimator, getattr(sampler, "dims", None))
+    source = as_sampler(sampler, estimator.dims)
+    n = source.check_count(n)
+    estimator.check_sampler(source, n)
+    realizations = as_integer("realizations", realizations, least=1, most=MAX_REALIZATIONS)
+    stream, threads = Stream.from_rng(rng), available_workers(workers)
+    exact = source.name in ("random", "jittered")
+    if not exact:
+        _check_stationary(source)
+    variance: Any = 0.0
+    square_se: Any = 0.0
+    for technique, count in enumerate(estimator.counts):
+        g = estimator.primary_integrand(technique)
+        if exact:
+            variance = variance + _of_known_pairs(source, n * count, g)
+            continue
+        first = technique * realizations
+        value, se = _of_counted_pairs(source, n * count, g, stream, (first, realizations), threads)
+        variance, square_se = variance + value, square_se + se**2
+    dims = ("channel",) if estimator.channels else ()
+    shape = (estimator.channels,) if estimator.channels else ()
+    return dataset(
+        {
+            "variance": (dims, np.reshape(variance, shape)),
+            "variance_se": (dims, np.reshape(np.sqrt(square_se + 0.0 * variance), shape)),
+        },
+        estimator=estimator.spec,
+        sampler=source.spec,
+        n=n,
+        method="known pairs" if exact else "counted pairs",
+        realizations=0 if exact else realizations,
+        seed=rng if isinstance(rng, int) else None,
+    )
+
+
+def _check_stationary(sampler: Sampler) -> None:
+    steps = sampler.steps if isinstance(sampler, Randomized) else ()
+    base = sampler.base if isinstance(sampler, Randomized) else sampler
+    alone = sampler.structure is Structure.TORUS and sampler.unbiased and not steps
+    stationary = alone or (bool(steps) and steps[-1].stationary)
+    moved_only = all(step.name in _MOVES for step in steps)
+    lattice = moved_only and (is_fixed(base) or base.name == "uniform-jitter")
+    if sampler.dims > 2 or not stationary or lattice:
+        raise NoClosedForm(
+            f"The variance of {sampler.spec} in {sampler.dims} dims is not found from pairs "
+            "of points: give random or jittered, or in 1-D and 2-D a stationary set other than "
+            "a lattice, such as one with shift; else use exact_variance or variance_terms."
+        )
+
+
+def _of_known_pairs(sampler: Any, n: int, g: Integrand) -> Array:
+    """Random: all pairs; jittered: those in different cells; (channels or 1,)."""
+    sides = (1,) * g.dims if sampler.name == "random" else sampler.sides(n)
+    size = math.lcm(*sides)
+    cells, _ = cell_integrals(g, size)
+    shape = [part for s in sides for part in (s, size // s)]
+    axes = tuple(range(2, 2 * g.dims + 1, 2))
+    strata = cells.reshape(len(cells), *shape).sum(axis=axes).reshape(len(cells), -1)
+    together = (strata**2).sum(axis=-1)
+    if sampler.name == "random":
+        return np.asarray((_mean_square(g) - together) / n)
+    return np.asarray(_mean_square(g) / n - together)
+
+
+def _mean_square(g: Integrand) -> Array:
+    """∫g², (channels or 1,)."""
+    found = g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims)))
+    if found is not None:
+        return np.asarray(found[1], float).reshape(-1)
+    squared = Integrand.from_function(lambda x: g(x) ** 2, dims=g.dims)
+    return np.asarray(squared.integral, float).reshape(-1)
+
+
+def _of_counted_pairs(
+    sampler: Sampler,
+    n: int,
+    g: Integrand,
+    stream: Stream,
+    numbers: tuple[int, int],
+    workers: int,
+) -> tuple[Array, Array]:
+    """Variance and its standard error from realisations first … first + count − 1."""
+    if n > _MOST_POINTS:
+        raise ParameterError(
+            f"{n} points have too many pairs to count; give {_MOST_POINTS} at most."
+        )
+    table = _autocorrelation(g)
+    # The mean of the table instead of I²: what its sampling gets wrong cancels
+    constant = _mean_square(g) / n - table.reshape(len(table), -1).mean(axis=-1)
+    first, count = numbers
+
+    def one(realization: int) -> Array:
+        points = sampler.draw_stream(n, stream, first + realization, 1)[0]
+        add = pair_sum_1d if g.dims == 1 else pair_sum_2d
+        sums = np.array([add(points, channel) for channel in table])
+        return np.asarray(constant + 2.0 / n**2 * sums)
+
+    return mean_of_realizations(one, count, workers)
+
+
+def _autocorrelation(g: Integrand) -> Array:
+    """A(h) at h = k/N on the torus, from values at cell centers: (channels or 1, N, …)."""
+    axis = (np.arange(_GRID[g.dims]) + 0.5) / _GRID[g.dims]
+    x = np.stack(np.meshgrid(*[axis] * g.dims, indexing="ij"), axis=-1)
+    values = np.moveaxis(np.asarray(g(x)).reshape(*x.shape[:-1], -1), -1, 0)
+    axes = tuple(range(1, g.dims + 1))
+    power = np.abs(np.fft.rfftn(values, axes=axes)) ** 2
+    return np.fft.irfftn(power, s=values.shape[1:], axes=axes) / x[..., 0].size
