@@ -233,3 +233,65 @@ def test_a_pipe_is_no_study_file(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 2
     assert "not a file" in done.stderr
+
+
+def test_variance_in_another_basis_with_named_bands(capsys):
+    arguments = ("variance", "gaussian", "--sampler", "sobol | owen", "-n", 16, "-m", 40)
+    found = run_json(capsys, *arguments, "--half-width", 8, "--basis", "auto", "--bands", "anova")
+    expected = mcs.variance_terms(
+        "gaussian", "sobol | owen", 16, half_width=8, realizations=40, basis="walsh", bands="anova"
+    )
+    assert found["basis"] == "walsh"
+    assert found["band_labels"] == ["constant", "x0", "x1", "x0x1"]
+    for name in ("cross_term", "cross_term_se", "captured_ci", "band_covariance"):
+        np.testing.assert_allclose(found[name], expected[name].values)
+    code, out, _ = run(capsys, *arguments, "--half-width", 8, "--basis", "walsh")
+    assert code == 0
+    assert "walsh basis" in out
+    assert "±" in out
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--basis", "sine"), "basis is 'sine'; it must be one of fourier, cosine"),
+        (("--basis", "haar", "--half-width", 12), "needs a power of two"),
+        (("--bands", "rings"), "bands is 'rings'"),
+    ],
+)
+def test_variance_refuses_other_bases_and_bands(capsys, options, words):
+    code, out, err = run(capsys, "variance", "gaussian", "--sampler", "random", "-n", 16, *options)
+    assert (code, out) == (2, "")
+    assert words in err
+
+
+def test_converge_stops_at_a_precision_and_chooses_its_window(capsys):
+    arguments = ("converge", "gaussian", "--sampler", "jittered", "--counts", "4,16,64,256")
+    found = run_json(capsys, *arguments, "--relative-error", 0.2, "--fit-last", "auto")
+    assert found["fit_window"] == "auto"
+    expected = mcs.convergence(
+        mcs.Estimator("gaussian"),
+        ["jittered"],
+        [4, 16, 64, 256],
+        relative_error=0.2,
+        fit_last="auto",
+    )
+    (curve,) = found["curves"]
+    np.testing.assert_allclose(curve["variance"], expected["variance"].values[0])
+
+
+@pytest.mark.parametrize("given", ["0", "-1", "nan", "inf", "x"])
+def test_converge_refuses_other_precisions(capsys, given):
+    code, _, err = run(
+        capsys, "converge", "gaussian", "--sampler", "random", "--counts", "4,16",
+        f"--relative-error={given}",
+    )  # fmt: skip
+    assert code == 2
+    assert "--relative-error is" in err
+
+
+def test_gallery(capsys, tmp_path):
+    arguments = ("gallery", "random", "--quick", "--out", tmp_path / "g")
+    assert run_json(capsys, *arguments)["gallery"] == str(tmp_path / "g" / "index.html")
+    assert run(capsys, "gallery", "nothing", "--out", tmp_path / "h")[0] == 2
+    assert not (tmp_path / "h").exists()

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.core.checks import as_integer
+from mcspectra.core.checks import as_integer, as_real
 from mcspectra.core.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ __all__ = [
     "one_sentence_warnings",
     "print_json",
     "read_sampler",
+    "real_number",
     "seed_option",
     "text_table",
     "whole_number",
@@ -41,6 +42,14 @@ def whole_number(name: str, text: object, *, least: int = 1, most: int | None = 
     except ValueError:
         limit = f"from {least} to {most}" if most is not None else f"of at least {least}"
         raise ParameterError(f"{name} is {text!r}; give a whole number {limit}.") from None
+
+
+def real_number(name: str, text: object) -> float:
+    """Read an option that must be a positive number."""
+    try:
+        return as_real(name, float(str(text)), above=0.0)
+    except ValueError:
+        raise ParameterError(f"{name} is {text!r}; give a number greater than 0.") from None
 
 
 def seed_option(options: argparse.Namespace) -> int:

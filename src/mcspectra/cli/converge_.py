@@ -14,6 +14,7 @@ from mcspectra.cli.common import (
     one_sentence_warnings,
     print_json,
     read_sampler,
+    real_number,
     seed_option,
     text_table,
     whole_number,
@@ -34,7 +35,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--counts", required=True, metavar="N,N,…", help="ascending counts")
     parser.add_argument("-m", "--realizations", default=1000, metavar="R", help="default 1000")
-    parser.add_argument("--fit-last", metavar="K", help="fit the last K counts only")
+    parser.add_argument(
+        "--fit-last", metavar="K", help="fit the last K counts only; auto: the longest straight run"
+    )
+    parser.add_argument(
+        "--relative-error",
+        metavar="E",
+        help="stop at each count once the variance is known to this fraction; -m is then the most",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -42,9 +50,10 @@ def run(options: argparse.Namespace) -> int:
     from mcspectra.variance.convergence import convergence
 
     estimator = build_estimator(options)
-    last = (
-        None if options.fit_last is None else whole_number("--fit-last", options.fit_last, least=2)
-    )
+    last: Any = options.fit_last
+    if last not in (None, "auto"):
+        last = whole_number("--fit-last", last, least=2)
+    precision = options.relative_error
     with one_sentence_warnings(options.quiet), progress_bars(options.quiet):
         result = convergence(
             estimator,
@@ -53,6 +62,9 @@ def run(options: argparse.Namespace) -> int:
             realizations=whole_number("--realizations", options.realizations, least=2),
             rng=seed_option(options),
             fit_last=last,
+            relative_error=None
+            if precision is None
+            else real_number("--relative-error", precision),
         )
     if options.json:
         print_json(

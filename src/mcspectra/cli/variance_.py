@@ -35,6 +35,19 @@ _VALUES = (
 )
 
 
+_FURTHER = (
+    "dc_term_se",
+    "power_term_se",
+    "cross_term_se",
+    "predicted_variance_ci",
+    "measured_variance_ci",
+    "captured_ci",
+    "mean",
+    "mean_se",
+    "band_covariance",
+)
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options."""
     add_estimator_arguments(parser)
@@ -45,6 +58,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-m", "--realizations", default=1000, metavar="R", help="default 1000")
     parser.add_argument("--half-width", default=64, metavar="K", help="default 64")
     parser.add_argument("--space", help="domain or primary (default: domain where there is one)")
+    parser.add_argument(
+        "--basis", default="fourier", help="fourier (default), cosine, walsh, haar or auto"
+    )
+    parser.add_argument(
+        "--bands", default="radial", help="bands in --json: radial, dyadic, anova or wedge"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -62,20 +81,25 @@ def run(options: argparse.Namespace) -> int:
             realizations=whole_number("--realizations", options.realizations, least=2),
             rng=seed_option(options),
             space=options.space or domain,
+            basis=options.basis,
+            bands=options.bands,
         )
     if options.json:
-        wanted = [*_VALUES, "predicted_variance_ci", "measured_variance_ci", "mean", "mean_se"]
-        print_json({**result.attrs, **{name: result[name].values for name in wanted}})
+        bands = {"band_labels": result["band"].attrs["labels"].split(", ")}
+        values = {name: result[name].values for name in (*_VALUES, *_FURTHER)}
+        print_json({**result.attrs, **bands, **values})
     elif not options.quiet:
         print(_text(result))
     return 0
 
 
 def _text(result: xr.Dataset) -> str:
+    from mcspectra.estimators.moments import CONFIDENCE_Z
+
     attrs = result.attrs
     about = (
         f"coefficients: {attrs['coefficients']}; {attrs['realizations']} realisations; "
-        f"{attrs['space']} space"
+        f"{attrs['space']} space, {attrs['basis']} basis"
     )
     lines = [f"{attrs['estimator']}  with  {attrs['sampler']},  n = {attrs['n']}", about]
     rows = []
@@ -84,6 +108,9 @@ def _text(result: xr.Dataset) -> str:
         if f"{name}_ci" in result:
             low, high = np.atleast_2d(result[f"{name}_ci"].values)[0]
             interval = f"{low:.4g} … {high:.4g}" if np.isfinite([low, high]).all() else ""
+        elif f"{name}_se" in result:
+            half = CONFIDENCE_Z * np.atleast_1d(result[f"{name}_se"].values)[0]
+            interval = f"± {half:.2g}" if np.isfinite(half) else ""
         rows.append([name.replace("_", " "), "", _shown(result[name].values), interval])
     lines.append(text_table(["", "", "value", "95 % interval"], rows))
     if "note" in attrs:

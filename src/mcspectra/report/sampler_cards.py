@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, final
 
-import numpy as np
-
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import McspectraError
 from mcspectra.core.spec import parse_chain
