@@ -98,6 +98,8 @@ def made(row, dims, chain):
         return False
     if "{" in chain and name in ("points", "digital-net"):  # these have no more points
         return False
+    if "{more}" in chain and dims > 3:  # the next grid of 10 dims has 59,049 points
+        return False
     # Digits of strata keep powers of two only.
     strata = SAMPLERS.load(name).structure is Structure.STRATA
     digits = {"digital-shift", "owen", "permute"}.intersection(parts_of(chain))
