@@ -79,6 +79,9 @@ DAMAGE = {
     "another shape": lambda content: content.replace(b"[50, 2]", b"[2, 50, 1]"),
     "no JSON": lambda content: content.replace(b"{", b"["),
     "JSON of something else": lambda content: b"mcspectra cache 1\n[1]\n" + content[-800:],
+    "endless shape": lambda content: (
+        b'mcspectra cache 1\n{"key":"key","shape":[1e999],"sha256":2}\n'
+    ),
     "not text": lambda content: bytes(range(256)) * 4,
 }
 

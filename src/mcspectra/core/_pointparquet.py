@@ -17,16 +17,21 @@ from mcspectra.core.errors import FileFormatError, MissingDependency
 __all__ = ["format_parquet", "read_parquet"]
 
 _META = b"mcspectra"
+_PANDAS_INDEX = "__index_level_"  # columns in which pandas keeps an index
 
 
 def read_parquet(file: Path) -> list[Array]:
     """Read all columns but ``set`` as coordinates, one array (n, d) for each value of that one."""
     table = _table(file)
-    names = {name.lower(): name for name in table.column_names}
-    labels = _labels(table, names.pop("set", None), file)
+    names = [name for name in table.column_names if not name.startswith(_PANDAS_INDEX)]
+    tells = [name for name in names if name.lower() == "set"]
+    if len(set(names)) < len(names) or len(tells) > 1:
+        raise FileFormatError(f"{file} has two columns of one name; name each differently.")
+    labels = _labels(table, tells[0] if tells else None, file)
+    names = [name for name in names if name not in tells]
     if not names or not len(labels):
         raise FileFormatError(f"{file} holds no points; give a column of numbers for each axis.")
-    points = np.column_stack([_numbers(table, name, file) for name in names.values()])
+    points = np.column_stack([_numbers(table, name, file) for name in names])
     _, first, index = np.unique(labels, return_index=True, return_inverse=True)
     return [points[index == k] for k in np.argsort(first)]
 
@@ -64,6 +69,8 @@ def _labels(table: Any, name: str | None, file: Path) -> Array:
     labels = table.column(name).combine_chunks()
     if labels.null_count:
         raise FileFormatError(f"{file}: column {name!r} is empty in a row; give the set of each.")
+    if _pyarrow().types.is_nested(labels.type):
+        raise FileFormatError(f"{file}: column {name!r} holds {labels.type}; give text or numbers.")
     return np.asarray(labels.cast("string").to_numpy(zero_copy_only=False).astype(str))
 
 

@@ -25,12 +25,11 @@ def read_dat(file: Path) -> list[Array]:
 
 def read_csv(file: Path) -> list[Array]:
     """Read comma- or semicolon-separated values, one array (n, d) for each set."""
-    text = _read_text(file)
-    semicolons = ";" in text
+    lines = list(enumerate(_read_text(file).splitlines(), start=1))
+    lines = [(number, line) for number, line in lines if not line.lstrip().startswith("#")]
+    semicolons = any(";" in line for _, line in lines)
     groups: list[list[Row]] = [[]]
-    for number, line in enumerate(text.splitlines(), start=1):
-        if line.lstrip().startswith("#"):
-            continue
+    for number, line in lines:
         # "1,5;2,5" is how spreadsheets of half the world write two numbers.
         cells = line.replace(",", ".").split(";") if semicolons else line.split(",")
         fields = [cell.strip().strip('"') for cell in cells]
@@ -38,7 +37,7 @@ def read_csv(file: Path) -> list[Array]:
             groups[-1].append((number, fields))
         else:
             groups.append([])
-    return _sets_of(_without_names([group for group in groups if group]), str(file))
+    return _sets_of(_without_names([group for group in groups if group], str(file)), str(file))
 
 
 def parse_dat(text: str, name: str) -> list[Array]:
@@ -89,6 +88,8 @@ def _sets_of(groups: Iterable[list[Row]], name: str) -> list[Array]:
 
 def _array(rows: list[Row], name: str) -> Array:
     width = len(rows[0][1])
+    if not width:
+        raise FileFormatError(f"{name} has no coordinates; give a column of numbers for each axis.")
     for number, fields in rows:
         if len(fields) != width:
             raise FileFormatError(
@@ -99,7 +100,9 @@ def _array(rows: list[Row], name: str) -> Array:
         points = np.array([fields for _, fields in rows], dtype=np.float64)
     except ValueError:
         points = None
-    if points is None or not np.isfinite(points).all():
+    # Python reads 1_0 as 10, nobody else does.
+    underscores = any("_" in field for _, fields in rows for field in fields)
+    if points is None or underscores or not np.isfinite(points).all():
         number, text = next((k, f) for k, fields in rows for f in fields if not _is_finite(f))
         raise FileFormatError(f"{name}, line {number}: {text[:40]!r} is not a finite number.")
     return points
@@ -107,7 +110,7 @@ def _array(rows: list[Row], name: str) -> Array:
 
 def _is_finite(text: str) -> bool:
     try:
-        return bool(np.isfinite(float(text)))
+        return "_" not in text and bool(np.isfinite(float(text)))
     except ValueError:
         return False
 
@@ -120,11 +123,16 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _without_names(groups: list[list[Row]]) -> list[list[Row]]:
+def _without_names(groups: list[list[Row]], file: str) -> list[list[Row]]:
     """Take off the line of column names; split at its column ``set`` where there is one."""
     if not groups or any(_is_number(field) for field in groups[0][0][1]):
         return groups
     names = [name.lower() for name in groups[0].pop(0)[1]]
+    if "" in names:
+        raise FileFormatError(
+            f"{file} has a column without a name, such as the index that pandas writes; "
+            "write it with index=False, or name all columns."
+        )
     if "set" not in names:
         return groups
     column = names.index("set")

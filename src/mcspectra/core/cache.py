@@ -102,7 +102,7 @@ def _decoded(content: bytes, key: str) -> Array | None:
             and math.prod(shape) * _DATA.itemsize == len(data)
             and entry["sha256"] == _digest(key, shape, data)
         )
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
     return np.frombuffer(data, _DATA).reshape(shape).astype(np.float64) if sound else None
 

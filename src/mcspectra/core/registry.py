@@ -15,7 +15,7 @@ from typing import Any
 
 from mcspectra.core.errors import McspectraError, MissingDependency, ParameterError, UnknownName
 from mcspectra.core.errors import close_match_hint as hint
-from mcspectra.core.spec import Call
+from mcspectra.core.spec import Call, Component
 
 __all__ = ["DEFAULT_DIMS", "Registry"]
 
@@ -66,13 +66,20 @@ class Registry(Mapping[str, str]):
             raise UnknownName(f"There is no {self.kind} called {name!r}.{offer}", close)
         module, _, attribute = target.partition(":")
         try:
-            return getattr(importlib.import_module(module), attribute)  # type: ignore[no-any-return]
+            found = getattr(importlib.import_module(module), attribute)
         except McspectraError:
             raise
-        except (ImportError, AttributeError) as error:
+        except Exception as error:  # whatever the code of others does
+            reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
             raise MissingDependency(
-                f"The {self.kind} {name!r} ({target}) cannot be loaded: {error}."
+                f"The {self.kind} {name!r} ({target}) cannot be loaded: {reason}."
             ) from error
+        if not (isinstance(found, type) and issubclass(found, Component)):
+            raise MissingDependency(
+                f"The {self.kind} {name!r} ({target}) is {found!r}, not a class of mcspectra's; "
+                "mend the package that registers it."
+            )
+        return found
 
     def build(self, call: Call, dims: int | None = None) -> Any:
         """Make the component that `call` describes.

@@ -27,6 +27,7 @@ __all__ = ["MAX_COUNT", "Randomization", "Randomized", "Sampler", "Structure", "
 MAX_COUNT = 2**31
 """Most points in one realisation, and most numbers in one `draw` of a sampler (16 GiB)."""
 
+_MOST_STEPS = 32
 _FIRST_STEP = 1 << 16  # stream labels below this one are free for the samplers' own parts
 
 
@@ -161,6 +162,10 @@ class Sampler(Component, ABC):
             raise ParameterError(f"{randomization!r} is not a randomisation; use e.g. Shift().")
         fitted = randomization.fit(self)
         base, steps = (self.base, self.steps) if isinstance(self, Randomized) else (self, ())
+        if len(steps) == _MOST_STEPS:
+            raise ParameterError(
+                f"{base.spec} is followed by {_MOST_STEPS} steps; that is the most."
+            )
         return Randomized(base=base._before(fitted), steps=(*steps, fitted))
 
     @abstractmethod

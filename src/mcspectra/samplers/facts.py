@@ -7,7 +7,6 @@ import re
 from dataclasses import dataclass
 from typing import final
 
-from mcspectra.core.errors import McspectraError
 from mcspectra.core.spec import Call
 from mcspectra.samplers.base import Sampler
 from mcspectra.samplers.registry import SAMPLERS
@@ -67,7 +66,7 @@ def sampler_facts(name: str) -> Facts:
 def _made(name: str, dims: int) -> Sampler | None:
     try:
         return SAMPLERS.build(Call(name, {}), dims)  # type: ignore[no-any-return]
-    except McspectraError:
+    except Exception:  # noqa: BLE001 - samplers from elsewhere may raise anything
         return None
 
 

@@ -157,7 +157,8 @@ def _checked(dims: object) -> int | None:
 def _from_object(source: Any, dims: int | None) -> Sampler:
     if isinstance(source, Sampler):
         return source
-    if isinstance(source, np.ndarray):
+    nested = isinstance(source, list | tuple) and source and isinstance(source[0], list | tuple)
+    if isinstance(source, np.ndarray) or nested:
         return Sampler.from_points(source)
     if _is_engine(source):
         sizes = {"d": dims} if isinstance(source, type) and dims is not None else {}

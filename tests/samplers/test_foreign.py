@@ -1,0 +1,68 @@
+"""Samplers that other packages register: whatever is wrong with them, the others are listed."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import ParameterError
+
+ENTRIES = {
+    "no-class": "math:sin",
+    "no-module": "nowhere_at_all:Thing",
+    "no-attribute": "math:Thing",
+    "broken": "broken_foreign:Thing",
+    "syntax": "syntax_foreign:Thing",
+}
+
+
+@pytest.fixture
+def environment(tmp_path):
+    (tmp_path / "broken_foreign.py").write_text("1 / 0\n")
+    (tmp_path / "syntax_foreign.py").write_text("def\n")
+    info = tmp_path / "foreign-1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: foreign\nVersion: 1\n")
+    lines = "".join(f"{name} = {target}\n" for name, target in ENTRIES.items())
+    (info / "entry_points.txt").write_text(f"[mcspectra.samplers]\n{lines}")
+    return {**os.environ, "PYTHONPATH": str(tmp_path)}
+
+
+def command(environment, *arguments):
+    return subprocess.run(
+        [sys.executable, "-m", "mcspectra", *arguments],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_broken_entries_are_listed_as_such(environment):
+    done = command(environment, "list", "samplers", "--json")
+    rows = {row["name"]: row for row in json.loads(done.stdout)}
+    assert {name for name, row in rows.items() if "not available" in row["summary"]} >= set(ENTRIES)
+    assert "not available" not in rows["jittered"]["summary"]
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+def test_broken_entries_are_one_sentence(environment, name):
+    done = command(environment, "points", name, "-n", "4")
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"mcspectra: The sampler {name!r} ({ENTRIES[name]}) ")
+    assert done.stderr.count("\n") == 1
+
+
+def test_chains_have_an_end():
+    with pytest.raises(ParameterError, match="followed by 32 steps"):
+        mcs.sampler("random" + " | shift" * 33)
+    assert mcs.sampler("random" + " | shift" * 32).draw(4, rng=1).shape == (1, 4, 2)
+
+
+def test_nested_lists_are_points():
+    assert mcs.sampler([[0.1, 0.2], [0.3, 0.4]]).draw(2).tolist() == [[[0.1, 0.2], [0.3, 0.4]]]
