@@ -3,7 +3,7 @@
 import importlib
 import sys
 
-NAMES = ("spectrum", "streams", "samplers", "start", "oracles", "identity", "veach")
+NAMES = ("spectrum", "streams", "samplers", "start", "oracles", "identity", "veach", "bases")
 
 
 def main() -> int:

@@ -87,6 +87,8 @@ def fits(row, chain):
     for name in parts_of(chain):
         if name == "skip" and not (cls.sequence or structure is Structure.UNKNOWN):
             return False
+        if cls.antithetic and name in ("owen", "lms"):  # these part the pairs
+            return False
         structure = RANDOMIZATIONS.load(name).fits.get(structure)
     return structure is not None
 
@@ -96,14 +98,14 @@ def made(row, dims, chain):
     name = row.spec.partition("(")[0]
     if issubclass(SAMPLERS.load(name), OptimisedSampler) and chain not in ("", " | shift"):
         return False
-    if "{" in chain and name in ("points", "digital-net"):  # these have no more points
-        return False
+    if "{" in chain and (name in ("points", "digital-net", "mitsuba") or "sides=" in row.spec):
+        return False  # these have no more points, or not so many
     if "{more}" in chain and dims > 3:  # the next grid of 10 dims has 59,049 points
         return False
-    # Digits of strata keep powers of two only.
-    strata = SAMPLERS.load(name).structure is Structure.STRATA
-    digits = {"digital-shift", "owen", "permute"}.intersection(parts_of(chain))
-    return not (strata and digits and row.counts[dims].bit_count() > 1)
+    # Digits of strata, and of the n-ths of hammersley, keep powers of two only.
+    powers = SAMPLERS.load(name).structure is Structure.STRATA or name == "hammersley"
+    digits = {"digital-shift", "owen", "permute", "lms"}.intersection(parts_of(chain))
+    return not (powers and digits and row.counts[dims].bit_count() > 1)
 
 
 ALL = [
