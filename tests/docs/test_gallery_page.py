@@ -1,0 +1,35 @@
+"""The gallery in the documentation names every sampler, with its present summary, dims and counts."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from mcspectra.report.sampler_gallery import gallery_specs
+from mcspectra.samplers.facts import sampler_facts
+
+FOLDER = Path(__file__).parents[2] / "docs" / "samplers"
+PAGE = (FOLDER / "index.md").read_text(encoding="utf-8")
+SECTIONS = dict(re.findall(r"^## `(.+?)`\n(.*?)(?=^## |\Z)", PAGE, re.MULTILINE | re.DOTALL))
+
+
+def test_every_sampler_has_a_section_and_a_picture():
+    assert sorted(SECTIONS) == gallery_specs()
+    for section in SECTIONS.values():
+        (picture,) = re.findall(r"\]\((.+?\.png)\)", section)
+        assert (FOLDER / picture).is_file()
+    numbers = json.loads((FOLDER / "gallery.json").read_text(encoding="utf-8"))
+    assert [card["name"] for card in numbers] == list(SECTIONS)
+
+
+@pytest.mark.parametrize("name", [name for name in SECTIONS if re.fullmatch("[a-z0-9-]+", name)])
+def test_sections_say_what_samplers_say(name):
+    facts = sampler_facts(name)
+    section = SECTIONS[name]
+    assert facts.summary in section
+    assert f"* Dims: {facts.dims}\n" in section
+    assert f"* Counts: {facts.counts}\n" in section
+    assert facts.sources in section
