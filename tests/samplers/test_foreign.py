@@ -18,17 +18,39 @@ ENTRIES = {
     "no-attribute": "math:Thing",
     "broken": "broken_foreign:Thing",
     "syntax": "syntax_foreign:Thing",
+    "misuse": "misuse_foreign:Thing",
+    "exits": "exits_foreign:Thing",
 }
+
+UNLISTABLE = {
+    "no-sampler": "mcspectra.samplers.randomizations:Shift",
+    "no-signature": "unsigned_foreign:Thing",
+}
+"""What is a component, but none that can be described as a sampler."""
+
+UNSIGNED = """
+from mcspectra.samplers import Sampler
+
+class Odd(type(Sampler)):
+    __signature__ = 3
+
+class Thing(Sampler, metaclass=Odd):
+    "Thing."
+"""
 
 
 @pytest.fixture
 def environment(tmp_path):
     (tmp_path / "broken_foreign.py").write_text("1 / 0\n")
     (tmp_path / "syntax_foreign.py").write_text("def\n")
+    (tmp_path / "misuse_foreign.py").write_text("import mcspectra as m\nm.sampler('nope')\n")
+    (tmp_path / "exits_foreign.py").write_text("import sys\nsys.exit(3)\n")
+    (tmp_path / "unsigned_foreign.py").write_text(UNSIGNED)
     info = tmp_path / "foreign-1.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: foreign\nVersion: 1\n")
-    lines = "".join(f"{name} = {target}\n" for name, target in ENTRIES.items())
+    entries = {**ENTRIES, **UNLISTABLE}
+    lines = "".join(f"{name} = {target}\n" for name, target in entries.items())
     (info / "entry_points.txt").write_text(f"[mcspectra.samplers]\n{lines}")
     return {**os.environ, "PYTHONPATH": str(tmp_path)}
 
@@ -46,7 +68,10 @@ def command(environment, *arguments):
 def test_broken_entries_are_listed_as_such(environment):
     done = command(environment, "list", "samplers", "--json")
     rows = {row["name"]: row for row in json.loads(done.stdout)}
-    assert {name for name, row in rows.items() if "not available" in row["summary"]} >= set(ENTRIES)
+    assert {name for name, row in rows.items() if "not available" in row["summary"]} >= {
+        *ENTRIES,
+        *UNLISTABLE,
+    }
     assert "not available" not in rows["jittered"]["summary"]
 
 
@@ -59,7 +84,7 @@ def test_broken_entries_are_one_sentence(environment, name):
 
 
 def test_chains_have_an_end():
-    with pytest.raises(ParameterError, match="followed by 32 steps"):
+    with pytest.raises(ParameterError, match="followed by 32 steps.*leave the others out"):
         mcs.sampler("random" + " | shift" * 33)
     assert mcs.sampler("random" + " | shift" * 32).draw(4, rng=1).shape == (1, 4, 2)
 

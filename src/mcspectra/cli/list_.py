@@ -55,22 +55,31 @@ def _registry(kind: str) -> Any:
 
 def _rows(kind: str, registry: Any) -> list[dict[str, Any]]:
     """One object a name; a component that cannot be loaded says why in its summary."""
+    return [_row(kind, registry, name) for name in registry]
+
+
+def _row(kind: str, registry: Any, name: str) -> dict[str, Any]:
     from mcspectra.core.errors import MissingDependency
+
+    try:
+        return _described(kind, registry, name)
+    except MissingDependency as error:
+        reason = str(error)
+    except Exception as error:  # noqa: BLE001 - components from elsewhere may raise anything
+        reason = f"{registry[name]} is no {registry.kind} ({type(error).__name__})"
+    return {"name": name, "summary": f"not available: {reason}", "parameters": []}
+
+
+def _described(kind: str, registry: Any, name: str) -> dict[str, Any]:
     from mcspectra.samplers.facts import sampler_facts
 
-    rows: list[dict[str, Any]] = []
-    for name in registry:
-        try:
-            cls = registry.load(name)
-        except MissingDependency as error:
-            rows.append({"name": name, "summary": f"not available: {error}", "parameters": []})
-            continue
-        parameters = [
-            p.name.rstrip("_") if p.default is p.empty else f"{p.name.rstrip('_')}={p.default!r}"
-            for p in inspect.signature(cls).parameters.values()
-        ]
-        rows.append({"name": name, "summary": cls.summary(), "parameters": parameters})
-        if kind == "samplers":
-            facts = sampler_facts(name)
-            rows[-1] |= {"dims": facts.dims, "counts": facts.counts}
-    return rows
+    cls = registry.load(name)
+    parameters = [
+        p.name.rstrip("_") if p.default is p.empty else f"{p.name.rstrip('_')}={p.default!r}"
+        for p in inspect.signature(cls).parameters.values()
+    ]
+    row: dict[str, Any] = {"name": name, "summary": cls.summary(), "parameters": parameters}
+    if kind == "samplers":
+        facts = sampler_facts(name)
+        row |= {"dims": facts.dims, "counts": facts.counts}
+    return row

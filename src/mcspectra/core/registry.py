@@ -13,7 +13,7 @@ from importlib.metadata import entry_points
 from types import MappingProxyType
 from typing import Any
 
-from mcspectra.core.errors import McspectraError, MissingDependency, ParameterError, UnknownName
+from mcspectra.core.errors import MissingDependency, ParameterError, UnknownName
 from mcspectra.core.errors import close_match_hint as hint
 from mcspectra.core.spec import Call, Component
 
@@ -58,7 +58,7 @@ class Registry(Mapping[str, str]):
         UnknownName
             Nobody registered the name; the message offers close ones.
         MissingDependency
-            The module needs a package that is not installed.
+            The module needs a package that is not installed, or is broken.
         """
         target = self._builtin.get(name) or self._targets().get(name)
         if target is None:
@@ -67,9 +67,9 @@ class Registry(Mapping[str, str]):
         module, _, attribute = target.partition(":")
         try:
             found = getattr(importlib.import_module(module), attribute)
-        except McspectraError:
+        except MissingDependency:
             raise
-        except Exception as error:  # whatever the code of others does
+        except (Exception, SystemExit) as error:  # whatever the code of others does
             reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
             raise MissingDependency(
                 f"The {self.kind} {name!r} ({target}) cannot be loaded: {reason}."

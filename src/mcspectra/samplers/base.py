@@ -164,7 +164,8 @@ class Sampler(Component, ABC):
         base, steps = (self.base, self.steps) if isinstance(self, Randomized) else (self, ())
         if len(steps) == _MOST_STEPS:
             raise ParameterError(
-                f"{base.spec} is followed by {_MOST_STEPS} steps; that is the most."
+                f"{base.spec} is followed by {_MOST_STEPS} steps, the most there can be; "
+                "leave the others out."
             )
         return Randomized(base=base._before(fitted), steps=(*steps, fitted))
 
