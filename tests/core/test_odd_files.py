@@ -40,6 +40,7 @@ def test_semicolons_between_numbers_make_commas_decimal(tmp_path):
     [
         (",x,y\n0,0.1,0.2\n1,0.3,0.4\n", "a column without a name.*index=False"),
         ("set\n1\n2\n", "has no coordinates"),
+        ("set,Set,x\n1,2,0.1\n", "two columns 'set'"),
         ("x,y\n0.1,1_0\n", "'1_0' is not a finite number"),
     ],
 )
@@ -70,6 +71,7 @@ def test_the_index_of_pandas_is_no_coordinate(tmp_path):
     [
         ({"set": [1, 1], "Set": [1, 2], "x": [0.1, 0.2]}, "two columns of one name"),
         ({"set": [[1], [2]], "x": [0.1, 0.2]}, "column 'set' holds list"),
+        ({"set": [b"\xff", b"\xfe"], "x": [0.1, 0.2]}, "column 'set' holds binary"),
     ],
 )
 def test_tables_that_would_be_misread(tmp_path, columns, words):

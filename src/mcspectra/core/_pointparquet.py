@@ -69,9 +69,13 @@ def _labels(table: Any, name: str | None, file: Path) -> Array:
     labels = table.column(name).combine_chunks()
     if labels.null_count:
         raise FileFormatError(f"{file}: column {name!r} is empty in a row; give the set of each.")
-    if _pyarrow().types.is_nested(labels.type):
-        raise FileFormatError(f"{file}: column {name!r} holds {labels.type}; give text or numbers.")
-    return np.asarray(labels.cast("string").to_numpy(zero_copy_only=False).astype(str))
+    try:
+        text = labels.cast("string")
+    except _pyarrow().ArrowException:  # lists, bytes that are no text
+        raise FileFormatError(
+            f"{file}: column {name!r} holds {labels.type}; give text or numbers."
+        ) from None
+    return np.asarray(text.to_numpy(zero_copy_only=False).astype(str))
 
 
 def _numbers(table: Any, name: str, file: Path) -> Array:

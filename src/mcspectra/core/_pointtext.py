@@ -135,6 +135,8 @@ def _without_names(groups: list[list[Row]], file: str) -> list[list[Row]]:
         )
     if "set" not in names:
         return groups
+    if names.count("set") > 1:
+        raise FileFormatError(f"{file} has two columns 'set'; name each column differently.")
     column = names.index("set")
     split: dict[str, list[Row]] = {}
     for number, fields in (row for group in groups for row in group):
