@@ -82,6 +82,9 @@ DAMAGE = {
     "endless shape": lambda content: (
         b'mcspectra cache 1\n{"key":"key","shape":[1e999],"sha256":2}\n'
     ),
+    "endless nesting": lambda content: (
+        b"mcspectra cache 1\n" + b"[" * 100_000 + b"\n" + content[-800:]
+    ),
     "not text": lambda content: bytes(range(256)) * 4,
 }
 
