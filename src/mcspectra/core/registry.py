@@ -34,9 +34,14 @@ class Registry(Mapping[str, str]):
         Entry-point group in which other packages register ``name = "module:Class"``.
     builtin
         Name to ``"module:Class"``.
+    functions
+        Whether a name may also stand for a function that makes the component.
     """
 
-    def __init__(self, kind: str, group: str, builtin: Mapping[str, str]) -> None:
+    def __init__(
+        self, kind: str, group: str, builtin: Mapping[str, str], *, functions: bool = False
+    ) -> None:
+        self.functions = functions
         self.kind = kind
         self.group = group
         self._builtin = MappingProxyType(dict(sorted(builtin.items())))
@@ -74,7 +79,8 @@ class Registry(Mapping[str, str]):
             raise MissingDependency(
                 f"The {self.kind} {name!r} ({target}) cannot be loaded: {reason}."
             ) from error
-        if not (isinstance(found, type) and issubclass(found, Component)):
+        component = isinstance(found, type) and issubclass(found, Component)
+        if not (component or (self.functions and callable(found))):
             raise MissingDependency(
                 f"The {self.kind} {name!r} ({target}) is {found!r}, not a class of mcspectra's; "
                 "mend the package that registers it."

@@ -30,6 +30,7 @@ SCENES = Registry(
     "scene",
     "mcspectra.scenes",
     {"veach": "mcspectra.rendering.scenes:veach"},
+    functions=True,
 )
 """Names to functions that return a scene as a Mitsuba dictionary."""
 
