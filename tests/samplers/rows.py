@@ -90,6 +90,10 @@ ROWS = (
     Row("step-blue-noise(iterations=3)", {2: 16}),
     Row("target-spectrum(iterations=3)", {2: 16}),
     Row("target-pcf(iterations=3)", {2: 16}),
-    Row("sliced-optimal-transport(iterations=2, directions=4)", {2: 16, 3: 16, 10: 16}, unbiased=False),
+    Row(
+        "sliced-optimal-transport(iterations=2, directions=4)",
+        {2: 16, 3: 16, 10: 16},
+        unbiased=False,
+    ),
     Row("points(path='{path}')", ANY, unbiased=False),
 )

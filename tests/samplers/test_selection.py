@@ -114,7 +114,9 @@ def test_sets_that_are_no_sequences_cannot_skip(spec):
 
 
 def test_hammersley_points_are_no_sequence():
-    with pytest.raises(ParameterError, match="which is no sequence; take a sequence such as sobol, halton"):
+    with pytest.raises(
+        ParameterError, match="which is no sequence; take a sequence such as sobol, halton"
+    ):
         Hammersley(dims=2).then(Skip(count=1))
     with pytest.raises(ParameterError, match="no sequence"):
         mcs.sampler("hammersley | owen | skip(count=1)", 2)

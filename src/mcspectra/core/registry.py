@@ -71,7 +71,7 @@ class Registry(Mapping[str, str]):
             raise UnknownName(f"There is no {self.kind} called {name!r}.{offer}", close)
         module, _, attribute = target.partition(":")
         try:
-            found = getattr(importlib.import_module(module), attribute)
+            found: Any = getattr(importlib.import_module(module), attribute)
         except MissingDependency:
             raise
         except (Exception, SystemExit) as error:  # whatever the code of others does
@@ -85,7 +85,7 @@ class Registry(Mapping[str, str]):
                 f"The {self.kind} {name!r} ({target}) is {found!r}, not a class of mcspectra's; "
                 "mend the package that registers it."
             )
-        return found
+        return found  # type: ignore[no-any-return]
 
     def build(self, call: Call, dims: int | None = None) -> Any:
         """Make the component that `call` describes.
