@@ -13,7 +13,7 @@ SAMPLERS = (
     "jittered | shift",
     "jittered | digital-shift",
     "sobol | owen",
-    "jittered | mirror",
+    "jittered | shift | mirror(mode='fold')",
 )
 FUNCTIONS = {
     "smooth, not periodic": "gaussian(center=0.3, width=0.3)",
@@ -27,9 +27,9 @@ def main() -> None:
     """Print cross / predicted variance, then predicted / measured against the half width."""
     for function in FUNCTIONS.values():
         print(f"cross / predicted, {function}, n = 64, half width 32, 2000 realisations")
-        print(f"{'':26s}" + "".join(f"{basis:>18s}" for basis in BASES))
+        print(f"{'':38s}" + "".join(f"{basis:>18s}" for basis in BASES))
         for sampler in SAMPLERS:
-            print(f"{sampler:26s}" + "".join(_share(function, sampler, b) for b in BASES))
+            print(f"{sampler:38s}" + "".join(_share(function, sampler, b) for b in BASES))
     for what, function in FUNCTIONS.items():
         print(
             f"predicted / measured at half width {', '.join(map(str, WIDTHS))}: {what}, {function}"

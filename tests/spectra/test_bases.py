@@ -144,6 +144,7 @@ def test_terms_sum_to_the_variance_of_the_truncated_estimate(basis, space, dims)
 
 
 FITS = [("jittered | shift", "fourier"), ("jittered | digital-shift", "walsh")]
+FITS += [("jittered | shift | mirror(mode='fold')", "cosine")]
 FITS += [("sobol | owen", "walsh"), ("sobol | owen", "haar"), ("jittered", "haar")]
 MISFITS = [("jittered", "fourier"), ("jittered | shift", "walsh"), ("jittered | shift", "haar")]
 

@@ -9,7 +9,7 @@ the sum over m converges:
 basis      φ_m, in each dim                            no cross term for
 =========  ==========================================  =====================================
 fourier    exp(2πi m x), m = −K … K                    toroidal shifts
-cosine     1, √2 cos(π m x), m = 1 … 2K                sets mirrored at random
+cosine     1, √2 cos(π m x), m = 1 … 2K                shifted sets that are folded
 walsh      (−1)^(Σ_i m_i x_{i+1}), m < 2K (Paley)       digital shifts, nested scrambling
 haar       1, 2^(j/2) ψ(2^j x − t), m = 2^j + t < 2K   jittered sets with 2^k strata a side
 =========  ==========================================  =====================================
