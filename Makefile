@@ -20,11 +20,11 @@ setup: $(STAMP)
 $(STAMP): pyproject.toml
 	@if command -v uv >/dev/null 2>&1; then \
 		uv venv --quiet --allow-existing --python $(PYTHON) $(VENV) && \
-		uv pip install --quiet --compile-bytecode --python $(BIN)/python -e '.[render,qmcpy,parquet,dev]'; \
+		uv pip install --quiet --compile-bytecode --python $(BIN)/python -e '.[render,qmcpy,parquet,vegas,dev]'; \
 	else \
 		{ [ -x $(BIN)/python ] || $(PYTHON) -m venv $(VENV); } && \
 		$(BIN)/python -m pip install --quiet --upgrade pip && \
-		$(BIN)/python -m pip install --quiet -e '.[render,qmcpy,parquet,dev]'; \
+		$(BIN)/python -m pip install --quiet -e '.[render,qmcpy,parquet,vegas,dev]'; \
 	fi
 	@$(BIN)/python -m compileall -q src
 	@touch $@
@@ -43,6 +43,11 @@ check: setup
 	$(BIN)/lint-imports
 
 bench: setup
+	@if command -v uv >/dev/null 2>&1; then \
+		uv pip install --quiet --python $(BIN)/python -e '.[bench]'; \
+	else \
+		$(BIN)/python -m pip install --quiet -e '.[bench]'; \
+	fi
 	$(BIN)/python -m benchmarks
 
 docs: setup
