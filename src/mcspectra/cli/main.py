@@ -23,8 +23,12 @@ _VERBS = {
     "points": "draw point sets and write them as text or files",
     "gallery": "measure samplers and show them side by side",
     "spectrum": "expected power spectrum of a sampler",
+    "pcf": "pair correlation of a sampler",
     "variance": "the three terms of an estimator's variance against its measurement",
     "converge": "variance against n and the fitted rate",
+    "exact": "exact variance, where there is a closed form",
+    "anova": "which axes the variance comes from, effective dimension",
+    "modes": "which patterns of frequencies vary together",
     "doctor": "what is installed and whether it works",
     "cite": "how to cite the package and its methods",
 }

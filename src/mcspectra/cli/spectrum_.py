@@ -1,7 +1,7 @@
 """Expected power spectrum of a sampler.
 
-Prints the radial mean, as power times n (random points: 1). With --out FILE.npz all values are
-written, with FILE.png or FILE.pdf the picture.
+Prints the radial mean, as power times n (random points: 1), or what --show asks for. With --out
+FILE.npz all values are written, with FILE.png or FILE.pdf the picture.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from mcspectra.cli.common import (
     print_json,
     read_sampler,
     seed_option,
-    text_table,
     whole_number,
 )
 from mcspectra.cli.progress import progress_bars
+from mcspectra.cli.spectrum_views import VIEWS
+from mcspectra.core.checks import as_choice
 from mcspectra.core.errors import FileFormatError, ParameterError
 
 if TYPE_CHECKING:
@@ -40,6 +41,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--frequency-step", default="1", metavar="S", help="below 1: real frequencies"
     )
+    parser.add_argument(
+        "--show",
+        default="power",
+        help="power (default): radial mean; radial: with errors and anisotropy; slices; wedges: by "
+        "direction; exponent: b of power ∝ |m|^b",
+    )
     parser.add_argument("-o", "--out", metavar="FILE", help=".npz, .png or .pdf")
 
 
@@ -47,6 +54,7 @@ def run(options: argparse.Namespace) -> int:
     """Estimate and print."""
     from mcspectra.spectra.power import power_spectrum
 
+    view = VIEWS[as_choice("--show", options.show, tuple(VIEWS))]
     dims = None if options.dims is None else whole_number("--dims", options.dims)
     if options.out is not None and Path(options.out).suffix not in (".npz", ".png", ".pdf"):
         raise ParameterError(f"--out is {options.out!r}; it must end in .npz, .png or .pdf.")
@@ -68,22 +76,11 @@ def run(options: argparse.Namespace) -> int:
         )
     if options.out:
         _write(result, Path(options.out))
+    text, data = view(result)
     if options.json:
-        names = ("radius", "radial_power", "radial_power_se")
-        print_json({**result.attrs, **{name: result[name].values for name in names}})
+        print_json(data)
     elif not options.quiet:
-        n = result.attrs["n"]
-        rows = [
-            [
-                f"{radius:.4g}",
-                f"{radius / n ** (1 / len(result['power'].dims)):.3f}",
-                f"{n * p:.5g}",
-            ]
-            for radius, p in zip(
-                result["radius"].values, result["radial_power"].values, strict=True
-            )
-        ]
-        print(text_table(["|m|", "|m|/n^(1/d)", "n·power"], rows))
+        print(text)
     return 0
 
 

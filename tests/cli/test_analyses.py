@@ -1,0 +1,169 @@
+"""The verbs exact, anova and modes, and the views of spectrum, against the functions behind them."""
+
+import json
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.cli.main import main
+
+
+def run(capsys, *arguments):
+    code = main([str(a) for a in arguments])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def run_json(capsys, *arguments):
+    code, out, err = run(capsys, *arguments, "--json")
+    assert code == 0, err
+    return json.loads(out)
+
+
+@pytest.mark.parametrize("verb", ["pcf", "exact", "anova", "modes", "spectrum"])
+def test_help_has_the_common_options(capsys, verb):
+    code, out, _ = run(capsys, verb, "--help")
+    assert code == 0
+    assert all(option in out for option in ("--json", "--seed", "--quiet"))
+
+
+def test_exact_variance_of_a_line(capsys):
+    """Jittered and linear: 1/(12 n³), so that the local rate is −3."""
+    arguments = ("exact", "linear", "-d", 1, "--sampler", "jittered", "-n", "4, 8")
+    data = run_json(capsys, *arguments)
+    assert data["n"] == [4, 8]
+    assert data["exact_variance"] == pytest.approx([1 / (12 * 4**3), 1 / (12 * 8**3)])
+    code, out, _ = run(capsys, *arguments)
+    assert code == 0
+    rows = [line.split() for line in out.splitlines()[3:]]
+    assert [row[-1] for row in rows] == ["–", "-3.0000"]
+    assert run(capsys, *arguments, "--quiet")[1] == ""
+
+
+def test_exact_variance_of_zero_has_no_rate(capsys):
+    code, out, _ = run(capsys, "exact", "linear", "-d", 1, "--sampler", "regular", "-n", "4,8,8")
+    assert code == 0
+    assert [line.split()[1:] for line in out.splitlines()[3:]] == [["0", "–"]] * 3
+
+
+def test_exact_variance_unknown_is_bad_input(capsys):
+    code, out, err = run(capsys, "exact", "gaussian", "--sampler", "poisson-disk", "-n", 16)
+    assert (code, out) == (2, "")
+    assert err.startswith("mcspectra: No exact variance is known for poisson-disk")
+
+
+def test_anova_is_that_of_the_function(capsys):
+    arguments = ("anova", "gaussian", "-d", 3, "-m", 300, "--seed", 2)
+    data = run_json(capsys, *arguments)
+    estimator = mcs.Estimator("gaussian", dims=3)
+    expected = mcs.anova_variances(estimator, realizations=300, rng=2)
+    assert data["subset"] == ["x0", "x1", "x2", "x0x1", "x0x2", "x1x2"]
+    for name in ("anova_variance", "anova_variance_se", "anova_share", "total_variance"):
+        assert data[name] == expected[name].values.tolist()
+    code, out, _ = run(capsys, *arguments)
+    assert code == 0
+    lines = out.splitlines()
+    shares = [float(line.split()[-1]) for line in lines if line.startswith(("x", "larger"))]
+    assert sum(shares) == pytest.approx(1.0, abs=1e-3)
+    assert f"mean dimension: {float(expected['mean_dimension']):.6g}" in lines
+
+
+def test_anova_of_points_and_order(capsys):
+    data = run_json(
+        capsys,
+        *("anova", "linear", "-d", 2, "--sampler", "latin-hypercube", "-n", 8, "-m", 100),
+        *("--order", 1, "--density", "uniform"),
+    )
+    assert data["subset"] == ["x0", "x1"]
+    assert (data["n"], data["order"]) == (8, 1)
+    assert len(data["anova_variance"]) == 2
+
+
+def test_modes_are_those_of_the_function(capsys, tmp_path):
+    file = tmp_path / "modes.npz"
+    arguments = ("modes", "gaussian", "-d", 2, "--sampler", "jittered", "-n", 16, "-m", 60)
+    options = ("--half-width", 4, "--modes", 3, "--bands", "anova", "--band", "x0")
+    data = run_json(capsys, *arguments, *options, "-o", file)
+    expected = mcs.covariance_modes(
+        *(mcs.Estimator("gaussian", dims=2), "jittered", 16),
+        half_width=4,
+        modes=3,
+        realizations=60,
+        bands="anova",
+        band=["x0"],
+    )
+    for name in ("eigenvalue", "eigenvalue_share", "mode_contribution"):
+        assert data[name] == expected[name].values.tolist()
+    assert data["band_trace"] == float(expected["band_trace"])
+    assert np.array_equal(np.load(file)["mode_vector"], expected["mode_vector"])
+    code, out, _ = run(capsys, *arguments, *options)
+    assert code == 0
+    assert f"{data['eigenvalue'][0]:.5g}" in out
+    assert out.splitlines()[-1].startswith("sum of all eigenvalues: ")
+
+
+def test_modes_of_the_points_alone(capsys):
+    arguments = ("modes", "gaussian", "-d", 1, "--sampler", "random", "-n", 4, "-m", 50)
+    options = ("--half-width", 2, "--modes", 1, "--points-only", "--basis", "cosine")
+    data = run_json(capsys, *arguments, *options)
+    expected = mcs.covariance_modes(
+        *(mcs.Estimator("gaussian", dims=1), "random", 4),
+        half_width=2,
+        modes=1,
+        realizations=50,
+        weighted=False,
+        basis="cosine",
+    )
+    assert data["eigenvalue"] == expected["eigenvalue"].values.tolist()
+    assert (data["weighted"], data["basis"]) == (0, "cosine")
+
+
+SPECTRUM = ("spectrum", "jittered", "-n", 16, "--half-width", 5, "-m", 20)
+
+
+@pytest.fixture(scope="module")
+def spectrum():
+    return mcs.power_spectrum("jittered", 16, half_width=5, realizations=20)
+
+
+@pytest.mark.parametrize(
+    ("view", "function", "names"),
+    [
+        ("radial", mcs.radial_statistics, ["radial_power", "anisotropy_db"]),
+        ("slices", mcs.slices, ["slice_power", "slice_radius"]),
+        ("wedges", mcs.wedge_means, ["angle", "wedge_power", "wedge_power_se"]),
+        ("exponent", mcs.low_frequency_exponent, ["low_frequency_exponent_ci"]),
+    ],
+)
+def test_views_of_a_spectrum(capsys, spectrum, view, function, names):
+    data = run_json(capsys, *SPECTRUM, "--show", view)
+    expected = function(spectrum)
+    assert data["n"] == 16
+    for name in names:
+        assert np.allclose(
+            np.array(data[name], float), expected[name].values, rtol=1e-12, equal_nan=True
+        )
+    code, out, _ = run(capsys, *SPECTRUM, "--show", view)
+    assert code == 0
+    first = float(expected[names[-1]].values.ravel()[0])
+    last_power = {
+        "radial": lambda: f"{16 * float(expected['radial_power'][-1]):.5g}",
+        "slices": lambda: f"{16 * float(expected['slice_power'][-1, -1]):.5g}",
+        "wedges": lambda: f"{16 * float(expected['wedge_power'][-1]):.5g}",
+        "exponent": lambda: f"{first:.4g}",
+    }[view]()
+    assert last_power in out.splitlines()[-1]
+    assert "nan" not in out
+
+
+def test_a_spectrum_shows_radial_power_by_default(capsys):
+    assert run(capsys, *SPECTRUM)[1] == run(capsys, *SPECTRUM, "--show", "power")[1]
+
+
+def test_no_exponent_has_its_reason(capsys):
+    arguments = ("spectrum", "regular", "-n", 64, "--half-width", 6, "-m", 2, "--show", "exponent")
+    code, out, _ = run(capsys, *arguments)
+    assert code == 0
+    assert out.startswith("no exponent: 3 of 3 lengths have no power")
+    assert run_json(capsys, *arguments)["low_frequency_exponent"] is None

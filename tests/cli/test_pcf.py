@@ -1,0 +1,65 @@
+"""The verb ``pcf``: the library's g(r) as text and JSON, of specs and of point sets."""
+
+import io
+import json
+import sys
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.cli.main import main
+
+
+def run(capsys, *arguments):
+    code = main([str(a) for a in arguments])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def test_json_is_what_the_function_returns(capsys):
+    options = ("-n", 16, "--bins", 7, "-m", 5, "--seed", 3, "--boundary", "border")
+    code, out, err = run(
+        capsys, "pcf", "jittered", *options, "-d", 1, "--max-distance", 0.2, "--json"
+    )
+    assert code == 0, err
+    data = json.loads(out)
+    expected = mcs.pair_correlation(
+        *(mcs.sampler("jittered", dims=1), 16),
+        bins=7,
+        realizations=5,
+        rng=3,
+        boundary="border",
+        max_distance=0.2,
+    )
+    for name in ("r", "pair_correlation", "pair_correlation_se"):
+        assert data[name] == expected[name].values.tolist()
+    assert data["mean_spacing"] == 1 / 16
+    assert (data["boundary"], data["seed"]) == ("border", 3)
+
+
+def test_text_has_a_row_a_bin(capsys):
+    code, out, _ = run(capsys, "pcf", "jittered", "-n", 64, "--bins", 4, "-m", 2)
+    assert code == 0
+    header, _, *rows = out.splitlines()
+    assert header.split() == ["r", "r·n^(1/d)", "g(r)", "std.", "error"]
+    expected = mcs.pair_correlation("jittered", 64, bins=4, realizations=2)
+    shown = np.array([row.split() for row in rows], float)
+    assert np.allclose(shown[:, 0], expected["r"], rtol=1e-4)
+    assert np.allclose(shown[:, 1], 8 * expected["r"], atol=5e-4)
+    assert np.allclose(shown[:, 2], expected["pair_correlation"], rtol=1e-4)
+    assert run(capsys, "pcf", "jittered", "-n", 64, "-m", 2, "--quiet")[1] == ""
+
+
+@pytest.mark.parametrize("piped", [True, False])
+def test_point_sets_are_taken_where_a_sampler_goes(capsys, monkeypatch, tmp_path, piped):
+    _, text, _ = run(capsys, "points", "jittered", "-n", 64, "--seed", 4)
+    (tmp_path / "set.dat").write_text(text)
+    monkeypatch.setattr(sys, "stdin", io.StringIO(text))
+    given = "-" if piped else f"points(path={str(tmp_path / 'set.dat')!r})"
+    code, out, err = run(capsys, "pcf", given, "-n", 64, "-m", 1, "--json")
+    assert code == 0, err
+    data = json.loads(out)
+    expected = mcs.pair_correlation("jittered", 64, realizations=1, rng=4)
+    assert np.allclose(data["pair_correlation"], expected["pair_correlation"])
+    assert set(data["pair_correlation_se"]) == {None}  # of one realisation there is none
