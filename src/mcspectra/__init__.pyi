@@ -12,7 +12,10 @@ from .core.errors import McspectraError as McspectraError
 from .core.errors import NoClosedForm as NoClosedForm
 from .densities.base import Density as Density
 from .densities.registry import density as density
+from .estimators.channels import ChannelSampling as ChannelSampling
+from .estimators.channels import channel_estimators as channel_estimators
 from .estimators.importance import Estimator as Estimator
+from .estimators.mirrored import Mirrored as Mirrored
 from .estimators.mis import MultipleImportance as MultipleImportance
 from .estimators.mis import TechniqueSum as TechniqueSum
 from .integrands.base import Integrand as Integrand
@@ -53,10 +56,12 @@ from .variance.terms import variance_terms as variance_terms
 from .version import __version__ as __version__
 
 __all__ = [
+    "ChannelSampling",
     "Density",
     "Estimator",
     "Integrand",
     "McspectraError",
+    "Mirrored",
     "MultipleImportance",
     "NoClosedForm",
     "Randomization",
@@ -65,6 +70,7 @@ __all__ = [
     "__version__",
     "anova_variances",
     "axis_frequencies",
+    "channel_estimators",
     "closed_form_covariance",
     "closed_form_pair_correlation",
     "closed_form_power",

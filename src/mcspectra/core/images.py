@@ -26,13 +26,14 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import FileFormatError, ParameterError
 
-__all__ = ["IMAGE_EXTENSIONS", "luminance", "read_image"]
+__all__ = ["REC709", "IMAGE_EXTENSIONS", "luminance", "read_image"]
 
 IMAGE_EXTENSIONS = (".png", ".jpg", ".jpeg", ".exr", ".npy", ".npz")
 """Names that `read_image` knows."""
 
 _MAX_VALUES = 2**28  # 2 GiB of float64: far above any film, far below a decompression bomb
-_REC709 = np.array([0.2126, 0.7152, 0.0722])
+REC709 = np.array([0.2126, 0.7152, 0.0722])
+"""Weights of red, green and blue in the luminance (ITU-R BT.709)."""
 _BROKEN = (
     OSError,
     SyntaxError,  # Pillow's word for a broken PNG
@@ -102,7 +103,7 @@ def luminance(image: Array) -> Array:
             f"Luminance is defined for images of shape (height, width, 1 or 3), not {image.shape}; "
             "choose a channel instead."
         )
-    return np.asarray(image[..., 0] if image.shape[2] == 1 else image @ _REC709)
+    return np.asarray(image[..., 0] if image.shape[2] == 1 else image @ REC709)
 
 
 def _existing(path: object) -> Path:

@@ -1,15 +1,23 @@
 from .base import AbstractEstimator as AbstractEstimator
+from .channels import ChannelSampling as ChannelSampling
+from .channels import channel_estimators as channel_estimators
 from .importance import Estimator as Estimator
 from .importance import as_estimator as as_estimator
+from .mirrored import MIRRORINGS as MIRRORINGS
+from .mirrored import Mirrored as Mirrored
 from .mis import MultipleImportance as MultipleImportance
 from .mis import TechniqueSum as TechniqueSum
 from .moments import Moments as Moments
 
 __all__ = [
+    "MIRRORINGS",
     "AbstractEstimator",
+    "ChannelSampling",
     "Estimator",
+    "Mirrored",
     "Moments",
     "MultipleImportance",
     "TechniqueSum",
     "as_estimator",
+    "channel_estimators",
 ]

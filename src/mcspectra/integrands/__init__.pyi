@@ -4,6 +4,7 @@ from .analytic import Gaussian as Gaussian
 from .analytic import Linear as Linear
 from .analytic import Polynomial as Polynomial
 from .base import Integrand as Integrand
+from .channel import Channel as Channel
 from .christensen import ChristensenBilinear as ChristensenBilinear
 from .christensen import ChristensenDisk as ChristensenDisk
 from .christensen import ChristensenGaussian as ChristensenGaussian
@@ -24,6 +25,7 @@ from .registry import integrand as integrand
 
 __all__ = [
     "INTEGRANDS",
+    "Channel",
     "ChristensenBilinear",
     "ChristensenDisk",
     "ChristensenGaussian",

@@ -1,0 +1,200 @@
+"""Colour: every channel importance-sampled by a density of its own, or all by one.
+
+One density for all channels, such as that of the luminance, leaves f_c/p with the jumps of p where
+f_c has none, or others; a density for each channel takes them out and the rate is that of what is left.
+Four ways, made side by side by `channel_estimators`:
+
+``one``
+    All channels with the points of one density (the luminance's): n evaluations of f.
+``own``
+    Channel c with n independent points of its density p_c: C n evaluations.
+``shared``
+    The same with one set of primary points, warped by each density: C n evaluations, no fewer,
+    but errors of the channels that go together, so that noise has less colour.
+``mis``
+    All points of all densities for all channels, balance heuristic: C n evaluations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_choice
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.streams import Stream
+from mcspectra.densities import Density, as_density
+from mcspectra.densities.base import divide_by_density
+from mcspectra.estimators.base import AbstractEstimator
+from mcspectra.estimators.importance import Estimator, check_support
+from mcspectra.estimators.mis import MultipleImportance
+from mcspectra.estimators.primary import PrimaryIntegrand
+from mcspectra.integrands import Integrand, as_integrand
+from mcspectra.integrands.channel import Channel
+from mcspectra.samplers import Sampler
+
+__all__ = ["ChannelSampling", "channel_estimators"]
+
+_SETS = ("independent", "shared")
+
+
+@final
+class ChannelSampling(AbstractEstimator):
+    """Channel c estimated with a density of its own, I_c = (1/n) Σ_k f_c(x_ck)/p_c(x_ck).
+
+    A technique is a channel. There is no common domain: the spectra of the channels' points differ, and
+    analyses work in primary space.
+
+    Parameters
+    ----------
+    integrand
+        f with C channels, or its spec string.
+    densities
+        p_c, one for each channel, or their spec strings.
+    sets
+        ``"independent"``: each channel has points of its own; ``"shared"``: all warp the same ones.
+    dims
+        Number of dims for spec strings that do not say.
+
+    Raises
+    ------
+    DensityError
+        A density is zero at points where its channel is not.
+    ParameterError
+        f is scalar, densities of another number than channels, different dims, unknown sets.
+    """
+
+    def __init__(
+        self,
+        integrand: Integrand | str,
+        densities: Sequence[Density | str],
+        *,
+        sets: str = "independent",
+        dims: int | None = None,
+    ) -> None:
+        self.integrand, self.densities = _matched(integrand, densities, dims)
+        self.sets = as_choice("sets", sets, _SETS)
+        self.counts = (1,) * len(self.densities)
+        for channel, density in enumerate(self.densities):
+            check_support(Channel(integrand=self.integrand, channel=channel), [density])
+
+    def __repr__(self) -> str:
+        return f"ChannelSampling({self.spec})"
+
+    @property
+    def spec(self) -> str:
+        """``f / sets[densities]``."""
+        shown = ", ".join(density.spec for density in self.densities)
+        return f"{self.integrand.spec} / channels, {self.sets}[{shown}]"
+
+    @property
+    def dims(self) -> int:
+        """Number of dims of f."""
+        return self.integrand.dims
+
+    @property
+    def channels(self) -> int:
+        """Channels of f."""
+        return self.integrand.channels
+
+    @property
+    def integral(self) -> Any:
+        """∫ f."""
+        return self.integrand.integral
+
+    @property
+    def integral_source(self) -> str:
+        """Where `integral` comes from."""
+        return self.integrand.integral_source
+
+    @property
+    def domain_integrand(self) -> None:
+        """None: each channel has weighted points of its own."""
+        return
+
+    def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:
+        """Draw a set for each channel, or one for all."""
+        if self.sets == "independent":
+            return super().draw(sampler, n, stream, first, count)
+        return [sampler.draw_stream(n, stream, first, count)] * len(self.densities)
+
+    def primary_integrand(self, technique: int) -> Integrand:
+        """g_c(u) = f_c(T_c(u))/p_c(T_c(u)) in channel c, 0 in the others."""
+        return PrimaryIntegrand(self, technique, self.integrand, self.densities[technique])
+
+    def primary_values(self, technique: int, u: Array) -> Array:
+        """g_c(u): (..., channels), 0 in all channels but one."""
+        x = self.densities[technique].sample(u)
+        values = np.zeros((*u.shape[:-1], self.channels))
+        own = self.integrand(x)[..., technique]
+        pdf = self.densities[technique].pdf(x)
+        values[..., technique] = divide_by_density(own, pdf, x, self.spec)
+        return values
+
+
+def channel_estimators(
+    integrand: Integrand | str,
+    densities: Sequence[Density | str],
+    one: Density | str | None = None,
+    *,
+    dims: int | None = None,
+) -> dict[str, AbstractEstimator]:
+    """Make the ways of sampling a colour integrand, to be compared by `mcspectra.convergence`.
+
+    Parameters
+    ----------
+    integrand
+        f with C channels, or its spec string.
+    densities
+        One for each channel.
+    one
+        A density for all channels, such as the luminance's; None leaves that way out.
+    dims
+        Number of dims for spec strings that do not say.
+
+    Returns
+    -------
+    dict
+        ``one`` (if given), ``own``, ``shared`` and ``mis``: see the module. At n points a technique the
+        last three evaluate f C n times, ``one`` n times: compare them at equal Σ counts · n.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> f = mcs.Integrand.from_function(
+    ...     lambda x: np.concatenate([1 + x, 2 - x], axis=-1), dims=1, integral=[1.5, 1.5]
+    ... )
+    >>> ways = mcs.channel_estimators(f, ["linear(slope=0.5)", "linear(slope=-0.5)"], "uniform")
+    >>> list(ways)
+    ['one', 'own', 'shared', 'mis']
+    """
+    f, found = _matched(integrand, densities, dims)
+    ways: dict[str, AbstractEstimator] = {} if one is None else {"one": Estimator(f, one)}
+    for name, sets in (("own", "independent"), ("shared", "shared")):
+        ways[name] = ChannelSampling(f, found, sets=sets)
+    ways["mis"] = MultipleImportance(f, found)
+    return ways
+
+
+def _matched(
+    integrand: Integrand | str, densities: Sequence[Density | str], dims: int | None
+) -> tuple[Integrand, tuple[Density, ...]]:
+    """The integrand with a density for each channel."""
+    if not isinstance(densities, list | tuple) or len(densities) == 0:
+        raise ParameterError(f"densities is {densities!r}; give a list, one for each channel.")
+    if dims is None:
+        parts = (integrand, *densities)
+        dims = next((c.dims for c in parts if isinstance(c, Integrand | Density)), None)
+    f = as_integrand(integrand, dims)
+    if f.channels != len(densities):
+        channels = f"{f.channels} channels" if f.channels else "no channels: it is scalar"
+        raise ParameterError(
+            f"{f.spec} has {channels}, but {len(densities)} densities were given; "
+            "give one for each channel."
+        )
+    found = tuple(p for p in (as_density(d, f.dims) for d in densities) if p is not None)
+    if len(found) != len(densities):
+        raise ParameterError("densities holds None; write 'uniform' for a uniform density.")
+    return f, found
