@@ -73,7 +73,7 @@ class Channel(Integrand):
         return self._of(found[0]), self._of(found[1])
 
     def _of(self, values: Array) -> Array:
-        if self.channel == "luminance":
+        if isinstance(self.channel, str):
             return np.asarray(values @ REC709)
         return np.asarray(values[..., self.channel])
 
