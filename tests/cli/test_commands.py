@@ -132,6 +132,8 @@ def test_doctor_and_cite(capsys):
     found = run_json(capsys, "doctor")
     assert found["works"] is True
     assert "largest difference" in found["transforms"]
+    assert "cufinufft" in found["gpu"] or "engine='gpu'" in found["gpu"]
+    assert set(found["optional packages"]) == {"qmcpy", "pyarrow", "vegas"}
     entries = run_json(capsys, "cite")
     assert any("10.1111/cgf.13613" in entry["bibtex"] for entry in entries)
 

@@ -1,10 +1,11 @@
-"""Say what is installed and whether it works: versions, kernels, NUFFT, renderer."""
+"""Say what is installed and whether it works: versions, kernels, NUFFT, GPU, renderer, extras."""
 
 from __future__ import annotations
 
 import argparse
 import os
 import platform
+from importlib import metadata
 from typing import Any
 
 from mcspectra.cli.common import print_json
@@ -31,7 +32,9 @@ def run(options: argparse.Namespace) -> int:
     }
     works, sentence = _try_transform()
     found["transforms"] = sentence
+    found["gpu"] = _gpu()
     found["renderer"] = _renderer()
+    found["optional packages"] = _optional_packages()
     if options.json:
         print_json({**found, "works": works})
     elif not options.quiet:
@@ -68,6 +71,26 @@ def _renderer() -> dict[str, Any]:
     from mcspectra.rendering.backend import describe
 
     return describe()
+
+
+def _gpu() -> str:
+    """Name of the device, or why the engine cannot be used."""
+    from mcspectra.spectra.gpu import gpu_description
+
+    return gpu_description()[1]
+
+
+def _optional_packages() -> dict[str, str]:
+    """Version of each, or what installs it."""
+    return {name: _version(name) for name in ("qmcpy", "pyarrow", "vegas")}
+
+
+def _version(package: str) -> str:
+    extra = {"pyarrow": "parquet"}.get(package, package)
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return f"not installed (pip install 'mcspectra[{extra}]')"
 
 
 def _joined(value: dict[str, Any]) -> str:

@@ -66,7 +66,8 @@ def low_frequency_exponent(
         raise ParameterError(
             "The spectrum has no standard errors to weight the fit by; use two or more realisations."
         )
-    eps = spectrum.attrs.get("eps", 0.0) if spectrum.attrs.get("engine") == "nufft" else 0.0
+    exact = spectrum.attrs.get("engine") not in ("nufft", "gpu")
+    eps = 0.0 if exact else spectrum.attrs.get("eps", 0.0)
     empty = int(np.count_nonzero(power <= max(10 * eps, 1e-14) ** 2))
     reason = f"{empty} of {len(lengths)} lengths have no power: there is no power law."
     b, interval, chi2 = math.nan, (math.nan, math.nan), math.nan

@@ -40,7 +40,6 @@ from mcspectra.densities import Density, as_density
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra._listed_kernels import phase_sum, product_sum
 from mcspectra.spectra.power import PowerSums, weighted_points
-from mcspectra.spectra.transforms import ENGINES
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -50,6 +49,7 @@ __all__ = ["listed_transform", "power_at"]
 Listed = Callable[[Array, Array], Array]
 """Transform of one set: points (n, d), weights (n,) to S (F,)."""
 
+_ENGINES = ("auto", "nufft", "direct")
 _MAX_FACTORS = 4096
 """Most factors of a table, which takes 4 KiB for each."""
 
@@ -178,7 +178,7 @@ def listed_transform(
     ParameterError
         The engine cannot work in these dims, or eps is out of range.
     """
-    as_choice("engine", engine, ENGINES)
+    as_choice("engine", engine, _ENGINES)
     eps = as_real("eps", eps, least=1e-14, most=0.1)
     dims = frequencies.shape[1]
     if engine == "nufft" and dims > 3:

@@ -10,6 +10,9 @@ Engines
     weights w of the first plus i times w of the second, separated by Hermitian symmetry. Cost
     O(n log^d(1/eps) + M log M) for a pair. Four dims are 3-D transforms for each frequency of the first
     axis, of one realisation at a time.
+``gpu``
+    The same transforms by cuFINUFFT (`mcspectra.spectra.gpu`): one to three dims, results equal to
+    rounding and not bit for bit. Only on request.
 ``direct``
     Separable direct summation by matrix products, exact to rounding: the oracle, and the faster
     one for a handful of points. Cost O(n M).
@@ -24,6 +27,7 @@ to and including that of m = 0, which comes last.
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,10 +36,11 @@ import numpy as np
 from mcspectra.core.checks import MAX_FREQUENCY, Array, as_choice, as_integer, as_real
 from mcspectra.core.errors import ParameterError
 from mcspectra.spectra._kernels import pair_mean, power_sums, split_pair
+from mcspectra.spectra.gpu import GpuTransform
 
 __all__ = ["ENGINES", "FrequencyGrid", "Transform", "direct_sum"]
 
-ENGINES = ("auto", "nufft", "direct")
+ENGINES = ("auto", "nufft", "direct", "gpu")
 _DIRECT_BELOW = 4000
 _DIRECT_NUMBERS = 2**22  # 64 MiB of phases
 MAX_FREQUENCIES = 2**27
@@ -126,9 +131,16 @@ class Transform:
     n
         Points in a set: decides between the engines for ``engine="auto"``.
     engine
-        One of `ENGINES`.
+        One of `ENGINES`; ``"auto"`` never means ``"gpu"``.
     eps
         Relative l2 accuracy of the NUFFT, from 1e-14 to 1e-1.
+
+    Raises
+    ------
+    ParameterError
+        A value is out of range, or the engine does not work in these dims.
+    MissingDependency
+        The engine is ``"gpu"`` and its packages or a device are missing.
 
     Notes
     -----
@@ -148,7 +160,8 @@ class Transform:
             engine = "direct" if _direct_pays(grid, n) else "nufft"
         self.engine = engine
         self.grid = grid
-        self._packs = engine == "nufft" and grid.dims <= 3
+        self._packs = engine == "gpu" or (engine == "nufft" and grid.dims <= 3)
+        self._gpu = GpuTransform(grid.shape, grid.step, self.eps) if engine == "gpu" else None
         self._local = threading.local()
 
     def coefficients(self, points: Array, weights: Array | None = None) -> Array:
@@ -166,8 +179,8 @@ class Transform:
             weights = np.broadcast_to(1.0 / n, (sets, n))
         out = np.empty((sets, self.grid.half_size), np.complex128)
         paired = sets - sets % 2 if self._packs else 0
-        for r in range(0, paired, 2):
-            split_pair(self._pair(points[r : r + 2], weights[r : r + 2]), out[r], out[r + 1])
+        for k, packed in enumerate(self._pairs(points[:paired], weights[:paired])):
+            split_pair(packed, out[2 * k], out[2 * k + 1])
         for r in range(paired, sets):
             out[r] = self._single(points[r], weights[r])[: out.shape[1]]
         # S_0 is the sum of the weights: exactly, so that equal weights have no dc term.
@@ -187,8 +200,7 @@ class Transform:
         if weights is None:
             weights = np.broadcast_to(1.0 / n, (sets, n))
         paired = sets - sets % 2 if self._packs else 0
-        for r in range(0, paired, 2):
-            packed = self._pair(points[r : r + 2], weights[r : r + 2])
+        for packed in self._pairs(points[:paired], weights[:paired]):
             power_sums(packed, True, total, squares)
             if mean is not None:
                 pair_mean(packed, mean)
@@ -203,15 +215,21 @@ class Transform:
         if self.engine == "direct":
             return self._direct(points, weights)
         strengths = weights.astype(np.complex128)
-        return self._nufft(points, strengths) if self._packs else self._slabs(points, strengths)
+        if not self._packs:
+            return self._slabs(points, strengths)
+        return next(self._transforms(points[None], strengths[None]))
 
-    def _pair(self, points: Array, weights: Array) -> Array:
-        """Transform of set 0 plus i times set 1, full grid, flat."""
-        n = points.shape[1]
-        strengths = np.empty(2 * n, np.complex128)
-        strengths[:n] = weights[0]
-        strengths[n:] = 1j * weights[1]
-        return self._nufft(points.reshape(2 * n, -1), strengths)
+    def _pairs(self, points: Array, weights: Array) -> Iterator[Array]:
+        """Transforms of sets 2k plus i times sets 2k + 1, full grid, flat."""
+        sets, n, dims = points.shape
+        strengths = weights.reshape(sets // 2, 2 * n).astype(np.complex128)
+        strengths[:, n:] *= 1j
+        return self._transforms(points.reshape(sets // 2, 2 * n, dims), strengths)
+
+    def _transforms(self, points: Array, strengths: Array) -> Iterator[Array]:
+        if self._gpu is not None:
+            return self._gpu.transforms(points, strengths)
+        return map(self._nufft, points, strengths)
 
     def _nufft(self, points: Array, strengths: Array) -> Array:
         return np.asarray(self._plan_at(points).execute(strengths)).ravel()
