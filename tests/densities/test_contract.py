@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.stats import chi2
 
+from mcspectra.core.errors import DensityError
 from mcspectra.densities.adaptive import integrate
 
 EPS = np.finfo(float).eps
@@ -19,19 +21,24 @@ def dense(dims, rows=2000):
 
 
 def test_samples_are_in_the_unit_cube_and_keep_their_shape(density):
-    u = dense(density.dims)
+    u = dense(density.primary_dims)
     x = density.sample(u)
     assert x.dtype == np.float64
-    assert x.shape == u.shape
+    assert x.shape == (*u.shape[:-1], density.dims)
     assert x.min() >= 0
     assert x.max() < 1
     stacked = u[:6].reshape(2, 3, -1)
     np.testing.assert_array_equal(density.sample(stacked), x[:6].reshape(2, 3, -1))
-    assert density.pdf(stacked).shape == (2, 3)
-    assert density.invert(stacked).shape == stacked.shape
+    assert density.pdf(x[:6].reshape(2, 3, -1)).shape == (2, 3)
+    if density.has_inverse:
+        assert density.invert(stacked).shape == stacked.shape
 
 
 def test_invert_undoes_sample(density):
+    if not density.has_inverse:
+        with pytest.raises(DensityError, match="inverse"):
+            density.invert(np.full(density.dims, 0.5))
+        return
     u = dense(density.dims)
     x = density.sample(u)
     back = density.invert(x)
@@ -41,7 +48,10 @@ def test_invert_undoes_sample(density):
     # that of one axis, at most the product of p's maximum and the other axes' lengths. Logarithms
     # of truncated normals at z = 15 add |log Φ| = 118 times eps.
     steep = max(1.0, float(density.pdf(x).max()))
-    assert np.abs(back - u).max() <= 500 * EPS * steep
+    close = (np.abs(back - u) <= 500 * EPS * steep).all(axis=-1)
+    # At a pole of the warp many u are one x: there x has to come back
+    again = (np.abs(density.sample(back) - x) <= 4 * EPS).all(axis=-1)
+    assert (close | again).all()
 
 
 def test_small_shares_keep_their_digits_in_lines():
@@ -54,17 +64,19 @@ def test_small_shares_keep_their_digits_in_lines():
 
 
 def test_samples_never_land_where_the_density_is_zero(density):
-    u = np.random.default_rng(1).random((20_000, density.dims))
+    u = np.random.default_rng(1).random((20_000, density.primary_dims))
     assert (density.pdf(density.sample(u)) > 0).all()
 
 
 def test_the_input_is_left_alone(density):
-    u = dense(density.dims, 50)
-    kept = u.copy()
+    u, x = dense(density.primary_dims, 50), dense(density.dims, 50)
+    kept, kept_x = u.copy(), x.copy()
     density.sample(u)
-    density.invert(u)
-    density.pdf(u)
+    density.pdf(x)
+    if density.has_inverse:
+        density.invert(x)
     np.testing.assert_array_equal(u, kept)
+    np.testing.assert_array_equal(x, kept_x)
 
 
 def test_the_mass_is_one(density):
@@ -73,6 +85,9 @@ def test_the_mass_is_one(density):
         assert (
             abs(found.totals[-1] - 1) <= 1e-4
         )  # what jumps between nodes may hide (check_density)
+        return
+    if not density.one_to_one:
+        density.check()
         return
     # Products: the warp takes a box to a box, of volume ∫1 dx = ∫1/p(T(u)) du
     inner = 0.25 + 0.5 * np.random.default_rng(2).random((100_000, density.dims))
@@ -88,14 +103,14 @@ def test_samples_follow_the_pdf(density):
         density.check()
         return
     n, cells = 20_000, 16
-    x = density.sample(np.random.default_rng(3).random((n, density.dims)))
+    x = density.sample(np.random.default_rng(3).random((n, density.primary_dims)))
     expected = n * integrate(density.pdf, density.dims, cells=cells).cells
     index = np.minimum((x * cells).astype(int), cells - 1) @ cells ** np.arange(density.dims)[::-1]
     counts = np.bincount(index, minlength=cells**density.dims)
     assert counts[expected == 0].sum() == 0
     full = expected > 5
     statistic = ((counts - expected)[full] ** 2 / expected[full]).sum()
-    each = 1 - (1 - FALSE_ALARM) ** (1 / 21)  # Šidák, for the number of densities
+    each = 1 - (1 - FALSE_ALARM) ** (1 / 60)  # Šidák, for the number of densities
     assert statistic <= chi2.isf(each, full.sum())
 
 
@@ -113,7 +128,7 @@ def test_the_exact_reciprocal_integral_is_that_of_the_quadrature(density):
 
 
 def test_breaks_are_shares(density):
-    assert len(density.breaks) == density.dims
+    assert len(density.breaks) == density.primary_dims
     for axis in density.breaks:
         assert all(0 < b < 1 for b in axis)
         assert list(axis) == sorted(set(axis))
@@ -125,6 +140,6 @@ def test_spec_makes_it_again(density):
     if density.name == "function" or "<array" in density.spec:
         return
     again = mcs.density(density.spec, dims=density.dims)
-    u = dense(density.dims, 100)
+    u = dense(density.primary_dims, 100)
     np.testing.assert_array_equal(again.sample(u), density.sample(u))
     assert again.spec == density.spec

@@ -2,25 +2,53 @@ from .analytic import Linear as Linear
 from .analytic import TruncatedNormal as TruncatedNormal
 from .analytic import Uniform as Uniform
 from .base import Density as Density
+from .bilinear import Bilinear as Bilinear
+from .disk import DiskDensity as DiskDensity
+from .environment import EnvironmentDensity as EnvironmentDensity
 from .functions import FunctionDensity as FunctionDensity
+from .hemisphere import HemisphereDensity as HemisphereDensity
+from .hemisphere import SphereDensity as SphereDensity
+from .mixture import Defensive as Defensive
+from .mixture import Mixture as Mixture
+from .monotone import CosineWeighted as CosineWeighted
+from .monotone import Exponential as Exponential
+from .monotone import Power as Power
+from .monotone import Tent as Tent
 from .numeric import check_density as check_density
 from .numeric import reciprocal_integral as reciprocal_integral
+from .piecewise_linear import PiecewiseLinear as PiecewiseLinear
+from .product import Product as Product
 from .registry import DENSITIES as DENSITIES
 from .registry import as_density as as_density
+from .registry import as_warp as as_warp
 from .registry import density as density
 from .tabulated import ImageDensity as ImageDensity
 from .tabulated import PiecewiseConstant as PiecewiseConstant
 
 __all__ = [
     "DENSITIES",
+    "Bilinear",
+    "CosineWeighted",
+    "Defensive",
     "Density",
+    "DiskDensity",
+    "EnvironmentDensity",
+    "Exponential",
     "FunctionDensity",
+    "HemisphereDensity",
     "ImageDensity",
     "Linear",
+    "Mixture",
     "PiecewiseConstant",
+    "PiecewiseLinear",
+    "Power",
+    "Product",
+    "SphereDensity",
+    "Tent",
     "TruncatedNormal",
     "Uniform",
     "as_density",
+    "as_warp",
     "check_density",
     "density",
     "reciprocal_integral",

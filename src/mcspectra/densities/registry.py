@@ -8,15 +8,28 @@ from mcspectra.core.registry import Registry
 from mcspectra.core.spec import parse
 from mcspectra.densities.base import Density
 
-__all__ = ["DENSITIES", "as_density", "density"]
+__all__ = ["DENSITIES", "as_density", "as_warp", "density"]
 
 DENSITIES = Registry(
     "density",
     "mcspectra.densities",
     {
+        "cosine-weighted": "mcspectra.densities.monotone:CosineWeighted",
+        "defensive": "mcspectra.densities.mixture:Defensive",
+        "exponential": "mcspectra.densities.monotone:Exponential",
+        "bilinear": "mcspectra.densities.bilinear:Bilinear",
+        "environment": "mcspectra.densities.environment:EnvironmentDensity",
         "image": "mcspectra.densities.tabulated:ImageDensity",
+        "disk": "mcspectra.densities.disk:DiskDensity",
+        "hemisphere": "mcspectra.densities.hemisphere:HemisphereDensity",
         "linear": "mcspectra.densities.analytic:Linear",
+        "mixture": "mcspectra.densities.mixture:Mixture",
         "piecewise-constant": "mcspectra.densities.tabulated:PiecewiseConstant",
+        "piecewise-linear": "mcspectra.densities.piecewise_linear:PiecewiseLinear",
+        "power": "mcspectra.densities.monotone:Power",
+        "product": "mcspectra.densities.product:Product",
+        "tent": "mcspectra.densities.monotone:Tent",
+        "sphere": "mcspectra.densities.hemisphere:SphereDensity",
         "truncated-normal": "mcspectra.densities.analytic:TruncatedNormal",
         "uniform": "mcspectra.densities.analytic:Uniform",
     },
@@ -74,3 +87,34 @@ def as_density(given: object, dims: int | None = None) -> Density | None:
     if dims is not None and given.dims != dims:
         raise ParameterError(f"{given.spec} has {given.dims} dims, but {dims} dims are needed.")
     return given
+
+
+def as_warp(given: object, primary_dims: int) -> Density | None:
+    """Return a density whose warp takes points of `primary_dims` dims, None from None.
+
+    The density itself has as many dims, or one less where an extra coordinate chooses a part.
+
+    Raises
+    ------
+    ParameterError
+        `given` is something else, or takes points of other dims.
+    """
+    found = _fitting(given, primary_dims) if isinstance(given, str) else as_density(given)
+    if found is not None and found.primary_dims != primary_dims:
+        raise ParameterError(
+            f"The warp of {found.spec} takes points of {found.primary_dims} dims, but the sampler's "
+            f"have {primary_dims}."
+        )
+    return found
+
+
+def _fitting(spec: str, primary_dims: int) -> Density:
+    """Make a density of as many dims as its points, or of one less if that is what fits."""
+    try:
+        made = density(spec, primary_dims)
+    except ParameterError:
+        if primary_dims == 1 or "selection" not in spec:
+            raise
+        made = density(spec, primary_dims - 1)
+    fits = made.primary_dims == primary_dims or primary_dims == 1
+    return made if fits else density(spec, primary_dims - 1)
