@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
+import msgspec
 import pytest
 import xarray as xr
 
@@ -59,6 +60,7 @@ def curve(rate: float | None, half: float = 0.03, **more: Any) -> SummaryRow:
     [
         (curve(-1.52), "−1.52 ± 0.03 is faster than"),
         (curve(-0.5), "−0.50 ± 0.03 is slower than"),
+        (curve(-1.52, fit_first_n=64), "−1.52 ± 0.03, fitted over n = 64 … 1024, is faster than"),
         (curve(-1.01), "cannot be told from"),
         (curve(-1.52, half=0.6), "cannot be told from"),
         (curve(None, variance=0.0), "is zero"),
@@ -161,3 +163,18 @@ def test_simulated_jitter_of_a_ramp(make: dict[str, Callable[..., Any]]) -> None
     text = explain(row, terms)
     assert "The cross term removes" in text
     assert "has not converged" in text
+
+
+@pytest.mark.parametrize(
+    ("predicted", "words"),
+    [
+        (0.5, "removes 50 % of what the diagonal of the cosine basis predicts."),
+        (1.5, "adds 50 % to what the diagonal of the cosine basis predicts."),
+        (1.01, "cannot be told from zero beside what the diagonal of the cosine basis predicts."),
+    ],
+)
+def test_other_bases_say_nothing_of_shifts(predicted: float, words: str) -> None:
+    row, terms = case(predicted=predicted, measured=predicted)
+    text = explain(msgspec.structs.replace(row, basis="cosine"), terms)
+    assert words in text
+    assert "shift" not in text

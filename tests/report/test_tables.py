@@ -1,5 +1,7 @@
 """Tables: cells, dashes with their reasons."""
 
+import msgspec
+
 from mcspectra.report import summary_table, terms_table
 from mcspectra.report.tables import Table
 from mcspectra.studies import SummaryRow
@@ -56,6 +58,17 @@ def test_terms() -> None:
         "1.20×10⁻⁶ … 1.30×10⁻⁶",
         "0.960",
     ]
+
+
+def test_terms__have_half_their_intervals() -> None:
+    row = msgspec.structs.replace(FULL, dc_se=0.0, power_se=1e-7, cross_se=5e-8)
+    assert texts(terms_table([row]))[2:5] == [
+        "0",
+        "2.00×10⁻⁶ ± 2.0×10⁻⁷",
+        "−8.00×10⁻⁷ ± 9.8×10⁻⁸",
+    ]
+    blank = SummaryRow(estimator="e", sampler="s", terms_n=4, dc=1e-20, power=1e-6, dc_se=1e-21)
+    assert texts(terms_table([blank]))[2] == "≈ 0"
 
 
 def test_terms__rounding_is_shown_as_such() -> None:

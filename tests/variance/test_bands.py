@@ -57,6 +57,17 @@ def test_anova_bands_are_the_axes_that_vary():
         assert name == ("".join(f"x{i}" for i in range(3) if m[i]) or "constant")
 
 
+@pytest.mark.parametrize("partition", PARTITIONS)
+@pytest.mark.parametrize("name", BASES)
+@pytest.mark.parametrize("half_width", [0, 1, 4])
+def test_every_label_is_of_a_band_that_is_summed(partition, name, half_width):
+    """Without negative indices, or on small grids, the last wedges hold nothing."""
+    if half_width == 0 and name in ("walsh", "haar"):
+        half_width = 2
+    found = make_bands(partition, make_basis(name, 2, half_width))
+    assert len(found.labels) == found.of.max() + 1
+
+
 @pytest.mark.parametrize("basis", BASES)
 def test_anova_variances_of_random_points_are_those_of_the_function(basis):
     """f = x + y + x y has parts of variance 9/48 (x), 9/48 (y), 1/144 (xy); random points see each."""

@@ -16,6 +16,7 @@ __all__ = [
     "rate",
     "shorten",
     "slug",
+    "with_error",
 ]
 
 MISSING = "–"
@@ -54,6 +55,14 @@ def number_beside(value: float | None, scale: float | None) -> str:
     if value and known and abs(value) <= NEGLIGIBLE * abs(scale or 0.0):
         return "≈ 0"
     return number(value)
+
+
+def with_error(text: str, half: float | None) -> str:
+    """Return ``0.0123 ± 0.0004``: a shown number and half the width of its interval, if any."""
+    known = half is not None and math.isfinite(half) and half > 0
+    if not known or text == MISSING or text.startswith("≈"):
+        return text
+    return f"{text} ± {number(half, 2)}"
 
 
 def power_of_ten(exponent: int) -> str:

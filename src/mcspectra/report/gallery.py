@@ -101,9 +101,8 @@ def _maps(data: Datasets, styles: Styles) -> Iterator[Picture]:
     yield Picture(
         kind="bands",
         caption=_join(
-            "Above, the covariance between bands of frequencies (shells of |m|, one frequency "
-            "wide); below, each band's share of the predicted variance by itself and through the "
-            "other bands.",
+            f"Above, the covariance between bands of frequencies ({_bands_of(data)}); below, each "
+            "band's share of the predicted variance by itself and through the other bands.",
             channel,
         ),
         alt="Matrix of covariances between frequency bands. " + _each(data, _band_words),
@@ -173,6 +172,13 @@ _DRAWERS: tuple[tuple[str, Callable[[Datasets, Styles], Iterator[Picture]]], ...
     ("spectrum", _spectrum),
     ("points", _points),
 )
+
+
+def _bands_of(data: Datasets) -> str:
+    """What the bands are, as ``radial: |m| rounded``."""
+    first = next(iter(data.values()))
+    meaning = str(first["band"].attrs.get("long_name", "")) if "band" in first.coords else ""
+    return meaning.removeprefix("band (").removesuffix(")") or "shells of |m|, one frequency wide"
 
 
 def _contribution_caption(data: Datasets) -> str:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, final
 from mcspectra.core.errors import StoreError
 from mcspectra.report.collect import ANALYSES, EstimatorGroup, Pair, collect
 from mcspectra.report.encode import encode
-from mcspectra.report.formatting import slug
+from mcspectra.report.formatting import percent, slug
 from mcspectra.report.gallery import pictures
 from mcspectra.report.sentences import explain
 from mcspectra.report.style import LineStyle, sampler_styles
@@ -156,8 +156,11 @@ def _sentences(pair: Pair) -> Iterator[tuple[str, str]]:
 def _settings(group: EstimatorGroup) -> Iterator[tuple[str, str]]:
     """How each analysis was done, once for every distinct setting."""
     for analysis in ANALYSES[:3]:
-        texts = [_setting(analysis, each) for each in group.having(analysis).values()]
-        yield from ((analysis, text) for text in dict.fromkeys(texts))
+        samplers: dict[str, list[str]] = {}
+        for sampler, each in group.having(analysis).items():
+            samplers.setdefault(_setting(analysis, each), []).append(sampler)
+        for text, names in samplers.items():
+            yield analysis, text if len(samplers) == 1 else f"{text} ({', '.join(names)})"
 
 
 def _setting(analysis: str, data: xr.Dataset) -> str:
@@ -167,11 +170,28 @@ def _setting(analysis: str, data: xr.Dataset) -> str:
     else:
         n = data["n"].values
         counts = f"n = {n[0]} … {n[-1]}" if len(n) > 1 else f"n = {n[0]}"
-    parts = [counts, f"{known.get('realizations', '?')} realisations"]
+    parts = [counts, f"{known.get('realizations', '?')} realisations{_stopping(known)}"]
+    if analysis == "convergence":
+        parts += _fit_setting(known)
     if analysis == "terms":
+        parts += [f"{known['basis']} basis"] if "basis" in known else []
         parts += [f"half width {data.sizes['half_width'] - 1}", f"{known.get('space', '?')} space"]
         parts += [f"coefficients: {known['coefficients']}"] if "coefficients" in known else []
     return ", ".join(parts)
+
+
+def _stopping(known: Mapping[Any, Any]) -> str:
+    if "relative_error" not in known:
+        return ""
+    error = percent(float(known["relative_error"]))
+    return f" at most, fewer where the variance has a standard error of {error}"
+
+
+def _fit_setting(known: Mapping[Any, Any]) -> Iterator[str]:
+    if known.get("fit_window") == "auto":
+        yield "rates fitted to as many of the last counts as lie on a line"
+    elif "fit_last" in known:
+        yield f"rates fitted to the last {known['fit_last']} counts"
 
 
 def _missing(group: EstimatorGroup) -> Iterator[str]:

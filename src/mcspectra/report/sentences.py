@@ -55,6 +55,8 @@ def _rate_sentence(row: SummaryRow) -> str:
     if row.rate_low is None or row.rate_high is None:
         return f"The variance falls like n to the {number(row.rate)}, interval unknown."
     fitted = rate(row.rate, row.rate_low, row.rate_high)
+    if row.fit_first_n is not None:
+        fitted += f", fitted over n = {row.fit_first_n} … {row.n},"
     # A page makes dozens of such statements: ask for 3 σ, half as much again as the 95 % interval.
     half = 0.5 * _RATE_MARGIN * (row.rate_high - row.rate_low)
     if row.rate + half < -1.0:
@@ -83,7 +85,9 @@ def _term_sentences(row: SummaryRow, terms: xr.Dataset) -> list[str]:
     uniform = row.dc <= NEGLIGIBLE * row.power or terms.attrs.get("space") == "primary"
     return [
         _dc_sentence(row.dc, row.power, uniform),
-        _cross_sentence(row, row.dc + row.power, (low, high), uniform),
+        _cross_sentence(row, row.dc + row.power, (low, high), uniform)
+        if row.basis in (None, "fourier")
+        else _other_cross_sentence(row, row.dc + row.power, (low, high)),
         _captured_sentence(row, (low, high), terms.sizes.get("half_width", 0) - 1),
     ]
 
@@ -101,15 +105,11 @@ def _dc_sentence(dc: float, power: float, uniform: bool) -> str:
 def _cross_sentence(
     row: SummaryRow, diagonal: float, interval: tuple[float, float], uniform: bool
 ) -> str:
-    """Say what the cross term gives or takes of dc + power.
-
-    The sum of the diagonal is uncertain as well; twice the relative interval of the prediction
-    covers both.
-    """
+    """Say what the cross term gives or takes of dc + power, and what of that a shift would change."""
     predicted = row.predicted or 0.0
     if diagonal <= 0 or predicted <= 0 or not all(map(math.isfinite, interval)):
         return ""
-    low, high = interval[0] ** 2 / predicted, interval[1] ** 2 / predicted
+    low, high = _diagonal_limits(predicted, interval)
     what = "the power term predicts" if uniform else "the dc and power terms predict together"
     change = predicted / diagonal - 1.0
     if high < diagonal:
@@ -123,6 +123,30 @@ def _cross_sentence(
         cure = "; for unbiased points a random shift would avoid that" if uniform else ""
         return f"The cross term adds {percent(change)} to what {what}{cure}."
     return f"The cross term cannot be told from zero beside what {what}."
+
+
+def _other_cross_sentence(row: SummaryRow, diagonal: float, interval: tuple[float, float]) -> str:
+    """Say the same in another basis, on which a shift acts in other ways."""
+    predicted = row.predicted or 0.0
+    if diagonal <= 0 or predicted <= 0 or not all(map(math.isfinite, interval)):
+        return ""
+    low, high = _diagonal_limits(predicted, interval)
+    what = f"what the diagonal of the {row.basis} basis predicts"
+    change = predicted / diagonal - 1.0
+    if high < diagonal:
+        return f"The cross term removes {percent(-change)} of {what}."
+    if low > diagonal:
+        return f"The cross term adds {percent(change)} to {what}."
+    return f"The cross term cannot be told from zero beside {what}."
+
+
+def _diagonal_limits(predicted: float, interval: tuple[float, float]) -> tuple[float, float]:
+    """Limits between which dc + power may equal the prediction.
+
+    The sum of the diagonal is uncertain as well; twice the relative interval of the prediction
+    covers both.
+    """
+    return interval[0] ** 2 / predicted, interval[1] ** 2 / predicted
 
 
 def _captured_sentence(row: SummaryRow, interval: tuple[float, float], half_width: int) -> str:

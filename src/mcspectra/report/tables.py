@@ -6,7 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
-from mcspectra.report.formatting import MISSING, interval, number, number_beside, rate
+from mcspectra.estimators.moments import CONFIDENCE_Z
+from mcspectra.report.formatting import (
+    MISSING,
+    interval,
+    number,
+    number_beside,
+    rate,
+    with_error,
+)
 from mcspectra.studies import SummaryRow
 
 __all__ = ["Cell", "Table", "summary_table", "terms_table"]
@@ -61,8 +69,8 @@ def summary_table(rows: Sequence[SummaryRow]) -> Table:
 def terms_table(rows: Sequence[SummaryRow]) -> Table:
     """Return one estimator's three terms against its measured variance."""
     return Table(
-        caption="dc + power + cross = predicted; beside it the measured variance and its 95 % "
-        "interval.",
+        caption="dc + power + cross = predicted, each term ± half its 95 % interval; beside it the "
+        "measured variance and its 95 % interval.",
         columns=(
             "Sampler",
             "n",
@@ -97,15 +105,16 @@ def _summary_cells(row: SummaryRow) -> tuple[Cell, ...]:
 def _term_cells(row: SummaryRow) -> tuple[Cell, ...]:
     why = _no_term(row)
 
-    def value(given: float | None) -> Cell:
-        return _cell(number_beside(given, row.power), why)
+    def value(given: float | None, se: float | None = None) -> Cell:
+        half = None if se is None else CONFIDENCE_Z * se
+        return _cell(with_error(number_beside(given, row.power), half), why)
 
     return (
         Cell(text=_sampler_of(row), numeric=False),
         _cell(str(row.terms_n), why),
-        value(row.dc),
-        value(row.power),
-        value(row.cross),
+        value(row.dc, row.dc_se),
+        value(row.power, row.power_se),
+        value(row.cross, row.cross_se),
         value(row.predicted),
         value(row.measured),
         _cell(interval(row.measured_low, row.measured_high), why),

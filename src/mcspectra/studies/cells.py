@@ -44,6 +44,7 @@ def _convergence(cell: Cell, settings: ConvergenceConfig, seed: int) -> xr.Datas
         settings.counts,
         realizations=settings.realizations,
         rng=seed,
+        relative_error=settings.relative_error,
         fit_last=settings.fit_last,
         workers=1,
     )
@@ -59,6 +60,8 @@ def _terms(cell: Cell, settings: TermsConfig, seed: int) -> xr.Dataset:
         realizations=settings.realizations,
         rng=seed,
         space=settings.space or ("domain" if domain else "primary"),
+        basis=settings.basis,
+        bands=settings.bands,
         cross_matrix=settings.cross_matrix,
         workers=1,
     )

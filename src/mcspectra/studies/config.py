@@ -36,20 +36,30 @@ class _Struct(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
 
 class ConvergenceConfig(_Struct, frozen=True, kw_only=True):
-    """Table ``convergence``: variance against n and its rate."""
+    """Table ``convergence``: variance against n and its rate.
+
+    `fit_last` counts are fitted, ``"auto"``: as many as lie on a line. With `relative_error` each
+    count stops once its variance is known to that fraction; `realizations` is then the most.
+    """
 
     counts: Annotated[tuple[Positive, ...], msgspec.Meta(min_length=1)]
     realizations: Realizations = 1000
-    fit_last: Annotated[int, msgspec.Meta(ge=2)] | None = None
+    fit_last: Annotated[int, msgspec.Meta(ge=2)] | Literal["auto"] | None = None
+    relative_error: Annotated[float, msgspec.Meta(gt=0, le=1)] | None = None
 
 
 class TermsConfig(_Struct, frozen=True, kw_only=True):
-    """Table ``terms``: the three terms at one n. Without `space`: domain where there is one."""
+    """Table ``terms``: the three terms at one n. Without `space`: domain where there is one.
+
+    `basis` and `bands` are as for `variance_terms`; the plan checks them.
+    """
 
     n: Positive
     half_width: Annotated[int, msgspec.Meta(ge=0)] = 64
     realizations: Realizations = 1000
     space: Literal["domain", "primary"] | None = None
+    basis: Text = "fourier"
+    bands: Text = "radial"
     cross_matrix: bool = False
 
 
@@ -136,20 +146,24 @@ def decode_study(text: str, source: str = "study") -> StudyConfig:
     return config
 
 
+_CHOICES = {"space": "'domain' or 'primary'", "fit_last": "a number of counts or 'auto'"}
+
+
 def _explained(message: str) -> str:
     """Turn msgspec's "Expected `int`, got `str` - at `$.terms.n`" into a sentence."""
     what, _, place = message.partition(" - at `$")
     path = place.rstrip("`").lstrip(".")
     where = f"{path}: " if path else ""
     marker = "unknown field `"
-    if "enum value" in what and path.endswith("space"):
-        what += "; give 'domain' or 'primary'"
+    field = path.rpartition(".")[2]
+    if "enum value" in what and field in _CHOICES:
+        what += f"; give {_CHOICES[field]}"
     if marker not in what:
         return f"{where}{what[:1].lower()}{what[1:].replace('`', '')}."
-    field = what.split(marker)[1].split("`")[0]
+    unknown = what.split(marker)[1].split("`")[0]
     allowed = _allowed_fields(path)
-    hint, close = close_match_hint(field, allowed)
-    known = f"{where}there is no key {field!r}; allowed here: {', '.join(allowed)}."
+    hint, close = close_match_hint(unknown, allowed)
+    known = f"{where}there is no key {unknown!r}; allowed here: {', '.join(allowed)}."
     return known + (hint if close else "")
 
 

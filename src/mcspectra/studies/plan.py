@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from mcspectra.core.checks import as_choice
 from mcspectra.core.errors import ConfigError, McspectraError
 from mcspectra.core.spec import Call, parse_chain
 from mcspectra.densities import DENSITIES
 from mcspectra.estimators import AbstractEstimator, Estimator, MultipleImportance, TechniqueSum
 from mcspectra.integrands import INTEGRANDS
 from mcspectra.samplers import Sampler, sampler_from_calls
+from mcspectra.spectra.bases import BASES, fitting_basis, make_basis
 from mcspectra.spectra.transforms import FrequencyGrid
 from mcspectra.studies.config import (
     ConvergenceConfig,
@@ -22,6 +24,9 @@ from mcspectra.studies.config import (
     StudyConfig,
     TermsConfig,
 )
+from mcspectra.variance.bands import make_bands
+from mcspectra.variance.fit import check_window
+from mcspectra.variance.stopping import check_relative_error
 from mcspectra.variance.views import check_terms
 
 __all__ = ["Analysis", "Cell", "Plan", "make_plan"]
@@ -138,7 +143,7 @@ def _cells(
     if convergence is not None:
         for n in convergence.counts:
             estimator.check_sampler(sampler, n)
-        _check_fit(entry.name, convergence)
+        _check_convergence(entry.name, convergence)
         add(
             "convergence",
             convergence,
@@ -147,9 +152,7 @@ def _cells(
     terms = entry.terms or config.terms
     if terms is not None:
         estimator.check_sampler(sampler, terms.n)
-        frequencies = check_terms(
-            estimator, terms.half_width, terms.space, cross_matrix=terms.cross_matrix
-        )
+        frequencies = _check_terms(estimator, sampler, terms)
         add("terms", terms, terms.realizations * (techniques * terms.n + frequencies))
     spectrum = entry.spectrum or config.spectrum
     if spectrum is not None:
@@ -167,14 +170,26 @@ def _check_new(sampler: Sampler, text: str, specs: dict[str, str]) -> None:
     specs[sampler.spec] = text
 
 
-def _check_fit(name: str, settings: ConvergenceConfig) -> None:
+def _check_terms(estimator: AbstractEstimator, sampler: Sampler, settings: TermsConfig) -> int:
+    """Refuse what `variance_terms` would; return the number of coefficients."""
+    basis = as_choice("basis", settings.basis, (*BASES, "auto"))
+    if basis == "auto":
+        basis = fitting_basis(sampler, settings.half_width)
+    matrix = settings.cross_matrix
+    size = check_terms(
+        estimator, settings.half_width, settings.space, cross_matrix=matrix, basis=basis
+    )
+    make_bands(settings.bands, make_basis(basis, estimator.dims, 1))  # whether there are such
+    return size
+
+
+def _check_convergence(name: str, settings: ConvergenceConfig) -> None:
     counts = settings.counts
     if any(b <= a for a, b in itertools.pairwise(counts)):
         raise ConfigError(f"Estimator {name!r}: counts {list(counts)} must be ascending.")
-    if settings.fit_last is not None and settings.fit_last > len(counts):
-        raise ConfigError(
-            f"Estimator {name!r}: fit_last is {settings.fit_last}, but there are {len(counts)} counts."
-        )
+    check_window(settings.fit_last, len(counts))
+    if settings.relative_error is not None:
+        check_relative_error(settings.relative_error)
 
 
 def _one(text: str, folder: Path) -> Call:

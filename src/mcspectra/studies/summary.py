@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -25,7 +26,9 @@ class SummaryRow(msgspec.Struct, frozen=True, kw_only=True):
     rate_low: float | None = None
     rate_high: float | None = None
     variance: float | None = None
+    fit_first_n: int | None = None
     terms_n: int | None = None
+    basis: str | None = None
     dc: float | None = None
     power: float | None = None
     cross: float | None = None
@@ -34,6 +37,9 @@ class SummaryRow(msgspec.Struct, frozen=True, kw_only=True):
     measured_low: float | None = None
     measured_high: float | None = None
     captured: float | None = None
+    dc_se: float | None = None
+    power_se: float | None = None
+    cross_se: float | None = None
     largest_term: str | None = None
     note: str | None = None
 
@@ -85,12 +91,14 @@ def _rows(pair: xr.DataTree) -> list[SummaryRow]:
 
 def _rate_values(curve: xr.Dataset) -> dict[str, Any]:
     low, high = curve["rate_ci"].values
+    first = _number(curve.get("fit_first_n", math.nan))
     return {
         "n": int(curve["n"].values[-1]),
         "variance": _number(curve["variance"].values[-1]),
         "rate": _number(curve["rate"]),
         "rate_low": _number(low),
         "rate_high": _number(high),
+        "fit_first_n": None if first is None else int(first),
     }
 
 
@@ -98,9 +106,12 @@ def _term_values(terms: xr.Dataset) -> dict[str, Any]:
     each = {name: _number(terms[f"{name}_term"]) for name in TERMS}
     known = {name: abs(value) for name, value in each.items() if value is not None}
     low, high = terms["measured_variance_ci"].values
+    errors = {f"{name}_se": _number(terms.get(f"{name}_term_se", math.nan)) for name in TERMS}
     return {
         **each,
+        **errors,
         "terms_n": int(terms.attrs["n"]),
+        "basis": terms.attrs.get("basis"),
         "predicted": _number(terms["predicted_variance"]),
         "measured": _number(terms["measured_variance"]),
         "measured_low": _number(low),

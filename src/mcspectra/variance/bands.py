@@ -60,9 +60,10 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
     """
     if not isinstance(bands, str):
         return _given(np.asarray(bands), basis)
-    return {"radial": _radial, "anova": _anova, "wedge": _wedge, "dyadic": _dyadic}[
-        as_choice("bands", bands, PARTITIONS)
-    ](basis)
+    make = {"radial": _radial, "anova": _anova, "wedge": _wedge, "dyadic": _dyadic}
+    found = make[as_choice("bands", bands, PARTITIONS)](basis)
+    # The last may be empty: small grids, and bases without negative indices, lack directions.
+    return Bands(found.of, found.labels[: int(found.of.max()) + 1], found.meaning)
 
 
 def _radial(basis: Basis) -> Bands:

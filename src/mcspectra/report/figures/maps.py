@@ -135,9 +135,11 @@ def band_covariances(data: Group, *, styles: Mapping[str, LineStyle] | None = No
     for (name, matrix), (image, bars) in zip(matrices.items(), blocks, strict=True):
         drawn = _image(image, matrix, norm, (-0.5, len(matrix) - 0.5))
         entitle(image, names[name])
-        image.set(xlabel="band b, |m|", ylabel="band a, |m|")
+        unit = _band_unit(group[name])
+        image.set(xlabel=f"band b{unit}", ylabel=f"band a{unit}")
         outer_labels(image)
         _band_bars(bars, shares, name, styles[name])
+        bars.set_xlabel(f"band a{unit}")
     _signed_bar(figure, drawn, norm, "Cov(I_a, I_b)")
     legend_below(figure, blocks[0][1])
     return figure
@@ -205,6 +207,12 @@ def _shares(matrix: Array) -> tuple[Array, Array]:
     return own, matrix.sum(axis=1) / total - own
 
 
+def _band_unit(data: xr.Dataset) -> str:
+    """What counts the bands: |m| where they are its shells, of other partitions nothing."""
+    meaning = data["band"].attrs.get("long_name", "radial") if "band" in data.coords else "radial"
+    return ", |m|" if "radial" in meaning else ""
+
+
 def _band_bars(
     axes: Axes, shares: Mapping[str, tuple[Array, Array]], name: str, style: LineStyle
 ) -> None:
@@ -214,7 +222,7 @@ def _band_bars(
     axes.vlines(band - 0.2, 0, own, GRAY, lw=_bar_width(band), label="within the band")
     axes.vlines(band + 0.2, 0, through, style.color, lw=_bar_width(band), label="with other bands")
     axes.axhline(0.0, color=GRAY, lw=0.6)
-    axes.set(xlabel="band a, |m|", ylabel=_with_scale("share of variance", scale))
+    axes.set_ylabel(_with_scale("share of variance", scale))
     axes.set_xlim(-0.7, len(own) - 0.3)
     if len(shares) > 1:
         outer_labels(axes)

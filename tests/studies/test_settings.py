@@ -1,0 +1,159 @@
+"""Settings of a study's analyses: basis, bands, fit window, wanted precision; how they reach cells."""
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import ConfigError
+from mcspectra.report import write_report
+from mcspectra.studies import make_plan, open_results, run_study, summarize
+from mcspectra.studies.config import decode_study
+
+STUDY = """
+title = "settings"
+seed = 5
+samplers = ["jittered", "jittered | shift"]
+[convergence]
+counts = [4, 16, 64, 256]
+realizations = 400
+fit_last = "auto"
+relative_error = 0.1
+[terms]
+n = 16
+half_width = 4
+realizations = 60
+basis = "auto"
+bands = "wedge"
+[[estimators]]
+name = "two"
+integrand = "gaussian"
+dims = 2
+[[estimators]]
+name = "one"
+integrand = "linear"
+dims = 1
+convergence = { counts = [4, 16, 64], realizations = 50, fit_last = 2 }
+terms = { n = 16, half_width = 4, realizations = 60, basis = "walsh", bands = "dyadic" }
+"""
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("study")
+    run_study(decode_study(STUDY), folder, workers=2)
+    return folder
+
+
+def _same(stored, direct):
+    for name in direct.data_vars:
+        assert np.array_equal(stored[name].values, direct[name].values, equal_nan=True), name
+
+
+def test_convergence_cells_have_window_and_precision(finished):
+    tree = open_results(finished)
+    direct = mcs.convergence(
+        mcs.Estimator("gaussian", dims=2), "jittered", [4, 16, 64, 256],
+        realizations=400, rng=5, fit_last="auto", relative_error=0.1,
+    )  # fmt: skip
+    stored = tree["two/jittered/convergence"].to_dataset()
+    _same(stored, direct)
+    assert stored.attrs["fit_window"] == "auto"
+    assert (stored["realizations_used"] < 400).any()
+    one = tree["one/jittered/convergence"].to_dataset()
+    assert (one.attrs["fit_last"], float(one["fit_first_n"])) == (2, 16)
+    assert set(one["realizations_used"].values) == {50}
+
+
+def test_terms_cells_have_basis_and_bands(finished):
+    tree = open_results(finished)
+    fourier = tree["two/jittered-shift/terms"].to_dataset()
+    assert fourier.attrs["basis"] == "fourier"
+    cosine = tree["two/jittered/terms"].to_dataset()
+    direct = mcs.variance_terms(
+        mcs.Estimator("gaussian", dims=2), "jittered", 16,
+        half_width=4, realizations=60, rng=5, basis="cosine", bands="wedge",
+    )  # fmt: skip
+    _same(cosine, direct)
+    assert cosine["band"].attrs["long_name"].startswith("band (wedge")
+    assert tree["one/jittered/terms"].attrs["basis"] == "walsh"
+
+
+def test_one_worker_gives_the_same_bits(finished, tmp_path):
+    run_study(decode_study(STUDY), tmp_path, workers=1)
+    one, two = open_results(finished), open_results(tmp_path)
+    for node in one.subtree:
+        for name, variable in node.to_dataset().data_vars.items():
+            again = two[node.path][name]
+            assert variable.values.tobytes() == again.values.tobytes(), (node.path, name)
+
+
+def test_resume_after_interrupt_with_a_wanted_precision(finished, tmp_path):
+    def stop(progress):
+        if progress.done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_study(decode_study(STUDY), tmp_path, report=stop)
+    run_study(decode_study(STUDY), tmp_path, resume=True)
+    for path in ("two/jittered/convergence", "two/jittered/terms"):
+        _same(open_results(tmp_path)[path].to_dataset(), open_results(finished)[path].to_dataset())
+
+
+def test_summary_has_window_basis_and_errors(finished):
+    tree = open_results(finished)
+    row = next(r for r in summarize(tree) if (r.estimator, r.sampler) == ("one", "jittered"))
+    terms = tree["one/jittered/terms"]
+    assert (row.fit_first_n, row.basis) == (16, "walsh")
+    assert row.power_se == float(terms["power_term_se"])
+    assert row.cross_se == float(terms["cross_term_se"])
+
+
+def test_the_report_shows_basis_window_precision_and_errors(finished):
+    text = write_report(finished).read_text(encoding="utf-8")
+    for words in (
+        "cosine basis, half width 4, domain space",
+        "quadrature (jittered)",
+        "fourier basis",
+        "walsh basis",
+        "400 realisations at most, fewer where the variance has a standard error of 10 %",
+        "as many of the last counts as lie on a line",
+        "rates fitted to the last 2 counts",
+        "fitted over n = 16 … 64,",
+        "wedge: direction of m",
+        "beside what the diagonal of the walsh basis predicts",
+        "fit_last = &#34;auto&#34;",
+    ):
+        assert words in text, words
+    terms = open_results(finished)["two/jittered-shift/terms"]
+    half = f"± {1.959963984540054 * float(terms['power_term_se']):.1e}"[:5]
+    assert half in text
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('basis = "auto"', 'basis = "fuorier"', "fuorier"),
+        ('basis = "auto"', "basis = 3", "terms.basis: expected str"),
+        ('basis = "auto"', 'basis = "haar"\nspace = "time"', "'domain' or 'primary'"),
+        (
+            "half_width = 4, realizations = 60, b",
+            "half_width = 5, realizations = 60, b",
+            "power of",
+        ),
+        ('bands = "wedge"', 'bands = "rings"', "radial, anova, wedge, dyadic"),
+        ('bands = "dyadic"', 'bands = "wedge"', "for 2 dims"),
+        ('fit_last = "auto"', 'fit_last = "all"', "a number of counts or 'auto'"),
+        ('fit_last = "auto"', "fit_last = 1", ">= 2"),
+        ('fit_last = "auto"', "fit_last = 5", "there are 4 counts"),
+        ("relative_error = 0.1", "relative_error = 0", "> 0"),
+        ("relative_error = 0.1", "relative_error = 1.5", "<= 1"),
+        ("relative_error = 0.1", "relative_error = nan", "relative_error"),
+        ("relative_error = 0.1", "relative_error = 1e-9", "give 1e-4 or more"),
+        ("relative_error = 0.1", 'relative_error = "5 %"', "float"),
+    ],
+)
+def test_settings_are_refused_before_anything_runs(tmp_path, old, new, words):
+    assert old in STUDY
+    with pytest.raises(ConfigError) as caught:
+        make_plan(decode_study(STUDY.replace(old, new, 1)), tmp_path)
+    assert words in str(caught.value)
