@@ -1,6 +1,10 @@
 from .base import AbstractEstimator as AbstractEstimator
 from .channels import ChannelSampling as ChannelSampling
 from .channels import channel_estimators as channel_estimators
+from .heuristics import HEURISTICS as HEURISTICS
+from .heuristics import Combination as Combination
+from .heuristics import Heuristic as Heuristic
+from .heuristics import as_heuristic as as_heuristic
 from .importance import Estimator as Estimator
 from .importance import as_estimator as as_estimator
 from .mirrored import MIRRORINGS as MIRRORINGS
@@ -10,14 +14,18 @@ from .mis import TechniqueSum as TechniqueSum
 from .moments import Moments as Moments
 
 __all__ = [
+    "HEURISTICS",
     "MIRRORINGS",
     "AbstractEstimator",
     "ChannelSampling",
+    "Combination",
     "Estimator",
+    "Heuristic",
     "Mirrored",
     "Moments",
     "MultipleImportance",
     "TechniqueSum",
     "as_estimator",
+    "as_heuristic",
     "channel_estimators",
 ]

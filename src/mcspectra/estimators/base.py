@@ -20,14 +20,13 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import CountError, DependentRealizationsWarning, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.estimators.moments import Moments
+from mcspectra.estimators.sets import draw_sets, set_sizes
 
 if TYPE_CHECKING:
     from mcspectra.integrands.base import Integrand
     from mcspectra.samplers.base import Sampler
 
 __all__ = ["AbstractEstimator", "DomainEstimator", "check_counts"]
-
-_TECHNIQUE = 1 << 20  # stream labels of the second and further techniques
 
 
 class AbstractEstimator(ABC):
@@ -37,14 +36,27 @@ class AbstractEstimator(ABC):
     ----------
     counts
         Points of each technique as multiples of n.
+    sets
+        How the point sets of the techniques belong together: `mcspectra.estimators.sets`.
     """
 
     counts: tuple[int, ...]
+    sets: str = "independent"
+
+    @property
+    def sets_label(self) -> str:
+        """What `spec` says of `sets`."""
+        return "" if self.sets == "independent" else f" ({self.sets} sets)"
 
     @property
     @abstractmethod
     def dims(self) -> int:
         """Number of dims of the sampler that it needs."""
+
+    @property
+    def domain_dims(self) -> int:
+        """Number of dims of the domain view; `dims`, those of primary space, where there is none."""
+        return self.dims if self.domain_integrand is None else self.domain_integrand.dims
 
     @property
     @abstractmethod
@@ -92,6 +104,10 @@ class AbstractEstimator(ABC):
         """Weights w_t(x)/p_t(x) of domain points of technique t."""
         raise NotImplementedError
 
+    def randomized(self, sampler: Sampler) -> Sampler:
+        """What `draw` draws its points from: `sampler`, or more made of it."""
+        return sampler
+
     def check_sampler(self, sampler: Sampler, n: int) -> None:
         """Raise unless `sampler` fits in dims and can draw every technique's count."""
         if sampler.dims != self.dims:
@@ -106,25 +122,24 @@ class AbstractEstimator(ABC):
                 DependentRealizationsWarning,
                 stacklevel=3,
             )
-        for technique, multiple in enumerate(self.counts):
+        for technique, size in enumerate(set_sizes(self.sets, self.counts, n)):
             try:
-                sampler.check_count(n * multiple)
+                sampler.check_count(size)
             except CountError as error:
-                if multiple == 1:
+                if size == n:
                     raise
-                where = f"Technique {technique} draws {multiple} · {n} points: "
+                joint = self.sets == "joint"
+                who = "The joint set has" if joint else f"Technique {technique} draws"
+                where = f"{who} {size // n} · {n} points: "
                 raise CountError(where + str(error), error.nearest) from None
 
     def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:
         """Draw realisations first … first+count−1 for each technique: arrays (count, n_t, d).
 
-        The first technique uses `stream` itself: it gets the points of ``sampler.draw(n, rng)``.
+        The first technique uses `stream` itself: it gets the points of ``sampler.draw(n, rng)``. How
+        the sets of the others belong to it: `mcspectra.estimators.sets`.
         """
-        streams = (stream.child(_TECHNIQUE + t) if t else stream for t in range(len(self.counts)))
-        return [
-            sampler.draw_stream(n * multiple, own, first, count)
-            for multiple, own in zip(self.counts, streams, strict=True)
-        ]
+        return draw_sets(self.sets, self.counts, sampler, n, stream, first, count)
 
     def estimate(self, points: list[Array]) -> Array:
         """Estimates from primary points of each technique: float64 (R,) or (R, channels)."""
@@ -163,7 +178,7 @@ class DomainEstimator(AbstractEstimator):
 
     @property
     def dims(self) -> int:
-        """Number of dims of f."""
+        """Number of dims of f: those of the sampler, unless a warp takes more."""
         return self.integrand.dims
 
     @property

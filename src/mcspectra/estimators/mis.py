@@ -10,17 +10,18 @@ from typing import Any, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice
+from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.densities import Density, as_density
 from mcspectra.estimators.base import AbstractEstimator, DomainEstimator, check_counts
+from mcspectra.estimators.heuristics import Heuristic, as_heuristic
 from mcspectra.estimators.importance import check_same_dims, check_support, scale
+from mcspectra.estimators.pilots import Residual
 from mcspectra.estimators.primary import PrimaryIntegrand
+from mcspectra.estimators.sets import check_sets
 from mcspectra.integrands import Integrand, as_integrand
 
-__all__ = ["MultipleImportance", "TechniqueSum"]
-
-_POWERS = {"balance": 1.0, "power": 2.0}
+__all__ = ["MultipleImportance", "TechniqueSum", "as_parts"]
 
 
 @final
@@ -34,9 +35,13 @@ class MultipleImportance(DomainEstimator):
     densities
         p_t with their warps, or spec strings.
     heuristic
-        ``"balance"``: w_t = n_t p_t / Σ_s n_s p_s; ``"power"``: the same with squares (β = 2).
+        ``"balance"``: w_t = n_t p_t / Σ_s n_s p_s; ``"power"``: the same with squares (β = 2);
+        or another of `mcspectra.estimators.heuristics`, as a spec string or an object.
     counts
         n_t as multiples of n; the same for all by default.
+    sets
+        How the points of the techniques belong together: ``"independent"``, ``"shared"`` or
+        ``"joint"``, see `mcspectra.estimators.sets`.
     dims
         Number of dims for spec strings that do not say.
 
@@ -53,24 +58,18 @@ class MultipleImportance(DomainEstimator):
         integrand: Integrand | str,
         densities: Sequence[Density | str],
         *,
-        heuristic: str = "balance",
+        heuristic: Heuristic | str = "balance",
         counts: Sequence[int] | None = None,
+        sets: str = "independent",
         dims: int | None = None,
     ) -> None:
-        if not isinstance(densities, list | tuple) or len(densities) == 0:
-            raise ParameterError(f"densities is {densities!r}; give a list of one or more.")
-        if dims is None:
-            parts = (integrand, *densities)
-            dims = next((c.dims for c in parts if isinstance(c, Integrand | Density)), None)
-        self.integrand = as_integrand(integrand, dims)
-        found = [as_density(density, self.integrand.dims) for density in densities]
-        self.densities = tuple(density for density in found if density is not None)
-        if len(self.densities) != len(found):
-            raise ParameterError("densities holds None; write 'uniform' for a uniform density.")
-        self.heuristic = as_choice("heuristic", heuristic, tuple(_POWERS))
-        self.counts = check_counts([1] * len(found) if counts is None else counts, len(found))
-        check_same_dims([self.integrand, *self.densities])
-        check_support(self.integrand, list(self.densities))
+        self.integrand, self.densities = as_parts(integrand, densities, dims)
+        chosen = as_heuristic(heuristic)
+        self.heuristic = chosen.spec
+        total = len(self.densities)
+        self.counts = check_counts([1] * total if counts is None else counts, total)
+        self.sets = check_sets(sets, self.counts)
+        self.combination = chosen.fit(self.integrand, self.densities, self.counts)
 
     def __repr__(self) -> str:
         return f"MultipleImportance({self.spec})"
@@ -80,33 +79,68 @@ class MultipleImportance(DomainEstimator):
         """``integrand / heuristic[densities]``."""
         parts = zip(self.counts, self.densities, strict=True)
         shown = ", ".join(f"{c}×{p.spec}" if c > 1 else p.spec for c, p in parts)
-        return f"{self.integrand.spec} / {self.heuristic}[{shown}]"
+        return f"{self.integrand.spec} / {self.heuristic}[{shown}]{self.sets_label}"
 
     @property
     def infinite_weights(self) -> bool:
-        """Whether every ∫1/p_t diverges; with one bounded weight all combined ones are bounded."""
-        return not any(np.isfinite(p.reciprocal_integral()) for p in self.densities)
+        """Whether every ∫1/p_t diverges; one suffices where weights are not `Heuristic.bounded`."""
+        finite = [np.isfinite(p.reciprocal_integral()) for p in self.densities]
+        return not (any(finite) if self.combination.heuristic.bounded else all(finite))
+
+    @property
+    def domain_integrand(self) -> Integrand:
+        """f; with optimal weights what is left of it, f − Σ α_t p_t, which has the same variance."""
+        controlled = self.combination.control is not None
+        return Residual(self.integrand, self.combination) if controlled else self.integrand
 
     def primary_integrand(self, technique: int) -> Integrand:
         """g_t(u) = w_t f/p_t at T_t(u)."""
-        return PrimaryIntegrand(self, technique, self.integrand, self.densities[technique])
+        density, breaks = self.densities[technique], self.combination.breaks
+        return PrimaryIntegrand(self, technique, self.integrand, density, breaks)
 
     def primary_values(self, technique: int, u: Array) -> Array:
-        """g_t(u)."""
+        """g_t(u), which with optimal weights is α_t + (f − Σ α_s p_s) w_t/p_t."""
         x = self.warp(technique, u)
-        return scale(self.integrand(x), self.weight(technique, x))
+        control = self.combination.control
+        if control is None:
+            return scale(self.integrand(x), self.weight(technique, x))
+        left = self.integrand(x) - self.combination.offset(x)
+        return np.asarray(control[technique] + scale(left, self.weight(technique, x)))
 
     def warp(self, technique: int, u: Array) -> Array:
         """T_t(u)."""
         return self.densities[technique].sample(u)
 
     def weight(self, technique: int, x: Array) -> Array:
-        """w_t/p_t = c_t (c_t p_t)^(β−1) / Σ_s (c_s p_s)^β, finite where any p_s is positive."""
-        power = _POWERS[self.heuristic]
-        scaled = [c * p.pdf(x) for c, p in zip(self.counts, self.densities, strict=True)]
-        total = sum((s**power for s in scaled), np.zeros(x.shape[:-1]))
-        own = self.counts[technique] * scaled[technique] ** (power - 1.0)
-        return np.asarray(np.divide(own, total, out=np.zeros_like(total), where=total > 0))
+        """w_t/p_t, finite where any p_s is positive; those of `domain_integrand` if optimal."""
+        return self.combination.over_density(technique, x)
+
+
+def as_parts(
+    integrand: Integrand | str, densities: Any, dims: int | None
+) -> tuple[Integrand, tuple[Density, ...]]:
+    """Return f and one or more p_t that cover it, of equal dims, from them or their spec strings.
+
+    Raises
+    ------
+    DensityError
+        All densities are zero at points where f is not.
+    ParameterError
+        No density, or different numbers of dims.
+    """
+    if not isinstance(densities, list | tuple) or len(densities) == 0:
+        raise ParameterError(f"densities is {densities!r}; give a list of one or more.")
+    if dims is None:
+        parts = (integrand, *densities)
+        dims = next((c.dims for c in parts if isinstance(c, Integrand | Density)), None)
+    f = as_integrand(integrand, dims)
+    found = [as_density(density, f.dims) for density in densities]
+    kept = tuple(density for density in found if density is not None)
+    if len(kept) != len(found):
+        raise ParameterError("densities holds None; write 'uniform' for a uniform density.")
+    check_same_dims([f, *kept])
+    check_support(f, list(kept))
+    return f, kept
 
 
 @final
@@ -122,6 +156,9 @@ class TechniqueSum(AbstractEstimator):
         g_t, or their spec strings.
     counts
         n_t as multiples of n; the same for all by default.
+    sets
+        How the points of the techniques belong together: ``"independent"``, ``"shared"`` or
+        ``"joint"``, see `mcspectra.estimators.sets`.
     dims
         Number of dims for spec strings that do not say.
     """
@@ -131,6 +168,7 @@ class TechniqueSum(AbstractEstimator):
         integrands: Sequence[Integrand | str],
         *,
         counts: Sequence[int] | None = None,
+        sets: str = "independent",
         dims: int | None = None,
     ) -> None:
         if not isinstance(integrands, list | tuple) or len(integrands) == 0:
@@ -146,6 +184,7 @@ class TechniqueSum(AbstractEstimator):
             )
         total = len(self.integrands)
         self.counts = check_counts([1] * total if counts is None else counts, total)
+        self.sets = check_sets(sets, self.counts)
 
     def __repr__(self) -> str:
         return f"TechniqueSum({self.spec})"
@@ -163,7 +202,7 @@ class TechniqueSum(AbstractEstimator):
     @property
     def spec(self) -> str:
         """``g_0 + g_1 + …``."""
-        return " + ".join(g.spec for g in self.integrands)
+        return " + ".join(g.spec for g in self.integrands) + self.sets_label
 
     @property
     def integral(self) -> Any:

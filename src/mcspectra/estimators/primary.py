@@ -25,11 +25,12 @@ class PrimaryIntegrand(Integrand):
     technique: int
     integrand: Integrand
     density: Density
+    weight_breaks: tuple[float, ...] = ()  # of w_t in the domain, in 1-D
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """Number of dims."""
-        return self.integrand.dims
+        """Number of dims of primary space."""
+        return self.density.primary_dims
 
     @property
     def channels(self) -> int:  # type: ignore[override]
@@ -43,12 +44,13 @@ class PrimaryIntegrand(Integrand):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Breaks of the warp and, in 1-D, those of f through the inverse warp."""
+        """Breaks of the warp and, in 1-D, those of f and w_t through the inverse warp."""
         own = self.density.breaks
-        if self.dims > 1 or not self.density.has_inverse or not self.integrand.breaks[0]:
+        inner = (*self.integrand.breaks[0], *self.weight_breaks)
+        if self.dims > 1 or not inner:
             return own
-        x = np.array(self.integrand.breaks[0])[:, None]
-        carried = self.density.invert(np.clip(x, 0.0, np.nextafter(1.0, 0.0)))[:, 0]
+        x = np.array(inner)[:, None]
+        carried = self.density.preimages(np.clip(x, 0.0, np.nextafter(1.0, 0.0)))[:, 0]
         return (tuple(sorted({*own[0], *carried.tolist()})),)
 
     def _evaluate(self, x: Array) -> Array:

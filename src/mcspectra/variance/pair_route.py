@@ -28,6 +28,7 @@ from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, as_estimator
+from mcspectra.estimators.sets import check_independent_techniques
 from mcspectra.integrands import Integrand
 from mcspectra.integrands.products import cell_integrals
 from mcspectra.samplers import Randomized, Sampler, as_sampler
@@ -93,6 +94,8 @@ def variance_from_pair_correlation(
     source = as_sampler(sampler, estimator.dims)
     n = source.check_count(n)
     estimator.check_sampler(source, n)
+    check_independent_techniques(estimator)
+    source = estimator.randomized(source)
     realizations = as_integer("realizations", realizations, least=1, most=MAX_REALIZATIONS)
     stream, threads = Stream.from_rng(rng), available_workers(workers)
     exact = source.name in ("random", "jittered")

@@ -1,0 +1,288 @@
+"""Heuristics of multiple importance sampling: how the techniques share an integrand.
+
+A heuristic gives weights w_t(x) that sum to 1 wherever any technique can sample; I is estimated by
+Σ_t (1/n_t) Σ_k w_t f/p_t [VeachGuibas1995]_. With q_t = n_t p_t, and the names of [Veach1997]_ §9.2:
+
+* ``balance``: w_t = q_t / Σ_s q_s. No other weights have a variance of random points that is lower
+  by more than (1/min n_t − 1/Σ n_t) I² (his Theorem 9.2); that bound holds for weights ≥ 0.
+* ``power(beta=2)``: w_t = q_t^β / Σ_s q_s^β. β = 0 shares equally, β → ∞ is `maximum`.
+* ``cutoff(alpha=0.1)``: balance among techniques with q_t ≥ α max_s q_s, 0 for the others.
+* ``maximum``: all to the largest q_t; ties are shared equally, so that it is ``cutoff(alpha=1)``.
+
+``optimal`` and ``variance-aware`` need to know f: `mcspectra.estimators.pilots`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_real
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.registry import Registry
+from mcspectra.core.spec import Component, parse
+from mcspectra.densities import Density
+
+if TYPE_CHECKING:
+    from mcspectra.integrands import Integrand
+
+__all__ = [
+    "HEURISTICS",
+    "Balance",
+    "Combination",
+    "Cutoff",
+    "Heuristic",
+    "Maximum",
+    "Power",
+    "as_heuristic",
+    "density_breaks",
+]
+
+_GRID = 2049
+_BISECTIONS = 45
+
+HEURISTICS = Registry(
+    "heuristic",
+    "mcspectra.heuristics",
+    {
+        "balance": "mcspectra.estimators.heuristics:Balance",
+        "cutoff": "mcspectra.estimators.heuristics:Cutoff",
+        "maximum": "mcspectra.estimators.heuristics:Maximum",
+        "optimal": "mcspectra.estimators.pilots:Optimal",
+        "power": "mcspectra.estimators.heuristics:Power",
+        "variance-aware": "mcspectra.estimators.pilots:VarianceAware",
+    },
+)
+"""Heuristics that spec strings can name."""
+
+
+class Heuristic(Component, ABC):
+    """How techniques are combined: `ratio` says it for given q_t, `fit` for given f and p_t."""
+
+    @property
+    def bounded(self) -> bool:
+        """Whether w_t/p_t is bounded as soon as one density is bounded from below."""
+        return True
+
+    @property
+    def smooth(self) -> bool:
+        """Whether weights are as smooth as the densities; otherwise they fall to 0 at a jump."""
+        return True
+
+    def fit(
+        self,
+        integrand: Integrand,
+        densities: Sequence[Density],
+        shares: Sequence[float],
+    ) -> Combination:
+        """Return the weights for an integrand, its densities and their counts or probabilities."""
+        del integrand
+        return Combination(self, tuple(densities), tuple(map(float, shares)))
+
+    @abstractmethod
+    def ratio(self, q: Array, technique: int) -> Array:
+        """w_t/q_t for q (T, ...) of all techniques: (...), 0 where all q are."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Combination:
+    """Weights of one estimator: a heuristic that knows its densities.
+
+    Attributes
+    ----------
+    heuristic
+        Gives w_t from q_t = shares[t] p_t.
+    densities
+        p_t.
+    shares
+        n_t up to a common factor, times the factors of `variance-aware`.
+    control
+        α_t (T,), or (T, channels), where Σ_t α_t p_t is taken off f and Σ_t α_t added to the
+        estimate (`optimal`); None where there is no such control variate.
+    """
+
+    heuristic: Heuristic
+    densities: tuple[Density, ...]
+    shares: tuple[float, ...]
+    control: Array | None = None
+
+    def over_density(self, technique: int, x: Array) -> Array:
+        """w_t/p_t at points x (..., d): (...)."""
+        q = np.stack([c * p.pdf(x) for c, p in zip(self.shares, self.densities, strict=True)])
+        return np.asarray(self.shares[technique] * self.heuristic.ratio(q, technique))
+
+    def weights(self, x: Array) -> Array:
+        """w_t at points x (..., d): (T, ...), which sum to 1 where any density is positive."""
+        techniques = range(len(self.densities))
+        return np.stack([self.over_density(t, x) * self.densities[t].pdf(x) for t in techniques])
+
+    @cached_property
+    def breaks(self) -> tuple[float, ...]:
+        """Where the weights may jump or kink, in the domain: known in 1-D, else none are given.
+
+        Crossings of densities are found on a grid of 2049 points: two within a cell are missed.
+        """
+        if self.densities[0].dims > 1:
+            return ()
+        found = density_breaks(self.densities)
+        return tuple(sorted(found if self.heuristic.smooth else found | self._crossings()))
+
+    def _crossings(self) -> set[float]:
+        """Where the set of techniques with a weight changes, by bisection: 1-D."""
+        low, high = np.linspace(0.0, 1.0, _GRID)[:-1, None], np.linspace(0.0, 1.0, _GRID)[1:, None]
+        changes = (self._active(low) != self._active(high)).any(axis=0)
+        low, high = low[changes], high[changes]
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (low + high)
+            left = (self._active(low) == self._active(middle)).all(axis=0)[:, None]
+            low, high = np.where(left, middle, low), np.where(left, high, middle)
+        return set(high[:, 0].tolist())
+
+    def _active(self, x: Array) -> Array:
+        return np.stack([self.over_density(t, x) > 0 for t in range(len(self.densities))])
+
+    def offset(self, x: Array) -> Array:
+        """Σ_t α_t p_t at points x (..., d): (...) or (..., channels)."""
+        assert self.control is not None  # asked for where there is one
+        pdfs = np.stack([p.pdf(x) for p in self.densities], axis=-1)
+        return np.asarray(pdfs @ self.control)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Power(Heuristic):
+    """q_t^β / Σ q_s^β.
+
+    Attributes
+    ----------
+    beta
+        β ≥ 0; 1 is `balance`.
+    """
+
+    name: ClassVar[str] = "power"
+    beta: float = 2.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "beta", as_real("beta", self.beta, least=0.0))
+
+    @property
+    def bounded(self) -> bool:
+        """Where p_t → 0, w_t/p_t goes like p_t^(β−1)."""
+        return self.beta >= 1.0
+
+    def ratio(self, q: Array, technique: int) -> Array:
+        """q_t^(β−1) / Σ q_s^β, from q/max q, which neither overflows nor vanishes."""
+        largest, scaled = _relative(q)
+        # 0⁰ is 1, but a technique that cannot sample x has no share there.
+        powers = np.where(scaled > 0, scaled**self.beta, 0.0)
+        own = scaled[technique]
+        if self.beta >= 1.0:
+            part = own ** (self.beta - 1.0)
+        else:
+            part = np.divide(powers[technique], own, out=np.zeros_like(own), where=own > 0)
+        return _divided(part, largest * powers.sum(axis=0))
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Balance(Heuristic):
+    """q_t / Σ q_s: the balance heuristic."""
+
+    name: ClassVar[str] = "balance"
+
+    def ratio(self, q: Array, technique: int) -> Array:
+        """1 / Σ q_s."""
+        del technique
+        return _divided(np.ones(q.shape[1:]), q.sum(axis=0))
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Cutoff(Heuristic):
+    """Balance among techniques with q_t ≥ α max q, 0 for the others.
+
+    Attributes
+    ----------
+    alpha
+        α from 0, which is `balance`, to 1, which is `maximum`.
+    """
+
+    name: ClassVar[str] = "cutoff"
+    alpha: float = 0.1
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "alpha", as_real("alpha", self.alpha, least=0.0, most=1.0))
+
+    @property
+    def smooth(self) -> bool:
+        """Only if it is `balance`."""
+        return self.alpha == 0.0
+
+    def ratio(self, q: Array, technique: int) -> Array:
+        """1 over the sum of the q_s that are kept, 0 where q_t is not."""
+        kept = q >= self.alpha * q.max(axis=0)
+        total = np.where(kept, q, 0.0).sum(axis=0)
+        return _divided(kept[technique].astype(np.float64), total)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Maximum(Heuristic):
+    """All weight to the largest q_t, shared equally where several are largest."""
+
+    name: ClassVar[str] = "maximum"
+
+    @property
+    def smooth(self) -> bool:
+        """It is not."""
+        return False
+
+    def ratio(self, q: Array, technique: int) -> Array:
+        """That of `cutoff` with α = 1."""
+        return Cutoff(alpha=1.0).ratio(q, technique)
+
+
+def density_breaks(densities: Sequence[Density]) -> set[float]:
+    """Where 1-D densities may jump or kink, in the domain: the breaks of their warps, warped."""
+    plain = [p for p in densities if len(p.breaks) == 1]
+    return {float(p.sample([b])[0]) for p in plain for b in p.breaks[0]}
+
+
+def as_heuristic(given: object) -> Heuristic:
+    """Return a heuristic from one or from a spec string such as ``"power(beta=3)"``.
+
+    Raises
+    ------
+    UnknownName, SpecError
+        The spec names no heuristic, or cannot be read.
+    ParameterError
+        A parameter is out of range, or `given` is something else.
+    """
+    if isinstance(given, Heuristic):
+        return given
+    if not isinstance(given, str):
+        raise ParameterError(
+            f"heuristic is {given!r:.80}; give a spec string such as 'balance', one of "
+            f"{', '.join(HEURISTICS)}."
+        )
+    made = HEURISTICS.build(parse(given))
+    if not isinstance(made, Heuristic):
+        raise ParameterError(f"{given!r:.80} is registered as a heuristic but does not make one.")
+    return made
+
+
+def _relative(q: Array) -> tuple[Array, Array]:
+    """The largest q and all q relative to it, (...) and (T, ...)."""
+    largest = q.max(axis=0)
+    return largest, np.divide(q, largest, out=np.zeros_like(q), where=largest > 0)
+
+
+def _divided(part: Array, total: Array) -> Array:
+    """part/total, 0 where total is."""
+    return np.asarray(np.divide(part, total, out=np.zeros_like(total), where=total > 0))

@@ -1,0 +1,270 @@
+"""Heuristics that know f, from a pilot: optimal weights and variance-aware ones.
+
+The pilot is a quadrature, or random points that the estimate does not use: either way the weights do
+not depend on the estimate's own samples, which keeps it unbiased. (The progressive estimator of
+[Kondapaneni2019]_, which solves for α from the samples that it weights, is consistent but biased,
+and is not offered.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_choice, as_integer
+from mcspectra.core.streams import Stream
+from mcspectra.densities import Density
+from mcspectra.estimators.heuristics import Balance, Combination, Heuristic, density_breaks
+from mcspectra.integrands import Integrand
+
+__all__ = ["Optimal", "Residual", "VarianceAware"]
+
+_SOURCES = ("samples", "quadrature")
+_MOST_SAMPLES = 2**22
+_SINGULAR = 1e-10  # relative; densities that differ by less share one α
+_MOST_FACTOR = 1e8  # v_t = 1 + μ²/σ² of a technique whose samples are all alike, instead of ∞
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Optimal(Heuristic):
+    """The weights of least variance of random points, which may be negative [Kondapaneni2019]_.
+
+    With q = Σ n_t p_t, they are w_t = α_t p_t/f + (n_t p_t/q)(1 − Σ_s α_s p_s/f),
+    where A α = b, A_st = ∫ p_s p_t/q, b_t = ∫ f p_t/q. Written out, w_t f/p_t is
+
+        α_t + n_t (f − Σ_s α_s p_s)/q:
+
+    the balance heuristic on f with Σ α_s p_s as a control variate. In this form f may be 0, and each
+    channel has its own α. Identical or nearly identical densities make A singular; the solution of
+    least norm is taken, which has the same Σ α_s p_s.
+
+    Attributes
+    ----------
+    pilot
+        Where A and b are from: ``"samples"``, random points of all techniques in proportion to
+        their counts, or ``"quadrature"`` (then α is exact as far as that is).
+    samples
+        Pilot points of all techniques together, at least 2; not counted in n.
+    seed
+        Seed of the pilot points.
+    """
+
+    name: ClassVar[str] = "optimal"
+    pilot: str = "samples"
+    samples: int = 4096
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        _check_pilot(self)
+
+    def ratio(self, q: Array, technique: int) -> Array:
+        """That of `balance`, for the residual."""
+        return Balance().ratio(q, technique)
+
+    def fit(
+        self, integrand: Integrand, densities: Sequence[Density], shares: Sequence[float]
+    ) -> Combination:
+        """Solve for α."""
+        parts = _Parts(integrand, tuple(densities), np.asarray(shares, np.float64))
+        found = parts.quadrature(parts.system) if self.pilot == "quadrature" else self._sums(parts)
+        techniques = len(parts.densities)
+        matrix, right = found[:, :techniques], found[:, techniques:]
+        alpha = np.linalg.lstsq(matrix, right, rcond=_SINGULAR)[0]
+        control = alpha if integrand.channels else alpha[:, 0]
+        return Combination(self, parts.densities, tuple(parts.shares.tolist()), control)
+
+    def _sums(self, parts: _Parts) -> Array:
+        """A and b side by side (T, T + C), from pilot points weighted by the balance heuristic."""
+        wanted = self.samples * parts.shares / parts.shares.sum()
+        counts = np.maximum(1, np.rint(wanted).astype(np.int64))
+        x = np.concatenate([parts.points(t, m, self.seed) for t, m in enumerate(counts.tolist())])
+        drawn = counts @ parts.pdfs(x)
+        weight = np.divide(1.0, drawn, out=np.zeros_like(drawn), where=drawn > 0)
+        return np.asarray(np.tensordot(weight, parts.system(x), axes=1))
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class VarianceAware(Heuristic):
+    """Balance with counts times v_t = second moment / variance of technique t [Grittmann2019]_.
+
+    w_t = v_t n_t p_t / Σ_s v_s n_s p_s with v_t = 1 + μ_t²/σ_t² of one random sample of f/p_t alone
+    (at most 10⁸): a technique of low variance gets more than its second moment, which the balance
+    heuristic looks at, says. Of several channels, the mean is looked at.
+
+    Attributes
+    ----------
+    pilot
+        Where the moments are from: ``"samples"``, random points, as many of each technique, or
+        ``"quadrature"``.
+    samples
+        Pilot points of all techniques together, at least 2; not counted in n.
+    seed
+        Seed of the pilot points.
+    """
+
+    name: ClassVar[str] = "variance-aware"
+    pilot: str = "samples"
+    samples: int = 4096
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        _check_pilot(self)
+
+    def ratio(self, q: Array, technique: int) -> Array:
+        """That of `balance`, for q that hold the factors."""
+        return Balance().ratio(q, technique)
+
+    def fit(
+        self, integrand: Integrand, densities: Sequence[Density], shares: Sequence[float]
+    ) -> Combination:
+        """Find the factors v_t."""
+        parts = _Parts(integrand, tuple(densities), np.asarray(shares, np.float64))
+        exact = self.pilot == "quadrature"
+        mean, square = parts.quadrature(parts.moments).T if exact else self._moments(parts)
+        variance = np.maximum(square - mean**2, mean**2 / _MOST_FACTOR)
+        factor = 1.0 + np.divide(mean**2, variance, out=np.zeros_like(mean), where=variance > 0)
+        return Combination(self, parts.densities, tuple((parts.shares * factor).tolist()))
+
+    def _moments(self, parts: _Parts) -> tuple[Array, Array]:
+        """Mean and mean square of f/p_t for random points of each technique: (T,) each."""
+        techniques = len(parts.densities)
+        each = max(2, self.samples // techniques)
+        found = np.empty((techniques, 2))
+        for t in range(techniques):
+            x = parts.points(t, each, self.seed)
+            pdf = parts.pdfs(x)[t]
+            weight = np.divide(1.0, pdf, out=np.zeros_like(pdf), where=pdf > 0)
+            found[t] = np.mean(weight[:, None] * parts.moments(x)[:, t], axis=0)
+        mean, square = found.T
+        return mean, square
+
+
+@final
+@dataclass(frozen=True)
+class Residual(Integrand):
+    """What the control variate leaves, f − Σ α_t p_t: the domain view of optimal weights."""
+
+    name: ClassVar[str] = "residual"
+    integrand: Integrand
+    combination: Combination
+
+    @property
+    def dims(self) -> int:  # type: ignore[override]
+        """Number of dims of f."""
+        return self.integrand.dims
+
+    @property
+    def channels(self) -> int:  # type: ignore[override]
+        """Channels of f."""
+        return self.integrand.channels
+
+    @property
+    def spec(self) -> str:
+        """Text for messages."""
+        return f"{self.integrand.spec} less its control variate"
+
+    @property
+    def breaks(self) -> tuple[tuple[float, ...], ...]:
+        """Those of f and, in 1-D, of the densities."""
+        return _breaks(self.integrand, self.combination.densities)
+
+    def _evaluate(self, x: Array) -> Array:
+        return np.asarray(self.integrand(x) - self.combination.offset(x))
+
+    def _integral(self) -> Any:
+        control = self.combination.control
+        exact = self.integrand.integral_source == "exact" and control is not None
+        return self.integrand.integral - control.sum(axis=0) if exact else None  # type: ignore[union-attr]
+
+
+@final
+@dataclass(frozen=True)
+class _Parts:
+    """An integrand with its densities, and the functions whose integrals pilots want."""
+
+    integrand: Integrand
+    densities: tuple[Density, ...]
+    shares: Array
+
+    def pdfs(self, x: Array) -> Array:
+        """p_t at points (k, d): (T, k)."""
+        return np.stack([p.pdf(x) for p in self.densities])
+
+    def values(self, x: Array) -> Array:
+        """F at points (k, d): (k, channels), with one channel for scalars."""
+        return self.integrand(x).reshape(len(x), -1)
+
+    def points(self, technique: int, count: int, seed: int) -> Array:
+        """Random points of a technique, (count, d)."""
+        density, stream = self.densities[technique], Stream.from_rng(seed).child(technique)
+        u = stream.uniforms(0, 1, count * density.primary_dims)
+        return density.sample(u.reshape(count, -1))
+
+    def system(self, x: Array) -> Array:
+        """p_s p_t/q and f p_s/q side by side: (k, T, T + C)."""
+        p = self.pdfs(x)
+        q = self.shares @ p
+        over = np.divide(p, q, out=np.zeros_like(p), where=q > 0)
+        right = np.concatenate([p.T, self.values(x)], axis=1)
+        return np.asarray(over.T[:, :, None] * right[:, None, :])
+
+    def moments(self, x: Array) -> Array:
+        """F and f²/p_t where p_t > 0, f the mean of the channels: (k, T, 2)."""
+        p = self.pdfs(x).T
+        f = np.broadcast_to(self.values(x).mean(axis=1)[:, None], p.shape)
+        square = np.divide(f * f, p, out=np.zeros_like(p), where=p > 0)
+        return np.stack([np.where(p > 0, f, 0.0), square], axis=-1)
+
+    def quadrature(self, function: Callable[[Array], Array]) -> Array:
+        """Integrals of `system` or `moments` over the cube."""
+        shape = function(np.full((1, self.integrand.dims), 0.5)).shape[1:]
+        found = _Packed(self.integrand, self.densities, function, int(np.prod(shape))).integral
+        return np.asarray(found).reshape(shape)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class _Packed(Integrand):
+    """Several functions as the channels of one integrand, for the quadrature of integrands."""
+
+    name: ClassVar[str] = "pilot"
+    integrand: Integrand
+    densities: tuple[Density, ...]
+    function: Callable[[Array], Array]
+    channels: int
+
+    @property
+    def dims(self) -> int:  # type: ignore[override]
+        return self.integrand.dims
+
+    @property
+    def spec(self) -> str:
+        return f"pilot of {self.integrand.spec}"
+
+    @property
+    def breaks(self) -> tuple[tuple[float, ...], ...]:
+        return _breaks(self.integrand, self.densities)
+
+    def _evaluate(self, x: Array) -> Array:
+        flat = x.reshape(-1, self.dims)
+        return self.function(flat).reshape(*x.shape[:-1], self.channels)
+
+
+def _breaks(integrand: Integrand, densities: Sequence[Density]) -> tuple[tuple[float, ...], ...]:
+    """Breaks of f and, in 1-D, those of the warps carried to the domain."""
+    if integrand.dims > 1:
+        return integrand.breaks
+    return (tuple(sorted({*integrand.breaks[0], *density_breaks(densities)})),)
+
+
+def _check_pilot(heuristic: Any) -> None:
+    """Check the fields that say where a pilot is from."""
+    as_choice("pilot", heuristic.pilot, _SOURCES)
+    samples = as_integer("samples", heuristic.samples, least=2, most=_MOST_SAMPLES)
+    object.__setattr__(heuristic, "samples", samples)
+    object.__setattr__(heuristic, "seed", as_integer("seed", heuristic.seed, least=0))

@@ -1,0 +1,99 @@
+"""How the point sets of several techniques belong together.
+
+* ``"independent"``: each technique draws a set of its own, from a stream of its own. Covariances
+  between techniques are 0.
+* ``"shared"``: all techniques get the same primary points; their counts must be equal. Techniques
+  whose integrands vary against each other then cancel, others add up.
+* ``"joint"``: one set of n · Σ counts points is split. Of a *sequence* (`Sampler.sequence`) technique
+  t gets a run of n · counts[t] consecutive points, the first technique the first ones. Other sets
+  are dealt: of every Σ counts consecutive points, counts[t] chosen at random go to technique t.
+  Neighbours in order are neighbours in space for strata, so that each technique gets a share of
+  every neighbourhood; the random choice makes each technique's points uniform, hence unbiased.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_choice
+from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.streams import Stream
+
+if TYPE_CHECKING:
+    from mcspectra.estimators.base import AbstractEstimator
+    from mcspectra.samplers.base import Sampler
+
+__all__ = ["SETS", "check_independent_techniques", "check_sets", "draw_sets", "set_sizes"]
+
+SETS = ("independent", "shared", "joint")
+
+_TECHNIQUE = 1 << 20  # stream labels of the second and further techniques
+_DEAL = (1 << 20) - 1  # and of the choice of who gets which point of a joint set
+
+
+def check_sets(sets: object, counts: tuple[int, ...]) -> str:
+    """Return `sets` if it is one of `SETS` and possible with these counts."""
+    chosen = as_choice("sets", sets, SETS)
+    if chosen == "shared" and len(set(counts)) > 1:
+        raise ParameterError(
+            f"sets is 'shared' and counts is {list(counts)}; techniques that share their points "
+            "need equal counts."
+        )
+    return chosen
+
+
+def check_independent_techniques(estimator: AbstractEstimator) -> None:
+    """Raise NoClosedForm where the variance is not the sum of those of the techniques."""
+    if estimator.sets != "independent" and len(estimator.counts) > 1:
+        raise NoClosedForm(
+            f"The techniques of {estimator.spec} are correlated, and only the variances of "
+            "independent ones are known; use convergence or technique_terms."
+        )
+
+
+def set_sizes(sets: str, counts: tuple[int, ...], n: int) -> list[int]:
+    """Sizes of the sets that are drawn of the sampler."""
+    if sets == "joint":
+        return [n * sum(counts)]
+    return [n * counts[0]] if sets == "shared" else [n * count for count in counts]
+
+
+def draw_sets(
+    sets: str,
+    counts: tuple[int, ...],
+    sampler: Sampler,
+    n: int,
+    stream: Stream,
+    first: int,
+    count: int,
+) -> list[Array]:
+    """Points of each technique, (count, n · counts[t], d), for realisations first … first+count−1.
+
+    What is drawn first uses `stream` itself: it gets the points of ``sampler.draw(size, rng)``.
+    """
+    sizes = set_sizes(sets, counts, n)
+    streams = [stream, *(stream.child(_TECHNIQUE + t) for t in range(1, len(sizes)))]
+    drawn = [
+        sampler.draw_stream(size, own, first, count)
+        for size, own in zip(sizes, streams, strict=True)
+    ]
+    if sets == "shared":
+        return drawn * len(counts)
+    if sets == "independent":
+        return drawn
+    if sampler.sequence:
+        return np.split(drawn[0], np.cumsum([n * c for c in counts])[:-1], axis=1)
+    return _dealt(drawn[0], counts, stream.child(_DEAL), first)
+
+
+def _dealt(points: Array, counts: tuple[int, ...], stream: Stream, first: int) -> list[Array]:
+    """Deal groups of Σ counts consecutive points (R, n Σ counts, d) to the techniques."""
+    realizations, total, dims = points.shape
+    group = sum(counts)
+    keys = stream.uniforms(first, realizations, total).reshape(realizations, -1, group)
+    order = np.argsort(keys, axis=2)[..., None]
+    mixed = np.take_along_axis(points.reshape(realizations, -1, group, dims), order, axis=2)
+    ends = np.cumsum(counts)[:-1]
+    return [part.reshape(realizations, -1, dims) for part in np.split(mixed, ends, axis=2)]

@@ -1,0 +1,405 @@
+"""Heuristics: weights as defined, variances by quadrature of polynomials, optimal ones, bad input."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import ParameterError, UnknownName
+from mcspectra.core.streams import Stream
+from mcspectra.estimators.heuristics import HEURISTICS, Power, as_heuristic
+
+SQUARE = mcs.integrand("polynomial(coefficients=[0, 0, 1])", dims=1)
+CUBIC = mcs.integrand("polynomial(coefficients=[1, -3, 0, 3])", dims=1)  # changes sign
+PAIR = ["uniform", "linear(slope=1.5)"]
+TRIPLE = ["linear(slope=-1.5)", "uniform", "linear(slope=1.9)"]
+ALL = [
+    "balance",
+    "power",
+    "power(beta=0)",
+    "power(beta=0.5)",
+    "power(beta=7)",
+    "cutoff",
+    "cutoff(alpha=0.7)",
+    "maximum",
+    "optimal",
+    "optimal(pilot='quadrature')",
+    "variance-aware",
+    "variance-aware(pilot='quadrature')",
+]
+
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(40)
+
+
+def _integrate(function, cuts=()):
+    """∫ over [0,1] by 40 nodes in each of 8 panels, cut where `cuts` says."""
+    ends = np.unique([*np.linspace(0, 1, 9), *cuts])
+    low, width = ends[:-1, None], np.diff(ends)[:, None]
+    x = (low + width * (NODES + 1) / 2).ravel()
+    return (function(x) * (width * WEIGHTS / 2).ravel()).sum(axis=-1)
+
+
+def _definition(name, q):
+    """w_t of q = n_t p_t (T, k), written from the definitions with loops."""
+    w = np.zeros_like(q)
+    for k in range(q.shape[1]):
+        column, top = q[:, k], q[:, k].max()
+        if name.startswith("power"):
+            beta = as_heuristic(name).beta
+            parts = [c**beta if c > 0 else 0.0 for c in column]
+        elif name.startswith("cutoff"):
+            alpha = as_heuristic(name).alpha
+            parts = [c if c >= alpha * top else 0.0 for c in column]
+        elif name == "maximum":
+            parts = [1.0 if c == top else 0.0 for c in column]
+        else:
+            parts = list(column)
+        w[:, k] = np.array(parts) / sum(parts)
+    return w
+
+
+def _factors(f, pdfs):
+    """v_t = second moment / variance of f/p_t."""
+    found = []
+    for p in pdfs:
+        square, mean = _integrate(lambda x, p=p: f(x) ** 2 / p(x)), _integrate(f)
+        found.append(square / (square - mean**2))
+    return np.array(found)
+
+
+def _system(f, pdfs, counts):
+    """A, b of the optimal weights and Σ n_t p_t."""
+
+    def q(x):
+        return sum(c * p(x) for c, p in zip(counts, pdfs, strict=True))
+
+    a = [[_integrate(lambda x, s=s, t=t: s(x) * t(x) / q(x)) for t in pdfs] for s in pdfs]
+    b = [_integrate(lambda x, s=s: f(x) * s(x) / q(x)) for s in pdfs]
+    return np.array(a), np.array(b), q
+
+
+def _reference(f, pdfs, counts, name, n, cuts):
+    """Σ_t (1/n_t) (∫ (w_t f)²/p_t − (∫ w_t f)²) of random points."""
+    if name.startswith("optimal"):
+        a, b, q = _system(f, pdfs, counts)
+        return (_integrate(lambda x: f(x) ** 2 / q(x)) - np.linalg.solve(a, b) @ b) / n
+    scale = np.array(counts, float)
+    if name.startswith("variance-aware"):
+        scale = scale * _factors(f, pdfs)
+    total = 0.0
+    for t, p in enumerate(pdfs):
+
+        def share(x, t=t):
+            return _definition(
+                name, np.stack([c * s(x) for c, s in zip(scale, pdfs, strict=True)])
+            )[t]
+
+        square = _integrate(lambda x, p=p, w=share: (w(x) * f(x)) ** 2 / p(x), cuts)
+        mean = _integrate(lambda x, w=share: w(x) * f(x), cuts)
+        total += (square - mean**2) / (n * counts[t])
+    return total
+
+
+def _crossings(slopes, counts, alpha):
+    """Where c_s p_s = α c_t p_t for linear densities: exact borders of cutoff and maximum."""
+    found = []
+    for s, c in zip(slopes, counts, strict=True):
+        for t, d in zip(slopes, counts, strict=True):
+            slope, level = c * s - alpha * d * t, c * (1 - s / 2) - alpha * d * (1 - t / 2)
+            if slope and 0 < -level / slope < 1:
+                found.append(-level / slope)
+    return found
+
+
+CASES = [
+    (f, slopes, counts)
+    for f in (SQUARE, CUBIC)
+    for slopes, counts in (((0, 1.5), (1, 1)), ((-1.5, 0, 1.9), (2, 1, 3)))
+    if f is CUBIC or counts == (1, 1)
+]
+
+
+def _estimator(f, slopes, counts, name, **options):
+    densities = [f"linear(slope={s})" if s else "uniform" for s in slopes]
+    return mcs.MultipleImportance(f, densities, heuristic=name, counts=counts, **options)
+
+
+def _parts(f, slopes):
+    pdfs = [lambda x, s=s: 1 + s * (x - 0.5) for s in slopes]
+    return (lambda x: f(x[:, None])), pdfs
+
+
+@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize(("f", "slopes", "counts"), CASES)
+def test_exact_variance_is_the_quadrature_of_the_definition(f, slopes, counts, name):
+    e, n = _estimator(f, slopes, counts, name), 5
+    alpha = getattr(as_heuristic(name), "alpha", 1.0)
+    cuts = _crossings(slopes, counts, alpha)
+    function, pdfs = _parts(f, slopes)
+    expected = _reference(function, pdfs, counts, name, n, cuts)
+    # 1e-6 is what exact_variance promises; α and v of 4096 pilot points make another estimator
+    if name in ("optimal", "variance-aware"):
+        assert expected * (1 - 2e-6) < mcs.exact_variance(e, "random", n) or name != "optimal"
+        assert mcs.exact_variance(e, "random", n) == pytest.approx(expected, rel=0.05)
+    else:
+        assert mcs.exact_variance(e, "random", n) == pytest.approx(expected, rel=2e-6)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_simulation_has_the_exact_mean_and_variance(name):
+    e, n, realizations = _estimator(CUBIC, (-1.5, 0, 1.9), (2, 1, 3), name), 4, 6000
+    d = mcs.convergence(e, "random", [n], realizations=realizations, rng=3)
+    exact = mcs.exact_variance(e, "random", n)
+    assert abs(float(d["bias"][0])) < 4.5 * np.sqrt(exact / realizations)
+    # standard error of the variance from its interval: 24 tests at 4.5 σ
+    low, high = d["variance_ci"].values[0]
+    assert abs(float(d["variance"][0]) - exact) < 4.5 * (high - low) / 3.92
+
+
+@pytest.mark.parametrize("name", [name for name in ALL if "optimal" not in name])
+def test_weights_sum_to_one(name):
+    densities = [
+        "piecewise-constant(values=[0, 1, 3])",
+        "piecewise-constant(values=[2, 0, 1])",
+        "uniform",
+    ]
+    e = mcs.MultipleImportance("linear", densities, heuristic=name, counts=(1, 2, 1), dims=1)
+    x = np.random.default_rng(1).random((500, 1))
+    weights = e.combination.weights(x)
+    np.testing.assert_allclose(weights.sum(axis=0), 1, rtol=1e-14)
+    assert (weights >= 0).all()
+    # what cannot sample x has no part in it, also for β = 0
+    pdf = np.stack([p.pdf(x) for p in e.densities])
+    assert not weights[pdf == 0].any()
+
+
+@pytest.mark.parametrize("name", ["balance", "power(beta=0)", "power(beta=200)", "maximum"])
+def test_weights_of_extreme_densities_stay_finite(name):
+    densities = ["truncated-normal(mean=0.9, sigma=0.03)", "uniform"]
+    e = mcs.MultipleImportance("constant", densities, heuristic=name, dims=1)
+    x = np.linspace(0, 1, 101)[:, None]
+    np.testing.assert_allclose(e.combination.weights(x).sum(axis=0), 1, rtol=1e-12)
+
+
+def test_family_relations():
+    """cutoff(0) = power(1) = balance; cutoff(1) = maximum; β → ∞ too; equal ones share equally."""
+    q = np.random.default_rng(2).random((3, 200))
+    make = {name: as_heuristic(name) for name in ("balance", "maximum")}
+    for t in range(3):
+        balance = make["balance"].ratio(q, t)
+        np.testing.assert_allclose(as_heuristic("power(beta=1)").ratio(q, t), balance, rtol=1e-14)
+        np.testing.assert_allclose(as_heuristic("cutoff(alpha=0)").ratio(q, t), balance, rtol=1e-14)
+        top = make["maximum"].ratio(q, t)
+        np.testing.assert_allclose(as_heuristic("cutoff(alpha=1)").ratio(q, t), top)
+        apart = np.sort(q, axis=0)[-1] > 1.01 * np.sort(q, axis=0)[-2]
+        steep = as_heuristic("power(beta=9000)").ratio(q, t)
+        np.testing.assert_allclose(steep[apart], top[apart], atol=1e-12)
+    np.testing.assert_allclose(make["maximum"].ratio(np.ones((4, 2)), 1) * 1, 0.25)
+
+
+@pytest.mark.parametrize(("f", "slopes", "counts"), CASES)
+def test_optimal_is_never_above_the_others_nor_balance_above_veachs_bound(f, slopes, counts):
+    exact = {
+        name: mcs.exact_variance(_estimator(f, slopes, counts, name), "random", 1)
+        for name in ALL
+        if name not in ("optimal", "variance-aware")
+    }
+    best = exact["optimal(pilot='quadrature')"]
+    assert all(best <= value * (1 + 1e-6) for value in exact.values())
+    # Veach 1997, Theorem 9.2, for weights that are not negative
+    slack = (1 / min(counts) - 1 / sum(counts)) * f.integral**2
+    for name, value in exact.items():
+        if "optimal" not in name:
+            assert exact["balance"] <= value + slack + 1e-12, name
+
+
+def test_optimal_of_what_the_densities_span_has_no_variance():
+    """f = 2 p_0 − p_1 is its own control variate: α = (2, −1)."""
+    f = mcs.integrand("linear(gradient=[-1.5], offset=1.75)", dims=1)  # 2 − (1 + 1.5 (x − ½))
+    e = mcs.MultipleImportance(f, PAIR, heuristic="optimal", dims=1)
+    np.testing.assert_allclose(e.combination.control, [2, -1], atol=1e-9)
+    d = mcs.convergence(e, "random", [4], realizations=50)
+    assert float(d["variance"][0]) < 1e-25
+    assert float(d["mean"][0]) == pytest.approx(1)
+
+
+def test_optimal_alpha_is_the_solution_of_the_normal_equations():
+    """The direct estimator's α minimises ∫ (f − Σ α p)²/q: a least-squares fit by another route."""
+    e = _estimator(SQUARE, (0, 1.5), (1, 2), "optimal(pilot='quadrature')")
+    x = (np.arange(20_000) + 0.5) / 20_000
+    p = np.stack([np.ones_like(x), 1 + 1.5 * (x - 0.5)], axis=1)
+    root = np.sqrt(p @ [1, 2])[:, None]
+    alpha, *_ = np.linalg.lstsq(p / root, x**2 / root[:, 0], rcond=None)
+    np.testing.assert_allclose(e.combination.control, alpha, rtol=1e-6)
+
+
+def test_pilots_are_deterministic_and_close_to_quadrature():
+    def control(text):
+        return _estimator(CUBIC, (0, 1.5), (1, 1), text).combination.control
+
+    assert np.array_equal(control("optimal"), control("optimal(seed=0)"))
+    assert not np.array_equal(control("optimal"), control("optimal(seed=1)"))
+    exact = control("optimal(pilot='quadrature')")
+    runs = np.array([control(f"optimal(samples=2000, seed={s})") for s in range(40)])
+    # α is a ratio of means: consistent, its mean off by O(1/2000) of its spread's scale
+    z = (runs.mean(axis=0) - exact) / (runs.std(axis=0, ddof=1) / np.sqrt(40))
+    assert np.abs(z).max() < 4
+
+
+def test_optimal_from_a_poor_pilot_is_unbiased():
+    """α from 3 points is far off, but fixed before the estimate draws: no bias."""
+    for seed in range(3):
+        e = _estimator(SQUARE, (0, 1.5), (1, 1), f"optimal(samples=3, seed={seed})")
+        means = [e.primary_integrand(t).integral for t in (0, 1)]
+        assert sum(means) == pytest.approx(1 / 3, rel=1e-9)
+
+
+def test_optimal_with_identical_densities_and_with_nothing_to_fit():
+    same = mcs.MultipleImportance(SQUARE, ["linear(slope=1)"] * 2, heuristic="optimal", dims=1)
+    a, b = same.combination.control
+    assert a == pytest.approx(b)
+    one = mcs.MultipleImportance(
+        SQUARE, ["linear(slope=1)"], heuristic="optimal", counts=(2,), dims=1
+    )
+    assert mcs.exact_variance(same, "random", 3) == pytest.approx(
+        mcs.exact_variance(one, "random", 3), rel=1e-6
+    )
+    nothing = mcs.MultipleImportance("constant(value=0)", PAIR, heuristic="optimal", dims=1)
+    assert not np.asarray(nothing.combination.control).any()
+    aware = mcs.MultipleImportance("constant(value=0)", PAIR, heuristic="variance-aware", dims=1)
+    assert aware.combination.shares == (1.0, 1.0)
+
+
+def test_variance_aware_gives_a_perfect_technique_nearly_all():
+    f = mcs.integrand("linear(gradient=[1.5], offset=0.25)", dims=1)
+    e = mcs.MultipleImportance(f, PAIR, heuristic="variance-aware", dims=1)
+    assert e.combination.weights(np.array([[0.3]]))[1, 0] > 1 - 1e-6
+
+
+def test_each_channel_has_its_own_alpha():
+    f = mcs.Integrand.from_function(lambda x: np.concatenate([x, x**3], axis=-1), dims=1)
+    e = mcs.MultipleImportance(f, TRIPLE, heuristic="optimal(pilot='quadrature')")
+    parts = ["linear", "polynomial(coefficients=[0, 0, 0, 1])"]
+    for channel, text in enumerate(parts):
+        own = mcs.MultipleImportance(text, TRIPLE, heuristic="optimal(pilot='quadrature')", dims=1)
+        np.testing.assert_allclose(
+            e.combination.control[:, channel], own.combination.control, atol=1e-6
+        )
+    mcs.MultipleImportance(f, TRIPLE, heuristic="variance-aware")
+
+
+def test_both_views_of_optimal_weights_have_the_measured_variance():
+    """Smooth periodic f and p: half width 12 holds all of both, so captured is 1."""
+    f = mcs.Integrand.from_function(lambda x: np.exp(np.cos(2 * np.pi * (x[..., 0] - 0.2))), dims=1)
+
+    def pdf(x):
+        return 1 + 0.5 * np.sin(2 * np.pi * x[..., 0])
+
+    def sample(u):
+        x = u.copy()
+        for _ in range(60):
+            excess = x + (1 - np.cos(2 * np.pi * x)) / (4 * np.pi) - u
+            x = np.clip(x - excess / (1 + 0.5 * np.sin(2 * np.pi * x)), 0, 1)
+        return x
+
+    p = mcs.Density.from_functions(pdf=pdf, sample=sample, dims=1)
+    e = mcs.MultipleImportance(f, ["uniform", p], heuristic="optimal")
+    d = mcs.variance_terms(e, "jittered", 4, half_width=24, realizations=60)
+    assert float(d["captured"]) == pytest.approx(1, abs=1e-9)
+
+
+@pytest.mark.parametrize("sets", ["shared", "joint"])
+@pytest.mark.parametrize("sampler", ["random", "jittered", "sobol | owen"])
+def test_sets_keep_estimates_unbiased_and_the_identity(sets, sampler):
+    counts = (1, 1) if sets == "shared" else (3, 1)
+    e = mcs.MultipleImportance(CUBIC, PAIR, counts=counts, sets=sets, dims=1)
+    d = mcs.convergence(e, sampler, [8], realizations=3000, rng=2)
+    assert abs(float(d["bias"][0])) < 4.5 * float(d["mean_se"][0])
+    for space in ("domain", "primary"):
+        t = mcs.variance_terms(
+            e, sampler, 8, half_width=6, realizations=40, space=space, engine="direct"
+        )
+        total = float(t["dc_term"] + t["power_term"] + t["cross_term"])
+        assert total == pytest.approx(float(t["truncated_variance"][-1]), rel=1e-10)
+
+
+def test_shared_sets_are_the_same_points_and_joint_ones_split_one_set():
+    def draw(sampler, **options):
+        e = mcs.MultipleImportance(SQUARE, TRIPLE, dims=1, **options)
+        return e.draw(mcs.sampler(sampler, dims=1), 4, Stream.from_rng(1), 5, 2)
+
+    shared = draw("jittered", sets="shared")
+    own = mcs.sampler("jittered", dims=1).draw(4, rng=1, first=5, realizations=2)
+    assert all(np.array_equal(u, own) for u in shared)
+    whole = mcs.sampler("jittered", dims=1).draw(16, rng=1, first=5, realizations=2)
+    joint = draw("jittered", sets="joint", counts=(2, 1, 1))
+    assert [u.shape for u in joint] == [(2, 8, 1), (2, 4, 1), (2, 4, 1)]
+    together = np.sort(np.concatenate(joint, axis=1), axis=1)
+    assert np.array_equal(together, np.sort(whole, axis=1))
+    # one point of each technique in every four neighbours: jittered sets of their own
+    assert np.array_equal(np.floor(np.sort(joint[1][..., 0], axis=1) * 4), [[0, 1, 2, 3]] * 2)
+    sequence = mcs.sampler("sobol | owen", dims=1).draw(16, rng=1, first=5, realizations=2)
+    runs = draw("sobol | owen", sets="joint", counts=(2, 1, 1))
+    assert np.array_equal(np.concatenate(runs, axis=1), sequence)
+
+
+def test_shared_points_of_opposite_techniques_cancel():
+    """x and 1 − x with the same points: the sum is constant; with sets of their own it is not."""
+    g = ["linear", "linear(gradient=[-1], offset=1)"]
+    shared = mcs.TechniqueSum(g, sets="shared", dims=1)
+    d = mcs.convergence(shared, "random", [4], realizations=100)
+    assert float(d["variance"][0]) < 1e-30
+    own = mcs.convergence(mcs.TechniqueSum(g, dims=1), "random", [4], realizations=100)
+    assert float(own["variance"][0]) > 0.01
+    assert "shared" in shared.spec
+    for call in (mcs.exact_variance, mcs.variance_from_pair_correlation):
+        with pytest.raises(mcs.NoClosedForm, match="correlated"):
+            call(shared, "random", 4)
+
+
+def test_registry_knows_all_and_objects_are_taken():
+    assert {name.partition("(")[0] for name in ALL} == set(HEURISTICS)
+    e = mcs.MultipleImportance(SQUARE, PAIR, heuristic=Power(beta=3), dims=1)
+    assert "power(beta=3.0)" in e.spec
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"heuristic": "blance"}, "Did you mean 'balance'"),
+        ({"heuristic": "power(beta=-1)"}, "at least 0"),
+        ({"heuristic": "power(beta='x')"}, "beta"),
+        ({"heuristic": "power(gamma=2)"}, "beta"),
+        ({"heuristic": "cutoff(alpha=1.5)"}, "at most 1"),
+        ({"heuristic": "cutoff(alpha=-0.1)"}, "at least 0"),
+        ({"heuristic": "optimal(pilot='guess')"}, "quadrature"),
+        ({"heuristic": "optimal(samples=1)"}, "from 2"),
+        ({"heuristic": "optimal(samples=1000000000000)"}, "from 2"),
+        ({"heuristic": "variance-aware(seed=-1)"}, "seed"),
+        ({"heuristic": 2}, "spec string"),
+        ({"heuristic": None}, "spec string"),
+        ({"heuristic": "balance | power"}, "chain"),
+        ({"sets": "share"}, "shared"),
+        ({"sets": None}, "one of"),
+        ({"sets": "shared", "counts": (1, 2)}, "equal counts"),
+        ({"counts": (1.5, 1)}, "whole"),
+    ],
+)
+def test_bad_input(options, words):
+    with pytest.raises(ParameterError, match=words):
+        mcs.MultipleImportance(SQUARE, PAIR, dims=1, **options)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -1.0])
+def test_bad_parameters_of_objects(value):
+    with pytest.raises(ParameterError, match="finite"):
+        Power(beta=value)
+    with pytest.raises(UnknownName):
+        as_heuristic("no-such-thing")
+
+
+def test_joint_sets_need_a_count_that_the_sampler_can_make():
+    e = mcs.MultipleImportance("gaussian", ["uniform"] * 2, sets="joint", dims=2)
+    with pytest.raises(ParameterError, match="The joint set has 2 · 16 points"):
+        mcs.convergence(e, "jittered", [16], realizations=2)
