@@ -190,7 +190,7 @@ def test_what_is_not_known_is_refused(spec, n):
         (("jittered", 10**6, [["a", "b"]], [[1, 1]]), ParameterError, "real numbers"),
         (("random", 4, [[1]], [[1]], "linear(slope=2)"), NoClosedForm, "diverges"),
         (("random", 4, [[0.5]], [[1]], "linear(slope=1)"), NoClosedForm, "real frequencies"),
-        (("jittered", 4, [[1]], [[1]], "linear(slope=1)"), NoClosedForm, "with the density"),
+        (("poisson-disk", 4, [[1]], [[1]], "linear(slope=1)"), NoClosedForm, "with the density"),
         (("kronecker | shift", 2**30, np.ones((8, 1)), [[1]]), NoClosedForm, "ask for fewer"),
     ],
 )

@@ -10,7 +10,8 @@ With sinc(x) = sin x / x, n points, s = n^(1/d) strata a side, real frequencies 
 * Latin hypercube:     ⟨|S_ν|²⟩ = 1/n + ((n−1)/n) Π_i (n sinc²(πν_i) − sinc²(πν_i/n))/(n−1)
 * rank-1 lattice, integer m: 1 where m·z ≡ 0 (mod n), else 0
 
-The general forms are in `closed_moments` and `closed_pairs`. At *integer* m a Cranley-Patterson shift
+The general forms are in `closed_moments` and `closed_pairs`, those of importance-sampled sets in
+`closed_weighted`. At *integer* m a Cranley-Patterson shift
 multiplies S_m by a random phase: it leaves the power as it is and makes C_ml diagonal.
 """
 
@@ -23,11 +24,11 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_frequencies
 from mcspectra.core.errors import InfiniteWeightVarianceWarning, NoClosedForm, ParameterError
-from mcspectra.densities import Density, Uniform, as_density
-from mcspectra.integrands import Integrand
+from mcspectra.densities import Density, Uniform, as_warp
 from mcspectra.samplers import Randomized, Sampler, Shift, StrataShift, as_sampler
 from mcspectra.spectra.closed_moments import known_moments
 from mcspectra.spectra.closed_terms import Moments, interval, product
+from mcspectra.spectra.closed_weighted import weighted_covariance, weighted_power
 
 __all__ = ["closed_form_covariance", "closed_form_power", "moments_of"]
 
@@ -50,7 +51,9 @@ def closed_form_power(
         Real frequencies ν, shape (..., d), in cycles per unit; integers only after a shift, and
         for sets that are wrapped around the torus.
     density
-        Importance density, for random points.
+        Importance density. For random points any; a product over the axes for jittered, latin-hypercube
+        and grids, alone or with shift or strata-shift, at integer frequencies
+        (`mcspectra.spectra.closed_weighted`).
 
     Returns
     -------
@@ -106,7 +109,7 @@ def closed_form_covariance(
     array([0.047, 0.068])
     """
     source, n, m, p = _checked(sampler, n, frequencies, density)
-    m, other = _broadcast(m, as_frequencies(others, source.dims))
+    m, other = _broadcast(m, as_frequencies(others, m.shape[-1]))
     if p is None:
         return moments_of(source, n, m, other).covariance(m, other)
     return _weighted_covariance(source, n, m, other, p)
@@ -138,10 +141,11 @@ def _checked(
     sampler: Sampler | str, n: int, frequencies: Any, density: Density | str | None
 ) -> tuple[Sampler, int, Array, Density | None]:
     dims = np.shape(frequencies)[-1] if np.ndim(frequencies) else None
-    source = as_sampler(sampler, None if isinstance(sampler, Sampler) else dims)
+    drawn = getattr(density, "primary_dims", dims)
+    source = as_sampler(sampler, None if isinstance(sampler, Sampler) else drawn)
     n = source.check_count(n)
-    nu = as_frequencies(frequencies, source.dims)
-    p = as_density(density, source.dims)
+    p = as_warp(density, source.dims)
+    nu = as_frequencies(frequencies, source.dims if p is None else p.dims)
     return source, n, nu, None if isinstance(p, Uniform) else p
 
 
@@ -200,8 +204,7 @@ def _moved(moments: Moments, step: StrataShift, n: int) -> Moments:
 
 
 def _weighted_power(sampler: Sampler, n: int, nu: Array, density: Density) -> Array:
-    """Random points of a density: (1/n) ∫1/p + (1 − 1/n) |χ|²."""
-    _check_random(sampler, density)
+    """Random points of a density: (1/n) ∫1/p + (1 − 1/n) |χ|²; others at integers only."""
     reciprocal = density.reciprocal_integral()
     if not np.isfinite(reciprocal):
         warnings.warn(
@@ -209,34 +212,27 @@ def _weighted_power(sampler: Sampler, n: int, nu: Array, density: Density) -> Ar
             InfiniteWeightVarianceWarning,
             stacklevel=3,
         )
-    return np.asarray(reciprocal / n + (n - 1) / n * np.abs(product(interval(nu))) ** 2)
+        return np.full(nu.shape[:-1], np.inf)
+    base, moves = _translations(sampler)
+    if base.name == "random":
+        return np.asarray(reciprocal / n + (n - 1) / n * np.abs(product(interval(nu))) ** 2)
+    _check_integers(sampler, nu)
+    return weighted_power(base, moves, n, nu, density)
 
 
 def _weighted_covariance(
     sampler: Sampler, n: int, m: Array, other: Array, density: Density
 ) -> Array:
-    """Random points of a density, integer frequencies: Toeplitz in the coefficients of 1/p."""
-    _check_random(sampler, density)
-    if not (np.array_equal(m, np.rint(m)) and np.array_equal(other, np.rint(other))):
-        raise _unknown(sampler, "with a density at real frequencies")
+    base, moves = _translations(sampler)
+    _check_integers(sampler, m, other)
     if not np.isfinite(density.reciprocal_integral()):
         raise NoClosedForm(
             f"∫1/p diverges for {density.spec}: the covariances of S_m are infinite; measure the "
             "variance of the estimate by convergence instead."
         )
-    toeplitz = _reciprocal(density).fourier(m - other)
-    constant = np.all(m == 0, axis=-1) & np.all(other == 0, axis=-1)
-    return np.asarray((toeplitz - constant) / n)
+    return weighted_covariance(base, moves, n, m, other, density)
 
 
-def _check_random(sampler: Sampler, density: Density) -> None:
-    if _translations(sampler)[0].name != "random":
-        raise _unknown(sampler, f"with the density {density.spec}")
-
-
-def _reciprocal(density: Density) -> Integrand:
-    return Integrand.from_function(
-        lambda x: 1.0 / density.pdf(x),
-        dims=density.dims,
-        integral=density.reciprocal_integral(),
-    )
+def _check_integers(sampler: Sampler, *frequencies: Array) -> None:
+    if not all(np.array_equal(nu, np.rint(nu)) for nu in frequencies):
+        raise _unknown(sampler, "with a density at real frequencies")

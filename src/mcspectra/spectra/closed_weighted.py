@@ -1,0 +1,270 @@
+"""Exact means and covariances of S_m for importance-sampled points, x = T(u), weights 1/(n p).
+
+Let p be a product over the axes with monotone warps T. On one axis, the points u of a stratum
+[t, t + 1/s) of the primary space fill the interval from T(t) to T(t + 1/s), where they have
+
+    M_t(m) = s ∫ exp(−2πi m T(u)) / p(T(u)) du = s ∫ exp(−2πi m x) dx,
+
+the density being gone. So, with <·> the mean over the strata, or over all t where a random shift
+follows, at integer m and l
+
+    same(m, l) = <M_t(m) conj M_t(l)>     two independent points of one of s strata
+    free(m, l) = δ_m0 δ_l0                two independent points
+    apart      = (s free − same)/(s − 1)  points of two different strata
+
+    random, jittered:  C_ml = (1/n) [(1/p)^_{m−l} − Π_i same_i]          (random: s = 1)
+    Latin hypercube:   C_ml = (1/n) (1/p)^_{m−l} + (1 − 1/n) Π_i apart_i − δ_m0 δ_l0
+    grid, one offset:  C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0 δ_l0
+
+with A_δ(m) the S_m of the grid of offset δ on one axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import NoClosedForm
+from mcspectra.densities import Density, Linear, TruncatedNormal
+from mcspectra.integrands import Integrand
+from mcspectra.integrands._quadrature import AxisRule
+from mcspectra.samplers import Sampler, Shift, StrataShift
+
+__all__ = ["weighted_covariance", "weighted_power"]
+
+_BLOCK = 2**20  # numbers at once
+_MAX_WORK = 2**31  # strata times pairs of frequencies: some minutes
+_ORDER = 16
+_CELLS = 64
+_HIGHEST = 2**16
+_PROBES = 4096
+_GRIDS = ("regular", "uniform-jitter")
+_Moves = Sequence[Shift | StrataShift]
+
+
+def weighted_covariance(
+    base: Sampler, moves: _Moves, n: int, m: Array, other: Array, density: Density
+) -> Array:
+    """C_ml of importance-sampled points at integers m, l of one shape (..., d): complex (...).
+
+    Raises
+    ------
+    NoClosedForm
+        None is known for this sampler with this density.
+    """
+    zero = np.all(m == 0, axis=-1) & np.all(other == 0, axis=-1)
+    if base.name in _GRIDS:
+        return np.asarray(_grids(base, moves, n, m, other, density) - zero)
+    reciprocal = _reciprocal(density, m - other)
+    if base.name == "random":
+        return np.asarray((reciprocal - zero) / n)
+    sides = _strata(base, n, density)
+    axes = _axes(density, sides, moves, n, _highest(m, other))
+    if base.name == "latin-hypercube":
+        pairs = [_apart(axis.same(m[..., i], other[..., i]), m, other, i, n) for i, axis in axes]
+        return np.asarray(reciprocal / n + (1.0 - 1.0 / n) * np.prod(pairs, axis=0) - zero)
+    same = [axis.same(m[..., i], other[..., i]) for i, axis in axes]
+    return np.asarray((reciprocal - np.prod(same, axis=0)) / n)
+
+
+def weighted_power(base: Sampler, moves: _Moves, n: int, m: Array, density: Density) -> Array:
+    """⟨|S_m|²⟩ at integers m (..., d): the variance, and the mean where it is not 0."""
+    covariance = weighted_covariance(base, moves, n, m, m, density).real
+    return np.asarray(covariance + np.all(m == 0, axis=-1))
+
+
+@final
+@dataclass(frozen=True)
+class _Axis:
+    """One axis: s strata or points, the starts t of the strata with weights, and the 1-D density."""
+
+    density: Density
+    sides: int
+    starts: Array
+    weights: Array
+
+    def same(self, m: Array, other: Array) -> Array:
+        """<M_t(m) conj M_t(l)>."""
+        return self._mean_product(self._of_stratum, m, other)
+
+    def grid(self, m: Array, other: Array) -> Array:
+        """<A_δ(m) conj A_δ(l)>, the starts being the offsets."""
+        return self._mean_product(self._of_grid, m, other)
+
+    def _mean_product(self, of: Callable[[Array], Array], m: Array, other: Array) -> Array:
+        """Mean over the starts; each frequency is transformed once."""
+        known, back = np.unique(np.stack([m, other]), return_inverse=True)
+        row, column = back.reshape(2, -1)
+        if float(self.starts.size) * max(row.size, known.size * self.sides) > _MAX_WORK:
+            raise NoClosedForm(
+                f"The covariances of {row.size} pairs of frequencies over {self.sides} strata of "
+                f"{self.density.spec} take more than {_MAX_WORK:.2g} terms; ask for fewer."
+            )
+        values = of(known)
+        out = np.empty(row.size, complex)
+        block = max(1, _BLOCK // self.starts.size)
+        for i in range(0, row.size, block):
+            left, right = values[row[i : i + block]], values[column[i : i + block]]
+            out[i : i + block] = np.einsum("ij,ij,j->i", left, np.conj(right), self.weights)
+        return out.reshape(m.shape)
+
+    def _of_stratum(self, m: Array) -> Array:
+        """M_t(m): (frequencies, starts); strata beyond 1 go on at 0."""
+        end = self.starts + 1.0 / self.sides
+        over = np.maximum(end - 1.0, 0.0)
+        first = _interval(m, self._warp(self.starts), self._warp(np.minimum(end, 1.0)))
+        return np.asarray(self.sides * (first + _interval(m, np.zeros(1), self._warp(over))))
+
+    def _of_grid(self, m: Array) -> Array:
+        """A_δ(m): (frequencies, offsets)."""
+        total = np.zeros((m.size, self.starts.size), complex)
+        for j in range(self.sides):
+            x = self._warp(self.starts + j / self.sides)
+            total += np.exp(-2j * np.pi * np.outer(m, x)) / self.density.pdf(x[:, None])
+        return total / self.sides
+
+    def _warp(self, u: Array) -> Array:
+        """T(u), 1 at 1; rounding may have left [0,1)."""
+        x = self.density.sample(np.clip(u, 0.0, 1.0)[:, None])[:, 0]
+        return np.where(u <= 0.0, 0.0, np.where(u >= 1.0, 1.0, x))
+
+
+def _interval(m: Array, low: Array, high: Array) -> Array:
+    """∫ exp(−2πi m x) dx from low to high: (frequencies, intervals)."""
+    width, middle = high - low, 0.5 * (low + high)
+    return np.asarray(
+        width * np.sinc(np.outer(m, width)) * np.exp(-2j * np.pi * np.outer(m, middle))
+    )
+
+
+def _apart(same: Array, m: Array, other: Array, axis: int, n: int) -> Array:
+    free = (m[..., axis] == 0) & (other[..., axis] == 0)
+    return np.asarray((n * free - same) / max(n - 1, 1))  # one stratum has no such pair
+
+
+def _strata(base: Any, n: int, density: Density) -> tuple[int, ...]:
+    latin = base.name == "latin-hypercube" and getattr(base, "strength", 1) == 1
+    if base.name != "jittered" and not latin:
+        raise NoClosedForm(
+            f"No covariances are known for {base.spec} with the density {density.spec}; give random, "
+            "jittered, latin-hypercube, or a grid with shift, or use variance_terms."
+        )
+    sides: tuple[int, ...] = (n,) * base.dims if latin else base.sides(n)
+    return sides
+
+
+def _grids(base: Any, moves: _Moves, n: int, m: Array, other: Array, density: Density) -> Array:
+    if base.name == "regular" and not any(isinstance(step, Shift) for step in moves):
+        raise NoClosedForm(
+            f"{base.spec} is the same every time, so that nothing varies; add shift, or use "
+            "power_spectrum."
+        )
+    axes = [
+        (i, _Axis(p, s, *_all_offsets(p, s, 1.0 / s, _highest(m, other))))
+        for i, (p, s) in enumerate(zip(_factors(density), base.sides(n), strict=True))
+    ]
+    return np.asarray(np.prod([a.grid(m[..., i], other[..., i]) for i, a in axes], axis=0))
+
+
+def _axes(
+    density: Density, sides: tuple[int, ...], moves: _Moves, n: int, highest: int
+) -> list[tuple[int, _Axis]]:
+    """Strata of each axis: where they are, or everywhere if a random shift follows."""
+    offset = np.zeros(density.dims)
+    for step in moves:
+        if isinstance(step, StrataShift):
+            offset = offset + np.asarray(step.offset, float) * n ** (-1.0 / density.dims)
+    shifted = any(isinstance(step, Shift) for step in moves)
+    axes = []
+    for i, (p, s) in enumerate(zip(_factors(density), sides, strict=True)):
+        if shifted:
+            axes.append((i, _Axis(p, s, *_all_offsets(p, s, 1.0, highest))))
+            continue
+        starts = np.remainder(np.arange(s) / s + offset[i], 1.0)
+        axes.append((i, _Axis(p, s, starts, np.full(s, 1.0 / s))))
+    return axes
+
+
+def _all_offsets(density: Density, sides: int, length: float, highest: int) -> tuple[Array, Array]:
+    """Rule for the mean over t in [0, length): cut where a stratum's ends meet breaks or the seam."""
+    breaks = np.array([0.0, *density.breaks[0]])
+    ends = np.concatenate([breaks, breaks - 1.0 / sides]) % 1.0 % length
+    cells = max(_CELLS, 2 * highest)
+    rule = AxisRule.make(_ORDER * cells, _ORDER, tuple(np.unique(ends / length).tolist()))
+    return rule.nodes * length, rule.weights
+
+
+def _highest(m: Array, other: Array) -> int:
+    highest = max(float(np.abs(m).max(initial=0)), float(np.abs(other).max(initial=0)))
+    if highest > _HIGHEST:
+        raise NoClosedForm(
+            f"Frequencies up to {highest:.3g} take too fine a quadrature; give {_HIGHEST} at most."
+        )
+    return int(highest)
+
+
+def _factors(density: Density) -> list[Density]:
+    """The density of each axis.
+
+    Raises
+    ------
+    NoClosedForm
+        It is not known to be a product over the axes, or the warp of one is not monotone.
+    """
+    if density.dims == 1:
+        factors = [density]
+    elif isinstance(density, Linear):
+        factors = [Linear(dims=1, slope=s) for s in _each(density.slope, density.dims)]
+    elif isinstance(density, TruncatedNormal):
+        both = zip(
+            _each(density.mean, density.dims), _each(density.sigma, density.dims), strict=True
+        )
+        factors = [TruncatedNormal(dims=1, mean=mean, sigma=sigma) for mean, sigma in both]
+    else:
+        factors = list(getattr(density, "parts", ())) if density.name == "product" else []
+    if not factors or any(p.dims > 1 or not _is_increasing(p) for p in factors):
+        raise NoClosedForm(
+            f"Covariances of stratified points are known for densities that are products over the "
+            f"axes, of increasing warps, not for {density.spec}; use variance_terms."
+        )
+    return factors
+
+
+def _each(value: float | tuple[float, ...], dims: int) -> tuple[float, ...]:
+    return value if isinstance(value, tuple) else (value,) * dims
+
+
+def _is_increasing(density: Density) -> bool:
+    if getattr(density, "primary_dims", 1) > 1:
+        return False
+    x = density.sample((np.arange(_PROBES) / _PROBES)[:, None])[:, 0]
+    return bool((np.diff(x) >= 0).all())
+
+
+def _reciprocal(density: Density, k: Array) -> Array:
+    """(1/p)^_k at integers k (..., d)."""
+    try:
+        factors = _factors(density)
+    except NoClosedForm:
+        whole = Integrand.from_function(
+            lambda x: 1.0 / density.pdf(x),
+            dims=density.dims,
+            integral=density.reciprocal_integral(),
+        )
+        return whole.fourier(k)
+    return np.asarray(
+        np.prod([_reciprocal_1d(p, k[..., i]) for i, p in enumerate(factors)], axis=0)
+    )
+
+
+def _reciprocal_1d(density: Density, k: Array) -> Array:
+    known, back = np.unique(k, return_inverse=True)
+    count = 1 << (max(2**14, _ORDER * _highest(known, known)) - 1).bit_length()
+    jumps = density.sample(np.array(density.breaks[0], float)[:, None])[:, 0]
+    rule = AxisRule.make(count, _ORDER, tuple(jumps.tolist()))
+    values = rule.transform(1.0 / density.pdf(rule.nodes[:, None]), known)
+    return np.asarray(values[back].reshape(k.shape))
