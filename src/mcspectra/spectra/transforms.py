@@ -43,6 +43,8 @@ __all__ = ["ENGINES", "FrequencyGrid", "Transform", "direct_sum"]
 ENGINES = ("auto", "nufft", "direct", "gpu")
 _DIRECT_BELOW = 4000
 _DIRECT_NUMBERS = 2**22  # 64 MiB of phases
+_SPARSE = 1 / 16  # points for each frequency below which spreading in parts is faster
+_SPREAD_POINTS = 1024
 MAX_FREQUENCIES = 2**27
 """Most frequencies of one grid: 2 GiB of complex128."""
 
@@ -160,6 +162,7 @@ class Transform:
             engine = "direct" if _direct_pays(grid, n) else "nufft"
         self.engine = engine
         self.grid = grid
+        self._sparse = (2 if grid.dims <= 3 else 1) * n < _SPARSE * np.prod(grid.shape[-3:])
         self._packs = engine == "gpu" or (engine == "nufft" and grid.dims <= 3)
         self._gpu = GpuTransform(grid.shape, grid.step, self.eps) if engine == "gpu" else None
         self._local = threading.local()
@@ -227,12 +230,18 @@ class Transform:
         return self._transforms(points.reshape(sets // 2, 2 * n, dims), strengths)
 
     def _transforms(self, points: Array, strengths: Array) -> Iterator[Array]:
+        """Transforms of sets (T, n, d), full grid, flat: each is valid until the next is asked for."""
         if self._gpu is not None:
             return self._gpu.transforms(points, strengths)
         return map(self._nufft, points, strengths)
 
     def _nufft(self, points: Array, strengths: Array) -> Array:
-        return np.asarray(self._plan_at(points).execute(strengths)).ravel()
+        plan = self._plan_at(points)
+        out = getattr(self._local, "out", None)
+        if out is None:
+            out = self._local.out = np.empty(self.grid.shape, np.complex128)
+        plan.execute(strengths, out=out)
+        return np.asarray(out.ravel())
 
     def _slabs(self, points: Array, strengths: Array) -> Array:
         """Four dims: for each m0 ≤ 0 the phases of the first axis, then a transform of the others."""
@@ -255,7 +264,8 @@ class Transform:
     def _new_plan(self, shape: tuple[int, ...]) -> Any:
         import finufft
 
-        # 1.25 cannot reach below 1e-9; spread_sort=2 lets FINUFFT decide by density of points.
+        # 1.25 cannot reach below 1e-9; spread_sort=2 lets FINUFFT decide by density of points. Few
+        # points are spread by parts of the fine grid that fit into the cache (0: all at once).
         upsampling = 1.25 if self.eps >= 1e-9 else 2.0
         return finufft.Plan(
             1,
@@ -265,6 +275,7 @@ class Transform:
             upsampfac=upsampling,
             nthreads=1,
             spread_sort=2,
+            spread_max_sp_size=_SPREAD_POINTS if self._sparse else 0,
             showwarn=0,
         )
 
