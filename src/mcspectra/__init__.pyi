@@ -47,10 +47,12 @@ from .spectra.shapes import wedge_means as wedge_means
 from .variance.anova import anova_variances as anova_variances
 from .variance.convergence import convergence as convergence
 from .variance.exact import exact_variance as exact_variance
+from .variance.mirror_study import mirror_study as mirror_study
 from .variance.modes import covariance_modes as covariance_modes
 from .variance.pair_route import variance_from_pair_correlation as variance_from_pair_correlation
 from .variance.prediction import integrand_decay as integrand_decay
 from .variance.prediction import predicted_rate as predicted_rate
+from .variance.remedies import remedies as remedies
 from .variance.stopping import realizations_needed as realizations_needed
 from .variance.terms import variance_terms as variance_terms
 from .version import __version__ as __version__
@@ -87,6 +89,7 @@ __all__ = [
     "integrand_decay",
     "integrands",
     "low_frequency_exponent",
+    "mirror_study",
     "nested_variances",
     "pair_correlation",
     "plane_frequencies",
@@ -97,6 +100,7 @@ __all__ = [
     "quality_figures",
     "radial_statistics",
     "realizations_needed",
+    "remedies",
     "rendering",
     "report",
     "sampler",
