@@ -13,17 +13,17 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
 
-__all__ = ["look_up", "unwarp", "warp"]
+__all__ = ["below", "cell_at", "last_at_most", "look_up", "unwarp", "warp"]
 
 
 @kernel
-def _below(x: float) -> float:
+def below(x: float) -> float:
     """The float before x, for x in (0, 1]."""
     return np.nextafter(x, 0.0)  # type: ignore[no-any-return]
 
 
 @kernel
-def _cell_at(x: float, cells: int) -> int:
+def cell_at(x: float, cells: int) -> int:
     """i with i/cells <= x < (i+1)/cells; points outside belong to the end cells."""
     i = min(max(math.floor(x * cells), 0), cells - 1)
     if i > 0 and x < i / cells:
@@ -34,15 +34,16 @@ def _cell_at(x: float, cells: int) -> int:
 
 
 @kernel
-def _cell_of_share(borders: Array, u: float) -> int:
-    """i with borders[i] <= u < borders[i+1], by bisection; never a cell without mass."""
-    low, high = 0, borders.size - 1
-    while high - low > 1:
-        middle = (low + high) >> 1
-        if borders[middle] <= u:
-            low = middle
-        else:
-            high = middle
+def last_at_most(borders: Array, low: int, size: int, u: float) -> int:
+    """Largest i of low … low + size − 1 with borders[i] <= u, where borders[low] <= u.
+
+    Halving without a branch: which half is as good as random, and mispredicted jumps cost more than
+    the arithmetic.
+    """
+    while size > 1:
+        half = size >> 1
+        low += half * (borders[low + half] <= u)
+        size -= half
     return low
 
 
@@ -50,19 +51,19 @@ def _cell_of_share(borders: Array, u: float) -> int:
 def _stretch(borders: Array, u: float) -> tuple[int, float]:
     """The cell of u and the point in it."""
     cells = borders.size - 1
-    i = _cell_of_share(borders, u)
+    i = last_at_most(borders, 0, cells, u)  # never a cell without mass, as u < 1 = borders[-1]
     x = (i + (u - borders[i]) / (borders[i + 1] - borders[i])) / cells
-    return i, min(max(x, i / cells), _below((i + 1) / cells))
+    return i, min(max(x, i / cells), below((i + 1) / cells))
 
 
 @kernel
 def _shrink(borders: Array, x: float) -> tuple[int, float]:
     """The cell of x and the share up to it."""
     cells = borders.size - 1
-    i = _cell_at(x, cells)
+    i = cell_at(x, cells)
     width = borders[i + 1] - borders[i]
     u = borders[i] + (x * cells - i) * width
-    return i, max(borders[i], min(u, _below(borders[i + 1]) if width > 0 else borders[i]))
+    return i, max(borders[i], min(u, below(borders[i + 1]) if width > 0 else borders[i]))
 
 
 @kernel
@@ -91,5 +92,5 @@ def look_up(table: Array, x: Array, out: Array) -> None:
     row = 0
     for k in range(x.shape[0]):
         if x.shape[1] == 2:
-            row = _cell_at(x[k, 1], table.shape[0])
-        out[k] = table[row, _cell_at(x[k, 0], table.shape[1])]
+            row = cell_at(x[k, 1], table.shape[0])
+        out[k] = table[row, cell_at(x[k, 0], table.shape[1])]

@@ -3,20 +3,32 @@
 Which warp
 ----------
 In 1-D the inverse of the cdf is the only monotone warp. In 2-D one pdf has many warps, and the warp
-decides where the primary-space integrand g(u) = f(T(u))/p(T(u)) jumps, and with it the rate:
+decides where the primary-space integrand g(u) = f(T(u))/p(T(u)) jumps, and with it the rate.
+`warp` chooses one of four, for the same pdf to the last bit (h rows of w columns):
 
-* *Marginal and conditional* (here; Shirley 1992, "Nonuniform random point sets via warping";
-  Pharr, Jakob, Humphreys, "Physically Based Rendering", §A.5): u_1 chooses the row by the marginal
-  cdf, u_0 the column by the cdf within that row. T_1 is continuous; T_0 jumps from row to row. All
-  jumps lie on axis-aligned segments: whole lines ``u_1 = row border``, and within a row pieces
-  ``u_0 = column border`` that differ from row to row. Where all rows are proportional (a separable
-  table) T is continuous and g jumps, with p, on whole lines only.
-* *Hierarchical* warping (Clarberg, Jarosz, Akenine-Möller, Jensen 2005, "Wavelet importance
-  sampling") splits the square in quadtree order. It keeps nearby points nearer, in both axes, but
-  its jumps form trees of segments of all sizes.
-* *Alias tables* (Walker 1977) cost O(1) and cut u into two unordered pieces a cell: T is nowhere
-  monotone, has no inverse, and takes all stratification away.
-* *Bilinear* tables make p, and so g along rows, continuous: the remedy when jumps cost the rate.
+* ``"marginal"`` (Shirley 1992, "Nonuniform random point sets via warping"; Pharr, Jakob, Humphreys,
+  "Physically Based Rendering", §A.5): u_1 chooses the row by the marginal cdf, u_0 the column by
+  the cdf within that row. T_1 is continuous; T_0 jumps from row to row. All jumps lie on
+  axis-aligned segments: whole lines ``u_1 = row border``, and within a row pieces
+  ``u_0 = column border`` that differ from row to row. A line along u_0 meets no jump of T, one
+  along u_1 at most h − 1. Where all rows are proportional (a separable table) T is continuous and
+  g jumps, with p, on whole lines only.
+* ``"hierarchical"`` [McCoolHarwood1997]_ [Clarberg2005]_ halves the table, always the longer side,
+  down to the cells; each split takes its share of u along that side. Neighborhoods stay compact in
+  both axes, but a split is a jump for every other split that it crosses: lines along u_0 meet
+  w − 1 jumps at most, lines along u_1 h − 1.
+* ``"alias"`` [Walker1977]_ [Vose1991]_ costs O(1): u_0 chooses one of h·w bins of equal size and
+  one of the two cells in it; the remainder of u_0 places along x_0, u_1 along x_1. Up to 2hw − 1
+  jumps on a line along u_0, to anywhere; sets are stratified in u_1 only, within cells. A
+  cell fills from several bins, each time whole, so T is many-to-one and has *no inverse*.
+* ``"hilbert"`` [SteiglederMcCool2003]_: u_0 chooses a cell by the cdf along a Hilbert curve and its
+  remainder places in the direction in which the curve leaves the cell, u_1 across it. Up to
+  hw − 1 jumps on a line along u_0, where the curve turns, each within two neighboring cells
+  where the table is a square of 2^k (elsewhere the curve leaves the table and comes back); none
+  along u_1. Made for n strata in u_0: square strata in 2-D get √n of them along the curve.
+
+*Bilinear* tables (`bilinear`) make p, and so g along rows, continuous: the remedy when jumps cost
+the rate.
 
 A border cuts strata, rather than falling between them, unless its position is a multiple of their
 side: jittered sampling in 2-D then loses from n^-2 to n^-1.5 (see the environment-map study).
@@ -31,15 +43,16 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer, as_real
+from mcspectra.core.checks import Array, as_choice, as_integer, as_real
 from mcspectra.core.errors import DensityError, ParameterError
 from mcspectra.densities import _kernels
+from mcspectra.densities._warps import WARPS, TableWarp, make_warp
 from mcspectra.densities.base import Density
 
-__all__ = ["ImageDensity", "PiecewiseConstant"]
+__all__ = ["ImageDensity", "PiecewiseConstant", "as_table", "flat", "select_channel", "shown"]
 
 _MOST_SHOWN = 256  # tables up to this size are kept as lists, so that spec strings hold them
-_SAME_ROWS = 1e-12  # relative; rows that are proportional but for rounding
+_MOST_CELLS = 2**26  # 512 MiB a copy, and a warp holds a few
 
 
 @final
@@ -52,15 +65,18 @@ class PiecewiseConstant(Density):
     values
         Relative density of each cell, at least 0 and not all 0; any scale. Shape (w,), or (h, w)
         with x_0 along a row and x_1 from the first row to the last.
+    warp
+        ``"marginal"``, ``"hierarchical"``, ``"alias"`` or ``"hilbert"``: which T has that density
+        (see the module). In 1-D all but ``"alias"`` are the same.
     """
 
     name: ClassVar[str] = "piecewise-constant"
     values: Any
+    warp: str = "marginal"
 
     def __post_init__(self) -> None:
-        table = _as_table(self.values)
-        kept = table.tolist() if table.size <= _MOST_SHOWN else table
-        object.__setattr__(self, "values", kept)
+        as_choice("warp", self.warp, WARPS)
+        object.__setattr__(self, "values", shown(as_table(self.values)))
 
     @property
     def dims(self) -> int:  # type: ignore[override]
@@ -68,20 +84,19 @@ class PiecewiseConstant(Density):
         return int(self._table.ndim)
 
     @property
+    def has_inverse(self) -> bool:
+        """False for alias tables, which are many-to-one."""
+        return self._warp.one_to_one
+
+    @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
         """Shares at which the warp or its slope jumps along a whole axis-normal line.
 
-        In 1-D the cdf at the borders between different cells. In 2-D, along axis 1, the marginal
-        cdf between different rows; along axis 0 the cdf at the column borders if it is the same for
-        all rows. Otherwise those borders form segments that differ from row to row, and none are
-        given.
+        In 1-D the cdf at the borders between different cells. In 2-D those of the warp:
+        `mcspectra.densities._warps`. Borders that form segments rather than lines are not given, nor
+        are more than 4096 along one axis.
         """
-        cells, (rows, columns) = self._cells, self._cdfs
-        across = _inner(columns[0], cells[0]) if self._separable else ()
-        if self.dims == 1:
-            return (across,)
-        differ = (np.diff(cells, axis=0) != 0).any(axis=1)
-        return (across, tuple(np.unique(rows[1:-1][differ]).tolist()))
+        return self._warp.breaks()[: self.dims]
 
     def reciprocal_integral(self) -> float:
         """Mean over cells of 1/p, infinite where a cell is 0."""
@@ -106,30 +121,27 @@ class PiecewiseConstant(Density):
         return np.asarray(self._cells / self._cells.mean())
 
     @cached_property
-    def _cdfs(self) -> tuple[Array, Array]:
-        """The marginal cdf of rows (h+1,) and the cdf in each row (h, w+1)."""
-        return _cdf(self._cells.sum(axis=1)), _cdf(self._cells)
-
-    @cached_property
-    def _separable(self) -> bool:
-        """Whether all rows that hold mass are proportional to the first such row."""
-        columns = self._cdfs[1][self._cells.any(axis=1)]
-        return bool(np.abs(columns - columns[0]).max() <= _SAME_ROWS)
+    def _warp(self) -> TableWarp:
+        return make_warp(self.warp, self._cells, self.dims)
 
     def _pdf(self, x: Array) -> Array:
         out = np.empty(x.shape[:-1])
-        _kernels.look_up(self._pdf_table, _flat(x), out.reshape(-1))
+        _kernels.look_up(self._pdf_table, flat(x), out.reshape(-1))
         return out
 
     def _sample(self, u: Array) -> Array:
         x = np.empty(u.shape)
         inside = np.clip(u, 0.0, np.nextafter(1.0, 0.0))
-        _kernels.warp(*self._cdfs, _flat(inside), x.reshape(-1, self.dims))
+        self._warp.sample(flat(inside), x.reshape(-1, self.dims))
         return x
 
     def _invert(self, x: Array) -> Array:
+        if not self.has_inverse:
+            raise DensityError(
+                f"{self.spec} takes several u to one x and has no inverse; choose another warp."
+            )
         u = np.empty(x.shape)
-        _kernels.unwarp(*self._cdfs, _flat(x), u.reshape(-1, self.dims))
+        self._warp.invert(flat(x), u.reshape(-1, self.dims))
         return u
 
 
@@ -149,6 +161,8 @@ class ImageDensity(Density):
         positive everywhere.
     linear
         Values of PNG and JPEG files are linear, not sRGB.
+    warp
+        As in `PiecewiseConstant`.
     """
 
     name: ClassVar[str] = "image"
@@ -157,6 +171,7 @@ class ImageDensity(Density):
     channel: str | int = "luminance"
     floor: float = 0.0
     linear: bool = False
+    warp: str = "marginal"
     _inside: PiecewiseConstant = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -173,7 +188,12 @@ class ImageDensity(Density):
         if not pixels.any():
             raise DensityError(f"{self.path} is black; a density needs pixels above 0.")
         raised = np.maximum(pixels, self.floor * pixels.mean()) if self.floor else pixels
-        object.__setattr__(self, "_inside", PiecewiseConstant(values=raised))
+        object.__setattr__(self, "_inside", PiecewiseConstant(values=raised, warp=self.warp))
+
+    @property
+    def has_inverse(self) -> bool:
+        """False for alias tables."""
+        return self._inside.has_inverse
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
@@ -198,7 +218,7 @@ class ImageDensity(Density):
         return self._inside._invert(x)
 
 
-def _as_table(values: object) -> Array:
+def as_table(values: object) -> Array:
     """Check relative densities and return them as a read-only copy."""
     try:
         given = np.asarray(values)
@@ -208,9 +228,13 @@ def _as_table(values: object) -> Array:
         raise ParameterError(
             "values are not an array of real numbers; give a list, or rows of equal length."
         )
+    if given.ndim not in (1, 2) or given.size == 0:
+        raise ParameterError(f"values have shape {given.shape}; give (w,) or (h, w), not empty.")
+    if given.size > _MOST_CELLS:
+        raise ParameterError(
+            f"values have shape {given.shape}; tables hold {_MOST_CELLS:.3g} cells at most."
+        )
     table = np.array(given, dtype=np.float64)
-    if table.ndim not in (1, 2) or table.size == 0:
-        raise ParameterError(f"values have shape {table.shape}; give (w,) or (h, w), not empty.")
     if not np.isfinite(table).all() or table.min() < 0 or not table.any():
         raise ParameterError(
             f"values run from {table.min():g} to {table.max():g}; "
@@ -220,30 +244,27 @@ def _as_table(values: object) -> Array:
     return table
 
 
-def _cdf(masses: Array) -> Array:
-    """Cdf along the last axis, (..., k+1) from 0 to exactly 1; uniform where there is no mass."""
-    sums = np.zeros((*masses.shape[:-1], masses.shape[-1] + 1))
-    np.cumsum(masses, axis=-1, out=sums[..., 1:])
-    total = sums[..., -1:]
-    even = np.broadcast_to(np.linspace(0.0, 1.0, sums.shape[-1]), sums.shape)
-    return np.divide(sums, total, out=even.copy(), where=total > 0)
+def shown(table: Array) -> Any:
+    """The table as spec strings show it: a list, or the array where it is long."""
+    return table.tolist() if table.size <= _MOST_SHOWN else table
 
 
-def _inner(borders: Array, cells: Array) -> tuple[float, ...]:
-    """Cdf values strictly within (0,1) between cells that differ."""
-    found = np.unique(borders[1:-1][np.diff(cells) != 0])
-    return tuple(found[(found > 0) & (found < 1)].tolist())
-
-
-def _flat(points: Array) -> Array:
+def flat(points: Array) -> Array:
+    """Points (..., d) as contiguous (N, d), for kernels."""
     return np.ascontiguousarray(points).reshape(-1, points.shape[-1])
 
 
 def _select(path: str | os.PathLike[str], channel: object, linear: bool) -> Array:
     """One channel of a picture, (h, w)."""
-    from mcspectra.core.images import luminance, read_image
+    from mcspectra.core.images import read_image
 
-    image = read_image(path, linear=linear)
+    return select_channel(read_image(path, linear=linear), channel)
+
+
+def select_channel(image: Array, channel: object) -> Array:
+    """One channel (h, w), by number, or the luminance, of pixels (h, w, channels)."""
+    from mcspectra.core.images import luminance
+
     if channel == "luminance":
         return luminance(image)
     if isinstance(channel, str):

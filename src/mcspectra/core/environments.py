@@ -1,0 +1,133 @@
+"""Lat-long environment maps: radiance from all directions, as pixels on the unit square.
+
+Conventions
+-----------
+x_0 is the azimuth φ = 2π x_0 and x_1 the polar angle θ = π x_1, from +z in the first row to −z in the
+last: ω = (sin θ cos φ, sin θ sin φ, cos θ). A solid angle is dω = sin θ dθ dφ = 2π² sin(π x_1) dx.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_integer, as_real_array
+from mcspectra.core.errors import DomainError, ParameterError
+
+__all__ = ["directions", "environment_pixels", "row_solid_angles", "synthetic_sky"]
+
+_MOST_VALUES = 2**28  # as of picture files
+_DEFAULT_SIZE = (32, 64)
+_SUN = (0.62, 0.31, 14.0, 400.0)  # x_0, x_1, sharpness as of a von Mises-Fisher lobe, radiance
+_PATCHES = (  # x_0, x_1, half sizes, color
+    (0.15, 0.30, 0.04, 0.06, (9.0, 1.0, 0.5)),
+    (0.35, 0.45, 0.05, 0.04, (0.4, 7.0, 1.0)),
+    (0.85, 0.40, 0.03, 0.08, (0.5, 1.5, 12.0)),
+)
+
+
+def synthetic_sky(height: int = 32, width: int = 64) -> Array:
+    """A sky of high dynamic range: gradients, a warm sun, and patches of three colors.
+
+    Parameters
+    ----------
+    height, width
+        Pixels along θ and φ; at least 1.
+
+    Returns
+    -------
+    ndarray
+        Linear radiance (height, width, 3), above 0 everywhere, evaluated at pixel centres. Made for
+        tests and examples: no physical sky model.
+    """
+    rows = as_integer("height", height, least=1, most=2**14)
+    columns = as_integer("width", width, least=1, most=2**14)
+    x_1, x_0 = np.meshgrid(
+        (np.arange(rows) + 0.5) / rows, (np.arange(columns) + 0.5) / columns, indexing="ij"
+    )
+    up = np.cos(np.pi * x_1)[..., None]
+    above = np.array([0.25, 0.5, 1.0]) + np.array([0.6, 0.4, 0.1]) * (1.0 - np.abs(up)) ** 4
+    below = np.array([0.12, 0.1, 0.07]) * (1.0 + 0.5 * up)
+    sky = np.where(up > 0, above, below)
+    for a, b, half_0, half_1, color in _PATCHES:
+        sky[(np.abs(x_0 - a) < half_0) & (np.abs(x_1 - b) < half_1)] = color
+    return np.asarray(sky + _sun(np.stack([x_0, x_1], axis=-1))[..., None] * [1.0, 0.85, 0.6])
+
+
+def _sun(x: Array) -> Array:
+    a, b, sharpness, radiance = _SUN
+    cosine = directions(x) @ directions(np.array([a, b]))
+    return np.asarray(radiance * np.exp(sharpness**2 * (cosine - 1.0)))
+
+
+def directions(x: Array) -> Array:
+    """Unit vectors (..., 3) of points x (..., 2)."""
+    phi, theta = 2 * np.pi * x[..., 0], np.pi * x[..., 1]
+    sine = np.sin(theta)
+    return np.stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def row_solid_angles(height: int) -> Array:
+    """Share of the sphere that each of `height` rows covers, (height,), sum 1.
+
+    ½ (cos θ_j − cos θ_{j+1}) = sin θ sin(π/2h) at the row's centre θ: exact, and without cancellation.
+    """
+    centers = (np.arange(height) + 0.5) / height
+    return np.asarray(np.sin(np.pi * centers) * math.sin(np.pi / (2 * height)))
+
+
+def environment_pixels(path: object, values: object) -> Array:
+    """Radiance (h, w, channels), from a file, from an array, or the synthetic sky if both are None.
+
+    Raises
+    ------
+    ParameterError
+        Both are given, or pixels of another shape, not finite, negative, or too many.
+    FileFormatError
+        The file is missing or cannot be read.
+    """
+    if path is None and values is None:
+        return synthetic_sky(*_DEFAULT_SIZE)
+    if values is None:
+        return _not_negative(_from_file(path))
+    if path is not None:
+        raise ParameterError("environment needs path, of a picture file, or values, not both.")
+    return _not_negative(_from_values(values))
+
+
+def _from_file(path: object) -> Array:
+    if not isinstance(path, str | os.PathLike):
+        raise ParameterError(f"path is {path!r}; give the name of a picture file.")
+    from mcspectra.core.images import read_image
+
+    return read_image(path)
+
+
+def _from_values(values: object) -> Array:
+    try:
+        given = np.asarray(values)
+        if given.size > _MOST_VALUES:
+            raise ParameterError(
+                f"values have shape {given.shape}; {_MOST_VALUES:.3g} numbers are read at most."
+            )
+        pixels = np.array(as_real_array("values", given))
+    except (DomainError, ValueError):
+        raise ParameterError(
+            "values are not an array of numbers; give (h, w) or (h, w, channels)."
+        ) from None
+    if pixels.ndim not in (2, 3) or pixels.size == 0:
+        raise ParameterError(
+            f"values have shape {pixels.shape}; give pixels of shape (h, w) or (h, w, channels)."
+        )
+    return pixels.reshape(*pixels.shape[:2], -1)
+
+
+def _not_negative(pixels: Array) -> Array:
+    if not np.isfinite(pixels).all() or pixels.min() < 0:
+        raise ParameterError(
+            f"The radiance runs from {pixels.min():g} to {pixels.max():g}; "
+            "it must be finite and at least 0."
+        )
+    return pixels
