@@ -8,6 +8,8 @@ from .environment import EnvironmentDensity as EnvironmentDensity
 from .functions import FunctionDensity as FunctionDensity
 from .hemisphere import HemisphereDensity as HemisphereDensity
 from .hemisphere import SphereDensity as SphereDensity
+from .lights import SphericalRectangle as SphericalRectangle
+from .lights import SphericalTriangle as SphericalTriangle
 from .mixture import Defensive as Defensive
 from .mixture import Mixture as Mixture
 from .monotone import CosineWeighted as CosineWeighted
@@ -44,6 +46,8 @@ __all__ = [
     "Power",
     "Product",
     "SphereDensity",
+    "SphericalRectangle",
+    "SphericalTriangle",
     "Tent",
     "TruncatedNormal",
     "Uniform",

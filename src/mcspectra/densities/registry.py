@@ -28,6 +28,8 @@ DENSITIES = Registry(
         "piecewise-linear": "mcspectra.densities.piecewise_linear:PiecewiseLinear",
         "power": "mcspectra.densities.monotone:Power",
         "product": "mcspectra.densities.product:Product",
+        "spherical-rectangle": "mcspectra.densities.lights:SphericalRectangle",
+        "spherical-triangle": "mcspectra.densities.lights:SphericalTriangle",
         "tent": "mcspectra.densities.monotone:Tent",
         "sphere": "mcspectra.densities.hemisphere:SphereDensity",
         "truncated-normal": "mcspectra.densities.analytic:TruncatedNormal",

@@ -16,16 +16,21 @@ from .indicators import Disk as Disk
 from .indicators import HalfSpace as HalfSpace
 from .indicators import SmoothedStep as SmoothedStep
 from .indicators import Step as Step
+from .lights import RectangleLight as RectangleLight
 from .numeric import fourier_accuracy as fourier_accuracy
 from .numeric import fourier_grid as fourier_grid
 from .numeric import integral_accuracy as integral_accuracy
 from .registry import INTEGRANDS as INTEGRANDS
 from .registry import as_integrand as as_integrand
 from .registry import integrand as integrand
+from .smoothing import BoxSmoothed as BoxSmoothed
+from .smoothing import EdgeSmoothed as EdgeSmoothed
+from .smoothing import smoothed as smoothed
 
 __all__ = [
     "INTEGRANDS",
     "Channel",
+    "BoxSmoothed",
     "ChristensenBilinear",
     "ChristensenDisk",
     "ChristensenGaussian",
@@ -34,6 +39,7 @@ __all__ = [
     "Constant",
     "Cosine",
     "Disk",
+    "EdgeSmoothed",
     "FunctionIntegrand",
     "Gaussian",
     "HalfSpace",
@@ -41,6 +47,7 @@ __all__ = [
     "Integrand",
     "Linear",
     "Polynomial",
+    "RectangleLight",
     "SmoothedStep",
     "Step",
     "as_integrand",
@@ -48,4 +55,5 @@ __all__ = [
     "fourier_grid",
     "integral_accuracy",
     "integrand",
+    "smoothed",
 ]

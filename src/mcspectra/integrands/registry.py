@@ -30,6 +30,7 @@ INTEGRANDS = Registry(
         "linear": "mcspectra.integrands.analytic:Linear",
         "pixel": "mcspectra.rendering.pixel:Pixel",
         "polynomial": "mcspectra.integrands.analytic:Polynomial",
+        "rectangle-light": "mcspectra.integrands.lights:RectangleLight",
         "smoothed-step": "mcspectra.integrands.indicators:SmoothedStep",
         "step": "mcspectra.integrands.indicators:Step",
     },

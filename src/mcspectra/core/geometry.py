@@ -1,0 +1,89 @@
+"""Vectors, triangles and rectangles in space, as users give them, and the solid angle of a triangle."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_reals
+from mcspectra.core.errors import ParameterError
+
+__all__ = ["as_vector", "check_light", "norm", "triangle_angle"]
+
+_LARGEST = 1e9
+_FLAT = 1e-9  # sine of the angle between edges, and edges over distances, that count as zero
+_GRAZING = 1e-6  # height over the plane of a light / largest distance to it
+
+
+def as_vector(name: str, value: object) -> tuple[float, float, float]:
+    """Return three finite floats of at most 1e9 from a sequence of three.
+
+    Raises
+    ------
+    ParameterError
+        Not three numbers, or not finite.
+    """
+    if not isinstance(value, list | tuple | np.ndarray) or np.shape(value) != (3,):
+        raise ParameterError(f"{name} is {value!r:.80}; give three numbers [x, y, z].")
+    x, y, z = as_reals(name, value, 3, least=-_LARGEST, most=_LARGEST)
+    return x, y, z
+
+
+def norm(v: Array) -> Array:
+    """Length of vectors (..., 3)."""
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", v, v)))
+
+
+def check_light(what: str, corner: Array, edge0: Array, edge1: Array) -> float:
+    """Return the height of the origin over the plane of a light's corner and edges, all (3,).
+
+    Parameters
+    ----------
+    what
+        What messages call the light.
+    corner
+        One corner, relative to the point that is lit.
+    edge0, edge1
+        Edges from it.
+
+    Raises
+    ------
+    ParameterError
+        The light has no area, is too small for its distance, or lies in a plane with the point:
+        lower than 1e-6 of the largest distance to it.
+    """
+    lengths = norm(np.stack([edge0, edge1]))
+    normal = np.cross(edge0, edge1)
+    if not norm(normal) > _FLAT * lengths.prod():
+        raise ParameterError(f"The {what} has no area; give corners that are not on one line.")
+    reach = float(norm(corner + np.stack([0 * edge0, edge0, edge1, edge0 + edge1])).max())
+    if lengths.min() < _FLAT * reach:
+        raise ParameterError(
+            f"The {what} has an edge of {lengths.min():.3g} at a distance of {reach:.3g}; nothing "
+            f"is left of it in float64 below {_FLAT:g} of the distance."
+        )
+    height = abs(float(corner @ (normal / norm(normal))))
+    if height < _GRAZING * reach:
+        raise ParameterError(
+            f"The origin lies in the plane of the {what} (height {height:.3g}, distance "
+            f"{reach:.3g}), where it subtends no solid angle; move it out of the plane."
+        )
+    return height
+
+
+def triangle_angle(volume: Array, a: Array, b: Array, c: Array) -> Array:
+    """Solid angle at the origin of triangles with corners (..., 3), in steradians.
+
+    Parameters
+    ----------
+    volume
+        |a · (b × c)|, which callers know without the cancellation of that formula.
+    a, b, c
+        Corners.
+
+    References
+    ----------
+    A. van Oosterom, J. Strackee (1983), "The solid angle of a plane triangle", eq. 8.
+    """
+    la, lb, lc = norm(a), norm(b), norm(c)
+    ab, bc, ca = (np.einsum("...i,...i->...", *pair) for pair in ((a, b), (b, c), (c, a)))
+    return np.asarray(2.0 * np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb))

@@ -1,0 +1,235 @@
+"""Solid-angle sampling of a rectangular or triangular light, on the light's own area parameters.
+
+The square (s, t) maps to the light with a constant Jacobian, so that the uniform density is area
+sampling and these densities are uniform in solid angle: p(s, t) = area · cos θ' / (r² Ω), positive
+everywhere. Any integrand in (s, t) can be studied with both.
+
+Cumulated solid angles are written without differences of nearly equal terms and inverted by Newton's
+method rather than by the closed forms of the papers, which lose all digits for small lights: those
+subtract angles of order 1 to get one of order Ω.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import ClassVar, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.geometry import as_vector, check_light, norm, triangle_angle
+from mcspectra.densities._newton import solve_increasing
+from mcspectra.densities.base import Density
+
+__all__ = ["SphericalRectangle", "SphericalTriangle"]
+
+Vector = tuple[float, float, float]
+
+_PERPENDICULAR = 1e-9  # cosine
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class SphericalRectangle(Density):
+    """Uniform in the solid angle of a rectangle, x = (s, t) for the point corner + s e_0 + t e_1.
+
+    u_0 is the share of solid angle up to s, u_1 that up to t within the line of constant s: the map
+    of Ureña, Fajardo and King.
+
+    Attributes
+    ----------
+    corner
+        One corner.
+    edge0, edge1
+        e_0 and e_1, the edges from it, at right angles.
+    origin
+        The point that is lit; not in the plane of the light.
+
+    References
+    ----------
+    C. Ureña, M. Fajardo, A. King (2013), "An area-preserving parametrization for spherical
+    rectangles", Computer Graphics Forum 32(4).
+    """
+
+    name: ClassVar[str] = "spherical-rectangle"
+    dims: int = field(default=2, init=False)
+    corner: Vector = (-0.5, -0.5, 1.0)
+    edge0: Vector = (1.0, 0.0, 0.0)
+    edge1: Vector = (0.0, 1.0, 0.0)
+    origin: Vector = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        for key in ("corner", "edge0", "edge1", "origin"):
+            object.__setattr__(self, key, as_vector(key, getattr(self, key)))
+        e0, e1 = np.array(self.edge0), np.array(self.edge1)
+        self._height  # noqa: B018 - refuses degenerate lights
+        if abs(e0 @ e1) > _PERPENDICULAR * norm(e0) * norm(e1):
+            raise ParameterError(
+                f"edge0 {self.edge0} and edge1 {self.edge1} are not at right angles; for other "
+                "parallelograms give two spherical triangles."
+            )
+
+    @cached_property
+    def _height(self) -> float:
+        corner = np.subtract(self.corner, self.origin)
+        return check_light("rectangle", corner, np.array(self.edge0), np.array(self.edge1))
+
+    @cached_property
+    def _frame(self) -> tuple[float, float, float, float]:
+        """Least x and y in the frame of the edges about the origin, and the edges' lengths."""
+        corner = np.subtract(self.corner, self.origin)
+        e0, e1 = np.array(self.edge0), np.array(self.edge1)
+        l0, l1 = float(norm(e0)), float(norm(e1))
+        return float(corner @ e0) / l0, float(corner @ e1) / l1, l0, l1
+
+    @cached_property
+    def solid_angle(self) -> float:
+        """Ω in steradians."""
+        return float(self._strip(np.ones(())))
+
+    def _strip(self, s: Array) -> Array:
+        """Solid angle of the part up to s."""
+        x0, y0, l0, l1 = self._frame
+        z = self._height
+        near, far = _corners(np.full(s.shape, x0), y0, l1, z), _corners(x0 + s * l0, y0, l1, z)
+        volume = z * l0 * l1 * s
+        first = triangle_angle(volume, near[0], far[0], far[1])
+        return first + triangle_angle(volume, near[0], far[1], near[1])
+
+    def _share(self, s: Array) -> tuple[Array, Array]:
+        """The share of solid angle up to s, and its slope."""
+        x0, y0, l0, l1 = self._frame
+        squared = (x0 + s * l0) ** 2 + self._height**2
+        line = self._height / squared * _rise(squared, y0, l1)
+        return self._strip(s) / self.solid_angle, l0 * line / self.solid_angle
+
+    def _share_of_line(self, s: Array, t: Array) -> tuple[Array, Array]:
+        """The share up to t within the line at s, and its slope in t."""
+        x0, y0, l0, l1 = self._frame
+        squared = (x0 + s * l0) ** 2 + self._height**2
+        whole = _rise(squared, y0, l1)
+        slope = l1 * squared / (squared + (y0 + t * l1) ** 2) ** 1.5
+        return _rise(squared, y0, t * l1) / whole, slope / whole
+
+    def _pdf(self, x: Array) -> Array:
+        x0, y0, l0, l1 = self._frame
+        s, t = x[..., 0], x[..., 1]
+        squared = (x0 + s * l0) ** 2 + (y0 + t * l1) ** 2 + self._height**2
+        return np.asarray(l0 * l1 * self._height / squared**1.5 / self.solid_angle)
+
+    def _sample(self, u: Array) -> Array:
+        s = solve_increasing(self._share, u[..., 0])
+        t = solve_increasing(lambda t: self._share_of_line(s, t), u[..., 1])
+        return np.stack([s, t], axis=-1)
+
+    def _invert(self, x: Array) -> Array:
+        s, t = x[..., 0], x[..., 1]
+        return np.stack([self._share(s)[0], self._share_of_line(s, t)[0]], axis=-1)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class SphericalTriangle(Density):
+    """Uniform in the solid angle of a triangle, on an area-uniform map of the square to it.
+
+    x = (s, t) stands for the point b + √t ((1 − s) a + s c − b): s is the share of the area next to
+    the edge ab as seen from b, t that of the triangle cut off parallel to ac. u_0 is the share of
+    solid angle up to s and u_1 that up to t within the line of constant s: Arvo's map, continuous.
+
+    Attributes
+    ----------
+    a, b, c
+        Corners.
+    origin
+        The point that is lit; not in the plane of the light.
+
+    References
+    ----------
+    J. Arvo (1995), "Stratified sampling of spherical triangles", SIGGRAPH 95.
+    """
+
+    name: ClassVar[str] = "spherical-triangle"
+    dims: int = field(default=2, init=False)
+    a: Vector = (-0.5, -0.5, 1.0)
+    b: Vector = (0.5, -0.5, 1.0)
+    c: Vector = (-0.5, 0.5, 1.0)
+    origin: Vector = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        for key in ("a", "b", "c", "origin"):
+            object.__setattr__(self, key, as_vector(key, getattr(self, key)))
+        self._volume  # noqa: B018 - refuses degenerate lights
+
+    @cached_property
+    def _corners(self) -> Array:
+        """a, b and c about the origin (3, 3)."""
+        return np.array([self.a, self.b, self.c]) - self.origin
+
+    @cached_property
+    def _volume(self) -> float:
+        """|a · (b × c)|: height times twice the area."""
+        first, second = np.subtract(self.b, self.a), np.subtract(self.c, self.a)
+        height = check_light("triangle", self._corners[0], first, second)
+        return height * float(norm(np.cross(first, second)))
+
+    @cached_property
+    def solid_angle(self) -> float:
+        """Ω in steradians."""
+        return float(triangle_angle(np.array(self._volume), *self._corners))
+
+    def _opposite(self, s: Array) -> Array:
+        """The point on ac at s (..., 3)."""
+        return np.asarray(self._corners[0] + s[..., None] * np.subtract(self.c, self.a))
+
+    def _point(self, s: Array, t: Array) -> Array:
+        edge = np.subtract(self.a, self.b) + s[..., None] * np.subtract(self.c, self.a)
+        return np.asarray(self._corners[1] + np.sqrt(t)[..., None] * edge)
+
+    def _spread(self, point: Array) -> Array:
+        """|x| (|b||x| + b·x), to which 1 − cos of the angle between b and x is reciprocal."""
+        b, length = self._corners[1], norm(point)
+        return np.asarray(length * (norm(b) * length + point @ b))
+
+    def _share(self, s: Array) -> tuple[Array, Array]:
+        """The share of solid angle up to s, and its slope."""
+        a, b, _ = self._corners
+        opposite = self._opposite(s)
+        angle = triangle_angle(s * self._volume, a, b, opposite)
+        slope = self._volume / self._spread(opposite)
+        return angle / self.solid_angle, slope / self.solid_angle
+
+    def _share_of_line(self, s: Array, t: Array) -> tuple[Array, Array]:
+        """The share up to t within the line at s, (1 − cos)/(1 − cos of the whole), and its slope."""
+        point, whole = self._point(s, t), self._spread(self._opposite(s))
+        return t * whole / self._spread(point), 0.5 * whole / norm(point) ** 3
+
+    def _pdf(self, x: Array) -> Array:
+        point = self._point(x[..., 0], x[..., 1])
+        return np.asarray(0.5 * self._volume / norm(point) ** 3 / self.solid_angle)
+
+    def _sample(self, u: Array) -> Array:
+        s = solve_increasing(self._share, u[..., 0])
+        t = solve_increasing(lambda t: self._share_of_line(s, t), u[..., 1])
+        return np.stack([s, t], axis=-1)
+
+    def _invert(self, x: Array) -> Array:
+        s, t = x[..., 0], x[..., 1]
+        return np.stack([self._share(s)[0], self._share_of_line(s, t)[0]], axis=-1)
+
+
+def _corners(x: Array, y0: float, length: float, z: float) -> tuple[Array, Array]:
+    """Both ends (..., 3) of the lines at x."""
+    low = np.stack([x, np.full(x.shape, y0), np.full(x.shape, z)], axis=-1)
+    return low, low + np.array([0.0, length, 0.0])
+
+
+def _rise(squared: Array, start: float, length: Array | float) -> Array:
+    """y/√(R² + y²) at start + length less at start, R² given; nothing cancels."""
+    end = start + np.asarray(length)
+    ra, rb = np.sqrt(squared + start**2), np.sqrt(squared + end**2)
+    weight = np.abs(end) * ra + np.abs(start) * rb
+    ratio = np.divide(np.abs(start + end), weight, out=np.zeros_like(weight), where=weight > 0)
+    one_sided = squared * length * ratio / (ra * rb)
+    return np.where(start * end > 0, one_sided, end / rb - start / ra)

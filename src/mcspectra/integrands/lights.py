@@ -1,0 +1,180 @@
+"""Irradiance from a rectangular light, over the light's area: a rendering integrand with a known answer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_real
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.geometry import as_vector, check_light, norm
+from mcspectra.integrands.base import Integrand
+
+__all__ = ["RectangleLight"]
+
+Vector = tuple[float, float, float]
+
+_CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+_FLAT = 1e-12  # height of an occluder's plane over the origin, relative, that hides nothing
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class RectangleLight(Integrand):
+    """Irradiance at a point from a light: f(s, t) = L cos θ cos θ' V area / r².
+
+    (s, t) stands for the point corner + s e_0 + t e_1 of the light, which emits the same radiance L
+    on both sides. θ is the angle to the receiver's normal (f = 0 below its horizon), θ' that to the
+    light's, V the visibility past the occluder. Lights are those of the densities
+    ``spherical-rectangle`` and, for parallelograms, ``spherical-triangle``.
+
+    Attributes
+    ----------
+    corner, edge0, edge1
+        A corner of the light and the edges from it; any parallelogram with an area.
+    origin
+        The point that is lit; not in the plane of the light.
+    normal
+        Normal of the receiver, of any length but 0.
+    radiance
+        L, at least 0.
+    occluder
+        None, or the corner and both edges of an opaque parallelogram: ``[[x, y, z], …]``. It hides
+        what lies behind it, and puts a jump along its shadow into f.
+
+    Notes
+    -----
+    The integral is exact: Lambert's formula for polygons, E = (L/2) Σ_i Γ_i n·(v_i × v_{i+1})/|…|
+    with the angle Γ_i of the edge v_i v_{i+1}, less what the occluder's silhouette cuts out of the
+    light. Its rounding error is about 1e-15 L, whatever the size of the light.
+    """
+
+    name: ClassVar[str] = "rectangle-light"
+    dims: int = field(default=2, init=False)
+    corner: Vector = (-0.5, -0.5, 1.0)
+    edge0: Vector = (1.0, 0.0, 0.0)
+    edge1: Vector = (0.0, 1.0, 0.0)
+    origin: Vector = (0.0, 0.0, 0.0)
+    normal: Vector = (0.0, 0.0, 1.0)
+    radiance: float = 1.0
+    occluder: Any = None
+
+    def __post_init__(self) -> None:
+        for key in ("corner", "edge0", "edge1", "origin", "normal"):
+            object.__setattr__(self, key, as_vector(key, getattr(self, key)))
+        object.__setattr__(self, "radiance", as_real("radiance", self.radiance, least=0.0))
+        object.__setattr__(self, "occluder", _as_occluder(self.occluder))
+        if not norm(np.array(self.normal)) > 0:
+            raise ParameterError("The normal is (0, 0, 0); give the direction the receiver faces.")
+        self._height  # noqa: B018 - refuses degenerate lights
+
+    @cached_property
+    def _light(self) -> tuple[Array, Array, Array]:
+        """Corner about the origin and both edges."""
+        return np.subtract(self.corner, self.origin), np.array(self.edge0), np.array(self.edge1)
+
+    @cached_property
+    def _height(self) -> float:
+        return check_light("light", *self._light)
+
+    @cached_property
+    def _up(self) -> Array:
+        """The receiver's unit normal."""
+        return np.asarray(self.normal / norm(np.array(self.normal)))
+
+    @cached_property
+    def _shade(self) -> tuple[Array, Array, Array] | None:
+        """The occluder about the origin; None where it hides nothing."""
+        if self.occluder is None:
+            return None
+        corner, edge0, edge1 = np.array(self.occluder)
+        corner = corner - self.origin
+        plane = np.cross(edge0, edge1)
+        if abs(corner @ plane) <= _FLAT * norm(plane) * (norm(corner) + norm(edge0) + norm(edge1)):
+            return None
+        return corner, edge0, edge1
+
+    def _evaluate(self, x: Array) -> Array:
+        corner, e0, e1 = self._light
+        w = corner + x[..., :1] * e0 + x[..., 1:] * e1
+        cosines = np.maximum(w @ self._up, 0.0) * self._height * float(norm(np.cross(e0, e1)))
+        return np.asarray(self.radiance * cosines * self._visible(w) / norm(w) ** 4)
+
+    def _visible(self, w: Array) -> Array:
+        """Whether nothing lies between the origin and points w (..., 3)."""
+        if self._shade is None:
+            return np.ones(w.shape[:-1], bool)
+        corner, e0, e1 = self._shade
+        # corner + a e0 + b e1 = τ w, by Cramer's rule
+        across = w @ np.cross(e0, e1)
+        scale = np.divide(1.0, across, out=np.zeros_like(across), where=across != 0)
+        a = -(w @ np.cross(corner, e1)) * scale
+        b = w @ np.cross(corner, e0) * scale
+        tau = (corner @ np.cross(e0, e1)) * scale
+        hit = (a >= 0) & (a <= 1) & (b >= 0) & (b <= 1) & (tau > 0) & (tau < 1)
+        return np.asarray(~hit)
+
+    def _integral(self) -> float:
+        corner, e0, e1 = self._light
+        lit = _clip(corner + _CORNERS @ np.stack([e0, e1]), self._up, 0.0)
+        return self.radiance * (self._irradiance(lit) - self._irradiance(self._shadow(lit)))
+
+    def _irradiance(self, polygon: Array) -> float:
+        """Lambert's formula for corners (k, 3) above the horizon, unit radiance."""
+        following = np.roll(polygon, -1, axis=0)
+        crossed = np.cross(polygon, following)
+        lengths = norm(crossed)
+        angles = np.arctan2(lengths, np.einsum("ki,ki->k", polygon, following))
+        ratios = np.divide(angles, lengths, out=np.zeros_like(angles), where=lengths > 0)
+        return 0.5 * abs(float(ratios @ (crossed @ self._up)))
+
+    def _shadow(self, lit: Array) -> Array:
+        """The part of a polygon of the light that the occluder hides."""
+        if self._shade is None:
+            return np.empty((0, 3))
+        corner, e0, e1 = self._shade
+        toward = np.cross(self._light[1], self._light[2])
+        toward = toward / norm(toward) * np.sign(self._light[0] @ toward)
+        shade = _clip(corner + _CORNERS @ np.stack([e0, e1]), toward, 0.0)
+        shade = -_clip(-shade, toward, -self._height)  # what is behind the light hides nothing
+        if len(shade) < 3:
+            return np.empty((0, 3))
+        middle = shade.mean(axis=0)
+        for start, end in zip(shade, np.roll(shade, -1, axis=0), strict=True):
+            side = np.cross(start, end)
+            lit = _clip(lit, side * np.sign(side @ middle), 0.0)
+        return lit
+
+
+def _clip(polygon: Array, normal: Array, offset: float) -> Array:
+    """The part of a convex polygon (k, 3) where normal·x >= offset (Sutherland & Hodgman 1974)."""
+    if not len(polygon):
+        return polygon
+    heights = polygon @ normal - offset
+    kept = []
+    for i, height in enumerate(heights):
+        following = (i + 1) % len(heights)
+        if height >= 0:
+            kept.append(polygon[i])
+        if (height >= 0) != (heights[following] >= 0):
+            share = height / (height - heights[following])
+            kept.append(polygon[i] + share * (polygon[following] - polygon[i]))
+    return np.array(kept).reshape(-1, 3)
+
+
+def _as_occluder(value: Any) -> tuple[Vector, Vector, Vector] | None:
+    """Check corner and edges of an occluder."""
+    if value is None:
+        return None
+    if not isinstance(value, list | tuple | np.ndarray) or len(value) != 3:
+        raise ParameterError(
+            f"occluder is {value!r:.80}; give None or [corner, edge0, edge1] of three numbers each."
+        )
+    corner, edge0, edge1 = (as_vector(f"occluder[{i}]", v) for i, v in enumerate(value))
+    first, second = np.array(edge0), np.array(edge1)
+    if not norm(np.cross(first, second)) > 1e-9 * norm(first) * norm(second):
+        raise ParameterError("The occluder has no area; give edges that are not parallel.")
+    return corner, edge0, edge1
