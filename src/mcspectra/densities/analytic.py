@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, final
+from typing import ClassVar, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer, as_reals
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.densities.base import Density
+from mcspectra.densities.base import Density, plain
 
 __all__ = ["Linear", "TruncatedNormal", "Uniform"]
 
@@ -71,7 +71,7 @@ class Linear(Density):
     def __post_init__(self) -> None:
         as_integer("dims", self.dims, least=1, most=_MAX_DIMS)
         as_reals("slope", self.slope, self.dims, least=-2.0, most=2.0)
-        object.__setattr__(self, "slope", _plain(self.slope))
+        object.__setattr__(self, "slope", plain(self.slope))
 
     @cached_property
     def _slopes(self) -> Array:
@@ -133,8 +133,8 @@ class TruncatedNormal(Density):
                     f"mean is {mean:g}, more than {_MAX_SIGMAS:g} sigma ({sigma:g}) outside [0,1]; "
                     "move it closer or make sigma larger."
                 )
-        object.__setattr__(self, "mean", _plain(self.mean))
-        object.__setattr__(self, "sigma", _plain(self.sigma))
+        object.__setattr__(self, "mean", plain(self.mean))
+        object.__setattr__(self, "sigma", plain(self.sigma))
 
     @cached_property
     def _normal(self) -> _CutNormal:
@@ -220,13 +220,6 @@ class _CutNormal:
         logarithms = np.log(2 * math.sqrt(math.pi) * self.sigma**2 * difference)
         with np.errstate(over="ignore"):
             return float(np.exp((logarithms + self.log_mass + most).sum()))
-
-
-def _plain(value: Any) -> Any:
-    """A list or array as a tuple of Python numbers, so that components hash and print."""
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    return tuple(map(_plain, value)) if isinstance(value, list | tuple) else value
 
 
 def _reciprocal_of_line(t: float) -> float:

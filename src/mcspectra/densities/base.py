@@ -17,7 +17,7 @@ from mcspectra.core.checks import Array, as_real_array
 from mcspectra.core.errors import DensityError, DomainError
 from mcspectra.core.spec import Component
 
-__all__ = ["Density", "as_points", "divide_by_density"]
+__all__ = ["Density", "as_points", "divide_by_density", "plain"]
 
 LARGEST_BELOW_ONE = float(np.nextafter(1.0, 0.0))
 
@@ -33,13 +33,28 @@ class Density(Component, ABC):
 
     dims: int
 
+    @property
+    def primary_dims(self) -> int:
+        """Number of dims of u: those of x, or more where further coordinates choose something."""
+        return self.dims
+
     def pdf(self, x: object) -> Array:
         """Density at points x of shape (..., d): float64 (...), integral 1 over [0,1)^d."""
         return self._pdf(as_points(x, self.dims, "x"))
 
     def sample(self, u: object) -> Array:
-        """Warp primary points u of shape (..., d) in [0,1) to the domain: float64 (..., d) in [0,1)."""
-        x = self._sample(as_points(u, self.dims, "u"))
+        """Warp primary points u to the domain.
+
+        Parameters
+        ----------
+        u
+            Points (..., primary_dims) in [0,1).
+
+        Returns
+        -------
+        Points x of shape (..., d) in [0,1), float64.
+        """
+        x = self._sample(as_points(u, self.primary_dims, "u"))
         return np.clip(x, 0.0, LARGEST_BELOW_ONE)
 
     def invert(self, x: object) -> Array:
@@ -53,9 +68,18 @@ class Density(Component, ABC):
         return True
 
     @property
+    def one_to_one(self) -> bool:
+        """Whether at most one u leads to any x, but for a set of measure zero."""
+        return True
+
+    def preimages(self, x: object) -> Array:
+        """All primary points (k', primary_dims) that lead to points x of shape (k, d), if known."""
+        return self.invert(x) if self.has_inverse else np.empty((0, self.primary_dims))
+
+    @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
         """For each axis of *primary* space, where the warp is not smooth (for quadrature)."""
-        return ((),) * self.dims
+        return ((),) * self.primary_dims
 
     def zero_points(self) -> Array:
         """Points (k, d) where p is known to be 0 on a set of positive measure; often none."""
@@ -126,6 +150,13 @@ def as_points(x: object, dims: int, name: str) -> Array:
             f"{name} runs from {points.min():.6g} to {points.max():.6g}; give points in [0,1)."
         )
     return points
+
+
+def plain(value: Any) -> Any:
+    """Return a list or array as a tuple of Python numbers, so that components hash and print."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    return tuple(map(plain, value)) if isinstance(value, list | tuple) else value
 
 
 def divide_by_density(values: Array, pdf: Array, x: Array, spec: str) -> Array:

@@ -12,6 +12,7 @@ from .mirrored import Mirrored as Mirrored
 from .mis import MultipleImportance as MultipleImportance
 from .mis import TechniqueSum as TechniqueSum
 from .moments import Moments as Moments
+from .split import split_mixture as split_mixture
 
 __all__ = [
     "HEURISTICS",
@@ -28,4 +29,5 @@ __all__ = [
     "as_estimator",
     "as_heuristic",
     "channel_estimators",
+    "split_mixture",
 ]

@@ -63,6 +63,11 @@ class Estimator(DomainEstimator):
         return f"Estimator({self.spec})"
 
     @property
+    def dims(self) -> int:
+        """Number of dims of the sampler: those of f, or more where the density's warp takes more."""
+        return self.integrand.dims if self.density is None else self.density.primary_dims
+
+    @property
     def spec(self) -> str:
         """``integrand / density``."""
         return self.integrand.spec + (f" / {self.density.spec}" if self.density else "")
@@ -143,7 +148,13 @@ def check_support(integrand: Integrand, densities: list[Density]) -> None:
 
 
 def check_same_dims(components: list[Any]) -> None:
-    """Raise ParameterError unless all components have the same number of dims."""
+    """Raise ParameterError unless all components have the same dims, those of a shared sampler."""
     if len({component.dims for component in components}) > 1:
         shown = ", ".join(f"{component.spec} has {component.dims}" for component in components)
         raise ParameterError(f"All parts of an estimator need the same number of dims: {shown}.")
+    for component in components:
+        if isinstance(component, Density) and component.primary_dims != component.dims:
+            raise ParameterError(
+                f"{component.spec} needs an extra coordinate, which a technique of several does "
+                "not have; use selection='coordinate', or its parts as techniques."
+            )

@@ -36,7 +36,7 @@ from mcspectra.samplers import as_sampler
 from mcspectra.spectra.bases import BASES, Basis, fitting_basis, make_basis
 from mcspectra.variance.bands import make_bands
 from mcspectra.variance.subspace import CovarianceProduct, Eigenpairs, leading_eigenpairs
-from mcspectra.variance.views import SPACES, View, check_terms
+from mcspectra.variance.views import SPACES, View, check_terms, view_dims
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -126,7 +126,7 @@ def covariance_modes(
     passes = as_integer("passes", passes, least=2, most=100)
     _check_modes(estimator, half_width, space, basis, modes)
     channel = as_integer("channel", channel, least=0, most=max(0, estimator.channels - 1))
-    functions = make_basis(basis, estimator.dims, half_width)
+    functions = make_basis(basis, view_dims(estimator, space), half_width)
     inside = _inside(bands, band, functions)
     view = View.of(estimator, n, space, functions, engine, eps)
     coordinates = _Coordinates.of(view, inside, channel, weighted=weighted)

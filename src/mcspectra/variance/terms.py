@@ -41,7 +41,7 @@ from mcspectra.spectra.bases import BASES, Basis, fitting_basis, make_basis
 from mcspectra.variance.bands import Bands, make_bands
 from mcspectra.variance.batches import Batches, Variables
 from mcspectra.variance.sums import Partition, SpectralSums
-from mcspectra.variance.views import SPACES, View, check_terms
+from mcspectra.variance.views import SPACES, View, check_terms, view_dims
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -139,7 +139,7 @@ def variance_terms(
     if as_choice("basis", basis, (*BASES, "auto")) == "auto":
         basis = fitting_basis(source, half_width)
     check_terms(estimator, half_width, space, cross_matrix=cross_matrix, basis=basis)
-    functions = make_basis(basis, estimator.dims, half_width)
+    functions = make_basis(basis, view_dims(estimator, space), half_width)
     view = View.of(estimator, n, space, functions, engine, eps)
     chosen = make_bands(bands, functions)
     partition = view.partition(chosen.of, cross_matrix)

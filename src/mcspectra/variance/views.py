@@ -17,7 +17,7 @@ from mcspectra.estimators import AbstractEstimator
 from mcspectra.spectra.bases import Basis, Coefficients, make_basis
 from mcspectra.variance.sums import Partition
 
-__all__ = ["MAX_MATRIX", "SPACES", "View", "check_terms"]
+__all__ = ["MAX_MATRIX", "SPACES", "View", "check_terms", "view_dims"]
 
 SPACES = ("domain", "primary")
 MAX_MATRIX = 4096
@@ -84,6 +84,11 @@ class View:
         )
 
 
+def view_dims(estimator: AbstractEstimator, space: str | None) -> int:
+    """Return the number of dims of the frequencies: of the domain, or of primary space."""
+    return estimator.dims if space == "primary" else estimator.domain_dims
+
+
 def check_terms(
     estimator: AbstractEstimator,
     half_width: int,
@@ -99,7 +104,7 @@ def check_terms(
     ParameterError
         The grid or the cross matrix would be too large, or there is no domain to work in.
     """
-    size = make_basis(basis, estimator.dims, half_width).size
+    size = make_basis(basis, view_dims(estimator, space), half_width).size
     if space == "domain" and estimator.domain_integrand is None:
         raise ParameterError(
             f"{estimator.spec} has no common domain: its techniques are given on their own "
