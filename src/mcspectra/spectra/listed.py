@@ -36,7 +36,7 @@ from mcspectra.core.parallel import (
 )
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.densities import Density, as_density
+from mcspectra.densities import Density, as_warp
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra._listed_kernels import phase_sum, product_sum
 from mcspectra.spectra.power import PowerSums, weighted_points
@@ -109,9 +109,10 @@ def power_at(
     array([False,  True])
     """
     dims = np.shape(frequencies)[-1] if np.ndim(frequencies) else None
-    source = as_sampler(sampler, None if isinstance(sampler, Sampler) else dims)
-    nu = _as_list(frequencies, source.dims)
-    p = as_density(density, source.dims)
+    drawn = getattr(density, "primary_dims", dims)
+    source = as_sampler(sampler, None if isinstance(sampler, Sampler) else drawn)
+    p = as_warp(density, source.dims)
+    nu = _as_list(frequencies, source.dims if p is None else p.dims)
     n = source.check_count(n)
     realizations = as_integer("realizations", realizations, least=1, most=MAX_REALIZATIONS)
     transform, chosen = listed_transform(nu, n, engine=engine, eps=eps)

@@ -17,7 +17,7 @@ from mcspectra.core.parallel import (
 )
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.densities import Density, as_density
+from mcspectra.densities import Density, as_warp
 from mcspectra.densities.base import divide_by_density
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra._kernels import power_sums
@@ -94,11 +94,12 @@ def power_spectrum(
     >>> spectrum["power"].dims, bool(64 * spectrum["radial_power"][0] < 0.2)
     (('m0', 'm1'), True)
     """
-    source = as_sampler(sampler, getattr(density, "dims", None))
-    p = as_density(density, source.dims)
+    source = as_sampler(sampler, getattr(density, "primary_dims", None))
+    p = as_warp(density, source.dims)
+    dims = source.dims if p is None else p.dims
     n = source.check_count(n)
     realizations = as_integer("realizations", realizations, least=1, most=MAX_REALIZATIONS)
-    grid = FrequencyGrid(source.dims, half_width, frequency_step)
+    grid = FrequencyGrid(dims, half_width, frequency_step)
     transform = Transform(grid, n, engine=engine, eps=eps)
     stream = Stream.from_rng(rng)
 
