@@ -20,6 +20,7 @@ from .estimators.mis import MultipleImportance as MultipleImportance
 from .estimators.mis import TechniqueSum as TechniqueSum
 from .integrands.base import Integrand as Integrand
 from .integrands.registry import integrand as integrand
+from .integrands.smoothing import smoothed as smoothed
 from .quality.figures import quality_figures as quality_figures
 from .samplers.base import Randomization as Randomization
 from .samplers.base import Sampler as Sampler
@@ -53,7 +54,10 @@ from .variance.pair_route import variance_from_pair_correlation as variance_from
 from .variance.prediction import integrand_decay as integrand_decay
 from .variance.prediction import predicted_rate as predicted_rate
 from .variance.remedies import remedies as remedies
+from .variance.routes import variance_routes as variance_routes
+from .variance.smoothing import smoothing_scan as smoothing_scan
 from .variance.stopping import realizations_needed as realizations_needed
+from .variance.techniques import technique_terms as technique_terms
 from .variance.terms import variance_terms as variance_terms
 from .version import __version__ as __version__
 
@@ -106,12 +110,16 @@ __all__ = [
     "sampler",
     "samplers",
     "slices",
+    "smoothed",
+    "smoothing_scan",
     "spectra",
     "studies",
     "subset_frequencies",
+    "technique_terms",
     "variance",
     "variance_from_pair_correlation",
     "variance_from_spectrum",
+    "variance_routes",
     "variance_terms",
     "wedge_means",
 ]

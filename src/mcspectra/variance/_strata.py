@@ -32,6 +32,9 @@ MAX_EVALUATIONS = 2**25
 """Evaluations of an integrand beyond which a quadrature is refused."""
 
 
+_LEAST_PANELS = 32  # of the whole axis, where offsets of few strata are integrated over
+
+
 def _towards_ends(depth: int) -> tuple[float, ...]:
     return tuple(x for k in range(1, depth) for x in (0.5**k, 1.0 - 0.5**k))
 
@@ -151,7 +154,9 @@ def offset_rule(g: Integrand, sides: tuple[int, ...], order: int) -> tuple[Array
     for s, breaks in zip(sides, g.breaks, strict=True):
         side = 1.0 / s
         folded = [b % side for b in breaks]
-        ends = np.unique([0.0, side, *(b for b in folded if 1e-14 < b < side - 1e-14)])
+        panels = max(1, _LEAST_PANELS // s) if g.dims == 1 else 1
+        cuts = [*folded, *(np.arange(1, panels) / panels * side)]
+        ends = np.unique([0.0, side, *(b for b in cuts if 1e-14 < b < side - 1e-14)])
         low, width = ends[:-1, None], np.diff(ends)[:, None]
         nodes = (low + width * 0.5 * (node + 1.0)).ravel()
         per_axis.append((nodes, (width / side * 0.5 * weight).ravel()))

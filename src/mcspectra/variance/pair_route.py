@@ -40,7 +40,7 @@ from mcspectra.variance._pair_kernels import pair_sum_1d, pair_sum_2d
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["variance_from_pair_correlation"]
+__all__ = ["mean_square", "variance_from_pair_correlation"]
 
 _GRID = {1: 2**15, 2: 2**10}  # points of an axis where the autocorrelation is sampled
 _MOST_POINTS = 2**17
@@ -152,11 +152,11 @@ def _of_known_pairs(sampler: Any, n: int, g: Integrand) -> Array:
     strata = cells.reshape(len(cells), *shape).sum(axis=axes).reshape(len(cells), -1)
     together = (strata**2).sum(axis=-1)
     if sampler.name == "random":
-        return np.asarray((_mean_square(g) - together) / n)
-    return np.asarray(_mean_square(g) / n - together)
+        return np.asarray((mean_square(g) - together) / n)
+    return np.asarray(mean_square(g) / n - together)
 
 
-def _mean_square(g: Integrand) -> Array:
+def mean_square(g: Integrand) -> Array:
     """∫g², (channels or 1,)."""
     found = g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims)))
     if found is not None:
@@ -180,7 +180,7 @@ def _of_counted_pairs(
         )
     table = _autocorrelation(g)
     # The mean of the table instead of I²: what its sampling gets wrong cancels
-    constant = _mean_square(g) / n - table.reshape(len(table), -1).mean(axis=-1)
+    constant = mean_square(g) / n - table.reshape(len(table), -1).mean(axis=-1)
     first, count = numbers
 
     def one(realization: int) -> Array:
