@@ -29,8 +29,8 @@ from .smoothing import smoothed as smoothed
 
 __all__ = [
     "INTEGRANDS",
-    "Channel",
     "BoxSmoothed",
+    "Channel",
     "ChristensenBilinear",
     "ChristensenDisk",
     "ChristensenGaussian",
