@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -29,9 +29,12 @@ class Density(Component, ABC):
     ----------
     dims
         Number of dimensions d.
+    warps
+        Names of the warps T that the parameter ``warp`` chooses from, of the same pdf; often none.
     """
 
     dims: int
+    warps: ClassVar[tuple[str, ...]] = ()
 
     @property
     def primary_dims(self) -> int:

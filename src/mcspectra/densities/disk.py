@@ -46,6 +46,7 @@ class DiskDensity(Density):
     """
 
     name: ClassVar[str] = "disk"
+    warps: ClassVar[tuple[str, ...]] = WARPS
     dims: int = field(default=2, init=False)
     radius: float = 0.5
     center: float | tuple[float, float] = 0.5

@@ -58,6 +58,7 @@ class EnvironmentDensity(Density):
     """
 
     name: ClassVar[str] = "environment"
+    warps: ClassVar[tuple[str, ...]] = WARPS
     dims: int = field(default=2, init=False)
     path: str | os.PathLike[str] | None = None
     values: Any = None

@@ -43,6 +43,7 @@ class HemisphereDensity(Density):
     """
 
     name: ClassVar[str] = "hemisphere"
+    warps: ClassVar[tuple[str, ...]] = WARPS
     dims: int = field(default=2, init=False)
     weighting: str = "cosine"
     warp: str = "concentric"
@@ -93,6 +94,7 @@ class SphereDensity(Density):
     """
 
     name: ClassVar[str] = "sphere"
+    warps: ClassVar[tuple[str, ...]] = WARPS
     dims: int = field(default=2, init=False)
     warp: str = "concentric"
 

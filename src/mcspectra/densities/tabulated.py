@@ -71,6 +71,7 @@ class PiecewiseConstant(Density):
     """
 
     name: ClassVar[str] = "piecewise-constant"
+    warps: ClassVar[tuple[str, ...]] = WARPS
     values: Any
     warp: str = "marginal"
 
@@ -166,6 +167,7 @@ class ImageDensity(Density):
     """
 
     name: ClassVar[str] = "image"
+    warps: ClassVar[tuple[str, ...]] = WARPS
     dims: int = field(default=2, init=False)
     path: str | os.PathLike[str]
     channel: str | int = "luminance"
