@@ -65,7 +65,7 @@ def test_values_in_the_words_of_the_definition(light):
         other = abs(w @ across) / (r * area)
         seen = not hidden(light, w)
         assert value == pytest.approx(
-            light.radiance * cosine * other * area * seen / r**2, abs=1e-15
+            light.radiance * cosine * other * area * seen / r**2, rel=1e-14
         )
 
 

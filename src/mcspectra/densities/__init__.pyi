@@ -26,6 +26,8 @@ from .registry import as_warp as as_warp
 from .registry import density as density
 from .tabulated import ImageDensity as ImageDensity
 from .tabulated import PiecewiseConstant as PiecewiseConstant
+from .vegas_ import GridDensity as GridDensity
+from .vegas_ import vegas_density as vegas_density
 
 __all__ = [
     "DENSITIES",
@@ -37,6 +39,7 @@ __all__ = [
     "EnvironmentDensity",
     "Exponential",
     "FunctionDensity",
+    "GridDensity",
     "HemisphereDensity",
     "ImageDensity",
     "Linear",
@@ -56,4 +59,5 @@ __all__ = [
     "check_density",
     "density",
     "reciprocal_integral",
+    "vegas_density",
 ]

@@ -21,6 +21,7 @@ DENSITIES = Registry(
         "environment": "mcspectra.densities.environment:EnvironmentDensity",
         "image": "mcspectra.densities.tabulated:ImageDensity",
         "disk": "mcspectra.densities.disk:DiskDensity",
+        "grid": "mcspectra.densities.vegas_:GridDensity",
         "hemisphere": "mcspectra.densities.hemisphere:HemisphereDensity",
         "linear": "mcspectra.densities.analytic:Linear",
         "mixture": "mcspectra.densities.mixture:Mixture",
@@ -34,6 +35,7 @@ DENSITIES = Registry(
         "sphere": "mcspectra.densities.hemisphere:SphereDensity",
         "truncated-normal": "mcspectra.densities.analytic:TruncatedNormal",
         "uniform": "mcspectra.densities.analytic:Uniform",
+        "vegas": "mcspectra.estimators.vegas_:VegasDensity",
     },
 )
 """Densities that spec strings can name."""

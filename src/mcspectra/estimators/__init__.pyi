@@ -13,6 +13,7 @@ from .mis import MultipleImportance as MultipleImportance
 from .mis import TechniqueSum as TechniqueSum
 from .moments import Moments as Moments
 from .split import split_mixture as split_mixture
+from .vegas_ import VegasDensity as VegasDensity
 
 __all__ = [
     "HEURISTICS",
@@ -26,6 +27,7 @@ __all__ = [
     "Moments",
     "MultipleImportance",
     "TechniqueSum",
+    "VegasDensity",
     "as_estimator",
     "as_heuristic",
     "channel_estimators",
