@@ -17,7 +17,7 @@ from mcspectra.estimators import Moments
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.variance.sums import Partition, SpectralSums
 
-__all__ = ["Batches", "Variables"]
+__all__ = ["Batches", "Variables", "spread"]
 
 Variables: TypeAlias = dict[str, tuple[tuple[str, ...], Any]]
 """Result variables by name: dims and values."""
@@ -53,15 +53,15 @@ class Batches:
         real = measured > rounding_floor(np.mean(self._means, axis=0))
         ratio = np.divide(predicted, measured, out=np.full_like(predicted, np.nan), where=real)
         residual = values[:, :3].sum(axis=1) - ratio * values[:, 3]
-        half = _spread(residual, share) / np.where(real, measured, np.nan)
+        half = spread(residual, share) / np.where(real, measured, np.nan)
         half = half * stdtrit(max(1, len(weight) - 1), 0.5 + _LEVEL / 2)
-        errors = _spread(values[:, :3] - mean[:3], share)
+        errors = spread(values[:, :3] - mean[:3], share)
         terms = {name: (("channel",), error) for name, error in zip(_NAMES, errors, strict=True)}
         interval = np.stack([captured - half, captured + half], axis=-1)
         return {**terms, "captured_ci": (("channel", "bound"), interval)}
 
 
-def _spread(deviation: Array, share: Array) -> Array:
+def spread(deviation: Array, share: Array) -> Array:
     """Standard error of a weighted mean over blocks (B, ...) from deviations; NaN for one block."""
     blocks = len(share)
     if blocks < 2:
