@@ -3,7 +3,18 @@
 import importlib
 import sys
 
-NAMES = ("spectrum", "streams", "samplers", "start", "oracles", "identity", "veach", "bases")
+NAMES = (
+    "spectrum",
+    "streams",
+    "samplers",
+    "start",
+    "oracles",
+    "identity",
+    "veach",
+    "bases",
+    "pairs",
+    "convergence",
+)
 
 
 def main() -> int:

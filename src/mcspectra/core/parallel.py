@@ -14,7 +14,14 @@ from typing import TypeVar
 
 from mcspectra.core.checks import as_integer
 
-__all__ = ["MAX_REALIZATIONS", "Block", "available_workers", "map_in_order", "realization_blocks"]
+__all__ = [
+    "MAX_REALIZATIONS",
+    "Block",
+    "available_workers",
+    "cache_blocks",
+    "map_in_order",
+    "realization_blocks",
+]
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -26,6 +33,7 @@ MAX_REALIZATIONS = 10**9
 """Most realisations of one analysis."""
 
 _BLOCK_NUMBERS = 2**21  # about 16 MiB of float64 a block: larger than any cache, far below memory
+_CACHED_NUMBERS = 2**16  # half a MiB: stays in a second-level cache, with what is made of it
 
 
 def available_workers(workers: int | None = None) -> int:
@@ -47,6 +55,13 @@ def realization_blocks(
     size = min(size, max(1, realizations // least // multiple) * multiple)
     stop = first + realizations
     return ((start, min(size, stop - start)) for start in range(first, stop, size))
+
+
+def cache_blocks(block: Block, numbers_each: int) -> Iterator[Block]:
+    """Split a block into ones of about `_CACHED_NUMBERS` numbers."""
+    size = max(1, _CACHED_NUMBERS // max(1, numbers_each))
+    start, stop = block[0], block[0] + block[1]
+    return ((own, min(size, stop - own)) for own in range(start, stop, size))
 
 
 def map_in_order(

@@ -25,6 +25,7 @@ __all__ = [
     "power_fourier",
     "product_over_axes",
     "settle",
+    "squared_distance",
 ]
 
 PerAxis = float | Sequence[float]
@@ -95,6 +96,17 @@ def power_fourier(m: Array, degree: int) -> list[Array]:
     for k in range(1, degree + 1):
         integrals.append(np.where(low, waves @ node**k, (k * integrals[-1] - 1.0) / a))
     return integrals
+
+
+def squared_distance(x: Array, center: Array, scale: float = 1.0) -> Array:
+    """Σ_i (scale (x_i − c_i))² of points x (..., d): float64 (...)."""
+    # NumPy's sum over a last axis of two or three numbers takes several times as long.
+    from mcspectra.integrands._kernels import fill_squared_distances
+
+    out = np.empty(x.shape[:-1])
+    points = np.ascontiguousarray(x).reshape(-1, x.shape[-1])
+    fill_squared_distances(points, np.array(center, float), scale, out.reshape(-1))
+    return out
 
 
 def gaussian_fourier(m: Array, center: float, width: float) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -23,6 +24,7 @@ from mcspectra.integrands._axes import (
     power_fourier,
     product_over_axes,
     settle,
+    squared_distance,
 )
 from mcspectra.integrands.base import Integrand, check_dims
 
@@ -190,8 +192,10 @@ class Gaussian(Integrand):
         return mean.prod(axis=-1), square.prod(axis=-1)
 
     def _evaluate(self, x: Array) -> Array:
-        squared = ((x - self._centers) / self.width) ** 2
-        return np.asarray(np.exp(-0.5 * squared.sum(axis=-1)))
+        scale = min(math.sqrt(0.5) / self.width, sys.float_info.max)  # 0 · ∞ is not 0
+        exponent = squared_distance(x, self._centers, scale)
+        np.negative(exponent, out=exponent)
+        return np.asarray(np.exp(exponent, out=exponent))
 
     def _integral(self) -> float:
         return float(self._fourier(np.zeros((1, self.dims)))[0].real)

@@ -13,7 +13,14 @@ import numpy as np
 from mcspectra.core.checks import Array, as_integer, as_real
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.integrands._axes import PerAxis, axis_values, interval_fourier, overlap, settle
+from mcspectra.integrands._axes import (
+    PerAxis,
+    axis_values,
+    interval_fourier,
+    overlap,
+    settle,
+    squared_distance,
+)
 from mcspectra.integrands._shapes import (
     ball_fourier,
     ball_volume,
@@ -210,8 +217,7 @@ class Disk(Integrand):
         return share, share
 
     def _evaluate(self, x: Array) -> Array:
-        squared = ((x - self._centers) ** 2).sum(axis=-1)
-        return np.asarray(squared < self.radius**2, np.float64)
+        return np.asarray(squared_distance(x, self._centers) < self.radius**2, np.float64)
 
     def _integral(self) -> float | None:
         if self._inside:

@@ -8,7 +8,7 @@ its relative standard error, from the kurtosis of the estimates, is its weight i
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.variance.fit import check_window, fit_rate
-from mcspectra.variance.stopping import check_relative_error, count_moments, moments_until
+from mcspectra.variance.stopping import check_relative_error, joint_moments, moments_until
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -99,16 +99,25 @@ def convergence(
     stream = Stream.from_rng(rng)
     threads = available_workers(workers)
 
-    def curve(e: AbstractEstimator, s: Sampler) -> dict[str, Array]:
-        def cell(n: int) -> Moments:
-            own = count_stream(stream, n)
-            if goal is None:
-                return count_moments(e, s, n, realizations, own, threads)
-            return moments_until(e, s, n, goal, realizations, own, threads)[0]
+    def cell(es: list[AbstractEstimator], s: Sampler, n: int) -> list[Moments]:
+        own = count_stream(stream, n)
+        if goal is None:
+            return joint_moments(es, s, n, realizations, own, threads)
+        return [moments_until(e, s, n, goal, realizations, own, threads)[0] for e in es]
 
-        return curve_from_moments(ns, [cell(n) for n in ns], np.atleast_1d(e.integral), window)
+    def curves(es: list[AbstractEstimator], s: Sampler) -> Iterator[dict[str, Array]]:
+        found = [cell(es, s, n) for n in ns]
+        for e, moments in zip(es, zip(*found, strict=True), strict=True):
+            yield curve_from_moments(ns, list(moments), np.atleast_1d(e.integral), window)
 
-    grid = [[curve(e, s) for s in samplers] for e in estimators]
+    # One technique draws the sampler's own points: then all estimators share them.
+    plain = all(e.counts == (1,) for e in estimators)
+    groups = [estimators] if plain else [[e] for e in estimators]
+    grid = [
+        list(row)
+        for es in groups
+        for row in zip(*(list(curves(es, s)) for s in samplers), strict=True)
+    ]
     return _labelled(
         grid,
         ns,

@@ -14,16 +14,18 @@ tried, then the error is given as NaN, and the goal as not reached.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.core.checks import as_integer, as_real
+from mcspectra.core.checks import Array, as_integer, as_real
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.parallel import (
     MAX_REALIZATIONS,
     Block,
     available_workers,
+    cache_blocks,
     map_in_order,
     realization_blocks,
 )
@@ -36,7 +38,13 @@ from mcspectra.samplers import Sampler, as_sampler
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["count_moments", "moments_until", "realizations_needed", "relative_error_of"]
+__all__ = [
+    "count_moments",
+    "joint_moments",
+    "moments_until",
+    "realizations_needed",
+    "relative_error_of",
+]
 
 _LEAST = 100  # realisations of the first stage: κ of fewer says little
 _STEP = 1.25  # a stage makes the sample longer by a quarter at least,
@@ -141,18 +149,36 @@ def count_moments(
     first: int = 0,
 ) -> Moments:
     """Moments of the estimates of realisations first … first + realizations − 1, channels last."""
+    return joint_moments([estimator], sampler, n, realizations, stream, workers, first)[0]
 
-    def block_moments(block: Block) -> Moments:
-        points = estimator.draw(sampler, n, stream, *block)
-        return Moments.of(estimator.estimate(points).reshape(block[1], -1))
 
-    numbers = n * estimator.dims * sum(estimator.counts)
+def joint_moments(
+    estimators: Sequence[AbstractEstimator],
+    sampler: Sampler,
+    n: int,
+    realizations: int,
+    stream: Stream,
+    workers: int = 1,
+    first: int = 0,
+) -> list[Moments]:
+    """Return `count_moments` of several estimators that draw the same points; drawn once."""
+    numbers = n * estimators[0].dims * sum(estimators[0].counts)
+
+    def estimates(block: Block) -> list[Array]:
+        points = estimators[0].draw(sampler, n, stream, *block)
+        return [e.estimate(points).reshape(block[1], -1) for e in estimators]
+
+    def block_moments(block: Block) -> list[Moments]:
+        inner = cache_blocks(block, numbers)
+        parts = zip(*map(estimates, inner), strict=True)
+        return [Moments.of(np.concatenate(part)) for part in parts]
+
     blocks = realization_blocks(realizations, numbers, first=first)
     results = map_in_order(block_moments, blocks, workers)
-    total = next(results)
-    for moments in results:
-        total = total.merge(moments)
-    return total
+    totals = next(results)
+    for each in results:
+        totals = [total.merge(moments) for total, moments in zip(totals, each, strict=True)]
+    return totals
 
 
 def moments_until(

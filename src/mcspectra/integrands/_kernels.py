@@ -1,0 +1,25 @@
+"""Numba kernels of the integrands: arrays only, nothing checked."""
+
+from __future__ import annotations
+
+from mcspectra.core.checks import Array
+from mcspectra.core.jit import kernel
+
+__all__ = ["fill_squared_distances"]
+
+
+@kernel
+def fill_squared_distances(x: Array, center: Array, scale: float, out: Array) -> None:
+    """Σ_i (scale (x_i − c_i))² of points x (P, d): out (P,)."""
+    count, dims = x.shape
+    if dims == 2:  # of the usual case the compiler makes vector instructions
+        for k in range(count):
+            a, b = scale * (x[k, 0] - center[0]), scale * (x[k, 1] - center[1])
+            out[k] = a * a + b * b
+        return
+    for k in range(count):
+        total = 0.0
+        for i in range(dims):
+            step = scale * (x[k, i] - center[i])
+            total += step * step
+        out[k] = total

@@ -1,0 +1,29 @@
+"""Blocks of realisations: every realisation once, in order, within the size that is wanted."""
+
+import pytest
+
+from mcspectra.core.parallel import cache_blocks, map_in_order, realization_blocks
+
+
+def _members(blocks):
+    return [r for first, count in blocks for r in range(first, first + count)]
+
+
+@pytest.mark.parametrize("numbers", [0, 1, 100, 2**15, 2**16, 2**30])
+def test_blocks_that_fit_a_cache_cover_a_block(numbers):
+    blocks = list(cache_blocks((7, 100), numbers))
+    assert _members(blocks) == list(range(7, 107))
+    assert all(count == 1 or count * numbers <= 2**16 for _, count in blocks)
+    assert len({count for _, count in blocks[:-1]}) <= 1
+
+
+def test_blocks_of_realisations_cover_all():
+    blocks = list(realization_blocks(1001, 2**12, multiple=2, first=5, least=3))
+    assert _members(blocks) == list(range(5, 1006))
+    assert len(blocks) >= 3
+    assert all(count % 2 == 0 for _, count in blocks[:-1])
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_results_come_in_order(workers):
+    assert list(map_in_order(lambda x: x * x, range(50), workers)) == [x * x for x in range(50)]
