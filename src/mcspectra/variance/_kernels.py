@@ -1,41 +1,118 @@
 """Numba kernels of the variance terms: arrays only, no checks.
 
 Legend: r realisations of a block, h coefficients (half spectra of all techniques, one after the
-other), c channels, a bands. `double[h]` is 2 for a coefficient that also stands for −m, else 1.
+other), c channels, a bands, k half widths, j the real numbers of the coefficients (2 each where they
+are complex). `double[h]` is 2 for a coefficient that also stands for −m, else 1.
 All sums over h with conj(f_h) S_h are real because the full spectrum is Hermitian.
+
+Coefficients are taken in tiles that stay in the first cache while all realisations pass: the sums
+are the same, term after term. Tiles are slices, as loops over them from 0 become vector code and those
+from a variable start, whose sign Numba does not know, do not.
 """
 
 from __future__ import annotations
 
+import numpy as np
+
 from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
 
-__all__ = ["accumulate", "band_estimates"]
+__all__ = ["accumulate", "band_estimates", "merge_moments", "term_sums"]
+
+_TILE = 512
 
 
 @kernel
-def band_estimates(s: Array, f: Array, double: Array, band: Array, out: Array) -> None:
-    """Band-limited estimates out[r, c, a] += Σ_{h in a} double Re conj(f_ch) S_rh.
+def band_estimates(
+    s: Array,
+    f: Array,
+    double: Array,
+    band: Array,
+    shell: Array,
+    bands: Array,
+    shells: Array,
+    total: Array,
+) -> None:
+    """Band-limited estimates Σ_{h in a} double Re conj(f_ch) S_rh for two partitions, and Σ_r S.
 
-    s (R, H) complex, f (C, H) complex, double (H,), band (H,) int, out (R, C, A) zeros.
+    s (R, H), f (C, H), both complex or both real, double (H,), band and shell (H,) int; zeros to
+    start with: bands (R, C, A), shells (R, C, K+1), total (H,).
     """
-    for r in range(s.shape[0]):
-        for c in range(f.shape[0]):
-            for h in range(s.shape[1]):
-                product = f[c, h].real * s[r, h].real + f[c, h].imag * s[r, h].imag
-                out[r, c, band[h]] += double[h] * product
+    for low in range(0, s.shape[1], _TILE):
+        tile = slice(low, low + _TILE)
+        a, k, twice, part = band[tile], shell[tile], double[tile], total[tile]
+        for r in range(s.shape[0]):
+            row = s[r, tile]
+            for h in range(row.size):
+                part[h] += row[h]
+            for c in range(f.shape[0]):
+                g, by_band, by_shell = f[c, tile], bands[r, c], shells[r, c]
+                for h in range(row.size):
+                    product = g[h].real * row[h].real + g[h].imag * row[h].imag
+                    product *= twice[h]
+                    by_band[a[h]] += product
+                    by_shell[k[h]] += product
 
 
 @kernel
-def accumulate(s: Array, mean: Array, estimate: Array, m2: Array, cov: Array) -> None:
-    """Second moments of a block about its own means.
+def accumulate(s: Array, mean: Array, estimate: Array, squares: Array, cov: Array) -> None:
+    """Second moments of a block about its own means, of all real numbers alike.
 
-    s (R, H), mean (H,), estimate (R, C) with its mean removed;
-    m2 (H,) += Σ_r |S − S̄|²;  cov (C, H) += Σ_r (S − S̄)(I − Ī).
+    s (R, J), mean (J,), estimate (R, C) with its mean removed;
+    squares (J,) += Σ_r (S − S̄)²;  cov (C, J) += Σ_r (S − S̄)(I − Ī).
     """
-    for r in range(s.shape[0]):
-        for h in range(s.shape[1]):
-            delta = s[r, h] - mean[h]
-            m2[h] += delta.real * delta.real + delta.imag * delta.imag
+    for low in range(0, s.shape[1], _TILE):
+        tile = slice(low, low + _TILE)
+        center, square = mean[tile], squares[tile]
+        for r in range(s.shape[0]):
+            row = s[r, tile]
+            for j in range(row.size):
+                delta = row[j] - center[j]
+                square[j] += delta * delta
             for c in range(cov.shape[0]):
-                cov[c, h] += delta * estimate[r, c]
+                deviation, part = estimate[r, c], cov[c, tile]
+                for j in range(row.size):
+                    part[j] += (row[j] - center[j]) * deviation
+
+
+@kernel
+def merge_moments(
+    count: int,
+    mean: Array,
+    m2: Array,
+    cov: Array,
+    other_count: int,
+    other_mean: Array,
+    other_m2: Array,
+    other_cov: Array,
+    shift: Array,
+) -> tuple[Array, Array, Array]:
+    """Means (H,), Σ|S − S̄|² (H,) and Σ(S − S̄)(I − Ī) (C, H) of two sets of realisations together.
+
+    shift (C,) is the difference of the mean estimates (Chan, Golub & LeVeque 1983).
+    """
+    part = other_count / (count + other_count)
+    factor = count * part
+    new_mean, new_m2, new_cov = np.empty_like(mean), np.empty_like(m2), np.empty_like(cov)
+    for h in range(mean.size):
+        delta = other_mean[h] - mean[h]
+        new_mean[h] = mean[h] + part * delta
+        square = delta.real * delta.real + delta.imag * delta.imag
+        new_m2[h] = m2[h] + other_m2[h] + factor * square
+        for c in range(cov.shape[0]):
+            new_cov[c, h] = cov[c, h] + other_cov[c, h] + (factor * shift[c]) * delta
+    return new_mean, new_m2, new_cov
+
+
+@kernel
+def term_sums(f: Array, m2: Array, cov: Array, double: Array, dc: Array, out: Array) -> None:
+    """Add for every channel to out (C, 3): the dc term, the power term, and the sum of all terms.
+
+    f (C, H), m2 (H,), cov (C, H), double (H,), dc (H,) bool; the degrees of freedom not yet divided by.
+    """
+    for c in range(f.shape[0]):
+        for h in range(f.shape[1]):
+            a = f[c, h]
+            square = (a.real * a.real + a.imag * a.imag) * (m2[h] * double[h])
+            out[c, 0 if dc[h] else 1] += square
+            out[c, 2] += (a.real * cov[c, h].real + a.imag * cov[c, h].imag) * double[h]

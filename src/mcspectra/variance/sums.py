@@ -15,7 +15,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.estimators.moments import Moments
-from mcspectra.variance._kernels import accumulate, band_estimates
+from mcspectra.variance._kernels import accumulate, band_estimates, merge_moments, term_sums
 
 __all__ = ["Partition", "SpectralSums"]
 
@@ -68,20 +68,22 @@ class SpectralSums:
         f, double = partition.coefficients, partition.double
         shape = (len(s), len(f))
         bands = np.zeros((*shape, int(partition.band.max()) + 1))
-        band_estimates(s, f, double, partition.band, bands)
         shells = np.zeros((*shape, int(partition.shell.max()) + 1))
-        band_estimates(s, f, double, partition.shell, shells)
+        mean = np.zeros(s.shape[1], s.dtype)
+        band_estimates(s, f, double, partition.band, partition.shell, bands, shells, mean)
+        mean /= len(s)
         estimate = bands.sum(axis=2)
-        mean, estimate_mean = s.mean(axis=0), estimate.mean(axis=0)
-        m2, cov = np.zeros(s.shape[1]), np.zeros_like(f)
-        accumulate(s, mean, estimate - estimate_mean, m2, cov)
+        estimate_mean = estimate.mean(axis=0)
+        squares, cov = np.zeros_like(mean), np.zeros_like(f)
+        numbers = (a.view(np.float64) for a in (squares, cov))
+        accumulate(s.view(np.float64), mean.view(np.float64), estimate - estimate_mean, *numbers)
         band_mean = bands.mean(axis=0)
         deviation = bands - band_mean
         return SpectralSums(
             count=len(s),
             mean=mean,
             estimate_mean=estimate_mean,
-            m2=m2,
+            m2=squares.real + squares.imag,
             cov=cov,
             band_mean=band_mean,
             band_m2=np.einsum("rca,rcb->cab", deviation, deviation),
@@ -91,11 +93,10 @@ class SpectralSums:
 
     def terms(self, partition: Partition) -> tuple[Array, Array, Array]:
         """Dc, power and cross term, each (C,): unbiased, and their sum is the variance of I."""
-        f, degrees = partition.coefficients, max(self.count - 1, 1)
-        diagonal = np.abs(f) ** 2 * (self.m2 / degrees * partition.double)
-        total = ((f.conj() * self.cov).real * partition.double).sum(axis=1) / degrees
-        dc = diagonal[:, partition.dc].sum(axis=1)
-        power = diagonal[:, ~partition.dc].sum(axis=1)
+        f = partition.coefficients
+        sums = np.zeros((len(f), 3))
+        term_sums(f, self.m2, self.cov, partition.double, partition.dc, sums)
+        dc, power, total = sums.T / max(self.count - 1, 1)
         return dc, power, total - dc - power
 
     def merge(self, other: SpectralSums) -> SpectralSums:
@@ -103,19 +104,22 @@ class SpectralSums:
         a, b = self.count, other.count
         factor = a * b / (a + b)
         part = b / (a + b)
-        delta = other.mean - self.mean
         shift = other.estimate_mean - self.estimate_mean
         jump = other.band_mean - self.band_mean
         matrix = None
         if self.matrix is not None and other.matrix is not None:
-            matrix = self.matrix + other.matrix + factor * _outer(delta[None, :])
+            delta = (other.mean - self.mean)[None, :]
+            matrix = self.matrix + other.matrix + factor * _outer(delta)
+        mean, m2, cov = merge_moments(
+            a, self.mean, self.m2, self.cov, b, other.mean, other.m2, other.cov, shift
+        )
         return replace(
             self,
             count=a + b,
-            mean=self.mean + part * delta,
+            mean=mean,
             estimate_mean=self.estimate_mean + part * shift,
-            m2=self.m2 + other.m2 + factor * (delta.real**2 + delta.imag**2),
-            cov=self.cov + other.cov + factor * shift[:, None] * delta[None, :],
+            m2=m2,
+            cov=cov,
             band_mean=self.band_mean + part * jump,
             band_m2=self.band_m2 + other.band_m2 + factor * np.einsum("ca,cb->cab", jump, jump),
             truncated=self.truncated.merge(other.truncated),
