@@ -107,16 +107,16 @@ def _from_file(path: object) -> Array:
 
 def _from_values(values: object) -> Array:
     try:
-        given = np.asarray(values)
-        if given.size > _MOST_VALUES:
-            raise ParameterError(
-                f"values have shape {given.shape}; {_MOST_VALUES:.3g} numbers are read at most."
-            )
-        pixels = np.array(as_real_array("values", given))
+        given = as_real_array("values", np.asarray(values))
     except (DomainError, ValueError):
         raise ParameterError(
             "values are not an array of numbers; give (h, w) or (h, w, channels)."
         ) from None
+    if given.size > _MOST_VALUES:
+        raise ParameterError(
+            f"values have shape {given.shape}; {_MOST_VALUES:.3g} numbers are read at most."
+        )
+    pixels = np.array(given)
     if pixels.ndim not in (2, 3) or pixels.size == 0:
         raise ParameterError(
             f"values have shape {pixels.shape}; give pixels of shape (h, w) or (h, w, channels)."
