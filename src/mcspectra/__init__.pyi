@@ -18,10 +18,12 @@ from .estimators.importance import Estimator as Estimator
 from .estimators.mirrored import Mirrored as Mirrored
 from .estimators.mis import MultipleImportance as MultipleImportance
 from .estimators.mis import TechniqueSum as TechniqueSum
+from .estimators.one_sample import OneSampleMIS as OneSampleMIS
 from .integrands.base import Integrand as Integrand
 from .integrands.registry import integrand as integrand
 from .integrands.smoothing import smoothed as smoothed
 from .quality.figures import quality_figures as quality_figures
+from .quality.warps import warp_quality as warp_quality
 from .samplers.base import Randomization as Randomization
 from .samplers.base import Sampler as Sampler
 from .samplers.registry import sampler as sampler
@@ -45,7 +47,10 @@ from .spectra.shapes import radial_statistics as radial_statistics
 from .spectra.shapes import slices as slices
 from .spectra.shapes import variance_from_spectrum as variance_from_spectrum
 from .spectra.shapes import wedge_means as wedge_means
+from .variance.alignment import aligned as aligned
+from .variance.alignment import strata_shift_scan as strata_shift_scan
 from .variance.anova import anova_variances as anova_variances
+from .variance.best_alignment import best_alignment as best_alignment
 from .variance.convergence import convergence as convergence
 from .variance.exact import exact_variance as exact_variance
 from .variance.mirror_study import mirror_study as mirror_study
@@ -70,12 +75,15 @@ __all__ = [
     "Mirrored",
     "MultipleImportance",
     "NoClosedForm",
+    "OneSampleMIS",
     "Randomization",
     "Sampler",
     "TechniqueSum",
     "__version__",
+    "aligned",
     "anova_variances",
     "axis_frequencies",
+    "best_alignment",
     "channel_estimators",
     "closed_form_covariance",
     "closed_form_pair_correlation",
@@ -113,6 +121,7 @@ __all__ = [
     "smoothed",
     "smoothing_scan",
     "spectra",
+    "strata_shift_scan",
     "studies",
     "subset_frequencies",
     "technique_terms",
@@ -121,5 +130,6 @@ __all__ = [
     "variance_from_spectrum",
     "variance_routes",
     "variance_terms",
+    "warp_quality",
     "wedge_means",
 ]

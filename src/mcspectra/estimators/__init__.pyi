@@ -12,6 +12,7 @@ from .mirrored import Mirrored as Mirrored
 from .mis import MultipleImportance as MultipleImportance
 from .mis import TechniqueSum as TechniqueSum
 from .moments import Moments as Moments
+from .one_sample import OneSampleMIS as OneSampleMIS
 from .split import split_mixture as split_mixture
 from .vegas_ import VegasDensity as VegasDensity
 
@@ -26,6 +27,7 @@ __all__ = [
     "Mirrored",
     "Moments",
     "MultipleImportance",
+    "OneSampleMIS",
     "TechniqueSum",
     "VegasDensity",
     "as_estimator",

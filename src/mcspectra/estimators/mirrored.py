@@ -81,7 +81,7 @@ class Mirrored(AbstractEstimator):
     ) -> None:
         self.estimator = as_estimator(estimator, dims)
         self.mode = as_choice("mode", mode, MIRRORINGS)
-        self.counts = self.estimator.counts
+        self.counts, self.sets = self.estimator.counts, self.estimator.sets
 
     def __repr__(self) -> str:
         return f"Mirrored({self.spec})"

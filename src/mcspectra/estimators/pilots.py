@@ -196,7 +196,7 @@ class _Parts:
         return np.stack([p.pdf(x) for p in self.densities])
 
     def values(self, x: Array) -> Array:
-        """F at points (k, d): (k, channels), with one channel for scalars."""
+        """Values of f at points (k, d): (k, channels), with one channel for scalars."""
         return self.integrand(x).reshape(len(x), -1)
 
     def points(self, technique: int, count: int, seed: int) -> Array:
@@ -214,7 +214,7 @@ class _Parts:
         return np.asarray(over.T[:, :, None] * right[:, None, :])
 
     def moments(self, x: Array) -> Array:
-        """F and f²/p_t where p_t > 0, f the mean of the channels: (k, T, 2)."""
+        """Integrands f and f²/p_t of the moments where p_t > 0, f the mean of the channels: (k, T, 2)."""
         p = self.pdfs(x).T
         f = np.broadcast_to(self.values(x).mean(axis=1)[:, None], p.shape)
         square = np.divide(f * f, p, out=np.zeros_like(p), where=p > 0)

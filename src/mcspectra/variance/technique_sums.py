@@ -74,6 +74,8 @@ class TechniqueView:
 
     def spectra(self, points: list[Array]) -> Array:
         """Spectra of each technique of a block: (R, T, H)."""
+        if self.domain and len(points) == 1:  # its weights may depend on u, beyond x
+            return self.transforms[0](*self.estimator.weighted_points(points))[:, None]
         parts = []
         for technique, (u, transform) in enumerate(zip(points, self.transforms, strict=True)):
             if self.domain:
