@@ -10,6 +10,8 @@ from .christensen import ChristensenDisk as ChristensenDisk
 from .christensen import ChristensenGaussian as ChristensenGaussian
 from .christensen import ChristensenStep as ChristensenStep
 from .christensen import ChristensenTriangle as ChristensenTriangle
+from .environment import Environment as Environment
+from .environment import synthetic_sky as synthetic_sky
 from .functions import FunctionIntegrand as FunctionIntegrand
 from .image import Image as Image
 from .indicators import Disk as Disk
@@ -40,6 +42,7 @@ __all__ = [
     "Cosine",
     "Disk",
     "EdgeSmoothed",
+    "Environment",
     "FunctionIntegrand",
     "Gaussian",
     "HalfSpace",
@@ -56,4 +59,5 @@ __all__ = [
     "integral_accuracy",
     "integrand",
     "smoothed",
+    "synthetic_sky",
 ]

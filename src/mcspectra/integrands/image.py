@@ -15,7 +15,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.integrands._axes import settle
 from mcspectra.integrands.base import Integrand
 
-__all__ = ["Image"]
+__all__ = ["Image", "select_channel"]
 
 _MOST_BREAKS = 64
 
@@ -60,9 +60,9 @@ class Image(Integrand):
         if (self.path is None) == (self.values is None):
             raise ParameterError("image needs either path, of a picture file, or values, not both.")
         if self.path is None:
-            pixels = _select(_check_values(self.values), self.channel)
+            pixels = select_channel(_check_values(self.values), self.channel)
         else:
-            pixels = _select(_read(self.path), self.channel)
+            pixels = select_channel(_read(self.path), self.channel)
             settle(self, path=os.fspath(self.path))
         settle(self, _pixels=pixels, channels=0 if pixels.ndim == 2 else pixels.shape[2])
 
@@ -136,7 +136,7 @@ def _check_values(values: object) -> Array:
     return pixels.reshape(*pixels.shape[:2], -1)
 
 
-def _select(pixels: Array, channel: object) -> Array:
+def select_channel(pixels: Array, channel: object) -> Array:
     """Return one channel (h, w), or all of several (h, w, channels)."""
     count = pixels.shape[2]
     if channel is None:

@@ -24,6 +24,7 @@ INTEGRANDS = Registry(
         "constant": "mcspectra.integrands.analytic:Constant",
         "cosine": "mcspectra.integrands.analytic:Cosine",
         "disk": "mcspectra.integrands.indicators:Disk",
+        "environment": "mcspectra.integrands.environment:Environment",
         "gaussian": "mcspectra.integrands.analytic:Gaussian",
         "half-space": "mcspectra.integrands.indicators:HalfSpace",
         "image": "mcspectra.integrands.image:Image",
