@@ -1,95 +1,263 @@
-"""Homogenisation and the alignment of strata change the rate (Ramamoorthi et al. 2012; the slides)."""
+"""Alignment: variance against the offset of strata in closed form, and the optimiser verified."""
+
+from __future__ import annotations
 
 import numpy as np
 import pytest
 
 import mcspectra as mcs
+from mcspectra.core.errors import CountError, NoClosedForm, ParameterError
+from mcspectra.densities import AlignedStrata
 
-COUNTS = (64, 256, 1024, 4096)
-
-
-def _exact_rate(f, sampler, counts):
-    variances = [mcs.exact_variance(f, sampler, n) for n in counts]
-    return float(np.log(variances[-1] / variances[-2]) / np.log(counts[-1] / counts[-2]))
-
-
-@pytest.mark.parametrize(
-    ("sampler", "rate"),
-    [
-        ("jittered", -3.0),
-        ("jittered | shift", -2.0),
-        ("jittered | strata-shift(offset=0.5)", -2.0),
-        ("regular | shift", -2.0),
-        ("sobol | owen", -3.0),
-        ("sobol | digital-shift", -2.0),
-        ("random", -1.0),
-    ],
-)
-def test_a_ramp_in_1d(sampler, rate):
-    """One stratum across the seam of the torus, where f(1) ≠ f(0), has variance ¼: 1/(4n²) of the sum."""
-    f = mcs.integrand("linear", dims=1)
-    found = _exact_rate(f, mcs.sampler(sampler, dims=1), (256, 1024))
-    assert found == pytest.approx(rate, abs=0.01)  # lower-order terms: 1/(2n) of the variance
+JITTERED = {d: mcs.sampler("jittered", dims=d) for d in (1, 2, 3)}
+STEP = mcs.integrand("step(at=0.3)", dims=1)
+WITHIN = 4.5  # standard errors
 
 
-@pytest.mark.parametrize(
-    ("sampler", "rate"),
-    [
-        ("jittered", -2.0),
-        ("jittered | strata-shift(offset=[0.5, 0])", -1.5),
-        ("jittered | shift", -1.5),
-    ],
-)
-def test_an_edge_on_the_borders_of_strata(sampler, rate):
-    """A smooth function cut off at x = ½: strata that end there do not see the jump, moved ones do.
+def test_the_scan_of_a_step_in_closed_form():
+    """One stratum of n is cut by the step, another by the seam, each with s(1 − s)/n²."""
+    d = mcs.strata_shift_scan(STEP, JITTERED[1], [8, 16], offsets=10)
+    assert d.attrs["method"] == "exact"
+    for n in (8, 16):
+        for o in d["offset0"].values:
+            cut = [(0.3 * n - o) % 1.0, -o % 1.0]
+            # The seam, where the stratum is both at 1 and at 0, is an edge of the periodic step
+            expected = sum(s * (1 - s) for s in cut) / n**2
+            got = float(d["variance"].sel(offset0=o, n=n))
+            assert got == pytest.approx(expected, abs=1e-15)
 
-    Terms of lower order: n^-1/2 of the variance, 4 % at n = 625, in the rate of the last two counts.
-    """
-    cut = mcs.Integrand.from_function(
-        lambda x: np.where(x[..., 0] < 0.5, np.exp(-(x**2).sum(axis=-1)), 0.0), dims=2
+
+def test_the_scan_in_two_dims_and_its_rates():
+    """x_0 < 0.3, √n strata an axis: n^-1.5 Σ s(1 − s) over both edges, whatever the second offset."""
+    step = mcs.integrand("step(at=0.3)", dims=2)
+    d = mcs.strata_shift_scan(step, JITTERED[2], [100, 400, 1600], offsets=4)
+    assert d["variance"].dims == ("offset0", "offset1", "n")
+    assert d["rate_ci"].dims == ("offset0", "offset1", "bound")
+    for o in d["offset0"].values:
+        expected = 2 * o * (1 - o) * d["n"].values ** -1.5  # 0.3 √n is whole
+        row = d["variance"].sel(offset0=o)
+        for column in row.values:
+            np.testing.assert_allclose(column, expected, rtol=1e-9, atol=1e-17)
+    assert np.isnan(d["rate"].sel(offset0=0)).all()  # no variance, no rate
+    np.testing.assert_allclose(d["rate"].sel(offset0=[0.25, 0.5, 0.75]), -1.5, atol=1e-9)
+
+
+def test_a_measured_scan_agrees_with_the_exact_one_and_shares_random_numbers():
+    exact = mcs.strata_shift_scan(STEP, JITTERED[1], 8, offsets=[0.1, 0.4, 0.75])
+    measured = mcs.strata_shift_scan(
+        STEP, JITTERED[1], 8, offsets=[0.1, 0.4, 0.75], method="measured", realizations=3000, rng=7
     )
-    curve = mcs.convergence(cut, sampler, COUNTS, realizations=1500, rng=6)
-    low, high = curve["rate_ci"].values
-    middle, half = (low + high) / 2, (high - low) / 2
-    assert abs(middle - rate) < 2 * half + 0.04
+    assert measured.attrs["method"] == "measured"
+    # Bernoulli sums: kurtosis at most that of one with p = 0.1, 8.1; Var(s²)/σ⁴ ≤ 7.1/R
+    spread = WITHIN * np.sqrt(7.1 / 3000) * exact["variance"] + 1e-15
+    assert (abs(measured["variance"] - exact["variance"]) < spread).all()
+    direct = mcs.convergence(
+        STEP, "jittered | strata-shift(offset=[0.75])", [8], realizations=3000, rng=7
+    )
+    np.testing.assert_array_equal(measured["variance"][-1], direct["variance"])
 
 
-def test_edges_off_the_borders_have_the_slow_rate_whatever_the_offset():
-    for offset in (0.0, 0.5):
-        sampler = f"jittered | strata-shift(offset={offset})" if offset else "jittered"
-        curve = mcs.convergence(
-            "disk(center=[0.463, 0.517], radius=0.27)", sampler, COUNTS, realizations=1500, rng=6
+def test_auto_measures_where_nothing_exact_is_known():
+    d = mcs.strata_shift_scan(
+        STEP, mcs.sampler("gaussian-jitter", dims=1), 8, offsets=2, realizations=20
+    )
+    assert d.attrs["method"] == "measured"
+    with pytest.raises(NoClosedForm):
+        mcs.strata_shift_scan(
+            STEP, mcs.sampler("gaussian-jitter", dims=1), 8, offsets=2, method="exact"
         )
-        low, high = curve["rate_ci"].values
-        assert low - 0.05 < -1.5 < high + 0.05
 
 
-def test_homogenization_costs_what_the_seam_has():
-    """Periodic f: a shift leaves the rate; f = x: it takes it from −3 to −2 and the variance times 2n."""
-    wave = mcs.integrand("cosine(frequency=1)", dims=1)
-    for sampler in ("jittered", "jittered | shift"):
-        assert _exact_rate(wave, sampler, (256, 1024)) == pytest.approx(-3.0, abs=0.01)
-    ramp, n = mcs.integrand("linear", dims=1), 64
-    ratio = mcs.exact_variance(ramp, "jittered | shift", n) / mcs.exact_variance(
-        ramp, "jittered", n
+def test_channels_and_three_dims():
+    both = mcs.Integrand.from_function(
+        lambda x: np.stack([x[..., 0] < 0.3, x[..., 1] < 0.7], axis=-1).astype(float),
+        dims=3,
+        integral=[0.3, 0.7],
     )
-    assert ratio == pytest.approx(2 * n - 1, rel=1e-6)
+    d = mcs.strata_shift_scan(
+        both, JITTERED[3], [8, 27], offsets=2, method="measured", realizations=20
+    )
+    assert d["variance"].dims == ("offset0", "offset1", "offset2", "n", "channel")
+    assert d["rate"].dims == ("offset0", "offset1", "offset2", "channel")
 
 
 @pytest.mark.parametrize(
-    ("sampler", "decay"),
-    [("jittered | shift", "jump"), ("poisson-disk", "jump"), ("jittered | shift", "smooth")],
+    ("keywords", "words"),
+    [
+        ({"offsets": 0}, "offsets is 0"),
+        ({"offsets": []}, "one or more"),
+        ({"offsets": [0.5, 0.1]}, "ascending"),
+        ({"offsets": [0.1, 0.1]}, "ascending"),
+        ({"offsets": [1.0]}, "at most 1"),
+        ({"offsets": [-0.1]}, "at least 0"),
+        ({"offsets": [np.nan]}, "finite"),
+        ({"offsets": 10**9}, "more than 4096"),
+        ({"offsets": "all"}, "offsets is 'all'"),
+        ({"counts": []}, "ascending"),
+        ({"counts": [16, 8]}, "ascending"),
+        ({"counts": 2.5}, "counts is 2.5"),
+        ({"counts": "8"}, "counts is '8'"),
+        ({"method": "guess"}, "must be one of"),
+        ({"realizations": 1}, "realizations is 1"),
+        ({"sampler": JITTERED[2]}, "needs a sampler in 1 dims|is for 2 dims"),
+        ({"estimator": 3}, "is not an estimator"),
+    ],
 )
-def test_from_the_exponent_to_the_rate(sampler, decay):
-    """b of the spectrum and γ of the integrand predict the rate that is measured.
+def test_bad_input_of_the_scan(keywords, words):
+    given = {"estimator": STEP, "sampler": JITTERED[1], "counts": 8, **keywords}
+    with pytest.raises(ParameterError, match=words):
+        mcs.strata_shift_scan(**given)
 
-    min(b, γ − d)/d with b fitted in a window: jittered 1.8 to 2 of 2, which counts for smooth f only.
-    """
-    f = "cosine(frequency=[2, 1])" if decay == "smooth" else "christensen-gaussian"
-    spectrum = mcs.power_spectrum(sampler, 1024, half_width=16, realizations=200, rng=2)
-    b = float(mcs.low_frequency_exponent(spectrum, up_to=8)["low_frequency_exponent"])
-    counts = [256, 1024] if sampler == "poisson-disk" else [256, 1024, 4096]
-    curve = mcs.convergence(f, sampler, counts, realizations=400, rng=4)
-    low, high = curve["rate_ci"].values
-    predicted = mcs.predicted_rate(max(b, 0.0), decay, 2)
-    assert low - 0.1 < predicted < high + 0.1
+
+def test_counts_that_cannot_be_done_in_two_dims():
+    with pytest.raises(CountError, match="9 and 16"):
+        mcs.strata_shift_scan(mcs.integrand("disk", dims=2), JITTERED[2], 10)
+
+
+def test_aligned_strata_of_a_step_have_no_variance():
+    """In 1-D and, for a rectangle, in 2-D; n need not be a multiple of anything."""
+    for n in (7, 16):
+        assert mcs.exact_variance(mcs.aligned(STEP, [0.3], n), "jittered", n) < 1e-30
+    corner = mcs.Integrand.from_function(
+        lambda x: ((x[..., 0] < 0.3) & (x[..., 1] < 0.63)).astype(float), dims=2, integral=0.189
+    )
+    found = mcs.aligned(corner, [[0.3], [0.63]], 49)
+    d = mcs.convergence(found, "jittered", [49], realizations=200)
+    assert float(d["variance"][0]) < 1e-30
+    assert float(d["mean"][0]) == pytest.approx(0.189, abs=1e-14)
+
+
+def test_aligned_strata_cost_smooth_integrands_next_to_nothing():
+    """Σ_j w_j² Var_j of f = x with strata of lengths L/k: Σ_pieces L³ … = Σ L⁴/(12 k³)."""
+    x = mcs.integrand("linear", dims=1)
+    pieces, counts = np.array([0.3, 0.7]), np.array([5, 11])
+    exact = mcs.exact_variance(mcs.aligned(x, [0.3], 16), "jittered", 16)
+    assert exact == pytest.approx((pieces**4 / (12 * counts**3)).sum(), rel=1e-9)
+    assert exact < 1.02 / (12 * 16**3)
+
+
+def test_strata_are_shared_in_proportion_and_every_piece_has_one():
+    density = AlignedStrata(edges=[0.3, 0.301, 0.8], strata=10)
+    np.testing.assert_allclose(density.breaks[0], [0.3, 0.4, 0.8])
+    assert AlignedStrata(edges=[], strata=3).breaks == ((),)
+    crowded = AlignedStrata(edges=[0.001, 0.002, 0.003], strata=4)
+    np.testing.assert_allclose(crowded.breaks[0], [0.25, 0.5, 0.75])
+
+
+def test_points_never_cross_an_edge_by_rounding():
+    rng = np.random.default_rng(1)
+    for s in (3, 7, 10):
+        edges = np.sort(rng.random(2))
+        density = AlignedStrata(edges=edges, strata=s)
+        borders = np.array(density.breaks[0])
+        below = density.sample(np.nextafter(borders, 0)[:, None])[:, 0]
+        assert (below < edges).all()
+        np.testing.assert_array_equal(density.sample(borders[:, None])[:, 0], edges)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "words"),
+    [
+        ({"edges": 0.3}, "a list of places"),
+        ({"edges": "0.3"}, "a list of places"),
+        ({"edges": [0.0]}, "greater than 0"),
+        ({"edges": [1.0]}, "ascending places"),
+        ({"edges": [0.5, 0.5]}, "ascending places"),
+        ({"edges": [0.7, 0.5]}, "ascending places"),
+        ({"edges": [np.nan]}, "finite"),
+        ({"edges": [[0.5], 0.3]}, "one list of places"),
+        ({"edges": [0.5], "strata": 1}, "2 pieces, but strata is 1"),
+        ({"edges": [0.5], "strata": 0}, "strata is 0"),
+        ({"edges": [0.5], "strata": 1e30}, "strata is"),
+        ({"edges": [[0.5], [0.5]], "strata": [4]}, "one for each of 2 dims"),
+        ({"edges": np.linspace(0.1, 0.9, 5000), "strata": 10**6}, "4096 at most"),
+    ],
+)
+def test_bad_edges(keywords, words):
+    with pytest.raises(ParameterError, match=words):
+        AlignedStrata(**keywords)
+
+
+def test_aligned_wants_a_plain_estimator_and_a_power():
+    with pytest.raises(ParameterError, match="density of its own"):
+        mcs.aligned(mcs.Estimator(STEP, "linear(slope=1)"), [0.3], 8)
+    with pytest.raises(ParameterError, match="a power"):
+        mcs.aligned(mcs.integrand("disk", dims=2), [[0.3], [0.3]], 8)
+
+
+def test_the_best_offset_of_a_step_is_found_between_those_of_the_scan():
+    """On the torus there are edges at 0.3 n = 2.4 strata and at the seam: at offset 0.4 the seam is
+    cut by 0.4, at 0 the step by 0.4; f is 1 on one side of each. Of 10 x with x < 0.37 …: an edge
+    and a seam that line up have no variance at all."""
+    wave = mcs.Integrand.from_function(
+        lambda x: ((x[..., 0] >= 0.2375) & (x[..., 0] < 0.7375)).astype(float),
+        dims=1,
+        integral=0.5,
+    )
+    found = mcs.best_alignment(
+        wave, JITTERED[1], 8, method="measured", offsets=4, realizations=600, rng=2
+    )
+    # Edges at 1.9 and 5.9 strata: no variance at offset 0.9, between 0.75 and 0
+    best = found.sel(candidate="offset")
+    assert float(best["strata_offset"][0]) == pytest.approx(0.9, abs=2**-8)
+    assert found.attrs["improved"] == "yes"
+    assert int(best["improvement"]) == 1
+    assert float(best["variance_ratio_ci"][1]) < 0.2
+    first = found.sel(candidate="unshifted")
+    low, high = first["measured_variance_ci"].values
+    assert low * 0.8 < 2 * 0.09 / 64 < high * 1.2
+
+
+def test_aligned_strata_beat_every_offset_where_edges_do_not_line_up():
+    """Edges at 2.4 strata, and the seam, where f is cut too if strata move."""
+    found = mcs.best_alignment(STEP, JITTERED[1], 8, edges=[0.3], realizations=300)
+    assert list(found["candidate"].values) == ["unshifted", "offset", "aligned"]
+    assert found.attrs["method"] == "exact"
+    np.testing.assert_allclose(found["predicted_variance"][[0, 2]], [0.24 / 64, 0], atol=1e-15)
+    assert found.attrs["best"] == "aligned"
+    assert found.attrs["improved"] == "yes"
+
+
+def test_smooth_integrands_are_left_undecided_or_better_alone():
+    """The seam cuts what was whole: any offset is worse, the best is none, the verdict undecided."""
+    x = mcs.integrand("linear", dims=1)
+    found = mcs.best_alignment(x, JITTERED[1], 16, offsets=4, realizations=300, rng=4)
+    assert float(found["strata_offset"].sel(candidate="offset")[0]) == 0.0
+    assert found.attrs["improved"] == "undecided"
+
+
+def test_a_constant_gives_no_verdict():
+    found = mcs.best_alignment(
+        mcs.integrand("constant", dims=1), JITTERED[1], 4, offsets=2, realizations=20
+    )
+    assert np.isnan(found["variance_ratio"][1])
+    assert found.attrs["improved"] == "undecided"
+
+
+def test_two_dims_by_prediction():
+    corner = mcs.integrand("step(at=0.45, axis=1)", dims=2)
+    found = mcs.best_alignment(
+        corner, JITTERED[2], 64, edges=[[], [0.45]], offsets=2, realizations=200
+    )
+    predicted = found["predicted_variance"].values
+    assert predicted[0] == pytest.approx(0.24 * 64**-1.5, rel=1e-9)  # 0.45 · 8 = 3.6
+    assert predicted[2] < 1e-25
+    assert found["strata_offset"].dims == ("candidate", "axis")
+
+
+@pytest.mark.parametrize(
+    ("keywords", "words"),
+    [
+        ({"n": 0}, "n is 0"),
+        ({"n": np.nan}, "n is nan"),
+        ({"edges": [2.0]}, "ascending places"),
+        ({"edges": [[0.1], [0.2]]}, "dims"),
+        ({"offsets": 10**6}, "more than 4096"),
+        ({"method": "guess"}, "must be one of"),
+        ({"realizations": 1}, "realizations is 1"),
+    ],
+)
+def test_bad_input_of_the_optimiser(keywords, words):
+    given = {"estimator": STEP, "sampler": JITTERED[1], "n": 8, **keywords}
+    with pytest.raises(ParameterError, match=words):
+        mcs.best_alignment(**given)
