@@ -140,7 +140,8 @@ def moments_of(sampler: Sampler, n: int, *frequencies: Array) -> Moments:
 def _checked(
     sampler: Sampler | str, n: int, frequencies: Any, density: Density | str | None
 ) -> tuple[Sampler, int, Array, Density | None]:
-    dims = np.shape(frequencies)[-1] if np.ndim(frequencies) else None
+    # An empty list has no dims: it is refused as such, not for them.
+    dims = np.shape(frequencies)[-1] or None if np.ndim(frequencies) else None
     drawn = getattr(density, "primary_dims", dims)
     source = as_sampler(sampler, None if isinstance(sampler, Sampler) else drawn)
     n = source.check_count(n)

@@ -23,7 +23,7 @@ from mcspectra.core.checks import Array, as_frequencies, as_integer
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
-from mcspectra.integrands import Integrand
+from mcspectra.integrands import Integrand, as_integrand
 from mcspectra.samplers import Randomized, Sampler, as_sampler
 from mcspectra.spectra.bases import Walsh
 from mcspectra.spectra.closed_moments import is_fixed
@@ -95,8 +95,8 @@ def gain_coefficients(
     )
 
 
-def nested_variances(integrand: Integrand, levels: int) -> Array:
-    """Return σ²_l of an integrand in base 2, up to `levels` on each axis.
+def nested_variances(integrand: Integrand | str, levels: int) -> Array:
+    """Return σ²_l of an integrand (or spec string) in base 2, up to `levels` on each axis.
 
     Returns
     -------
@@ -110,6 +110,7 @@ def nested_variances(integrand: Integrand, levels: int) -> Array:
         More than 2^24 cells.
     """
     levels = as_integer("levels", levels, least=1, most=24)
+    integrand = as_integrand(integrand)
     basis = Walsh(integrand.dims, 2 ** (levels - 1))
     coefficients, _ = basis.integrand(integrand)
     squares = basis.full(np.abs(coefficients) ** 2)

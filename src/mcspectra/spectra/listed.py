@@ -108,7 +108,8 @@ def power_at(
     >>> (64 * found["power"] > 0.5).values
     array([False,  True])
     """
-    dims = np.shape(frequencies)[-1] if np.ndim(frequencies) else None
+    # An empty list has no dims: it is refused as such, not for them.
+    dims = np.shape(frequencies)[-1] or None if np.ndim(frequencies) else None
     drawn = getattr(density, "primary_dims", dims)
     source = as_sampler(sampler, None if isinstance(sampler, Sampler) else drawn)
     p = as_warp(density, source.dims)
