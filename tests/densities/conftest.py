@@ -15,6 +15,12 @@ def table(*shape: int) -> np.ndarray:
     return 10 ** rng.uniform(-3, 0, shape) * (rng.random(shape) > 0.25)
 
 
+def with_a_jump(x: np.ndarray) -> np.ndarray:
+    """2x/3 to the left of ½, 2 (1 − x)/3 + 1 to the right."""
+    left = x[..., 0] < 0.5
+    return np.where(left, x[..., 0], (1 - x[..., 0]) + 1.5) / 1.0
+
+
 SPECS = [
     ("uniform", 1),
     ("uniform", 3),
@@ -25,6 +31,8 @@ SPECS = [
     ("linear(slope=0)", 1),
     ("linear(slope=[1.5, -0.7])", 2),
     ("linear(slope=[2, -2, 0.3, 1, -1, 0, 0.9, 1e-3, 1.9, -1.9])", 10),
+    ("aligned-strata(edges=[0.31, 0.7, 0.71], strata=7)", 1),
+    ("aligned-strata(edges=[[0.45], [], [0.1, 0.9]], strata=[3, 2, 16])", 3),
     ("truncated-normal", 1),
     ("truncated-normal(mean=3, sigma=0.2)", 1),
     ("truncated-normal(mean=-3, sigma=0.2)", 1),
@@ -75,7 +83,7 @@ SPECS = [
     ("sphere", 2),
     ('sphere(warp="polar")', 2),
     ("grid(nodes=[[0, 0.01, 0.3, 1], [0, 0.5, 1]])", 2),
-    ("vegas(integrand='gaussian(width=0.1)', increments=8)", 2),
+    ("vegas(integrand='gaussian(width=0.1)', increments=16)", 1),
     ("vegas(integrand='linear', increments=7, iterations=3, seed=5)", 3),
     ("spherical-rectangle", 2),
     ("spherical-rectangle(corner=[3, -1, 0.4], edge0=[0, 0, 2], edge1=[0.5, 3, 0])", 2),
@@ -97,6 +105,10 @@ MADE = {
     "hierarchical": lambda: PiecewiseConstant(values=table(13, 7), warp="hierarchical"),
     "alias": lambda: PiecewiseConstant(values=table(13, 7), warp="alias"),
     "hilbert": lambda: PiecewiseConstant(values=table(13, 7), warp="hilbert"),
+    "pdf alone 1-D": lambda: mcs.Density.from_functions(pdf=with_a_jump),
+    "pdf alone 2-D": lambda: mcs.Density.from_functions(
+        pdf=lambda x: np.exp(x[..., 0] * x[..., 1]), dims=2, normalize=True
+    ),
     "functions": lambda: mcs.Density.from_functions(
         pdf=lambda x: 2 * x[..., 0], sample=np.sqrt, invert=np.square
     ),

@@ -1,3 +1,4 @@
+from .aligned import AlignedStrata as AlignedStrata
 from .analytic import Linear as Linear
 from .analytic import TruncatedNormal as TruncatedNormal
 from .analytic import Uniform as Uniform
@@ -18,6 +19,7 @@ from .monotone import Power as Power
 from .monotone import Tent as Tent
 from .numeric import check_density as check_density
 from .numeric import reciprocal_integral as reciprocal_integral
+from .numerical import NumericalDensity as NumericalDensity
 from .piecewise_linear import PiecewiseLinear as PiecewiseLinear
 from .product import Product as Product
 from .registry import DENSITIES as DENSITIES
@@ -31,6 +33,7 @@ from .vegas_ import vegas_density as vegas_density
 
 __all__ = [
     "DENSITIES",
+    "AlignedStrata",
     "Bilinear",
     "CosineWeighted",
     "Defensive",
@@ -44,6 +47,7 @@ __all__ = [
     "ImageDensity",
     "Linear",
     "Mixture",
+    "NumericalDensity",
     "PiecewiseConstant",
     "PiecewiseLinear",
     "Power",

@@ -125,20 +125,32 @@ class Density(Component, ABC):
     def from_functions(
         *,
         pdf: Callable[[Any], Any],
-        sample: Callable[[Any], Any],
+        sample: Callable[[Any], Any] | None = None,
         invert: Callable[[Any], Any] | None = None,
         dims: int = 1,
+        normalize: bool = False,
     ) -> Density:
         """Make a density of vectorised callables: pdf (..., d) -> (...), the others keep the shape.
+
+        Without `sample`, in 1-D and 2-D, the warp is computed from the pdf, which `normalize` may
+        divide by its integral (see `mcspectra.densities.NumericalDensity`).
 
         Raises
         ------
         DensityError
-            The functions do not belong together (see `check`).
+            The functions do not belong together (see `check`), or the pdf alone is not enough.
         """
-        from mcspectra.densities.functions import FunctionDensity
+        from mcspectra.densities.functions import function_density
 
-        return FunctionDensity.from_functions(pdf=pdf, sample=sample, invert=invert, dims=dims)
+        if sample is None:
+            from mcspectra.densities.numerical import numerical_density
+
+            return numerical_density(pdf=pdf, invert=invert, dims=dims, normalize=normalize)
+        if normalize:
+            raise DensityError(
+                "normalize is for a pdf alone; with sample= the pdf integrates to 1."
+            )
+        return function_density(pdf=pdf, sample=sample, invert=invert, dims=dims)
 
 
 def as_points(x: object, dims: int, name: str) -> Array:

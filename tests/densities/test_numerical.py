@@ -1,0 +1,194 @@
+"""Warps computed from a pdf alone, against closed forms, and what they refuse."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import DensityError, ParameterError
+from mcspectra.densities import NumericalDensity, PiecewiseConstant
+
+U = np.linspace(0, np.nextafter(1.0, 0.0), 2001)[:, None]
+
+
+def X(x):
+    return x[..., 0]
+
+
+def Y(x):
+    return x[..., 1]
+
+
+def of(pdf, dims=1, **more):
+    return mcs.Density.from_functions(pdf=pdf, dims=dims, **more)
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        "uniform",
+        "linear(slope=1)",
+        "linear(slope=-2)",
+        "power(exponent=0.5)",
+        "power(exponent=6)",
+        "exponential(rate=40)",
+        "exponential(rate=-3)",
+        "cosine-weighted",
+        "tent(peak=0.3)",
+        "truncated-normal(mean=0.3, sigma=0.01)",
+        "truncated-normal(mean=0.7, sigma=1e-4)",
+        "piecewise-linear(values=[1, 0, 0, 4, 3])",
+        "mixture(parts=['tent', 'power(exponent=3)'])",
+    ],
+)
+def test_the_warp_is_that_of_the_closed_form(spec):
+    exact = mcs.density(spec, dims=1)
+    p = of(exact.pdf)
+    if exact.has_inverse:
+        x = p.sample(U)
+        np.testing.assert_allclose(exact.invert(x), U, atol=1e-12)
+        np.testing.assert_allclose(p.invert(U), exact.invert(U), atol=1e-12)
+    np.testing.assert_allclose(p.invert(p.sample(U)), U, atol=1e-12)
+    assert not np.any(p.pdf(p.sample(U[1:])) == 0)
+
+
+@pytest.mark.parametrize("exponent", [-0.3, -0.5, -0.9])
+def test_unbounded_densities(exponent):
+    p = of(lambda x: (exponent + 1) * X(x) ** exponent)
+    np.testing.assert_allclose(p.sample(U), U ** (1 / (exponent + 1)), atol=1e-12)
+
+
+@pytest.mark.parametrize("at", [0.5, 1 / 3, 1e-4, 1 - 1e-4])
+def test_jumps_anywhere(at):
+    """A quarter of the mass lies left of the jump."""
+    p = of(lambda x: np.where(X(x) < at, 0.25 / at, 0.75 / (1 - at)))
+    u = U[:, 0]
+    expected = np.where(u < 0.25, u / 0.25 * at, 1 - (1 - u) / 0.75 * (1 - at))
+    np.testing.assert_allclose(p.sample(U)[:, 0], expected, atol=1e-12)
+    (found,) = p.breaks[0]
+    assert found == pytest.approx(0.25, abs=1e-12)
+
+
+@pytest.mark.parametrize("peak", [0.5, 0.3])
+def test_kinks_are_breaks(peak):
+    (found,) = of(mcs.density(f"tent(peak={peak})", dims=1).pdf).breaks[0]
+    assert found == pytest.approx(peak, abs=1e-6)
+
+
+def test_a_table_of_many_jumps():
+    table = PiecewiseConstant(values=[3, 1, 0, 0, 2, 7, 1])
+    p = of(table.pdf)
+    np.testing.assert_allclose(p.sample(U), table.sample(U), atol=1e-12)
+    assert (table.pdf(p.zero_points()) == 0).all()
+    assert len(p.zero_points())
+    np.testing.assert_allclose(p.breaks[0], table.breaks[0], atol=1e-12)
+
+
+def test_normalised_or_not():
+    def pdf(x):
+        return np.exp(-X(x))
+
+    with pytest.raises(DensityError, match=r"integrates to 0\.632120558829 .* normalize=True"):
+        of(pdf)
+    p = of(pdf, normalize=True)
+    exact = mcs.density("exponential", dims=1)
+    np.testing.assert_allclose(p.pdf(U), exact.pdf(U), rtol=1e-13)
+    np.testing.assert_allclose(p.sample(U), exact.sample(U), atol=1e-13)
+    with pytest.raises(DensityError, match="not to 1"):
+        of(lambda x: (2 + 1e-8) * X(x))
+    of(lambda x: (2 + 1e-10) * X(x))
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        "linear(slope=[1, -1.5])",
+        "product(parts=['exponential(rate=3)', 'truncated-normal(mean=0.2, sigma=0.05)'])",
+        "product(parts=['piecewise-linear(values=[1, 3, 0.5])', 'piecewise-constant(values=[1, 4])'])",
+    ],
+)
+def test_products_in_two_dims(spec):
+    exact = mcs.density(spec, dims=2)
+    p = of(exact.pdf, 2)
+    u = np.random.default_rng(1).random((2000, 2))
+    np.testing.assert_allclose(exact.invert(p.sample(u)), u, atol=1e-11)
+    np.testing.assert_allclose(p.invert(u), exact.invert(u), atol=1e-11)
+
+
+def test_rows_that_differ():
+    """p = e^{xy}/c: given y the cdf of x is (e^{xy} − 1)/(e^y − 1)."""
+    p = of(lambda x: np.exp(X(x) * Y(x)), 2, normalize=True)
+    u = np.random.default_rng(2).random((2000, 2))
+    x = p.sample(u)
+    conditional = np.expm1(X(x) * Y(x)) / np.expm1(Y(x))
+    np.testing.assert_allclose(conditional, u[:, 0], atol=1e-12)
+    np.testing.assert_allclose(p.invert(x), u, atol=1e-12)
+    # Var of the Jacobian: |det ∂x/∂u| p = 1 by central differences, error O(h²)
+    h = 1e-5
+    inner = 0.1 + 0.8 * u
+    steps = h * np.eye(2)
+    moved = [p.sample(inner[:, None] + s * steps) for s in (1, -1)]
+    volume = np.abs(np.linalg.det((moved[0] - moved[1]) / (2 * h)))
+    np.testing.assert_allclose(volume * p.pdf(p.sample(inner)), 1, atol=1e-7)
+
+
+def test_estimates_are_unbiased_to_rounding():
+    """∫ f/p dP by a fine midpoint rule in u is ∫ f, for smooth f and warp."""
+    p = of(lambda x: np.exp(np.sin(5 * X(x))), normalize=True)
+    f = mcs.integrand("polynomial(coefficients=[1, 2, 3])", dims=1)
+    g = mcs.Estimator(f, p).primary_integrand()
+    nodes, weights = np.polynomial.legendre.leggauss(120)
+    value = 0.5 * weights @ g((0.5 * (nodes + 1))[:, None])
+    assert value == pytest.approx(float(f.integral), rel=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("pdf", "dims", "says"),
+    [
+        (lambda x: X(x) - 0.1, 1, "negative"),
+        (lambda x: X(x) * math.nan, 1, "not finite"),
+        (lambda x: X(x) * math.inf, 1, "not finite"),
+        (lambda x: 0 * X(x), 1, "is 0 wherever"),
+        (lambda x: 0 * X(x), 2, "is 0 wherever"),
+        (lambda x: 2 * x, 1, r"Write x\[\.\.\., 0\]"),
+        (lambda x: 2.0, 1, r"gave shape \(\)"),
+        (lambda x: x.nothing, 1, "failed on points"),
+        (lambda x: X(x) + 0j, 1, "complex128"),
+        (lambda x: 0.01 * X(x) ** -0.99, 1, "too steep"),
+        (lambda x: np.minimum(0.5 * (1 - X(x) + 1e-99) ** -0.5, 1e9), 1, "too steep"),
+        (lambda x: 1 + np.sin(1e8 * X(x)), 1, "too rough"),
+        (lambda x: X(x) - 0.1, 2, "negative"),
+        (3, 1, "pdf is 3"),
+    ],
+)
+def test_bad_pdfs(pdf, dims, says):
+    with pytest.raises(DensityError, match=says) as caught:
+        of(pdf, dims)
+    assert "\n" not in str(caught.value)
+
+
+def test_bad_arguments():
+    with pytest.raises(DensityError, match="1-D and 2-D only"):
+        of(X, 3)
+    with pytest.raises(ParameterError, match="dims is 0"):
+        of(X, 0)
+    with pytest.raises(DensityError, match="invert was given without sample"):
+        of(X, invert=np.square)
+    with pytest.raises(DensityError, match="normalize is 2"):
+        of(X, normalize=2)
+    with pytest.raises(DensityError, match="normalize is for a pdf alone"):
+        of(lambda x: 2 * X(x), sample=np.sqrt, normalize=True)
+    with pytest.raises(ParameterError, match="dims is 3"):
+        NumericalDensity(dims=3, pdf_function=X)
+
+
+def test_input_is_read_only_for_the_pdf():
+    def greedy(x):
+        x *= 0.5
+        return X(x)
+
+    with pytest.raises(DensityError, match="read-only"):
+        of(greedy)
