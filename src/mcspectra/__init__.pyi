@@ -58,6 +58,7 @@ from .variance.modes import covariance_modes as covariance_modes
 from .variance.pair_route import variance_from_pair_correlation as variance_from_pair_correlation
 from .variance.prediction import integrand_decay as integrand_decay
 from .variance.prediction import predicted_rate as predicted_rate
+from .variance.primary import primary_picture as primary_picture
 from .variance.remedies import remedies as remedies
 from .variance.routes import variance_routes as variance_routes
 from .variance.smoothing import smoothing_scan as smoothing_scan
@@ -108,6 +109,7 @@ __all__ = [
     "power_at",
     "power_spectrum",
     "predicted_rate",
+    "primary_picture",
     "quality",
     "quality_figures",
     "radial_statistics",

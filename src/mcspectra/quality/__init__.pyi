@@ -9,6 +9,7 @@ from .figures import FIGURES as FIGURES
 from .figures import quality_figures as quality_figures
 from .summary import FigureSummary as FigureSummary
 from .summary import summarize as summarize
+from .warps import warp_quality as warp_quality
 
 __all__ = [
     "FIGURES",
@@ -22,4 +23,5 @@ __all__ = [
     "relative_minimum_distance",
     "star_discrepancy",
     "summarize",
+    "warp_quality",
 ]

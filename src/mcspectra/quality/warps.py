@@ -1,0 +1,134 @@
+"""How a warp distorts and tears the unit square: what its densities do to stratification."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.results import dataset
+from mcspectra.densities import Density
+from mcspectra.densities import density as make_density
+from mcspectra.quality.jumps import find_jumps, grid_centers
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["warp_quality"]
+
+_STEP = 1e-3  # of a cell, for slopes
+_ASIDE = (0.31, 0.17)  # of a cell from its centre, so that creases through centres are not hit
+
+
+def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset:
+    """Measure stretch, jumps and distortion of the warp T of a density in one or two dims.
+
+    Parameters
+    ----------
+    density
+        A density, or its spec string.
+    resolution
+        Cells along each axis of primary space, 4 to 1024.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``stretch`` (u0, u1): largest over smallest singular value of ∂T/∂u in each cell,
+        1 in 1-D, infinite where T is flat. ``jump`` (axis, u0, u1): |T| torn between a cell and the
+        next along each axis, 0 where T is continuous. ``warped`` (u0, u1, coordinate): T at the
+        centres. Figures: ``mean_stretch`` (geometric, over cells where T is not flat),
+        ``max_stretch``, ``jump_length`` (a number of jumps in 1-D), ``mean_jump``, ``distortion``:
+        geometric mean of the diameter of a small square's image over that of a square of equal
+        area (1: squares stay squares), and ``neighbor_expansion``: root mean square of the distance
+        of neighbouring cells' images over that of the cells, jumps included.
+
+    Raises
+    ------
+    ParameterError
+        More than two primary dims, or a resolution out of range.
+
+    Notes
+    -----
+    Slopes are one-sided differences over a thousandth of a cell, the smaller of both sides, so that
+    they do not straddle a jump. Jumps are found by refinement (`mcspectra.quality.jumps`); what
+    differs between opposite sides of the square does not count. All figures are those of T into the
+    unit square: for directions, of the lat-long square, not of the sphere.
+    """
+    p = make_density(density) if isinstance(density, str) else density
+    if not isinstance(p, Density):
+        raise ParameterError(f"{density!r:.80} is not a density; give one, or a spec string.")
+    dims = p.primary_dims
+    if dims > 2:
+        raise ParameterError(
+            f"The warp of {p.spec} has {dims} primary dims; warps are mapped in 1 and 2 dims."
+        )
+    side = as_integer("resolution", resolution, least=4, most=1024)
+    centers = grid_centers(side, dims)
+    image = p.sample(centers)
+    jumps = find_jumps(p.sample, dims, side, scale=1.0)
+    slopes = _slopes(p, centers + np.array(_ASIDE[:dims]) / side, _STEP / side)
+    cells = tuple(f"u{axis}" for axis in range(dims))
+    stretch = _stretch(slopes)
+    line = (np.arange(side) + 0.5) / side
+    return dataset(
+        {
+            "stretch": (cells, stretch),
+            "jump": (("axis", *cells), jumps.heights),
+            "warped": ((*cells, "coordinate"), image),
+            "mean_stretch": ((), _geometric_mean(stretch)),
+            "max_stretch": ((), float(stretch.max())),
+            "jump_length": ((), jumps.length),
+            "mean_jump": ((), jumps.mean_height),
+            "distortion": ((), _geometric_mean(_diameters(slopes))),
+            "neighbor_expansion": ((), _expansion(image, dims)),
+        },
+        {**dict.fromkeys(cells, line), "axis": np.arange(dims)},
+        density=p.spec,
+        dims=p.dims,
+        resolution=side,
+    )
+
+
+def _slopes(p: Density, points: Array, step: float) -> Array:
+    """∂T_i/∂u_j at points (..., d), (..., i, j)."""
+    image = p.sample(points)
+    columns = []
+    for shift in step * np.eye(p.primary_dims):
+        sides = np.stack([p.sample(points + shift) - image, image - p.sample(points - shift)])
+        ahead_less = (sides[0] ** 2).sum(axis=-1) <= (sides[1] ** 2).sum(axis=-1)
+        columns.append(np.where(ahead_less[..., None], sides[0], sides[1]) / step)
+    return np.stack(columns, axis=-1)
+
+
+def _stretch(slopes: Array) -> Array:
+    """Largest over smallest singular value, infinite where the smallest is 0."""
+    values = np.linalg.svd(slopes, compute_uv=False)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = values[..., 0] / values[..., -1]
+    return np.where(values[..., -1] > 0, ratio, np.inf)
+
+
+def _diameters(slopes: Array) -> Array:
+    """Diameter of the image of a small square over that of a square of the same area."""
+    if slopes.shape[-1] != 2 or slopes.shape[-2] != 2:
+        return np.ones(slopes.shape[:-2])
+    diagonals = slopes @ np.array([[1.0, 1.0], [1.0, -1.0]])
+    diameter = np.sqrt((diagonals**2).sum(axis=-2)).max(axis=-1)
+    area = np.abs(np.linalg.det(slopes))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(area > 0, diameter / np.sqrt(2.0 * area), np.inf)
+
+
+def _geometric_mean(values: Array) -> float:
+    """Over those that are finite; NaN where none is."""
+    finite = values[np.isfinite(values)]
+    return float(np.exp(np.log(finite).mean())) if finite.size else float("nan")
+
+
+def _expansion(image: Array, dims: int) -> float:
+    """Root mean square distance of neighbours' images, in cells."""
+    side = image.shape[0]
+    squares = [(np.diff(image, axis=axis) ** 2).sum(axis=-1).ravel() for axis in range(dims)]
+    return float(side * np.sqrt(np.concatenate(squares).mean()))
