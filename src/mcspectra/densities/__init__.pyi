@@ -4,6 +4,7 @@ from .analytic import TruncatedNormal as TruncatedNormal
 from .analytic import Uniform as Uniform
 from .base import Density as Density
 from .bilinear import Bilinear as Bilinear
+from .compensation import compensated as compensated
 from .disk import DiskDensity as DiskDensity
 from .environment import EnvironmentDensity as EnvironmentDensity
 from .functions import FunctionDensity as FunctionDensity
@@ -61,6 +62,7 @@ __all__ = [
     "as_density",
     "as_warp",
     "check_density",
+    "compensated",
     "density",
     "reciprocal_integral",
     "vegas_density",
