@@ -14,6 +14,7 @@ DENSITIES = Registry(
     "density",
     "mcspectra.densities",
     {
+        "aligned-strata": "mcspectra.densities.aligned:AlignedStrata",
         "cosine-weighted": "mcspectra.densities.monotone:CosineWeighted",
         "defensive": "mcspectra.densities.mixture:Defensive",
         "exponential": "mcspectra.densities.monotone:Exponential",

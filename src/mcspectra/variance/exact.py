@@ -82,7 +82,9 @@ def exact_variance(
     for technique, count in enumerate(estimator.counts):
         g = estimator.primary_integrand(technique)
         low, high = (_variance(source, n * count, g, order) for order in _orders(n * count, g.dims))
-        scale = np.abs(high) + (1e-14 * np.abs(g.integral)) ** 2 / _TOLERANCE
+        # Σ (mean g² − (mean g)²)/n is rounded by some 1e-15 of I²/n: all there is if it vanishes.
+        rounding = 4e-15 * np.abs(g.integral) ** 2 / (n * count)
+        scale = np.abs(high) + rounding / _TOLERANCE
         if not np.all(np.abs(high - low) <= _TOLERANCE * scale):
             raise NoClosedForm(
                 f"The stratum quadrature of {g.spec} does not converge ({np.max(low):.6g} against "
