@@ -45,6 +45,7 @@ __all__ = [
 
 _GRID = 2049
 _BISECTIONS = 45
+_EDGE = 1e-12  # from the ends of [0,1], where there are breaks anyway
 
 HEURISTICS = Registry(
     "heuristic",
@@ -249,9 +250,17 @@ class Maximum(Heuristic):
 
 
 def density_breaks(densities: Sequence[Density]) -> set[float]:
-    """Where 1-D densities may jump or kink, in the domain: the breaks of their warps, warped."""
-    plain = [p for p in densities if len(p.breaks) == 1]
-    return {float(p.sample([b])[0]) for p in plain for b in p.breaks[0]}
+    """Where 1-D densities may jump or kink, in the domain: the breaks of their warps, warped.
+
+    Both sides of a break are, as it may stand for a whole interval where p is 0.
+    """
+    found: set[float] = set()
+    for density in densities:
+        if len(density.breaks) == 1:
+            places = np.array([0.0, *density.breaks[0], 1.0])
+            sides = np.concatenate([places[:-1], np.nextafter(places[1:], 0.0)])
+            found.update(density.sample(sides[:, None])[:, 0].tolist())
+    return {x for x in found if _EDGE < x < 1.0 - _EDGE}
 
 
 def as_heuristic(given: object) -> Heuristic:
