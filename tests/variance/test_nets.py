@@ -1,4 +1,4 @@
-"""Exact variances of scrambled nets: against 1-D theory, slow sums, and simulation."""
+"""Exact variances of scrambled nets and Latin hypercubes: against 1-D theory, slow sums, and simulation."""
 
 import itertools
 import math
@@ -72,6 +72,9 @@ CASES = [
     ("larcher-pillichshammer | owen", "gaussian(center=0.3)", None, 2, 32),
     ("halton | owen", "gaussian(center=0.3)", None, 2, 13),
     ("faure | owen", "gaussian(center=0.3)", None, 3, 9),
+    ("latin-hypercube", "gaussian(center=0.3)", "linear(slope=1)", 2, 5),
+    ("latin-hypercube", "gaussian(center=0.3)", None, 3, 6),
+    ("n-rooks", "disk", None, 2, 2),
 ]
 
 
@@ -82,6 +85,19 @@ def test_simulation_agrees(sampler, f, density, dims, n):
     sampler = mcs.sampler(sampler, dims=dims)
     limit = stats.norm.isf(0.5 * (1 - (1 - 1e-3) ** (1 / len(CASES))))
     assert abs(_pull(estimator, sampler, n, mcs.exact_variance(estimator, sampler, n), 5)) < limit
+
+
+@pytest.mark.parametrize("n", [2, 3, 10])
+def test_latin_hypercubes_take_single_axes_from_n_cubed_and_products_as_they_are(n):
+    """f = x + y: 2/(12 n³). f = (x − ½)(y − ½): the strata's means are left, of mean square
+    ((1 − n^-2)/12)² each, and 1/144 in all: (1/n) [1/144 + ((1 − n^-2)/12)² /(n − 1)]."""
+    both = mcs.Estimator("linear(gradient=[1, 1])")
+    found = mcs.exact_variance(both, "latin-hypercube", n)
+    assert found == pytest.approx(2 / (12 * n**3), rel=1e-9)
+    product = mcs.Integrand.from_function(lambda x: (x - 0.5).prod(axis=-1), dims=2, integral=0.0)
+    expected = (1 / 144 + ((1 - n**-2) / 12) ** 2 / (n - 1)) / n
+    assert mcs.exact_variance(product, "latin-hypercube", n) == pytest.approx(expected, rel=1e-9)
+    assert mcs.exact_variance(both, "latin-hypercube", 1) == pytest.approx(1 / 6, rel=1e-9)
 
 
 def test_two_techniques_and_channels():

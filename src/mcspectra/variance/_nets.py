@@ -1,4 +1,4 @@
-"""Exact variances of nets whose digits are scrambled: nested uniform scrambling, digital shifts.
+"""Exact variances of sets that are known on a grid of cells: scrambled nets, Latin hypercubes.
 
 * Nested uniform scrambling [Owen1997]_: Var = (1/n) Σ_l Γ_l σ²_l. Once the coordinates of all points
   differ within L digits of each axis, the levels beyond L have Γ_l = 1, so that with ω² the mean over
@@ -13,6 +13,12 @@
   net and 0 elsewhere for digital nets, and
 
       Var = E_δ [Σ_{m ≠ 0} ĝ_m² ŝ_m²] + Var_δ ĝ_0.
+* Latin hypercubes: on each axis two points are in different ones of n strata. With ω² the mean variance
+  within n^d cells and σ²_v the ANOVA parts of the means of the cells, v a subset of the axes,
+
+      Var = (1/n) [ω² + Σ_{v ≠ ∅} (1 + (n − 1) (−1/(n − 1))^|v|) σ²_v],
+
+  without what varies along single axes from stratum to stratum [Stein1987]_.
 """
 
 from __future__ import annotations
@@ -38,11 +44,14 @@ from mcspectra.variance._strata import (
 __all__ = ["level_variances", "net_variance", "scrambling"]
 
 _KEEP_LAW = frozenset({"digital-shift", "permute"})  # of nested scrambling, too
+_LATIN = ("latin-hypercube", "n-rooks")
 _MOST_BITS = 24
 
 
 def scrambling(sampler: Sampler) -> str | None:
-    """Return ``"owen"`` or ``"digital-shift"``, None for what is no net with its digits scrambled."""
+    """Return ``"owen"``, ``"digital-shift"`` or ``"latin"``; None for what is none of these."""
+    if sampler.name in _LATIN and getattr(sampler, "strength", 1) == 1 and sampler.dims > 1:
+        return "latin"
     if not isinstance(sampler, Randomized) or not is_fixed(sampler.base):
         return None
     names = {step.name for step in sampler.steps}  # in the base of the net: others do not fit it
@@ -54,13 +63,15 @@ def scrambling(sampler: Sampler) -> str | None:
 
 
 def net_variance(sampler: Sampler, n: int, g: Integrand, order: int, kind: str) -> Array:
-    """Variance of the mean of g over a net of this `scrambling`: (channels,) or (1,).
+    """Variance of the mean of g over a set of this `scrambling`: (channels,) or (1,).
 
     Raises
     ------
     NoClosedForm
         Coordinates coincide or are finer than can be resolved, or there are too many cells.
     """
+    if kind == "latin":
+        return _latin(sampler, n, g, order)
     assert isinstance(sampler, Randomized)
     net = sampler.base
     points = net.draw_stream(n, Stream.from_rng(0), 0, 1)[0]
@@ -113,6 +124,19 @@ def _nested(net: Sampler, n: int, g: Integrand, order: int, digits: tuple[int, .
     within = np.maximum(squares - means**2, 0.0).mean(axis=0)
     levels = level_variances(means.reshape(*sides, -1), bases)
     return np.asarray((within + np.tensordot(gains, levels, axes=g.dims)) / n)
+
+
+def _latin(sampler: Sampler, n: int, g: Integrand, order: int) -> Array:
+    sides = (n,) * g.dims
+    _check_cells(sampler, sides)
+    means, squares = stratum_moments(g, sides, np.zeros(g.dims), order)
+    within = np.maximum(squares - means**2, 0.0).mean(axis=0)
+    if n == 1:
+        return np.asarray(within)
+    varying = np.indices((2,) * g.dims).sum(axis=0)  # |v|
+    gains = np.where(varying > 0, 1.0 + (n - 1.0) * (-1.0 / (n - 1.0)) ** varying, 0.0)
+    parts = level_variances(means.reshape(*sides, -1), sides)  # levels of one digit in base n
+    return np.asarray((within + np.tensordot(gains, parts, axes=g.dims)) / n)
 
 
 def _shifted(points: Array, g: Integrand, order: int, bits: int) -> Array:
