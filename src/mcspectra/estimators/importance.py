@@ -7,16 +7,15 @@ from typing import Any, final
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import DensityError, ParameterError
+from mcspectra.core.errors import ParameterError
 from mcspectra.densities import Density, as_density
 from mcspectra.densities.base import divide_by_density
 from mcspectra.estimators.base import AbstractEstimator, DomainEstimator
 from mcspectra.estimators.primary import PrimaryIntegrand
+from mcspectra.estimators.support import check_support
 from mcspectra.integrands import Integrand, as_integrand
 
-__all__ = ["Estimator", "as_estimator", "check_same_dims", "check_support", "probe_points", "scale"]
-
-_PROBES = 4096
+__all__ = ["Estimator", "as_estimator", "check_same_dims", "check_support", "scale"]
 
 
 @final
@@ -35,8 +34,8 @@ class Estimator(DomainEstimator):
     Raises
     ------
     DensityError
-        p is zero at points where f is not: found by probing 4096 points and the empty cells of
-        tables; what slips through is an error when it is sampled, or a bias.
+        p is zero at points where f is not: found by probing (`mcspectra.estimators.support`); what
+        slips through is an error when it is sampled, or a bias.
     ParameterError
         Different numbers of dims.
     """
@@ -122,29 +121,6 @@ def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
 def scale(values: Array, weights: Array) -> Array:
     """values (...) or (..., channels) times weights (...)."""
     return np.asarray(values * (weights if values.ndim == weights.ndim else weights[..., None]))
-
-
-def probe_points(dims: int) -> Array:
-    """4096 points that hit no grid line: the additive recurrence on square roots of primes."""
-    primes = np.array([2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71])
-    steps = np.sqrt(np.resize(primes, dims) + np.arange(dims) // primes.size)
-    return np.asarray((0.5 + np.arange(1, _PROBES + 1)[:, None] * steps) % 1.0)
-
-
-def check_support(integrand: Integrand, densities: list[Density]) -> None:
-    x = np.concatenate([probe_points(integrand.dims), *(p.zero_points() for p in densities)])
-    covered = sum((density.pdf(x) for density in densities), np.zeros(len(x))) > 0
-    if covered.all():
-        return
-    values = np.asarray(integrand(x[~covered]))
-    missed = values.reshape(len(values), -1).any(axis=1)
-    if missed.any():
-        where = ", ".join(f"{c:.6g}" for c in x[~covered][missed][0])
-        names = " and ".join(density.spec for density in densities)
-        raise DensityError(
-            f"{names} is 0 at ({where}), where {integrand.spec} is not: the estimate would miss "
-            "that part; choose a density that is positive wherever f is not 0."
-        )
 
 
 def check_same_dims(components: list[Any]) -> None:

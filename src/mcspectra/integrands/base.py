@@ -120,6 +120,10 @@ class Integrand(Component, ABC):
         """For each axis, where f is discontinuous or not smooth across a whole axis-normal plane."""
         return ((),) * self.dims
 
+    def landmarks(self) -> Array:
+        """Points (k, d) at which f may differ from 0 on a small region, for probing; often none."""
+        return np.empty((0, self.dims))
+
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:  # noqa: ARG002
         """Means of f and of f² over axis-aligned boxes, where they are known in closed form.
 

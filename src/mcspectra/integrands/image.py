@@ -18,6 +18,7 @@ from mcspectra.integrands.base import Integrand
 __all__ = ["Image", "select_channel"]
 
 _MOST_BREAKS = 64
+_LANDMARKS = 4096
 
 
 @final
@@ -74,6 +75,15 @@ class Image(Integrand):
             tuple((np.arange(1, size) / size).tolist()) if size <= _MOST_BREAKS else ()
             for size in (width, height)
         )
+
+    def landmarks(self) -> Array:
+        """Centres of the pixels that are not 0, of the 4096 largest at most."""
+        size = np.abs(self._pixels).reshape(*self._pixels.shape[:2], -1).max(axis=2)
+        height, width = size.shape
+        order = np.argpartition(size, max(0, size.size - _LANDMARKS), axis=None)[-_LANDMARKS:]
+        order = order[size.ravel()[order] > 0]
+        row, column = np.divmod(order, width)
+        return np.stack([(column + 0.5) / width, (row + 0.5) / height], axis=-1)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
         """Sums over rectangles of the pixels and of their squares, fractions of pixels included."""

@@ -1,0 +1,124 @@
+"""Is there a part of the domain where f is not 0 but the density is? A search by probing.
+
+What is probed, all of it deterministic:
+
+* 4096 points of an additive recurrence, and in 1-D the centres of 8192 cells;
+* points next to faces and corners, at distances 2^-4, 2^-8 and 2^-12;
+* the zeros that densities know of (empty cells of tables, wherever they lie);
+* what integrands know of: both sides of their breaks, the brightest pixels of a picture;
+* in 1-D the gaps of the warp: a region where p = 0 is a jump of T, and bisection of 1024 intervals
+  of u closes in on jumps however small.
+
+Where p is 0 only at points (a power at 0, a tent at its ends) nothing is found: no probe lies there.
+What slips through is a region that none of this hits, in 2-D and more.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import DensityError
+from mcspectra.densities import Density
+from mcspectra.integrands import Integrand
+
+__all__ = ["check_support", "probe_points"]
+
+_PROBES = 4096
+_CELLS = 8192
+_NEAR = (2.0**-4, 2.0**-8, 2.0**-12)  # nearer, steep powers underflow to 0
+_FACES = 512
+_MOST_CORNERS = 4  # dims
+_BESIDE = 2.0**-30
+_INTERVALS = 1024
+_BISECTIONS = 32
+
+
+def check_support(integrand: Integrand, densities: Sequence[Density]) -> None:
+    """Raise where every density is 0 at a probe at which f is not.
+
+    Raises
+    ------
+    DensityError
+        The message says where.
+    """
+    x = np.concatenate(
+        [
+            probe_points(integrand.dims),
+            _borders(integrand.dims),
+            _landmarks(integrand),
+            *(_gaps(density) for density in densities),
+            *(density.zero_points() for density in densities),
+        ]
+    )
+    covered = sum((density.pdf(x) for density in densities), np.zeros(len(x))) > 0
+    if covered.all():
+        return
+    values = np.asarray(integrand(x[~covered]))
+    missed = values.reshape(len(values), -1).any(axis=1)
+    if missed.any():
+        where = ", ".join(f"{c:.6g}" for c in x[~covered][missed][0])
+        names = " and ".join(density.spec for density in densities)
+        raise DensityError(
+            f"{names} is 0 at ({where}), where {integrand.spec} is not: the estimate would miss "
+            "that part; choose a density that is positive wherever f is not 0."
+        )
+
+
+def probe_points(dims: int) -> Array:
+    """4096 points that hit no grid line: the additive recurrence on square roots of primes."""
+    primes = np.array([2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71])
+    steps = np.sqrt(np.resize(primes, dims) + np.arange(dims) // primes.size)
+    return np.asarray((0.5 + np.arange(1, _PROBES + 1)[:, None] * steps) % 1.0)
+
+
+def _borders(dims: int) -> Array:
+    """Points next to faces, one axis after another, and in few dims next to all corners."""
+    points = probe_points(dims)[:_FACES].copy()
+    k = np.arange(_FACES)
+    near = np.resize(_NEAR, _FACES)
+    points[k, k % dims] = np.where(k // dims % 2 == 0, near, 1.0 - near)
+    found = [points]
+    if dims <= _MOST_CORNERS:
+        ends = [[e, 1.0 - e] for e in _NEAR]
+        found += [np.array(list(itertools.product(pair, repeat=dims))) for pair in ends]
+    if dims == 1:
+        found.append(((np.arange(_CELLS) + 0.5) / _CELLS)[:, None])
+    return np.concatenate(found)
+
+
+def _landmarks(integrand: Integrand) -> Array:
+    """Both sides of every break of f, at probes for the other axes, and what f itself names."""
+    found = [integrand.landmarks()]
+    for axis, breaks in enumerate(integrand.breaks):
+        if breaks:
+            sides = np.concatenate([np.subtract(breaks, _BESIDE), np.add(breaks, _BESIDE)])
+            sides = sides[(sides >= 0) & (sides < 1)]
+            points = np.resize(probe_points(integrand.dims), (len(sides), integrand.dims))
+            points[:, axis] = sides
+            found.append(points)
+    return np.concatenate(found)
+
+
+def _gaps(density: Density) -> Array:
+    """Middle of the largest step of T in each of 1024 intervals of u, in 1-D.
+
+    Each interval is halved 32 times, to the half over which x moves more: at a jump x moves by the
+    width of what T leaves out, elsewhere by nothing in the end.
+    """
+    if density.dims > 1 or not density.one_to_one:
+        return np.empty((0, density.dims))
+    u = np.linspace(0.0, 1.0, _INTERVALS + 1)[:, None]
+    x = density.sample(u)
+    low, high, x_low, x_high = u[:-1], u[1:], x[:-1], x[1:]
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        x_middle = density.sample(middle)
+        left = np.abs(x_middle - x_low) > np.abs(x_high - x_middle)
+        low, high = np.where(left, low, middle), np.where(left, middle, high)
+        x_low, x_high = np.where(left, x_low, x_middle), np.where(left, x_middle, x_high)
+    wide = np.abs(x_high - x_low)[:, 0] > _BESIDE
+    return np.asarray(0.5 * (x_low + x_high)[wide])
