@@ -8,6 +8,8 @@ from .spectra import radial_power as radial_power
 from .variance import captured_curves as captured_curves
 from .variance import convergence_curves as convergence_curves
 from .variance import three_terms as three_terms
+from .warps import primary_pictures as primary_pictures
+from .warps import warp_maps as warp_maps
 
 __all__ = [
     "band_covariances",
@@ -18,6 +20,8 @@ __all__ = [
     "point_sets",
     "power_images",
     "power_lines",
+    "primary_pictures",
     "radial_power",
     "three_terms",
+    "warp_maps",
 ]
