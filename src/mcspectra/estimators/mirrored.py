@@ -69,7 +69,7 @@ class Mirrored(AbstractEstimator):
     >>> print(f"{mcs.exact_variance(plain, 'jittered | shift', 64):.2e}")
     4.04e-05
     >>> print(f"{mcs.exact_variance(mirrored, 'jittered | shift', 64):.2e}")
-    1.27e-06
+    1.26e-06
     """
 
     def __init__(

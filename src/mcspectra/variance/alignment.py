@@ -170,9 +170,10 @@ def strata_shift_scan(
     Examples
     --------
     >>> import mcspectra as mcs
-    >>> d = mcs.strata_shift_scan("step(at=0.3)", mcs.sampler("jittered", dims=1), 8, offsets=5)
+    >>> light = mcs.integrand("disk(center=0.5125, radius=0.25)", dims=1)  # 2.1 to 6.1 strata
+    >>> d = mcs.strata_shift_scan(light, "jittered", 8, offsets=[0, 0.1, 0.6])
     >>> [round(float(v) * 64, 2) for v in d["variance"].squeeze()]
-    [0.24, 0.16, 0.0, 0.16, 0.24]
+    [0.18, 0.0, 0.5]
     """
     estimator = as_estimator(estimator, getattr(sampler, "dims", None))
     source = as_sampler(sampler, estimator.dims)

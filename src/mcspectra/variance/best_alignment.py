@@ -90,9 +90,10 @@ def best_alignment(
     Examples
     --------
     >>> import mcspectra as mcs
-    >>> found = mcs.best_alignment("step(at=0.3)", mcs.sampler("jittered", dims=1), 8)
+    >>> light = mcs.integrand("disk(center=0.5125, radius=0.25)", dims=1)  # 2.1 to 6.1 strata
+    >>> found = mcs.best_alignment(light, "jittered", 8)
     >>> found.attrs["improved"], round(float(found["strata_offset"].sel(candidate="offset")[0]), 2)
-    ('yes', 0.4)
+    ('yes', 0.1)
     """
     plain = as_estimator(estimator, getattr(sampler, "dims", None))
     source = as_sampler(sampler, plain.dims)

@@ -81,7 +81,9 @@ def mirror_study(
     Examples
     --------
     >>> import mcspectra as mcs
-    >>> study = mcs.mirror_study("gaussian", mcs.sampler("jittered", dims=1), [16, 64], rng=1)
+    >>> study = mcs.mirror_study("linear", mcs.sampler("jittered", dims=1), [16, 512], rng=1)
+    >>> [round(float(r), 1) for r in study["rate"].sel(mirroring="original")]
+    [-3.0, -2.0]
     >>> [round(float(r), 1) for r in study["rate"].sel(mirroring="integrand")]
     [-3.0, -3.0]
     """
