@@ -1,0 +1,94 @@
+"""Memory of the analyses: flat in the number of realisations, and below a gigabyte at 513²."""
+
+import json
+import subprocess
+import sys
+import tracemalloc
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core import parallel
+from mcspectra.spectra.transforms import FrequencyGrid
+
+HALF_WIDTH, N = 32, 64
+_BLOCK = 2**13
+GRID = FrequencyGrid(2, HALF_WIDTH)
+REALIZATIONS = 240
+BYTES = 16 * GRID.half_size
+"""Bytes of the spectrum of one realisation."""
+
+LARGE = """
+import json, resource, sys
+import mcspectra as mcs
+mcs.variance_terms(
+    mcs.Estimator("gaussian(width=0.25)", dims=2), "jittered", 1024, half_width=256,
+    realizations=24, workers=2,
+)
+try:
+    # ru_maxrss starts from the memory of the process that started this one.
+    with open("/proc/self/status") as status:
+        used = next(int(line.split()[1]) for line in status if line.startswith("VmHWM")) * 1024
+except OSError:
+    used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+print(json.dumps(used))
+"""
+
+
+@pytest.fixture(autouse=True)
+def small_blocks(monkeypatch):
+    """Make blocks as small beside these grids as the usual ones are beside large grids."""
+    monkeypatch.setattr(parallel, "_BLOCK_NUMBERS", _BLOCK)
+
+
+def _peak(function):
+    """Most bytes of Python objects and arrays at one time while `function` runs."""
+    tracemalloc.start()
+    try:
+        function()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def _terms(realizations, **settings):
+    return mcs.variance_terms(
+        "gaussian(width=0.25)",
+        mcs.sampler("jittered", dims=2),
+        N,
+        half_width=HALF_WIDTH,
+        realizations=realizations,
+        **settings,
+    )
+
+
+def _power(realizations, **settings):
+    return mcs.power_spectrum(
+        "jittered", N, half_width=HALF_WIDTH, realizations=realizations, **settings
+    )
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("analysis", [_terms, _power])
+def test_memory_is_flat_in_realizations(analysis, workers):
+    analysis(REALIZATIONS, workers=workers)  # imports, compiled kernels, plans
+    few = _peak(lambda: analysis(REALIZATIONS, workers=workers))
+    many = _peak(lambda: analysis(4 * REALIZATIONS, workers=workers))
+    # Threads have a few results of blocks waiting, each of a spectrum or three; to keep what every
+    # block returns would take 50 spectra or more.
+    assert many - few < 12 * BYTES
+
+
+def test_bands_take_their_square_and_no_more():
+    labels = GRID.full(np.arange(GRID.half_size) % 200)
+    few = _peak(lambda: _terms(REALIZATIONS, workers=1))
+    bands = _peak(lambda: _terms(REALIZATIONS, workers=1, bands=labels))
+    realizations_a_block = max(1, _BLOCK // (2 * GRID.half_size))
+    # band_covariance: in the sums of a block, of all blocks, merged, and in the result
+    assert bands - few < 8 * (8 * 200**2) + 8 * 200 * realizations_a_block + labels.nbytes + 2**20
+
+
+def test_513_squared_stays_far_below_a_gigabyte():
+    run = subprocess.run([sys.executable, "-c", LARGE], capture_output=True, check=True, text=True)
+    assert json.loads(run.stdout) < 1e9
