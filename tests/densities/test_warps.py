@@ -129,6 +129,13 @@ def test_ends_stay_inside_cells_with_mass(warp):
     assert (p.pdf(p.sample(u)) > 0).all()
 
 
+@pytest.mark.parametrize("warp", WARPS)
+def test_the_package_s_own_check_passes(warp):
+    PiecewiseConstant(values=table(5, 12), warp=warp).check()
+    if warp == "alias":
+        PiecewiseConstant(values=table(13), warp=warp).check()
+
+
 def test_one_dimension_has_one_monotone_warp():
     u = np.random.default_rng(6).random((500, 1))
     values = table(13)

@@ -61,10 +61,11 @@ def test_turning_the_map_turns_the_normal():
 
 
 def test_bilinear_values_are_those_of_scipy():
-    f = Environment(values=SKY, interpolation="bilinear", normal=(0, 0, 1))
+    pixels = np.random.default_rng(7).random((6, 10, 3))
+    f = Environment(values=pixels, interpolation="bilinear", normal=(0, 0, 1))
     flat = Environment(values=np.ones((1, 1)), normal=(0, 0, 1))
     x = np.random.default_rng(2).random((500, 2)) * [1, 0.499]
-    wrapped = np.concatenate([SKY[:, -1:], SKY, SKY[:, :1]], axis=1)
+    wrapped = np.concatenate([pixels[:, -1:], pixels, pixels[:, :1]], axis=1)
     columns, rows = (np.arange(12) - 0.5) / 10, (np.arange(6) + 0.5) / 6
     reference = RegularGridInterpolator((rows, columns), wrapped)
     held = np.stack([np.clip(x[:, 1], rows[0], rows[-1]), x[:, 0]], axis=-1)
