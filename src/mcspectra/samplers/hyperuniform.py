@@ -71,6 +71,13 @@ class PerturbedLattice(Sampler):
     def _grid(self) -> Regular:
         return Regular(dims=self.dims, position="corner")
 
+    def displacement_correlation(self, n: int) -> Array:
+        """Correlation of the displacements of two points by their distance on the grid: s^d."""
+        sides = self._grid.sides(n)[0]
+        if sides == 1 or self.correlation == 0.0:
+            return np.asarray(np.arange(n) == 0, float).reshape((sides,) * self.dims)
+        return np.asarray(np.fft.ifftn(_gains(sides, self.dims, self.correlation) ** 2).real)
+
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         keys, sides = stream.keys(first, count), self._grid.sides(n)[0]
         offsets = np.empty((count, self.dims))

@@ -101,17 +101,38 @@ def _antithetic(sampler: Any, n: int) -> Moments:
     return _motifs(_cube(sampler, cells), cells, lambda a: product(interval(a)), second)
 
 
-def _perturbed_lattice(sampler: Any, n: int) -> Moments | None:
+def _perturbed_lattice(sampler: Any, n: int) -> Moments:
     """Gaussian displacements; the common translation leaves the diagonal alone."""
-    if sampler.correlation != 0.0:
-        return None
     s = np.asarray(_cube(sampler, n), float)
 
     def power(m: Array) -> Array:
+        if sampler.correlation != 0.0:
+            return _displaced(sampler, n, m)
         square = product(_gauss(sampler.width, m / s)) ** 2
         return np.asarray((1.0 - square) / n + square * np.abs(product(comb(m, s))) ** 2)
 
     return _stationary(power)
+
+
+def _displaced(sampler: Any, n: int, m: Array) -> Array:
+    """(1/n) Σ_r exp(−2πi m·r/s) exp(−4π² |m|² (width/s)² (1 − ρ(r))) over the places r of the grid.
+
+    ρ is the correlation of displacements r apart ([Gabrielli2004]_, of Gaussian ones).
+    """
+    sides = _cube(sampler, n)
+    _check_terms(n, m)
+    correlation = sampler.displacement_correlation(n).reshape(-1)
+    places = np.stack(np.unravel_index(np.arange(n), sides), axis=-1)
+    rows = m.reshape(-1, m.shape[-1])
+    spread = (2.0 * np.pi * sampler.width / sides[0]) ** 2 * (rows**2).sum(axis=-1)
+    out = np.empty(len(rows))
+    block = max(1, 2**22 // n)
+    for i in range(0, len(rows), block):
+        phases = np.cos(2.0 * np.pi * np.remainder(rows[i : i + block] @ places.T / sides[0], 1.0))
+        out[i : i + block] = (
+            phases * np.exp(-np.outer(spread[i : i + block], 1.0 - correlation))
+        ).mean(axis=-1)
+    return out.reshape(m.shape[:-1])
 
 
 def _determinantal(sampler: Any, n: int) -> Moments:
@@ -171,11 +192,7 @@ def _in_dual_lattice(m: Array, vector: Array, n: int) -> Array:
 
 
 def _direct_sum(sampler: Sampler, n: int, nu: Array) -> Array:
-    if float(n) * max(64, nu[..., 0].size) > _MAX_WORK:  # the points take memory, too
-        raise NoClosedForm(
-            f"The exact transform of {n} points at {nu[..., 0].size} frequencies would take more "
-            f"than {_MAX_WORK:.2g} terms; use power_spectrum, or ask for fewer frequencies."
-        )
+    _check_terms(n, nu)
     points = sampler.draw_stream(n, Stream.from_rng(0), 0, 1)[0]
     rows = nu.reshape(-1, nu.shape[-1])
     out = np.empty(len(rows), complex)
@@ -184,6 +201,14 @@ def _direct_sum(sampler: Sampler, n: int, nu: Array) -> Array:
         phases = np.remainder(rows[i : i + block] @ points.T, 1.0)
         out[i : i + block] = np.exp(-2j * np.pi * phases).mean(axis=-1)
     return out.reshape(nu.shape[:-1])
+
+
+def _check_terms(n: int, nu: Array) -> None:
+    if float(n) * max(64, nu[..., 0].size) > _MAX_WORK:  # the points take memory, too
+        raise NoClosedForm(
+            f"The exact transform of {n} points at {nu[..., 0].size} frequencies would take more "
+            f"than {_MAX_WORK:.2g} terms; use power_spectrum, or ask for fewer frequencies."
+        )
 
 
 def _latin(sampler: Any, n: int) -> Moments | None:
