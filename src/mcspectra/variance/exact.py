@@ -50,9 +50,9 @@ def exact_variance(
     ----------
     estimator, sampler, n
         Any estimator with one of: random, jittered, regular, uniform-jitter, each alone or with
-        shift or strata-shift, and with mirror; latin-hypercube in 1-D; nets and sequences such as sobol or halton with
-        owen, and those in base 2 with digital-shift, for as many points as cells of their digits, n
-        to a side, can be integrated over: some thousands in 2-D, some tens in 3-D.
+        shift or strata-shift, and with mirror; latin-hypercube; nets and sequences such as sobol or
+        halton with owen, and those in base 2 with digital-shift. Latin hypercubes and nets take cells,
+        about n to a side: some thousands of points in 2-D, some tens in 3-D.
 
     Returns
     -------
