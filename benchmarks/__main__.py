@@ -1,4 +1,4 @@
-"""Run all benchmarks, or those named: ``python -m benchmarks spectrum start``."""
+"""Run all benchmarks, or those named: ``python -m benchmarks spectrum start``, ``cost --plot``."""
 
 import importlib
 import sys
@@ -14,18 +14,23 @@ NAMES = (
     "bases",
     "pairs",
     "convergence",
+    "contribution",
+    "listed",
+    "cost",
+    "large",
 )
 
 
 def main() -> int:
     """Print each benchmark's lines; unknown names are refused."""
-    chosen = sys.argv[1:] or NAMES
+    flags = [argument for argument in sys.argv[1:] if argument.startswith("--")]
+    chosen = [argument for argument in sys.argv[1:] if argument not in flags] or NAMES
     for name in chosen:
         if name not in NAMES:
             print(f"There is no benchmark {name!r}; there are {', '.join(NAMES)}.", file=sys.stderr)
             return 2
         print(f"## {name}")
-        importlib.import_module(f"benchmarks.{name}").main()
+        importlib.import_module(f"benchmarks.{name}").main(*flags)
     return 0
 
 

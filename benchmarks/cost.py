@@ -1,0 +1,147 @@
+"""Cost of an expected power spectrum against points n, frequencies M, realisations R and accuracy ε.
+
+Model of the NUFFT [Barnett2019]_, seconds a realisation, and R of them take R t:
+
+    t = a + b n log(1/ε) + c M log M.
+
+A point is spread to log^d(1/ε) cells, of which vector instructions take a row together: in two dims
+the time of a point grows like log(1/ε). Times are the least processor times of two sweeps.
+
+``python -m benchmarks cost --plot`` draws measured times beside the model to docs/figures/cost.png.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import mcspectra as mcs
+from mcspectra.core.checks import Array
+from mcspectra.spectra.transforms import FrequencyGrid, Transform
+
+FIGURE = Path(__file__).parent.parent / "docs" / "figures" / "cost.png"
+DIMS, EPS = 2, 1e-9
+COUNTS = (256, 1024, 4096, 16384, 65536)
+HALF_WIDTHS = (16, 32, 64, 128, 256)
+REALIZATIONS = (2, 4, 8, 16, 32, 64)
+ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8)
+FIXED = (4096, 64)  # points and half width where R and ε vary
+_SECONDS = 0.15  # spent on each case, twice
+
+
+@dataclass(frozen=True)
+class Series:
+    """Seconds a call against one quantity, and what the model says."""
+
+    label: str
+    x: Array
+    measured: Array
+    model: Array
+
+
+def main(*flags: str) -> None:
+    """Print the fit; with ``--plot``, draw it too."""
+    if set(flags) - {"--plot"}:
+        raise SystemExit(f"cost takes --plot, not {' '.join(flags)}.")
+    cases = [(n, k) for n in COUNTS for k in HALF_WIDTHS]
+    sweeps = [[_seconds(n, k) for n, k in cases] for _ in range(2)]
+    times = np.min(sweeps, axis=0)
+    terms = np.array([_terms(n, k, EPS) for n, k in cases])
+    # Times span four decades: relative residuals.
+    (a, b, c), *_ = np.linalg.lstsq(terms / times[:, None], np.ones(len(times)))
+    ratio = times / (terms @ (a, b, c))
+    print(f"2-D, ε = {EPS:g}, {len(cases)} cases, n {COUNTS[0]} … {COUNTS[-1]}, "
+          f"M {(2 * HALF_WIDTHS[0] + 1)}² … {(2 * HALF_WIDTHS[-1] + 1)}²")  # fmt: skip
+    print(f"a {1e6 * a:.3g} µs, b {1e9 * b:.3g} ns, c {1e9 * c:.3g} ns; measured / model: "
+          f"median {np.median(ratio):.2f}, {ratio.min():.2f} … {ratio.max():.2f}, "
+          f"rms of the logarithm {np.std(np.log(ratio)):.2f}")  # fmt: skip
+    linear = _by_realizations()
+    slope = np.polyfit(np.log(linear.x), np.log(linear.measured), 1)[0]
+    print(f"exponent of the time in R: {slope:.3f} (linear: 1)")
+    accuracy = _by_accuracy(np.array([a, b, c]))
+    shares = ", ".join(
+        f"{m / p:.2f}" for m, p in zip(accuracy.measured, accuracy.model, strict=True)
+    )
+    print(f"measured / model at ε = {', '.join(f'{e:g}' for e in ACCURACIES)}: {shares}")
+    if "--plot" in flags:
+        grids = [_grid_series(k, cases, times, terms @ (a, b, c)) for k in HALF_WIDTHS]
+        _plot(grids, linear, accuracy)
+
+
+def _terms(n: int, half_width: int, eps: float) -> tuple[float, float, float]:
+    size = float(2 * half_width + 1) ** DIMS
+    return 1.0, n * np.log(1.0 / eps), size * np.log(size)
+
+
+def _seconds(n: int, half_width: int, realizations: int = 2, eps: float = EPS) -> float:
+    """Least time a realisation of the power of `realizations` sets, one thread."""
+    grid = FrequencyGrid(DIMS, half_width)
+    points = mcs.sampler("random", dims=DIMS).draw(n, realizations=realizations, rng=1)
+    total, squares = np.zeros(grid.half_size), np.zeros(grid.half_size)
+    transform = Transform(grid, n, engine="nufft", eps=eps)
+    transform.add_power(points, None, total, squares)
+    best, stop = np.inf, time.thread_time() + _SECONDS
+    while time.thread_time() < stop or best == np.inf:
+        start = time.thread_time()
+        transform.add_power(points, None, total, squares)
+        best = min(best, time.thread_time() - start)
+    return float(best) / realizations
+
+
+def _by_realizations() -> Series:
+    """Seconds of R realisations; the model is R times those of a pair, halved."""
+    n, half_width = FIXED
+    count = np.array(REALIZATIONS, np.float64)
+    measured = np.array([r * _seconds(n, half_width, r) for r in REALIZATIONS])
+    return Series(f"n = {n}, {2 * half_width + 1}²", count, measured, count * measured[0] / 2)
+
+
+def _by_accuracy(constants: Array) -> Series:
+    n, half_width = FIXED
+    measured = np.array([_seconds(n, half_width, eps=eps) for eps in ACCURACIES])
+    model = np.array([constants @ _terms(n, half_width, eps) for eps in ACCURACIES])
+    return Series(f"n = {n}, {2 * half_width + 1}²", np.array(ACCURACIES), measured, model)
+
+
+def _grid_series(
+    half_width: int, cases: list[tuple[int, int]], times: Array, model: Array
+) -> Series:
+    chosen = [i for i, (_, k) in enumerate(cases) if k == half_width]
+    n = np.array([cases[i][0] for i in chosen], np.float64)
+    return Series(f"M = {2 * half_width + 1}²", n, times[chosen], model[chosen])
+
+
+def _plot(grids: list[Series], linear: Series, accuracy: Series) -> None:
+    import matplotlib as mpl
+
+    mpl.use("agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), layout="constrained", sharey=False)
+    panels = (
+        ("points n", "seconds a realisation", grids),
+        ("realisations R", "seconds", [linear]),
+        ("accuracy ε", "seconds a realisation", [accuracy]),
+    )
+    for axis, (x, y, series) in zip(axes, panels, strict=True):
+        for one in series:
+            (line,) = axis.loglog(one.x, one.measured, "o", label=one.label)
+            axis.loglog(one.x, one.model, "-", color=line.get_color(), linewidth=1)
+        axis.set_xlabel(x)
+        axis.set_ylabel(y)
+        axis.legend(fontsize="small")
+    axes[1].set_xticks(REALIZATIONS, [str(r) for r in REALIZATIONS], minor=False)
+    axes[1].minorticks_off()
+    figure.suptitle(
+        "Expected power in 2-D, one thread: measured (dots), a + b n log(1/ε) + c M log M"
+    )
+    FIGURE.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(FIGURE, dpi=120)
+    print(f"drawn to {FIGURE.relative_to(FIGURE.parent.parent.parent)}")
+
+
+if __name__ == "__main__":
+    main()
