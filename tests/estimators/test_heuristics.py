@@ -113,10 +113,8 @@ def _crossings(slopes, counts, alpha):
 
 
 CASES = [
-    (f, slopes, counts)
-    for f in (SQUARE, CUBIC)
-    for slopes, counts in (((0, 1.5), (1, 1)), ((-1.5, 0, 1.9), (2, 1, 3)))
-    if f is CUBIC or counts == (1, 1)
+    (SQUARE, (0, 1.5), (1, 1)),
+    (CUBIC, (-1.5, 0, 1.9), (2, 1, 3)),
 ]
 
 
