@@ -108,7 +108,19 @@ def add_estimator_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--density", action="append", metavar="SPEC", help="density; several mean MIS"
     )
-    parser.add_argument("--heuristic", help="MIS: balance (default) or power")
+    parser.add_argument(
+        "--heuristic",
+        metavar="SPEC",
+        help="MIS: balance (default), power(beta=2), cutoff, maximum, optimal or variance-aware",
+    )
+    parser.add_argument(
+        "--shares", metavar="K,K,…", help="MIS: points of each technique, in units of n"
+    )
+    parser.add_argument(
+        "--mirror",
+        metavar="MODE",
+        help="mirror the integrand or the samples: integrand, random or uniform",
+    )
     parser.add_argument(
         "--plus",
         action="append",
@@ -119,21 +131,40 @@ def add_estimator_arguments(parser: argparse.ArgumentParser) -> None:
 
 def build_estimator(options: argparse.Namespace) -> AbstractEstimator:
     """Make the estimator that the options describe."""
+    estimator = _plain_estimator(options)
+    if options.mirror is None:
+        return estimator
+    from mcspectra.estimators import Mirrored
+
+    return Mirrored(estimator, options.mirror)
+
+
+def _plain_estimator(options: argparse.Namespace) -> AbstractEstimator:
+    """The estimator before it is mirrored."""
     from mcspectra.estimators import Estimator, MultipleImportance, TechniqueSum
 
     dims = None if options.dims is None else whole_number("--dims", options.dims)
     densities = options.density or []
-    if options.heuristic is not None and len(densities) < 2:
-        raise ParameterError("--heuristic weights several --density options; give two or more.")
+    for name, given in (("--heuristic", options.heuristic), ("--shares", options.shares)):
+        if given is not None and len(densities) < 2:
+            raise ParameterError(f"{name} is about several --density options; give two or more.")
     if options.plus:
         if densities:
             raise ParameterError("--plus adds whole techniques; it cannot be used with --density.")
         return TechniqueSum([options.integrand, *options.plus], dims=dims)
     if len(densities) > 1:
         return MultipleImportance(
-            options.integrand, densities, heuristic=options.heuristic or "balance", dims=dims
+            options.integrand,
+            densities,
+            heuristic=options.heuristic or "balance",
+            counts=None if options.shares is None else _shares(options.shares),
+            dims=dims,
         )
     return Estimator(options.integrand, densities[0] if densities else None, dims=dims)
+
+
+def _shares(text: str) -> list[int]:
+    return [whole_number("--shares", part.strip()) for part in text.split(",")]
 
 
 def print_json(data: Any) -> None:

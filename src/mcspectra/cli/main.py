@@ -26,6 +26,7 @@ _VERBS = {
     "pcf": "pair correlation of a sampler",
     "variance": "the three terms of an estimator's variance against its measurement",
     "converge": "variance against n and the fitted rate",
+    "remedies": "what would lower the noise at a budget, measured, ranked and explained",
     "exact": "exact variance, where there is a closed form",
     "anova": "which axes the variance comes from, effective dimension",
     "modes": "which patterns of frequencies vary together",

@@ -1,0 +1,447 @@
+"""What else could have been done: an estimator and a sampler, changed in one respect each.
+
+A *kind* of change is a function from the set-up that is given to those that differ from it, each with
+the imperative that says how. Where a kind has nothing to offer, the reason is kept with it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+from mcspectra.core.errors import CountError, McspectraError
+from mcspectra.core.streams import Stream
+from mcspectra.densities import Bilinear, Defensive, Density, EnvironmentDensity, PiecewiseConstant
+from mcspectra.estimators import AbstractEstimator, Estimator, Mirrored, MultipleImportance
+from mcspectra.estimators.channels import ChannelSampling
+from mcspectra.estimators.heuristics import HEURISTICS, as_heuristic
+from mcspectra.estimators.mirrored import MIRRORINGS
+from mcspectra.integrands.smoothing import smoothed
+from mcspectra.samplers import Jittered, Sampler, Shift, StrataShift
+from mcspectra.samplers.base import Randomized, Structure
+from mcspectra.samplers.registry import sampler as make_sampler
+from mcspectra.variance.alignment import aligned
+from mcspectra.variance.best_alignment import best_alignment
+from mcspectra.variance.diagnosis import jumps_of
+from mcspectra.variance.smoothing import smoothing_scan
+
+__all__ = [
+    "KINDS",
+    "Budget",
+    "Counterfactual",
+    "NotTried",
+    "Setup",
+    "affordable_count",
+    "other_setups",
+]
+
+_SAMPLERS = (
+    "random",
+    "jittered",
+    "jittered | shift",
+    "antithetic-jittered",
+    "latin-hypercube",
+    "halton | permute",
+    "rank1-lattice | shift",
+    "sobol | owen",
+)
+_COUNT_TRIES = 256
+_MOST_ALIGNED = 2
+_WIDTHS = tuple(2.0**-k for k in range(10, 1, -1))
+_SCAN_REALIZATIONS = 300
+
+
+@dataclass(frozen=True)
+class Setup:
+    """An estimator with its sampler.
+
+    Attributes
+    ----------
+    estimator, sampler
+        What is sampled and how.
+    at_count
+        Makes the estimator for n points, where it depends on them.
+    """
+
+    estimator: AbstractEstimator
+    sampler: Sampler
+    at_count: Callable[[int], AbstractEstimator] | None = None
+
+    def at(self, n: int) -> AbstractEstimator:
+        """The estimator for n points."""
+        return self.estimator if self.at_count is None else self.at_count(n)
+
+    @property
+    def cost(self) -> int:
+        """Evaluations of the integrand for each of n points."""
+        return sum(self.estimator.counts)
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What searches for the best of a family may use.
+
+    Attributes
+    ----------
+    evaluations
+        Of the integrand, in an estimate.
+    realizations
+        Estimates to measure with.
+    stream
+        Random numbers of their own: what was chosen is measured again on others.
+    workers
+        Threads.
+    """
+
+    evaluations: int
+    realizations: int
+    stream: Stream
+    workers: int
+
+
+@dataclass(frozen=True)
+class Counterfactual:
+    """A set-up that differs from the one given in one respect.
+
+    Attributes
+    ----------
+    kind
+        One of `KINDS`, or ``"given"``.
+    name
+        Short label, unique among those compared.
+    change
+        What to do, as an imperative.
+    setup
+        The changed set-up.
+    biased
+        Whether it estimates something else, so that the error is taken about the given integral.
+    """
+
+    kind: str
+    name: str
+    change: str
+    setup: Setup
+    biased: bool = False
+
+
+@dataclass(frozen=True)
+class NotTried:
+    """A change that could not be made, or would make nothing different, and why."""
+
+    kind: str
+    name: str
+    reason: str
+
+
+Found = Iterator[Counterfactual | NotTried]
+
+
+def other_setups(given: Setup, kinds: tuple[str, ...], budget: Budget) -> Found:
+    """All set-ups of the kinds asked for, in the order of `kinds`, none twice."""
+    seen = {(given.estimator.spec, given.sampler.spec, given.at_count)}
+    for kind in kinds:
+        for found in KINDS[kind](given, budget):
+            if isinstance(found, Counterfactual):
+                key = (found.setup.estimator.spec, found.setup.sampler.spec, found.setup.at_count)
+                if key in seen:
+                    continue
+                seen.add(key)
+            yield found
+
+
+def affordable_count(setup: Setup, budget: int) -> int | None:
+    """Largest n whose estimate takes at most `budget` evaluations and which can be drawn, or None.
+
+    Counts that a sampler warns of (nets away from powers of their base) are passed over.
+    """
+    source = setup.estimator.randomized(setup.sampler)
+    n: int | None = min(budget // setup.cost, source.max_count)
+    for _ in range(_COUNT_TRIES):
+        n = source._counts_near(n)[0] if n else None
+        if not n:
+            return None
+        if all(source._count_warning(n * c) is None for c in setup.estimator.counts):
+            try:
+                setup.estimator.check_sampler(setup.sampler, n)
+            except CountError:
+                pass
+            else:
+                return n
+        n = _next_below(n, setup.estimator.counts)
+    return None
+
+
+def _next_below(n: int, counts: tuple[int, ...]) -> int:
+    """The count to try after n: in large steps for a single technique, whose counts are dense."""
+    return n - 1 if len(counts) > 1 or n < _COUNT_TRIES else n - max(1, n // _COUNT_TRIES)
+
+
+def _attempt(
+    given: Setup,
+    kind: str,
+    name: str,
+    change: str,
+    *,
+    estimator: Callable[[], AbstractEstimator] | None = None,
+    sampler: Callable[[], Sampler] | None = None,
+    biased: bool = False,
+) -> Found:
+    """The set-up with another estimator or sampler, or why that cannot be made."""
+    try:
+        setup = Setup(
+            given.estimator if estimator is None else estimator(),
+            given.sampler if sampler is None else sampler(),
+        )
+    except McspectraError as error:
+        yield NotTried(kind, name, str(error))
+    else:
+        yield Counterfactual(kind, name, change, setup, biased)
+
+
+def _unshifted(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+    plain = _without_shift(given.sampler)
+    if plain is None:
+        reason = f"{given.sampler.spec} has no shift to leave out."
+    elif not plain.unbiased:
+        reason = f"{plain.spec} is biased without its shift."
+    else:
+        setup = replace(given, sampler=plain)
+        yield Counterfactual("unshifted", "unshifted", "leave the shift out", setup)
+        return
+    yield NotTried("unshifted", "unshifted", reason)
+
+
+def _without_shift(sampler: Sampler) -> Sampler | None:
+    """The sampler without its shifts; None where it has none."""
+    if not isinstance(sampler, Randomized) or not any(isinstance(s, Shift) for s in sampler.steps):
+        return None
+    plain = sampler.base
+    for step in sampler.steps:
+        plain = plain if isinstance(step, Shift) else plain.then(step)
+    return plain
+
+
+def _aligned(given: Setup, budget: Budget) -> Found:
+    """The offset of strata that is best at the budget, and strata with borders at known edges."""
+    plain = _without_shift(given.sampler) or given.sampler
+    if plain.structure is not Structure.STRATA or plain.dims > _MOST_ALIGNED or not plain.unbiased:
+        reason = f"{plain.spec} has no strata in one or two dims that could be aligned."
+        yield NotTried("aligned", "aligned", reason)
+        return
+    yield from _aligned_with_edges(given, plain)
+    n = affordable_count(replace(given, sampler=plain), budget.evaluations)
+    if n is None:
+        yield NotTried("aligned", "offset", f"{plain.spec} has no count within the budget.")
+        return
+    found = best_alignment(
+        given.estimator,
+        plain,
+        n,
+        realizations=min(budget.realizations, _SCAN_REALIZATIONS),
+        rng=budget.stream.generator(1),
+        workers=budget.workers,
+    )
+    offset = found["strata_offset"].sel(candidate="offset").values.tolist()
+    if not any(offset):
+        yield NotTried("aligned", "offset", "No offset of the strata is better than none.")
+        return
+    shown = ", ".join(f"{o:.3g}" for o in offset)
+    make = partial(_moved, plain, tuple(offset))
+    change = f"move the strata by {shown} of their sides"
+    yield from _attempt(given, "aligned", f"strata moved by {shown}", change, sampler=make)
+
+
+def _aligned_with_edges(given: Setup, plain: Sampler) -> Found:
+    """Strata with borders at the breaks that g is known to have."""
+    edges = [list(axis) for axis in given.estimator.primary_integrand(0).breaks]
+    if len(given.estimator.counts) > 1 or not any(edges) or not isinstance(plain, Jittered):
+        yield NotTried("aligned", "aligned with edges", "No edges along the axes are known.")
+        return
+    at = partial(aligned, given.estimator, edges if plain.dims > 1 else edges[0])
+    change = "bend the strata so that their borders are at the edges"
+    try:
+        at(2**plain.dims)
+    except McspectraError as error:
+        yield NotTried("aligned", "aligned with edges", str(error))
+        return
+    setup = replace(given, sampler=plain, at_count=at)
+    yield Counterfactual("aligned", "aligned with edges", change, setup)
+
+
+def _moved(sampler: Sampler, offset: tuple[float, ...]) -> Sampler:
+    return sampler.then(StrataShift(offset=offset if len(offset) > 1 else offset[0]))
+
+
+def _mirrored(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+    if isinstance(given.estimator, Mirrored):
+        yield NotTried("mirrored", "mirrored", f"{given.estimator.spec} is mirrored already.")
+        return
+    changes = {
+        "integrand": "spread the samples over the integrand's mirror images and fold them back",
+        "random": "reflect every sample at random",
+        "uniform": f"put each sample into all {1 << given.estimator.dims} mirror images",
+    }
+    for mode in MIRRORINGS:
+        make = partial(Mirrored, given.estimator, mode)
+        yield from _attempt(given, "mirrored", f"mirrored: {mode}", changes[mode], estimator=make)
+
+
+def _sampler(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+    for spec in _SAMPLERS:
+        make = partial(make_sampler, spec, given.estimator.dims)
+        yield from _attempt(given, "sampler", spec, f"sample with {spec}", sampler=make)
+
+
+def _heuristic(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+    estimator = given.estimator
+    if not isinstance(estimator, MultipleImportance):
+        yield NotTried(
+            "heuristic", "heuristic", f"{estimator.spec} has no heuristic: it is not weighted."
+        )
+        return
+    for name in HEURISTICS:
+        make = partial(
+            MultipleImportance,
+            estimator.integrand,
+            estimator.densities,
+            heuristic=name,
+            counts=estimator.counts,
+        )
+        change = f"combine the techniques by {as_heuristic(name).spec}"
+        yield from _attempt(given, "heuristic", f"heuristic: {name}", change, estimator=make)
+
+
+def _techniques(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+    """Each technique alone, and twice as many samples for each."""
+    estimator = given.estimator
+    if not isinstance(estimator, MultipleImportance) or len(estimator.densities) < 2:
+        yield NotTried("techniques", "techniques", f"{estimator.spec} has one technique only.")
+        return
+    for density in estimator.densities:
+        make = partial(Estimator, estimator.integrand, density)
+        name = f"only {density.spec}"
+        yield from _attempt(
+            given, "techniques", name, f"sample {density.spec} alone", estimator=make
+        )
+
+
+def _warp(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+    estimator = given.estimator
+    density = estimator.density if isinstance(estimator, Estimator) else None
+    if density is None:
+        yield NotTried("warp", "warp", f"{estimator.spec} has no single density to replace.")
+        return
+    assert isinstance(estimator, Estimator)
+    for other in _other_densities(density):
+        make = partial(Estimator, estimator.integrand, other)
+        name = f"density: {other.spec}"
+        yield from _attempt(given, "warp", name, f"warp by {other.spec}", estimator=make)
+    change = "sample uniformly, without importance sampling"
+    make = partial(Estimator, estimator.integrand)
+    yield from _attempt(given, "warp", "uniform density", change, estimator=make)
+
+
+def _other_densities(density: Density) -> Iterator[Density]:
+    """The same pdf by other warps, one without its jumps, and one that is bounded from below."""
+    plain: Any = density  # the parameters looked for are those of some densities only
+    for warp in density.warps:
+        if warp != plain.warp:
+            yield dataclasses.replace(plain, warp=warp)
+    if isinstance(density, EnvironmentDensity) and density.interpolation == "constant":
+        yield dataclasses.replace(density, interpolation="bilinear", warp="marginal")
+    if isinstance(density, PiecewiseConstant) and density.dims == 2:
+        yield Bilinear(values=density.values)
+    if not math.isfinite(density.reciprocal_integral()):
+        yield Defensive(density=density)
+
+
+def _smoothed(given: Setup, budget: Budget) -> Found:
+    """The width with the least error at the budget, found by a scan on random numbers of its own."""
+    estimator = given.estimator
+    n = affordable_count(given, budget.evaluations)
+    if not isinstance(estimator, Estimator) or n is None:
+        yield NotTried("smoothed", "smoothed", f"{estimator.spec} has no single f to smooth.")
+        return
+    _, inside = jumps_of(estimator)
+    if inside is not None and not inside:
+        yield NotTried("smoothed", "smoothed", "No jump inside was found that could be smoothed.")
+        return
+    method = "distance" if inside is None else "auto"  # boxes are for few dims
+    try:
+        scan = smoothing_scan(
+            estimator.integrand,
+            given.sampler,
+            n,
+            _WIDTHS,
+            density=estimator.density,
+            method=method,
+            realizations=min(budget.realizations, _SCAN_REALIZATIONS),
+            rng=budget.stream.generator(0),
+            workers=budget.workers,
+        )
+    except McspectraError as error:
+        yield NotTried("smoothed", "smoothed", str(error))
+        return
+    width = float(scan["best_width"].values[0])
+    name = f"smoothed by {width:.3g}"
+    change = f"smooth the edges of f over a width of {width:.3g}"
+    make = partial(
+        Estimator, smoothed(estimator.integrand, width, method=method), estimator.density
+    )
+    yield from _attempt(given, "smoothed", name, change, estimator=make, biased=True)
+
+
+def _channels(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+    estimator = given.estimator
+    density = estimator.density if isinstance(estimator, Estimator) else None
+    own = _of_each_channel(density, estimator.channels) if density is not None else None
+    if own is None:
+        reason = f"{estimator.spec} has no channels with a density of which one can be chosen."
+        yield NotTried("channels", "channels", reason)
+        return
+    assert isinstance(estimator, Estimator)
+    f = estimator.integrand
+    for name, change, make in (
+        (
+            "channels: own",
+            "sample each channel by its own density",
+            partial(ChannelSampling, f, own),
+        ),
+        (
+            "channels: shared",
+            "warp the same points by the density of each channel",
+            partial(ChannelSampling, f, own, sets="shared"),
+        ),
+        (
+            "channels: combined",
+            "combine the densities of all channels by multiple importance sampling",
+            partial(MultipleImportance, f, own),
+        ),
+    ):
+        yield from _attempt(given, "channels", name, change, estimator=make)
+
+
+def _of_each_channel(density: Density, channels: int) -> list[Density] | None:
+    """The density with its parameter `channel` set to each one, None where it has none."""
+    plain: Any = density
+    if not channels or "channel" not in {field.name for field in dataclasses.fields(plain)}:
+        return None
+    return [dataclasses.replace(plain, channel=c) for c in range(channels)]
+
+
+KINDS: Mapping[str, Callable[[Setup, Budget], Found]] = {
+    "unshifted": _unshifted,
+    "mirrored": _mirrored,
+    "aligned": _aligned,
+    "smoothed": _smoothed,
+    "warp": _warp,
+    "heuristic": _heuristic,
+    "techniques": _techniques,
+    "channels": _channels,
+    "sampler": _sampler,
+}
+"""Kinds of change, in the order in which they are tried."""
