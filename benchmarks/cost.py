@@ -46,14 +46,15 @@ def main(*flags: str) -> None:
     """Print the fit; with ``--plot``, draw it too."""
     if set(flags) - {"--plot"}:
         raise SystemExit(f"cost takes --plot, not {' '.join(flags)}.")
-    cases = [(n, k) for n in COUNTS for k in HALF_WIDTHS]
-    sweeps = [[_seconds(n, k) for n, k in cases] for _ in range(2)]
+    cases = [(n, k, EPS) for n in COUNTS for k in HALF_WIDTHS]
+    cases += [(*FIXED, eps) for eps in ACCURACIES]
+    sweeps = [[_seconds(*case) for case in cases] for _ in range(2)]
     times = np.min(sweeps, axis=0)
-    terms = np.array([_terms(n, k, EPS) for n, k in cases])
+    terms = np.array([_terms(*case) for case in cases])
     # Times span four decades: relative residuals.
     (a, b, c), *_ = np.linalg.lstsq(terms / times[:, None], np.ones(len(times)))
     ratio = times / (terms @ (a, b, c))
-    print(f"2-D, ε = {EPS:g}, {len(cases)} cases, n {COUNTS[0]} … {COUNTS[-1]}, "
+    print(f"2-D, ε {EPS:g} … {ACCURACIES[0]:g}, {len(cases)} cases, n {COUNTS[0]} … {COUNTS[-1]}, "
           f"M {(2 * HALF_WIDTHS[0] + 1)}² … {(2 * HALF_WIDTHS[-1] + 1)}²")  # fmt: skip
     print(f"a {1e6 * a:.3g} µs, b {1e9 * b:.3g} ns, c {1e9 * c:.3g} ns; measured / model: "
           f"median {np.median(ratio):.2f}, {ratio.min():.2f} … {ratio.max():.2f}, "
@@ -61,14 +62,27 @@ def main(*flags: str) -> None:
     linear = _by_realizations()
     slope = np.polyfit(np.log(linear.x), np.log(linear.measured), 1)[0]
     print(f"exponent of the time in R: {slope:.3f} (linear: 1)")
-    accuracy = _by_accuracy(np.array([a, b, c]))
-    shares = ", ".join(
-        f"{m / p:.2f}" for m, p in zip(accuracy.measured, accuracy.model, strict=True)
+    model = terms @ (a, b, c)
+    accuracy = _series(
+        f"n = {FIXED[0]}, {2 * FIXED[1] + 1}²", ACCURACIES, times, model, -len(ACCURACIES)
     )
+    shares = ", ".join(f"{x:.2f}" for x in accuracy.measured / accuracy.model)
     print(f"measured / model at ε = {', '.join(f'{e:g}' for e in ACCURACIES)}: {shares}")
     if "--plot" in flags:
-        grids = [_grid_series(k, cases, times, terms @ (a, b, c)) for k in HALF_WIDTHS]
+        step = len(HALF_WIDTHS)
+        grids = [
+            _series(f"M = {2 * k + 1}²", COUNTS, times, model, i, step)
+            for i, k in enumerate(HALF_WIDTHS)
+        ]
         _plot(grids, linear, accuracy)
+
+
+def _series(
+    label: str, x: tuple[float, ...], times: Array, model: Array, first: int, step: int = 1
+) -> Series:
+    """Every `step`-th case from `first` on, one for each x."""
+    chosen = np.arange(len(x)) * step + first
+    return Series(label, np.array(x, np.float64), times[chosen], model[chosen])
 
 
 def _terms(n: int, half_width: int, eps: float) -> tuple[float, float, float]:
@@ -76,7 +90,7 @@ def _terms(n: int, half_width: int, eps: float) -> tuple[float, float, float]:
     return 1.0, n * np.log(1.0 / eps), size * np.log(size)
 
 
-def _seconds(n: int, half_width: int, realizations: int = 2, eps: float = EPS) -> float:
+def _seconds(n: int, half_width: int, eps: float = EPS, realizations: int = 2) -> float:
     """Least time a realisation of the power of `realizations` sets, one thread."""
     grid = FrequencyGrid(DIMS, half_width)
     points = mcs.sampler("random", dims=DIMS).draw(n, realizations=realizations, rng=1)
@@ -95,23 +109,8 @@ def _by_realizations() -> Series:
     """Seconds of R realisations; the model is R times those of a pair, halved."""
     n, half_width = FIXED
     count = np.array(REALIZATIONS, np.float64)
-    measured = np.array([r * _seconds(n, half_width, r) for r in REALIZATIONS])
+    measured = np.array([r * _seconds(n, half_width, EPS, r) for r in REALIZATIONS])
     return Series(f"n = {n}, {2 * half_width + 1}²", count, measured, count * measured[0] / 2)
-
-
-def _by_accuracy(constants: Array) -> Series:
-    n, half_width = FIXED
-    measured = np.array([_seconds(n, half_width, eps=eps) for eps in ACCURACIES])
-    model = np.array([constants @ _terms(n, half_width, eps) for eps in ACCURACIES])
-    return Series(f"n = {n}, {2 * half_width + 1}²", np.array(ACCURACIES), measured, model)
-
-
-def _grid_series(
-    half_width: int, cases: list[tuple[int, int]], times: Array, model: Array
-) -> Series:
-    chosen = [i for i, (_, k) in enumerate(cases) if k == half_width]
-    n = np.array([cases[i][0] for i in chosen], np.float64)
-    return Series(f"M = {2 * half_width + 1}²", n, times[chosen], model[chosen])
 
 
 def _plot(grids: list[Series], linear: Series, accuracy: Series) -> None:
