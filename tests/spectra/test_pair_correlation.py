@@ -27,6 +27,23 @@ def test_all_pairs_are_counted_once(dims, most):
     np.testing.assert_array_equal(found, expected)
 
 
+@pytest.mark.parametrize("n", [512, 513, 514, 1027, 1300])
+@pytest.mark.parametrize("wrap", [True, False])
+def test_more_neighbours_than_a_chunk_holds(n, wrap):
+    """Every point has up to n − 1 neighbours, which are counted 512 at a time."""
+    x, bins = some_points(n, 2), 50
+    delta = np.abs(x[:, None] - x)
+    if wrap:
+        delta = np.minimum(delta, 1 - delta)
+    place = (np.sqrt((delta**2).sum(axis=-1)) * (bins / 0.49)).astype(int)
+    np.fill_diagonal(place, bins)
+    room = np.minimum(x, 1 - x).min(axis=1)[:, None]
+    seen = (place < bins) & (wrap | (np.linspace(0, 0.49, bins + 1)[1:][place % bins] <= room))
+    expected = np.bincount(place[seen], minlength=bins) // (2 if wrap else 1)
+    found = count_pairs(x, np.linspace(0, 0.49, bins + 1), wrap=wrap)
+    np.testing.assert_array_equal(found, expected)
+
+
 @pytest.mark.parametrize("dims", [1, 2, 3])
 def test_at_the_border_points_count_as_far_as_they_see(dims):
     x, bins, most = some_points(200, dims), 20, 0.3

@@ -12,42 +12,62 @@ from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
 
 Work = tuple[Array, Array]
-"""Scratch space for squared distances, float64 (N,), and bins, int32 (N,)."""
+"""Scratch space of one chunk of neighbours: squared distances, float64, and bins, int64."""
 
 __all__ = ["count_distances", "count_ordered_pairs"]
+
+_CHUNK = 512  # neighbours at a time: 8 KiB of scratch space stay in a first-level cache
+
+
+@kernel
+def _scratch() -> Work:
+    return np.empty(_CHUNK), np.empty(_CHUNK, np.int64)
+
+
+@kernel
+def _squared_step(delta: float, wrap: bool) -> float:
+    delta = abs(delta)
+    if wrap:
+        delta = min(delta, 1.0 - delta)
+    return delta * delta
 
 
 @kernel
 def _fill_bins(
-    coordinates: Array, a: int, end: int, wrap: bool, per_unit: float, most: int, work: Work
-) -> None:
-    """Bins, `most` beyond the last, of the distances of point a to points a + 1 … end − 1."""
+    coordinates: Array, a: int, start: int, stop: int, wrap: bool, per_unit: float, most: int,
+    work: Work,
+) -> Array:  # fmt: skip
+    """Bins, `most` beyond the last, of the distances of point a to points start … stop − 1.
+
+    Unsigned, since numba tests every signed index for being negative.
+    """
+    squares, bins = work[0][: stop - start], work[1][: stop - start]
+    last = coordinates.shape[0] - 1
     # Several loops over neighbours in memory instead of one: compilers vectorise these.
-    size = end - a - 1
-    squares, bins = work
-    squares[:size] = 0.0
-    for axis in range(coordinates.shape[0]):
-        x = coordinates[axis, a]
-        others = coordinates[axis, a + 1 : end]
-        for k in range(size):
-            delta = abs(others[k] - x)
-            if wrap:
-                delta = min(delta, 1.0 - delta)
-            squares[k] += delta * delta
-    for k in range(size):
-        bins[k] = np.int32(min(np.sqrt(squares[k]) * per_unit, float(most)))
+    squares[:] = 0.0
+    for axis in range(last):
+        x, others = coordinates[axis, a], coordinates[axis, start:stop]
+        for k in range(squares.size):
+            squares[k] += _squared_step(others[k] - x, wrap)
+    x, others = coordinates[last, a], coordinates[last, start:stop]
+    for k in range(squares.size):
+        square = squares[k] + _squared_step(others[k] - x, wrap)
+        bins[k] = np.int64(min(np.sqrt(square) * per_unit, float(most)))
+    return bins.view(np.uint64)
 
 
 @kernel
-def _add_bins(bins: Array, size: int, counts: Array) -> None:
-    """Count the first `size` bins; neighbours often meet in one, hence four counters (4, …)."""
+def _add_bins(bins: Array, counts: Array) -> None:
+    """Count the bins; neighbours often meet in one, hence four counters (4, …)."""
+    size = bins.size
+    first, second, third, fourth = counts[0], counts[1], counts[2], counts[3]
     for k in range(0, size - 3, 4):
-        counts[0, bins[k]] += 1
-        counts[1, bins[k + 1]] += 1
-        counts[2, bins[k + 2]] += 1
-        counts[3, bins[k + 3]] += 1
+        first[bins[k]] += 1
+        second[bins[k + 1]] += 1
+        third[bins[k + 2]] += 1
+        fourth[bins[k + 3]] += 1
     for k in range(size - size % 4, size):
-        counts[0, bins[k]] += 1
+        first[bins[k]] += 1
 
 
 @kernel
@@ -61,7 +81,7 @@ def count_distances(
     to be added up; the last bin takes what is further.
     """
     total = coordinates.shape[1]
-    work = np.empty(total), np.empty(total, np.int32)
+    work = _scratch()
     most = counts.shape[1] - 1
     end = 0
     for a in range(n):
@@ -70,8 +90,9 @@ def count_distances(
             if end >= n and coordinates[0, end] - x == limit:
                 break  # half way around: the same pair is met from the other side
             end += 1
-        _fill_bins(coordinates, a, end, True, per_unit, most, work)
-        _add_bins(work[1], end - a - 1, counts)
+        for start in range(a + 1, end, _CHUNK):
+            stop = min(start + _CHUNK, end)
+            _add_bins(_fill_bins(coordinates, a, start, stop, True, per_unit, most, work), counts)
 
 
 @kernel
@@ -83,13 +104,15 @@ def count_ordered_pairs(
     coordinates (d, n), the first axis ascending; counts (bins,).
     """
     n = coordinates.shape[1]
-    work = np.empty(n), np.empty(n, np.int32)
+    work = _scratch()
     end = 0
     for a in range(n):
         while end < n and coordinates[0, end] - coordinates[0, a] <= limit:
             end += 1
-        _fill_bins(coordinates, a, end, False, per_unit, counts.size, work)
-        for k in range(end - a - 1):
-            b = work[1][k]
-            if b < counts.size:
-                counts[b] += (b < last[a]) + (b < last[a + 1 + k])
+        for start in range(a + 1, end, _CHUNK):
+            stop = min(start + _CHUNK, end)
+            _fill_bins(coordinates, a, start, stop, False, per_unit, counts.size, work)
+            for k in range(stop - start):
+                b = work[1][k]
+                if b < counts.size:
+                    counts[b] += (b < last[a]) + (b < last[start + k])
