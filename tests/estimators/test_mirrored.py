@@ -26,6 +26,7 @@ def _estimators():
         mcs.Estimator("disk(center=[0.4, 0.3], radius=0.35)", dims=2),
         mcs.MultipleImportance(SMOOTH, densities),
         mcs.MultipleImportance(SMOOTH, densities, heuristic="power", counts=(1, 4)),
+        mcs.MultipleImportance(SMOOTH, densities, sets="shared"),
         mcs.TechniqueSum([SMOOTH, "step"]),
     ]
 
@@ -49,6 +50,21 @@ def test_mirrored_is_the_mirrored_sampler_bit_for_bit(estimator, mode, spec):
             mirrored.weighted_points(own), estimator.weighted_points(theirs), strict=True
         ):
             np.testing.assert_array_equal(a, b)
+
+
+def test_shared_points_have_no_exact_variance_of_techniques_added_up():
+    shared = mcs.MultipleImportance(SMOOTH_1D, ["uniform", "linear"], sets="shared")
+    for estimator in (shared, mcs.Mirrored(shared)):
+        with pytest.raises(NoClosedForm):
+            mcs.exact_variance(estimator, "jittered", 16)
+
+
+def test_estimators_that_are_measured_together_keep_their_own_points():
+    several = [mcs.Estimator(SMOOTH), *(mcs.Mirrored(SMOOTH, mode) for mode in MODES)]
+    together = mcs.convergence(several, "jittered", [16, 64], realizations=20, rng=1)
+    for i, estimator in enumerate(several):
+        alone = mcs.convergence(estimator, "jittered", [16, 64], realizations=20, rng=1)
+        np.testing.assert_allclose(together["mean"][i], alone["mean"], rtol=1e-13)
 
 
 @pytest.mark.parametrize("mode", MODES)

@@ -110,8 +110,8 @@ def convergence(
         for e, moments in zip(es, zip(*found, strict=True), strict=True):
             yield curve_from_moments(ns, list(moments), np.atleast_1d(e.integral), window)
 
-    # One technique draws the sampler's own points: then all estimators share them.
-    plain = all(e.counts == (1,) for e in estimators)
+    # One technique that has no `draw` of its own gets the sampler's points: then all share them.
+    plain = all(e.counts == (1,) and type(e).draw is AbstractEstimator.draw for e in estimators)
     groups = [estimators] if plain else [[e] for e in estimators]
     grid = [
         list(row)
