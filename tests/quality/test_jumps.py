@@ -28,10 +28,11 @@ def test_a_step(at, height):
 
 
 def test_a_step_on_a_slope():
-    """Its height is found to the slope over 2^-27 of a cell."""
-    jumps = found(lambda x: 3 * x[:, 0] + 0.1 * (x[:, 0] > 1 / 3))
-    assert np.count_nonzero(jumps.heights) == 1
-    assert jumps.heights.max() == pytest.approx(0.1, abs=3 / 64 / 2**26)
+    """Its height is found to the slope over 2^-30 of a cell."""
+    for height in (0.1, 0.001):
+        jumps = found(lambda x, height=height: 3 * x[:, 0] + height * (x[:, 0] > 1 / 3))
+        assert np.count_nonzero(jumps.heights) == 1
+        assert jumps.heights.max() == pytest.approx(height, abs=3 / 64 / 2**26)
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,7 @@ def test_a_table_is_torn_between_rows():
 
     heights = data["jump"].sel(axis=1).values
     border = int(3 / 7 * 64 - 0.5)
-    # To the slope over 2^-27 of a cell
+    # To the slope over 2^-30 of a cell
     np.testing.assert_allclose(
         heights[:, border], np.abs(inverse(1 / 3) - inverse(3 / 4)), atol=1e-8
     )
@@ -125,3 +125,15 @@ def test_one_dim():
 def test_bad_input(density, options, message):
     with pytest.raises(ParameterError, match=message):
         mcs.warp_quality(density, **options)
+
+
+def test_distortion_of_the_concentric_disk():
+    """Columns of ∂T along and around: (1, −πq/4) and (0, π/4), q = short/long; area π/4."""
+    side = 32
+    line = 2 * (np.arange(side) + 0.5) / side - 1
+    a, b = line[:, None] + 2 * 0.31 / side, line[None, :] + 2 * 0.17 / side
+    q = np.minimum(np.abs(a), np.abs(b)) / np.maximum(np.abs(a), np.abs(b))
+    diameter = np.hypot(1, np.pi / 4 * (1 + q))  # the longer of both diagonals
+    expected = np.exp(np.log(diameter / np.sqrt(2 * np.pi / 4)).mean())
+    data = mcs.warp_quality("disk", resolution=side)
+    assert float(data["distortion"]) == pytest.approx(expected, rel=1e-4)

@@ -124,3 +124,12 @@ def test_bad_input(options, message):
 def test_a_density_that_misses_a_part_is_refused():
     with pytest.raises(DensityError, match="would miss"):
         picture("constant", "disk")
+
+
+def test_a_narrow_zero_of_a_table_is_known():
+    """Between the probes: the density says where its empty cells are."""
+    values = np.ones(997)
+    values[500] = 0
+    f = mcs.Integrand.from_function(lambda x: 1.0 * (np.abs(x[..., 0] - 0.502) > 0.002), dims=1)
+    table = mcs.densities.PiecewiseConstant(values=values)
+    assert int(picture(f, table, dims=1, resolution=16)["reciprocal_unbounded"]) == 1

@@ -17,8 +17,10 @@ from mcspectra.core.checks import Array
 
 __all__ = ["Jumps", "curve_length", "find_jumps", "grid_centers"]
 
-_FIRST, _NEXT = 3, 12  # halvings: to drop what is a slope, and between two looks at the rest
-_SLOPE = 0.25  # of the change left after the first halvings, where 1/8 is that of a straight line
+_FIRST, _NEXT = 6, 12  # halvings: to drop what is a slope, and between two looks at the rest
+_SLOPE = (
+    1 / 32
+)  # of the change left after the first halvings, where 1/64 is that of a straight line
 _STAYS = 0.5  # of the change left by the last halvings; a root would leave 2^-6
 _GROWS = 2.0
 _NEGLIGIBLE = 1e-7  # of the scale
@@ -78,9 +80,9 @@ def find_jumps(function: Function, dims: int, side: int, *, scale: float) -> Jum
 
     Notes
     -----
-    A jump that is less than about a seventh of what the function changes from one cell to the next
+    A jump that is less than about a sixtieth of what the function changes from one cell to the next
     anyhow is not told from its slope; of several jumps in one interval the largest is found. Costs
-    about 4 evaluations for each of d·side^d intervals and 27 more where there may be a jump.
+    about 7 evaluations for each of d·side^d intervals and 24 more where there may be a jump.
     """
     heights = np.zeros((dims, *[side] * dims))
     poles = np.zeros(heights.shape, bool)
