@@ -161,6 +161,8 @@ def test_estimates_are_unbiased_to_rounding():
         (lambda x: np.minimum(0.5 * (1 - X(x) + 1e-99) ** -0.5, 1e9), 1, "too steep"),
         (lambda x: 1 + np.sin(1e8 * X(x)), 1, "too rough"),
         (lambda x: X(x) - 0.1, 2, "negative"),
+        (lambda x: 4 / math.pi * (X(x) ** 2 + Y(x) ** 2 < 1), 2, "along x_0, is too rough"),
+        (lambda x: 3 * np.abs(X(x) - Y(x)), 2, "along x_0, is too rough"),
         (3, 1, "pdf is 3"),
     ],
 )
