@@ -28,15 +28,18 @@ from mcspectra.core.errors import DomainError, ParameterError
 from mcspectra.integrands.base import Integrand
 from mcspectra.rendering.backend import LOCK, load_mitsuba
 from mcspectra.rendering.scenes import emitter_name, film_size, find_emitter, load_scene, sensor_of
+from mcspectra.rendering.techniques import (
+    LARGEST_SAMPLE,
+    POWERS,
+    heuristic_weight,
+    sample_bsdf,
+    sample_light,
+)
 
 __all__ = ["STRATEGIES", "Pixel", "describe_pixel", "pixel_strategies"]
 
 STRATEGIES = ("light", "bsdf", "mis-light", "mis-bsdf")
-_POWERS = {"balance": 1, "power": 2}
-_LARGEST_SAMPLE = 1.0 - 2.0**-24  # the largest float32 below 1: rounding u up to 1 is a bug trap
 _CHUNK = 2**20  # samples in one kernel: some 100 MiB of Dr.Jit's memory, and no faster if larger
-
-_Techniques = tuple[Any, Any, Any]  # value f/p, own density, density of the other technique
 
 
 @final
@@ -85,7 +88,7 @@ class Pixel(Integrand):
 
     def __post_init__(self) -> None:
         as_choice("strategy", self.strategy, STRATEGIES)
-        as_choice("heuristic", self.heuristic, tuple(_POWERS))
+        as_choice("heuristic", self.heuristic, tuple(POWERS))
         _check_channel(self.channel)
         as_integer("dims of a pixel", self.dims, least=2, most=3)
         with LOCK:
@@ -120,10 +123,10 @@ class Pixel(Integrand):
         emitter = None if self.light is None else find_emitter(self.scene, self.light)
         u = mitsuba.Point2f(*(mitsuba.Float(np.ascontiguousarray(c)) for c in samples.T[:2]))
         extra = mitsuba.Float(np.ascontiguousarray(samples[:, 2])) if self.dims == 3 else None
-        technique = _sample_light if self.strategy.endswith("light") else _sample_bsdf
+        technique = sample_light if self.strategy.endswith("light") else sample_bsdf
         value, own, other = technique(hit, emitter, u, extra)
         if self.strategy.startswith("mis"):
-            value *= _heuristic_weight(own, other, _POWERS[self.heuristic])
+            value *= heuristic_weight(own, other, POWERS[self.heuristic])
         return _numbers(value, self.channel, len(samples))
 
 
@@ -264,7 +267,7 @@ def _check_single_lobe(hit: _Hit) -> None:
     mitsuba = load_mitsuba()
     grid = (np.arange(8, dtype=np.float32) + 0.5) / 8
     u = mitsuba.Point2f(*(mitsuba.Float(c.ravel()) for c in np.meshgrid(grid, grid)))
-    low, high = (_sample_direction(hit, lobe, u).numpy() for lobe in (0.0, _LARGEST_SAMPLE))
+    low, high = (_sample_direction(hit, lobe, u).numpy() for lobe in (0.0, LARGEST_SAMPLE))
     if not np.array_equal(low, high, equal_nan=True):
         raise ParameterError(
             f"The BSDF of the shape {hit.shape!r} ({hit.bsdf.class_name()}) chooses among lobes by "
@@ -277,69 +280,11 @@ def _sample_direction(hit: _Hit, lobe: float, u: Any) -> Any:
     return hit.bsdf.sample(mitsuba.BSDFContext(), hit.interaction, mitsuba.Float(lobe), u)[0].wo
 
 
-def _sample_light(hit: _Hit, emitter: Any, u: Any, extra: Any) -> _Techniques:
-    import drjit
-
-    mitsuba, at = load_mitsuba(), hit.interaction
-    sample, weight = _emitter_direction(hit, emitter, u, extra)
-    towards = at.to_local(sample.d)
-    value, bsdf_pdf = hit.bsdf.eval_pdf(mitsuba.BSDFContext(), at, towards)
-    value *= weight
-    useful = (sample.pdf > 0.0) & drjit.any(value != 0.0)
-    visible = useful & ~hit.scene.ray_test(at.spawn_ray_to(sample.p), useful)
-    return drjit.select(visible, value, 0.0), sample.pdf, bsdf_pdf
-
-
-def _emitter_direction(hit: _Hit, emitter: Any, u: Any, extra: Any) -> tuple[Any, Any]:
-    """Sample one light, or select one of all by the first or the extra coordinate."""
-    if emitter is not None:
-        return emitter.sample_direction(hit.interaction, u)  # type: ignore[no-any-return]
-    if extra is None:
-        return hit.scene.sample_emitter_direction(hit.interaction, u, False)  # type: ignore[no-any-return]
-    import drjit
-
-    index, reciprocal, _ = hit.scene.sample_emitter(extra)
-    selected = drjit.gather(load_mitsuba().EmitterPtr, hit.scene.emitters_dr(), index)
-    sample, weight = selected.sample_direction(hit.interaction, u)
-    sample.pdf *= hit.scene.pdf_emitter(index)
-    return sample, weight * reciprocal
-
-
-def _sample_bsdf(hit: _Hit, emitter: Any, u: Any, extra: Any) -> _Techniques:
-    import drjit
-
-    mitsuba, at, scene = load_mitsuba(), hit.interaction, hit.scene
-    lobe = mitsuba.Float(0.5) if extra is None else extra
-    sample, weight = hit.bsdf.sample(mitsuba.BSDFContext(), at, lobe, u)
-    useful = (sample.pdf > 0.0) & drjit.any(weight != 0.0)
-    ray = at.spawn_ray(at.to_world(sample.wo))
-    # UV: without texture coordinates textured lights come out wrong by 10-15 %.
-    met = scene.ray_intersect(ray, mitsuba.RayFlags.UV, False, useful)
-    found = met.emitter(scene, useful)
-    # A ray that meets no light has a null pointer, whose calls give zero.
-    shines = useful if emitter is None else useful & (found == mitsuba.EmitterPtr(emitter))
-    value = drjit.select(shines, weight * found.eval(met, shines), 0.0)
-    direction = mitsuba.DirectionSample3f(scene, met, at)
-    if emitter is None:
-        light_pdf = scene.pdf_emitter_direction(at, direction, shines)
-    else:
-        light_pdf = emitter.pdf_direction(at, direction, shines)
-    return value, sample.pdf, light_pdf
-
-
-def _heuristic_weight(own: Any, other: Any, power: int) -> Any:
-    """Return own^β / (own^β + other^β), from the ratio: squares overflow float32 for mirrors."""
-    import drjit
-
-    ratio = drjit.select(own > 0.0, other / own, 0.0)
-    return 1.0 / (1.0 + ratio**power)
-
-
 def _as_samples(u: Array) -> Array:
     """Return float32 samples in [0,1), never rounded up to 1."""
     if u.size and not (np.isfinite(u).all() and u.min() >= 0.0 and u.max() <= 1.0):
         raise DomainError("A pixel's samples must be finite and in [0,1); some are not.")
-    return np.minimum(u, _LARGEST_SAMPLE).astype(np.float32)
+    return np.minimum(u, LARGEST_SAMPLE).astype(np.float32)
 
 
 def _numbers(color: Any, channel: str | int, count: int) -> Array:
