@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Once",
+    "add_engine_argument",
     "add_estimator_arguments",
     "build_estimator",
     "counts_option",
@@ -126,6 +127,13 @@ def add_estimator_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         metavar="SPEC",
         help="further integrand, sampled on its own and added (techniques in primary space)",
+    )
+
+
+def add_engine_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the option that chooses how transforms are computed."""
+    parser.add_argument(
+        "--engine", default="auto", help="auto (default), nufft, direct, or gpu (extra gpu)"
     )
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mcspectra.cli.common import (
+    add_engine_argument,
     one_sentence_warnings,
     print_json,
     read_sampler,
@@ -47,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="power (default): radial mean; radial: with errors and anisotropy; slices; wedges: by "
         "direction; exponent: b of power ∝ |m|^b",
     )
+    add_engine_argument(parser)
     parser.add_argument("-o", "--out", metavar="FILE", help=".npz, .png or .pdf")
 
 
@@ -73,6 +75,7 @@ def run(options: argparse.Namespace) -> int:
             frequency_step=step,
             realizations=whole_number("--realizations", options.realizations),
             rng=seed_option(options),
+            engine=options.engine,
         )
     if options.out:
         _write(result, Path(options.out))

@@ -9,6 +9,7 @@ import numpy as np
 
 from mcspectra.cli.common import (
     Once,
+    add_engine_argument,
     add_estimator_arguments,
     build_estimator,
     one_sentence_warnings,
@@ -65,6 +66,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--bands", default="radial", help="bands in --json: radial, dyadic, anova or wedge"
     )
 
+    add_engine_argument(parser)
+
 
 def run(options: argparse.Namespace) -> int:
     """Analyse and print."""
@@ -83,6 +86,7 @@ def run(options: argparse.Namespace) -> int:
             space=options.space or domain,
             basis=options.basis,
             bands=options.bands,
+            engine=options.engine,
         )
     if options.json:
         bands = {"band_labels": result["band"].attrs["labels"].split(", ")}

@@ -26,7 +26,7 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import FileFormatError, ParameterError
 
-__all__ = ["REC709", "IMAGE_EXTENSIONS", "luminance", "read_image"]
+__all__ = ["IMAGE_EXTENSIONS", "REC709", "luminance", "read_image"]
 
 IMAGE_EXTENSIONS = (".png", ".jpg", ".jpeg", ".exr", ".npy", ".npz")
 """Names that `read_image` knows."""
