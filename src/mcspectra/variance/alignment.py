@@ -23,7 +23,7 @@ from mcspectra.densities.aligned import AlignedStrata
 from mcspectra.estimators import AbstractEstimator, Estimator, as_estimator
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.integrands import Integrand
-from mcspectra.samplers import Sampler, StrataShift, as_sampler
+from mcspectra.samplers import Randomized, Sampler, Shift, StrataShift, as_sampler
 from mcspectra.variance.convergence import count_stream
 from mcspectra.variance.exact import exact_variance
 from mcspectra.variance.fit import fit_rate
@@ -105,7 +105,10 @@ def predictor(
     ------
     NoClosedForm
         `method` is ``"exact"`` and no exact variance is known.
+    ParameterError
+        The sampler is shifted at random already.
     """
+    _check_not_shifted(sampler)
     exact = as_choice("method", method, METHODS) != "measured"
     found = Offsets(estimator, sampler, exact, realizations, stream, workers)
     # Half a stratum is where edges at multiples of the side cut strata.
@@ -118,6 +121,14 @@ def predictor(
             raise
         return Offsets(estimator, sampler, False, realizations, stream, workers)
     return found
+
+
+def _check_not_shifted(sampler: Sampler) -> None:
+    steps = sampler.steps if isinstance(sampler, Randomized) else ()
+    if any(isinstance(step, Shift) for step in steps):
+        raise ParameterError(
+            f"{sampler.spec} is shifted at random, which averages over all offsets; leave the shift out."
+        )
 
 
 def strata_shift_scan(
