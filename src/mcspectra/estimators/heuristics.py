@@ -29,6 +29,7 @@ from mcspectra.core.spec import Component, parse
 from mcspectra.densities import Density
 
 if TYPE_CHECKING:
+    from mcspectra.estimators.pilots import Pilot
     from mcspectra.integrands import Integrand
 
 __all__ = [
@@ -84,6 +85,10 @@ class Heuristic(Component, ABC):
         """Return the weights for an integrand, its densities and their counts or probabilities."""
         del integrand
         return Combination(self, tuple(densities), tuple(map(float, shares)))
+
+    def adapt(self, pilot: Pilot) -> tuple[tuple[float, ...], Array | None]:
+        """Return `shares` and `control` of the `Combination` that suits what a pilot finds."""
+        return tuple(map(float, pilot.shares)), None
 
     @abstractmethod
     def ratio(self, q: Array, technique: int) -> Array:

@@ -8,6 +8,7 @@ and is not offered.)
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, final
@@ -15,12 +16,13 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_choice, as_integer
+from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.densities import Density
 from mcspectra.estimators.heuristics import Balance, Combination, Heuristic, density_breaks
 from mcspectra.integrands import Integrand
 
-__all__ = ["Optimal", "Residual", "VarianceAware"]
+__all__ = ["Optimal", "Pilot", "Residual", "VarianceAware"]
 
 _SOURCES = ("samples", "quadrature")
 _MOST_SAMPLES = 2**22
@@ -70,21 +72,24 @@ class Optimal(Heuristic):
     ) -> Combination:
         """Solve for α."""
         parts = _Parts(integrand, tuple(densities), np.asarray(shares, np.float64))
-        found = parts.quadrature(parts.system) if self.pilot == "quadrature" else self._sums(parts)
-        techniques = len(parts.densities)
+        return Combination(self, parts.densities, *self.adapt(parts))
+
+    def adapt(self, pilot: Pilot) -> tuple[tuple[float, ...], Array]:
+        """The counts as they are, and α: (T,) or (T, channels)."""
+        found = pilot.quadrature(pilot.system) if self.pilot == "quadrature" else self._sums(pilot)
+        techniques = len(pilot.shares)
         matrix, right = found[:, :techniques], found[:, techniques:]
         alpha = np.linalg.lstsq(matrix, right, rcond=_SINGULAR)[0]
-        control = alpha if integrand.channels else alpha[:, 0]
-        return Combination(self, parts.densities, tuple(parts.shares.tolist()), control)
+        return tuple(pilot.shares.tolist()), alpha if pilot.channels else alpha[:, 0]
 
-    def _sums(self, parts: _Parts) -> Array:
+    def _sums(self, pilot: Pilot) -> Array:
         """A and b side by side (T, T + C), from pilot points weighted by the balance heuristic."""
-        wanted = self.samples * parts.shares / parts.shares.sum()
+        wanted = self.samples * pilot.shares / pilot.shares.sum()
         counts = np.maximum(1, np.rint(wanted).astype(np.int64))
-        x = np.concatenate([parts.points(t, m, self.seed) for t, m in enumerate(counts.tolist())])
-        drawn = counts @ parts.pdfs(x)
+        x = np.concatenate([pilot.points(t, m, self.seed) for t, m in enumerate(counts.tolist())])
+        drawn = counts @ pilot.pdfs(x)
         weight = np.divide(1.0, drawn, out=np.zeros_like(drawn), where=drawn > 0)
-        return np.asarray(np.tensordot(weight, parts.system(x), axes=1))
+        return np.asarray(np.tensordot(weight, pilot.system(x), axes=1))
 
 
 @final
@@ -124,24 +129,85 @@ class VarianceAware(Heuristic):
     ) -> Combination:
         """Find the factors v_t."""
         parts = _Parts(integrand, tuple(densities), np.asarray(shares, np.float64))
+        return Combination(self, parts.densities, *self.adapt(parts))
+
+    def adapt(self, pilot: Pilot) -> tuple[tuple[float, ...], None]:
+        """The counts times the factors v_t, and no control variate."""
         exact = self.pilot == "quadrature"
-        mean, square = parts.quadrature(parts.moments).T if exact else self._moments(parts)
+        mean, square = pilot.quadrature(pilot.moments).T if exact else self._moments(pilot)
         variance = np.maximum(square - mean**2, mean**2 / _MOST_FACTOR)
         factor = 1.0 + np.divide(mean**2, variance, out=np.zeros_like(mean), where=variance > 0)
-        return Combination(self, parts.densities, tuple((parts.shares * factor).tolist()))
+        return tuple((pilot.shares * factor).tolist()), None
 
-    def _moments(self, parts: _Parts) -> tuple[Array, Array]:
+    def _moments(self, pilot: Pilot) -> tuple[Array, Array]:
         """Mean and mean square of f/p_t for random points of each technique: (T,) each."""
-        techniques = len(parts.densities)
+        techniques = len(pilot.shares)
         each = max(2, self.samples // techniques)
         found = np.empty((techniques, 2))
         for t in range(techniques):
-            x = parts.points(t, each, self.seed)
-            pdf = parts.pdfs(x)[t]
+            x = pilot.points(t, each, self.seed)
+            pdf = pilot.pdfs(x)[t]
             weight = np.divide(1.0, pdf, out=np.zeros_like(pdf), where=pdf > 0)
-            found[t] = np.mean(weight[:, None] * parts.moments(x)[:, t], axis=0)
+            found[t] = np.mean(weight[:, None] * pilot.moments(x)[:, t], axis=0)
         mean, square = found.T
         return mean, square
+
+
+class Pilot(ABC):
+    """What a heuristic that knows f may ask: f and all p_t at points that a technique samples.
+
+    Points are rows of an array that only the pilot itself reads: of a domain that the techniques
+    share, or records of what a renderer found along a path.
+
+    Attributes
+    ----------
+    shares
+        n_t up to a common factor, (T,).
+    channels
+        Channels of f, 0 if it is scalar.
+    """
+
+    shares: Array
+    channels: int
+
+    @abstractmethod
+    def points(self, technique: int, count: int, seed: int) -> Array:
+        """Random points of a technique: (count, …)."""
+
+    @abstractmethod
+    def pdfs(self, x: Array) -> Array:
+        """p_t at k points: (T, k)."""
+
+    @abstractmethod
+    def values(self, x: Array) -> Array:
+        """f at k points: (k, channels), with one channel for scalars."""
+
+    def system(self, x: Array) -> Array:
+        """p_s p_t/q and f p_s/q side by side: (k, T, T + C)."""
+        p = self.pdfs(x)
+        q = self.shares @ p
+        over = np.divide(p, q, out=np.zeros_like(p), where=q > 0)
+        right = np.concatenate([p.T, self.values(x)], axis=1)
+        return np.asarray(over.T[:, :, None] * right[:, None, :])
+
+    def moments(self, x: Array) -> Array:
+        """Integrands f and f²/p_t of the moments where p_t > 0, f the mean of the channels: (k, T, 2)."""
+        p = self.pdfs(x).T
+        f = np.broadcast_to(self.values(x).mean(axis=1)[:, None], p.shape)
+        square = np.divide(f * f, p, out=np.zeros_like(p), where=p > 0)
+        return np.stack([np.where(p > 0, f, 0.0), square], axis=-1)
+
+    def quadrature(self, function: Callable[[Array], Array]) -> Array:  # noqa: ARG002
+        """Integrals of `system` or `moments` over the domain that the techniques share.
+
+        Raises
+        ------
+        ParameterError
+            They share none.
+        """
+        raise ParameterError(
+            "These techniques share no domain to integrate over; give pilot='samples'."
+        )
 
 
 @final
@@ -184,12 +250,17 @@ class Residual(Integrand):
 
 @final
 @dataclass(frozen=True)
-class _Parts:
-    """An integrand with its densities, and the functions whose integrals pilots want."""
+class _Parts(Pilot):
+    """The pilot of an integrand with its densities on the unit cube."""
 
     integrand: Integrand
     densities: tuple[Density, ...]
     shares: Array
+
+    @property
+    def channels(self) -> int:  # type: ignore[override]
+        """Channels of f."""
+        return self.integrand.channels
 
     def pdfs(self, x: Array) -> Array:
         """p_t at points (k, d): (T, k)."""
@@ -204,21 +275,6 @@ class _Parts:
         density, stream = self.densities[technique], Stream.from_rng(seed).child(technique)
         u = stream.uniforms(0, 1, count * density.primary_dims)
         return density.sample(u.reshape(count, -1))
-
-    def system(self, x: Array) -> Array:
-        """p_s p_t/q and f p_s/q side by side: (k, T, T + C)."""
-        p = self.pdfs(x)
-        q = self.shares @ p
-        over = np.divide(p, q, out=np.zeros_like(p), where=q > 0)
-        right = np.concatenate([p.T, self.values(x)], axis=1)
-        return np.asarray(over.T[:, :, None] * right[:, None, :])
-
-    def moments(self, x: Array) -> Array:
-        """Integrands f and f²/p_t of the moments where p_t > 0, f the mean of the channels: (k, T, 2)."""
-        p = self.pdfs(x).T
-        f = np.broadcast_to(self.values(x).mean(axis=1)[:, None], p.shape)
-        square = np.divide(f * f, p, out=np.zeros_like(p), where=p > 0)
-        return np.stack([np.where(p > 0, f, 0.0), square], axis=-1)
 
     def quadrature(self, function: Callable[[Array], Array]) -> Array:
         """Integrals of `system` or `moments` over the cube."""
