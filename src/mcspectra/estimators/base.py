@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from mcspectra.integrands.base import Integrand
     from mcspectra.samplers.base import Sampler
 
-__all__ = ["AbstractEstimator", "DomainEstimator", "check_counts"]
+__all__ = ["AbstractEstimator", "DomainEstimator", "Weighted", "check_counts"]
 
 
 class AbstractEstimator(ABC):
@@ -200,6 +200,22 @@ class DomainEstimator(AbstractEstimator):
     def domain_integrand(self) -> Integrand:
         """f."""
         return self.integrand
+
+
+@runtime_checkable
+class Weighted(Protocol):
+    """An estimator whose techniques are combined by a heuristic, which can be another."""
+
+    counts: tuple[int, ...]
+
+    def with_heuristic(self, heuristic: str) -> AbstractEstimator:
+        """The same techniques, counts and sets with the heuristic of this spec."""
+
+    def alone(self, technique: int) -> AbstractEstimator:
+        """One technique without the others."""
+
+    def technique_name(self, technique: int) -> str:
+        """What to call a technique."""
 
 
 def check_counts(counts: Any, techniques: int) -> tuple[int, ...]:

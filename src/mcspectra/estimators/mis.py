@@ -15,7 +15,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.densities import Density, as_density
 from mcspectra.estimators.base import AbstractEstimator, DomainEstimator, check_counts
 from mcspectra.estimators.heuristics import Heuristic, as_heuristic
-from mcspectra.estimators.importance import check_same_dims, check_support, scale
+from mcspectra.estimators.importance import Estimator, check_same_dims, check_support, scale
 from mcspectra.estimators.pilots import Residual
 from mcspectra.estimators.primary import PrimaryIntegrand
 from mcspectra.estimators.sets import check_sets
@@ -106,6 +106,24 @@ class MultipleImportance(DomainEstimator):
             return scale(self.integrand(x), self.weight(technique, x))
         left = self.integrand(x) - self.combination.offset(x)
         return np.asarray(control[technique] + scale(left, self.weight(technique, x)))
+
+    def with_heuristic(self, heuristic: str) -> MultipleImportance:
+        """The same techniques, counts and sets with the heuristic of this spec."""
+        return MultipleImportance(
+            self.integrand,
+            self.densities,
+            heuristic=heuristic,
+            counts=self.counts,
+            sets=self.sets,
+        )
+
+    def alone(self, technique: int) -> Estimator:
+        """f sampled by one of the densities."""
+        return Estimator(self.integrand, self.densities[technique])
+
+    def technique_name(self, technique: int) -> str:
+        """The spec of the density."""
+        return self.densities[technique].spec
 
     def warp(self, technique: int, u: Array) -> Array:
         """T_t(u)."""

@@ -17,6 +17,7 @@ from mcspectra.core.errors import CountError, McspectraError
 from mcspectra.core.streams import Stream
 from mcspectra.densities import Bilinear, Defensive, Density, EnvironmentDensity, PiecewiseConstant
 from mcspectra.estimators import AbstractEstimator, Estimator, Mirrored, MultipleImportance
+from mcspectra.estimators.base import Weighted
 from mcspectra.estimators.channels import ChannelSampling
 from mcspectra.estimators.heuristics import HEURISTICS, as_heuristic
 from mcspectra.estimators.mirrored import MIRRORINGS
@@ -298,35 +299,27 @@ def _sampler(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
 
 def _heuristic(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
     estimator = given.estimator
-    if not isinstance(estimator, MultipleImportance):
+    if not isinstance(estimator, Weighted):
         yield NotTried(
             "heuristic", "heuristic", f"{estimator.spec} has no heuristic: it is not weighted."
         )
         return
     for name in HEURISTICS:
-        make = partial(
-            MultipleImportance,
-            estimator.integrand,
-            estimator.densities,
-            heuristic=name,
-            counts=estimator.counts,
-        )
+        make = partial(estimator.with_heuristic, name)
         change = f"combine the techniques by {as_heuristic(name).spec}"
         yield from _attempt(given, "heuristic", f"heuristic: {name}", change, estimator=make)
 
 
 def _techniques(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
-    """Each technique alone, and twice as many samples for each."""
+    """Each technique alone."""
     estimator = given.estimator
-    if not isinstance(estimator, MultipleImportance) or len(estimator.densities) < 2:
+    if not isinstance(estimator, Weighted) or len(estimator.counts) < 2:
         yield NotTried("techniques", "techniques", f"{estimator.spec} has one technique only.")
         return
-    for density in estimator.densities:
-        make = partial(Estimator, estimator.integrand, density)
-        name = f"only {density.spec}"
-        yield from _attempt(
-            given, "techniques", name, f"sample {density.spec} alone", estimator=make
-        )
+    for technique in range(len(estimator.counts)):
+        make, name = partial(estimator.alone, technique), estimator.technique_name(technique)
+        change = f"sample {name} alone"
+        yield from _attempt(given, "techniques", f"only {name}", change, estimator=make)
 
 
 def _warp(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
