@@ -84,7 +84,7 @@ def test_lights_and_film_follow_the_options() -> None:
     assert film_size("veach") == (768, 512)
     assert find_emitter("veach", 3).get_shape().id() == "light-3"
     assert find_emitter("veach", "fill-light").get_shape().id() == "fill-light"
-    assert list(SCENES) == ["veach"]
+    assert "veach" in SCENES
 
 
 def test_scene_is_loaded_once(scene_files: dict[str, str]) -> None:

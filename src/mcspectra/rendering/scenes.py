@@ -1,119 +1,107 @@
-"""Scenes by name or by file, loaded once a process, and what is needed to find a pixel in them."""
+"""Scenes by name, file or dictionary, loaded once a process, and what finds a pixel in them."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mcspectra.core.checks import as_choice, as_integer, as_reals
+from mcspectra.core.checks import as_integer, as_reals
 from mcspectra.core.errors import FileFormatError, ParameterError, close_match_hint
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import parse
 from mcspectra.rendering.backend import LOCK, load_mitsuba
+from mcspectra.rendering.dict_scene import DictScene
 
 __all__ = [
     "SCENES",
+    "Scene",
+    "as_scene",
     "emitter_name",
     "film_size",
     "find_emitter",
     "load_scene",
+    "named_pixels",
     "project",
+    "scene_name",
     "sensor_of",
-    "veach",
 ]
+
+Scene = str | Path | DictScene | Mapping[str, Any]
+"""What names a scene: a name in `SCENES`, an XML file, a Mitsuba dictionary."""
 
 SCENES = Registry(
     "scene",
     "mcspectra.scenes",
-    {"veach": "mcspectra.rendering.scenes:veach"},
+    {
+        "figure1": "mcspectra.rendering.builtin.figure1:figure1",
+        "penumbra": "mcspectra.rendering.builtin.penumbra:penumbra",
+        "sky": "mcspectra.rendering.builtin.sky:sky",
+        "smooth-light": "mcspectra.rendering.builtin.figure1:smooth_light",
+        "veach": "mcspectra.rendering.builtin.veach:veach",
+    },
     functions=True,
 )
 """Names to functions that return a scene as a Mitsuba dictionary."""
 
-_SPHERES: dict[str, tuple[tuple[float, float, float], float, float]] = {
-    # name: center, radius, radiance
-    "light-0": ((-3.75, 0.0, 0.0), 0.03333, 901.803),
-    "light-1": ((-1.25, 0.0, 0.0), 0.1, 100.0),
-    "light-2": ((1.25, 0.0, 0.0), 0.3, 11.1111),
-    "light-3": ((3.75, 0.0, 0.0), 0.9, 1.23457),
-    "fill-light": ((10.0, 10.0, 4.0), 0.5, 800.0),
-}
-_PLATES: tuple[tuple[tuple[float, float], tuple[float, float], float], ...] = (
-    # (y, z) of the lower edge at the front, (y, z) of the edge at the back, GGX roughness
-    ((-2.70651, 0.25609), (-2.08375, -0.526323), 0.005),
-    ((-3.28825, 1.36972), (-2.83856, 0.476536), 0.02),
-    ((-3.73096, 2.70046), (-3.43378, 1.74564), 0.05),
-    ((-3.99615, 4.0667), (-3.82069, 3.08221), 0.1),
-)
-_FLOOR_Y, _WALL_Z = -4.14615, -2.0
-_HALF_WIDTH, _FRONT_Z, _WALL_TOP = 12.0, 15.0, 12.0  # ours: larger than what the camera sees
-_GRAY = 0.4  # ours too: reflectance of floor and wall
 
-
-def veach(
-    *, lights: Sequence[str] | None = None, width: int = 768, height: int = 512
-) -> dict[str, Any]:
-    """Four glossy plates under four spheres of equal power, from Veach's thesis.
-
-    Parameters
-    ----------
-    lights
-        Which lights to keep: names among light-0 (smallest) … light-3 (widest) and fill-light.
-        All by default.
-    width, height
-        Film size in pixels. The plates fill a 3:2 frame; a square one crops them.
-
-    Returns
-    -------
-    dict
-        The scene for `mitsuba.load_dict`. Shapes: plate-0 (smoothest) … plate-3, floor, wall.
+def as_scene(scene: object) -> str | Path | DictScene:
+    """Return a hashable request for a scene: a name, a path, or a dictionary made a `DictScene`.
 
     Raises
     ------
     ParameterError
-        An unknown light, none at all, or a film without pixels.
-
-    Notes
-    -----
-    Positions, radii, radiances, roughness and camera as in [Veach1997]_ and the scene files that
-    several renderers publish. The plates are copper, floor and wall are gray: our choice.
+        It is none of these, or a dictionary that is no scene.
     """
-    kept = _check_lights(tuple(_SPHERES) if lights is None else lights)
-    scene: dict[str, Any] = {"type": "scene", "sensor": _camera(width, height)}
-    scene |= {name: _sphere_light(*_SPHERES[name]) for name in _SPHERES if name in kept}
-    scene |= {f"plate-{i}": _plate(*plate) for i, plate in enumerate(_PLATES)}
-    floor = _rectangle((0, _FLOOR_Y, (_FRONT_Z + _WALL_Z) / 2), _FRONT_Z - _WALL_Z, (0, 0, -1))
-    wall = _rectangle((0, (_WALL_TOP + _FLOOR_Y) / 2, _WALL_Z), _WALL_TOP - _FLOOR_Y, (0, 1, 0))
-    gray = {"type": "diffuse", "reflectance": _GRAY}
-    return scene | {"floor": {**floor, "bsdf": gray}, "wall": {**wall, "bsdf": gray}}
+    if isinstance(scene, Path | DictScene):
+        return scene
+    if isinstance(scene, Mapping):
+        return DictScene(scene)
+    if not isinstance(scene, str) or not scene.strip():
+        raise ParameterError(
+            f"scene is {scene!r}; give the name of a scene, an XML file or a Mitsuba dictionary."
+        )
+    return scene
 
 
-def load_scene(scene: str | Path) -> Any:
+def scene_name(scene: Scene) -> str:
+    """Return what messages call a scene, quoted: its name, path, or ``'dict'``."""
+    return repr(str(as_scene(scene)))
+
+
+def load_scene(scene: Scene) -> Any:
     """Return a Mitsuba scene, the same object for the same request.
 
     Parameters
     ----------
     scene
-        A name in `SCENES`, with parameters in brackets if need be (``"veach(width=384)"``), or the
-        path of a Mitsuba XML file. A file that has changed is read again.
+        A name in `SCENES`, with parameters in brackets if need be (``"veach(width=384)"``), the
+        path of a Mitsuba XML file, or a dictionary for `mitsuba.load_dict`. A file that has changed
+        is read again; what it refers to by a relative path is looked for beside it.
 
     Raises
     ------
     UnknownName
         No scene of that name.
+    ParameterError
+        Not a scene at all.
     FileFormatError
-        The file is missing, or Mitsuba cannot read it.
+        The file is missing, or Mitsuba cannot read it or the dictionary; its reason is quoted.
     MissingDependency
         Mitsuba or LLVM is missing.
     """
-    path = _as_file(scene)
+    request = as_scene(scene)
     with LOCK:
+        if isinstance(request, DictScene):
+            return _from_dict(request)
+        path = _as_file(request)
         if path is None:
-            return _from_name(str(scene).strip())
+            return _from_name(str(request).strip())
         if not path.is_file():
             raise FileFormatError(
                 f"There is no scene file {str(scene)!r}; give the path of a Mitsuba XML file "
@@ -122,21 +110,36 @@ def load_scene(scene: str | Path) -> Any:
         return _from_file(str(path.resolve()), path.stat().st_mtime_ns)
 
 
-def sensor_of(scene: str | Path) -> Any:
+def named_pixels(scene: Scene) -> dict[str, tuple[int, int]]:
+    """Return the pixels (x, y) to which a built-in scene gives names; none for other scenes.
+
+    A name is left out where the film, by its shape, does not show the point.
+    """
+    request = as_scene(scene)
+    if isinstance(request, DictScene) or _as_file(request) is not None:
+        return {}
+    points = getattr(SCENES.load(parse(str(request)).name), "named_points", {})
+    with LOCK:
+        load_scene(request)
+        found = {name: _pixel_of(request, point) for name, point in points.items()}
+    return {name: pixel for name, pixel in found.items() if pixel is not None}
+
+
+def sensor_of(scene: Scene) -> Any:
     """Return the first camera of a scene; a scene without one is a ParameterError."""
     sensors = load_scene(scene).sensors()
     if not sensors:
-        raise ParameterError(f"The scene {str(scene)!r} has no camera; add a <sensor> to it.")
+        raise ParameterError(f"The scene {scene_name(scene)} has no camera; add a <sensor> to it.")
     return sensors[0]
 
 
-def film_size(scene: str | Path) -> tuple[int, int]:
+def film_size(scene: Scene) -> tuple[int, int]:
     """Return width and height of a scene's film (of its crop window, if it has one), in pixels."""
     width, height = sensor_of(scene).film().crop_size()
     return int(width), int(height)
 
 
-def project(scene: str | Path, point: Sequence[float]) -> tuple[float, float]:
+def project(scene: Scene, point: Sequence[float]) -> tuple[float, float]:
     """Return the film coordinates, in pixels, at which the camera sees a point of the world.
 
     Pixel (i, j) covers [i, i+1) × [j, j+1), so its number is the floor of the result. What stands
@@ -156,11 +159,13 @@ def project(scene: str | Path, point: Sequence[float]) -> tuple[float, float]:
         interaction.p = mitsuba.Point3f(*target)
         seen, _ = sensor.sample_direction(interaction, mitsuba.Point2f(0.5))
         if not float(seen.pdf[0]) > 0.0:
-            raise ParameterError(f"The camera of {str(scene)!r} does not see the point {target}.")
+            raise ParameterError(
+                f"The camera of {scene_name(scene)} does not see the point {target}."
+            )
         return float(seen.uv.x[0]), float(seen.uv.y[0])
 
 
-def find_emitter(scene: str | Path, light: int | str) -> Any:
+def find_emitter(scene: Scene, light: int | str) -> Any:
     """Return the emitter of a scene with this index or name (its id, or that of its shape).
 
     Raises
@@ -174,9 +179,9 @@ def find_emitter(scene: str | Path, light: int | str) -> Any:
         if light in names:
             return emitters[names.index(light)]
         hint, _ = close_match_hint(light, names)
-        raise ParameterError(f"The scene {str(scene)!r} has no light {light!r}.{hint}")
+        raise ParameterError(f"The scene {scene_name(scene)} has no light {light!r}.{hint}")
     if not emitters:
-        raise ParameterError(f"The scene {str(scene)!r} has no lights; add an emitter to it.")
+        raise ParameterError(f"The scene {scene_name(scene)} has no lights; add an emitter to it.")
     try:
         return emitters[as_integer("light", light, least=0, most=len(emitters) - 1)]
     except ParameterError as error:
@@ -189,6 +194,14 @@ def emitter_name(emitter: Any) -> str:
     return str(shape.id() if shape is not None else emitter.id())
 
 
+def _pixel_of(scene: Scene, point: Sequence[float]) -> tuple[int, int] | None:
+    try:
+        x, y = project(scene, point)
+    except ParameterError:
+        return None
+    return math.floor(x), math.floor(y)
+
+
 @functools.lru_cache(maxsize=8)
 def _from_name(scene: str) -> Any:
     return _built(scene, load_mitsuba().load_dict, SCENES.build(parse(scene)))
@@ -199,83 +212,34 @@ def _from_file(path: str, _modified: int) -> Any:
     return _built(path, load_mitsuba().load_file, path)
 
 
+@functools.lru_cache(maxsize=8)
+def _from_dict(scene: DictScene) -> Any:
+    return _built("dict", load_mitsuba().load_dict, scene.contents)
+
+
 def _built(name: str, load: Callable[..., Any], source: object) -> Any:
     try:
         # Unoptimised: merging would rename shapes and shuffle their order.
         scene = load(source, optimize=False)
-    except RuntimeError as error:
-        reason = " ".join(str(error).split())
-        raise FileFormatError(f"Mitsuba cannot read the scene {name!r}: {reason}") from None
+    except (RuntimeError, TypeError) as error:
+        raise FileFormatError(
+            f"Mitsuba cannot read the scene {name!r}: {_reason(error)}."
+        ) from None
     if not isinstance(scene, load_mitsuba().Scene):
         raise FileFormatError(f"{name!r} holds no scene; its root element must be <scene>.")
     return scene
 
 
-def _as_file(scene: object) -> Path | None:
+def _reason(error: Exception) -> str:
+    """Return Mitsuba's words on one line, without the places in its own source code."""
+    text = re.sub(r"\[\w+\.(?:cpp|h):\d+\]\s*", "", str(error))
+    return " ".join(text.split()).rstrip(".")
+
+
+def _as_file(request: str | Path) -> Path | None:
     """Return the path that a request means, None if it means a name."""
-    if isinstance(scene, Path):
-        return scene.expanduser()
-    if not isinstance(scene, str) or not scene.strip():
-        raise ParameterError(f"scene is {scene!r}; give the name of a scene or an XML file.")
-    looks = scene.lower().endswith(".xml") or (("/" in scene or "\\" in scene) and "(" not in scene)
-    return Path(scene).expanduser() if looks else None
-
-
-def _check_lights(lights: object) -> tuple[str, ...]:
-    allowed = tuple(_SPHERES)
-    given = (lights,) if isinstance(lights, str) else lights
-    if not isinstance(given, Sequence | set) or not given:
-        raise ParameterError(f"lights is {lights!r}; give one or more of {', '.join(allowed)}.")
-    return tuple(as_choice("a light", name, allowed) for name in given)
-
-
-def _camera(width: int, height: int) -> dict[str, Any]:
-    size = {"width": as_integer("width", width, least=1, most=65_536)}
-    size |= {"height": as_integer("height", height, least=1, most=65_536)}
-    view = (
-        load_mitsuba()
-        .ScalarTransform4f()
-        .look_at(origin=[0.0, 2.0, 15.0], target=[0.0, -2.0, 2.5], up=[0.0, 1.0, 0.0])
-    )
-    film = {"type": "hdrfilm", "filter": {"type": "box"}, **size}
-    lens = {"type": "perspective", "fov": 28.0, "fov_axis": "y"}
-    return {**lens, "to_world": view, "film": film}
-
-
-def _sphere_light(
-    center: tuple[float, float, float], radius: float, radiance: float
-) -> dict[str, Any]:
-    black = {"type": "diffuse", "reflectance": 0.0}
-    emitter = {"type": "area", "radiance": {"type": "rgb", "value": radiance}}
-    return {
-        "type": "sphere",
-        "center": list(center),
-        "radius": radius,
-        "bsdf": black,
-        "emitter": emitter,
-    }
-
-
-def _plate(front: tuple[float, float], back: tuple[float, float], alpha: float) -> dict[str, Any]:
-    edge = np.array(back) - np.array(front)
-    middle = (np.array(back) + np.array(front)) / 2
-    length = float(np.hypot(*edge))
-    along = (0.0, float(edge[0] / length), float(edge[1] / length))
-    shape = _rectangle((0.0, float(middle[0]), float(middle[1])), length, along, half_width=4.0)
-    copper = {"type": "roughconductor", "distribution": "ggx", "material": "Cu", "alpha": alpha}
-    return {**shape, "bsdf": copper}
-
-
-def _rectangle(
-    center: tuple[float, float, float],
-    length: float,
-    along: tuple[float, float, float],
-    half_width: float = _HALF_WIDTH,
-) -> dict[str, Any]:
-    """Make a rectangle, its width along x, its length along a unit vector normal to x."""
-    across = np.array([1.0, 0.0, 0.0])
-    normal = np.cross(across, along)
-    columns = [half_width * across, length / 2 * np.array(along), normal, np.array(center)]
-    matrix = np.vstack([np.array(columns).T, [0.0, 0.0, 0.0, 1.0]])
-    transform = load_mitsuba().ScalarTransform4f(matrix.tolist())
-    return {"type": "rectangle", "to_world": transform}
+    if isinstance(request, Path):
+        return request.expanduser()
+    looks = request.lower().endswith(".xml")
+    looks = looks or (("/" in request or "\\" in request) and "(" not in request)
+    return Path(request).expanduser() if looks else None
