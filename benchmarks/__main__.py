@@ -11,6 +11,7 @@ NAMES = (
     "oracles",
     "identity",
     "veach",
+    "figure1",
     "bases",
     "pairs",
     "convergence",
@@ -18,6 +19,7 @@ NAMES = (
     "listed",
     "cost",
     "large",
+    "findings",
 )
 
 
