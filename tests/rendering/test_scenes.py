@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 
 from mcspectra.core.errors import FileFormatError, McspectraError, ParameterError, UnknownName
-from mcspectra.rendering import SCENES, describe_pixel, load_scene, project, veach
+from mcspectra.rendering import (
+    SCENES,
+    describe_pixel,
+    load_mitsuba,
+    load_scene,
+    project,
+    veach,
+)
 from mcspectra.rendering.scenes import emitter_name, film_size, find_emitter, sensor_of
 
 pytestmark = pytest.mark.render
@@ -126,23 +133,57 @@ def test_bad_requests_are_one_sentence(scene: Any, error: type[Exception], words
     assert "\n" not in str(caught.value)
 
 
+_BITMAP = """<scene version="3.0.0"><sensor type="perspective"/>
+  <shape type="rectangle" id="floor"><bsdf type="diffuse">
+    <texture type="bitmap" name="reflectance"><string name="filename" value="{}"/></texture>
+  </bsdf></shape></scene>"""
+
+
 @pytest.mark.parametrize(
-    "text",
+    ("text", "words"),
     [
-        "",
-        "garbage",
-        "<scene version='3.0.0'><shape type='sphe'/></scene>",
-        "<scene version='3.0.0'>",
+        ("", "No document element found"),
+        ("garbage", ""),
+        ("<scene version='3.0.0'><shape type='sphe'/></scene>", 'Plugin "sphe" not found'),
+        ("<scene version='3.0.0'>\n<shape type='sphere'>\n</scene>", "(line 3"),
+        ("<scene version='3.0.0'>\n<shape type='sphere' ids='a'/></scene>", "line 2"),
+        ("<scene version='3.0.0'>\n\n<integer name='a' value='b'/></scene>", "line 3"),
+        ("<scene version='3.0.0'><shape type='$kind'/></scene>", "undefined parameter: $kind"),
+        (_BITMAP.format("missing.png"), "missing.png"),
+        ("<scene version='3.0.0'>", ""),
     ],
 )
-def test_broken_file_is_one_sentence(tmp_path: Path, text: str) -> None:
+def test_broken_file_is_one_sentence(tmp_path: Path, text: str, words: str) -> None:
     file = tmp_path / "broken.xml"
     file.write_text(text)
     with pytest.raises(
         FileFormatError, match=r"Mitsuba cannot read the scene .*broken\.xml"
     ) as caught:
         load_scene(str(file))
+    assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+    assert ".cpp" not in str(caught.value)
+
+
+def test_texture_is_found_beside_its_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes, elsewhere = tmp_path / "scenes", tmp_path / "elsewhere"
+    (scenes / "textures").mkdir(parents=True)
+    elsewhere.mkdir()
+    pixels = np.full((4, 4, 3), 0.25, np.float32)
+    load_mitsuba().Bitmap(pixels).write(str(scenes / "textures" / "gray.exr"))
+    (scenes / "scene.xml").write_text(_BITMAP.format("textures/gray.exr"))
+    for folder in (elsewhere, scenes):
+        monkeypatch.chdir(folder)
+        scene = load_scene(os.path.relpath(scenes / "scene.xml"))
+        at = load_mitsuba().SurfaceInteraction3f()
+        at.uv = load_mitsuba().Point2f(0.4, 0.6)
+        reflectance = scene.shapes()[0].bsdf().eval_diffuse_reflectance(at)
+        np.testing.assert_allclose(np.ravel(reflectance.numpy()), 0.25, rtol=1e-5)
+    # The folder of one scene is not searched for the textures of another.
+    (elsewhere / "other.xml").write_text(_BITMAP.format("textures/gray.exr"))
+    monkeypatch.chdir(elsewhere)
+    with pytest.raises(FileFormatError, match=r"gray\.exr"):
+        load_scene("other.xml")
 
 
 def test_file_of_something_else_is_refused(tmp_path: Path) -> None:

@@ -63,7 +63,11 @@ def check_media(scene: Scene) -> None:
 
 
 def check_lights(scene: Scene, light: int | str | None = None) -> None:
-    """Raise a ParameterError unless there are lights and none that counts is a delta function."""
+    """Raise a ParameterError unless the lights that count can be sampled and reach surfaces.
+
+    There must be at least one, none a delta function, and no participating media on the way.
+    """
+    check_media(scene)
     with LOCK:
         _raise_first(_lights(scene, light))
 

@@ -1,0 +1,123 @@
+"""Scenes given as dictionaries: one object for equal contents, copies, and bad dictionaries."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mcspectra.core.errors import FileFormatError, ParameterError
+from mcspectra.rendering import Pixel, load_mitsuba, load_scene, named_pixels, project
+from mcspectra.rendering.builtin.figure1 import figure1
+from mcspectra.rendering.dict_scene import DictScene
+from mcspectra.rendering.scenes import as_scene, film_size, scene_name, sensor_of
+
+pytestmark = pytest.mark.render
+
+
+def edited(**changes: Any) -> dict[str, Any]:
+    return figure1() | changes
+
+
+def test_equal_contents_are_one_scene() -> None:
+    # Each has transforms of its own, and for the smooth light a bitmap.
+    assert load_scene(figure1()) is load_scene(figure1())
+    assert load_scene(figure1(edge=0.5)) is load_scene(figure1(edge=0.5))
+    assert DictScene(figure1(edge=0.5)) == DictScene(figure1(edge=0.5))
+    assert hash(DictScene(figure1())) == hash(DictScene(figure1()))
+
+
+def test_any_other_content_is_another_scene() -> None:
+    rectangle = figure1()["floor"]
+    moved = rectangle | {"to_world": figure1()["light"]["to_world"]}
+    others: list[dict[str, Any]] = [
+        figure1(edge=0.5),
+        figure1(edge=0.25),
+        figure1(width=100),
+        edited(floor=moved),
+        edited(floor=rectangle | {"flip_normals": True}),
+        edited(floor=rectangle | {"flip_normals": 1}),
+        dict(reversed(figure1().items())),
+    ]
+    handles = {DictScene(scene) for scene in [figure1(), *others]}
+    assert len(handles) == len(others) + 1
+    assert DictScene(figure1()) != figure1()
+
+
+def test_objects_of_mitsuba_compare_by_identity() -> None:
+    load = load_mitsuba().load_dict
+    first, second = load({"type": "diffuse"}), load({"type": "diffuse"})
+    scenes = [{"type": "scene", "floor": {"type": "rectangle", "b": b}} for b in (first, second)]
+    assert load_scene(scenes[0]) is load_scene(dict(scenes[0]))
+    assert load_scene(scenes[0]) is not load_scene(scenes[1])
+
+
+def test_later_changes_do_not_reach_the_handle() -> None:
+    scene = figure1()
+    handle = as_scene(scene)
+    assert as_scene(handle) is handle
+    scene["floor"]["bsdf"] = {"type": "conductor"}
+    del scene["sensor"]
+    assert handle == DictScene(figure1())
+    assert isinstance(handle, DictScene)
+    handle.contents["floor"].clear()
+    assert film_size(handle) == (384, 256)
+
+
+def test_a_pixel_of_a_dictionary_is_that_of_its_name() -> None:
+    x, y = named_pixels("figure1")["Q"]
+    u = (np.arange(200).reshape(100, 2) + 0.5) / 200
+    by_dict = Pixel(scene=figure1(), x=x, y=y)
+    np.testing.assert_array_equal(by_dict(u), Pixel(scene="figure1", x=x, y=y)(u))
+    assert by_dict.spec == f"pixel(scene=dict, x={x}, y={y})"
+    assert hash(by_dict) == hash(Pixel(scene=figure1(), x=x, y=y))
+    assert by_dict == Pixel(scene=figure1(), x=x, y=y)
+    assert named_pixels(figure1()) == {}
+
+
+def test_messages_call_it_dict() -> None:
+    blind = {key: value for key, value in figure1().items() if key != "sensor"}
+    assert scene_name(blind) == "'dict'"
+    with pytest.raises(ParameterError, match="The scene 'dict' has no camera"):
+        sensor_of(blind)
+    with pytest.raises(ParameterError, match="camera of 'dict' does not see"):
+        project(figure1(), (0, 0, 100))
+
+
+def holding_itself() -> dict[str, Any]:
+    scene: dict[str, Any] = {"type": "scene"}
+    scene["again"] = scene
+    return scene
+
+
+@pytest.mark.parametrize(
+    ("scene", "error", "words"),
+    [
+        ({}, ParameterError, "type None; it must be 'scene'"),
+        ({"type": "diffuse"}, ParameterError, "type 'diffuse'; it must be 'scene'"),
+        ({"type": "scene", 1: 2}, ParameterError, "A key of the scene dictionary is 1"),
+        ({"type": "scene", "a": {None: 2}}, ParameterError, "dictionary is None"),
+        (holding_itself(), ParameterError, "does it hold itself"),
+        ({"type": "scene", "a": 5}, FileFormatError, 'integer "a": 5'),
+        ({"type": "scene", "a": {"type": "sphre"}}, FileFormatError, 'Plugin "sphre" not found'),
+        ({"type": "scene", "a": {"radius": 1}}, FileFormatError, "missing 'type'"),
+        ({"type": "scene", "a": {"type": "sphere", "radius": "x"}}, FileFormatError, "wrong type"),
+        ({"type": "scene", "a": {"type": "sphere", "radius": object()}}, FileFormatError, "radius"),
+        ({"type": "scene", "a": {"type": "ply", "filename": "no.ply"}}, FileFormatError, "no.ply"),
+    ],
+)
+def test_bad_dictionaries_are_one_sentence(
+    scene: dict[Any, Any], error: type[Exception], words: str
+) -> None:
+    with pytest.raises(error) as caught:
+        load_scene(scene)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert ".cpp" not in str(caught.value)
+
+
+@pytest.mark.parametrize("scene", [None, 7, "", "  ", [], ["veach"], b"veach", np.zeros(3)])
+def test_what_is_no_scene_is_refused(scene: Any) -> None:
+    with pytest.raises(ParameterError, match="give the name of a scene"):
+        as_scene(scene)
