@@ -15,7 +15,7 @@ from mcspectra.core.registry import Registry
 from mcspectra.core.spec import parse
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import Pixel, describe_pixel, load_mitsuba, load_scene, pixel_strategies
-from mcspectra.rendering import pixel as module
+from mcspectra.rendering import draws
 from mcspectra.rendering.pixel import STRATEGIES
 from mcspectra.rendering.scenes import film_size
 
@@ -224,7 +224,7 @@ def test_chunks_threads_and_order_do_not_change_bits(
     whole = g(u)
     with ThreadPoolExecutor(4) as pool:
         np.testing.assert_array_equal(list(pool.map(g, u)), whole)
-    monkeypatch.setattr(module, "_CHUNK", 777)
+    monkeypatch.setattr(draws, "CHUNK", 777)
     np.testing.assert_array_equal(g(u[::-1])[::-1], whole)
 
 
@@ -237,7 +237,7 @@ def test_corners_of_the_square_are_finite(strategy: str) -> None:
 
 
 def test_single_precision_never_rounds_a_sample_up_to_one() -> None:
-    samples = module._as_samples(np.array([0.0, 0.25, 1.0 - 2.0**-53, 1.0]))
+    samples = draws._as_samples(np.array([0.0, 0.25, 1.0 - 2.0**-53, 1.0]))
     assert samples.dtype == np.float32
     np.testing.assert_array_equal(samples, [0.0, 0.25, 1.0 - 2.0**-24, 1.0 - 2.0**-24])
 
@@ -278,7 +278,9 @@ def test_spec_string_makes_the_same_pixel() -> None:
         ({"channel": True}, "channel is True"),
         ({"channel": [1]}, "channel is"),
         ({"dims": 1}, "dims"),
-        ({"dims": 4}, "dims"),
+        ({"dims": 6}, "dims"),
+        ({"density": "uniform"}, "density is for strategy='environment'"),
+        ({"strategy": "environment"}, "no environment to sample"),
         ({"x": 768}, "outside the film of 'veach': x is 768"),
         ({"y": -1}, "outside the film of 'veach': y is -1"),
         ({"x": 1.5}, "x is 1.5"),

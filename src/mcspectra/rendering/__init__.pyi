@@ -4,24 +4,30 @@ from .builtin.veach import veach as veach
 from .pixel import Pixel as Pixel
 from .pixel import describe_pixel as describe_pixel
 from .pixel import pixel_strategies as pixel_strategies
+from .pixel_mis import PixelMIS as PixelMIS
+from .pixel_mis import pixel_mis as pixel_mis
 from .point_sampler import MitsubaSampler as MitsubaSampler
 from .scene_checks import check_scene as check_scene
 from .scenes import SCENES as SCENES
 from .scenes import load_scene as load_scene
 from .scenes import named_pixels as named_pixels
 from .scenes import project as project
+from .skies import sky_pixels as sky_pixels
 
 __all__ = [
     "SCENES",
     "MitsubaSampler",
     "Pixel",
+    "PixelMIS",
     "check_scene",
     "describe",
     "describe_pixel",
     "load_mitsuba",
     "load_scene",
     "named_pixels",
+    "pixel_mis",
     "pixel_strategies",
     "project",
+    "sky_pixels",
     "veach",
 ]

@@ -16,7 +16,9 @@ __all__ = [
     "POWERS",
     "Receiver",
     "Techniques",
+    "follow_bsdf",
     "heuristic_weight",
+    "look_at_sky",
     "sample_bsdf",
     "sample_light",
 ]
@@ -83,6 +85,14 @@ def sample_bsdf(
     hit: Receiver, emitter: Any, u: Any, extra: Any = None, active: Any = True
 ) -> Techniques:
     """Sample the BSDF; parameters as those of `sample_light`, `extra` selects the lobe."""
+    value, own, other, _ = follow_bsdf(hit, emitter, u, extra, active)
+    return value, own, other
+
+
+def follow_bsdf(
+    hit: Receiver, emitter: Any, u: Any, extra: Any = None, active: Any = True
+) -> tuple[Any, Any, Any, Any]:
+    """`sample_bsdf` with the direction in the world, a `Vector3f`."""
     import drjit
 
     mitsuba, at, scene = load_mitsuba(), hit.interaction, hit.scene
@@ -103,7 +113,30 @@ def sample_bsdf(
         light_pdf = scene.pdf_emitter_direction(at, direction, rough)
     else:
         light_pdf = emitter.pdf_direction(at, direction, rough)
-    return value, sample.pdf, drjit.select(rough, light_pdf, 0.0)
+    return value, sample.pdf, drjit.select(rough, light_pdf, 0.0), ray.d
+
+
+def look_at_sky(hit: Receiver, emitter: Any, direction: Any, active: Any = True) -> tuple[Any, Any]:
+    """Evaluate f_r L V cos and the BSDF's density in given directions.
+
+    Parameters
+    ----------
+    hit, active
+        As of `sample_light`.
+    emitter
+        The environment.
+    direction
+        Unit vectors in the world, a `Vector3f`.
+    """
+    import drjit
+
+    mitsuba, at = load_mitsuba(), hit.interaction
+    value, pdf = hit.bsdf.eval_pdf(mitsuba.BSDFContext(), at, at.to_local(direction), active)
+    useful = active & drjit.any(value != 0.0)
+    visible = useful & ~hit.scene.ray_test(at.spawn_ray(direction), useful)
+    far = drjit.zeros(mitsuba.SurfaceInteraction3f, drjit.width(direction))
+    far.wi = -direction
+    return drjit.select(visible, value * emitter.eval(far, visible), 0.0), pdf
 
 
 def heuristic_weight(own: Any, other: Any, power: int) -> Any:

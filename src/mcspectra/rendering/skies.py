@@ -1,0 +1,192 @@
+"""Our densities of directions for the environment of a scene, in place of Mitsuba's.
+
+A density on [0,1)² (see `mcspectra.core.environments`: x_0 is φ/2π, x_1 is θ/π) becomes one of
+directions, p(x)/(2π² sin πx_1) per steradian. Mitsuba's maps have their first row at +y and φ runs
+from −z to +x, before the emitter's ``to_world``: ω = (sin θ sin φ, cos θ, −sin θ cos φ).
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.spec import parse
+from mcspectra.densities import Density, EnvironmentDensity, as_density
+from mcspectra.rendering.backend import LOCK, load_mitsuba
+from mcspectra.rendering.scenes import Scene, emitter_name, find_emitter, load_scene, scene_name
+
+__all__ = ["Sky", "environment_of", "sky_pixels", "sky_technique"]
+
+_ROWS = 256
+_MOST_ROWS = 2**12
+_SMALLEST_SINE = 1e-12  # at the poles, where a density per steradian has no bound
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Sky:
+    """A density of directions towards the environment of a scene.
+
+    Attributes
+    ----------
+    density
+        The density on [0,1)².
+    rotation
+        The emitter's own frame to the world's, (3, 3).
+    """
+
+    density: Density
+    rotation: Array
+
+    def sample(self, u: Array) -> tuple[Array, Array]:
+        """Directions (M, 3) in the world, and their densities per steradian (M,), of u (M, 2)."""
+        x = self.density.sample(u)
+        return _local(x) @ self.rotation.T, self._per_steradian(x)
+
+    def pdf(self, directions: Array) -> Array:
+        """Density per steradian (M,) of unit vectors (M, 3) in the world."""
+        a, b, c = (directions @ self.rotation).T
+        azimuth = np.arctan2(a, -c) / (2.0 * np.pi) % 1.0
+        polar = np.arccos(np.clip(b, -1.0, 1.0)) / np.pi
+        return self._per_steradian(np.stack([azimuth, polar], axis=-1))
+
+    def _per_steradian(self, x: Array) -> Array:
+        sine = np.maximum(np.sin(np.pi * x[:, 1]), _SMALLEST_SINE)
+        return np.asarray(self.density.pdf(x) / (2.0 * np.pi**2 * sine))
+
+
+def environment_of(scene: Scene, light: int | str | None = None) -> Any:
+    """Return the environment emitter of a scene if it is the one light that counts.
+
+    Raises
+    ------
+    ParameterError
+        There is none, or other lights count too.
+    """
+    loaded = load_scene(scene)
+    found = loaded.environment()
+    if found is None:
+        raise ParameterError(
+            f"The scene {scene_name(scene)} has no environment to sample; add an <emitter> of type "
+            "'envmap' or 'constant', or choose another strategy."
+        )
+    alone = len(loaded.emitters()) == 1
+    if not (alone if light is None else find_emitter(scene, light).is_environment()):
+        raise ParameterError(
+            f"Directions are sampled towards the environment of {scene_name(scene)} only; give "
+            f"light={emitter_name(found)!r}, so that no other light counts."
+        )
+    return found
+
+
+def sky_pixels(scene: Scene, rows: int = _ROWS) -> Array:
+    """Radiance of a scene's environment as a lat-long map, in the emitter's own frame.
+
+    Parameters
+    ----------
+    scene
+        A scene as of `load_scene`.
+    rows
+        Pixels along θ; along φ there are twice as many.
+
+    Returns
+    -------
+    ndarray
+        Linear radiance (rows, 2 rows, 3) at pixel centres, to be given to `EnvironmentDensity`. Mitsuba's
+        maps have the centres of their first and last row at the poles: pixels are no copies of theirs.
+
+    Raises
+    ------
+    ParameterError
+        The scene has no environment, or rows are too few or too many.
+    """
+    height = as_integer("rows", rows, least=2, most=_MOST_ROWS)
+    with LOCK:
+        emitter = load_scene(scene).environment()
+        if emitter is None:
+            raise ParameterError(f"The scene {scene_name(scene)} has no environment.")
+        return _pixels(emitter, height)
+
+
+def sky_technique(scene: Scene, density: Density | str | None, channel: str | int) -> Sky:
+    """Return a density bound to the environment of a scene.
+
+    Parameters
+    ----------
+    scene
+        A scene as of `load_scene`.
+    density
+        A density in two dims or its spec string. A spec of ``environment`` without a path means the
+        scene's own environment, `sky_pixels`; None is that, bilinear, by `channel`.
+    channel
+        What None samples by: a number, or the luminance for ``"luminance"`` and ``"rgb"``.
+
+    Raises
+    ------
+    ParameterError
+        The density is not one of two dims, or takes further coordinates.
+    """
+    if density is None:
+        chosen = "luminance" if channel == "rgb" else channel
+        density = f"environment(interpolation='bilinear', channel={chosen!r})"
+    with LOCK:
+        return _sky(load_scene(scene), scene_name(scene), density)
+
+
+@functools.lru_cache(maxsize=32)
+def _sky(loaded: Any, name: str, density: Density | str) -> Sky:
+    made = _of_scene(loaded, density) if isinstance(density, str) else density
+    if not isinstance(made, Density) or made.dims != 2 or made.primary_dims != 2:
+        raise ParameterError(
+            f"The environment of {name} is sampled by a density in 2 dims; {density!r:.80} is none."
+        )
+    return Sky(made, _rotation(loaded.environment()))
+
+
+def _of_scene(loaded: Any, spec: str) -> Density | None:
+    """The density of a spec; that of an environment map is the scene's unless it names another."""
+    call = parse(spec)
+    if call.name != EnvironmentDensity.name or {"path", "values"} & set(call.arguments):
+        return as_density(spec, 2)
+    made = as_density(spec, 2)  # the errors are those of any spec
+    assert isinstance(made, EnvironmentDensity)
+    return EnvironmentDensity(values=_pixels(loaded.environment(), _ROWS), **call.arguments)
+
+
+def _pixels(emitter: Any, rows: int) -> Array:
+    """Radiance (rows, 2 rows, 3) at pixel centres."""
+    x_1, x_0 = np.meshgrid(
+        (np.arange(rows) + 0.5) / rows, (np.arange(2 * rows) + 0.5) / (2 * rows), indexing="ij"
+    )
+    x = np.stack([x_0.ravel(), x_1.ravel()], axis=-1)
+    return _radiance(emitter, _local(x) @ _rotation(emitter).T).reshape(rows, 2 * rows, 3)
+
+
+def _rotation(emitter: Any) -> Array:
+    """The frame of an emitter in the world, (3, 3), whatever its scale."""
+    matrix = np.asarray(emitter.world_transform().matrix, np.float64).reshape(4, 4)[:3, :3]
+    return np.asarray(matrix / np.linalg.norm(matrix, axis=0))
+
+
+def _local(x: Array) -> Array:
+    """Unit vectors (M, 3) of x (M, 2) in the emitter's own frame."""
+    phi, theta = 2.0 * np.pi * x[:, 0], np.pi * x[:, 1]
+    sine = np.sin(theta)
+    return np.stack([sine * np.sin(phi), np.cos(theta), -sine * np.cos(phi)], axis=-1)
+
+
+def _radiance(emitter: Any, directions: Array) -> Array:
+    """Radiance (M, 3) that arrives from unit vectors (M, 3) in the world."""
+    import drjit
+
+    mitsuba = load_mitsuba()
+    columns = (np.ascontiguousarray(c, np.float32) for c in directions.T)
+    far = drjit.zeros(mitsuba.SurfaceInteraction3f, len(directions))
+    far.wi = -mitsuba.Vector3f(*columns)
+    color = np.asarray(emitter.eval(far).numpy(), np.float64).T
+    return np.broadcast_to(color, (len(directions), 3))
