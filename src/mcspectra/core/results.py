@@ -71,6 +71,8 @@ VARIABLES: Mapping[str, tuple[str, str]] = {
     "generalized_l2_discrepancy": ("generalised L2 discrepancy, over all projections", "1"),
     "higher_order_variance": ("part of the variance of all larger subsets", "f²"),
     "higher_order_variance_se": ("standard error of that part", "f²"),
+    "image": ("mean radiance of each pixel", "W/(m² sr)"),
+    "image_se": ("standard error of the mean radiance", "W/(m² sr)"),
     "improvement": ("variance less than as given (1), more (−1), undecided (0)", "1"),
     "kurtosis": ("kurtosis of the estimates; normal: 3", "1"),
     "l2_star_discrepancy": ("L2 star discrepancy", "1"),
@@ -164,6 +166,12 @@ VARIABLES: Mapping[str, tuple[str, str]] = {
     "worst_projected_diaphony": ("largest diaphony of the 2-D projections", "1"),
     "worst_projected_discrepancy": ("largest star discrepancy of the 2-D projections", "1"),
     "worst_projected_distance": ("smallest minimum distance of the 2-D projections", "1"),
+    "dominant_technique": ("technique of the larger variance; −1: undecided", "1"),
+    "mis_gain": ("variance of the better single strategy / variance of MIS", "1"),
+    "mis_gain_ci": ("95 % interval of that ratio", "1"),
+    "predicted_ratio": ("predicted / measured variance at the largest n", "1"),
+    "predicted_ratio_ci": ("95 % interval of predicted / measured variance", "1"),
+    "rate_se": ("standard error of the rate", "1"),
     "wraparound_discrepancy": ("wrap-around L2 discrepancy", "1"),
 }
 

@@ -1,6 +1,13 @@
 from .backend import describe as describe
 from .backend import load_mitsuba as load_mitsuba
 from .builtin.veach import veach as veach
+from .files import write_exr as write_exr
+from .files import write_png as write_png
+from .files import write_render as write_render
+from .image import compare_strategies as compare_strategies
+from .image import reference as reference
+from .image import render as render
+from .maps import variance_map as variance_map
 from .pixel import Pixel as Pixel
 from .pixel import describe_pixel as describe_pixel
 from .pixel import pixel_strategies as pixel_strategies
@@ -13,13 +20,16 @@ from .scenes import load_scene as load_scene
 from .scenes import named_pixels as named_pixels
 from .scenes import project as project
 from .skies import sky_pixels as sky_pixels
+from .wavefront import Wavefront as Wavefront
 
 __all__ = [
     "SCENES",
     "MitsubaSampler",
     "Pixel",
     "PixelMIS",
+    "Wavefront",
     "check_scene",
+    "compare_strategies",
     "describe",
     "describe_pixel",
     "load_mitsuba",
@@ -28,6 +38,12 @@ __all__ = [
     "pixel_mis",
     "pixel_strategies",
     "project",
+    "reference",
+    "render",
     "sky_pixels",
+    "variance_map",
     "veach",
+    "write_exr",
+    "write_png",
+    "write_render",
 ]

@@ -17,7 +17,6 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,14 @@ import numpy as np
 from mcspectra.core.checks import Array, as_choice, as_real_array
 from mcspectra.core.errors import DomainError, ParameterError
 from mcspectra.rendering.backend import LOCK, load_mitsuba
-from mcspectra.rendering.scenes import film_size, find_emitter, load_scene, sensor_of
+from mcspectra.rendering.scenes import (
+    Scene,
+    film_size,
+    find_emitter,
+    load_scene,
+    scene_name,
+    sensor_of,
+)
 from mcspectra.rendering.techniques import (
     LARGEST_SAMPLE,
     POWERS,
@@ -59,7 +65,7 @@ class Wavefront:
     Parameters
     ----------
     scene
-        A scene's name or the path of a Mitsuba XML file (see `load_scene`).
+        A scene as of `load_scene`.
     light
         Index or name of one light that counts alone; all by default.
     film
@@ -83,7 +89,7 @@ class Wavefront:
 
     def __init__(
         self,
-        scene: str | Path,
+        scene: Scene,
         light: int | str | None = None,
         film: str = "center",
         *,
@@ -99,7 +105,7 @@ class Wavefront:
             self.width, self.height = film_size(scene)
             self._emitter = None if light is None else find_emitter(scene, light)
             if not self._scene.emitters():
-                raise ParameterError(f"The scene {str(scene)!r} has no lights; add an emitter.")
+                raise ParameterError(f"The scene {scene_name(scene)} has no lights; add an emitter.")
             self.selects_lobe = any(_has_lobes(shape.bsdf()) for shape in self._scene.shapes())
         # Tiles are evaluated again and again with other points, so their first hits are kept.
         self._center_hits = functools.lru_cache(maxsize=4)(self._trace_centers)

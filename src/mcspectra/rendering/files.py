@@ -1,0 +1,188 @@
+"""Rendered images as files: EXR with all that was measured, PNG to look at."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_real
+from mcspectra.core.errors import FileFormatError, ParameterError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "RENDER_EXTENSIONS",
+    "check_image_path",
+    "encode_srgb",
+    "write_exr",
+    "write_png",
+    "write_render",
+]
+
+RENDER_EXTENSIONS = (".exr", ".png")
+_MOST_STOPS = 64.0
+
+
+def write_render(
+    path: str | PathLike[str], result: xr.Dataset, *, exposure: float = 0.0
+) -> list[str]:
+    """Write what `render` found.
+
+    Parameters
+    ----------
+    path
+        ``.exr``: ``image`` as R, G, B, and the layers ``variance`` and ``image_se`` if there are
+        any, with the provenance as a comment. ``.png``: ``image`` alone, see `write_png`.
+    result
+        A result of `render` or `reference`.
+    exposure
+        Stops by which a PNG is made brighter; EXR holds radiance as it is.
+
+    Returns
+    -------
+    list of str
+        Names of the layers written; that of the image is empty.
+
+    Raises
+    ------
+    FileFormatError
+        Another extension, or the file cannot be written.
+    ParameterError
+        `exposure` is not a number from −64 to 64.
+    """
+    file = check_image_path(path)
+    if file.suffix.lower() == ".png":
+        write_png(file, result["image"].values, exposure=exposure)
+        return [""]
+    layers = {"": result["image"].values}
+    layers |= {n: result[n].values for n in ("variance", "image_se") if n in result}
+    write_exr(file, layers, comment=json.dumps(result.attrs))
+    return list(layers)
+
+
+def write_exr(path: str | PathLike[str], layers: Mapping[str, Array], *, comment: str = "") -> None:
+    """Write layers as float32 channels of one EXR file (ZIP, scan lines).
+
+    Parameters
+    ----------
+    path
+        A name that ends in ``.exr``.
+    layers
+        Name to array (height, width) or (height, width, 3), all of the same size. Channels are
+        called ``name.R`` and so on, or ``name.Y``; without the dot for the nameless layer.
+    comment
+        Text for the file's header.
+
+    Raises
+    ------
+    FileFormatError
+        The file cannot be written.
+    ParameterError
+        No layers, or layers of other or different shapes.
+    """
+    import OpenEXR
+
+    file = check_image_path(path, (".exr",))
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    channels = _channels(layers)
+    _touch(file)
+    try:
+        OpenEXR.File({**header, "comments": comment}, channels).write(str(file))
+    except (OSError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise FileFormatError(f"{str(file)!r} cannot be written: {reason}.") from None
+
+
+def write_png(path: str | PathLike[str], image: Array, *, exposure: float = 0.0) -> None:
+    """Write radiance (height, width) or (height, width, 3) as an sRGB picture of 8 bits.
+
+    Parameters
+    ----------
+    path
+        A name that ends in ``.png``.
+    image
+        Radiance. Negative values become black, 1 and more (after the exposure) full intensity.
+    exposure
+        Stops: radiance is multiplied by 2^exposure.
+
+    Raises
+    ------
+    FileFormatError
+        The file cannot be written.
+    ParameterError
+        `exposure` is not a number from −64 to 64, or the image has another shape.
+    """
+    from PIL import Image
+
+    file = check_image_path(path, (".png",))
+    stops = as_real("exposure", exposure, least=-_MOST_STOPS, most=_MOST_STOPS)
+    plane = next(iter(_checked({"": image}).values()))
+    encoded = encode_srgb(plane * 2.0**stops)
+    try:
+        Image.fromarray(np.rint(255.0 * encoded).astype(np.uint8)).save(file, format="PNG")
+    except OSError as error:
+        raise FileFormatError(f"{str(file)!r} cannot be written: {error.strerror}.") from None
+
+
+def encode_srgb(linear: Array) -> Array:
+    """Return values in [0,1] after the sRGB transfer function (IEC 61966-2-1); clips to [0,1]."""
+    clipped = np.clip(linear, 0.0, 1.0)
+    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)
+
+
+def check_image_path(path: object, extensions: tuple[str, ...] = RENDER_EXTENSIONS) -> Path:
+    """Return `path` if its extension is one of those, and its folder exists."""
+    if not isinstance(path, str | PathLike) or not str(path):
+        raise FileFormatError(f"{path!r} is not the path of an image; give a file name.")
+    file = Path(path)
+    if file.suffix.lower() not in extensions:
+        raise FileFormatError(f"{str(file)!r} must end in {' or '.join(extensions)}.")
+    try:
+        problem = "is a folder" if file.is_dir() else ""
+        problem = problem or ("" if file.parent.is_dir() else "is in a folder that does not exist")
+    except OSError:  # a name too long
+        problem = "is no possible file name"
+    if "\0" in str(file):
+        problem = "is no possible file name"
+    if problem:
+        raise FileFormatError(f"{str(file)!r} {problem}; give another file name.")
+    return file
+
+
+def _touch(file: Path) -> None:
+    """Open the file for writing, as OpenEXR does not say why it could not."""
+    try:
+        with file.open("ab"):
+            pass
+    except OSError as error:
+        raise FileFormatError(f"{str(file)!r} cannot be written: {error.strerror}.") from None
+
+
+def _channels(layers: Mapping[str, Array]) -> dict[str, Any]:
+    channels = {}
+    for name, plane in _checked(layers).items():
+        letters = "Y" if plane.ndim == 2 else "RGB"
+        for i, letter in enumerate(letters):
+            values = plane if plane.ndim == 2 else plane[..., i]
+            full = f"{name}.{letter}" if name else letter
+            channels[full] = np.ascontiguousarray(values, np.float32)
+    return channels
+
+
+def _checked(layers: Mapping[str, Array]) -> dict[str, Array]:
+    planes = {name: np.asarray(plane) for name, plane in layers.items()}
+    sizes = {plane.shape[:2] for plane in planes.values()}
+    fits = all(p.ndim == 2 or (p.ndim == 3 and p.shape[2] == 3) for p in planes.values())
+    if len(sizes) != 1 or not fits or 0 in next(iter(sizes)):
+        shapes = ", ".join(str(plane.shape) for plane in planes.values()) or "nothing"
+        raise ParameterError(
+            f"The image to write is {shapes}; give arrays (height, width) or (height, width, 3), "
+            "all of one size."
+        )
+    return planes

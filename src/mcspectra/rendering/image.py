@@ -1,0 +1,278 @@
+"""Images of direct illumination by our own samplers, with the error of each pixel.
+
+Every pixel has a point set of its own: in image r (of R independent ones) pixel number y·width + x
+takes realisation y·width + x of the sampler, from a random stream of that image. So a crop has the
+bits of the same part of the whole image. A sampler that ends in ``decorrelate(…)`` gives all pixels
+of an image one set, moved in each: that is what renderers do, and cheaper than a set for each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mcspectra.core import progress
+from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers, map_in_order
+from mcspectra.core.results import dataset
+from mcspectra.core.streams import RngLike, Stream
+from mcspectra.estimators.moments import Moments
+from mcspectra.rendering.scenes import Scene, scene_name
+from mcspectra.rendering.wavefront import Wavefront
+from mcspectra.samplers import Sampler, as_sampler
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["CHANNELS", "compare_strategies", "reference", "render"]
+
+CHANNELS = ("R", "G", "B")
+_TILE_LANES = 2**19  # samples of a tile: 32 MiB of float64 points in 8 dims
+_MOST_SAMPLES = 2**20  # a pixel, in one image
+_MOST_PIXELS = 2**26  # 5 GiB of moments
+
+
+def render(
+    scene: Scene,
+    strategy: str = "mis",
+    sampler: str | Sampler = "sobol | owen",
+    spp: int = 16,
+    *,
+    realizations: int = 1,
+    crop: Sequence[int] | None = None,
+    film: str = "sampled",
+    light: int | str | None = None,
+    heuristic: str = "balance",
+    rng: RngLike = 0,
+    workers: int | None = None,
+) -> xr.Dataset:
+    """Render a scene's direct illumination, lights that the camera sees included.
+
+    Parameters
+    ----------
+    scene
+        A scene as of `load_scene`.
+    strategy
+        ``"light"``, ``"bsdf"``, their shares of multiple importance sampling ``"mis-light"`` and
+        ``"mis-bsdf"``, or ``"mis"``, both.
+    sampler
+        A sampler or its spec, in as many dims as the strategy takes: see `Wavefront.dims`.
+    spp
+        Samples a pixel; for ``"mis"`` of each technique, as renderers count.
+    realizations
+        Number R of independent images. From 2 on there is a variance for each pixel.
+    crop
+        x, y, width and height of a part of the film, in pixels; all of it by default.
+    film
+        ``"sampled"``: positions in the pixel are sampled too, with a box filter. ``"center"``.
+    light
+        Index or name of one light that counts alone.
+    heuristic
+        ``"balance"`` or ``"power"`` (β = 2).
+    rng
+        Seed in the sense of SPEC 7.
+    workers
+        Threads that draw points while others are rendered; they do not change the result.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``image`` (y, x, channel): mean of R images; with R > 1 ``variance``, that of one image
+        (ddof = 1), and ``image_se``, the standard error of ``image``. Coordinates are pixels of
+        the film.
+
+    Raises
+    ------
+    ParameterError
+        A parameter is out of range, `crop` leaves the film, or the scene cannot be rendered.
+    CountError
+        The sampler cannot make `spp` points.
+    MissingDependency
+        Mitsuba or LLVM is missing.
+    """
+    waves = Wavefront(scene, light, film, heuristic=heuristic, emission=True)
+    points = as_sampler(sampler, waves.dims(strategy))
+    plan = _Plan(
+        waves=waves,
+        strategy=strategy,
+        sampler=points,
+        spp=points.check_count(as_integer("spp", spp, least=1, most=_MOST_SAMPLES)),
+        realizations=as_integer("realizations", realizations, least=1, most=MAX_REALIZATIONS),
+        crop=_as_crop(crop, waves),
+        stream=Stream.from_rng(rng),
+    )
+    moments = _moments(plan, available_workers(workers))
+    return _as_dataset(
+        moments,
+        plan,
+        scene=scene_name(scene).strip("'\""),
+        film=film,
+        light=light,
+        heuristic=heuristic if strategy.startswith("mis") else None,
+        seed=rng if isinstance(rng, int) else None,
+    )
+
+
+def reference(scene: Scene, spp: int = 1024, *, batches: int = 16, **options: Any) -> xr.Dataset:
+    """Render with many samples and tell the error of every pixel from independent batches.
+
+    Parameters
+    ----------
+    scene, options
+        As those of `render`.
+    spp
+        Samples a pixel in all batches together.
+    batches
+        Number of independent images that are averaged, at least 2; `spp` is a multiple of it.
+
+    Returns
+    -------
+    xarray.Dataset
+        As of `render`; ``image_se`` has `batches` − 1 degrees of freedom.
+    """
+    count = as_integer("batches", batches, least=2, most=_MOST_SAMPLES)
+    each, rest = divmod(as_integer("spp", spp, least=count), count)
+    if rest:
+        raise ParameterError(f"spp is {spp}; give a multiple of batches, {count}.")
+    return render(scene, spp=each, realizations=count, **options)
+
+
+def compare_strategies(
+    scene: Scene, spp: int = 4, *, reference_spp: int = 1024, **options: Any
+) -> dict[str, xr.Dataset]:
+    """Render a scene by each strategy at equal samples, and a reference.
+
+    Parameters
+    ----------
+    scene, options
+        As those of `render`.
+    spp
+        Samples a pixel, an even number: multiple importance sampling takes half of them from each
+        technique.
+    reference_spp
+        Samples a pixel of each technique in the reference, see `reference`.
+
+    Returns
+    -------
+    dict
+        ``reference``, ``light``, ``bsdf`` and ``mis``, each as of `render`.
+    """
+    count = as_integer("spp", spp, least=2, most=_MOST_SAMPLES)
+    if count % 2:
+        raise ParameterError(f"spp is {count}; give an even number, half for each technique.")
+    images = {"reference": reference(scene, reference_spp, **options)}
+    for strategy, samples in (("light", count), ("bsdf", count), ("mis", count // 2)):
+        images[strategy] = render(scene, strategy, spp=samples, **options)
+    return images
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Plan:
+    """All that decides the numbers of an image."""
+
+    waves: Wavefront
+    strategy: str
+    sampler: Sampler
+    spp: int
+    realizations: int
+    crop: tuple[int, int, int, int]
+    stream: Stream
+
+    def pixels(self, tile: slice) -> Array:
+        """Pixels of the crop, in the order of reading: int64 (P, 2)."""
+        left, top, width, _ = self.crop
+        y, x = np.divmod(np.arange(tile.start, tile.stop), width)
+        return np.stack([x + left, y + top], axis=-1)
+
+    def draw(self, tile: slice, images: range) -> Array:
+        """Points of the pixels of a tile in some images: (images · P, spp, dims)."""
+        numbers = self.pixels(tile) @ (1, self.waves.width)
+        runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1)
+        sets = [
+            self.sampler.draw_stream(self.spp, self.stream.child(image), int(run[0]), len(run))
+            for image in images
+            for run in runs
+        ]
+        return np.concatenate(sets)
+
+    def blocks(self) -> Iterator[tuple[slice, range]]:
+        """Tiles and images that are rendered at once, all images of a tile in succession."""
+        pixels = self.crop[2] * self.crop[3]
+        size = min(pixels, max(1, _TILE_LANES // self.spp))
+        together = max(1, _TILE_LANES // (size * self.spp))
+        for start in range(0, pixels, size):
+            tile = slice(start, min(start + size, pixels))
+            for image in range(0, self.realizations, together):
+                yield tile, range(image, min(image + together, self.realizations))
+
+
+def _moments(plan: _Plan, workers: int) -> list[Moments]:
+    """Moments over images, tile by tile."""
+    done: list[Moments] = []
+    total = plan.crop[2] * plan.crop[3] * plan.realizations
+    finished = 0
+
+    def draw(block: tuple[slice, range]) -> tuple[tuple[slice, range], Array]:
+        return block, plan.draw(*block)
+
+    for (tile, images), u in map_in_order(draw, plan.blocks(), workers):
+        pixels = np.tile(plan.pixels(tile), (len(images), 1))
+        means = plan.waves.means(plan.strategy, pixels, u)
+        found = Moments.of(means.reshape(len(images), -1, len(CHANNELS)))
+        if images.start == 0:
+            done.append(found)
+        else:
+            done[-1] = done[-1].merge(found)
+        finished += len(pixels)
+        progress.report("render", finished / total)
+    return done
+
+
+def _as_dataset(moments: list[Moments], plan: _Plan, **provenance: Any) -> xr.Dataset:
+    left, top, width, height = plan.crop
+
+    def joined(name: str) -> tuple[tuple[str, ...], Array]:
+        parts = np.concatenate([getattr(m, name) for m in moments])
+        return ("y", "x", "channel"), parts.reshape(height, width, len(CHANNELS))
+
+    variables = {"image": joined("mean")}
+    if plan.realizations > 1:
+        variables |= {"variance": joined("variance"), "image_se": joined("mean_se")}
+    coords = {
+        "y": np.arange(top, top + height),
+        "x": np.arange(left, left + width),
+        "channel": list(CHANNELS),
+    }
+    return dataset(
+        variables,
+        coords,
+        strategy=plan.strategy,
+        sampler=plan.sampler.spec,
+        spp=plan.spp,
+        realizations=plan.realizations,
+        **provenance,
+    )
+
+
+def _as_crop(crop: object, waves: Wavefront) -> tuple[int, int, int, int]:
+    """Return x, y, width and height of a window inside the film."""
+    given = (0, 0, waves.width, waves.height) if crop is None else crop
+    if not isinstance(given, Sequence | np.ndarray) or isinstance(given, str) or len(given) != 4:
+        raise ParameterError(f"crop is {crop!r}; give four whole numbers: x, y, width, height.")
+    film = f"the film has {waves.width} × {waves.height} pixels"
+    try:
+        x = as_integer("x of the crop", given[0], least=0, most=waves.width - 1)
+        y = as_integer("y of the crop", given[1], least=0, most=waves.height - 1)
+        width = as_integer("width of the crop", given[2], least=1, most=waves.width - x)
+        height = as_integer("height of the crop", given[3], least=1, most=waves.height - y)
+    except ParameterError as error:
+        raise ParameterError(f"{str(error).rstrip('.')}; {film}.") from None
+    if width * height > _MOST_PIXELS:
+        raise ParameterError(
+            f"{width * height:.3g} pixels are too many for one image; crop it to {_MOST_PIXELS:.3g}."
+        )
+    return x, y, width, height
