@@ -22,6 +22,7 @@ from mcspectra.rendering import (
     project,
 )
 from mcspectra.rendering.builtin.figure1 import P, Q
+from mcspectra.rendering.builtin.penumbra import penumbra
 
 pytestmark = pytest.mark.render
 
@@ -39,7 +40,7 @@ SEEN = {
     "veach": {"wall": "wall", "floor": "floor", **{f"plate-{i}": f"plate-{i}" for i in range(4)}},
 }
 LIGHT = np.array([[-1.0, 2.0, -1.0], [1.0, 2.0, -1.0], [1.0, 2.0, 1.0], [-1.0, 2.0, 1.0]])
-RADIANCE, REFLECTANCE = 12.0, 0.5
+RADIANCE, REFLECTANCE = 9.0, 0.5
 SINGLE = 2e-6  # sixteen roundings of float32
 SIGMAS = 4.0
 
@@ -168,6 +169,27 @@ def test_smooth_edge_follows_its_profile(edge: float, strategy: str) -> None:
     # Bilinear texels: the profile's second derivative is at most 6/edge², a texel 2/256 wide.
     bilinear = 2 * (6.0 / edge**2) * (2 / 256) ** 2 / 8
     assert abs(means.mean() - exact) < SIGMAS * error + bilinear * exact
+
+
+SHADES: dict[str, set[str]] = {
+    "lit": set(),
+    "ball": {"ball"},
+    "both": {"ball", "rod"},
+    "rod": {"rod"},
+    "blades": {"blade-0", "blade-1"},
+}
+
+
+@pytest.mark.parametrize("name", list(SHADES))
+def test_penumbrae_are_those_of_their_occluders(name: str) -> None:
+    full, (x, y) = penumbra(), named_pixels("penumbra")[name]
+    u = jittered(64, realizations=1)[0]
+    seen = Pixel(scene=full, x=x, y=y)(u) > 0
+    assert name == "lit" or 0.2 < seen.mean() < 0.9
+    for shape in full.keys() - {"type", "sensor", "light", "floor"}:
+        without = {key: value for key, value in full.items() if key != shape}
+        changes = bool((seen != (Pixel(scene=without, x=x, y=y)(u) > 0)).any())
+        assert changes == (shape in SHADES[name])
 
 
 def test_edge_of_width_zero_is_the_constant_light() -> None:

@@ -24,7 +24,7 @@ P: Point = (-1.2, 0.0, 0.7)
 Q: Point = (0.9, 0.0, 0.4)
 """A point of the floor from which the occluder hides a part of the light."""
 
-_HEIGHT, _HALF_SIDE, _RADIANCE = 2.0, 1.0, 12.0
+_HEIGHT, _HALF_SIDE, _RADIANCE = 2.0, 1.0, 9.0
 _OCCLUDER: Point = (1.5, 1.0, 0.0)
 _OCCLUDER_HALF_SIDE, _OCCLUDER_DEGREES = 0.7, 25.0
 _FLOOR_HALF_SIDE, _REFLECTANCE = 6.0, 0.5

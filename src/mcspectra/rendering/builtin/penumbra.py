@@ -15,18 +15,18 @@ from mcspectra.rendering.builtin.parts import (
 
 __all__ = ["penumbra"]
 
-_LIGHT_Y, _LIGHT_HALF_SIDE, _RADIANCE = 3.0, 0.8, 25.0
+_LIGHT_Y, _LIGHT_HALF_SIDE, _RADIANCE = 3.0, 0.8, 16.0
 _BALL, _BALL_RADIUS = (-1.2, 1.0, 0.3), 0.4
 _ROD = ((-2.2, 0.7, 1.1), (0.2, 0.9, 1.3), 0.07)  # ends and radius
-_BLADES = (0.7, 1.1, 1.5)  # x of three parallel blades
+_BLADES = (0.6, 1.15, 1.7)  # x of three parallel blades
 
 
 @named_points(
     lit=(0.0, 0.0, 2.4),
-    ball=(-2.0, 0.0, 0.3),
-    both=(-1.5, 0.0, 1.1),
-    rod=(-0.9, 0.0, 1.6),
-    blades=(1.3, 0.0, 0.6),
+    ball=(-2.3, 0.0, 0.5),
+    both=(-1.5, 0.0, 1.28),
+    rod=(-0.6, 0.0, 1.6),
+    blades=(1.25, 0.0, 0.45),
 )
 def penumbra(*, width: int = 384, height: int = 256) -> dict[str, Any]:
     """A square light over a floor, behind a ball, a rod and three blades.
@@ -48,8 +48,8 @@ def penumbra(*, width: int = 384, height: int = 256) -> dict[str, Any]:
 
     Notes
     -----
-    The named pixel ``lit`` sees all of the light; ``ball``, ``rod`` and ``blades`` lie in the
-    penumbra of these, ``both`` in those of ball and rod.
+    The named pixel ``lit`` sees all of the light; ``ball`` and ``rod`` lie in the penumbra of the
+    one, ``both`` in those of both, and ``blades`` in those of blade-0 and blade-1.
     """
     light = rectangle((0, _LIGHT_Y, 0), (_LIGHT_HALF_SIDE, 0, 0), (0, 0, _LIGHT_HALF_SIDE))
     floor = rectangle((0, 0, 0), (6, 0, 0), (0, 0, -6))
