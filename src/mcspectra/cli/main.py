@@ -30,6 +30,7 @@ _VERBS = {
     "exact": "exact variance, where there is a closed form",
     "anova": "which axes the variance comes from, effective dimension",
     "modes": "which patterns of frequencies vary together",
+    "render": "render a scene's direct illumination: image, variance, EXR and PNG",
     "doctor": "what is installed and whether it works",
     "cite": "how to cite the package and its methods",
 }

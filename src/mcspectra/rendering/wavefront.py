@@ -105,7 +105,9 @@ class Wavefront:
             self.width, self.height = film_size(scene)
             self._emitter = None if light is None else find_emitter(scene, light)
             if not self._scene.emitters():
-                raise ParameterError(f"The scene {scene_name(scene)} has no lights; add an emitter.")
+                raise ParameterError(
+                    f"The scene {scene_name(scene)} has no lights; add an emitter."
+                )
             self.selects_lobe = any(_has_lobes(shape.bsdf()) for shape in self._scene.shapes())
         # Tiles are evaluated again and again with other points, so their first hits are kept.
         self._center_hits = functools.lru_cache(maxsize=4)(self._trace_centers)
