@@ -36,7 +36,9 @@ def test_every_verb_has_help_and_the_common_options(capsys, verb):
         assert option in out
 
 
-@pytest.mark.parametrize("kind", ["samplers", "randomizations", "densities", "integrands"])
+@pytest.mark.parametrize(
+    "kind", ["samplers", "randomizations", "densities", "integrands", "scenes"]
+)
 def test_list(capsys, kind):
     rows = run_json(capsys, "list", kind)
     assert all(row["name"] and row["summary"] for row in rows)

@@ -197,6 +197,8 @@ def test_edge_of_width_zero_is_the_constant_light() -> None:
     x, y = named_pixels("figure1")["P"]
     hard = Pixel(scene="figure1(edge=0)", x=x, y=y)
     np.testing.assert_array_equal(hard(u), pixel("P", "light")(u))
+    thin = Pixel(scene="figure1(edge=5e-324)", x=x, y=y, strategy="bsdf")  # less than a texel
+    np.testing.assert_allclose(thin(u), pixel("P", "bsdf")(u), rtol=1e-5)
 
 
 def test_sky_is_the_synthetic_one_with_its_first_row_up() -> None:

@@ -11,7 +11,7 @@ from mcspectra.core.checks import as_choice
 
 __all__ = ["add_arguments", "run"]
 
-_KINDS = ("samplers", "randomizations", "densities", "integrands")
+_KINDS = ("samplers", "randomizations", "densities", "integrands", "scenes")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,6 +48,10 @@ def _registry(kind: str) -> Any:
         from mcspectra.densities import DENSITIES
 
         return DENSITIES
+    if kind == "scenes":
+        from mcspectra.rendering import SCENES
+
+        return SCENES
     from mcspectra.integrands import INTEGRANDS
 
     return INTEGRANDS
@@ -78,8 +82,15 @@ def _described(kind: str, registry: Any, name: str) -> dict[str, Any]:
         p.name.rstrip("_") if p.default is p.empty else f"{p.name.rstrip('_')}={p.default!r}"
         for p in inspect.signature(cls).parameters.values()
     ]
-    row: dict[str, Any] = {"name": name, "summary": cls.summary(), "parameters": parameters}
+    row: dict[str, Any] = {"name": name, "summary": _summary(cls), "parameters": parameters}
     if kind == "samplers":
         facts = sampler_facts(name)
         row |= {"dims": facts.dims, "counts": facts.counts}
     return row
+
+
+def _summary(component: Any) -> str:
+    """First line of the docstring; scenes are functions."""
+    if isinstance(component, type):
+        return str(component.summary())  # type: ignore[attr-defined]
+    return (inspect.getdoc(component) or component.__name__).splitlines()[0]
