@@ -1,0 +1,213 @@
+"""Findings about densities: multiple importance sampling, colour channels, infinite weights, warps.
+
+Each function prints the numbers of its page of ``docs/findings`` and returns its figures by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+import mcspectra as mcs
+from benchmarks.finding_figures import (
+    Curve,
+    panels,
+    slopes,
+    small_legend,
+    variance_panel,
+    with_interval,
+)
+from mcspectra.estimators import split_mixture
+from mcspectra.report.figures import warp_maps
+from mcspectra.report.style import GRAY, INK, entitle
+
+__all__ = ["channels", "infinite_weights", "mis_slowest", "warps"]
+
+Figures = dict[str, Any]
+
+COUNTS, LARGE, LONG = (16, 64, 256, 1024), (64, 256, 1024, 4096), (4, 16, 64, 256, 1024, 4096)
+LIGHT = "piecewise-constant(values=[0, 0, 0, 1, 1, 0, 0, 0, 0, 0])"  # the light is [0.3, 0.5]
+PIXELS = np.array(
+    [[0.3, 0.4, 0.9], [0.2, 0.5, 1.0], [6.0, 1.0, 0.4], [14.0, 12.0, 7.0],
+     [0.6, 5.0, 0.8], [0.4, 0.7, 4.0], [0.1, 0.9, 0.3], [1.2, 0.3, 0.2]]
+)  # fmt: skip
+LUMINANCE = PIXELS @ np.array([0.2126, 0.7152, 0.0722])
+TABLE = [[1, 2, 4, 2], [1, 3, 9, 3], [2, 5, 8, 2], [1, 2, 3, 1]]
+WARPS = ("marginal", "hierarchical", "hilbert", "alias")
+
+
+def mis_slowest() -> Figures:
+    """The toy of two techniques, and what heuristics do to a technique that jumps at a light's edge."""
+    d = mcs.technique_terms(
+        mcs.TechniqueSum(["linear", "step(at=0.3)"], dims=1),
+        "jittered", COUNTS, half_width=4, realizations=1000, rng=1,
+    )  # fmt: skip
+    for t, (rate, theory) in enumerate(zip(d["technique_rate"], (-3, -2), strict=True)):
+        print(
+            f"technique {t}: rate {with_interval(rate, d['technique_rate_ci'][t])}, theory {theory}"
+        )
+    print(
+        f"sum: rate {with_interval(d['rate'], d['rate_ci'])}; bottleneck: {d.attrs['bottleneck']}"
+    )
+    fraction = 0.3 * np.array(COUNTS) % 1
+    exact = 1 / (12 * np.array(COUNTS) ** 3.0) + fraction * (1 - fraction) / np.array(COUNTS) ** 2.0
+    parts = [d.sel(technique=t) for t in (0, 1)]
+    figure, (left, right) = panels(1, 2, 3.0)
+    curves = {
+        "sum, formula": Curve(np.array(COUNTS), exact),
+        "sum": Curve.of(d, "measured_variance"),
+        "f = 1[x<0.3]": Curve.of(parts[1], "technique_variance"),
+        "f = x": Curve.of(parts[0], "technique_variance"),
+    }
+    variance_panel(left, curves, "each technique and their sum")
+    variance_panel(right, heuristics(), "MIS at the edge of a light, exact")
+    return {"mis-slowest": figure}
+
+
+def heuristics() -> dict[str, Curve]:
+    """Exact variances of a light of smooth brightness, sampled itself and uniformly."""
+    light = mcs.density(LIGHT, dims=1)
+    f = mcs.Integrand.from_function(
+        lambda x: np.where(light.pdf(x) > 0, 1 + x[..., 0], 0.0), dims=1, integral=0.28
+    )
+    curves = {}
+    for heuristic in ("balance", "power(beta=2)", "power(beta=4)", "maximum"):
+        e = mcs.MultipleImportance(f, [light, "uniform"], heuristic=heuristic)
+        values = np.array([mcs.exact_variance(e, "jittered", n) for n in LONG])
+        curves[heuristic] = Curve(np.array(LONG), values)
+        rates = ", ".join(f"{s:.2f}" for s in slopes(LONG, values))
+        print(f"{heuristic}: exact rates between n = 4, 16, …, 4096: {rates}")
+    return curves
+
+
+def toy_environment() -> tuple[Any, list[Any], Any]:
+    """Eight pixels of three channels times a cosine, each channel's density, and the luminance's."""
+    tables = [mcs.densities.PiecewiseConstant(values=PIXELS[:, c]) for c in range(3)]
+    scale, cells = PIXELS.mean(axis=0), np.diff(np.sin(np.pi * (np.arange(9) / 8 - 0.5)) / np.pi)
+    f = mcs.Integrand.from_function(
+        lambda x: (
+            np.stack([s * t.pdf(x) for s, t in zip(scale, tables, strict=True)], axis=-1)
+            * np.cos(np.pi * (x - 0.5))
+        ),
+        dims=1,
+        integral=PIXELS.T @ cells,
+    )
+    return f, tables, mcs.densities.PiecewiseConstant(values=LUMINANCE)
+
+
+def channels() -> Figures:
+    """Each channel of a toy environment map sampled by luminance and by its own density."""
+    ways = mcs.channel_estimators(*toy_environment())
+    figure, every = panels(1, 3, 2.6)
+    curves: list[dict[str, Curve]] = [{} for _ in every]
+    names = {"one": "luminance", "own": "own density", "mis": "MIS of the three"}
+    for way, name in names.items():
+        cost = sum(ways[way].counts)
+        counts = [n for n in (16, 32, 64, 128, 256, 512, 1024) if n * cost <= 1024]
+        d = mcs.convergence(ways[way], "jittered", counts, realizations=600, rng=1)
+        for c, color in enumerate(("red", "green", "blue")):
+            cell = d.sel(channel=c)
+            print(f"{color}, {name}: rate {with_interval(cell['rate'], cell['rate_ci'])}")
+            curve = Curve.of(cell)
+            curves[c][name] = Curve(cost * curve.x, curve.values, curve.interval)
+    for axes, of, color in zip(every, curves, ("red", "green", "blue"), strict=True):
+        variance_panel(axes, of, color, x="evaluations of f", limits=(1e-7, 1e-1))
+    return {"channels": figure}
+
+
+def infinite_weights() -> Figures:
+    """Var(S_0), which no number of realisations settles; what a defensive share does instead."""
+    n, sizes = 16, 2 ** np.arange(6, 19)
+    f, p = (
+        mcs.integrand("polynomial(coefficients=[0, 0, 1])", dims=1),
+        mcs.density("linear(slope=2)", dims=1),
+    )
+    figure, (left, right) = panels(1, 2, 2.9)
+    for seed in range(4):
+        x = mcs.sampler("random", dims=1).draw(n, realizations=int(sizes[-1]), rng=seed)
+        weights = 1 / p.pdf(p.sample(x)).reshape(-1, n)
+        spread = [n * weights[:r].mean(axis=1).var(ddof=1) for r in sizes]
+        left.plot(
+            sizes, spread, color=GRAY, lw=1, label="n Var(S₀), four runs" if not seed else None
+        )
+        print(
+            f"run {seed}: n Var(S_0) of 64 realisations {spread[0]:.2f}, of 262144 {spread[-1]:.2f}"
+        )
+    e = mcs.Estimator(f, p)
+    d = mcs.convergence(e, "random", [n], realizations=100_000, rng=1)
+    interval = 72 * n * d["variance_ci"].values[0]
+    print(f"72 n Var(I): exact 1, measured {72 * n * float(d['variance'][0]):.3f} "
+          f"({interval[0]:.3f} … {interval[1]:.3f})")  # fmt: skip
+    left.axhline(1, color=INK, lw=1.2, label="72 n Var(I), exact")
+    left.set(xscale="log", yscale="log", xlabel="realisations", ylabel="sample variance × n")
+    entitle(left, "f = x², p = 2x, random")
+    small_legend(left)
+    variance_panel(right, defensive(f, p), "jittered, defensive share 0.1", x="evaluations of f")
+    return {"infinite-weights": figure}
+
+
+def defensive(f: Any, p: Any) -> dict[str, Curve]:
+    """Exact variances of jittered points with p, a mixture by one coordinate, and a split."""
+    mixture = mcs.density("defensive(density='linear(slope=2)', share=0.1)", dims=1)
+    ways = {
+        "p alone": mcs.Estimator(f, p),
+        "mixture by a coordinate": mcs.Estimator(f, mixture),
+        "split 9 : 1": split_mixture(f, mixture),
+    }
+    curves = {}
+    for name, e in ways.items():
+        cost = sum(e.counts)
+        counts = np.array([16, 64, 256, 1024] if cost == 1 else [2, 7, 26, 102])
+        values = np.array([mcs.exact_variance(e, "jittered", int(n)) for n in counts])
+        curves[name] = Curve(cost * counts, values)
+        print(f"{name}: exact variance {values[-1]:.2e} at {cost * counts[-1]} evaluations, "
+              f"rate {slopes(counts, values)[-1]:.2f} before")  # fmt: skip
+    return curves
+
+
+def warps() -> Figures:
+    """Warps of one table and of a disk: maps, and variances of jittered points."""
+    specs = {w: f"piecewise-constant(values={TABLE}, warp={w!r})" for w in WARPS}
+    specs |= {"bilinear": f"bilinear(values={TABLE})"}
+    disks = {f"disk, {w}": f"disk(warp={w!r})" for w in ("polar", "concentric")}
+    maps = {}
+    for name, spec in (specs | disks).items():
+        maps[name] = mcs.warp_quality(spec, resolution=128)
+        values = ", ".join(
+            f"{what.replace('_', ' ')} {float(maps[name][what]):.2f}"
+            for what in ("jump_length", "mean_jump", "mean_stretch", "neighbor_expansion")
+        )
+        print(f"{name}: {values}")
+    chosen = {k: v for k, v in maps.items() if k not in ("bilinear",)}
+    f = mcs.integrand("gaussian(center=[0.6, 0.5], width=0.25)", dims=2)
+    inside = mcs.Integrand.from_function(
+        lambda x: np.where(
+            ((x - 0.5) ** 2).sum(-1) <= 0.25, np.exp(-3 * x[..., 0] - x[..., 1]), 0.0
+        ),
+        dims=2,
+    )
+    figure, (left, right) = panels(1, 2, 3.0)
+    counts = LARGE
+    variance_panel(left, _measured(f, specs, ["jittered"], counts), "a table of 4 × 4, jittered")
+    both = ["jittered", "jittered | shift"]
+    variance_panel(right, _measured(inside, disks, both, counts), "a disk")
+    return {"warps": warp_maps(chosen), "warps-variance": figure}
+
+
+def _measured(
+    f: Any, specs: dict[str, str], samplers: Sequence[str], counts: Sequence[int]
+) -> dict[str, Curve]:
+    """Convergence of f with each density and sampler, printed with intervals."""
+    curves = {}
+    for name, spec in specs.items():
+        for sampler in samplers:
+            d = mcs.convergence(mcs.Estimator(f, spec), sampler, counts, realizations=400, rng=1)
+            label = name + ", shifted" * sampler.endswith("shift")
+            curves[label] = Curve.of(d)
+            ratio = with_interval(d["variance"][-1], d["variance_ci"][-1], ".2e")
+            print(
+                f"{label}: rate {with_interval(d['rate'], d['rate_ci'])}, variance {ratio} at {counts[-1]}"
+            )
+    return curves

@@ -1,0 +1,206 @@
+"""The numbers and figures of ``docs/findings``: ``python -m benchmarks findings --plot`` makes both.
+
+Each function prints the numbers of one page, intervals at 95 %, and returns its figures by name.
+With ``--plot`` the lines go to ``docs/findings/numbers.txt`` as well, which is what the pages may quote.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import mcspectra as mcs
+from benchmarks.finding_densities import channels, infinite_weights, mis_slowest, warps
+from benchmarks.finding_figures import (
+    Curve,
+    draw_curves,
+    interval_panel,
+    panels,
+    slopes,
+    small_legend,
+    variance_panel,
+    with_interval,
+)
+from mcspectra.report.axes import log_axis
+from mcspectra.report.style import ACCENT, INK, entitle
+
+__all__ = ["FOLDER", "PAGES", "main"]
+
+FOLDER = Path(__file__).parents[1] / "docs" / "findings"
+Figures = dict[str, Any]
+
+LARGE = (64, 256, 1024, 4096)
+SMOOTH, EDGE = "christensen-gaussian", "half-space(normal=[1, 0.618], offset=0.7)"
+
+
+def homogenisation() -> Figures:
+    """The six convergence plots, a smooth integrand and one with an edge inside in each."""
+    studies = {
+        name: mcs.mirror_study(
+            f, "jittered", LARGE, mirrorings=["original", "random", "uniform"],
+            realizations=400, rng=1,
+        )
+        for name, f in (("smooth", SMOOTH), ("edge", EDGE))
+    }  # fmt: skip
+    figure, every = panels(3, 2, 2.1)
+    cells = [(m, h) for m in ("original", "random", "uniform") for h in (False, True)]
+    theory = {"original": (-2, -1.5), "uniform": (-2, -2), "random": (-1, -1)}
+    for axes, (mirroring, homogenized) in zip(every, cells, strict=True):
+        curves = {}
+        for name, study in studies.items():
+            cell = study.sel(mirroring=mirroring, homogenized=homogenized)
+            rate = f"{float(cell['rate']):.2f}".replace("-", "−")
+            curves[f"{name}, rate {rate}"] = Curve.of(cell)
+            limit = theory[mirroring][homogenized]
+            expected = limit if name == "smooth" else max(limit, -1.5)
+            print(
+                f"{mirroring}, {'shifted' if homogenized else 'not shifted'}, {name}: "
+                f"rate {with_interval(cell['rate'], cell['rate_ci'])}, theory {expected}"
+            )
+        title = f"{'mirror-' * (mirroring != 'original')}{mirroring}{', shifted' * homogenized}"
+        variance_panel(axes, curves, title, limits=(1e-9, 1e-2))
+    for axes in every[:4]:
+        axes.set_xlabel("")
+    mirrored = mcs.Mirrored(SMOOTH, "uniform")
+    exact = np.array([mcs.exact_variance(mirrored, "jittered | shift", n) for n in LARGE])
+    local = ", ".join(f"{rate:.2f}" for rate in slopes(LARGE, exact))
+    print(f"uniform, shifted, smooth: exact rates between the counts {local}")
+    return {"homogenisation-and-mirroring": figure}
+
+
+def alignment() -> Figures:
+    """A step's variance against the offset, exact and measured; two edges that no offset serves."""
+    step, bar = (
+        mcs.integrand(s, dims=1) for s in ("step(at=0.3)", "disk(center=0.47, radius=0.27)")
+    )
+    places = np.arange(16) / 16
+    exact = mcs.strata_shift_scan(step, "jittered", 16, offsets=64)
+    measured = mcs.strata_shift_scan(
+        step, "jittered", 16, offsets=places, method="measured", realizations=4000, rng=1
+    )
+    least = exact["variance"].squeeze()
+    print(
+        f"step, n = 16: n² Var from {256 * float(least.min()):.4f} to {256 * float(least.max()):.4f}"
+    )
+    best = mcs.best_alignment(bar, "jittered", 16, edges=[0.2, 0.74], realizations=1000, rng=1)
+    for name in best["candidate"].values:
+        row = best.sel(candidate=name)
+        ratio = with_interval(row["variance_ratio"], row["variance_ratio_ci"], ".2g")
+        print(f"edges at 0.2 and 0.74, {name}: variance / unshifted {ratio}")
+    figure, (left, right) = panels(1, 2, 2.7)
+    left.plot(exact["offset0"], 256 * least, color=INK, lw=1, label="exact")
+    ci = 256 * measured["variance_ci"].squeeze().values
+    left.vlines(places, *ci.T, color=ACCENT, lw=1.4, label="measured, 95 %")
+    left.set(xlabel="offset of strata, in sides", ylabel="n² × variance")
+    entitle(left, "1[x<0.3], n = 16")
+    small_legend(left)
+    scan = mcs.strata_shift_scan(bar, "jittered", 16, offsets=64)
+    right.plot(scan["offset0"], 256 * scan["variance"].squeeze(), color=INK, lw=1)
+    right.axhline(0, color=ACCENT, lw=1.6, label="aligned strata")
+    right.set(xlabel="offset of strata, in sides", ylabel="n² × variance")
+    entitle(right, "1[0.2<x<0.74], n = 16")
+    small_legend(right)
+    return {"alignment": figure}
+
+
+def smoothing() -> Figures:
+    """Squared error of a disk against the width of its edge, and the best width of each budget."""
+    widths = [0.005, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1, 0.14, 0.2, 0.28]
+    d = mcs.smoothing_scan(
+        "disk(center=0.47)", "jittered", (64, 256, 1024), [0, *widths], realizations=1000, rng=1
+    )
+    figure, (axes,) = panels(1, 1, 3.2)
+    curves = {}
+    for n in d["n"].values:
+        cell = d.sel(n=n)
+        low, high = (f"{w:g}" for w in cell["best_width_range"].values)
+        ratio = float(cell["mse"].sel(width=0) / cell["mse"].min())
+        print(
+            f"n = {n}: best width {float(cell['best_width']):g} ({low} … {high}), "
+            f"mean squared error {ratio:.1f} times lower than with the edge"
+        )
+        curves[f"n = {n}"] = Curve.of(cell.sel(width=widths), "mse", "width")
+    for width in (0, 0.05, 0.1, 0.2):
+        cell = d.sel(width=width)
+        print(
+            f"width {width:g}: rate of the variance {with_interval(cell['rate'], cell['rate_ci'])}"
+        )
+    curves["bias²"] = Curve(np.array(widths), d["bias_squared"].sel(width=widths).values)
+    draw_curves(axes, curves)
+    log_axis(axes, "x", widths[0], widths[-1])
+    log_axis(axes, "y", 2e-7, 1e-3)
+    axes.set(xlabel="width of the edge", ylabel="mean squared error")
+    entitle(axes, "a disk of radius 0.25, jittered")
+    small_legend(axes)
+    return {"smoothing": figure}
+
+
+def remedies() -> Figures:
+    """Remedies of three set-ups: a shift, a jump inside, a slow technique."""
+    mis = mcs.MultipleImportance(
+        mcs.integrand("polynomial(coefficients=[0.5, 0, 1])", dims=1),
+        ["uniform", "piecewise-constant(values=[1, 2, 3])"],
+    )
+    setups = {
+        "smooth, shifted": (SMOOTH, "jittered | shift"),
+        "edge inside": ("disk(center=0.47)", "jittered"),
+        "slow technique": (mis, "jittered"),
+    }
+    found = {}
+    for name, (estimator, sampler) in setups.items():
+        d = mcs.remedies(estimator, sampler, 1024, realizations=1000, rng=1)
+        print(f"{name}: {d.attrs['diagnosis']}")
+        for remedy in d["remedy"].values:
+            row = d.sel(remedy=remedy)
+            print(f"  {remedy}: error ratio {with_interval(row['error_ratio'], row['error_ratio_ci'], '.3g')}, "
+                  f"rate {with_interval(row['rate'], row['rate_ci'])}, {row['verdict'].item()}")  # fmt: skip
+        print(f"  {d.attrs['recommendation']}")
+        found[name] = d
+    figure, every = panels(3, 1, 3.2)
+    for axes, (name, d) in zip(every, found.items(), strict=True):
+        ratio = d["error_ratio"].values
+        interval_panel(
+            axes, d["remedy"].values, ratio, d["error_ratio_ci"].values, d["verdict"].values
+        )
+        entitle(axes, name)
+    return {"remedies": figure}
+
+
+PAGES: dict[str, Callable[[], Figures]] = {
+    "mis-slowest": mis_slowest,
+    "homogenisation-and-mirroring": homogenisation,
+    "alignment": alignment,
+    "smoothing": smoothing,
+    "channels": channels,
+    "infinite-weights": infinite_weights,
+    "warps": warps,
+    "remedies": remedies,
+}
+"""What makes the figures of each page."""
+
+
+def main(*flags: str) -> None:
+    """Print all numbers; with ``--plot`` save them and the figures."""
+    kept = []
+    for page, make in PAGES.items():
+        lines = io.StringIO()
+        with contextlib.redirect_stdout(lines):
+            figures = make()
+        text = f"{page}\n" + "".join(f"  {line}\n" for line in lines.getvalue().splitlines())
+        print(text, end="", flush=True)
+        kept.append(text)
+        if "--plot" in flags:
+            for name, figure in figures.items():
+                figure.savefig(FOLDER / f"{name}.png", dpi=120)
+    if "--plot" in flags:
+        (FOLDER / "numbers.txt").write_text("".join(kept), encoding="utf-8")
+        print(f"drawn to {FOLDER.relative_to(FOLDER.parents[1])}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,196 @@
+"""The pages on findings: linked, illustrated, quoting what was printed, and the statements themselves."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+
+FOLDER = Path(__file__).parents[2] / "docs" / "findings"
+PAGES = sorted(page.name for page in FOLDER.glob("*.md") if page.name != "index.md")
+FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\]\(([^)#]+)\)")
+# Decimals, powers of ten and signed numbers: what is measured. Counts, dims and exponents are not.
+NUMBER = re.compile(r"(?<![\w.])(?:-\d+(?:\.\d+)?|\d+\.\d+)(?:e[-+]\d+)?(?![\w.]*\d)")
+SMOOTH = mcs.integrand("christensen-gaussian")
+
+
+def _text(name):
+    return (FOLDER / name).read_text(encoding="utf-8").replace("−", "-")
+
+
+def _unsupported(page, printed):
+    """Numbers in the prose of a page that neither its code nor the benchmark printed."""
+    shown = set(NUMBER.findall("\n".join(FENCE.findall(page)) + printed))
+    prose = LINK.sub("", FENCE.sub("", page))
+    return [number for number in NUMBER.findall(prose) if number not in shown]
+
+
+def test_the_index_links_to_every_page_and_to_nothing_else():
+    linked = {target for target in LINK.findall(_text("index.md")) if target.endswith(".md")}
+    assert linked == set(PAGES)
+    assert len(PAGES) == 8
+
+
+@pytest.mark.parametrize("name", ["index.md", *PAGES])
+def test_links_and_figures_exist(name):
+    for target in LINK.findall(_text(name)):
+        assert (FOLDER / target).is_file(), target
+
+
+def test_every_figure_is_shown_on_a_page():
+    shown = {target for name in PAGES for target in LINK.findall(_text(name))}
+    assert {figure.name for figure in FOLDER.glob("*.png")} <= shown
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_has_its_parts_and_is_short(name):
+    page = _text(name)
+    assert len(page.splitlines()) <= 80
+    for part in ("**Statement.**", "**Why.**", "```python\n>>> ", ".png)", "## What to do"):
+        assert part in page
+    assert page.rstrip().splitlines()[-1].startswith(("* ", "  "))  # advice, as a list
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_numbers_were_printed(name):
+    assert _unsupported(_text(name), _text("numbers.txt")) == []
+
+
+def test_a_number_that_nothing_printed_is_found():
+    page = "The rate is -1.5, not -1.7 or 0.25.\n```python\n>>> rate\n-1.5\n```\n"
+    assert _unsupported(page, "technique 0: 0.25 (0.2 … 0.3)") == ["-1.7"]
+
+
+def test_numbers_of_every_page_are_kept():
+    sections = re.findall(r"^\S+$", _text("numbers.txt"), re.MULTILINE)
+    assert sorted(f"{section}.md" for section in sections) == PAGES
+
+
+def test_intervals_hold_their_estimates():
+    found = re.findall(r"(-?[\d.e+-]+) \((-?[\d.e+-]+) … (-?[\d.e+-]+)\)", _text("numbers.txt"))
+    assert len(found) > 100
+    for value, low, high in found:
+        assert float(low) <= float(value) <= float(high)
+
+
+def _rate(estimator, sampler, low, high):
+    a, b = (mcs.exact_variance(estimator, sampler, n) for n in (low, high))
+    return np.log(b / a) / np.log(high / low)
+
+
+def _light_edge(heuristic):
+    """A smooth light on [0.3, 0.5], sampled itself and uniformly: only the latter jumps."""
+    light = mcs.density("piecewise-constant(values=[0, 0, 0, 1, 1, 0, 0, 0, 0, 0])", dims=1)
+    f = mcs.Integrand.from_function(
+        lambda x: np.where(light.pdf(x) > 0, 1 + x[..., 0], 0.0), dims=1, integral=0.28
+    )
+    return mcs.MultipleImportance(f, [light, "uniform"], heuristic=heuristic)
+
+
+@pytest.mark.parametrize("beta", [1, 2, 4])
+def test_the_power_heuristic_only_delays_the_slow_technique(beta):
+    """Exactly: jumps of (1 + x) p_u^(β-1)/(p_u^β + p_l^β) at both edges leave, with p_l = 5,
+    Σ ({an}(1 − {an})/n²) jump², up to what the smooth rest adds, O(n⁻³)."""
+    e, n = _light_edge(f"power(beta={beta})"), 16384
+    cuts = np.array([0.3, 0.5]) * n % 1
+    jumps = np.array([1.3, 1.5]) / (1 + 5.0**beta)
+    expected = float((cuts * (1 - cuts) * jumps**2).sum()) / n**2
+    variance = mcs.exact_variance(e, "jittered", n)
+    rest = mcs.exact_variance(_light_edge("maximum"), "jittered", n)
+    assert variance == pytest.approx(expected + rest, rel=0.05)
+    assert _rate(e, "jittered", 4, 16) > (-2.5 if beta < 4 else -3.1)
+    assert _rate(_light_edge("maximum"), "jittered", 4, 16) == pytest.approx(-3.0, abs=1e-6)
+
+
+def test_larger_powers_are_lower_and_slow_down_later():
+    """Where the rate passes −2.5: at once for balance, after hundreds of points for β = 4."""
+    early = [_rate(_light_edge(f"power(beta={b})"), "jittered", 4, 16) for b in (1, 4)]
+    late = [_rate(_light_edge(f"power(beta={b})"), "jittered", 1024, 4096) for b in (1, 4)]
+    assert early[0] > -2.5 > early[1]
+    assert min(late) > -2.5
+
+
+def test_importance_sampling_alone_removes_a_boundary_jump():
+    """p nearly proportional to f: g wraps around with a small jump, and a shift costs little."""
+    tilted = "product(parts=['linear(slope=-0.9)', 'linear(slope=-0.9)'])"
+    plain, sampled = mcs.Estimator(SMOOTH), mcs.Estimator(SMOOTH, tilted)
+    jumps = [
+        float(mcs.primary_picture(e)["primary_jump_height"].sel(kind="boundary"))
+        for e in (plain, sampled)
+    ]
+    assert jumps[1] < 0.1 * jumps[0]
+    curves = mcs.convergence([plain, sampled], "jittered | shift", [256], realizations=400, rng=1)
+    (low, _), (_, high) = curves["variance_ci"].values[:, 0]
+    assert high < 0.1 * low
+
+
+def test_interior_edges_keep_their_rate_under_every_mirroring():
+    """An oblique edge, 2-D: −1.5 within 4 σ of the fit, and −1 for coins."""
+    study = mcs.mirror_study(
+        "half-space(normal=[1, 0.618], offset=0.7)", "jittered", [256, 1024, 4096],
+        mirrorings=["original", "random", "uniform"], realizations=300, rng=3,
+    )  # fmt: skip
+    for name, rate in (("original", -1.5), ("random", -1.0), ("uniform", -1.5)):
+        for homogenized in (False, True):
+            cell = study.sel(mirroring=name, homogenized=homogenized)
+            sigma = float(cell["rate_ci"][1] - cell["rate_ci"][0]) / 3.92
+            # Coins leave n^-1 and a rest of n^-1.5: the fit lies between
+            slack = 0.05 if name == "random" else 0.0
+            assert abs(float(cell["rate"]) - rate) < 4 * sigma + slack
+
+
+def test_a_mixture_by_a_coordinate_costs_the_rate_and_a_split_keeps_it():
+    """f = x², p = 2x with a tenth of uniform points, jittered; whole n · share: on a border."""
+    f = mcs.integrand("polynomial(coefficients=[0, 0, 1])", dims=1)
+    safe = mcs.density("defensive(density='linear(slope=2)', share=0.1)", dims=1)
+    mixed, split = mcs.Estimator(f, safe), mcs.estimators.split_mixture(f, safe)
+    assert _rate(mixed, "jittered", 64, 256) == pytest.approx(-2.0, abs=0.1)
+    assert _rate(mixed, "jittered", 80, 320) == pytest.approx(-3.0, abs=0.1)
+    assert _rate(split, "jittered", 7, 28) == pytest.approx(-3.0, abs=0.1)
+    assert mcs.exact_variance(split, "jittered", 25) < 0.05 * mcs.exact_variance(
+        mixed, "jittered", 256
+    )
+
+
+def test_random_points_do_not_see_the_warp():
+    """Four warps of one table: random variances are those of p alone."""
+    table = [[1, 2], [3, 1]]
+    f = mcs.integrand("gaussian(center=0.4)", dims=2)
+    curves = mcs.convergence(
+        [
+            mcs.Estimator(f, f"piecewise-constant(values={table}, warp={warp!r})")
+            for warp in ("marginal", "hierarchical", "hilbert", "alias")
+        ],
+        "random", [64], realizations=2000, rng=2,
+    )  # fmt: skip
+    p = mcs.density(f"piecewise-constant(values={table})", dims=2)
+    u = (np.arange(512) + 0.5) / 512
+    x = np.stack(np.meshgrid(u, u, indexing="ij"), axis=-1)
+    exact = (np.mean(f(x) ** 2 / p.pdf(x)) - np.mean(f(x)) ** 2) / 64
+    low, high = np.log(curves["variance_ci"].values[:, 0]).T
+    pull = np.log(curves["variance"].values[:, 0] / exact) / ((high - low) / 3.92)
+    assert np.abs(pull).max() < 4
+
+
+def test_polar_wraps_around_on_two_sides_and_concentric_on_none():
+    """What a shift meets: one pair of sides with a jump against two, and the larger variance."""
+    f = mcs.Integrand.from_function(
+        lambda x: np.where(((x - 0.5) ** 2).sum(-1) <= 0.25, np.exp(x @ [-3, -1]), 0.0), dims=2
+    )
+    curves = {}
+    for warp, sides in (("polar", 1), ("concentric", 2)):
+        e = mcs.Estimator(f, f"disk(warp={warp!r})")
+        jumps = mcs.primary_picture(e, resolution=32)["primary_jump_length"]
+        assert float(jumps.sel(kind="boundary")) == sides
+        assert float(jumps.sel(kind="interior")) == 0
+        curves[warp] = mcs.convergence(
+            e, ["jittered", "jittered | shift"], [256], realizations=400, rng=4
+        )["variance_ci"].values[:, 0]
+    (plain, shifted), (plain_c, shifted_c) = curves["polar"], curves["concentric"]
+    assert plain_c[1] < plain[0]
+    assert shifted[1] < shifted_c[0]
