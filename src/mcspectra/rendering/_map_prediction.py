@@ -1,0 +1,165 @@
+"""Variance predicted from values of the integrand alone, for many pixels by one table of samples.
+
+*Jittered* points: Var = n⁻² Σ_j Var_j(g) over the strata j, each Var_j = ∫g² − (∫g)² from pairs of
+independent samples in the cells of a grid in the stratum. The square of ∫g is the product of the two means, so
+that the prediction is unbiased; its standard error comes from two such predictions a stratum.
+
+*Random* points: Var = (∫g² − (∫g)²)/n on a midpoint grid.
+
+Other samplers of two dims: Var = Σ_{m≠0} |g_m|² ⟨|S_m|²⟩, the power term, with g_m from the FFT of
+a midpoint grid, onto whose frequencies those beyond are folded. It is exact up to the grid where
+the last step of the sampler is a shift; otherwise it lacks the cross term. Grids of half the
+resolution give the standard error of both, a power without a closed form adds its own.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field
+from typing import Any, Protocol, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import NoClosedForm
+from mcspectra.core.streams import Stream
+from mcspectra.samplers import Jittered, Random, Sampler
+
+__all__ = ["Prediction", "prediction_for"]
+
+_REPEATS = 2  # predictions a stratum, for their standard error
+_CELLS = 1024  # of all strata, about; each has 2 or more along each axis
+_GRIDS = {2: 64, 3: 16}  # dims to midpoints along each axis, an even number
+_POWER_REALIZATIONS = 1024
+
+
+class Prediction(Protocol):
+    """How the variance of `n` points of a sampler is predicted."""
+
+    @property
+    def method(self) -> str:
+        """Name: strata, random or spectrum."""
+
+    @property
+    def samples(self) -> Array:
+        """Where the integrand is needed, (N, dims)."""
+
+    def variance(self, values: Array) -> tuple[Array, Array]:
+        """Variance and its standard error (P,) from values (N, P) at the samples."""
+
+
+def prediction_for(sampler: Sampler, n: int, stream: Stream) -> Prediction | None:
+    """Return how to predict the variance of `n` points; None where it is not known."""
+    if isinstance(sampler, Jittered):
+        return _Strata.of(sampler.sides(n), stream)
+    if isinstance(sampler, Random):
+        return _Grid(method="random", count=n, samples=_midpoints(sampler.dims))
+    if sampler.dims != 2:
+        return None
+    power, se = _grid_power(sampler, n, stream)
+    return _Grid(method="spectrum", count=n, samples=_midpoints(2), power=power, power_se=se)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class _Strata:
+    """Strata in the order of samples: (repeat, pair, stratum, cell)."""
+
+    strata: int
+    samples: Array = field(repr=False)
+    method: str = "strata"
+
+    @staticmethod
+    def of(sides: tuple[int, ...], stream: Stream) -> _Strata:
+        dims, strata = len(sides), int(np.prod(sides))
+        cells = max(2, round((_CELLS / strata) ** (1.0 / dims)))
+        fine = tuple(cells * side for side in sides)
+        count = strata * cells**dims
+        sampler = Jittered(dims=dims, sides_=fine)
+        u = sampler.draw_stream(count, stream, 0, 2 * _REPEATS)
+        cell = np.floor(u[0] * fine).astype(np.int64) // cells
+        order = np.argsort(np.ravel_multi_index(tuple(cell.T), sides), kind="stable")
+        return _Strata(strata=strata, samples=u[:, order].reshape(-1, dims))
+
+    def variance(self, values: Array) -> tuple[Array, Array]:
+        g = values.reshape(_REPEATS, 2, self.strata, -1, values.shape[-1])
+        means = g.mean(axis=3)
+        own = (g**2).mean(axis=(1, 3)) - means[:, 0] * means[:, 1]
+        difference = own[0] - own[1]
+        predicted = own.mean(axis=0).sum(axis=0) / self.strata**2
+        return predicted, np.sqrt((difference**2).sum(axis=0)) / (2.0 * self.strata**2)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class _Grid:
+    """Values on a midpoint grid, and the power of the points there; None is random points."""
+
+    method: str
+    count: int
+    samples: Array = field(repr=False)
+    power: Array | None = field(repr=False, default=None)  # entry m is frequency m, also < 0
+    power_se: Array = field(repr=False, default_factory=lambda: np.zeros(()))
+
+    def variance(self, values: Array) -> tuple[Array, Array]:
+        """Variance, its error from the grids of half the resolution and from that of the power."""
+        dims = self.samples.shape[-1]
+        grid = values.reshape(*[_GRIDS[dims]] * dims, -1)
+        if self.power is None:
+            offsets = itertools.product((0, 1), repeat=dims)
+            quarters = [grid[tuple(slice(k, None, 2) for k in each)] for each in offsets]
+            plain = [q.reshape(-1, q.shape[-1]).var(axis=0) / self.count for q in quarters]
+            whole: Array = values.var(axis=0) / self.count
+            return whole, _error_of_mean(plain)
+        energy = _energy(grid)
+        parts = [
+            _sum(self.power, _energy(grid[i::2, j::2]))
+            for i, j in itertools.product((0, 1), repeat=2)
+        ]
+        # The powers of m and −m are one number: their errors add up, those of other pairs do not.
+        doubled = np.sqrt(2.0 * _sum(self.power_se**2, energy**2))
+        return _sum(self.power, energy), np.hypot(_error_of_mean(parts), doubled)
+
+
+def _error_of_mean(parts: list[Array]) -> Array:
+    error: Array = np.std(parts, axis=0, ddof=1) / np.sqrt(len(parts))
+    return error
+
+
+def _energy(grid: Array) -> Array:
+    """|g_m|² of values (side, side, P), 0 at m = 0."""
+    energy: Array = np.abs(np.fft.fft2(grid, axes=(0, 1)) / len(grid) ** 2) ** 2
+    energy[0, 0] = 0.0
+    return energy
+
+
+def _sum(power: Array, energy: Array) -> Array:
+    """Sum of energy times power over the frequencies of the energy, of its own or a finer grid."""
+    side = len(energy)
+    m = np.fft.fftfreq(side, 1.0 / side).astype(int)
+    return np.tensordot(power[np.ix_(m, m)], energy, axes=2)
+
+
+def _midpoints(dims: int) -> Array:
+    axis = (np.arange(_GRIDS[dims]) + 0.5) / _GRIDS[dims]
+    return np.stack(np.meshgrid(*[axis] * dims, indexing="ij"), axis=-1).reshape(-1, dims)
+
+
+def _grid_power(sampler: Sampler, n: int, stream: Stream) -> tuple[Array, Array]:
+    """Expected power at the frequencies of the grid's FFT, in its order, and its standard error."""
+    from mcspectra.spectra.closed_forms import closed_form_power
+    from mcspectra.spectra.power import power_spectrum
+
+    side = _GRIDS[2]
+    m = np.fft.fftfreq(side, 1.0 / side)
+    frequencies = np.stack(np.meshgrid(m, m, indexing="ij"), axis=-1)
+    try:
+        known = closed_form_power(sampler, n, frequencies)
+    except NoClosedForm:
+        seed, half = np.random.SeedSequence(stream.key), side // 2
+        options: dict[str, Any] = {"half_width": half, "realizations": _POWER_REALIZATIONS}
+        spectrum = power_spectrum(sampler, n, rng=seed, **options)
+        both = (spectrum[name].values[:-1, :-1] for name in ("power", "power_se"))
+        power, se = (np.fft.ifftshift(each) for each in both)
+        return power, se
+    return known, np.zeros_like(known)

@@ -1,0 +1,115 @@
+"""From the variances of an image's pixels to the labelled maps."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.results import dataset
+from mcspectra.core.streams import RngLike
+from mcspectra.rendering import _map_statistics as statistics
+from mcspectra.rendering._map_checks import Window
+from mcspectra.rendering._map_kernel import RECEIVER
+from mcspectra.rendering._map_tiles import Measurement
+from mcspectra.rendering.scenes import scene_name
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["labelled"]
+
+Maps = dict[str, Array]
+
+_SHARES = ("mis-light", "mis-bsdf")
+_SINGLE = ("light", "bsdf")
+_DIMS = {
+    "variance": ("strategy", "n", "y", "x"),
+    "variance_relative_se": ("strategy", "n", "y", "x"),
+    "mean": ("strategy", "y", "x"),
+    "mean_se": ("strategy", "y", "x"),
+    "rate": ("strategy", "y", "x"),
+    "rate_se": ("strategy", "y", "x"),
+    "rate_ci": ("strategy", "y", "x", "bound"),
+    "fit_chi2": ("strategy", "y", "x"),
+    "bottleneck": ("y", "x"),
+    "dominant_technique": ("y", "x"),
+    "mis_gain": ("y", "x"),
+    "mis_gain_ci": ("y", "x", "bound"),
+    "predicted_ratio": ("strategy", "y", "x"),
+    "predicted_ratio_ci": ("strategy", "y", "x", "bound"),
+}
+
+
+def labelled(
+    measurement: Measurement, window: Window, maps: Maps, smoothing: int, rng: RngLike
+) -> xr.Dataset:
+    """Make the dataset of a map from the arrays (…, y, x) of all tiles."""
+    x0, y0, width, height = window
+    lighting, prediction = measurement.lighting, measurement.prediction()
+    found = _variables(measurement, maps, smoothing)
+    return dataset(
+        {name: (_DIMS[name], values) for name, values in found.items()},
+        {
+            "strategy": list(measurement.strategies),
+            "n": ("n", list(measurement.counts), {"long_name": "number of points", "units": "1"}),
+            "y": ("y", np.arange(y0, y0 + height), {"long_name": "row", "units": "pixels"}),
+            "x": ("x", np.arange(x0, x0 + width), {"long_name": "column", "units": "pixels"}),
+            "bound": ["low", "high"],
+        },
+        scene=scene_name(lighting.scene),
+        sampler=measurement.sampler.spec,
+        realizations=measurement.realizations,
+        light="all" if lighting.light is None else lighting.light,
+        heuristic=lighting.heuristic,
+        channel=lighting.channel,
+        points="own" if measurement.own else "shared",
+        smoothing=smoothing,
+        size=list(lighting.size),
+        crop=list(window),
+        prediction=None if prediction is None else prediction.method,
+        pixels_measured=int((maps["status"] == RECEIVER).sum()),
+        stream_key=f"{measurement.stream.key:#x}",
+        seed=rng if isinstance(rng, int) else None,
+    )
+
+
+def _variables(measurement: Measurement, maps: Maps, smoothing: int) -> Maps:
+    variance, relative_se = maps["variance"], maps["relative_se"]
+    fits = statistics.fit_lines(np.array(measurement.counts), variance, relative_se, maps["mean"])
+    rate, rate_se = statistics.smooth(fits.rate, fits.rate_se, smoothing, measurement.own)
+    found = {
+        "variance": variance,
+        "variance_relative_se": relative_se,
+        "mean": maps["mean"][:, -1],
+        "mean_se": np.sqrt(variance[:, -1] / measurement.realizations),
+        "rate": rate,
+        "rate_se": rate_se,
+        "rate_ci": statistics.interval(rate, rate_se),
+        "fit_chi2": fits.chi2,
+    }
+    row = {name: i for i, name in enumerate(measurement.strategies)}
+    if "mis" in row:
+        shares = [row[name] for name in _SHARES]
+        found["bottleneck"] = statistics.slowest(found["rate_ci"][shares])
+        last = (variance[shares, -1], relative_se[shares, -1])
+        found["dominant_technique"] = statistics.dominant(*last)
+    if row.keys() >= {"mis", *_SINGLE}:
+        single, mis = (fits.of(rows) for rows in ([row[s] for s in _SINGLE], [row["mis"]]))
+        total = measurement.counts[-1]
+        found["mis_gain"], found["mis_gain_ci"] = statistics.gain(single, mis, total)
+    if np.isfinite(maps["predicted"]).any():
+        found |= _predicted(maps)
+    return found
+
+
+def _predicted(maps: Maps) -> Maps:
+    """Predicted over measured variance at the largest count, both uncertain."""
+    predicted, measured = maps["predicted"], maps["variance"][:, -1]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        error = np.hypot(maps["predicted_se"] / predicted, maps["relative_se"][:, -1])
+        log_ratio = np.log(predicted) - np.log(measured)
+        log_ratio[~np.isfinite(log_ratio)] = np.nan
+        value, ci = statistics.ratio(log_ratio, error)
+    return {"predicted_ratio": value, "predicted_ratio_ci": ci}

@@ -1,0 +1,202 @@
+"""What is made of variances over an image: rates, the technique that decides them, gains of MIS.
+
+All of it is one weighted least-squares fit of log variance against log n a pixel, as
+`mcspectra.variance.fit` does it for one curve: weights from the relative standard errors, intervals
+widened by the lack of fit. Arrays are (strategy, n, y, x) and (strategy, y, x).
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.estimators.moments import CONFIDENCE_Z
+
+__all__ = [
+    "UNDECIDED",
+    "LineFits",
+    "dominant",
+    "fit_lines",
+    "gain",
+    "interval",
+    "ratio",
+    "slowest",
+    "smooth",
+]
+
+UNDECIDED = -1.0
+
+_ULPS = 4.0  # of float32: below, variances are the rounding of Mitsuba's values
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class LineFits:
+    """Lines log V = level + rate · (log n − centre), one for every strategy and pixel.
+
+    Attributes
+    ----------
+    rate, rate_se
+        Slopes and their standard errors; NaN where fewer than two variances could be fitted, or one
+        was zero at a smaller n than others: too few realisations for what is rare.
+    level, level_se
+        Log variance at the centre, which is independent of the slope.
+    centre
+        Weighted mean of log n.
+    chi2
+        Lack of fit, χ² per degree of freedom; NaN for two variances.
+    """
+
+    rate: Array
+    rate_se: Array
+    level: Array
+    level_se: Array
+    centre: Array
+    chi2: Array
+
+    def of(self, rows: list[int]) -> LineFits:
+        """Return the lines of some strategies."""
+        return LineFits(**{name: getattr(self, name)[rows] for name in self.__dataclass_fields__})
+
+    def at(self, n: float) -> tuple[Array, Array]:
+        """Return log variance at `n` and its standard error."""
+        step = np.log(n) - self.centre
+        return self.level + self.rate * step, np.hypot(self.level_se, self.rate_se * step)
+
+
+def fit_lines(ns: Array, variance: Array, relative_se: Array, mean: Array) -> LineFits:
+    """Fit all lines at once.
+
+    Parameters
+    ----------
+    ns
+        Counts (N,).
+    variance, relative_se, mean
+        Variances, their relative standard errors and the mean estimates, (S, N, …). Variances that
+        are rounding of float32 are left out.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        floor = (_ULPS * np.finfo(np.float32).eps * mean) ** 2
+        used = (variance > floor) & (relative_se > 0)
+        weight = np.where(used, relative_se**-2.0, 0.0)
+        y = np.where(used, np.log(variance), 0.0)
+        x = np.log(ns.astype(float)).reshape(1, -1, *[1] * (variance.ndim - 2))
+        total = _over_counts(weight)
+        centre, level = _over_counts(weight * x) / total, _over_counts(weight * y) / total
+        step = x - centre[:, None]
+        spread = _over_counts(weight * step**2)
+        # A zero before a variance: no realisation met what is rare, and n alone did not change that.
+        missed = np.maximum.accumulate(used[:, ::-1], axis=1)[:, ::-1] & ~used
+        enough = (used.sum(axis=1) >= 2) & ~missed.any(axis=1)
+        rate = np.where(enough, _over_counts(weight * step * y) / spread, np.nan)
+        residual = y - level[:, None] - rate[:, None] * step
+        degrees = used.sum(axis=1) - 2
+        chi2 = np.where(degrees > 0, _over_counts(weight * residual**2) / degrees, np.nan)
+        widening = np.sqrt(np.fmax(chi2, 1.0))
+        return LineFits(
+            rate=rate,
+            rate_se=np.where(enough, widening / np.sqrt(spread), np.nan),
+            level=np.where(enough, level, np.nan),
+            level_se=widening / np.sqrt(total),
+            centre=centre,
+            chi2=chi2,
+        )
+
+
+def smooth(rate: Array, rate_se: Array, window: int, independent: bool) -> tuple[Array, Array]:
+    """Average rates (S, y, x) over window × window pixels, weighted by their precision.
+
+    Parameters
+    ----------
+    rate, rate_se
+        Rates and standard errors; pixels without a rate take no part and stay without.
+    window
+        Odd number of pixels; 1 changes nothing. At the border, the pixels that there are.
+    independent
+        Whether the pixels have points of their own, so that standard errors fall with the number of
+        pixels. Otherwise the mean standard error stands: right for errors that are the same
+        everywhere, too large for others.
+    """
+    if window == 1:
+        return rate, rate_se
+    known = np.isfinite(rate) & (rate_se > 0)
+    weight = np.zeros_like(rate)
+    np.power(rate_se, -2.0, out=weight, where=known)
+    total = _box(weight, window)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = _box(weight * np.where(known, rate, 0.0), window) / total
+        together = _box(weight * np.where(known, rate_se, 0.0), window) / total
+        se = total**-0.5 if independent else together
+    return np.where(known, mean, np.nan), np.where(known, se, np.nan)
+
+
+def interval(value: Array, se: Array) -> Array:
+    """95 % interval, (…, 2)."""
+    return np.stack([value - CONFIDENCE_Z * se, value + CONFIDENCE_Z * se], axis=-1)
+
+
+def ratio(log_ratio: Array, se: Array) -> tuple[Array, Array]:
+    """Ratio and its 95 % interval (…, 2), from the logarithm and its standard error."""
+    return np.exp(log_ratio), np.exp(interval(log_ratio, se))
+
+
+def slowest(ci: Array) -> Array:
+    """Which of two techniques has the slower rate, by intervals (2, y, x, bound) that are apart."""
+    low, high = ci[..., 0], ci[..., 1]
+    unknown = np.asarray(np.isnan(low).all(axis=0))
+    return _decided(low[0] > high[1], low[1] > high[0], unknown)
+
+
+def dominant(variance: Array, relative_se: Array) -> Array:
+    """Which of two techniques (2, y, x) has the larger variance, by the interval of their ratio."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        log_ratio = np.log(variance[0]) - np.log(variance[1])
+        half = CONFIDENCE_Z * np.hypot(relative_se[0], relative_se[1])
+        unknown = np.isnan(log_ratio)
+        return _decided(log_ratio > half, -log_ratio > half, np.asarray(unknown))
+
+
+def gain(single: LineFits, mis: LineFits, total: float) -> tuple[Array, Array]:
+    """Variance of the best single strategy over that of MIS at `total` samples in all.
+
+    Both are read off the fitted lines, MIS at half as many samples of each technique. The standard
+    error takes them as independent: they share points, which makes it too large rather than small.
+
+    Parameters
+    ----------
+    single, mis
+        Lines of the single strategies (S, y, x) and of MIS (1, y, x).
+    total
+        Number of samples.
+    """
+    levels, errors = single.at(total)
+    best = np.argmin(np.where(np.isnan(levels), np.inf, levels), axis=0)[None]
+    level, error = (np.take_along_axis(a, best, axis=0)[0] for a in (levels, errors))
+    other, other_error = mis.at(total / 2)
+    return ratio(level - other[0], np.hypot(error, other_error[0]))
+
+
+def _over_counts(values: Array) -> Array:
+    """Sum over the second axis, one after the other whatever the number of pixels."""
+    return np.asarray(functools.reduce(np.add, np.moveaxis(values, 1, 0)))
+
+
+def _decided(first: Array, second: Array, unknown: Array) -> Array:
+    """0, 1 or undecided; NaN where nothing is known."""
+    return np.select([unknown, first, second], [np.nan, 0.0, 1.0], UNDECIDED)
+
+
+def _box(image: Array, window: int) -> Array:
+    """Sum over window × window pixels of (S, y, x), zero beyond the border."""
+    reach = window // 2
+    for axis in (1, 2):
+        margin = [(reach, reach) if a == axis else (0, 0) for a in range(3)]
+        wide = np.pad(image, margin)
+        length = image.shape[axis]
+        parts = (np.take(wide, range(k, k + length), axis=axis) for k in range(window))
+        image = np.sum(list(parts), axis=0)
+    return image

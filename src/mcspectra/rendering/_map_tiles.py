@@ -1,0 +1,200 @@
+"""Variances of one tile of pixels: moments over realisations of every strategy and count."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.parallel import Block
+from mcspectra.core.streams import Stream
+from mcspectra.estimators import Moments
+from mcspectra.estimators.sets import draw_sets
+from mcspectra.rendering._map_kernel import TECHNIQUES, Lighting, Receivers
+from mcspectra.rendering._map_prediction import Prediction, prediction_for
+from mcspectra.rendering.scenes import scene_name
+from mcspectra.samplers import Sampler
+
+__all__ = ["MAP_STRATEGIES", "TILE_LANES", "Measurement"]
+
+MAP_STRATEGIES = ("light", "bsdf", "mis-light", "mis-bsdf", "mis")
+
+TILE_LANES = 2**19
+"""Pixels times realisations in one kernel; some 100 MiB with what is made of them."""
+
+_BLOCK_REALIZATIONS = 1024
+_TABLE_NUMBERS = 2**23  # of one table of points, 64 MiB
+_KEPT_NUMBERS = 2**24  # of all tables that are kept for the next tile
+_PREDICTED_VALUES = 2**21  # integrand values at once
+_PREDICTION = 0x9D1C7  # label of the stream of the prediction's samples
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Measurement:
+    """What is measured at every pixel.
+
+    Attributes
+    ----------
+    lighting
+        Scene, lights and grid.
+    strategies
+        Of `MAP_STRATEGIES`.
+    sampler, counts, realizations, stream
+        Points: realisation r of n of them is that of ``stream.child(n)``, as in `convergence`.
+    own
+        Whether each pixel has points of its own: number (y·width + x)·realizations + r of the
+        stream. Otherwise all pixels share them.
+    predict_every
+        Predict at pixels whose x and y are both multiples of this; 0 nowhere.
+    """
+
+    lighting: Lighting
+    strategies: tuple[str, ...]
+    sampler: Sampler
+    counts: tuple[int, ...]
+    realizations: int
+    stream: Stream
+    own: bool
+    predict_every: int
+    _tables: dict[tuple[int, Block], list[Array]] = field(default_factory=dict, repr=False)
+
+    @property
+    def techniques(self) -> list[str]:
+        """Techniques that the strategies need."""
+        single = {"light": "light", "mis-light": "light", "bsdf": "bsdf", "mis-bsdf": "bsdf"}
+        needed = {single.get(strategy, "both") for strategy in self.strategies}
+        return [t for t in TECHNIQUES if needed & {t, "both"}]
+
+    @property
+    def block(self) -> int:
+        """Realisations in one kernel, whatever the tile: sums over them keep their order."""
+        fitting = _TABLE_NUMBERS // (self.counts[-1] * self.sampler.dims)
+        return max(1, min(self.realizations, _BLOCK_REALIZATIONS, fitting))
+
+    @property
+    def tile_pixels(self) -> int:
+        """Pixels of a tile."""
+        lanes = TILE_LANES
+        if self.own:
+            lanes = min(lanes, _TABLE_NUMBERS // (self.counts[-1] * self.sampler.dims))
+        return max(1, lanes // self.block)
+
+    def prediction(self) -> Prediction | None:
+        """How variances at the largest count are predicted."""
+        if not self.predict_every:
+            return None
+        return prediction_for(self.sampler, self.counts[-1], self.stream.child(_PREDICTION))
+
+    def tile(self, pixels: Array, prediction: Prediction | None) -> dict[str, Array]:
+        """Measure pixels (P, 2), x and y of each.
+
+        Returns
+        -------
+        dict
+            ``status`` (P,) and, float64 and NaN where there is nothing to estimate, ``mean``,
+            ``variance``, ``relative_se`` (strategies, counts, P), ``predicted``, ``predicted_se``
+            (strategies, P).
+        """
+        receivers = Receivers(self.lighting, pixels)
+        shape = (len(self.strategies), len(self.counts), len(pixels))
+        names = ("mean", "variance", "relative_se")
+        found = {name: np.full(shape, np.nan) for name in names}
+        found |= {k: np.full((shape[0], shape[2]), np.nan) for k in ("predicted", "predicted_se")}
+        found["status"] = receivers.status
+        seen = np.flatnonzero(receivers.status == 0)
+        if not len(seen):
+            return found
+        self._check_lobes(receivers)
+        for i, n in enumerate(self.counts):
+            for s, moments in enumerate(self._moments(receivers, n)):
+                for name in names:
+                    found[name][s, i, seen] = getattr(moments, name)[: len(seen)]
+        if prediction is not None:
+            self._predict(prediction, pixels[seen], seen, found)
+        return found
+
+    def _check_lobes(self, receivers: Receivers) -> None:
+        if "bsdf" in self.techniques and self.sampler.dims == 2 and receivers.chooses_lobe():
+            raise ParameterError(
+                f"A BSDF that is seen in {scene_name(self.lighting.scene)!r} chooses among lobes by a "
+                "random number of its own; give dims=3, the third coordinate will be that number."
+            )
+
+    def _moments(self, receivers: Receivers, n: int) -> list[Moments]:
+        """Moments over realisations of each strategy at one count."""
+        total: list[Moments] = []
+        for block in self._blocks():
+            estimates = self._estimates(receivers, self._points(receivers, n, block))
+            own = [Moments.of(e) for e in estimates]
+            total = [a.merge(b) for a, b in zip(total, own, strict=True)] if total else own
+        return total
+
+    def _blocks(self) -> Iterator[Block]:
+        for first in range(0, self.realizations, self.block):
+            yield first, min(self.block, self.realizations - first)
+
+    def _estimates(self, receivers: Receivers, points: list[Array]) -> Iterator[Array]:
+        """Estimates (R, P) of each strategy, from the points of each technique."""
+        both = {
+            technique: receivers.estimates(technique, u)
+            for technique, u in zip(TECHNIQUES, points, strict=True)
+            if technique in self.techniques
+        }
+        return (combined(strategy, both) for strategy in self.strategies)
+
+    def _points(self, receivers: Receivers, n: int, block: Block) -> list[Array]:
+        """Points of each technique, (R, n, d), or (R, P, n, d) where pixels have their own."""
+        if not self.own:
+            return self._shared(n, block)
+        width = self.lighting.size[0]
+        numbers = (receivers.pixels @ [1, width]) * self.realizations + block[0]
+        drawn = [self._draw(n, (int(first), block[1])) for first in numbers]
+        return [np.stack(each, axis=1) for each in zip(*drawn, strict=True)]
+
+    def _shared(self, n: int, block: Block) -> list[Array]:
+        if (n, block) in self._tables:
+            return self._tables[n, block]
+        tables = self._draw(n, block)
+        if sum(self.counts) * self.realizations * 2 * self.sampler.dims <= _KEPT_NUMBERS:
+            self._tables[n, block] = tables
+        return tables
+
+    def _draw(self, n: int, block: Block) -> list[Array]:
+        return draw_sets("independent", (1, 1), self.sampler, n, self.stream.child(n), *block)
+
+    def _predict(
+        self, prediction: Prediction, pixels: Array, columns: Array, found: dict[str, Array]
+    ) -> None:
+        """Fill in predictions at every so many pixels, a chunk at a time."""
+        chosen = np.flatnonzero((pixels % self.predict_every == 0).all(axis=1))
+        step = max(1, _PREDICTED_VALUES // len(prediction.samples))
+        for start in range(0, len(chosen), step):
+            part = chosen[start : start + step]
+            receivers = Receivers(self.lighting, pixels[part])
+            each = {t: receivers.values(t, prediction.samples) for t in self.techniques}
+            for s, strategy in enumerate(self.strategies):
+                variance, se = _predicted(prediction, strategy, each)
+                found["predicted"][s, columns[part]] = variance[: len(part)]
+                found["predicted_se"][s, columns[part]] = se[: len(part)]
+
+
+def combined(strategy: str, both: dict[str, tuple[Array, Array]]) -> Array:
+    """Estimate of a strategy, from the plain and weighted ones of the techniques."""
+    if strategy == "mis":
+        return both["light"][1] + both["bsdf"][1]
+    return both[strategy.removeprefix("mis-")][int(strategy.startswith("mis-"))]
+
+
+def _predicted(
+    prediction: Prediction, strategy: str, each: dict[str, tuple[Array, Array]]
+) -> tuple[Array, Array]:
+    """Variance of a strategy and its standard error; those of independent techniques add up."""
+    parts = ("mis-light", "mis-bsdf") if strategy == "mis" else (strategy,)
+    found = [prediction.variance(combined(part, each)) for part in parts]
+    errors = np.stack([se for _, se in found])
+    return sum(v for v, _ in found), np.sqrt((errors**2).sum(axis=0))  # type: ignore[return-value]

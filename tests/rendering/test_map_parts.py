@@ -1,0 +1,235 @@
+"""Statistics of maps against one fit a pixel, and the store of finished tiles."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import CacheWarning, StoreError
+from mcspectra.core.streams import Stream
+from mcspectra.rendering import _map_prediction as prediction
+from mcspectra.rendering import _map_statistics as statistics
+from mcspectra.rendering._map_store import TileStore
+from mcspectra.samplers import sampler
+from mcspectra.variance.fit import fit_rate
+
+NS = np.array([4, 9, 16, 36, 64])
+SETTINGS = {"scene": "veach", "counts": (4, 16), "stream": 2**63}
+TILE = {"variance": np.arange(6.0).reshape(2, 3), "status": np.array([0, 1, 2], np.int8)}
+
+
+def random_curves(strategies: int = 2, height: int = 3, width: int = 4) -> tuple[Array, Array]:
+    generator = np.random.default_rng(5)
+    shape = (strategies, len(NS), height, width)
+    slope = generator.uniform(-2, -1, (strategies, 1, height, width))
+    noise = np.exp(0.2 * generator.standard_normal(shape))
+    variance = NS.reshape(1, -1, 1, 1) ** slope * noise
+    return variance, generator.uniform(0.1, 0.3, shape)
+
+
+def lines(level: float, rate: float, se: float = 0.1) -> statistics.LineFits:
+    """The fit of exact lines log V = level + rate · log n, one pixel."""
+    variance = np.exp(level + rate * np.log(NS)).reshape(1, -1, 1, 1)
+    return statistics.fit_lines(NS, variance, np.full_like(variance, se), np.ones_like(variance))
+
+
+def test_lines_are_the_fits_of_single_curves() -> None:
+    variance, se = random_curves()
+    mean = np.ones_like(variance)
+    variance[0, -2:, 0, 0] = 1e-20  # rounding of float32, at large n: left out
+    fits = statistics.fit_lines(NS, variance, se, mean)
+    low, high = np.moveaxis(statistics.interval(fits.rate, fits.rate_se), -1, 0)
+    floor = np.full(len(NS), 1e-15)
+    for place in np.ndindex(2, 3, 4):
+        s, y, x = place
+        one = fit_rate(NS, variance[s, :, y, x], se[s, :, y, x], floor)
+        got = (fits.rate[place], low[place], high[place], fits.chi2[place])
+        assert got == pytest.approx((one.rate, *one.interval, one.chi2), rel=1e-12)
+
+
+def test_variances_that_were_missed_leave_no_rate() -> None:
+    variance, se = random_curves()
+    variance[0, 0, 1, 1] = 0.0
+    variance[1, :4, 2, 2] = 0.0
+    variance[1, :, 2, 3] = np.nan
+    fits = statistics.fit_lines(NS, variance, se, np.ones_like(variance))
+    without = np.isnan(fits.rate)
+    assert np.argwhere(without).tolist() == [[0, 1, 1], [1, 2, 2], [1, 2, 3]]
+    assert np.array_equal(without, np.isnan(fits.rate_se))
+
+
+def test_errors_of_a_line_are_those_of_many_lines() -> None:
+    # 4000 curves with known errors: rates and levels must scatter by the errors that are stated.
+    generator = np.random.default_rng(2)
+    se = np.broadcast_to(np.array([0.1, 0.2, 0.1, 0.3, 0.2]).reshape(1, -1, 1, 1), (1, 5, 1, 4000))
+    exact = 3.0 - 1.5 * np.log(NS).reshape(1, -1, 1, 1)
+    variance = np.exp(exact + se * generator.standard_normal(se.shape))
+    fits = statistics.fit_lines(NS, variance, se, np.ones_like(variance))
+    plain = np.sqrt(np.fmax(fits.chi2, 1.0))  # without the widening by lack of fit
+    for value, error, true in (
+        (fits.rate, fits.rate_se, -1.5),
+        (fits.at(50.0)[0], fits.at(50.0)[1], 3.0 - 1.5 * np.log(50.0)),
+    ):
+        z = ((value - true) / (error / plain)).ravel()
+        assert abs(z.mean()) < 4 / 4000**0.5
+        assert abs(z.var() - 1) < 4 * (2 / 4000) ** 0.5
+
+
+def test_gain_compares_equal_totals() -> None:
+    better, worse, mis = lines(0.0, -2.0), lines(1.0, -1.5), lines(0.5, -1.5)
+    single = statistics.LineFits(
+        **{
+            name: np.concatenate([getattr(worse, name), getattr(better, name)])
+            for name in statistics.LineFits.__dataclass_fields__
+        }
+    )
+    value, ci = statistics.gain(single, mis, 64)
+    assert value[0, 0] == pytest.approx(64.0**-2 / (np.exp(0.5) * 32.0**-1.5), rel=1e-12)
+    assert ci[0, 0, 0] < value[0, 0] < ci[0, 0, 1]
+    assert ci[0, 0].prod() == pytest.approx(value[0, 0] ** 2)
+    missing = lines(0.0, -2.0, se=np.nan)
+    assert np.isnan(statistics.gain(missing, mis, 64)[0]).all()
+
+
+def test_slowest_needs_intervals_that_are_apart() -> None:
+    rate = np.array([[[-2.0, -1.0, -1.5, np.nan, np.nan]], [[-1.0, -2.0, -1.6, -1.0, np.nan]]])
+    found = statistics.slowest(statistics.interval(rate, np.full_like(rate, 0.1)))
+    assert np.array_equal(found[0], [1, 0, -1, -1, np.nan], equal_nan=True)
+
+
+def test_dominant_needs_a_ratio_apart_from_one() -> None:
+    variance = np.array([[[4.0, 1.0, 1.1, np.nan, 0.0, 0.0]], [[1.0, 4.0, 1.0, 1.0, 0.0, 1.0]]])
+    found = statistics.dominant(variance, np.full_like(variance, 0.2))
+    assert np.array_equal(found[0], [0, 1, -1, np.nan, np.nan, 1], equal_nan=True)
+
+
+@pytest.mark.parametrize("independent", [True, False])
+def test_smoothing_is_a_weighted_mean_of_the_window(independent: bool) -> None:
+    generator = np.random.default_rng(3)
+    rate, se = generator.normal(-1.5, 0.2, (2, 5, 6)), generator.uniform(0.1, 0.4, (2, 5, 6))
+    rate[0, 2, 3] = se[0, 2, 3] = np.nan
+    smooth, error = statistics.smooth(rate, se, 3, independent)
+    for s, y, x in np.ndindex(rate.shape):
+        window = (s, slice(max(y - 1, 0), y + 2), slice(max(x - 1, 0), x + 2))
+        known = np.isfinite(rate[window])
+        values, errors = rate[window][known], se[window][known]
+        if np.isnan(rate[s, y, x]):
+            assert np.isnan(smooth[s, y, x])
+            continue
+        assert smooth[s, y, x] == pytest.approx(np.average(values, weights=errors**-2))
+        together = np.average(errors, weights=errors**-2)
+        expected = (errors**-2).sum() ** -0.5 if independent else together
+        assert error[s, y, x] == pytest.approx(expected)
+    same = statistics.smooth(rate, se, 1, independent)
+    assert np.array_equal(same[0], rate, equal_nan=True)
+
+
+def step(u: Array) -> Array:
+    """Integrands with an edge: u0 + a·u1 < 0.7."""
+    return (u[:, :1] + u[:, 1:] * np.linspace(0.2, 1.0, 40) < 0.7).astype(float)
+
+
+@pytest.mark.parametrize("spec", ["jittered", "random", "jittered | shift", "random | shift"])
+def test_predictions_agree_with_measured_variances(spec: str) -> None:
+    points, n, realizations = sampler(spec, dims=2), 64, 4000
+    forecast = prediction.prediction_for(points, n, Stream.from_rng(3))
+    assert forecast is not None
+    predicted, se = forecast.variance(step(forecast.samples))
+    drawn = points.draw(n, realizations=realizations, rng=1)
+    estimates = step(drawn.reshape(-1, 2)).reshape(realizations, n, -1).mean(axis=1)
+    measured = estimates.var(axis=0, ddof=1)
+    error = np.hypot(se, measured * (2 / realizations) ** 0.5)
+    assert (np.abs(predicted - measured) < 4.5 * error).all()  # Šidák for 40 pixels
+    assert se.mean() < 0.25 * predicted.mean()
+
+
+def test_strata_are_predicted_without_bias() -> None:
+    # g = u0 in 2 × 2 strata of side ½: every stratum has the variance ¼/12, the estimate a quarter.
+    made = [
+        prediction.prediction_for(sampler("jittered", dims=2), 4, Stream.from_rng(seed))
+        for seed in range(40)
+    ]
+    found = np.array([p.variance(p.samples[:, :1])[0][0] for p in made if p is not None])
+    error = found.std(ddof=1) / len(found) ** 0.5
+    assert abs(found.mean() - 1 / 48 / 4) < 4 * error
+    assert error < 1e-3 / 48
+
+
+def test_unequal_strata_and_three_dims() -> None:
+    unequal = prediction.prediction_for(sampler("jittered(sides_=(2, 8))", 2), 16, Stream(1))
+    assert unequal is not None
+    value = unequal.variance(unequal.samples[:, :1])[0][0]
+    assert value == pytest.approx(1 / 48 / 16, rel=0.01)
+    assert prediction.prediction_for(sampler("jittered", 3), 27, Stream(1)) is not None
+    assert prediction.prediction_for(sampler("jittered | shift", 3), 27, Stream(1)) is None
+
+
+def test_tiles_come_back_as_they_were(tmp_path: Path) -> None:
+    TileStore(tmp_path / "new" / "map", SETTINGS, resume=False).save(3, TILE)
+    again = TileStore(tmp_path / "new" / "map", dict(reversed(SETTINGS.items())), resume=True)
+    stored = again.load(3)
+    assert stored is not None
+    assert stored.keys() == TILE.keys()
+    for name, values in TILE.items():
+        assert np.array_equal(stored[name], values)
+        assert stored[name].dtype == values.dtype
+    assert again.load(2) is None
+    assert not [p for p in (tmp_path / "new" / "map").iterdir() if p.suffix == ".partial"]
+
+
+@pytest.mark.parametrize("damage", ["truncated", "flipped", "empty", "text", "other"])
+def test_damaged_tiles_are_found(tmp_path: Path, damage: str) -> None:
+    store = TileStore(tmp_path, SETTINGS, resume=False)
+    store.save(0, TILE)
+    path = tmp_path / "tile-000000.npz"
+    content = bytearray(path.read_bytes())
+    if damage == "flipped":
+        with zipfile.ZipFile(path) as archive:
+            info = archive.getinfo("variance.npy")
+            content[info.header_offset + 200] ^= 1
+    changed = {
+        "truncated": bytes(content[: len(content) // 2]),
+        "flipped": bytes(content),
+        "empty": b"",
+        "text": b"no archive",
+    }
+    if damage == "other":
+        TileStore(tmp_path / "other", {"scene": "sky"}, resume=False).save(0, TILE)
+        changed["other"] = (tmp_path / "other" / path.name).read_bytes()
+    path.write_bytes(changed[damage])
+    with pytest.warns(CacheWarning, match="tile-000000.npz is damaged"):
+        assert store.load(0) is None
+    store.save(0, TILE)
+    assert store.load(0) is not None
+
+
+@pytest.mark.parametrize(
+    ("settings", "resume", "sentence"),
+    [
+        (SETTINGS, False, "holds a map already"),
+        ({**SETTINGS, "counts": (4, 25)}, True, "other settings"),
+    ],
+)
+def test_other_maps_are_refused(
+    tmp_path: Path, settings: dict[str, Any], resume: bool, sentence: str
+) -> None:
+    TileStore(tmp_path, SETTINGS, resume=False)
+    with pytest.raises(StoreError, match=sentence):
+        TileStore(tmp_path, settings, resume=resume)
+
+
+def test_damaged_manifests_and_files_in_the_way_are_refused(tmp_path: Path) -> None:
+    TileStore(tmp_path / "map", SETTINGS, resume=False)
+    for text in ("{", "[]", json.dumps({"settings": 1})):
+        (tmp_path / "map" / "manifest.json").write_text(text)
+        with pytest.raises(StoreError, match="is damaged"):
+            TileStore(tmp_path / "map", SETTINGS, resume=True)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError, match="cannot be written"):
+        TileStore(tmp_path / "file", SETTINGS, resume=True)

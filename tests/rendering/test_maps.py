@@ -1,0 +1,390 @@
+"""Maps against the same pixels measured one by one, tiles, resumption, bad input."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import mcspectra as mcs
+from mcspectra.core.errors import (
+    CacheWarning,
+    CountError,
+    FileFormatError,
+    McspectraError,
+    ParameterError,
+    StoreError,
+    UnknownName,
+)
+from mcspectra.core.progress import listening
+from mcspectra.rendering import _map_tiles as tiles
+from mcspectra.rendering import variance_map, veach
+from mcspectra.rendering._map_checks import check_crop, check_memory
+from mcspectra.rendering._map_kernel import Lighting, Receivers
+from mcspectra.rendering._map_tiles import Measurement
+from mcspectra.samplers import sampler
+
+pytestmark = pytest.mark.render
+
+COUNTS = (4, 16, 36)
+SMALL: dict[str, Any] = {"size": (24, 16), "counts": COUNTS, "realizations": 32, "rng": 7}
+PLATE = (16, 10)  # of the film of SMALL
+SCENE = "veach(width=24, height=16)"
+
+
+@pytest.fixture(scope="module")
+def small() -> xr.Dataset:
+    return variance_map("veach", **SMALL)
+
+
+def pixel(strategy: str, place: tuple[int, int] = PLATE, **options: Any) -> mcs.Integrand:
+    x, y = place
+    return mcs.rendering.Pixel(scene=SCENE, x=x, y=y, strategy=strategy, **options)
+
+
+def identical(a: xr.Dataset, b: xr.Dataset) -> bool:
+    names = sorted(map(str, a.data_vars))
+    return names == sorted(map(str, b.data_vars)) and all(
+        np.array_equal(a[name].values, b[name].values, equal_nan=True) for name in names
+    )
+
+
+@pytest.mark.parametrize("strategy", ["light", "mis-light", "mis"])
+def test_a_pixel_is_what_convergence_measures(small: xr.Dataset, strategy: str) -> None:
+    # The same points: the only difference is float32, in which Mitsuba computes values.
+    if strategy == "mis":
+        estimator: Any = mcs.TechniqueSum([pixel("mis-light"), pixel("mis-bsdf")])
+    else:
+        estimator = pixel(strategy)
+    one = mcs.convergence(estimator, "jittered", COUNTS, realizations=32, rng=7)
+    own = small.sel(strategy=strategy, x=PLATE[0], y=PLATE[1])
+    assert own["variance"].values == pytest.approx(one["variance"].values, rel=1e-4)
+    for name in ("rate", "rate_ci", "fit_chi2"):
+        assert own[name].values == pytest.approx(one[name].values, rel=1e-3)
+    assert float(own["mean"]) == pytest.approx(float(one["mean"][-1]), rel=1e-6)
+    assert float(own["mean_se"]) == pytest.approx(float(one["mean_se"][-1]), rel=1e-4)
+
+
+def test_points_of_its_own_give_a_pixel_the_same_variance() -> None:
+    place = {"crop": (*PLATE, 1, 1), "light": "light-3", "counts": (4, 16), "realizations": 600}
+    own = variance_map("veach", size=(24, 16), points="own", rng=3, **place).squeeze()
+    for strategy in ("light", "bsdf"):
+        alone = pixel(strategy, light="light-3")
+        one = mcs.convergence(alone, "jittered", (4, 16), realizations=600, rng=11)
+        se = own["variance_relative_se"].sel(strategy=strategy).values
+        log_ratio = np.log(own["variance"].sel(strategy=strategy).values / one["variance"].values)
+        assert (np.abs(log_ratio) < 4 * 2**0.5 * se).all()
+
+
+def test_own_points_are_numbered_by_the_pixel() -> None:
+    # Pixel (x, y) has realisations (y·width + x)·R … of the stream of each count.
+    x, y = PLATE
+    found = variance_map(
+        "veach", ("light",), size=(24, 16), crop=(x - 1, y, 3, 1), counts=(4, 16), realizations=32,
+        points="own", rng=7,
+    )  # fmt: skip
+    stream = mcs.core.streams.Stream.from_rng(7).child(16)
+    points = sampler("jittered", 2).draw_stream(16, stream, (y * 24 + x) * 32, 32)
+    expected = pixel("light")(points).mean(axis=1).var(ddof=1)
+    got = float(found["variance"].sel(strategy="light", n=16, x=x, y=y))
+    assert got == pytest.approx(float(expected), rel=1e-4)
+
+
+def test_wide_light_on_the_wall() -> None:
+    # Light sampling sees a smooth integrand: −2; the light's edge makes BSDF sampling −1.5, and
+    # MIS follows it [Singh et al.]. A single pixel, as in test_pixel.
+    found = variance_map(
+        "veach", crop=(568, 100, 1, 1), light="light-3", counts=(16, 64, 256, 1024),
+        realizations=400, rng=1, predict_every=4,
+    ).squeeze()  # fmt: skip
+    for strategy, theory in {"light": -2.0, "bsdf": -1.5, "mis": -1.5}.items():
+        one = found.sel(strategy=strategy)
+        # 0.05: what lower orders add at these counts
+        assert abs(float(one["rate"]) - theory) < 4 * float(one["rate_se"]) + 0.05
+        ratio = np.log(float(one["predicted_ratio"]))
+        low, high = np.log(one["predicted_ratio_ci"].values)
+        assert abs(ratio) < 2 * (high - low) / 2  # four standard errors
+    assert float(found["bottleneck"]) == 1
+    assert float(found["mis_gain_ci"].sel(bound="high")) < 1  # light sampling alone is better
+
+
+def test_predictions_cover_what_is_measured() -> None:
+    found = variance_map(
+        "veach", size=(48, 32), crop=(4, 3, 24, 4), light="light-3", counts=(4, 64),
+        realizations=200, points="own", strategies=("light", "mis"),
+    )  # fmt: skip
+    low, high = (found["predicted_ratio_ci"].sel(bound=b).values for b in ("low", "high"))
+    share = ((low < 1) & (high > 1)).mean(axis=(1, 2))
+    pixels = 24 * 4
+    assert (share > 0.95 - 4 * (0.95 * 0.05 / pixels) ** 0.5).all()
+    assert found.attrs["prediction"] == "strata"
+
+
+def test_what_is_not_a_receiver_has_no_numbers(small: xr.Dataset) -> None:
+    seen = np.isfinite(small["mean"].values[0])
+    assert 0 < (~seen).sum() < 40
+    for y, x in (*np.argwhere(~seen)[::4], *np.argwhere(seen)[::90]):
+        light = mcs.rendering.describe_pixel(SCENE, int(x), int(y))["light"]
+        assert (light is None) == seen[y, x]
+    known = np.isfinite(small["variance"].values)
+    assert np.array_equal(known, np.broadcast_to(seen, known.shape))
+    assert small.attrs["pixels_measured"] == seen.sum()
+    assert np.isnan(small["bottleneck"].values[~seen]).all()
+    assert np.isnan(small["rate"].values[:, ~seen]).all()
+
+
+def test_variables_are_labelled(small: xr.Dataset) -> None:
+    assert list(small["strategy"].values) == ["light", "bsdf", "mis-light", "mis-bsdf", "mis"]
+    for name, variable in small.data_vars.items():
+        assert variable.attrs["long_name"], name
+        assert "units" in variable.attrs
+    assert small["rate_ci"].dims == ("strategy", "y", "x", "bound")
+    assert (small["rate_ci"].diff("bound").values >= 0).sum() == np.isfinite(small["rate"]).sum()
+    assert set(np.unique(small["bottleneck"])[:-1]) <= {-1.0, 0.0, 1.0}
+
+
+def test_crops_and_tiles_do_not_change_bits(
+    small: xr.Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tiles, "TILE_LANES", 37 * 32)
+    assert identical(variance_map("veach", **SMALL), small)
+    crop = variance_map("veach", crop=(3, 9, 11, 5), **SMALL)
+    assert identical(crop, small.isel(x=slice(3, 14), y=slice(9, 14)))
+    single = variance_map("veach", crop=(*PLATE, 1, 1), **SMALL)
+    assert identical(single, small.isel(x=[PLATE[0]], y=[PLATE[1]]))
+
+
+def test_threads_and_blocks_do_not_change_bits(
+    small: xr.Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import drjit
+
+    before = drjit.thread_count()
+    assert identical(variance_map("veach", workers=1, **SMALL), small)
+    assert drjit.thread_count() == before
+    monkeypatch.setattr(tiles, "_KEPT_NUMBERS", 0)  # tables drawn anew for each tile
+    assert identical(variance_map("veach", **SMALL), small)
+    monkeypatch.setattr(tiles, "_BLOCK_REALIZATIONS", 10)
+    merged = variance_map("veach", **SMALL)
+    assert np.allclose(merged["variance"], small["variance"], rtol=1e-10, equal_nan=True)
+
+
+def test_own_points_do_not_depend_on_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    options = {**SMALL, "points": "own", "crop": (8, 9, 6, 3)}
+    whole = variance_map("veach", **options)
+    monkeypatch.setattr(tiles, "TILE_LANES", 5 * 32)
+    assert identical(variance_map("veach", **options), whole)
+    other = variance_map("veach", **{**options, "points": "shared"})
+    assert not identical(other, whole)
+
+
+def test_interrupted_maps_go_on(
+    small: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tiles, "TILE_LANES", 100 * 32)  # four tiles
+    measure, done = Measurement.tile, []
+
+    def interrupted(self: Measurement, *arguments: Any) -> Any:
+        if len(done) == 2:
+            raise KeyboardInterrupt
+        done.append(arguments)
+        return measure(self, *arguments)
+
+    monkeypatch.setattr(Measurement, "tile", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        variance_map("veach", out=tmp_path, **SMALL)
+    monkeypatch.setattr(Measurement, "tile", lambda *a: done.append(a) or measure(*a))
+    with pytest.raises(StoreError, match="holds a map already"):
+        variance_map("veach", out=tmp_path, **SMALL)
+    assert identical(variance_map("veach", out=tmp_path, resume=True, **SMALL), small)
+    assert len(done) == 4
+    path = tmp_path / "tile-000001.npz"
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.warns(CacheWarning, match="tile-000001"):
+        again = variance_map("veach", out=tmp_path, resume=True, **SMALL)
+    assert identical(again, small)
+    assert len(done) == 5
+    with pytest.raises(StoreError, match="other settings"):
+        variance_map("veach", out=tmp_path, resume=True, **{**SMALL, "rng": 8})
+
+
+def test_a_changed_scene_file_is_another_map(scene_files: dict[str, str], tmp_path: Path) -> None:
+    scene = tmp_path / "scene.xml"
+    text = Path(scene_files["textured"]).read_text()
+    options: dict[str, Any] = {"crop": (20, 18, 1, 1), "counts": (1, 8), "dims": 3}
+    scene.write_text(text)
+    variance_map(scene, realizations=4, out=tmp_path / "map", **options)
+    scene.write_text(text.replace("0.2, 0.9, 0.2", "0.3, 0.9, 0.2"))
+    with pytest.raises(StoreError, match="other settings"):
+        variance_map(scene, realizations=4, out=tmp_path / "map", resume=True, **options)
+
+
+def test_lobes_take_a_third_dimension(scene_files: dict[str, str]) -> None:
+    scene, place = scene_files["textured"], {"crop": (18, 16, 4, 2), "realizations": 200}
+    with pytest.raises(ParameterError, match="give dims=3"):
+        variance_map(scene, counts=(4, 16), **place)
+    found = variance_map(scene, counts=(8, 27), dims=3, points="own", **place)
+    light, bsdf, mis = (found.sel(strategy=s) for s in ("light", "bsdf", "mis"))
+    for other in (bsdf, mis):  # all estimate the same
+        z = (light["mean"] - other["mean"]) / np.hypot(light["mean_se"], other["mean_se"])
+        assert float(np.abs(z).max()) < 4.5  # Šidák for 16
+    # Light sampling alone chooses no lobe.
+    variance_map(scene, ("light",), counts=(4, 16), crop=(18, 16, 1, 1), realizations=4)
+
+
+def test_channels_and_heuristics() -> None:
+    options = {**SMALL, "crop": (*PLATE, 1, 1), "predict_every": 0}
+    red = variance_map("veach", channel=0, heuristic="power", **options)
+    estimator = [pixel(s, channel=0, heuristic="power") for s in ("mis-light", "mis-bsdf")]
+    one = mcs.convergence(mcs.TechniqueSum(estimator), "jittered", COUNTS, realizations=32, rng=7)
+    own = red["variance"].sel(strategy="mis").squeeze().values
+    assert own == pytest.approx(one["variance"].values, rel=1e-4)
+    assert "predicted_ratio" not in red
+
+
+@pytest.mark.parametrize(
+    ("strategies", "expected"),
+    [
+        (("light",), {"light"}),
+        ("bsdf", {"bsdf"}),
+        (["mis"], {"mis-light", "mis-bsdf", "mis"}),
+        (("mis-bsdf", "light"), {"light", "mis-bsdf"}),
+    ],
+)
+def test_strategies_are_a_choice(small: xr.Dataset, strategies: Any, expected: set[str]) -> None:
+    found = variance_map("veach", strategies, crop=(8, 9, 6, 3), **SMALL)
+    assert set(found["strategy"].values) == expected
+    assert ("bottleneck" in found) == ("mis" in expected)
+    assert "mis_gain" not in found
+    part = small.isel(x=slice(8, 14), y=slice(9, 12)).sel(strategy=found["strategy"])
+    assert np.array_equal(found["variance"], part["variance"], equal_nan=True)
+
+
+def test_predictions_of_every_third_pixel(small: xr.Dataset) -> None:
+    found = variance_map("veach", crop=(1, 5, 9, 6), predict_every=3, **SMALL)
+    whole = small["predicted_ratio"].isel(x=slice(1, 10), y=slice(5, 11))
+    there = np.isfinite(found["predicted_ratio"].values)
+    kept = (found["x"].values % 3 == 0) & (found["y"].values % 3 == 0)[:, None]
+    assert np.array_equal(there, np.isfinite(whole.values) & kept)
+    assert np.allclose(found["predicted_ratio"].values[there], whole.values[there], rtol=1e-12)
+
+
+def test_smoothing_narrows_the_intervals_of_own_points() -> None:
+    options = {**SMALL, "crop": (8, 0, 9, 5), "light": "light-3", "points": "own"}
+    rough, smooth = (variance_map("veach", ("light",), smoothing=k, **options) for k in (1, 3))
+    assert float(smooth["rate_se"].mean()) < 0.5 * float(rough["rate_se"].mean())
+    assert smooth.attrs["smoothing"] == 3
+    assert np.array_equal(smooth["variance"], rough["variance"], equal_nan=True)
+
+
+def test_progress_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tiles, "TILE_LANES", 100 * 32)
+    told: list[float] = []
+    with listening(lambda _, done: told.append(done)):
+        variance_map("veach", ("light",), **SMALL)
+    assert told[-1] == 1.0
+    assert len(told) == 4
+    assert told == sorted(told)
+
+
+@pytest.mark.parametrize("own", [False, True])
+@pytest.mark.parametrize(
+    ("largest", "realizations"), [(64, 64), (4096, 64), (64, 10**6), (2**20, 2)]
+)
+def test_tiles_bound_the_memory(own: bool, largest: int, realizations: int) -> None:
+    lighting = Lighting(
+        scene="veach", light=None, heuristic="balance", channel="luminance", size=(9999, 9999)
+    )
+    plan = Measurement(
+        lighting=lighting,
+        strategies=("light",),
+        sampler=sampler("random", 2),
+        counts=(4, largest),
+        realizations=realizations,
+        stream=mcs.core.streams.Stream(1),
+        own=own,
+        predict_every=1,
+    )
+    assert 1 <= plan.tile_pixels * plan.block <= 2**19
+    tables = plan.block * largest * 2 * (plan.tile_pixels if own else 1)
+    assert tables <= 2**23
+
+
+def test_values_that_are_not_finite_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    sums = Receivers._sums
+    monkeypatch.setattr(Receivers, "_sums", lambda *a: tuple(e * np.nan for e in sums(*a)))
+    with pytest.raises(ParameterError, match=r"NaN or infinite values at the pixel \(8, 9\)"):
+        variance_map("veach", crop=(8, 9, 2, 2), **SMALL)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "sentence"),
+    [
+        ({"scene": "veech"}, UnknownName, "veach"),
+        ({"scene": "none.xml"}, FileFormatError, "no scene file"),
+        ({"strategies": ("light", "path")}, ParameterError, "must be one of light, bsdf"),
+        ({"strategies": ()}, ParameterError, "give some of"),
+        ({"strategies": 3}, ParameterError, "give some of"),
+        ({"sampler": "jitterd"}, UnknownName, "jittered"),
+        ({"counts": (4, 5)}, CountError, "cannot make 5 points"),
+        ({"counts": (4,)}, ParameterError, "two or more ascending"),
+        ({"counts": (16, 4)}, ParameterError, "ascending"),
+        ({"counts": (4, np.nan)}, ParameterError, "whole number"),
+        ({"counts": "4,16"}, ParameterError, "give a list"),
+        ({"counts": (4, 2**60)}, CountError, "n is"),
+        ({"realizations": 1}, ParameterError, "at least|from 2"),
+        ({"realizations": np.inf}, ParameterError, "whole number"),
+        ({"crop": (0, 0, 25, 3)}, ParameterError, "leaves the grid of 24 × 16"),
+        ({"crop": (-1, 0, 2, 2)}, ParameterError, "crop x0 is -1"),
+        ({"crop": (0, 0, 0, 2)}, ParameterError, "crop width is 0"),
+        ({"crop": (0, 0, 2)}, ParameterError, "give x0, y0, width, height"),
+        ({"crop": "0,0,2,2"}, ParameterError, "give x0, y0, width, height"),
+        ({"size": (0, 4)}, ParameterError, "size width is 0"),
+        ({"size": (10**6, 4)}, ParameterError, "from 1 to 65536"),
+        ({"size": (65_536, 65_536)}, ParameterError, "give a crop or a smaller size"),
+        ({"light": "lamp"}, ParameterError, "has no light 'lamp'"),
+        ({"heuristic": "cutoff"}, ParameterError, "balance, power"),
+        ({"channel": "rgb"}, ParameterError, "channel is 'rgb'"),
+        ({"channel": True}, ParameterError, "channel is True"),
+        ({"dims": 4}, ParameterError, "from 2 to 3"),
+        ({"points": "mine"}, ParameterError, "shared, own"),
+        ({"smoothing": 2}, ParameterError, "odd"),
+        ({"smoothing": 99}, ParameterError, "from 1 to 31"),
+        ({"predict_every": -1}, ParameterError, "at least 0"),
+        ({"rng": -1}, ParameterError, "rng"),
+        ({"workers": 0}, ParameterError, "workers is 0"),
+        ({"scene": veach(), "out": "never"}, ParameterError, "not of dictionaries"),
+    ],
+)
+def test_bad_input_is_one_sentence(
+    options: dict[str, Any], error: type[McspectraError], sentence: str
+) -> None:
+    given = {"scene": "veach", **SMALL, **options}
+    with pytest.raises(error, match=sentence) as caught:
+        variance_map(**given)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("scene", "sentence"), [("lamp", "delta"), ("dark", "no lights"), ("blind", "no camera")]
+)
+def test_scenes_that_cannot_be_measured(
+    scene_files: dict[str, str], scene: str, sentence: str
+) -> None:
+    with pytest.raises(ParameterError, match=sentence):
+        variance_map(scene_files[scene], counts=(4, 16), realizations=4)
+
+
+def test_pixels_that_see_nothing_useful(scene_files: dict[str, str]) -> None:
+    for scene, crop in (("mirror", (20, 18, 1, 1)), ("mirror", (0, 0, 1, 1))):
+        with pytest.raises(ParameterError, match="No pixel of the crop"):
+            variance_map(scene_files[scene], counts=(4, 16), realizations=4, crop=crop)
+
+
+def test_checks_accept_the_limits() -> None:
+    assert check_crop(None, (24, 16)) == (0, 0, 24, 16)
+    assert check_crop(np.array([23, 15, 1, 1]), (24, 16)) == (23, 15, 1, 1)
+    check_memory((0, 0, 1024, 1024), 5, 5)
