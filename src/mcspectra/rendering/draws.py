@@ -136,12 +136,16 @@ class View:
         self, technique: str, u: Array, among: Sequence[Technique]
     ) -> tuple[Array, dict[Technique, Array], Array]:
         """f/p, densities of light and BSDF, and directions (M, 3) if `among` has skies."""
+        import drjit
+
         hit, emitter, samples, extra = self._inputs(u)
         directions = np.empty((0, 3))
         if technique == "light":
             value, light, bsdf = sample_light(hit, emitter, samples, extra, hit.active)
+            drjit.eval(value, light, bsdf)  # one kernel, not one for each
         else:
             value, bsdf, light, towards = follow_bsdf(hit, emitter, samples, extra, hit.active)
+            drjit.eval(value, light, bsdf, towards)
             if any(isinstance(t, Sky) for t in among):
                 directions = np.asarray(_spread(towards.numpy().T, (len(u), 3)), np.float64)
         pdfs: dict[Technique, Array] = {
@@ -152,12 +156,15 @@ class View:
 
     def _look(self, sky: Sky, u: Array) -> tuple[Array, Array, Array, Array]:
         """f/p, the density of a sky and of the BSDF, and directions (M, 3)."""
+        import drjit
+
         mitsuba, hit = load_mitsuba(), self._hit(u)
         emitter = load_scene(self.scene).environment()
         where = u[:, self._first : self._first + 2]
         directions, own = sky.sample(where)
         towards = mitsuba.Vector3f(*(np.ascontiguousarray(c, np.float32) for c in directions.T))
         value, bsdf = look_at_sky(hit, emitter, towards, hit.active)
+        drjit.eval(value, bsdf)
         f = np.asarray(_numbers(value, self.channel, len(u)), np.float64)
         scaled = own if f.ndim == 1 else own[:, None]
         over = np.divide(f, scaled, out=np.zeros_like(f), where=scaled > 0)

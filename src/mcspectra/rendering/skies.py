@@ -24,6 +24,7 @@ __all__ = ["Sky", "environment_of", "sky_pixels", "sky_technique"]
 
 _ROWS = 256
 _MOST_ROWS = 2**12
+_ORTHONORMAL = 1e-4  # of float32 matrices that several rotations make
 _SMALLEST_SINE = 1e-12  # at the poles, where a density per steradian has no bound
 
 
@@ -168,9 +169,14 @@ def _pixels(emitter: Any, rows: int) -> Array:
 
 
 def _rotation(emitter: Any) -> Array:
-    """The frame of an emitter in the world, (3, 3), whatever its scale."""
+    """The frame of an emitter in the world, (3, 3)."""
     matrix = np.asarray(emitter.world_transform().matrix, np.float64).reshape(4, 4)[:3, :3]
-    return np.asarray(matrix / np.linalg.norm(matrix, axis=0))
+    if not np.allclose(matrix.T @ matrix, np.eye(3), atol=_ORTHONORMAL):
+        raise ParameterError(
+            f"The to_world of the environment {emitter_name(emitter)!r} is no rotation or "
+            "reflection, which our densities need; take scales out of it."
+        )
+    return matrix
 
 
 def _local(x: Array) -> Array:

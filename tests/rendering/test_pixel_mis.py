@@ -1,0 +1,238 @@
+"""Multiple importance sampling at a pixel by every heuristic: means, exact variances, analyses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.streams import Stream
+from mcspectra.estimators import HEURISTICS
+from mcspectra.rendering import Pixel, PixelMIS, load_mitsuba, pixel_mis, sky_pixels
+from mcspectra.rendering.draws import Draws
+from mcspectra.samplers.registry import as_sampler
+from mcspectra.variance.counterfactuals import Budget, Setup, other_setups
+
+pytestmark = pytest.mark.render
+
+WALL = {"scene": "veach", "x": 568, "y": 100, "light": "light-3"}
+PLATE = {"scene": "veach", "x": 600, "y": 430, "light": "light-3"}
+PLASTIC = {"scene": "sky", "x": 192, "y": 87}
+COUNT = 2**16
+SIGMAS = 4.5  # of some thirty means that are compared: one false alarm in 5000 runs
+
+
+def uniforms(count: int, dims: int = 2, seed: int = 1) -> Array:
+    return Stream.from_rng(seed).uniforms(0, 1, count * dims).reshape(count, dims)
+
+
+def mean_and_error(values: Array) -> tuple[Array, Array]:
+    return values.mean(axis=0), values.std(axis=0, ddof=1) / len(values) ** 0.5
+
+
+def total(mis: PixelMIS, seed: int = 1) -> tuple[Array, Array]:
+    """Mean and standard error of Σ_t g_t of independent random points."""
+    parts = [
+        mean_and_error(mis.primary_values(t, uniforms(COUNT, mis.dims, seed + t)))
+        for t in range(len(mis.counts))
+    ]
+    return sum(m for m, _ in parts), np.sqrt(sum(e**2 for _, e in parts))
+
+
+def random_variance(mis: PixelMIS) -> float:
+    """Variance of one random sample a unit of counts, Σ_t Var g_t / counts[t]."""
+    values = [
+        mis.primary_values(t, uniforms(COUNT, mis.dims, 1 + t)) for t in range(len(mis.counts))
+    ]
+    return float(sum(v.var(ddof=1) / c for v, c in zip(values, mis.counts, strict=True)))
+
+
+@pytest.fixture(scope="module")
+def truth() -> dict[str, tuple[float, float]]:
+    """Mean and error by light sampling alone, which no weight touches."""
+    places = {"wall": WALL, "plate": PLATE}
+    return {k: mean_and_error(Pixel(**p)(uniforms(2**18, seed=99))) for k, p in places.items()}
+
+
+@pytest.mark.parametrize("heuristic", [*HEURISTICS, "power(beta=3.5)", "cutoff(alpha=0.5)"])
+@pytest.mark.parametrize("counts", [(1, 1), (1, 5)])
+def test_every_heuristic_estimates_the_same(
+    truth: dict[str, tuple[float, float]], heuristic: str, counts: tuple[int, int]
+) -> None:
+    for name, place in (("wall", WALL), ("plate", PLATE)):
+        mean, error = total(pixel_mis(**place, heuristic=heuristic, counts=counts))
+        wanted, wanted_error = truth[name]
+        assert abs(mean - wanted) < SIGMAS * np.hypot(error, wanted_error)
+
+
+@pytest.mark.parametrize("heuristic", ["balance", "power"])
+def test_equal_counts_are_the_kernels_of_pixel(heuristic: str) -> None:
+    mis, u = pixel_mis(**PLATE, heuristic=heuristic), uniforms(4096)
+    for technique, strategy in enumerate(("mis-light", "mis-bsdf")):
+        single = Pixel(**PLATE, strategy=strategy, heuristic=heuristic)(u)
+        values = mis.primary_values(technique, u)
+        np.testing.assert_allclose(values, single, rtol=2e-5, atol=1e-6 * single.max())
+
+
+@pytest.mark.parametrize("counts", [(1, 1), (3, 2)])
+@pytest.mark.parametrize("heuristic", ["balance", "power(beta=3)", "maximum", "cutoff"])
+def test_weights_sum_to_one_where_both_techniques_sample(
+    heuristic: str, counts: tuple[int, int]
+) -> None:
+    # What a technique drew, handed to the other with that one's f/p, weighs one together
+    mis = pixel_mis(**PLATE, heuristic=heuristic, counts=counts)
+    drawn = mis.draws(0, uniforms(4096))
+    shared = (drawn.pdfs > 0).all(axis=0)
+    assert shared.mean() > 0.9
+    f = drawn.values * drawn.pdfs[0]
+    over = [
+        mis._weigh(t, Draws(np.where(shared, f / drawn.pdfs[t].clip(1e-30), 0.0), drawn.pdfs))
+        for t in range(2)
+    ]
+    sums = sum(g * p for g, p in zip(over, drawn.pdfs, strict=True))[shared]
+    np.testing.assert_allclose(sums, f[shared], rtol=1e-12)
+
+
+def test_optimal_weights_have_the_least_variance() -> None:
+    # 4096 pilot samples leave α off by some percent: the minimum is flat, 3 % is allowed
+    for place in (WALL, PLATE):
+        found = {h: random_variance(pixel_mis(**place, heuristic=h)) for h in HEURISTICS}
+        assert found["optimal"] == pytest.approx(min(found.values()), rel=0.03)
+        assert found["variance-aware"] < found["balance"]
+
+
+def test_one_light_sample_decides_where_it_has_no_variance() -> None:
+    # light-3 covers little of the wall's sky: almost all goes to light sampling
+    mis = pixel_mis(**WALL, heuristic="variance-aware")
+    assert mis.shares[0] > 20 * mis.shares[1]
+
+
+def test_pilots_are_reproducible_and_have_a_seed() -> None:
+    made = [pixel_mis(**PLATE, heuristic=f"optimal(seed={s})").control for s in (0, 0, 1)]
+    assert all(c is not None for c in made)
+    np.testing.assert_array_equal(made[0], made[1])
+    assert (made[0] != made[2]).all()
+    np.testing.assert_array_equal(made[0], pixel_mis(**PLATE, heuristic="optimal").control)
+
+
+@pytest.mark.parametrize("heuristic", ["balance", "optimal", "variance-aware"])
+def test_channels_are_weighted_by_the_same_densities(heuristic: str) -> None:
+    mis = pixel_mis(**PLATE, heuristic=heuristic, channel="rgb")
+    mean, error = total(mis)
+    for c in range(3):
+        wanted, wanted_error = mean_and_error(Pixel(**PLATE, channel=c)(uniforms(2**18, seed=9)))
+        assert abs(mean[c] - wanted) < SIGMAS * np.hypot(error[c], wanted_error)
+    if heuristic == "optimal":
+        assert mis.control is not None
+        assert mis.control.shape == (2, 3)
+
+
+def test_samples_below_the_surface_do_not_bias_optimal_weights() -> None:
+    # A wide lobe at a grazing angle reaches below: the control variate must cancel there
+    camera = {
+        "type": "perspective",
+        "fov": 5.0,
+        "to_world": load_mitsuba().ScalarTransform4f().look_at([0, 0.3, 4], [0, 0, 0], [0, 1, 0]),
+        "film": {"type": "hdrfilm", "width": 8, "height": 8},
+    }
+    lamp = {"type": "sphere", "center": [0.0, 1.0, -1.5], "radius": 0.7}
+    scene = {
+        "type": "scene",
+        "sensor": camera,
+        "floor": {"type": "disk", "bsdf": {"type": "roughconductor", "alpha": 0.6}},
+        "lamp": {**lamp, "emitter": {"type": "area"}},
+    }
+    floor = load_mitsuba().ScalarTransform4f().rotate([1, 0, 0], -90)
+    scene["floor"]["to_world"] = floor
+    place = {"scene": scene, "x": 4, "y": 4}
+    mean, error = total(pixel_mis(**place, heuristic="optimal"))
+    wanted, wanted_error = mean_and_error(Pixel(**place)(uniforms(2**18, seed=99)))
+    assert abs(mean - wanted) < SIGMAS * np.hypot(error, wanted_error)
+
+
+def test_densities_of_the_environment_join_in() -> None:
+    sky = [f"environment(interpolation='bilinear', channel={c})" for c in range(3)]
+    karlik = "environment(compensation=True)"
+    wanted, wanted_error = total(pixel_mis(**PLASTIC, channel="rgb", dims=3), seed=77)
+    for techniques, heuristic in (
+        (["environment", "bsdf"], "optimal"),
+        ([*sky, "bsdf"], "balance"),
+        ([karlik, "bsdf"], "optimal"),
+        (sky, "balance"),
+    ):
+        mis = pixel_mis(
+            **PLASTIC, techniques=techniques, heuristic=heuristic, channel="rgb", dims=3
+        )
+        mean, error = total(mis)
+        assert (abs(mean - wanted) < SIGMAS * np.hypot(error, wanted_error)).all()
+
+
+def test_analyses_work() -> None:
+    mis = pixel_mis(**WALL, heuristic="optimal", counts=(1, 4))
+    found = mcs.convergence(mis, "jittered", [4, 16, 64], realizations=40, rng=1)
+    assert np.isfinite(found["rate"])
+    terms = mcs.variance_terms(
+        mis, "jittered", 16, half_width=2, realizations=40, rng=1, space="primary"
+    )
+    parts = terms["dc_term"] + terms["power_term"] + terms["cross_term"]
+    assert float(parts) == pytest.approx(float(terms["predicted_variance"]), rel=1e-9)
+
+
+def test_remedies_try_every_heuristic_and_each_technique() -> None:
+    given = Setup(pixel_mis(**PLATE), as_sampler("jittered", 2))
+    budget = Budget(256, 100, Stream.from_rng(1), 1)
+    names = {o.name for o in other_setups(given, ("heuristic", "techniques"), budget)}
+    heuristics = {f"heuristic: {h}" for h in HEURISTICS if h != "balance"}
+    assert names == heuristics | {"only light", "only bsdf"}
+
+
+def test_same_techniques_with_another_heuristic() -> None:
+    mis = pixel_mis(**PLATE, counts=(2, 3), sets="joint")
+    other = mis.with_heuristic("power")
+    assert (other.counts, other.sets, other.heuristic) == ((2, 3), "joint", "power")
+    assert mis.spec == (
+        "pixel(scene='veach', x=600, y=430, light='light-3') / balance[2×light, 3×bsdf] (joint sets)"
+    )
+    u = uniforms(64)
+    np.testing.assert_array_equal(
+        mis.alone(1).primary_values(0, u), Pixel(**PLATE, strategy="bsdf")(u)
+    )
+
+
+def test_maps_cover_all_directions() -> None:
+    pixels = sky_pixels("sky", 64)
+    assert pixels.shape == (64, 128, 3)
+    assert (pixels > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"heuristic": "maximal"}, "maximum"),
+        ({"heuristic": 2}, "heuristic is 2"),
+        ({"heuristic": "optimal(pilot='quadrature')"}, "pilot='samples'"),
+        ({"heuristic": "optimal(samples=1)"}, "samples"),
+        ({"counts": (1,)}, "counts"),
+        ({"counts": (1, 0)}, "counts[1]"),
+        ({"counts": (1, float("nan"))}, "counts[1]"),
+        ({"sets": "same"}, "sets is 'same'"),
+        ({"techniques": []}, "techniques is []"),
+        ({"techniques": "light"}, "techniques is 'light'"),
+        ({"techniques": ["light", 3]}, "'light', 3"),
+        ({"techniques": ["bsdf", "bsdf"]}, "once at most"),
+        ({"techniques": ["light", "environment"]}, "without 'light'"),
+        ({"techniques": ["environment", "bsdf"]}, "no environment to sample"),
+        ({"dims": 1}, "dims"),
+        ({"x": -1}, "outside the film"),
+        ({"channel": 4}, "channel is 4"),
+    ],
+)
+def test_bad_parameters_are_one_sentence(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        pixel_mis(**{**WALL, **changes})
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)

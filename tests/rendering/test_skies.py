@@ -1,0 +1,260 @@
+"""Densities of ours on the environment of a scene: directions, pdfs, and what they gain."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.streams import Stream
+from mcspectra.densities import EnvironmentDensity
+from mcspectra.estimators import Estimator
+from mcspectra.rendering import Pixel, load_mitsuba, load_scene, pixel_mis, sky_pixels
+from mcspectra.rendering.skies import Sky, sky_technique
+
+pytestmark = pytest.mark.render
+
+SIGMAS = 4.5
+FLOOR = {"x": 8, "y": 8}
+ROTATIONS = {"plain": None, "turned": ([0.6, 0.64, -0.48], 70.0)}
+
+
+def uniforms(count: int, dims: int = 2, seed: int = 1) -> Array:
+    return Stream.from_rng(seed).uniforms(0, 1, count * dims).reshape(count, dims)
+
+
+def mean_and_error(values: Array) -> tuple[Array, Array]:
+    return values.mean(axis=0), values.std(axis=0, ddof=1) / len(values) ** 0.5
+
+
+def colored_map() -> Array:
+    """A map (16, 32, 3) of smooth colours, above 0, with a bright spot."""
+    v, u = np.meshgrid(np.arange(16) / 15, (np.arange(32) + 0.5) / 32, indexing="ij")
+    phases = np.array([0.0, 0.3, 0.55])
+    waves = 1.5 + np.cos(2 * np.pi * (u[..., None] - phases)) * np.sin(np.pi * v)[..., None]
+    spot = 20.0 * np.exp(-((u - 0.3) ** 2 + (v - 0.3) ** 2) / 0.004)
+    return np.asarray(waves + spot[..., None] * [1.0, 0.6, 0.2], np.float32)
+
+
+def open_scene(rotation: Any = None, bsdf: Any = None, lamp: bool = False) -> dict[str, Any]:
+    """A disk under an environment map, nothing in the way."""
+    mitsuba = load_mitsuba()
+    transform = mitsuba.ScalarTransform4f
+    view = transform().look_at([0, 3, 3], [0, 0, 0], [0, 1, 0])
+    sky = {"type": "envmap", "bitmap": mitsuba.Bitmap(colored_map())}
+    if rotation is not None:
+        sky["to_world"] = transform().rotate(*rotation)
+    film = {"type": "hdrfilm", "width": 16, "height": 16}
+    scene = {
+        "type": "scene",
+        "sensor": {"type": "perspective", "fov": 20.0, "to_world": view, "film": film},
+        "floor": {
+            "type": "disk",
+            "to_world": transform().rotate([1, 0, 0], -90).scale(2.0),
+            "bsdf": bsdf or {"type": "diffuse", "reflectance": 0.5},
+        },
+        "sky": sky,
+    }
+    emitter = {"type": "sphere", "center": [0.0, 3.0, 0.0], "emitter": {"type": "area"}}
+    return {**scene, "lamp": emitter} if lamp else scene
+
+
+@pytest.mark.parametrize("rotation", ROTATIONS.values(), ids=ROTATIONS)
+def test_directions_are_those_of_the_emitter(rotation: Any) -> None:
+    """Mitsuba's texels are at θ = π i/(h − 1), φ = 2π (j + ½)/w: there the map is met exactly."""
+    scene, texels = open_scene(rotation), colored_map()
+    rows, columns = np.divmod(np.arange(32, 480), 32)  # poles belong to all columns
+    x = np.stack([(columns + 0.5) / 32, rows / 15], axis=-1)
+    directions, _ = Sky(mcs.density("uniform", 2), _matrix(rotation)).sample(x)
+    bound = sky_technique(scene, "uniform", "rgb")
+    np.testing.assert_allclose(bound.sample(x)[0], directions, atol=1e-6)
+    mitsuba = load_mitsuba()
+    far = mitsuba.SurfaceInteraction3f()
+    far.wi = -mitsuba.Vector3f(*directions.T.astype(np.float32))
+    found = np.asarray(load_scene(scene).environment().eval(far).numpy()).T
+    np.testing.assert_allclose(found, texels[rows, columns], rtol=1e-3, atol=1e-3)
+
+
+def _matrix(rotation: Any) -> Array:
+    """Rodrigues' rotation, written out."""
+    if rotation is None:
+        return np.eye(3)
+    (a, b, c), angle = rotation[0], np.radians(rotation[1])
+    k = np.array([[0, -c, b], [c, 0, -a], [-b, a, 0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k)
+
+
+@pytest.mark.parametrize("rotation", ROTATIONS.values(), ids=ROTATIONS)
+@pytest.mark.parametrize("density", ["environment", "environment(interpolation='bilinear')"])
+def test_pdf_is_that_of_the_samples_and_integrates_to_one(rotation: Any, density: str) -> None:
+    sky = sky_technique(open_scene(rotation), density, "rgb")
+    directions, own = sky.sample(uniforms(2000))
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=1e-6)
+    # Pixels' borders move by rounding: compared where the density does not jump
+    same = np.isclose(sky.pdf(directions), own, rtol=1e-6)
+    assert same.mean() > 0.99
+    # ∫ p dω over the sphere, by a product rule: Gauss-Legendre in cos θ, trapezium in φ
+    nodes, weights = np.polynomial.legendre.leggauss(400)
+    phi = 2 * np.pi * (np.arange(800) + 0.5) / 800
+    c, f = np.meshgrid(nodes, phi, indexing="ij")
+    s = np.sqrt(1 - c**2)
+    sphere = np.stack([s * np.cos(f), s * np.sin(f), c], axis=-1).reshape(-1, 3)
+    total = (sky.pdf(sphere).reshape(400, 800).sum(axis=1) * weights).sum() * 2 * np.pi / 800
+    assert total == pytest.approx(1.0, abs=2e-3)
+
+
+def test_mean_over_the_sphere_is_that_of_a_constant_sky() -> None:
+    """A diffuse floor under constant radiance L reflects ρ L exactly, whatever the density."""
+    scene = open_scene()
+    scene["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": [0.5, 1.0, 2.0]}}
+    for density in (None, "uniform", "environment(interpolation='constant')", "sphere"):
+        pixel = Pixel(scene=scene, **FLOOR, strategy="environment", density=density, channel="rgb")
+        mean, error = mean_and_error(pixel(uniforms(2**16)))
+        assert (np.abs(mean - 0.5 * np.array([0.5, 1.0, 2.0])) < SIGMAS * error).all()
+
+
+BSDFS = {
+    "diffuse": ({"type": "diffuse"}, 2),
+    "roughconductor": ({"type": "roughconductor", "alpha": 0.2}, 2),
+    "roughplastic": ({"type": "roughplastic", "alpha": 0.2}, 3),
+    "principled": (
+        {
+            "type": "principled",
+            "roughness": 0.4,
+            "metallic": 0.4,
+            "specular": 0.5,
+            "clearcoat": 0.5,
+        },
+        3,
+    ),
+}
+
+
+@pytest.mark.parametrize(("bsdf", "dims"), BSDFS.values(), ids=BSDFS)
+@pytest.mark.parametrize("rotation", ROTATIONS.values(), ids=ROTATIONS)
+def test_strategies_agree_on_every_bsdf(bsdf: dict[str, Any], dims: int, rotation: Any) -> None:
+    place = {"scene": open_scene(rotation, bsdf), **FLOOR, "channel": "rgb"}
+    wanted, error = mean_and_error(Pixel(**place, strategy="light")(uniforms(2**18)))
+    for k, (strategy, needed) in enumerate({"bsdf": dims, "environment": 2}.items()):
+        pixel = Pixel(**place, strategy=strategy, dims=needed)
+        mean, other = mean_and_error(pixel(uniforms(2**18, pixel.dims, 5 + k)))
+        assert (np.abs(mean - wanted) < SIGMAS * np.hypot(error, other)).all()
+
+
+@pytest.mark.parametrize("name", ["roughplastic", "principled"])
+def test_layered_bsdfs_need_a_dim_for_the_lobe(name: str) -> None:
+    scene = open_scene(bsdf=BSDFS[name][0])
+    with pytest.raises(ParameterError, match="give dims=3"):
+        Pixel(scene=scene, **FLOOR, strategy="bsdf")
+    with pytest.raises(ParameterError, match="give dims=5"):
+        Pixel(scene=scene, **FLOOR, strategy="bsdf", dims=4)
+
+
+def test_density_of_the_channel_leaves_the_cosine_alone() -> None:
+    """By a density of its own a channel is 2π² sin θ cos θ / p, so f/p is ρ/π cos θ times ∫L dω."""
+    scene = open_scene()
+    for channel in range(3):
+        pixel = Pixel(scene=scene, **FLOOR, strategy="environment", channel=channel)
+        sky = sky_technique(scene, None, channel)
+        u = uniforms(4096)
+        cosine = sky.sample(u)[0][:, 1]
+        up = cosine > 0.05
+        ratio = pixel(u)[up] / cosine[up]
+        # The emitter's rows lie elsewhere: 256 rows follow its map to about 1e-2 at the spot
+        assert ratio.std() / ratio.mean() < 5e-3
+
+
+def test_own_channels_beat_luminance_in_rate_and_by_decades() -> None:
+    scene = open_scene()
+    own, luminance = (
+        Pixel(
+            scene=scene,
+            **FLOOR,
+            strategy="environment",
+            channel=0,
+            density=f"environment(interpolation={how}, channel={channel!r})",
+        )
+        for how, channel in (("'bilinear'", 0), ("'constant'", "luminance"))
+    )
+    found = mcs.convergence(
+        [Estimator(own), Estimator(luminance)],
+        "jittered",
+        [16, 64, 256, 1024],
+        realizations=150,
+        rng=1,
+    )
+    print(found["rate"].values, found["rate_ci"].values, found["variance"].values)
+
+
+def test_channels_by_their_own_densities() -> None:
+    """Each channel by its own density estimates what all by one do."""
+    scene = open_scene()
+    mis = pixel_mis(
+        scene,
+        **FLOOR,
+        techniques=[f"environment(interpolation='bilinear', channel={c})" for c in range(3)],
+        channel="rgb",
+    )
+    parts = [mean_and_error(mis.primary_values(t, uniforms(2**15, seed=t))) for t in range(3)]
+    one, one_error = mean_and_error(
+        Pixel(scene=scene, **FLOOR, channel="rgb")(uniforms(2**17, seed=9))
+    )
+    error = np.sqrt(sum(e**2 for _, e in parts) + one_error**2)
+    assert (np.abs(sum(m for m, _ in parts) - one) < SIGMAS * error).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"density": "environmental"}, "environment"),
+        ({"density": 3}, "density in 2 dims"),
+        ({"density": mcs.density("uniform", 3)}, "density in 2 dims"),
+        ({"density": "environment(channel=5)"}, "channel"),
+        ({"density": "environment(path='nowhere.exr')"}, "nowhere.exr"),
+        ({"scene": "veach"}, "no environment to sample"),
+        ({"light": "floor"}, "no light 'floor'"),
+    ],
+)
+def test_bad_densities_are_one_sentence(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(mcs.McspectraError) as caught:
+        Pixel(**{"scene": open_scene(), **FLOOR, "strategy": "environment", **changes})
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_other_lights_that_count_are_an_error() -> None:
+    place = {"scene": open_scene(lamp=True), **FLOOR, "strategy": "environment"}
+    with pytest.raises(ParameterError, match="give light='sky'"):
+        Pixel(**place)
+    with pytest.raises(ParameterError, match="give light='sky'"):
+        Pixel(**place, light="lamp")
+    assert (Pixel(**place, light="sky")(uniforms(64)) >= 0).all()
+
+
+def test_map_that_is_scaled_is_refused() -> None:
+    scene = open_scene()
+    scene["sky"]["to_world"] = load_mitsuba().ScalarTransform4f().scale([1.0, 2.0, 1.0])
+    with pytest.raises(ParameterError, match="no rotation"):
+        Pixel(scene=scene, **FLOOR, strategy="environment")
+
+
+@pytest.mark.parametrize("rows", [0, 1, 10**9, 2.5, float("nan")])
+def test_rows_of_a_map_are_checked(rows: Any) -> None:
+    with pytest.raises(ParameterError, match="rows"):
+        sky_pixels("sky", rows)
+
+
+def test_scene_without_environment_has_no_pixels() -> None:
+    with pytest.raises(ParameterError, match="no environment"):
+        sky_pixels("veach")
+
+
+def test_density_object_is_taken_as_it_is() -> None:
+    density = EnvironmentDensity(values=colored_map(), channel=1)
+    sky = sky_technique(open_scene(), density, "rgb")
+    assert isinstance(sky, Sky)
+    assert sky.density is density
