@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from mcspectra.core.checks import Array
 from mcspectra.report.axes import count_axis, log_axis
@@ -29,8 +28,8 @@ from mcspectra.report.style import (
 __all__ = [
     "Curve",
     "draw_curves",
-    "interval_panel",
     "panels",
+    "remedy_panel",
     "slopes",
     "small_legend",
     "variance_panel",
@@ -47,6 +46,14 @@ class Curve:
     x: Array
     values: Array
     interval: Array | None = None
+
+    @property
+    def bars(self) -> Array | None:
+        """Lengths of the intervals below and above the values, (2, n)."""
+        if self.interval is None:
+            return None
+        low, high = self.interval.T
+        return np.maximum([self.values - low, high - self.values], 0.0)
 
     @staticmethod
     def of(data: Any, name: str = "variance", along: str = "n") -> Curve:
@@ -86,11 +93,9 @@ def draw_curves(axes: Any, curves: dict[str, Curve]) -> None:
     """Draw points with intervals and lines between them, the first lines thickest."""
     styles, widths = sampler_styles(list(curves)), line_widths(len(curves))
     for (name, curve), width in zip(curves.items(), widths, strict=True):
-        low, high = curve.interval.T if curve.interval is not None else (curve.values,) * 2
         axes.errorbar(
-            curve.x, curve.values, yerr=np.maximum([curve.values - low, high - curve.values], 0.0),
-            fmt=styles[name].marker + "-", ms=3.4, lw=0.7 * width, elinewidth=0.8, capsize=1.5,
-            color=styles[name].color, label=name,
+            curve.x, curve.values, yerr=curve.bars, fmt=styles[name].marker + "-", ms=3.4,
+            lw=0.7 * width, elinewidth=0.8, capsize=1.5, color=styles[name].color, label=name,
         )  # fmt: skip
 
 
@@ -99,27 +104,18 @@ def small_legend(axes: Any) -> None:
     axes.legend(frameon=False, fontsize=SMALL_SIZE, labelcolor=INK, handlelength=1.4)
 
 
-def interval_panel(
-    axes: Any, names: Sequence[str], values: ArrayLike, interval: Array, verdicts: Sequence[str]
-) -> None:
-    """Draw one row a remedy: its ratio and interval on a logarithmic axis, coloured by verdict."""
-    ratio = np.asarray(values, np.float64)
-    for row, verdict in enumerate(verdicts):
-        color = VERDICT_COLORS[verdict]
-        if ratio[row] > 0:
-            axes.hlines(row, *interval[row], color=color, lw=1.6)
-            axes.plot(ratio[row], row, "o", ms=3.4, color=color)
-        else:
-            axes.annotate(
-                "0", (0.01, row), xycoords=axes.get_yaxis_transform(), va="center",
-                fontsize=SMALL_SIZE, color=color,
-            )  # fmt: skip
+def remedy_panel(axes: Any, data: Any) -> None:
+    """Draw one row a remedy: its error ratio with its interval, coloured by verdict."""
+    names = [str(name) for name in data["remedy"].values]
+    ratio, interval = data["error_ratio"].values, data["error_ratio_ci"].values
+    for row, verdict in enumerate(data["verdict"].values):
+        axes.hlines(row, *interval[row], color=VERDICT_COLORS[verdict], lw=1.6)
+        axes.plot(ratio[row], row, "o", ms=3.4, color=VERDICT_COLORS[verdict])
     axes.axvline(1.0, color=GRAY, lw=0.8)
-    short = labels(list(names), 30)
+    short = labels(names, 30)
     axes.set_yticks(range(len(names)), [short[name] for name in names])
     axes.set_ylim(len(names) - 0.5, -0.5)
-    shown = interval[ratio > 0]
-    log_axis(axes, "x", float(shown.min()), float(shown.max()), most=5)
+    log_axis(axes, "x", float(interval.min()), float(interval.max()), most=5)
     axes.set_xlabel("error / error as given")
 
 

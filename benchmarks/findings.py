@@ -19,8 +19,8 @@ from benchmarks.finding_densities import channels, infinite_weights, mis_slowest
 from benchmarks.finding_figures import (
     Curve,
     draw_curves,
-    interval_panel,
     panels,
+    remedy_panel,
     slopes,
     small_legend,
     variance_panel,
@@ -78,7 +78,7 @@ def alignment() -> Figures:
     step, bar = (
         mcs.integrand(s, dims=1) for s in ("step(at=0.3)", "disk(center=0.47, radius=0.27)")
     )
-    places = np.arange(16) / 16
+    places = [k / 16 for k in range(16)]
     exact = mcs.strata_shift_scan(step, "jittered", 16, offsets=64)
     measured = mcs.strata_shift_scan(
         step, "jittered", 16, offsets=places, method="measured", realizations=4000, rng=1
@@ -163,10 +163,7 @@ def remedies() -> Figures:
         found[name] = d
     figure, every = panels(3, 1, 3.2)
     for axes, (name, d) in zip(every, found.items(), strict=True):
-        ratio = d["error_ratio"].values
-        interval_panel(
-            axes, d["remedy"].values, ratio, d["error_ratio_ci"].values, d["verdict"].values
-        )
+        remedy_panel(axes, d)
         entitle(axes, name)
     return {"remedies": figure}
 

@@ -14,8 +14,8 @@ FOLDER = Path(__file__).parents[2] / "docs" / "findings"
 PAGES = sorted(page.name for page in FOLDER.glob("*.md") if page.name != "index.md")
 FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)#]+)\)")
-# Decimals, powers of ten and signed numbers: what is measured. Counts, dims and exponents are not.
-NUMBER = re.compile(r"(?<![\w.])(?:-\d+(?:\.\d+)?|\d+\.\d+)(?:e[-+]\d+)?(?![\w.]*\d)")
+# Decimals, signed and long numbers: what is measured. Small counts, dims and exponents are not.
+NUMBER = re.compile(r"(?<![\w.])(?:-\d+(?:\.\d+)?|\d+\.\d+|\d{4,})(?:e[-+]\d+)?(?![\w.]*\d)")
 SMOOTH = mcs.integrand("christensen-gaussian")
 
 
