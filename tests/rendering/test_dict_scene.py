@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 
 from mcspectra.core.errors import FileFormatError, ParameterError
-from mcspectra.rendering import Pixel, load_mitsuba, load_scene, named_pixels, project
+from mcspectra.rendering import (
+    Pixel,
+    load_mitsuba,
+    load_scene,
+    named_pixels,
+    project,
+    scenes,
+)
 from mcspectra.rendering.builtin.figure1 import figure1
 from mcspectra.rendering.dict_scene import DictScene
 from mcspectra.rendering.scenes import as_scene, film_size, scene_name, sensor_of
 
 pytestmark = pytest.mark.render
+
+
+@pytest.fixture(scope="module", autouse=True)
+def forget_scenes() -> Iterator[None]:
+    """Drop the scenes afterwards: Dr.Jit traces the BSDFs of all that are alive at every call."""
+    yield
+    scenes._from_dict.cache_clear()
 
 
 def edited(**changes: Any) -> dict[str, Any]:
@@ -49,8 +64,8 @@ def test_objects_of_mitsuba_compare_by_identity() -> None:
     load = load_mitsuba().load_dict
     first, second = load({"type": "diffuse"}), load({"type": "diffuse"})
     scenes = [{"type": "scene", "floor": {"type": "rectangle", "b": b}} for b in (first, second)]
-    assert load_scene(scenes[0]) is load_scene(dict(scenes[0]))
-    assert load_scene(scenes[0]) is not load_scene(scenes[1])
+    assert load_scene(pair[0]) is load_scene(dict(scenes[0]))
+    assert load_scene(pair[0]) is not load_scene(scenes[1])
 
 
 def test_later_changes_do_not_reach_the_handle() -> None:

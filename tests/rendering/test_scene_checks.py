@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
 from mcspectra.core.errors import ParameterError, UnknownName
-from mcspectra.rendering import Pixel, check_scene
+from mcspectra.rendering import Pixel, check_scene, scenes
 from mcspectra.rendering.builtin.figure1 import figure1
 from mcspectra.rendering.scene_checks import check_lights, check_media
+from mcspectra.rendering.wavefront import Wavefront
 
 pytestmark = pytest.mark.render
+
+
+@pytest.fixture(scope="module", autouse=True)
+def forget_scenes() -> Iterator[None]:
+    """Drop the scenes afterwards: Dr.Jit traces the BSDFs of all that are alive at every call."""
+    yield
+    scenes._from_dict.cache_clear()
+
 
 FOG = {"type": "cube", "bsdf": {"type": "null"}, "interior": {"type": "homogeneous"}}
 LAMPS = {
@@ -40,9 +50,9 @@ ROUGH: dict[str, dict[str, Any]] = {
     "rough-plastic": {"type": "roughplastic"},
     "rough-dielectric": {"type": "roughdielectric"},
     "principled": {"type": "principled"},
-    "bumpy": {
-        "type": "bumpmap",
-        "texture": {"type": "checkerboard"},
+    "bent": {
+        "type": "normalmap",
+        "normalmap": {"type": "rgb", "value": [0.5, 0.5, 1.0]},
         "nested": {"type": "diffuse"},
     },
 }
@@ -93,6 +103,8 @@ def test_media_are_named_with_their_shapes() -> None:
             check(scene)
     with pytest.raises(ParameterError, match="participating media"):
         Pixel(scene=scene, x=96, y=205)
+    with pytest.raises(ParameterError, match="participating media"):
+        Wavefront(scene)
 
 
 def test_medium_around_the_camera_is_one_too() -> None:

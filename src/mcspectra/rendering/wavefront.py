@@ -2,9 +2,9 @@
 
 Method
 ------
-A lane is one sample of one pixel. All lanes of a chunk run in one kernel, the strategies are those
-of `techniques`, and what comes back is averaged over the samples of each pixel in float64. Chunks
-bound the memory by their number of lanes, whatever the number of pixels and samples.
+All samples of a chunk of pixels run in one kernel, the strategies are those of `techniques`, and
+values are added up over the samples of each pixel in float64 before they leave it. Chunks bound the
+memory by their number of samples, whatever the number of pixels and samples a pixel.
 
 The columns of u are, in this order: two for the position in the pixel, if that is sampled; then
 two for the direction, or three if the third selects (a light, or a lobe of the BSDF). The strategy
@@ -24,6 +24,7 @@ import numpy as np
 from mcspectra.core.checks import Array, as_choice, as_real_array
 from mcspectra.core.errors import DomainError, ParameterError
 from mcspectra.rendering.backend import LOCK, load_mitsuba
+from mcspectra.rendering.scene_checks import check_media
 from mcspectra.rendering.scenes import (
     Scene,
     film_size,
@@ -40,13 +41,14 @@ from mcspectra.rendering.techniques import (
     sample_light,
 )
 
-__all__ = ["CHUNK_LANES", "FILMS", "WAVEFRONT_STRATEGIES", "Wavefront"]
+__all__ = ["CHUNK_SAMPLES", "FILMS", "WAVEFRONT_STRATEGIES", "Wavefront"]
 
 WAVEFRONT_STRATEGIES = ("light", "bsdf", "mis-light", "mis-bsdf", "mis")
 FILMS = ("center", "sampled")
-CHUNK_LANES = 2**20
-"""Lanes in one kernel: some 200 MiB of Dr.Jit's memory, and no faster if larger."""
+CHUNK_SAMPLES = 2**20
+"""Samples in one kernel: some 200 MiB of Dr.Jit's memory, and no faster if larger."""
 
+_LOOP_SAMPLES = 16  # most samples that a lane runs over: more would leave too few lanes
 _MOST_VALUES = 2**26  # lanes whose values are returned one by one: 768 MiB of float32
 
 
@@ -57,6 +59,32 @@ class _Hits:
     scene: Any
     interaction: Any
     bsdf: Any
+
+
+class _Places:
+    """Which pixel and which rows of u each lane takes, `each` of them in succession."""
+
+    def __init__(self, pixels: Array, u: Array, each: int, lanes: int) -> None:
+        import drjit
+
+        mitsuba = load_mitsuba()
+        self.pixels, self.corners = pixels, _corners(pixels)
+        self._table, self._dims = mitsuba.Float(u.ravel()), u.shape[-1]
+        lane = drjit.arange(mitsuba.UInt32, lanes)
+        # Opaque: a count written into the kernel would have it compiled anew for each.
+        self.each = drjit.opaque(mitsuba.UInt32, each)
+        self.pixel = lane // drjit.opaque(mitsuba.UInt32, u.shape[-2] // each)
+        own = self.pixel * drjit.opaque(mitsuba.UInt32, u.shape[-2])
+        self._row = lane * self.each - (0 if u.ndim == 3 else own)
+
+    def columns(self, sample: Any) -> list[Any]:
+        """Columns of u in [0,1) at one sample of each lane."""
+        import drjit
+
+        mitsuba = load_mitsuba()
+        row = (self._row + sample) * self._dims
+        columns = (drjit.gather(mitsuba.Float, self._table, row + k) for k in range(self._dims))
+        return [drjit.minimum(column, LARGEST_SAMPLE) for column in columns]
 
 
 class Wavefront:
@@ -102,6 +130,7 @@ class Wavefront:
         with LOCK:
             sensor_of(scene)
             self._scene = load_scene(scene)
+            check_media(scene)
             self.width, self.height = film_size(scene)
             self._emitter = None if light is None else find_emitter(scene, light)
             if not self._scene.emitters():
@@ -171,8 +200,7 @@ class Wavefront:
         count = u.shape[-2]
         out = np.zeros((len(pixels), 3))
         for rows, columns in _chunks(len(pixels), count):
-            lanes = self._lanes(strategy, pixels[rows], _part(u, rows, columns))
-            out[rows] += lanes.sum(axis=1, dtype=np.float64)
+            out[rows] += self._sums(strategy, pixels[rows], _part(u, rows, columns))
         out /= count
         return out
 
@@ -200,42 +228,59 @@ class Wavefront:
         """Estimates of one chunk: float32 (P, S, 3)."""
         count = u.shape[-2]
         with LOCK:
-            color = self._color(strategy, pixels, _as_samples(u), count)
-            lanes = np.asarray(color.numpy())
+            place = _Places(pixels, _as_samples(u), 1, len(pixels) * count)
+            lanes = np.asarray(self._color(strategy, place).numpy())
         # Dr.Jit keeps constants at width 1.
         lanes = np.broadcast_to(lanes, (3, len(pixels) * count)).T
         lanes = lanes.reshape(len(pixels), count, 3)
-        if not np.isfinite(lanes).all():
-            x, y = pixels[np.argwhere(~np.isfinite(lanes))[0, 0]]
-            raise ParameterError(
-                f"Mitsuba gave NaN or infinite values at the pixel ({x}, {y}); check the materials "
-                "and lights that it sees."
-            )
+        _check_finite(lanes, pixels)
         return lanes
 
-    def _color(self, strategy: str, pixels: Array, u: Array, count: int) -> Any:
+    def _sums(self, strategy: str, pixels: Array, u: Array) -> Array:
+        """Sums over the samples of each pixel of one chunk: float64 (P, 3).
+
+        A lane runs over some samples of its pixel in a recorded loop, so that one number a lane is
+        stored, in float64.
+        """
         import drjit
 
         mitsuba = load_mitsuba()
-        lane = drjit.arange(mitsuba.UInt32, len(pixels) * count)
-        # Opaque: a count written into the kernel would have it compiled anew for each.
-        samples = drjit.opaque(mitsuba.UInt32, count)
-        pixel = lane // samples
-        columns = _columns(u, lane - pixel * samples)
-        hits = self._hits(pixels, pixel, columns)
+        count = u.shape[-2]
+        each = max(k for k in range(1, _LOOP_SAMPLES + 1) if count % k == 0)
+        lanes = len(pixels) * (count // each)
+        with LOCK:
+            place = _Places(pixels, _as_samples(u), each, lanes)
+
+            def more(sample: Any, _: Any) -> Any:
+                return sample < place.each
+
+            def add(sample: Any, total: Any) -> tuple[Any, Any]:
+                color = self._color(strategy, place, sample)
+                return sample + 1, total + mitsuba.Color3d(color)
+
+            start = drjit.zeros(mitsuba.UInt32, lanes), drjit.zeros(mitsuba.Color3d, lanes)
+            _, total = drjit.while_loop(start, more, add, mode="symbolic")
+            sums = np.asarray(total.numpy()).T.reshape(len(pixels), -1, 3).sum(axis=1)
+        _check_finite(sums, pixels)
+        return sums
+
+    def _color(self, strategy: str, place: _Places, sample: Any = 0) -> Any:
+        """Estimates of the lanes of a chunk, float32, each by one of its samples."""
+        columns = place.columns(sample)
+        hits = self._hits(place, columns)
         blocks = columns[2 if self.film == "sampled" else 0 :]
         color = self._direct(strategy, hits, blocks)
         return color + self._seen(hits.interaction) if self.emission else color
 
-    def _hits(self, pixels: Array, pixel: Any, columns: list[Any]) -> _Hits:
+    def _hits(self, place: _Places, columns: list[Any]) -> _Hits:
         import drjit
 
         mitsuba = load_mitsuba()
         if self.film == "center":
-            kept = self._center_hits(pixels.tobytes())
-            at = drjit.gather(mitsuba.SurfaceInteraction3f, kept, pixel)
+            kept = self._center_hits(place.pixels.tobytes())
+            at = drjit.gather(mitsuba.SurfaceInteraction3f, kept, place.pixel)
         else:
-            corner = (drjit.gather(mitsuba.Float, c, pixel) for c in _corners(pixels))
+            corner = (drjit.gather(mitsuba.Float, c, place.pixel) for c in place.corners)
             at = self._trace(*(c + u for c, u in zip(corner, columns[:2], strict=True)))
         return _Hits(self._scene, at, at.bsdf())
 
@@ -250,11 +295,8 @@ class Wavefront:
 
     def _trace(self, x: Any, y: Any) -> Any:
         """Follow rays through points of the film, in pixels."""
-        import drjit
-
         mitsuba, sensor = load_mitsuba(), self._scene.sensors()[0]
-        size = (drjit.opaque(mitsuba.Float, float(n)) for n in (self.width, self.height))
-        position = mitsuba.Point2f(*(p / n for p, n in zip((x, y), size, strict=True)))
+        position = mitsuba.Point2f(x / self.width, y / self.height)
         time = sensor.shutter_open() + 0.5 * sensor.shutter_open_time()
         ray, _ = sensor.sample_ray(time, 0.5, position, mitsuba.Point2f(0.5))
         return self._scene.ray_intersect(ray)
@@ -313,22 +355,22 @@ def _as_pixels(pixels: Any, width: int, height: int) -> Array:
 
 
 def _as_samples(u: Array) -> Array:
-    """Return float32 samples (dims, …) in [0,1), never rounded up to 1."""
-    if not (u.min() >= 0.0 and u.max() <= 1.0):  # NaN fails both
+    """Return contiguous float32 samples after checking their range."""
+    samples = np.ascontiguousarray(u, np.float32)
+    if not (samples.min() >= 0.0 and samples.max() <= 1.0):  # NaN fails both
         raise DomainError("Samples must be finite and in [0,1); some are not.")
-    columns = np.moveaxis(u, -1, 0).astype(np.float32)
-    return np.minimum(columns, np.float32(LARGEST_SAMPLE), out=columns)
+    return samples
 
 
-def _columns(u: Array, sample: Any) -> list[Any]:
-    """Columns of u for each lane; those that all pixels share are gathered by sample."""
-    import drjit
-
-    mitsuba = load_mitsuba()
-    columns = [mitsuba.Float(np.ascontiguousarray(column).ravel()) for column in u]
-    if u.ndim == 3:
-        return columns
-    return [drjit.gather(mitsuba.Float, column, sample) for column in columns]
+def _check_finite(found: Array, pixels: Array) -> None:
+    """Refuse NaN and infinity among (P, …) values."""
+    if np.isfinite(found).all():
+        return
+    x, y = pixels[np.argwhere(~np.isfinite(found))[0, 0]]
+    raise ParameterError(
+        f"Mitsuba gave NaN or infinite values at the pixel ({x}, {y}); check the materials "
+        "and lights that it sees."
+    )
 
 
 def _corners(pixels: Array) -> tuple[Any, Any]:
@@ -338,9 +380,9 @@ def _corners(pixels: Array) -> tuple[Any, Any]:
 
 
 def _chunks(pixels: int, samples: int) -> Iterator[tuple[slice, slice]]:
-    """Slices of pixels and samples of at most `CHUNK_LANES` lanes each."""
-    width = min(samples, CHUNK_LANES)
-    height = max(1, CHUNK_LANES // width)
+    """Slices of pixels and samples of at most `CHUNK_SAMPLES` samples each."""
+    width = min(samples, CHUNK_SAMPLES)
+    height = max(1, CHUNK_SAMPLES // width)
     for row in range(0, pixels, height):
         for column in range(0, samples, width):
             yield slice(row, row + height), slice(column, column + width)
