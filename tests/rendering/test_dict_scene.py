@@ -63,9 +63,9 @@ def test_any_other_content_is_another_scene() -> None:
 def test_objects_of_mitsuba_compare_by_identity() -> None:
     load = load_mitsuba().load_dict
     first, second = load({"type": "diffuse"}), load({"type": "diffuse"})
-    scenes = [{"type": "scene", "floor": {"type": "rectangle", "b": b}} for b in (first, second)]
-    assert load_scene(pair[0]) is load_scene(dict(scenes[0]))
-    assert load_scene(pair[0]) is not load_scene(scenes[1])
+    pair = [{"type": "scene", "floor": {"type": "rectangle", "b": b}} for b in (first, second)]
+    assert load_scene(pair[0]) is load_scene(dict(pair[0]))
+    assert load_scene(pair[0]) is not load_scene(pair[1])
 
 
 def test_later_changes_do_not_reach_the_handle() -> None:
