@@ -1,0 +1,53 @@
+"""Throughput of a pixel as an integrand against the same Mitsuba kernels without our checks.
+
+Raw calls: the same points of NumPy in, as float32, the same light or BSDF sampling of Mitsuba in one
+kernel, its float32 values out to NumPy. Both take the same million samples, in turn.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from benchmarks.timing import compare
+from mcspectra.core.checks import Array
+from mcspectra.rendering import Pixel, load_mitsuba, load_scene
+from mcspectra.rendering.backend import LOCK
+from mcspectra.rendering.receivers import primary_hit
+from mcspectra.rendering.scenes import find_emitter
+from mcspectra.rendering.techniques import sample_bsdf, sample_light
+
+SAMPLES = 2**20
+LEAST = 0.8
+PLACE: dict[str, Any] = {"scene": "veach", "x": 568, "y": 100, "light": "light-3"}
+
+
+def main() -> None:
+    """Print samples a second and the ratio of raw time to ours for light and BSDF sampling."""
+    u = np.random.default_rng(1).random((SAMPLES, 2))
+    for strategy in ("light", "bsdf"):
+        pixel = Pixel(**PLACE, strategy=strategy)
+        ours, raw, times = compare(partial(pixel, u), partial(raw_call, strategy, u))
+        verdict = "met" if 1.0 / times >= LEAST else "missed"
+        print(
+            f"{strategy:6s} ours {SAMPLES / ours / 1e6:5.1f} M/s  raw {SAMPLES / raw / 1e6:5.1f} M/s  "
+            f"ratio {1.0 / times:.2f} (at least {LEAST}: {verdict})"
+        )
+
+
+def raw_call(strategy: str, u: Array) -> Array:
+    """Values at samples (M, 2), as Mitsuba gives them."""
+    mitsuba = load_mitsuba()
+    with LOCK:
+        hit = primary_hit(load_scene(PLACE["scene"]), PLACE["x"], PLACE["y"])
+        emitter = find_emitter(PLACE["scene"], PLACE["light"])
+        sample = sample_light if strategy == "light" else sample_bsdf
+        samples = mitsuba.Point2f(*np.ascontiguousarray(u.T, np.float32))
+        value, _, _ = sample(hit, emitter, samples)
+        return np.asarray(mitsuba.luminance(value).numpy())
+
+
+if __name__ == "__main__":
+    main()
