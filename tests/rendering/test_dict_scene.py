@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Iterator
 from typing import Any
 
@@ -106,6 +107,25 @@ def holding_itself() -> dict[str, Any]:
     return scene
 
 
+def listing_itself() -> list[Any]:
+    entries: list[Any] = []
+    entries.append(entries)
+    return entries
+
+
+def test_lists_and_arrays_are_copied_too() -> None:
+    center, data = [0.0, 1.0, 2.0], np.ones((2, 3), np.float32)
+    ball = {"type": "sphere", "center": center}
+    scene = {"type": "scene", "ball": ball, "data": data}
+    handle = DictScene(scene)
+    center[0] = 5.0
+    data[:] = 2.0
+    assert handle.contents["ball"]["center"] == [0.0, 1.0, 2.0]
+    assert (handle.contents["data"] == 1.0).all()
+    assert handle != DictScene(scene)
+    assert pickle.loads(pickle.dumps(handle)) == handle
+
+
 @pytest.mark.parametrize(
     ("scene", "error", "words"),
     [
@@ -114,6 +134,7 @@ def holding_itself() -> dict[str, Any]:
         ({"type": "scene", 1: 2}, ParameterError, "A key of the scene dictionary is 1"),
         ({"type": "scene", "a": {None: 2}}, ParameterError, "dictionary is None"),
         (holding_itself(), ParameterError, "does it hold itself"),
+        ({"type": "scene", "a": listing_itself()}, ParameterError, "does it hold itself"),
         ({"type": "scene", "a": 5}, FileFormatError, 'integer "a": 5'),
         ({"type": "scene", "a": {"type": "sphre"}}, FileFormatError, 'Plugin "sphre" not found'),
         ({"type": "scene", "a": {"radius": 1}}, FileFormatError, "missing 'type'"),

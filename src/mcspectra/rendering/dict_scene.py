@@ -22,9 +22,9 @@ class DictScene:
     Parameters
     ----------
     scene
-        What `mitsuba.load_dict` takes. Its dictionaries are copied: changing them later changes
-        nothing here. Transforms, bitmaps and arrays compare by their numbers, objects that Mitsuba
-        has already built by identity.
+        What `mitsuba.load_dict` takes. Its dictionaries, lists and arrays are copied: changing
+        them later changes nothing here. Transforms, bitmaps and arrays compare by their numbers,
+        objects that Mitsuba has already built by identity.
 
     Raises
     ------
@@ -42,13 +42,13 @@ class DictScene:
                 f"The root of a scene dictionary has the type {scene.get('type')!r}; "
                 "it must be 'scene'."
             )
-        self._copy = _copied(scene, 0)
+        self._copy: dict[str, Any] = _copied(scene)
         self._key = _key(self._copy)
 
     @property
     def contents(self) -> dict[str, Any]:
         """A copy of the dictionary."""
-        return _copied(self._copy, 0)
+        return dict(_copied(self._copy))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, DictScene) and self._key == other._key
@@ -74,25 +74,29 @@ class _Identity:
         return id(self._target)
 
 
-def _copied(node: Mapping[str, Any], depth: int) -> dict[str, Any]:
+def _copied(value: Any, depth: int = 0) -> Any:
     if depth > _DEEPEST:
         raise ParameterError(
             f"The scene dictionary is nested more than {_DEEPEST} deep; does it hold itself?"
         )
-    for key in node:
-        if not isinstance(key, str):
-            raise ParameterError(f"A key of the scene dictionary is {key!r}; it must be a string.")
-    return {
-        key: _copied(value, depth + 1) if isinstance(value, Mapping) else value
-        for key, value in node.items()
-    }
+    if isinstance(value, Mapping):
+        return {_checked_name(name): _copied(entry, depth + 1) for name, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_copied(entry, depth + 1) for entry in value]
+    return value.copy() if isinstance(value, np.ndarray) else value
+
+
+def _checked_name(name: object) -> str:
+    if not isinstance(name, str):
+        raise ParameterError(f"A key of the scene dictionary is {name!r}; it must be a string.")
+    return name
 
 
 def _key(value: Any) -> Hashable:
     # The order of entries is kept: it is that of the lights, which have numbers.
     if isinstance(value, Mapping):
         return "dict", tuple((name, _key(entry)) for name, entry in value.items())
-    if isinstance(value, list | tuple):
+    if isinstance(value, list):
         return "list", tuple(map(_key, value))
     if isinstance(value, str | int | float | bool | None):
         return type(value).__name__, value
