@@ -11,6 +11,7 @@ NAMES = (
     "oracles",
     "identity",
     "veach",
+    "pixel",
     "figure1",
     "bases",
     "pairs",
