@@ -49,6 +49,20 @@ def test_wedges_hold_directions_within_their_angle():
         assert cosine >= np.cos(np.radians(7.5)) - 1e-12
 
 
+@pytest.mark.parametrize("name", ["walsh", "haar"])
+def test_wedges_of_steps_are_by_their_levels_not_by_their_places(name):
+    """Wavelets of one level lie all over the square: they oscillate in one direction."""
+    basis = make_basis(name, 2, 8)
+    label, index = named(make_bands("wedge", basis), basis)
+    for band, m in zip(label, index, strict=True):
+        levels = [2.0 ** (int(i).bit_length() - 1) if i else 0.0 for i in m]  # φ of 2^j + t
+        if band == "constant":
+            assert not any(levels)
+        else:
+            apart = np.degrees(np.arctan2(levels[1], levels[0])) - float(band[:-1])
+            assert abs(apart) <= 7.5
+
+
 def test_anova_bands_are_the_axes_that_vary():
     basis = make_basis("cosine", 3, 2)
     bands = make_bands("anova", basis)

@@ -110,6 +110,10 @@ class Basis(ABC):
         flat = np.unravel_index(np.arange(self.stored), self.shape)
         return np.stack([self._axis_oscillations()[place] for place in flat], axis=-1)
 
+    def directions(self) -> Array:
+        """Vector along which each stored function oscillates: int64 (stored, dims)."""
+        return self.indices()
+
     def full(self, stored: Array) -> Array:
         """Reshape stored values (..., stored) to the whole array (..., *shape)."""
         return stored.reshape(*stored.shape[:-1], *self.shape)
@@ -259,6 +263,10 @@ class _Dyadic(Basis):
     def axis(self) -> Array:
         """0 … 2K − 1 (0 alone for K = 0)."""
         return np.arange(max(1, 2 * self.half_width))
+
+    def directions(self) -> Array:
+        """Oscillations along each axis, for an index says where a function is, too, or how it jumps."""
+        return self.oscillations()
 
     def transform(self, n: int, engine: str, eps: float) -> tuple[Coefficients, str]:
         """Weights of the cells, then butterflies: exact."""

@@ -51,7 +51,7 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
         ``radial``: shells of the length of the oscillations, one wide; ``dyadic``: shells that double;
         ``anova``: by the axes along which a function varies, so that the bands are the parts of the
         ANOVA decomposition; ``wedge`` (2-D): the constant, and 12 sectors of 15° of the direction
-        of ±m; or integer labels ≥ 0, an array of the basis' shape, the same for m and −m.
+        of ±m (Walsh and Haar: of the numbers of oscillations along the axes, powers of two); or integer labels ≥ 0, an array of the basis' shape, the same for m and −m.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def _wedge(basis: Basis) -> Bands:
         raise ParameterError(
             f"bands='wedge' is for 2 dims, not {basis.dims}; use 'radial' or 'anova'."
         )
-    m = basis.indices()
+    m = basis.directions()
     angle = np.arctan2(m[:, 1], m[:, 0]) % np.pi  # ±m are one direction
     sector = np.rint(angle / np.pi * _WEDGES).astype(np.int64) % _WEDGES  # centred on the axes
     band = np.where((m == 0).all(axis=1), 0, 1 + sector)
