@@ -110,7 +110,7 @@ def test_chunks_do_not_change_values(
     u = uniforms(*shape)
     waves = Wavefront(VEACH)
     expected = waves.values("light", PIXELS, u)
-    monkeypatch.setattr(wavefront, "CHUNK_LANES", lanes)
+    monkeypatch.setattr(wavefront, "CHUNK_SAMPLES", lanes)
     np.testing.assert_array_equal(waves.values("light", PIXELS, u), expected)
     found, mean = waves.means("light", PIXELS, u), expected.astype(float).mean(axis=1)
     np.testing.assert_allclose(found, mean, rtol=1e-13)

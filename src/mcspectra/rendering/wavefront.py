@@ -132,6 +132,7 @@ class Wavefront:
             self._scene = load_scene(scene)
             check_media(scene)
             self.width, self.height = film_size(scene)
+            self._size = _opaque_floats(self.width, self.height)
             self._emitter = None if light is None else find_emitter(scene, light)
             if not self._scene.emitters():
                 raise ParameterError(
@@ -229,7 +230,8 @@ class Wavefront:
         count = u.shape[-2]
         with LOCK:
             place = _Places(pixels, _as_samples(u), 1, len(pixels) * count)
-            lanes = np.asarray(self._color(strategy, place).numpy())
+            color = self._color(strategy, place, self._center(place), 0)
+            lanes = np.asarray(color.numpy())
         # Dr.Jit keeps constants at width 1.
         lanes = np.broadcast_to(lanes, (3, len(pixels) * count)).T
         lanes = lanes.reshape(len(pixels), count, 3)
@@ -250,38 +252,46 @@ class Wavefront:
         lanes = len(pixels) * (count // each)
         with LOCK:
             place = _Places(pixels, _as_samples(u), each, lanes)
+            center = self._center(place)
 
             def more(sample: Any, _: Any) -> Any:
                 return sample < place.each
 
             def add(sample: Any, total: Any) -> tuple[Any, Any]:
-                color = self._color(strategy, place, sample)
+                color = self._color(strategy, place, center, sample)
                 return sample + 1, total + mitsuba.Color3d(color)
 
             start = drjit.zeros(mitsuba.UInt32, lanes), drjit.zeros(mitsuba.Color3d, lanes)
             _, total = drjit.while_loop(start, more, add, mode="symbolic")
-            sums = np.asarray(total.numpy()).T.reshape(len(pixels), -1, 3).sum(axis=1)
+            parts: Array = total.numpy().T.reshape(len(pixels), -1, 3)
+        sums: Array = parts.sum(axis=1)
         _check_finite(sums, pixels)
         return sums
 
-    def _color(self, strategy: str, place: _Places, sample: Any = 0) -> Any:
+    def _color(self, strategy: str, place: _Places, center: _Hits | None, sample: Any) -> Any:
         """Estimates of the lanes of a chunk, float32, each by one of its samples."""
         columns = place.columns(sample)
-        hits = self._hits(place, columns)
-        blocks = columns[2 if self.film == "sampled" else 0 :]
+        hits = self._sampled(place, columns) if center is None else center
+        blocks = columns if center is not None else columns[2:]
         color = self._direct(strategy, hits, blocks)
         return color + self._seen(hits.interaction) if self.emission else color
 
-    def _hits(self, place: _Places, columns: list[Any]) -> _Hits:
+    def _center(self, place: _Places) -> _Hits | None:
+        """What the lanes' rays through the centres of pixels meet; None if others are taken."""
         import drjit
 
-        mitsuba = load_mitsuba()
-        if self.film == "center":
-            kept = self._center_hits(place.pixels.tobytes())
-            at = drjit.gather(mitsuba.SurfaceInteraction3f, kept, place.pixel)
-        else:
-            corner = (drjit.gather(mitsuba.Float, c, place.pixel) for c in place.corners)
-            at = self._trace(*(c + u for c, u in zip(corner, columns[:2], strict=True)))
+        if self.film == "sampled":
+            return None
+        kept = self._center_hits(place.pixels.tobytes())
+        at = drjit.gather(load_mitsuba().SurfaceInteraction3f, kept, place.pixel)
+        return _Hits(self._scene, at, at.bsdf())
+
+    def _sampled(self, place: _Places, columns: list[Any]) -> _Hits:
+        """What rays through the points of the film that the first two columns choose meet."""
+        import drjit
+
+        corner = (drjit.gather(load_mitsuba().Float, c, place.pixel) for c in place.corners)
+        at = self._trace(*(c + u for c, u in zip(corner, columns[:2], strict=True)))
         return _Hits(self._scene, at, at.bsdf())
 
     def _trace_centers(self, pixels: bytes) -> Any:
@@ -296,7 +306,7 @@ class Wavefront:
     def _trace(self, x: Any, y: Any) -> Any:
         """Follow rays through points of the film, in pixels."""
         mitsuba, sensor = load_mitsuba(), self._scene.sensors()[0]
-        position = mitsuba.Point2f(x / self.width, y / self.height)
+        position = mitsuba.Point2f(x / self._size[0], y / self._size[1])
         time = sensor.shutter_open() + 0.5 * sensor.shutter_open_time()
         ray, _ = sensor.sample_ray(time, 0.5, position, mitsuba.Point2f(0.5))
         return self._scene.ray_intersect(ray)
@@ -371,6 +381,13 @@ def _check_finite(found: Array, pixels: Array) -> None:
         f"Mitsuba gave NaN or infinite values at the pixel ({x}, {y}); check the materials "
         "and lights that it sees."
     )
+
+
+def _opaque_floats(*numbers: int) -> tuple[Any, ...]:
+    """Numbers as data of kernels: division by one written into a kernel is rounded otherwise."""
+    import drjit
+
+    return tuple(drjit.opaque(load_mitsuba().Float, float(number)) for number in numbers)
 
 
 def _corners(pixels: Array) -> tuple[Any, Any]:
