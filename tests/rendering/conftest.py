@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from mcspectra.rendering import backend
+from mcspectra.rendering import backend, scenes
+from mcspectra.rendering.receivers import primary_hit
+from mcspectra.rendering.skies import _sky
 
 _CAMERA = """
   <sensor type="perspective">
@@ -60,6 +63,15 @@ def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(backend, "_cache_folder", lambda: folder)
         yield folder
+
+
+@pytest.fixture(scope="module", autouse=True)
+def forget_scenes() -> Iterator[None]:
+    """Drop a module's scenes: Dr.Jit traces the BSDFs of all that are alive at every call."""
+    yield
+    for cache in (scenes._from_name, scenes._from_file, scenes._from_dict, primary_hit, _sky):
+        cache.cache_clear()
+    gc.collect()
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -16,20 +15,12 @@ from mcspectra.rendering import (
     load_scene,
     named_pixels,
     project,
-    scenes,
 )
 from mcspectra.rendering.builtin.figure1 import figure1
 from mcspectra.rendering.dict_scene import DictScene
 from mcspectra.rendering.scenes import as_scene, film_size, scene_name, sensor_of
 
 pytestmark = pytest.mark.render
-
-
-@pytest.fixture(scope="module", autouse=True)
-def forget_scenes() -> Iterator[None]:
-    """Drop the scenes afterwards: Dr.Jit traces the BSDFs of all that are alive at every call."""
-    yield
-    scenes._from_dict.cache_clear()
 
 
 def edited(**changes: Any) -> dict[str, Any]:

@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
 from mcspectra.core.errors import ParameterError, UnknownName
-from mcspectra.rendering import Pixel, check_scene, scenes
+from mcspectra.rendering import Pixel, check_scene
 from mcspectra.rendering.builtin.figure1 import figure1
 from mcspectra.rendering.scene_checks import check_lights, check_media
 from mcspectra.rendering.wavefront import Wavefront
 
 pytestmark = pytest.mark.render
-
-
-@pytest.fixture(scope="module", autouse=True)
-def forget_scenes() -> Iterator[None]:
-    """Drop the scenes afterwards: Dr.Jit traces the BSDFs of all that are alive at every call."""
-    yield
-    scenes._from_dict.cache_clear()
 
 
 FOG = {"type": "cube", "bsdf": {"type": "null"}, "interior": {"type": "homogeneous"}}
