@@ -71,4 +71,8 @@ def test_hints_list_few_names_and_count_many():
     hint, close = close_match_hint("zzz", reversed(NAMES))
     assert (hint, close) == (" Allowed: halton, jittered, multi-jittered, sobol.", ())
     hint, close = close_match_hint("zzz", [f"name-{i:02}" for i in range(40)])
-    assert (hint, close) == (" There are 40 names; 'mcspectra list' shows them.", ())
+    assert (hint, close) == (" There are 40 names.", ())
+    hint, _ = close_match_hint(
+        "zzz", [f"name-{i:02}" for i in range(40)], "mcspectra list samplers"
+    )
+    assert hint == " There are 40 names; 'mcspectra list samplers' shows them."

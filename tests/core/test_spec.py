@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -243,3 +244,22 @@ def test_the_spec_nests_components_and_names_arrays():
 
 def test_the_summary_is_the_first_line():
     assert Sample.summary() == "First line."
+
+
+@pytest.mark.parametrize(
+    ("value", "advice"),
+    [
+        ("hilbert", "write 'hilbert' in quotes"),
+        ("sobol-owen", "write 'sobol-owen' in quotes"),
+        ("a.png", "write 'a.png' in quotes"),
+        ("true", "write True"),
+        ("none", "write None"),
+        ("nan", "give a number"),
+        ("1 + x", "give a number"),
+        ("f(2)", "give a number"),
+    ],
+)
+def test_values_that_are_no_literals_say_what_to_write(value, advice):
+    with pytest.raises(SpecError, match=f"not a literal; {re.escape(advice)}") as caught:
+        parse(f"density(warp={value})")
+    assert_one_sentence(caught.value)

@@ -237,3 +237,9 @@ def test_bad_shares(share):
         Defensive(density=PARTS[0], share=share)
     with pytest.raises(ParameterError, match="is not a density|None"):
         Defensive(density=share if share is None else 3)
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0, 1.5, -0.1])
+def test_the_share_of_the_uniform_density_is_between_0_and_1(share):
+    with pytest.raises(ParameterError, match="greater than 0 and less than 1"):
+        Defensive(density="tent", share=share)

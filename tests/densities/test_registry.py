@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import ParameterError, UnknownName
 from mcspectra.densities import DENSITIES, Linear, as_density
 
 
@@ -45,3 +46,37 @@ def test_as_density():
             as_density(wrong)
     with pytest.raises(ParameterError):
         mcs.density(None)
+
+
+def test_an_unknown_name_says_which_list_to_ask_for():
+    with pytest.raises(UnknownName, match="'mcspectra list densities' shows them"):
+        mcs.density("qqq")
+
+
+@pytest.mark.parametrize(
+    "template",
+    [
+        "cosine-weighted(dims={})",
+        "exponential(dims={})",
+        "linear(dims={}, slope=[1, 2])",
+        "power(dims={})",
+        "tent(dims={})",
+        "truncated-normal(dims={})",
+        "uniform(dims={})",
+        "mixture(dims={}, parts=['tent', 'linear'])",
+        "defensive(dims={}, density='tent')",
+        "vegas(dims={}, integrand='linear', increments=4, iterations=1, evaluations=64)",
+        "mixture(parts=['tent', 'linear'], axis={}, dims=3)",
+        "defensive(density='tent', axis={}, dims=3)",
+        "vegas(integrand='linear', increments={}, iterations=1, evaluations=64)",
+        "vegas(integrand='linear', seed={}, increments=4, iterations=1, evaluations=64)",
+    ],
+)
+def test_whole_floats_are_read_as_integers(template):
+    given, expected = mcs.density(template.format("2.0")), mcs.density(template.format("2"))
+    assert given.spec == expected.spec
+    assert type(given.dims) is int
+    u = np.random.default_rng(5).random((7, expected.dims))
+    np.testing.assert_array_equal(given.sample(u), expected.sample(u))
+    np.testing.assert_array_equal(given.pdf(u), expected.pdf(u))
+    assert len(given.breaks) == given.primary_dims

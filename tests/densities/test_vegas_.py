@@ -157,3 +157,14 @@ def test_bad_integrands():
         mcs.density("vegas(integrand='gausian')")
     with pytest.raises(ParameterError, match="needs integrand"):
         mcs.density("vegas")
+
+
+def test_a_plain_list_of_borders_is_one_dim():
+    plain, nested = GridDensity(nodes=[0, 0.25, 1]), GridDensity(nodes=[[0, 0.25, 1]])
+    assert plain == nested
+    assert plain.dims == 1
+    assert mcs.density("grid(nodes=[0, 0.25, 1])", dims=1) == nested
+    assert GridDensity(nodes=np.array([0, 0.25, 1])) == nested
+    for bad in ([0, [0.5], 1], [0, 0.5], [0], [0, math.nan, 1]):
+        with pytest.raises(ParameterError):
+            GridDensity(nodes=bad)

@@ -51,16 +51,19 @@ def as_real(
     above: float | None = None,
     least: float | None = None,
     most: float | None = None,
+    below: float | None = None,
 ) -> float:
-    """Return `value` as a finite float, greater than `above`, at least `least`, at most `most`."""
+    """Return `value` as a finite float: above, at least, at most and below the limits given."""
     rules = [f"greater than {above:g}"] if above is not None else []
     rules += [f"at least {least:g}"] if least is not None else []
     rules += [f"at most {most:g}"] if most is not None else []
+    rules += [f"less than {below:g}"] if below is not None else []
     number = isinstance(value, int | float | np.integer | np.floating)
     if number and not isinstance(value, bool):
         x = float(value)  # type: ignore[arg-type]
-        inside = (above is None or x > above) and (least is None or x >= least)
-        if math.isfinite(x) and inside and (most is None or x <= most):
+        enough = (above is None or x > above) and (least is None or x >= least)
+        few = (most is None or x <= most) and (below is None or x < below)
+        if math.isfinite(x) and enough and few:
             return x
     wanted = f" {' and '.join(rules)}" if rules else ""
     raise ParameterError(f"{name} is {value!r}; give a finite number{wanted}.")

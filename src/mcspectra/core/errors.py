@@ -103,12 +103,18 @@ class InfiniteWeightVarianceWarning(UserWarning):
     """∫1/p diverges: the variance of S_0 is infinite, although that of the estimate may not be."""
 
 
-def close_match_hint(given: str, allowed: Iterable[str]) -> tuple[str, tuple[str, ...]]:
-    """Return `` Did you mean 'x'?`` (or all names, when few) and the close matches themselves."""
+def close_match_hint(
+    given: str, allowed: Iterable[str], command: str = ""
+) -> tuple[str, tuple[str, ...]]:
+    """Return `` Did you mean 'x'?`` (or all names, when few) and the close matches themselves.
+
+    `command` is what shows all names, for messages where they are many.
+    """
     names = sorted(allowed)
     close = tuple(difflib.get_close_matches(given, names, n=3, cutoff=0.5))
     if close:
         return f" Did you mean {' or '.join(map(repr, close))}?", close
     if len(names) <= 12:
         return f" Allowed: {', '.join(names)}.", close
-    return f" There are {len(names)} names; 'mcspectra list' shows them.", close
+    shown = f"; {command!r} shows them" if command else ""
+    return f" There are {len(names)} names{shown}.", close

@@ -67,7 +67,8 @@ class Registry(Mapping[str, str]):
         """
         target = self._builtin.get(name) or self._targets().get(name)
         if target is None:
-            offer, close = hint(name, self._targets())
+            listing = f"mcspectra list {self.group.rpartition('.')[2]}"
+            offer, close = hint(name, self._targets(), listing)
             raise UnknownName(f"There is no {self.kind} called {name!r}.{offer}", close)
         module, _, attribute = target.partition(":")
         try:

@@ -19,6 +19,8 @@ from mcspectra.core.errors import SpecError
 __all__ = ["Call", "Component", "format_call", "parse", "parse_chain"]
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)*")
+_WORD = re.compile(r"[A-Za-z_][\w.-]*")
+_NO_NUMBERS = ("nan", "inf", "infinity")
 _MAX_LENGTH = 20_000
 _MAX_SHOWN = 80
 _OPEN, _CLOSE = "([{", ")]}"
@@ -182,7 +184,17 @@ def _parse_arguments(name: str, brackets: str) -> dict[str, Any]:
             arguments[keyword.arg] = ast.literal_eval(keyword.value)
         except (ValueError, TypeError, RecursionError, MemoryError):
             raise SpecError(
-                f"The value of {keyword.arg} in {name}(...) is not a literal; give a number, "
-                "a quoted string, True, False, None, or a list of those."
+                f"The value of {keyword.arg} in {name}(...) is not a literal; "
+                f"{_literal_advice(ast.get_source_segment(source, keyword.value) or '')}."
             ) from None
     return arguments
+
+
+def _literal_advice(value: str) -> str:
+    """What to write in place of a value that is no literal: mostly a word without its quotes."""
+    constants = {"true": "True", "false": "False", "none": "None"}
+    if value.lower() in constants:
+        return f"write {constants[value.lower()]}"
+    if _WORD.fullmatch(value) and value.lower() not in _NO_NUMBERS and len(value) <= _MAX_SHOWN:
+        return f"write {value!r} in quotes"
+    return "give a number, a quoted string, True, False, None, or a list of those"

@@ -9,10 +9,10 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer, as_reals
+from mcspectra.core.checks import Array, as_reals
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.densities.base import Density, plain
+from mcspectra.densities.base import Density, plain, store_integer
 
 __all__ = ["Linear", "TruncatedNormal", "Uniform"]
 
@@ -30,7 +30,7 @@ class Uniform(Density):
     dims: int = DEFAULT_DIMS
 
     def __post_init__(self) -> None:
-        as_integer("dims", self.dims, least=1, most=_MAX_DIMS)
+        store_integer(self, "dims", least=1, most=_MAX_DIMS)
 
     def reciprocal_integral(self) -> float:
         """1."""
@@ -69,7 +69,7 @@ class Linear(Density):
     slope: float | tuple[float, ...] = 1.0
 
     def __post_init__(self) -> None:
-        as_integer("dims", self.dims, least=1, most=_MAX_DIMS)
+        store_integer(self, "dims", least=1, most=_MAX_DIMS)
         as_reals("slope", self.slope, self.dims, least=-2.0, most=2.0)
         object.__setattr__(self, "slope", plain(self.slope))
 
@@ -124,7 +124,7 @@ class TruncatedNormal(Density):
     sigma: float | tuple[float, ...] = 0.2
 
     def __post_init__(self) -> None:
-        as_integer("dims", self.dims, least=1, most=_MAX_DIMS)
+        store_integer(self, "dims", least=1, most=_MAX_DIMS)
         sigmas = as_reals("sigma", self.sigma, self.dims, above=0.0, most=_MAX_SIGMA)
         means = as_reals("mean", self.mean, self.dims)
         for mean, sigma in zip(means, sigmas, strict=True):

@@ -13,11 +13,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_real_array
+from mcspectra.core.checks import Array, as_integer, as_real_array
 from mcspectra.core.errors import DensityError, DomainError
 from mcspectra.core.spec import Component
 
-__all__ = ["Density", "as_points", "divide_by_density", "plain"]
+__all__ = ["Density", "as_points", "divide_by_density", "plain", "store_integer"]
 
 LARGEST_BELOW_ONE = float(np.nextafter(1.0, 0.0))
 
@@ -172,6 +172,12 @@ def plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     return tuple(map(plain, value)) if isinstance(value, list | tuple) else value
+
+
+def store_integer(component: object, name: str, *, least: int, most: int | None = None) -> None:
+    """Check a field of a frozen dataclass, and store it as an int: 2.0 is read as 2."""
+    value = as_integer(name, getattr(component, name), least=least, most=most)
+    object.__setattr__(component, name, value)
 
 
 def divide_by_density(values: Array, pdf: Array, x: Array, spec: str) -> Array:

@@ -28,7 +28,7 @@ from mcspectra.core.checks import Array, as_choice, as_integer, as_real, as_real
 from mcspectra.core.errors import DensityError, ParameterError
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.densities.analytic import Uniform
-from mcspectra.densities.base import LARGEST_BELOW_ONE, Density, plain
+from mcspectra.densities.base import LARGEST_BELOW_ONE, Density, plain, store_integer
 from mcspectra.densities.parts import as_part, as_parts
 
 __all__ = ["Defensive", "Mixture"]
@@ -76,7 +76,7 @@ class Mixture(Density):
         as_choice("selection", self.selection, _SELECTIONS)
         parts = as_parts(self.parts, _dims_of(self.parts, self.dims))
         dims = _common_dims(parts, self.dims)
-        as_integer("axis", self.axis, least=0, most=dims - 1)
+        store_integer(self, "axis", least=0, most=dims - 1)
         weights = None if self.weights is None else _as_weights(self.weights, len(parts))
         for name, value in (("parts", parts), ("weights", weights), ("dims", dims)):
             object.__setattr__(self, name, value)
@@ -198,7 +198,7 @@ class Defensive(Density):
     axis: int = 0
 
     def __post_init__(self) -> None:
-        share = as_real("share", self.share, above=0.0, most=LARGEST_BELOW_ONE)
+        share = as_real("share", self.share, above=0.0, below=1.0)
         own = as_part(self.density, _dims_of([self.density], self.dims))
         mixture = Mixture(
             dims=self.dims,
@@ -207,7 +207,8 @@ class Defensive(Density):
             selection=self.selection,
             axis=self.axis,
         )
-        for name, value in (("density", own), ("dims", own.dims), ("_mixture", mixture)):
+        settled = {"density": own, "dims": own.dims, "axis": mixture.axis, "_mixture": mixture}
+        for name, value in settled.items():
             object.__setattr__(self, name, value)
 
     @property
@@ -259,7 +260,7 @@ def _dims_of(parts: Any, dims: int | None) -> int:
 
 def _common_dims(parts: tuple[Density, ...], asked: int | None) -> int:
     """Dims of all parts, which must agree; none of them may need an extra coordinate."""
-    dims = parts[0].dims if asked is None else asked
+    dims = parts[0].dims if asked is None else int(asked)
     if any(part.dims != dims for part in parts):
         shown = ", ".join(f"{part.spec} has {part.dims}" for part in parts)
         raise ParameterError(f"All parts of a mixture need the same number of dims: {shown:.300}.")

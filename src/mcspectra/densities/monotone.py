@@ -13,9 +13,9 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import MAX_DIMS, Array, as_integer, as_reals
+from mcspectra.core.checks import MAX_DIMS, Array, as_reals
 from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.densities.base import Density, plain
+from mcspectra.densities.base import Density, plain, store_integer
 
 __all__ = ["CosineWeighted", "Exponential", "Power", "Tent"]
 
@@ -43,7 +43,7 @@ class Power(Density):
     exponent: float | tuple[float, ...] = 1.0
 
     def __post_init__(self) -> None:
-        as_integer("dims", self.dims, least=1, most=MAX_DIMS)
+        store_integer(self, "dims", least=1, most=MAX_DIMS)
         as_reals("exponent", self.exponent, self.dims, least=_LEAST_EXPONENT, most=_MOST_EXPONENT)
         object.__setattr__(self, "exponent", plain(self.exponent))
 
@@ -89,7 +89,7 @@ class Exponential(Density):
     rate: float | tuple[float, ...] = 1.0
 
     def __post_init__(self) -> None:
-        as_integer("dims", self.dims, least=1, most=MAX_DIMS)
+        store_integer(self, "dims", least=1, most=MAX_DIMS)
         as_reals("rate", self.rate, self.dims, least=-_MOST_RATE, most=_MOST_RATE)
         object.__setattr__(self, "rate", plain(self.rate))
 
@@ -144,7 +144,7 @@ class CosineWeighted(Density):
     dims: int = DEFAULT_DIMS
 
     def __post_init__(self) -> None:
-        as_integer("dims", self.dims, least=1, most=MAX_DIMS)
+        store_integer(self, "dims", least=1, most=MAX_DIMS)
 
     def reciprocal_integral(self) -> float:
         """Infinite."""
@@ -179,7 +179,7 @@ class Tent(Density):
     peak: float | tuple[float, ...] = 0.5
 
     def __post_init__(self) -> None:
-        as_integer("dims", self.dims, least=1, most=MAX_DIMS)
+        store_integer(self, "dims", least=1, most=MAX_DIMS)
         as_reals("peak", self.peak, self.dims, least=0.0, most=1.0)
         object.__setattr__(self, "peak", plain(self.peak))
 

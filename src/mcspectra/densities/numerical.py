@@ -21,7 +21,7 @@ from numpy.polynomial import chebyshev
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import DensityError
 from mcspectra.densities._chebyshev import Cells, integral_at, refine, solve
-from mcspectra.densities.base import Density
+from mcspectra.densities.base import Density, store_integer
 from mcspectra.densities.functions import call_function, function_spec
 
 __all__ = ["NumericalDensity", "numerical_density"]
@@ -118,7 +118,7 @@ class NumericalDensity(Density):
     normalize: bool = False
 
     def __post_init__(self) -> None:
-        as_integer("dims", self.dims, least=1, most=2)
+        store_integer(self, "dims", least=1, most=2)
         self._raw(np.linspace(0.2, 0.8, _PROBE * self.dims).reshape(_PROBE, self.dims))
         total = self._last.total
         if not self.normalize and not abs(total - 1.0) <= _SAME:

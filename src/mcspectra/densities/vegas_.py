@@ -35,6 +35,7 @@ class GridDensity(Density):
     ----------
     nodes
         For each dim the increasing borders of its N bins, from 0 to 1, N + 1 numbers; N may differ.
+        In 1-D the list of borders itself.
         u in [i/N, (i+1)/N) goes linearly to bin i, where p_i = 1/(N width_i).
 
     References
@@ -51,9 +52,10 @@ class GridDensity(Density):
             raise ParameterError(
                 f"nodes is {self.nodes!r:.80}; give one list of borders for each dim."
             )
-        if len(self.nodes) > _MAX_DIMS:
-            raise ParameterError(f"nodes has {len(self.nodes)} dims; {_MAX_DIMS} at most.")
-        lines = tuple(_as_nodes(f"nodes[{i}]", line) for i, line in enumerate(self.nodes))
+        given = [self.nodes] if np.ndim(self.nodes[0]) == 0 else self.nodes
+        if len(given) > _MAX_DIMS:
+            raise ParameterError(f"nodes has {len(given)} dims; {_MAX_DIMS} at most.")
+        lines = tuple(_as_nodes(f"nodes[{i}]", line) for i, line in enumerate(given))
         object.__setattr__(self, "nodes", lines)
 
     @property

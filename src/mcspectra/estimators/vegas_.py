@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, final
 
-from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.checks import Array
 from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.densities.base import Density
+from mcspectra.densities.base import Density, store_integer
 from mcspectra.densities.vegas_ import GridDensity, check_training, vegas_density
 from mcspectra.integrands import integrand as make_integrand
 
@@ -44,8 +44,10 @@ class VegasDensity(Density):
 
     def __post_init__(self) -> None:
         check_training(self.increments, self.iterations, self.evaluations, self.alpha, self.seed)
-        dims = as_integer("dims", self.dims, least=1)
-        make_integrand(self.integrand, dims)
+        store_integer(self, "dims", least=1)
+        for name in ("increments", "iterations", "evaluations", "seed"):
+            store_integer(self, name, least=0)  # 64.0 is 64 in the spec too
+        make_integrand(self.integrand, self.dims)
 
     @cached_property
     def grid(self) -> GridDensity:
