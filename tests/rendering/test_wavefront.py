@@ -228,3 +228,11 @@ def test_scenes_that_are_refused(scene_files: dict[str, str], name: str, message
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="nothing.xml"):
         Wavefront(tmp_path / "nothing.xml")
+
+
+def test_samples_rounded_up_to_one_stay_below() -> None:
+    waves = Wavefront(VEACH)
+    below, above = np.full((4, 2), 1.0 - 2.0**-24), np.full((4, 2), 1.0 - 2.0**-53)
+    np.testing.assert_array_equal(
+        waves.values("light", PIXELS, above), waves.values("light", PIXELS, below)
+    )

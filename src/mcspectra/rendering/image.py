@@ -188,16 +188,17 @@ class _Plan:
         y, x = np.divmod(np.arange(tile.start, tile.stop), width)
         return np.stack([x + left, y + top], axis=-1)
 
-    def draw(self, tile: slice, images: range) -> Array:
-        """Points of the pixels of a tile in some images: (images · P, spp, dims)."""
-        numbers = self.pixels(tile) @ (1, self.waves.width)
+    def draw(self, pixels: Array, images: range) -> Array:
+        """Points of some pixels in some images: (images · P, spp, dims)."""
+        numbers = pixels[:, 0] + self.waves.width * pixels[:, 1]
+        # The sampler draws successive realisations only.
         runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1)
         sets = [
             self.sampler.draw_stream(self.spp, self.stream.child(image), int(run[0]), len(run))
             for image in images
             for run in runs
         ]
-        return np.concatenate(sets)
+        return sets[0] if len(sets) == 1 else np.concatenate(sets)
 
     def blocks(self) -> Iterator[tuple[slice, range]]:
         """Tiles and images that are rendered at once, all images of a tile in succession."""
@@ -216,11 +217,12 @@ def _moments(plan: _Plan, workers: int) -> list[Moments]:
     total = plan.crop[2] * plan.crop[3] * plan.realizations
     finished = 0
 
-    def draw(block: tuple[slice, range]) -> tuple[tuple[slice, range], Array]:
-        return block, plan.draw(*block)
+    def draw(block: tuple[slice, range]) -> tuple[range, Array, Array]:
+        tile, images = block
+        pixels = plan.pixels(tile)
+        return images, np.tile(pixels, (len(images), 1)), plan.draw(pixels, images)
 
-    for (tile, images), u in map_in_order(draw, plan.blocks(), workers):
-        pixels = np.tile(plan.pixels(tile), (len(images), 1))
+    for images, pixels, u in map_in_order(draw, plan.blocks(), workers):
         means = plan.waves.means(plan.strategy, pixels, u)
         found = Moments.of(means.reshape(len(images), -1, len(CHANNELS)))
         if images.start == 0:
