@@ -20,6 +20,7 @@ NAMES = (
     "listed",
     "cost",
     "large",
+    "maps",
     "images",
     "findings",
 )

@@ -31,6 +31,7 @@ _VERBS = {
     "anova": "which axes the variance comes from, effective dimension",
     "modes": "which patterns of frequencies vary together",
     "render": "render a scene's direct illumination: image, variance, EXR and PNG",
+    "map": "variance, rate and bottleneck at every pixel of a scene",
     "doctor": "what is installed and whether it works",
     "cite": "how to cite the package and its methods",
 }

@@ -205,7 +205,7 @@ class Receivers:
         x, y = self.pixels[np.argwhere(~np.isfinite(estimates))[0, 1]]
         raise ParameterError(
             f"Mitsuba gave NaN or infinite values at the pixel ({x}, {y}) of "
-            f"{scene_name(self._lighting.scene)!r}; check the materials and lights that it sees."
+            f"{scene_name(self._lighting.scene)}; check the materials and lights that it sees."
         )
 
 

@@ -13,7 +13,6 @@ from mcspectra.rendering import _map_statistics as statistics
 from mcspectra.rendering._map_checks import Window
 from mcspectra.rendering._map_kernel import RECEIVER
 from mcspectra.rendering._map_tiles import Measurement
-from mcspectra.rendering.scenes import scene_name
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -58,7 +57,7 @@ def labelled(
             "x": ("x", np.arange(x0, x0 + width), {"long_name": "column", "units": "pixels"}),
             "bound": ["low", "high"],
         },
-        scene=scene_name(lighting.scene),
+        scene=str(lighting.scene),
         sampler=measurement.sampler.spec,
         realizations=measurement.realizations,
         light="all" if lighting.light is None else lighting.light,

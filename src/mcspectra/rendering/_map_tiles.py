@@ -121,7 +121,7 @@ class Measurement:
     def _check_lobes(self, receivers: Receivers) -> None:
         if "bsdf" in self.techniques and self.sampler.dims == 2 and receivers.chooses_lobe():
             raise ParameterError(
-                f"A BSDF that is seen in {scene_name(self.lighting.scene)!r} chooses among lobes by a "
+                f"A BSDF that is seen in {scene_name(self.lighting.scene)} chooses among lobes by a "
                 "random number of its own; give dims=3, the third coordinate will be that number."
             )
 

@@ -156,7 +156,7 @@ def variance_map(
         maps = _measured(measurement, window, store)
     if not (maps["status"] == RECEIVER).any():
         raise ParameterError(
-            f"No pixel of the crop {list(window)} of {scene_name(scene)!r} sees a surface that scatters "
+            f"No pixel of the crop {list(window)} of {scene_name(scene)} sees a surface that scatters "
             "light; choose another crop."
         )
     return labelled(measurement, window, maps, smoothing, rng)

@@ -2,6 +2,7 @@ from .maps import band_covariances as band_covariances
 from .maps import contributions as contributions
 from .maps import cross_matrices as cross_matrices
 from .points import point_sets as point_sets
+from .scene_maps import map_figures as map_figures
 from .spectra import power_images as power_images
 from .spectra import power_lines as power_lines
 from .spectra import radial_power as radial_power
@@ -17,6 +18,7 @@ __all__ = [
     "contributions",
     "convergence_curves",
     "cross_matrices",
+    "map_figures",
     "point_sets",
     "power_images",
     "power_lines",

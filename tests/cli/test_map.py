@@ -1,0 +1,219 @@
+"""The verb ``map``: files, numbers, resumption, and one sentence for bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from mcspectra.cli.main import main
+from mcspectra.core.errors import ParameterError
+from mcspectra.report import map_page
+from mcspectra.report.encode import encode
+from mcspectra.report.figures.scene_maps import MAP_CAPTIONS, map_figures
+from mcspectra.report.map_page import map_layers, map_summary
+
+pytestmark = pytest.mark.render
+
+SMALL = ("--size", "24,16", "--crop", "8,6,6,4", "--counts", "4,16", "-m", "8")
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    code = main(["map", *map(str, arguments)])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, xr.Dataset]:
+    """A map on disk, and what the function returns."""
+    from mcspectra.rendering import variance_map
+
+    folder = tmp_path_factory.mktemp("map") / "out"
+    assert main(["map", "veach", *SMALL, "--seed", "3", "--out", str(folder), "--quiet"]) == 0
+    options: dict[str, Any] = {"size": (24, 16), "crop": (8, 6, 6, 4), "counts": (4, 16)}
+    return folder, variance_map("veach", realizations=8, rng=3, **options)
+
+
+def test_layers_hold_the_maps(made: tuple[Path, xr.Dataset]) -> None:
+    import OpenEXR
+
+    folder, result = made
+    channels = OpenEXR.File(str(folder / "maps.exr"), separate_channels=True).channels()
+    expected = map_layers(result)
+    assert channels.keys() == {f"{name}.Y" for name in expected}
+    for name in ("variance.light.n16", "rate.bsdf", "rate_ci.mis.low", "bottleneck", "mis_gain"):
+        stored = channels[f"{name}.Y"].pixels
+        assert np.array_equal(stored, expected[name].astype(np.float32), equal_nan=True)
+    light = result["variance"].sel(strategy="light", n=16).values
+    assert np.array_equal(expected["variance.light.n16"], light, equal_nan=True)
+
+
+def test_pictures_and_page(made: tuple[Path, xr.Dataset]) -> None:
+    folder, _ = made
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    for kind, caption in MAP_CAPTIONS.items():
+        assert (folder / f"{kind}.png").read_bytes().startswith(b"\x89PNG")
+        assert f'id="{kind}"' in page
+        assert caption.split(":")[0] in page
+    assert "http" not in page.replace("http-equiv", "")
+    assert page.count("data:image/png;base64,") == len(MAP_CAPTIONS)
+    assert not list(folder.glob(".*"))
+
+
+def test_json_is_strict_and_complete(
+    made: tuple[Path, xr.Dataset],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    folder, result = made
+    monkeypatch.setattr(map_page, "map_figures", lambda _: ())  # they are drawn already
+    stored = json.loads((folder / "map.json").read_text(), parse_constant=pytest.fail)
+    rate = float(np.nanmedian(result["rate"].sel(strategy="mis")))
+    assert stored["strategies"]["mis"]["rate"] == rate
+    assert sum(stored["bottleneck"].values()) == pytest.approx(1.0)
+    assert (stored["seed"], stored["counts"], stored["scene"]) == (3, [4, 16], "veach")
+    again = ("veach", *SMALL, "--seed", 3, "--out", folder, "--resume", "--json")
+    code, out, err = run(capsys, *again)
+    assert (code, err) == (0, "")
+    printed = json.loads(out)
+    assert printed.pop("report") == str(folder / "report.html")
+    assert printed == stored
+
+
+def test_text_has_a_row_a_strategy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ("--strategies", "bsdf,light", "--predict-every", 0, "--out", tmp_path)
+    code, out, _ = run(capsys, "veach", *SMALL, *options)
+    assert code == 0
+    header, _, *rows, last = out.splitlines()
+    assert header.split() == ["strategy", "mean", "variance", "rate", "rate_se"]
+    assert [row.split()[0] for row in rows] == ["light", "bsdf"]
+    assert last == f"map: {tmp_path / 'report.html'}"
+
+
+def test_options_reach_the_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = (
+        *("--strategies", "light, mis-bsdf", "--sampler", "random", "--light", "light-3"),
+        *("--heuristic", "power", "--channel", "1", "--points", "own", "--smoothing", "3"),
+        *("--predict-every", "0", "--workers", "1", "--json", "--out", tmp_path / "map"),
+    )
+    code, out, err = run(capsys, "veach", *SMALL, *options)
+    assert code == 0, err
+    found = json.loads(out)
+    assert list(found["strategies"]) == ["light", "mis-bsdf"]
+    expected = {
+        "sampler": "random", "light": "light-3", "heuristic": "power", "channel": 1,
+        "points": "own", "smoothing": 3, "crop": "[8, 6, 6, 4]", "size": "[24, 16]",
+    }  # fmt: skip
+    assert {name: found[name] for name in expected} == expected
+    assert "predicted_ratio" not in found["strategies"]["light"]
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (("veech",), "veach"),
+        (("none.xml",), "no scene file"),
+        (("veach", "--crop", "1,2,3"), "give x0, y0, width, height"),
+        (("veach", "--crop", "0,0,9999,1"), "leaves the grid"),
+        (("veach", "--crop", "a,b,c,d"), "--crop is 'a'"),
+        (("veach", "--crop=-1,0,2,2"), "--crop is '-1'"),
+        (("veach", "--size", "0,4"), "size width is 0"),
+        (("veach", "--strategies", "path"), "must be one of light"),
+        (("veach", "--strategies", ""), "must be one of light"),
+        (("veach", "--counts", "4,5"), "cannot make 5 points"),
+        (("veach", "--counts", "four"), "--counts is 'four'"),
+        (("veach", "-m", "1"), "--realizations is '1'"),
+        (("veach", "-m", "nan"), "--realizations is 'nan'"),
+        (("veach", "--sampler", "jit"), "jit"),
+        (("veach", "--light", "moon"), "no light 'moon'"),
+        (("veach", "--heuristic", "best"), "balance, power"),
+        (("veach", "--channel", "rgb"), "channel is 'rgb'"),
+        (("veach", "--dims", "7"), "from 2 to 3"),
+        (("veach", "--points", "all"), "shared, own"),
+        (("veach", "--smoothing", "4"), "odd"),
+        (("veach", "--workers", "0"), "--workers is '0'"),
+        (("veach", "--seed", "-1"), "--seed"),
+    ],
+)
+def test_bad_input_is_one_sentence(
+    options: tuple[str, ...], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = run(capsys, *options, "--out", tmp_path / "out")
+    assert (code, out) == (2, "")
+    assert sentence in err
+    assert err.startswith("mcspectra: ")
+    assert len(err.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_folders_that_cannot_take_a_map(
+    made: tuple[Path, xr.Dataset], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, _ = made
+    (tmp_path / "file").write_text("")
+    for target, more, sentence in (
+        (folder, (), "holds a map already"),
+        (folder, ("--resume", "--seed", 4), "other settings"),
+        (tmp_path / "file", (), "cannot be written"),
+    ):
+        code, out, err = run(capsys, "veach", *SMALL, "--out", target, *more)
+        assert (code, out) == (2, "")
+        assert sentence in err
+
+
+def synthetic(**changes: Any) -> xr.Dataset:
+    """A map whose numbers need no renderer."""
+    shape = (2, 2, 3, 5)
+    values = np.geomspace(1e-9, 1e3, 60).reshape(shape)
+    return xr.Dataset(
+        {
+            "variance": (("strategy", "n", "y", "x"), values),
+            "mean": (("strategy", "y", "x"), values[:, 0]),
+            "rate": (("strategy", "y", "x"), np.linspace(-9, 9, 30).reshape(2, 3, 5)),
+            "rate_se": (("strategy", "y", "x"), values[:, 1]),
+            "bottleneck": (("y", "x"), np.resize([-1.0, 0.0, 1.0, np.nan], (3, 5))),
+            "mis_gain": (("y", "x"), np.resize([0.01, 1.0, 40.0], (3, 5))),
+        }
+        | changes,
+        coords={"strategy": ["light", "bsdf"], "n": [4, 16], "y": range(3), "x": range(7, 12)},
+    )
+
+
+@pytest.mark.parametrize("fill", [None, np.nan, 0.0])
+def test_maps_of_any_numbers_can_be_drawn(fill: float | None) -> None:
+    result = synthetic()
+    if fill is not None:
+        result = result * np.nan + fill if np.isnan(fill) else result * 0 + fill
+    for kind, figure in map_figures(result):
+        assert kind in MAP_CAPTIONS
+        assert encode(figure)[0].startswith(b"\x89PNG")
+
+
+def test_images_are_upright_and_masked() -> None:
+    figures = dict(map_figures(synthetic()))
+    axes = figures["bottleneck"].axes[0]
+    drawn = axes.images[0]
+    assert drawn.get_extent() == [6.5, 11.5, 2.5, -0.5]
+    assert np.array_equal(drawn.get_array().mask.ravel()[:4], [False, False, False, True])
+    assert drawn.get_array().ravel()[:3].tolist() == [0, 1, 2]
+    legend = [text.get_text() for text in figures["bottleneck"].legends[0].get_texts()]
+    assert legend == ["undecided", "light", "BSDF", "no number"]
+    low, high = figures["rate"].axes[0].images[0].get_clim()
+    assert (low, high) == (-3.0, -0.5)
+    with pytest.raises(ParameterError, match="variance_map"):
+        list(map_figures(synthetic().drop_vars("rate")))
+
+
+def test_summaries_count_intervals() -> None:
+    gains = np.array([[[0.5, 2.0], [1.5, 3.0], [0.1, 0.9], [np.nan, np.nan], [2.0, 9.0]]])
+    ci = (("y", "x", "bound"), np.repeat(gains, 3, axis=0))
+    result = synthetic(mis_gain_ci=ci).assign_coords(bound=["low", "high"])
+    found = map_summary(result)
+    assert found["mis_gain"]["above_1"] == 0.5
+    assert found["mis_gain"]["below_1"] == 0.25
+    assert found["bottleneck"] == {"light": 4 / 12, "bsdf": 4 / 12, "undecided": 4 / 12}
