@@ -22,14 +22,13 @@ VEACH = "veach(width=24, height=16)"
 SOBOL = "sobol | owen"
 
 
-def test_a_pixel_is_the_mean_of_its_realisation_of_the_sampler() -> None:
+def test_every_pixel_is_the_mean_of_its_realisation_of_the_sampler() -> None:
     found = render(VEACH, "mis", SOBOL, 8, rng=3)["image"]
     waves = Wavefront(VEACH, film="sampled", emission=True)
-    stream, sampler = Stream.from_rng(3).child(0), mcs.sampler(SOBOL, 6)
-    for x, y in ((0, 0), (17, 4), (23, 15)):
-        u = sampler.draw_stream(8, stream, y * 24 + x, 1)
-        expected = waves.means("mis", [[x, y]], u)[0]
-        np.testing.assert_array_equal(found.sel(x=x, y=y), expected)
+    points = mcs.sampler(SOBOL, 6).draw_stream(8, Stream.from_rng(3).child(0), 0, 24 * 16)
+    reading = [(x, y) for y in range(16) for x in range(24)]
+    expected = waves.means("mis", reading, points).reshape(16, 24, 3)
+    np.testing.assert_array_equal(found, expected)
 
 
 def test_moments_are_those_of_single_images(monkeypatch: pytest.MonkeyPatch) -> None:
