@@ -59,6 +59,16 @@ def test_three_terms__bars_are_as_long_as_the_terms(make: Make) -> None:
     assert widths == [pytest.approx(float(data[name])) for name in names]
 
 
+def test_three_terms__every_bar_has_the_whiskers_of_its_interval(make: Make) -> None:
+    data = make["terms"]()
+    names = ("power_term", "cross_term", "predicted_variance", "measured_variance")
+    for name in names[:2]:
+        data[f"{name}_ci"] = ("bound", float(data[name]) * np.array([0.5, 2.0]))
+    figure = figures.three_terms({"jittered": data})
+    lines = [c.get_segments()[0][:, 0] for c in figure.axes[0].collections]
+    np.testing.assert_allclose(lines[::2], [data[f"{name}_ci"].values for name in names])
+
+
 def test_three_terms__rounding_does_not_stretch_the_axis(make: Make) -> None:
     data = make["terms"]()
     data["dc_term"] = data["dc_term"] * 0.0 + 1e-17

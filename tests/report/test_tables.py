@@ -61,13 +61,27 @@ def test_terms() -> None:
 
 
 def test_terms__have_half_their_intervals() -> None:
-    row = msgspec.structs.replace(FULL, dc_se=0.0, power_se=1e-7, cross_se=5e-8)
+    row = msgspec.structs.replace(
+        FULL,
+        dc_low=0.0,
+        dc_high=0.0,
+        power_low=1.8e-6,
+        power_high=2.2e-6,
+        cross_low=-9e-7,
+        cross_high=-7e-7,
+        captured_low=0.94,
+        captured_high=0.98,
+    )
     assert texts(terms_table([row]))[2:5] == [
         "0",
         "2.00×10⁻⁶ ± 2.0×10⁻⁷",
-        "−8.00×10⁻⁷ ± 9.8×10⁻⁸",
+        "−8.00×10⁻⁷ ± 1.0×10⁻⁷",
     ]
-    blank = SummaryRow(estimator="e", sampler="s", terms_n=4, dc=1e-20, power=1e-6, dc_se=1e-21)
+    assert texts(terms_table([row]))[-1] == "0.960 ± 0.020"
+    assert texts(summary_table([row]))[4] == "0.960 ± 0.020"
+    blank = SummaryRow(
+        estimator="e", sampler="s", terms_n=4, dc=1e-20, power=1e-6, dc_low=0, dc_high=1e-20
+    )
     assert texts(terms_table([blank]))[2] == "≈ 0"
 
 

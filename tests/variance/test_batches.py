@@ -7,6 +7,7 @@ import pytest
 from scipy import stats
 
 import mcspectra as mcs
+from mcspectra.variance.batches import RunningSpread, spread
 
 RUNS = 60
 
@@ -45,11 +46,79 @@ def test_the_interval_of_captured_covers_the_truth(runs):
     assert 1 - 4 * 0.092 < claimed / spread < np.sqrt(8 / 7) * (1 + 4 * 0.092)
 
 
+def test_spread_of_blocks_is_that_of_all_kept():
+    """Against the blocks side by side: weights w, errors about the mean with weights w²."""
+    generator = np.random.default_rng(1)
+    weights = np.array([3.0, 3.0, 3.0, 1.0])
+    values = 50.0 + generator.standard_normal((4, 2, 3)) + 1j * generator.standard_normal((4, 2, 3))
+    for blocks in (values.real, values):
+        running = RunningSpread()
+        for block, weight in zip(blocks, weights, strict=True):
+            running.add(block, weight)
+        off = blocks - np.average(blocks, axis=0, weights=weights**2)
+        squares = np.tensordot((weights / weights.sum()) ** 2, np.abs(off) ** 2, axes=1)
+        np.testing.assert_allclose(running.error(), np.sqrt(squares * 4 / 3), rtol=1e-10)
+    equal = RunningSpread()
+    for block in values.real:
+        equal.add(block, 7)
+    same = spread(values.real - values.real.mean(axis=0), np.full(4, 0.25))
+    np.testing.assert_allclose(equal.error(), same, rtol=1e-10)
+
+
+def _matrix_runs():
+    return [
+        mcs.variance_terms(
+            "gaussian(center=0.3, width=0.3)", mcs.sampler("jittered | mirror", dims=1), 8,
+            half_width=4, realizations=160, rng=seed, bands="dyadic", cross_matrix=True,
+        )
+        for seed in range(RUNS)
+    ]  # fmt: skip
+
+
+def test_errors_of_maps_bands_and_matrices_are_their_spread():
+    runs = _matrix_runs()
+    names = ("contribution", "band_covariance", "coefficient_covariance", "cross_matrix")
+    for name in names:
+        values = np.array([d[name].values for d in runs])
+        spread_found = (np.abs(values - values.mean(axis=0)) ** 2).sum(axis=0) / (RUNS - 1)
+        claimed = np.mean([d[f"{name}_se"].values ** 2 for d in runs], axis=0)
+        some = spread_found > 1e-6 * spread_found.max()  # S_0 = 1 has no variance
+        assert some.mean() > 0.5
+        ratio = np.sqrt(claimed[some] / spread_found[some])
+        # each spread is known to 9 %; dozens of numbers: 5 σ, and √(8/7) too much at most
+        assert ratio.min() > 1 / (1 + 5 * 0.092), name
+        assert ratio.max() < np.sqrt(8 / 7) / (1 - 5 * 0.092), name
+        assert 1 - 2 * 0.092 < np.median(ratio) < np.sqrt(8 / 7) * (1 + 2 * 0.092), name
+
+
+def test_intervals_of_terms_cover_with_two_batches():
+    """R = 4: two batches, a quantile of Student's t with 1 degree of freedom, 12.7."""
+    truth = float(
+        mcs.variance_terms(
+            "linear", mcs.sampler("random", dims=1), 4, half_width=4, realizations=20_000, rng=9
+        )["power_term"]
+    )
+    runs = [
+        mcs.variance_terms(
+            "linear", mcs.sampler("random", dims=1), 4, half_width=4, realizations=4, rng=seed
+        )
+        for seed in range(100)
+    ]
+    assert {d.attrs["batches"] for d in runs} == {2}
+    low, high = np.array([d["power_term_ci"].values for d in runs]).T
+    # 95 % of 100 with normal batches; these are skew: at least 80, where 1.96 σ would cover 60
+    assert np.count_nonzero((low <= truth) & (truth <= high)) >= 80
+    se = np.array([float(d["power_term_se"]) for d in runs])
+    np.testing.assert_allclose((high - low) / 2, stats.t.ppf(0.975, 1) * se)
+
+
 def test_few_realizations():
     estimator = mcs.Estimator("gaussian", dims=1)
     two = mcs.variance_terms(estimator, "jittered", 8, half_width=4, realizations=3)
     assert np.isnan(float(two["cross_term_se"]))
-    assert np.isnan(two["captured_ci"]).all()
+    for name in ("captured_ci", "power_term_ci", "contribution_se", "band_covariance_se"):
+        assert np.isnan(two[name]).all()
+    assert two.attrs["batches"] == 1
     four = mcs.variance_terms(estimator, "jittered", 8, half_width=4, realizations=4)
     assert float(four["power_term_se"]) > 0
 

@@ -40,12 +40,16 @@ _FURTHER = (
     "dc_term_se",
     "power_term_se",
     "cross_term_se",
+    "dc_term_ci",
+    "power_term_ci",
+    "cross_term_ci",
     "predicted_variance_ci",
     "measured_variance_ci",
     "captured_ci",
     "mean",
     "mean_se",
     "band_covariance",
+    "band_covariance_se",
 )
 
 
@@ -98,8 +102,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _text(result: xr.Dataset) -> str:
-    from mcspectra.estimators.moments import CONFIDENCE_Z
-
     attrs = result.attrs
     about = (
         f"coefficients: {attrs['coefficients']}; {attrs['realizations']} realisations; "
@@ -108,13 +110,8 @@ def _text(result: xr.Dataset) -> str:
     lines = [f"{attrs['estimator']}  with  {attrs['sampler']},  n = {attrs['n']}", about]
     rows = []
     for name in _VALUES:
-        interval = ""
-        if f"{name}_ci" in result:
-            low, high = np.atleast_2d(result[f"{name}_ci"].values)[0]
-            interval = f"{low:.4g} … {high:.4g}" if np.isfinite([low, high]).all() else ""
-        elif f"{name}_se" in result:
-            half = CONFIDENCE_Z * np.atleast_1d(result[f"{name}_se"].values)[0]
-            interval = f"± {half:.2g}" if np.isfinite(half) else ""
+        low, high = np.atleast_2d(result[f"{name}_ci"].values)[0]
+        interval = f"{low:.4g} … {high:.4g}" if np.isfinite([low, high]).all() else ""
         rows.append([name.replace("_", " "), "", _shown(result[name].values), interval])
     lines.append(text_table(["", "", "value", "95 % interval"], rows))
     if "note" in attrs:

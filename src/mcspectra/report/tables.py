@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
-from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.report.formatting import (
     MISSING,
     interval,
@@ -51,7 +50,7 @@ def summary_table(rows: Sequence[SummaryRow]) -> Table:
     return Table(
         caption="Rates are exponents of variance in n (random sampling: −1), ± half their 95 % "
         "interval. Predicted / measured is the share of the variance that the truncated spectrum "
-        "explains.",
+        "explains, ± half its 95 % interval.",
         columns=(
             "Estimator",
             "Sampler",
@@ -69,8 +68,8 @@ def summary_table(rows: Sequence[SummaryRow]) -> Table:
 def terms_table(rows: Sequence[SummaryRow]) -> Table:
     """Return one estimator's three terms against its measured variance."""
     return Table(
-        caption="dc + power + cross = predicted, each term ± half its 95 % interval; beside it the "
-        "measured variance and its 95 % interval.",
+        caption="dc + power + cross = predicted, each term and predicted / measured ± half their 95 % "
+        "interval; beside it the measured variance and its 95 % interval.",
         columns=(
             "Sampler",
             "n",
@@ -96,7 +95,7 @@ def _summary_cells(row: SummaryRow) -> tuple[Cell, ...]:
         Cell(text=row.sampler, numeric=False),
         _cell(rate(row.rate, row.rate_low, row.rate_high), no_rate),
         _cell(variance + at, _NO_CURVE if row.n is None else _NO_NUMBER),
-        _cell(number(row.captured), _no_term(row)),
+        _cell(_captured(row), _no_term(row)),
         _cell(_largest(row), _no_term(row)),
         Cell(text=row.note or "", numeric=False),
     )
@@ -105,21 +104,28 @@ def _summary_cells(row: SummaryRow) -> tuple[Cell, ...]:
 def _term_cells(row: SummaryRow) -> tuple[Cell, ...]:
     why = _no_term(row)
 
-    def value(given: float | None, se: float | None = None) -> Cell:
-        half = None if se is None else CONFIDENCE_Z * se
-        return _cell(with_error(number_beside(given, row.power), half), why)
+    def value(given: float | None, low: float | None = None, high: float | None = None) -> Cell:
+        return _cell(with_error(number_beside(given, row.power), _half(low, high)), why)
 
     return (
         Cell(text=_sampler_of(row), numeric=False),
         _cell(str(row.terms_n), why),
-        value(row.dc, row.dc_se),
-        value(row.power, row.power_se),
-        value(row.cross, row.cross_se),
+        value(row.dc, row.dc_low, row.dc_high),
+        value(row.power, row.power_low, row.power_high),
+        value(row.cross, row.cross_low, row.cross_high),
         value(row.predicted),
         value(row.measured),
         _cell(interval(row.measured_low, row.measured_high), why),
-        _cell(number(row.captured), why),
+        _cell(_captured(row), why),
     )
+
+
+def _captured(row: SummaryRow) -> str:
+    return with_error(number(row.captured), _half(row.captured_low, row.captured_high))
+
+
+def _half(low: float | None, high: float | None) -> float | None:
+    return None if low is None or high is None else 0.5 * (high - low)
 
 
 def _sampler_of(row: SummaryRow) -> str:

@@ -37,9 +37,14 @@ class SummaryRow(msgspec.Struct, frozen=True, kw_only=True):
     measured_low: float | None = None
     measured_high: float | None = None
     captured: float | None = None
-    dc_se: float | None = None
-    power_se: float | None = None
-    cross_se: float | None = None
+    captured_low: float | None = None
+    captured_high: float | None = None
+    dc_low: float | None = None
+    dc_high: float | None = None
+    power_low: float | None = None
+    power_high: float | None = None
+    cross_low: float | None = None
+    cross_high: float | None = None
     largest_term: str | None = None
     note: str | None = None
 
@@ -106,10 +111,11 @@ def _term_values(terms: xr.Dataset) -> dict[str, Any]:
     each = {name: _number(terms[f"{name}_term"]) for name in TERMS}
     known = {name: abs(value) for name, value in each.items() if value is not None}
     low, high = terms["measured_variance_ci"].values
-    errors = {f"{name}_se": _number(terms.get(f"{name}_term_se", math.nan)) for name in TERMS}
+    intervals = [_bounds(terms, name, f"{name}_term") for name in TERMS]
     return {
         **each,
-        **errors,
+        **{key: value for bounds in intervals for key, value in bounds.items()},
+        **_bounds(terms, "captured", "captured"),
         "terms_n": int(terms.attrs["n"]),
         "basis": terms.attrs.get("basis"),
         "predicted": _number(terms["predicted_variance"]),
@@ -120,6 +126,12 @@ def _term_values(terms: xr.Dataset) -> dict[str, Any]:
         "largest_term": _largest(known) if _number(terms["captured"]) is not None else None,
         "note": terms.attrs.get("note"),
     }
+
+
+def _bounds(terms: xr.Dataset, name: str, variable: str) -> dict[str, float | None]:
+    """Ends of a 95 % interval; results of older versions have none."""
+    low, high = terms[f"{variable}_ci"].values if f"{variable}_ci" in terms else (math.nan,) * 2
+    return {f"{name}_low": _number(low), f"{name}_high": _number(high)}
 
 
 def _largest(known: dict[str, float]) -> str | None:

@@ -17,7 +17,7 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
 
-__all__ = ["accumulate", "band_estimates", "merge_moments", "term_sums"]
+__all__ = ["accumulate", "add_to_spread", "band_estimates", "merge_moments", "term_sums"]
 
 _TILE = 512
 
@@ -116,3 +116,15 @@ def term_sums(f: Array, m2: Array, cov: Array, double: Array, dc: Array, out: Ar
             square = (a.real * a.real + a.imag * a.imag) * (m2[h] * double[h])
             out[c, 0 if dc[h] else 1] += square
             out[c, 2] += (a.real * cov[c, h].real + a.imag * cov[c, h].imag) * double[h]
+
+
+@kernel
+def add_to_spread(values: Array, part: float, weight: float, mean: Array, squares: Array) -> None:
+    """Add values (J,) to a running weighted mean (J,) and the weighted squares about it (J,).
+
+    `part` is `weight` over the sum of all weights, this one included (West 1979).
+    """
+    for j in range(values.size):
+        delta = values[j] - mean[j]
+        mean[j] += part * delta
+        squares[j] += weight * delta * (values[j] - mean[j])

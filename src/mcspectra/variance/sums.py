@@ -99,6 +99,11 @@ class SpectralSums:
         dc, power, total = sums.T / max(self.count - 1, 1)
         return dc, power, total - dc - power
 
+    def contribution(self, partition: Partition) -> Array:
+        """Contribution of each stored coefficient to the variance, for ±m each: (C, H)."""
+        f = partition.coefficients
+        return np.asarray((f.conj() * self.cov).real / max(self.count - 1, 1))
+
     def merge(self, other: SpectralSums) -> SpectralSums:
         """Sums of both sets of realisations together."""
         a, b = self.count, other.count

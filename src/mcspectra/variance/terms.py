@@ -34,10 +34,10 @@ from mcspectra.core.parallel import (
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
-from mcspectra.estimators.moments import rounding_floor
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra.bases import BASES, Basis, fitting_basis, make_basis
+from mcspectra.variance._term_variables import term_errors, term_variables
 from mcspectra.variance.bands import Bands, make_bands
 from mcspectra.variance.batches import Batches, Variables
 from mcspectra.variance.sums import Partition, SpectralSums
@@ -100,12 +100,14 @@ def variance_terms(
     xarray.Dataset
         ``dc_term``, ``power_term``, ``cross_term``, ``predicted_variance`` (their sum) with ``_ci``,
         ``measured_variance`` with ``_ci``, ``captured`` with ``_ci`` (predicted/measured, NaN where the
-        measured variance is rounding noise), standard errors ``dc_term_se``, ``power_term_se``,
-        ``cross_term_se`` (batch means: from 4 realisations on), ``contribution`` and
-        ``power_contribution`` on m0, m1, …, ``band_covariance(band, band_other)``,
-        ``truncated_variance(half_width)`` and ``captured_by_half_width(half_width)``; a dim channel
-        where f has several, a dim technique on maps of a primary space with several. With
-        `cross_matrix`, ``coefficient_covariance(m, l)`` and ``cross_matrix(m, l)``.
+        measured variance is rounding noise), ``contribution`` and ``power_contribution`` on m0, m1,
+        …, ``band_covariance(band, band_other)``, ``truncated_variance(half_width)`` and
+        ``captured_by_half_width(half_width)``; a dim channel where f has several, a dim technique on
+        maps of a primary space with several. With `cross_matrix`, ``coefficient_covariance(m, l)``
+        and ``cross_matrix(m, l)``. Standard errors ``_se`` of the terms, ``contribution``,
+        ``band_covariance`` and both matrices, and ``_ci`` of the terms, by batch means (from 4
+        realisations on): their number is the attribute ``batches``, and 95 % is Student's t with one
+        degree of freedom less.
 
     Raises
     ------
@@ -163,8 +165,8 @@ def variance_terms(
             InfiniteWeightVarianceWarning,
             stacklevel=2,
         )
-    variables = _variables(sums, measured, view, partition)
-    variables |= batches.errors(variables["captured"][1])
+    variables = term_variables(sums, measured, view, partition)
+    variables |= term_errors(batches, variables, view, partition)
     if infinite:
         variables = {name: (d, _undefined(name, v)) for name, (d, v) in variables.items()}
     return _labelled(
@@ -175,6 +177,7 @@ def variance_terms(
         sampler=source.spec,
         n=n,
         realizations=realizations,
+        batches=batches.count,
         basis=basis,
         space=space,
         coefficients=view.source,
@@ -197,70 +200,6 @@ def _merged(
         batches.add(other_sums, other_measured, partition)
         sums, measured = sums.merge(other_sums), measured.merge(other_measured)
     return sums, measured, batches
-
-
-def _variables(
-    sums: SpectralSums, measured: Moments, view: View, partition: Partition
-) -> Variables:
-    """All result variables with a leading channel axis."""
-    f, basis = partition.coefficients, view.basis
-    degrees = sums.count - 1
-    spectrum = sums.m2 / degrees
-    diagonal = np.abs(f) ** 2 * spectrum
-    contribution = (f.conj() * sums.cov).real / degrees
-    dc, power, cross = sums.terms(partition)
-    total = dc + power + cross
-    shape = (len(f), len(view.transforms), basis.stored)
-    # A variance of rounding noise captures nothing.
-    real = np.where(measured.variance > rounding_floor(measured.mean), measured.variance, np.nan)
-    captured = total / real
-    curve = sums.truncated.variance / real[:, None]
-    maps = ("channel", "technique", *basis.names)
-    by_width = ("channel", "half_width")
-    variables: Variables = {
-        "dc_term": (("channel",), dc),
-        "power_term": (("channel",), power),
-        "cross_term": (("channel",), cross),
-        "predicted_variance": (("channel",), total),
-        "predicted_variance_ci": (("channel", "bound"), sums.truncated.variance_ci[:, -1]),
-        "measured_variance": (("channel",), measured.variance),
-        "measured_variance_ci": (("channel", "bound"), measured.variance_ci),
-        "mean": (("channel",), measured.mean),
-        "mean_se": (("channel",), measured.mean_se),
-        "captured": (("channel",), captured),
-        "contribution": (maps, basis.full(contribution.reshape(shape))),
-        "power_contribution": (maps, basis.full(diagonal.reshape(shape))),
-        "band_covariance": (("channel", "band", "band_other"), sums.band_m2 / degrees),
-        "truncated_variance": (by_width, sums.truncated.variance),
-        "captured_by_half_width": (by_width, curve),
-    }
-    if sums.matrix is not None:
-        variables |= _matrices(sums.matrix / degrees, f, view)
-    return variables
-
-
-def _matrices(stored: Array, f: Array, view: View) -> Variables:
-    """Full C_ml and conj(f_m) f_l C_ml from the covariances of what is stored, with and without conj.
-
-    S_{−l} = conj S_l gives C_{m,−l} = Cov(S_m, conj S_l), the pseudo-covariance. In primary space
-    the coefficients of the techniques follow one another.
-    """
-    techniques, h = len(view.transforms), view.basis.stored
-    place, conjugate = view.basis.whole()
-    index = (np.arange(techniques)[:, None] * h + place).ravel()
-    flip = np.tile(conjugate, techniques)
-    size = techniques * h
-    plain, pseudo = stored[:, :size][np.ix_(index, index)], stored[:, size:][np.ix_(index, index)]
-    # ⟨S_a conj S_b⟩ for a, b plain or conjugated
-    both = np.where(flip[:, None], plain.conj(), plain)
-    mixed = np.where(flip[:, None], pseudo.conj(), pseudo)
-    c = np.where(flip[:, None] == flip[None, :], both, mixed)
-    whole = f[:, index]
-    whole = np.where(flip, whole.conj(), whole)
-    return {
-        "coefficient_covariance": (("m", "l"), c),
-        "cross_matrix": (("channel", "m", "l"), whole.conj()[:, :, None] * whole[:, None, :] * c),
-    }
 
 
 _INFINITE = ("dc_term", "power_term")

@@ -183,9 +183,10 @@ def _term_bars(axes: Axes, data: xr.Dataset, style: LineStyle) -> None:
             note, (1.0, row), xycoords=axes.get_yaxis_transform(), xytext=(4, 0),
             textcoords="offset points", va="center", fontsize=SMALL_SIZE, color=INK,
         )  # fmt: skip
-    for row, name in ((3, "predicted_variance_ci"), (4, "measured_variance_ci")):
-        low, high = data[name].values
-        if math.isfinite(low) and math.isfinite(high):
+    for row, name in enumerate(_TERMS):
+        low, high = data[f"{name}_ci"].values if f"{name}_ci" in data else (math.nan, math.nan)
+        shown = abs(values[row]) > NEGLIGIBLE * scale
+        if shown and math.isfinite(low) and math.isfinite(high):
             axes.hlines(row, low, high, INK, lw=1.0)
             axes.vlines([low, high], row - 0.2, row + 0.2, INK, lw=1.0)
     axes.axvline(0.0, color=GRAY, lw=0.7)
