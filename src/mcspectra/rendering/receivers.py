@@ -69,8 +69,10 @@ def primary_hit(scene: Any, x: int, y: int) -> Hit:
     import drjit
 
     mitsuba = load_mitsuba()
-    interaction = scene.ray_intersect(_camera_ray(scene, mitsuba.Point2f(*_on_film(scene, x, y))))
-    # Opaque: the point becomes data, so that all pixels share their compiled kernels.
+    # Opaque: position and point become data, so that all pixels share their compiled kernels.
+    position = mitsuba.Point2f(*_on_film(scene, x, y))
+    drjit.make_opaque(position)
+    interaction = scene.ray_intersect(_camera_ray(scene, position))
     drjit.make_opaque(interaction)
     emitter = interaction.emitter(scene)[0]
     light = emitter_name(emitter) if emitter else None

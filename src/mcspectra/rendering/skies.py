@@ -22,7 +22,7 @@ from mcspectra.rendering.scenes import Scene, emitter_name, find_emitter, load_s
 
 __all__ = ["Sky", "environment_of", "sky_pixels", "sky_technique"]
 
-_ROWS = 256
+_ROWS = 512
 _MOST_ROWS = 2**12
 _ORTHONORMAL = 1e-4  # of float32 matrices that several rotations make
 _SMALLEST_SINE = 1e-12  # at the poles, where a density per steradian has no bound
