@@ -76,7 +76,11 @@ def labelled(
 
 def _variables(measurement: Measurement, maps: Maps, smoothing: int) -> Maps:
     variance, relative_se = maps["variance"], maps["relative_se"]
-    fits = statistics.fit_lines(np.array(measurement.counts), variance, relative_se, maps["mean"])
+    # Few realisations leave every variance uncertain, without anything rare.
+    largest_se = max(0.5, 1.5 * (2.0 / (measurement.realizations - 1)) ** 0.5)
+    fits = statistics.fit_lines(
+        np.array(measurement.counts), variance, relative_se, maps["mean"], largest_se
+    )
     rate, rate_se = statistics.smooth(fits.rate, fits.rate_se, smoothing, measurement.own)
     found = {
         "variance": variance,

@@ -42,7 +42,7 @@ class LineFits:
     ----------
     rate, rate_se
         Slopes and their standard errors; NaN where fewer than two variances could be fitted, or one
-        was zero at a smaller n than others: too few realisations for what is rare.
+        was left out at a smaller n than others: too few realisations for what is rare.
     level, level_se
         Log variance at the centre, which is independent of the slope.
     centre
@@ -68,7 +68,9 @@ class LineFits:
         return self.level + self.rate * step, np.hypot(self.level_se, self.rate_se * step)
 
 
-def fit_lines(ns: Array, variance: Array, relative_se: Array, mean: Array) -> LineFits:
+def fit_lines(
+    ns: Array, variance: Array, relative_se: Array, mean: Array, largest_se: float = 0.5
+) -> LineFits:
     """Fit all lines at once.
 
     Parameters
@@ -78,10 +80,13 @@ def fit_lines(ns: Array, variance: Array, relative_se: Array, mean: Array) -> Li
     variance, relative_se, mean
         Variances, their relative standard errors and the mean estimates, (S, N, …). Variances that
         are rounding of float32 are left out.
+    largest_se
+        Variances of a larger relative standard error come of very few realisations that met what is
+        rare: most often they are far too small. They are left out like zeros.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         floor = (_ULPS * np.finfo(np.float32).eps * mean) ** 2
-        used = (variance > floor) & (relative_se > 0)
+        used = (variance > floor) & (relative_se > 0) & (relative_se <= largest_se)
         weight = np.where(used, relative_se**-2.0, 0.0)
         y = np.where(used, np.log(variance), 0.0)
         x = np.log(ns.astype(float)).reshape(1, -1, *[1] * (variance.ndim - 2))
@@ -89,7 +94,7 @@ def fit_lines(ns: Array, variance: Array, relative_se: Array, mean: Array) -> Li
         centre, level = _over_counts(weight * x) / total, _over_counts(weight * y) / total
         step = x - centre[:, None]
         spread = _over_counts(weight * step**2)
-        # A zero before a variance: no realisation met what is rare, and n alone did not change that.
+        # Left out before a variance that is not: n was too small to meet what is rare.
         missed = np.maximum.accumulate(used[:, ::-1], axis=1)[:, ::-1] & ~used
         enough = (used.sum(axis=1) >= 2) & ~missed.any(axis=1)
         rate = np.where(enough, _over_counts(weight * step * y) / spread, np.nan)

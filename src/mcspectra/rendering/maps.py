@@ -142,7 +142,9 @@ def variance_map(
     Notes
     -----
     Memory: about 200 MiB beside the result, whatever the size of the image: pixels are measured in
-    tiles. ``bottleneck`` compares 95 % intervals; over many pixels some decisions are wrong.
+    tiles. Where few realisations meet a light, variances are mostly far too small at the smaller n:
+    there is no rate where one is zero, or has a standard error of more than a half of it, at a
+    smaller n than others; more realisations give one. ``bottleneck`` compares 95 % intervals; over many pixels some decisions are wrong.
     """
     measurement = _measurement(
         *(scene, strategies, sampler, counts, realizations, size, light, heuristic, channel),
