@@ -2,8 +2,8 @@
 
 SCENE is the name of a built-in scene, e.g. 'veach' or "veach(lights=['light-3'])", or a Mitsuba XML
 file. Prints the mean radiance, the root mean square of the pixels' standard errors where there are
-several images (-m) or a --reference, and samples a second. An .exr holds image, variance and
-standard error, a .png the image in sRGB.
+several images (-m) or a --reference, and samples a second, with the time that kernels take to
+compile. An .exr holds image, variance and standard error, a .png the image in sRGB.
 """
 
 from __future__ import annotations
