@@ -26,9 +26,14 @@ __all__ = [
     "ParameterError",
     "SpecError",
     "StoreError",
+    "UndefinedRatioWarning",
     "UnknownName",
     "close_match_hint",
+    "point_in_words",
 ]
+
+
+_COORDINATES = 6  # of a point in a message
 
 
 class McspectraError(Exception):
@@ -103,6 +108,10 @@ class InfiniteWeightVarianceWarning(UserWarning):
     """∫1/p diverges: the variance of S_0 is infinite, although that of the estimate may not be."""
 
 
+class UndefinedRatioWarning(UserWarning):
+    """f and p are both 0 at a sample: f/p counts as 0 there, whatever its limit."""
+
+
 def close_match_hint(
     given: str, allowed: Iterable[str], command: str = ""
 ) -> tuple[str, tuple[str, ...]]:
@@ -118,3 +127,11 @@ def close_match_hint(
         return f" Allowed: {', '.join(names)}.", close
     shown = f"; {command!r} shows them" if command else ""
     return f" There are {len(names)} names{shown}.", close
+
+
+def point_in_words(point: Iterable[float]) -> str:
+    """Return ``(0.1, 0.25)``; of many coordinates the first few and their number."""
+    coordinates = [f"{float(c):.6g}" for c in point]
+    more = len(coordinates) - _COORDINATES
+    shown = ", ".join(coordinates[:_COORDINATES])
+    return f"({shown}, … {more} more)" if more > 0 else f"({shown})"

@@ -12,7 +12,7 @@ import numpy as np
 from mcspectra.core.checks import Array, as_reals
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.densities.base import Density, plain, store_integer
+from mcspectra.densities.base import Density, bounded_product, exponential, plain, store_integer
 
 __all__ = ["Linear", "TruncatedNormal", "Uniform"]
 
@@ -85,7 +85,7 @@ class Linear(Density):
         s = self._slopes
         # Both written from the end where the density is low
         line = np.where(s >= 0, (1.0 - 0.5 * s) + s * x, (1.0 + 0.5 * s) - s * (1.0 - x))
-        return np.asarray(line.prod(axis=-1))
+        return bounded_product(line, self.spec)
 
     def _sample(self, u: Array) -> Array:
         s = self._slopes
@@ -146,7 +146,7 @@ class TruncatedNormal(Density):
         return self._normal.reciprocal_integral()
 
     def _pdf(self, x: Array) -> Array:
-        return self._normal.pdf(x)
+        return exponential(self._normal.log_pdf(x), self.spec)
 
     def _sample(self, u: Array) -> Array:
         return self._normal.sample(u)
@@ -185,10 +185,10 @@ class _CutNormal:
         log_mass = log_high + np.log(-np.expm1(log_low - log_high))
         return _CutNormal(flip, mean, sigma, low, high, log_low, log_high, log_mass)
 
-    def pdf(self, x: Array) -> Array:
+    def log_pdf(self, x: Array) -> Array:
         z = (np.where(self.flip, 1.0 - x, x) - self.mean) / self.sigma
         log_scale = np.log(self.sigma * math.sqrt(2 * math.pi)) + self.log_mass
-        return np.asarray(np.exp((-0.5 * z**2 - log_scale).sum(axis=-1)))
+        return np.asarray((-0.5 * z**2 - log_scale).sum(axis=-1))
 
     def sample(self, u: Array) -> Array:
         from scipy.special import ndtri_exp

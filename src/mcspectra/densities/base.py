@@ -7,6 +7,7 @@ write `_pdf`, `_sample` and `_invert` on plain arrays; the checks are here.
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar
@@ -14,12 +15,26 @@ from typing import Any, ClassVar
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer, as_real_array
-from mcspectra.core.errors import DensityError, DomainError
+from mcspectra.core.errors import (
+    DensityError,
+    DomainError,
+    UndefinedRatioWarning,
+    point_in_words,
+)
 from mcspectra.core.spec import Component
 
-__all__ = ["Density", "as_points", "divide_by_density", "plain", "store_integer"]
+__all__ = [
+    "Density",
+    "as_points",
+    "bounded_product",
+    "divide_by_density",
+    "exponential",
+    "plain",
+    "store_integer",
+]
 
 LARGEST_BELOW_ONE = float(np.nextafter(1.0, 0.0))
+LARGEST_LOGARITHM = float(np.log(np.finfo(float).max))
 
 
 class Density(Component, ABC):
@@ -180,22 +195,83 @@ def store_integer(component: object, name: str, *, least: int, most: int | None 
     object.__setattr__(component, name, value)
 
 
-def divide_by_density(values: Array, pdf: Array, x: Array, spec: str) -> Array:
+def bounded_product(factors: Array, spec: str) -> Array:
+    """Return the product over the last axis of finite factors >= 0, which a float may not hold.
+
+    Raises
+    ------
+    DensityError
+        It exceeds the largest float, as in hundreds of dims.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        product = np.asarray(factors.prod(axis=-1))
+    overflown = ~np.isfinite(product)
+    if overflown.any():  # maybe on the way only
+        with np.errstate(divide="ignore"):
+            product[overflown] = exponential(np.log(factors[overflown]).sum(axis=-1), spec)
+    return product
+
+
+def exponential(logarithm: Array, spec: str) -> Array:
+    """Return the exponential of logarithms of a pdf that is finite in theory.
+
+    Raises
+    ------
+    DensityError
+        It exceeds the largest float.
+    """
+    if (logarithm >= LARGEST_LOGARITHM).any():
+        raise DensityError(
+            f"The pdf of {spec} reaches exp({logarithm.max():.6g}), more than a float can hold "
+            f"(exp({LARGEST_LOGARITHM:.0f})); use fewer dims or a wider density."
+        )
+    return np.asarray(np.exp(logarithm))
+
+
+def divide_by_density(
+    values: Array, pdf: Array, x: Array, spec: str, *, constant: bool = False
+) -> Array:
     """Return values/pdf, 0 where both vanish; values (...) or (..., channels).
+
+    Samples lie where pdf is 0 when that is a face or a line and the points are not randomised: the
+    first point of many sequences is the origin.
+
+    Parameters
+    ----------
+    values, pdf, x
+        Of f or of a constant, of p, and the samples (..., d).
+    spec
+        What messages call the estimator.
+    constant
+        Whether the values are those of a constant, so that the ratio is a weight.
 
     Raises
     ------
     DensityError
         pdf is 0 at a sample where the value is not.
+
+    Warns
+    -----
+    UndefinedRatioWarning
+        Both are 0 at a sample; the text is the same for every block of an estimator, so that
+        Python's default filter shows it once.
     """
     scaled = pdf if values.ndim == pdf.ndim else pdf[..., None]
-    if (pdf > 0).all():
+    zero = pdf <= 0
+    if not zero.any():
         return np.asarray(values / scaled)
-    bad = (pdf <= 0) & (values != 0 if values.ndim == pdf.ndim else (values != 0).any(axis=-1))
+    bad = zero & (values != 0 if values.ndim == pdf.ndim else (values != 0).any(axis=-1))
     if bad.any():
-        where = ", ".join(f"{c:.6g}" for c in x[bad][0])
+        what = "so that its weight is infinite" if constant else "where f is not"
         raise DensityError(
-            f"The density of {spec} is 0 at the sample ({where}), where f is not; "
+            f"The density of {spec} is 0 at the sample {point_in_words(x[bad][0])}, {what}; "
+            "randomise the sampler (such as '| shift') if that is so on a line or a face only, else "
             "choose a density that is positive wherever f is not 0."
         )
+    warnings.warn(
+        f"f and the density of {spec} are both 0 at the sample {point_in_words(x[zero][0])}: f/p "
+        "counts as 0 there, whatever its limit; randomise the sampler (such as '| shift').",
+        UndefinedRatioWarning,
+        stacklevel=3,
+    )
     return np.asarray(values / np.where(scaled > 0, scaled, 1.0))

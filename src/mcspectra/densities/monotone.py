@@ -15,7 +15,7 @@ import numpy as np
 
 from mcspectra.core.checks import MAX_DIMS, Array, as_reals
 from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.densities.base import Density, plain, store_integer
+from mcspectra.densities.base import Density, bounded_product, plain, store_integer
 
 __all__ = ["CosineWeighted", "Exponential", "Power", "Tent"]
 
@@ -113,7 +113,7 @@ class Exponential(Density):
         steep = np.abs(self._rates)
         from_peak = np.where(self._rates > 0, x, 1.0 - x)
         factors = steep * np.exp(-steep * from_peak) / -np.expm1(-steep)
-        return np.asarray(np.where(self._flat, 1.0, factors).prod(axis=-1))
+        return bounded_product(np.where(self._flat, 1.0, factors), self.spec)
 
     def _sample(self, u: Array) -> Array:
         r = self._rates
@@ -210,7 +210,7 @@ class Tent(Density):
         left, right = self._sides
         up, down = np.minimum(x, left) / left, np.minimum(1.0 - x, right) / right
         line = np.where(self._rising(x), up, down)
-        return np.asarray((2.0 * line).prod(axis=-1))
+        return bounded_product(2.0 * line, self.spec)
 
     def _sample(self, u: Array) -> Array:
         left, right = self._sides

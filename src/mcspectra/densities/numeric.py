@@ -6,16 +6,18 @@ Everything here is deterministic: fixed points, fixed offsets, no seed.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import DensityError
+from mcspectra.core.errors import point_in_words as _at
 from mcspectra.core.streams import Stream
-from mcspectra.densities.adaptive import Quadrature, integrate
+from mcspectra.densities.adaptive import MOST_CELLS, Quadrature, integrate
 from mcspectra.densities.base import LARGEST_BELOW_ONE, Density
 
-__all__ = ["check_density", "reciprocal_integral"]
+__all__ = ["check_density", "positive_integral", "reciprocal_integral"]
 
 _CELLS = {1: 64, 2: 16}  # a side, of the cells in which masses are compared
 _SETS, _SET_SIZE = 32, 4096  # shifted low-discrepancy sets; their spread is the error bar
@@ -70,6 +72,39 @@ def reciprocal_integral(density: Density) -> float:
         if _isolated(found):
             return _limit(found)
     return _mean_with_tail(reciprocal(_points(density.dims).reshape(-1, density.dims)))
+
+
+def positive_integral(
+    function: Callable[[Array], Array], dims: int, *, most_cells: int = MOST_CELLS
+) -> tuple[float, float]:
+    """Return the integral of a non-negative function over [0,1)^d, and an estimate of its error.
+
+    Parameters
+    ----------
+    function
+        Points (..., d) to (...).
+    dims
+        d, 1 or 2.
+    most_cells
+        Cells of a level, beyond which no more are split.
+
+    Returns
+    -------
+    tuple of float
+        Infinite, with error 0, where the unresolved part does not shrink: poles r^-a with a > 0.97
+        count as that, see `reciprocal_integral`. Else the error is that of the cells, or, where
+        the rest was added as a geometric series, what this changed from the last level to the one before.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = integrate(function, dims, cells=_CELLS[dims], most_cells=most_cells)
+    if not _isolated(found):
+        return found.totals[-1], found.unresolved[-1]
+    value = _limit(found)
+    if math.isinf(value):
+        return value, 0.0
+    if value == found.totals[-1]:
+        return value, float(found.errors.sum())
+    return value, abs(value - _aitken(*found.totals[-4:-1]))
 
 
 def check_density(density: Density) -> None:
@@ -171,7 +206,11 @@ def _limit(found: Quadrature) -> float:
         return last
     if _ratio(found) >= _SLOWEST:
         return math.inf
-    a, b, c = found.totals[-3:]
+    return _aitken(*found.totals[-3:])
+
+
+def _aitken(a: float, b: float, c: float) -> float:
+    """Limit of a geometric series with these last sums; the last where it is none."""
     steady = 0 < abs(c - b) < abs(b - a)
     return c + (c - b) ** 2 / ((b - a) - (c - b)) if steady else c
 
@@ -302,7 +341,3 @@ def _jacobian_problem(density: Density, u: Array) -> str | None:
     if means.mean() > bound:
         return f"The pdf of {density.spec} integrates to {means.mean():.6g}, where samples cover 1"
     return None
-
-
-def _at(point: Array) -> str:
-    return "(" + ", ".join(f"{c:.6g}" for c in point) + ")"

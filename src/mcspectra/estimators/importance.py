@@ -97,7 +97,8 @@ class Estimator(DomainEstimator):
         """1/p(x)."""
         if self.density is None:
             return np.ones(x.shape[:-1])
-        return divide_by_density(np.ones(x.shape[:-1]), self.density.pdf(x), x, self.spec)
+        ones = np.ones(x.shape[:-1])
+        return divide_by_density(ones, self.density.pdf(x), x, self.spec, constant=True)
 
 
 def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:

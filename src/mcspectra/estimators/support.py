@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import DensityError
+from mcspectra.core.errors import DensityError, point_in_words
 from mcspectra.densities import Density
 from mcspectra.integrands import Integrand
 
@@ -60,10 +60,10 @@ def check_support(integrand: Integrand, densities: Sequence[Density]) -> None:
     values = np.asarray(integrand(x[~covered]))
     missed = values.reshape(len(values), -1).any(axis=1)
     if missed.any():
-        where = ", ".join(f"{c:.6g}" for c in x[~covered][missed][0])
+        where = point_in_words(x[~covered][missed][0])
         names = " and ".join(density.spec for density in densities)
         raise DensityError(
-            f"{names} is 0 at ({where}), where {integrand.spec} is not: the estimate would miss "
+            f"{names} is 0 at {where}, where {integrand.spec} is not: the estimate would miss "
             "that part; choose a density that is positive wherever f is not 0."
         )
 

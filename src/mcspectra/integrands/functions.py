@@ -10,7 +10,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import ParameterError, point_in_words
 from mcspectra.integrands.base import Integrand
 
 __all__ = ["FunctionIntegrand"]
@@ -154,7 +154,7 @@ def _finite(values: Array, x: Array, who: str) -> Array:
     if finite.all():
         return values
     bad = ~finite if values.ndim < x.ndim else ~finite.all(axis=-1)
-    where = ", ".join(f"{c:.6g}" for c in x[bad][0])
+    where = point_in_words(x[bad][0])
     raise ParameterError(
         f"{who} is NaN or infinite at {np.count_nonzero(bad)} of {bad.size} points, the first "
         f"({where}); it must be finite."

@@ -210,7 +210,7 @@ def weighted_points(
         return points, None
     x = density.sample(points)
     equal = np.full((len(x), n), 1.0 / n)
-    return x, divide_by_density(equal, density.pdf(x), x, density.spec)
+    return x, divide_by_density(equal, density.pdf(x), x, density.spec, constant=True)
 
 
 def radial_mean(grid: FrequencyGrid, half: Array) -> tuple[Array, Array, Array]:
