@@ -12,7 +12,7 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import HEURISTICS
-from mcspectra.rendering import Pixel, PixelMIS, load_mitsuba, pixel_mis, sky_pixels
+from mcspectra.rendering import Pixel, PixelMIS, load_mitsuba, named_pixels, pixel_mis, sky_pixels
 from mcspectra.rendering.draws import Draws
 from mcspectra.samplers.registry import as_sampler
 from mcspectra.variance.counterfactuals import Budget, Setup, other_setups
@@ -97,6 +97,15 @@ def test_weights_sum_to_one_where_both_techniques_sample(
     np.testing.assert_allclose(sums, f[shared], rtol=1e-12)
 
 
+def test_counts_enter_the_weights() -> None:
+    mis, u = pixel_mis(**PLATE, counts=(3, 2)), uniforms(4096)
+    for technique, count in enumerate((3, 2)):
+        drawn = mis.draws(technique, u)
+        light, bsdf = drawn.pdfs
+        wanted = drawn.values * drawn.pdfs[technique] * count / (3 * light + 2 * bsdf)
+        np.testing.assert_allclose(mis.primary_values(technique, u), wanted, rtol=1e-12)
+
+
 def test_optimal_weights_have_the_least_variance() -> None:
     # 4096 pilot samples leave α off by some percent: the minimum is flat, 3 % is allowed
     for place in (WALL, PLATE):
@@ -151,6 +160,17 @@ def test_samples_below_the_surface_do_not_bias_optimal_weights() -> None:
     place = {"scene": scene, "x": 4, "y": 4}
     mean, error = total(pixel_mis(**place, heuristic="optimal"))
     wanted, wanted_error = mean_and_error(Pixel(**place)(uniforms(2**18, seed=99)))
+    assert abs(mean - wanted) < SIGMAS * np.hypot(error, wanted_error)
+
+
+def test_blocked_light_does_not_bias_optimal_weights() -> None:
+    # Rays to a hidden part of the light and rays to what hides it are no samples of each other
+    x, y = named_pixels("figure1")["Q"]
+    mis = pixel_mis("figure1", x, y, heuristic="optimal")
+    assert (mis.draws(0, uniforms(COUNT)).values == 0).mean() > 0.05
+    mean, error = total(mis)
+    light = Pixel(scene="figure1", x=x, y=y)
+    wanted, wanted_error = mean_and_error(light(uniforms(2**18, seed=99)))
     assert abs(mean - wanted) < SIGMAS * np.hypot(error, wanted_error)
 
 
