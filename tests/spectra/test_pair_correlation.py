@@ -89,7 +89,14 @@ def test_both_boundaries_agree_for_stationary_sets():
 
 
 @pytest.mark.parametrize(
-    ("spec", "n"), [("jittered(dims=1)", 6), ("jittered", 16), ("jittered(sides=[2, 6])", 12)]
+    ("spec", "n"),
+    [
+        ("jittered(dims=1)", 6),
+        ("jittered", 16),
+        ("jittered(sides=[2, 6])", 12),
+        ("jittered(sides=[8, 1])", 8),
+        ("jittered(sides=[1, 5])", 5),
+    ],
 )
 def test_jittered_against_the_exact_form(spec, n):
     bins = 25
@@ -110,6 +117,14 @@ def test_exact_form_of_jittered_is_the_mean_over_directions():
         shared = (np.maximum(0, 1 - a) * np.maximum(0, 1 - b)).mean()
         found = mcs.closed_form_pair_correlation("jittered(sides=[2, 6])", 12, r)
         np.testing.assert_allclose(found, 12 / 11 * (1 - shared), rtol=1e-8)
+
+
+@pytest.mark.parametrize(("sides", "n"), [([8, 1], 8), ([1, 5], 5)])
+def test_an_axis_of_one_cell_is_always_shared(sides, n):
+    """(2/π) ∫ max(0, 1 − n r sin θ) dθ over a quarter turn: all of it up to r = 1/n."""
+    r = np.array([0.0, 0.3 / n, 0.9 / n])
+    found = mcs.closed_form_pair_correlation(f"jittered(sides={sides})", n, r)
+    np.testing.assert_allclose(found, n / (n - 1) * n * r * 2 / np.pi, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -188,3 +188,22 @@ def test_quadrature_that_does_not_converge_is_refused():
     f = mcs.Integrand.from_function(lambda x: (x.sum(axis=-1) < 0.913).astype(float), dims=2)
     with pytest.raises(mcs.NoClosedForm, match="does not converge"):
         mcs.exact_variance(mcs.Estimator(f), "jittered", 16)
+
+
+@pytest.mark.parametrize(
+    ("f", "spec", "n"),
+    [
+        ("cosine(frequency=[1, 2])", "regular | shift", 16),
+        ("cosine(frequency=[1, 2])", "uniform-jitter", 16),
+        ("cosine(frequency=[2, 1], phase=0.3)", "regular | shift", 9),
+    ],
+)
+def test_frequencies_off_the_dual_lattice_have_exactly_no_variance(f, spec, n):
+    assert mcs.exact_variance(mcs.Estimator(f, dims=2), spec, n) == 0.0
+
+
+def test_small_variances_are_not_taken_for_rounding():
+    """Periodic jittered in 1-D: (1 − sinc²(π/n))/2n of the cosine; about 1e-11 here."""
+    n, sampler = 4096, mcs.sampler("jittered", dims=1)
+    found = mcs.exact_variance(mcs.Estimator("cosine(frequency=1)", dims=1), sampler, n)
+    assert found == pytest.approx((1 - np.sinc(1 / n) ** 2) / (2 * n), rel=1e-5)

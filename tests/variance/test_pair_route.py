@@ -1,7 +1,10 @@
 """Variances from pairs of points: against strata quadrature, formulas and simulation."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
+from scipy.integrate import quad
 from scipy.ndimage import map_coordinates
 
 import mcspectra as mcs
@@ -100,6 +103,98 @@ def test_counted_pairs_of_1d_nets():
     sampler = mcs.sampler("sobol | owen | shift", dims=1)
     found = mcs.variance_from_pair_correlation(estimator, sampler, 8, realizations=2000, rng=3)
     assert within(found, *simulated(estimator, sampler, 8))
+
+
+def _weighted(integrand, density, dims=1):
+    return mcs.Estimator(mcs.integrand(integrand, dims=dims), mcs.density(density, dims=dims))
+
+
+@pytest.mark.parametrize(
+    ("estimator", "power", "spec", "n"),
+    [
+        # g = x²/2x at x = √u: Var g = 1/72; strata of √u/2 by hand below
+        ("square", None, "random", 16),
+        ("square", None, "jittered", 16),
+        ("gaussian(center=0.3)", 0.5, "random", 16),
+        ("gaussian(center=0.3)", 0.8, "random", 4),
+    ],
+)
+def test_poles_and_roots_of_g_are_integrated_to_1e_6(estimator, power, spec, n):
+    """Against one-dimensional quadrature with the substitution that removes the root."""
+    if power is None:
+        f = mcs.Integrand.from_function(lambda x: x[..., 0] ** 2, dims=1)
+        estimator = mcs.Estimator(f, mcs.density("power(exponent=1)", dims=1))
+        edges = np.arange(n + 1) / n if spec == "jittered" else np.array([0.0, 1.0])
+        strata = np.diff(edges**1.5) / 3  # ∫√u/2
+        truth = (1 / 8 - (strata**2).sum() * (n if spec == "jittered" else 1)) / n
+    else:
+
+        def g2(x):
+            return float(mcs.integrand("gaussian(center=0.3)", dims=1)(np.array([x]))) ** 2
+
+        # ∫f²/p with p = (1 + a) x^a, and x = t^(1/(1−a)): dx x^-a = dt/(1 − a)
+        square = quad(lambda t: g2(t ** (1 / (1 - power))), 0, 1, epsabs=0, epsrel=1e-12)[0]
+        square /= (1 - power) * (1 + power)
+        mean = float(mcs.integrand("gaussian(center=0.3)", dims=1).integral)
+        truth = (square - mean**2) / n
+        estimator = _weighted(estimator, f"power(exponent={power})")
+    found = mcs.variance_from_pair_correlation(estimator, mcs.sampler(spec, dims=1), n)
+    assert float(found["variance"]) == pytest.approx(truth, rel=1e-6)
+    assert float(found["variance_se"]) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("estimator", "dims", "spec"),
+    [
+        (_weighted("gaussian(center=0.3)", "tent"), 1, "jittered"),  # g² ~ 1/u at both ends
+        (_weighted("cosine", "power(exponent=1)"), 1, "jittered"),
+        (_weighted("cosine", "power(exponent=1.5)"), 1, "random"),
+        (_weighted("gaussian(center=0.3)", "power(exponent=1)", 2), 2, "random"),
+    ],
+)
+def test_variances_are_infinite_where_the_square_diverges(estimator, dims, spec):
+    sampler = mcs.sampler(spec, dims=dims)
+    found = mcs.variance_from_pair_correlation(estimator, sampler, 16)
+    assert float(found["variance"]) == np.inf
+    assert float(found["variance_se"]) == 0.0
+    assert mcs.exact_variance(estimator, sampler, 16) == np.inf
+
+
+def test_infinite_variances_of_shifted_sets():
+    estimator = _weighted("cosine", "power(exponent=1)")
+    sampler = mcs.sampler("jittered | shift", dims=1)
+    assert mcs.exact_variance(estimator, sampler, 4) == np.inf
+    with pytest.raises(NoClosedForm, match="diverges"):
+        mcs.variance_from_pair_correlation(estimator, sampler, 4, realizations=2)
+
+
+def test_one_infinite_channel_leaves_the_other():
+    f = mcs.Integrand.from_function(lambda x: np.stack([1 + 0 * x[..., 0], x[..., 0]], -1), dims=1)
+    estimator = mcs.Estimator(f, mcs.density("power(exponent=1)", dims=1))
+    found = mcs.variance_from_pair_correlation(estimator, mcs.sampler("random", dims=1), 4)
+    assert found["variance"].values[0] == np.inf
+    assert found["variance"].values[1] == pytest.approx(0.0, abs=1e-15)  # g = 1/2
+
+
+def test_pairs_that_do_not_converge_are_refused():
+    """A disk's border crosses cells: what fixed rules made of it was 3 % off."""
+    estimator = mcs.Estimator("disk(center=0.4, radius=0.2)", "linear(slope=1.5)", dims=2)
+    with pytest.raises(NoClosedForm, match=r"has an error of .* in a variance"):
+        mcs.variance_from_pair_correlation(estimator, "jittered", 256)
+
+
+def test_many_strata_take_little_memory():
+    """Matrices of nodes × cells were 8 GiB here."""
+    estimator = _weighted("linear", "exponential(rate=3)")
+    sampler = mcs.sampler("jittered", dims=1)
+    tracemalloc.start()
+    found = mcs.variance_from_pair_correlation(estimator, sampler, 4096)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2**28
+    assert float(found["variance"]) == pytest.approx(
+        mcs.exact_variance(estimator, sampler, 4096), rel=1e-6
+    )
 
 
 def test_channels_are_kept():

@@ -152,3 +152,17 @@ def test_same_seed_same_table_whatever_threads():
 def test_bad_input(arguments, options, error):
     with pytest.raises(error):
         mcs.variance_routes(*arguments, **options)
+
+
+def test_a_route_fails_alone():
+    """∫f²/p diverges: the routes without spectra say so, and the others are there or say why."""
+    estimator = mcs.Estimator(
+        mcs.integrand("cosine(frequency=1)", dims=1), mcs.density("power(exponent=1)", dims=1)
+    )
+    sampler = mcs.sampler("random", dims=1)
+    table = mcs.variance_routes(estimator, sampler, 16, realizations=50, rng=3)
+    value = dict(zip(ROUTES, table["route_variance"].values.tolist(), strict=True))
+    assert value["exact"] == value["pairs"] == np.inf
+    assert np.isnan([value["covariance"], value["homogenized"]]).all()
+    assert np.isfinite([value["spectral"], value["measured"]]).all()
+    assert "∫1/p diverges" in table["source"].sel(route="covariance").item()

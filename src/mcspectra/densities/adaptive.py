@@ -19,14 +19,15 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 
-__all__ = ["Quadrature", "integrate"]
+__all__ = ["MOST_CELLS", "Quadrature", "integrate"]
 
 # Even, so that no node is a cell center, and different, so that none lies on the diagonal: a density
 # that is 0 only there must not look as if it were 0 on an area.
 _ORDERS = {1: (8,), 2: (6, 4)}
 _DEPTH = {1: 36, 2: 28}
 _FULL_DEPTH = {1: 6, 2: 2}  # 4096 cells at least: narrow steps must not fall between the nodes
-_MAX_ACTIVE = 2**16  # cells; in 2-D 1.6 million evaluations a level
+MOST_CELLS = 2**16
+"""Cells of a level beyond which no more are split: in 2-D 1.6 million evaluations."""
 _RELATIVE = 1e-10
 _ABSOLUTE = 1e-13  # of the whole integral
 _FORCED_DEPTH = {1: 16, 2: 8}
@@ -48,7 +49,12 @@ class Quadrature:
 
 
 def integrate(
-    function: Callable[[Array], Array], dims: int, *, cells: int, points: Array | None = None
+    function: Callable[[Array], Array],
+    dims: int,
+    *,
+    cells: int,
+    points: Array | None = None,
+    most_cells: int = MOST_CELLS,
 ) -> Quadrature:
     """Integrate a non-negative function over [0,1)^d, d = 1 or 2.
 
@@ -63,6 +69,8 @@ def integrate(
     points
         Points (M, d) where narrow peaks may be: cells that hold one are split to level 16 (8 in
         2-D) whatever the rule says.
+    most_cells
+        Cells of a level beyond which no more are split.
 
     Notes
     -----
@@ -92,7 +100,7 @@ def integrate(
         done = ~split
         np.add.at(sums, owner[done], new[done])
         np.add.at(errors, owner[done], difference[done])
-        full = split.sum() * 2**dims > _MAX_ACTIVE
+        full = split.sum() * 2**dims > most_cells
         if full or level == _DEPTH[dims] or not split.any():
             np.add.at(sums, owner[split], new[split])
             np.add.at(errors, owner[split], difference[split])

@@ -103,11 +103,25 @@ def _quadrature_of_cells(f: Integrand, size: int) -> Array:
         nodes //= 2
     order = min(nodes, _ORDER)
     rules = [AxisRule.make(size * nodes, order, breaks) for breaks in f.breaks]
-    inside = [
-        (np.floor(rule.nodes * size).astype(np.int64)[:, None] == np.arange(size)).astype(float)
-        for rule in rules
-    ]
-    return product_coefficients(f, rules, inside)
+    cells = [np.floor(rule.nodes * size).astype(np.int64) for rule in rules]
+    total = np.zeros((max(1, f.channels), *[size] * f.dims))
+    for start, values in _slabs(f, rules):
+        stop = start + values.shape[1]
+        for axis in range(f.dims, 1, -1):
+            values = _sum_by(values, axis, rules[axis - 1].weights, cells[axis - 1])
+        values = _sum_by(values, 1, rules[0].weights[start:stop], cells[0][start:stop])
+        total[:, np.unique(cells[0][start:stop])] += values
+    return total.reshape(len(total), -1)
+
+
+def _sum_by(values: Array, axis: int, weights: Array, cell: Array) -> Array:
+    """Weighted sums along an axis over the nodes of each cell that has some, in their order."""
+    order = np.argsort(cell, kind="stable")
+    first = np.flatnonzero(np.diff(cell[order], prepend=-1))
+    shape = [1] * values.ndim
+    shape[axis] = -1
+    weighted = np.take(values, order, axis=axis) * weights[order].reshape(shape)
+    return np.asarray(np.add.reduceat(weighted, first, axis=axis))
 
 
 def _slabs(f: Integrand, rules: Sequence[AxisRule]) -> Iterator[tuple[int, Array]]:

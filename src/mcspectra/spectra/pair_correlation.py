@@ -147,7 +147,8 @@ def closed_form_pair_correlation(sampler: Sampler | str, n: int, r: Any) -> Arra
     Notes
     -----
     Two points of a jittered set are independent, but not in one cell. Two places h apart share a cell
-    of sides 1/s_i with the probability Π max(0, 1 − s_i |h_i|), so that g is n/(n−1) times 1 minus its
+    of sides 1/s_i with the probability Π max(0, 1 − s_i |h_i|), with a factor of 1 for an axis of one
+    cell, which all places share across the border of the torus too; g is n/(n−1) times 1 minus its
     mean over directions.
 
     Examples
@@ -164,7 +165,8 @@ def closed_form_pair_correlation(sampler: Sampler | str, n: int, r: Any) -> Arra
         return np.ones(distance.shape)
     if source.name == "jittered" and source.dims <= 2:
         sides = source.sides(n)  # type: ignore[attr-defined]
-        scaled = [s * distance for s in sides]
+        # On an axis of one cell two places always share it
+        scaled = [(0.0 if s == 1 else s) * distance for s in sides]
         shared = np.maximum(0.0, 1.0 - scaled[0]) if len(sides) == 1 else _shared_cell(*scaled)
         return np.asarray(n / (n - 1) * (1.0 - shared))
     raise NoClosedForm(

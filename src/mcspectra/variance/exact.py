@@ -32,6 +32,7 @@ from mcspectra.samplers import (
 )
 from mcspectra.variance._nets import net_variance, scrambling
 from mcspectra.variance._reflections import mirrored_variance, without_mirror
+from mcspectra.variance._squares import mean_square
 from mcspectra.variance._strata import grid_mean, offset_rule, spread_within_strata
 
 __all__ = ["exact_variance"]
@@ -57,7 +58,8 @@ def exact_variance(
     Returns
     -------
     float or ndarray
-        The variance; an array (channels,) where f has several. Relative error about 1e-6 or less.
+        The variance; an array (channels,) where f has several. Relative error about 1e-6 or less;
+        infinite where ∫g² diverges, exactly 0 where it is no more than rounding.
 
     Raises
     ------
@@ -81,17 +83,29 @@ def exact_variance(
     total: Any = 0.0
     for technique, count in enumerate(estimator.counts):
         g = estimator.primary_integrand(technique)
-        low, high = (_variance(source, n * count, g, order) for order in _orders(n * count, g.dims))
-        # Σ (mean g² − (mean g)²)/n is rounded by some 1e-15 of I²/n: all there is if it vanishes.
-        rounding = 4e-15 * np.abs(g.integral) ** 2 / (n * count)
-        scale = np.abs(high) + rounding / _TOLERANCE
-        if not np.all(np.abs(high - low) <= _TOLERANCE * scale):
-            raise NoClosedForm(
-                f"The stratum quadrature of {g.spec} does not converge ({np.max(low):.6g} against "
-                f"{np.max(high):.6g}); use convergence or variance_terms."
-            )
-        total = total + high
+        total = total + _converged(source, n * count, g)
     return total if estimator.channels else float(np.squeeze(total))
+
+
+def _converged(sampler: Sampler, n: int, g: Integrand) -> Array:
+    """Variance on which two orders agree, 0 where it is all rounding; (channels,) or (1,)."""
+    low, high = (_variance(sampler, n, g, order) for order in _orders(n, g.dims))
+    agree = np.abs(high - low) <= _TOLERANCE * np.abs(high)
+    if agree.all():
+        return high
+    square = mean_square(g)
+    if sampler.unbiased:  # one point next to the pole outweighs all others
+        high = np.where(np.isinf(square), np.inf, high)
+    # Σ (mean g² − (mean g)²)/n is rounded by some 1e-15 of ∫g²/n: all there is if it vanishes.
+    rounding = 4e-15 * square / n
+    known = agree | np.isinf(high) | (np.abs(high - low) <= rounding)
+    if not known.all():
+        raise NoClosedForm(
+            f"The stratum quadrature of {g.spec} does not converge ({np.max(low):.6g} against "
+            f"{np.max(high):.6g}); use convergence or variance_terms."
+        )
+    vanishes = ~agree & np.isfinite(high) & (np.maximum(low, high) <= rounding)
+    return np.where(vanishes, 0.0, high)
 
 
 def _orders(n: int, dims: int) -> tuple[int, int]:

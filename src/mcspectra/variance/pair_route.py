@@ -30,20 +30,24 @@ from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, as_estimator
 from mcspectra.estimators.sets import check_independent_techniques
 from mcspectra.integrands import Integrand
-from mcspectra.integrands.products import cell_integrals
 from mcspectra.samplers import Randomized, Sampler, as_sampler
 from mcspectra.samplers.base import Structure
 from mcspectra.spectra.closed_moments import is_fixed
 from mcspectra.spectra.pair_correlation import mean_of_realizations
 from mcspectra.variance._pair_kernels import pair_sum_1d, pair_sum_2d
+from mcspectra.variance._squares import mean_square, square_integral
+from mcspectra.variance._strata import stratum_moments
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["mean_square", "variance_from_pair_correlation"]
+__all__ = ["variance_from_pair_correlation"]
 
 _GRID = {1: 2**15, 2: 2**10}  # points of an axis where the autocorrelation is sampled
 _MOST_POINTS = 2**17
+_MANY = 400  # cells in 2-D and up, of which rules of lower order are enough
+_TOLERANCE = 1e-6
+_ROUNDING = 4e-15
 _MOVES = frozenset({"shift", "strata-shift", "shuffle"})  # keep the differences of points
 
 
@@ -75,13 +79,15 @@ def variance_from_pair_correlation(
     Returns
     -------
     xarray.Dataset
-        ``variance`` and ``variance_se``, 0 where nothing was counted; with a dim ``channel`` where f has
-        several. The attribute ``method`` says which it was.
+        ``variance``, infinite where ∫g² diverges, and ``variance_se``, 0 where nothing was counted and
+        the relative error is about 1e-6 or less; with a dim ``channel`` where f has several. The
+        attribute ``method`` says which it was.
 
     Raises
     ------
     NoClosedForm
-        The set is not stationary, has fixed differences (shifted grids and lattices), or has more dims.
+        The set is not stationary, has fixed differences (shifted grids and lattices), or has more
+        dims; or a quadrature does not converge to 1e-6.
 
     Examples
     --------
@@ -116,7 +122,7 @@ def variance_from_pair_correlation(
     return dataset(
         {
             "variance": (dims, np.reshape(variance, shape)),
-            "variance_se": (dims, np.reshape(np.sqrt(square_se + 0.0 * variance), shape)),
+            "variance_se": (dims, np.resize(np.sqrt(square_se), shape)),
         },
         estimator=estimator.spec,
         sampler=source.spec,
@@ -143,26 +149,43 @@ def _check_stationary(sampler: Sampler) -> None:
 
 
 def _of_known_pairs(sampler: Any, n: int, g: Integrand) -> Array:
-    """Random: all pairs; jittered: those in different cells; (channels or 1,)."""
-    sides = (1,) * g.dims if sampler.name == "random" else sampler.sides(n)
-    size = math.lcm(*sides)
-    cells, _ = cell_integrals(g, size)
-    shape = [part for s in sides for part in (s, size // s)]
-    axes = tuple(range(2, 2 * g.dims + 1, 2))
-    strata = cells.reshape(len(cells), *shape).sum(axis=axes).reshape(len(cells), -1)
-    together = (strata**2).sum(axis=-1)
-    if sampler.name == "random":
-        return np.asarray((mean_square(g) - together) / n)
-    return np.asarray(mean_square(g) / n - together)
+    """Random: all pairs; jittered: those in different cells; (channels or 1,).
+
+    Raises
+    ------
+    NoClosedForm
+        The quadratures of two orders differ by more than 1e-6 of the variance.
+    """
+    square, square_error = square_integral(g)
+    jittered = sampler.name == "jittered"
+    sides = sampler.sides(n) if jittered else (1,) * g.dims
+    coarse, fine = (_cell_squares(g, sides, order) for order in _orders(sides))
+    if not jittered:
+        coarse, fine = coarse / n, fine / n
+    diverges = np.isinf(square)
+    square = np.where(diverges, 0.0, square)
+    variance = np.where(diverges, np.inf, square / n - fine)
+    error = np.where(diverges, 0.0, square_error / n + np.abs(fine - coarse))
+    floor = _ROUNDING * square / n  # where the variance vanishes, rounding is all there is
+    if not np.all(error <= np.maximum(_TOLERANCE * np.abs(variance), floor)):
+        raise NoClosedForm(
+            f"The quadrature over pairs of {g.spec} has an error of {np.max(error):.2g} in a variance "
+            f"of {np.max(square / n - fine):.6g}; use convergence or variance_terms."
+        )
+    return np.asarray(np.maximum(variance, 0.0))
 
 
-def mean_square(g: Integrand) -> Array:
-    """∫g², (channels or 1,)."""
-    found = g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims)))
-    if found is not None:
-        return np.asarray(found[1], float).reshape(-1)
-    squared = Integrand.from_function(lambda x: g(x) ** 2, dims=g.dims)
-    return np.asarray(squared.integral, float).reshape(-1)
+def _orders(sides: tuple[int, ...]) -> tuple[int, int]:
+    """Nodes of an axis of two rules to compare: fewer in 2-D and up, and for many cells."""
+    if len(sides) == 1:
+        return 12, 20
+    return (6, 10) if math.prod(sides) < _MANY else (4, 6)
+
+
+def _cell_squares(g: Integrand, sides: tuple[int, ...], order: int) -> Array:
+    """Σ_j (∫_cell j g)²: (channels or 1,)."""
+    means, _ = stratum_moments(g, sides, np.zeros(g.dims), order)
+    return np.asarray((means**2).mean(axis=0) / len(means))
 
 
 def _of_counted_pairs(
@@ -179,8 +202,13 @@ def _of_counted_pairs(
             f"{n} points have too many pairs to count; give {_MOST_POINTS} at most."
         )
     table = _autocorrelation(g)
+    square = mean_square(g)
+    if np.isinf(square).any():
+        raise NoClosedForm(
+            f"∫g² of {g.spec} diverges: with points that are each uniform the variance is infinite."
+        )
     # The mean of the table instead of I²: what its sampling gets wrong cancels
-    constant = mean_square(g) / n - table.reshape(len(table), -1).mean(axis=-1)
+    constant = square / n - table.reshape(len(table), -1).mean(axis=-1)
     first, count = numbers
 
     def one(realization: int) -> Array:

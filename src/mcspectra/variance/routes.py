@@ -32,8 +32,9 @@ from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra.bases import fitting_basis
 from mcspectra.spectra.closed_forms import closed_form_covariance, closed_form_power
 from mcspectra.spectra.transforms import FrequencyGrid
+from mcspectra.variance._squares import mean_square
 from mcspectra.variance.exact import exact_variance
-from mcspectra.variance.pair_route import mean_square, variance_from_pair_correlation
+from mcspectra.variance.pair_route import variance_from_pair_correlation
 from mcspectra.variance.terms import variance_terms
 
 if TYPE_CHECKING:
@@ -138,7 +139,7 @@ def _attempt(route: Callable[[], _Found]) -> _Found:
     """What a route leads to, or NaN and the reason why it leads nowhere."""
     try:
         return route()
-    except NoClosedForm as error:
+    except (NoClosedForm, ParameterError) as error:  # arguments were checked before
         return (np.nan, np.nan, np.nan, np.nan, str(error))
 
 
