@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from mcspectra.core.errors import ParameterError
-from mcspectra.variance.fit import LACK_OF_FIT, check_window, fit_rate
+from mcspectra.variance.fit import CURVATURE, LACK_OF_FIT, check_window, fit_rate
 
 NS = np.array([4, 16, 64, 256, 1024, 4096])
 SE = np.array([0.05, 0.1, 0.05, 0.2, 0.05, 0.05])
@@ -30,10 +31,53 @@ def test_chi2_of_a_line_is_one_on_average():
 
 
 def test_auto_keeps_straight_lines_whole():
-    """All but the level of the test: binomial 5 σ."""
-    whole = np.mean([f.first_n == 4 for f in _fits("auto", 3.0 * NS**-1.5)])
-    spread = 5 * np.sqrt(LACK_OF_FIT * (1 - LACK_OF_FIT) / 1000)
-    assert abs(whole - (1 - LACK_OF_FIT)) < spread
+    """All but the levels of the tests, which together reject at least the larger: binomial 5 σ."""
+    fits = _fits("auto", 3.0 * NS**-1.5)
+    whole = np.mean([f.first_n == 4 for f in fits])
+    low, high = 1 - LACK_OF_FIT - CURVATURE, 1 - max(LACK_OF_FIT, CURVATURE)
+    assert low - 5 * np.sqrt(low * (1 - low) / 1000) < whole
+    assert whole < high + 5 * np.sqrt(high * (1 - high) / 1000)
+    assert _coverage(fits, -1.5) > 0.95 - 5 * np.sqrt(0.05 * 0.95 / 1000)
+
+
+def _coverage(fits, rate):
+    return np.mean([low <= rate <= high for low, high in (f.interval for f in fits)])
+
+
+BENT = {
+    # exact variances at n = 4, 16, … 1024, `exact_variance`; with normal intervals: 0.78, 0.70
+    "disk(center=[0.463, 0.517], radius=0.27), jittered": (
+        [-1.908, -1.287, -1.447, -1.542],
+        0.93,
+    ),
+    "christensen-gaussian, jittered | shift": ([-1.424, -1.478, -1.493, -1.498], 0.82),
+}
+"""Local slopes of exact variances, and what the intervals of "auto" are to cover at least."""
+
+
+@pytest.mark.parametrize("name", BENT)
+def test_auto_covers_the_asymptotic_rate_of_bent_curves(name):
+    """Rate −1.5, errors of 500 realisations (6 %); binomial: 500 trials, 2.5 σ and more below."""
+    slopes, least = BENT[name]
+    ns = NS[:5]
+    exact = np.exp(np.cumsum([0.0, *np.array(slopes) * np.diff(np.log(ns))]))
+    se = np.full(5, np.sqrt(2 / 500))
+    noise = np.exp(se * np.random.default_rng(1).standard_normal((500, 5)))
+    fits = [fit_rate(ns, exact * row, se, np.zeros(5), "auto") for row in noise]
+    assert _coverage(fits, -1.5) > least
+
+
+def test_scatter_about_the_line_has_students_interval():
+    """Against scipy.stats.linregress, equal errors: its interval is that of scatter alone."""
+    y = np.array([0.0, -1.2, -1.7, -3.3])
+    ns, se = NS[:4], np.full(4, 0.01)
+    fit = fit_rate(ns, np.exp(y), se, np.zeros(4))
+    expected = stats.linregress(np.log(ns), y)
+    half = stats.t.ppf(0.975, 2) * expected.stderr
+    np.testing.assert_allclose(fit.interval, [expected.slope - half, expected.slope + half])
+    loose = fit_rate(ns, np.exp(y), np.full(4, 10.0), np.zeros(4))  # errors far above the scatter
+    spread = 10.0 / np.sqrt(((np.log(ns) - np.log(ns).mean()) ** 2).sum())
+    assert loose.interval[1] - loose.rate == pytest.approx(stats.norm.ppf(0.975) * spread)
 
 
 def test_auto_leaves_out_the_bend():

@@ -1,12 +1,20 @@
 """Fit of rates: the slope of log variance against log n, and the counts that it is fitted to.
 
 Weighted least squares: each variance is weighted by the inverse square of its relative standard
-error. The 95 % interval is widened by the lack of fit, χ² per degree of freedom, where that exceeds
-1. Curves bend at small n (lower-order terms); a *window* is the last so many counts, and
-``"auto"`` takes the largest window of at least three counts whose lack of fit is not significant.
-It is no default: of a straight line it costs precision (a third, at six counts), and of a bent one
-it leaves a bend as large as the noise, which the interval does not know of. Exact variances at the
-same counts, where there are any, say more.
+error, which is known from the realisations, so that the 95 % interval of a straight line is normal.
+Where the lack of fit, χ² per degree of freedom, exceeds 1, the scatter about the line is estimated
+from the counts instead: √χ² times Student's t with as many degrees, three counts having one.
+
+Curves bend at small n (lower-order terms); a *window* is the last so many counts, and ``"auto"``
+takes the largest window of at least three counts that shows neither lack of fit (`LACK_OF_FIT`) nor
+curvature (`CURVATURE`, a test of one degree, which sees a bend that χ² spreads over all). A window that
+passed may still be bent by as much as the noise hides: its interval is that of the scatter even where
+χ² is below 1, if that is wider. It is no default: of a straight line it costs precision. Simulated,
+relative errors of 6 % (500 realisations), counts 4, 16, … 1024, the intervals of ``"auto"`` hold the
+asymptotic rate in 98 % for a straight line; in 97 % for a disk of radius 0.27 off the centre, jittered;
+in 86 % for a Gaussian, jittered and shifted, whose exact slope is −1.42 … −1.50 over these counts: no
+test sees that bend. A curve that is bent to its last count, as of a disk centred on the strata
+(−1.39 between the last two), is not extrapolated. Exact variances at the same counts say more.
 """
 
 from __future__ import annotations
@@ -20,10 +28,13 @@ from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.estimators.moments import CONFIDENCE_Z
 
-__all__ = ["LACK_OF_FIT", "RateFit", "check_window", "fit_rate"]
+__all__ = ["CURVATURE", "LACK_OF_FIT", "RateFit", "check_window", "fit_rate"]
 
 LACK_OF_FIT = 0.05
 """Significance of χ² below which a window of counts is taken to be bent."""
+
+CURVATURE = 0.1
+"""Significance of a quadratic term in log n below which a window of counts is taken to be bent."""
 
 _LEAST = 3  # counts that can show lack of fit
 
@@ -35,7 +46,7 @@ class RateFit:
     Attributes
     ----------
     rate, interval
-        Slope and its 95 % interval; NaN where fewer than two variances could be fitted.
+        Slope and its 95 % interval, widened by lack of fit; NaN where fewer than two variances could be fitted.
     first_n
         Smallest count of the fit.
     chi2
@@ -75,8 +86,8 @@ def fit_rate(
         rounding noise, which are left out: all (N,).
     window
         Fit only the last so many counts; None: all; ``"auto"``: as many as lie on a line, which is
-        the largest window of three or more whose χ² is not significant at `LACK_OF_FIT`, and
-        the last three where there is none.
+        the largest window of three or more without significant χ² (`LACK_OF_FIT`) or curvature
+        (`CURVATURE`), and the last three where there is none.
     """
     start = -window if isinstance(window, int) else 0
     ns, variance, relative_se, floor = (a[start:] for a in (ns, variance, relative_se, floor))
@@ -84,31 +95,48 @@ def fit_rate(
     x, y, se = np.log(ns[used]), np.log(variance[used]), relative_se[used]
     if window != "auto":
         return _line(x, y, se)
-    for first in range(len(x) - _LEAST):
-        found = _line(x[first:], y[first:], se[first:])
-        if _significance(found.chi2, len(x) - first - 2) >= LACK_OF_FIT:
-            return found
-    return _line(x[-_LEAST:], y[-_LEAST:], se[-_LEAST:])
+    first = 0
+    while len(x) - first > _LEAST and _bent(x[first:], y[first:], se[first:]):
+        first += 1
+    return _line(x[first:], y[first:], se[first:], chosen=True)
 
 
-def _line(x: Array, y: Array, se: Array) -> RateFit:
-    """Weighted least squares of y against x."""
+def _line(x: Array, y: Array, se: Array, *, chosen: bool = False) -> RateFit:
+    """Weighted least squares of y against x; a window `chosen` by its data has the scatter's interval."""
     if len(x) < 2:
         return _NONE
-    weight = se**-2.0
-    centre = np.average(x, weights=weight)
-    spread = (weight * (x - centre) ** 2).sum()
-    rate = float((weight * (x - centre) * y).sum() / spread)
-    residual = y - np.average(y, weights=weight) - rate * (x - centre)
+    rate, spread, residual = _regression(x, y, se)
     degrees = len(x) - 2
-    chi2 = float((weight * residual**2).sum() / degrees) if degrees else math.nan
-    widening = max(chi2, 1.0) if degrees else 1.0
-    half = CONFIDENCE_Z * math.sqrt(widening / spread)
+    chi2 = float((residual**2).sum() / degrees) if degrees else math.nan
+    half = CONFIDENCE_Z
+    if (chosen and degrees) or chi2 > 1.0:
+        half = max(half, _student(degrees) * math.sqrt(chi2))
+    half /= math.sqrt(spread)
     return RateFit(rate, (rate - half, rate + half), float(np.rint(np.exp(x[0]))), chi2)
 
 
-def _significance(chi2: float, degrees: int) -> float:
-    """Probability of so much lack of fit, or more, of a straight line."""
+def _regression(x: Array, y: Array, se: Array) -> tuple[float, float, Array]:
+    """Slope, 1 over its variance for errors `se`, and residuals in standard errors."""
+    weight = se**-2.0
+    off = x - np.average(x, weights=weight)
+    spread = float((weight * off**2).sum())
+    slope = float((weight * off * y).sum()) / spread
+    return slope, spread, (y - np.average(y, weights=weight) - slope * off) / se
+
+
+def _bent(x: Array, y: Array, se: Array) -> bool:
+    """Whether points lie off a straight line, in all or as a parabola does."""
     from scipy.special import chdtrc
 
-    return float(chdtrc(degrees, chi2 * degrees))
+    residual = _regression(x, y, se)[2]
+    parabola = _regression(x, (x - x.mean()) ** 2, se)[2]  # what is not straight of it
+    curvature = (parabola * residual).sum() ** 2 / (parabola**2).sum()
+    lack = chdtrc(len(x) - 2, (residual**2).sum())
+    return bool(lack < LACK_OF_FIT or chdtrc(1, curvature) < CURVATURE)
+
+
+def _student(degrees: int) -> float:
+    """Half a 95 % interval in standard errors that are estimated with so many degrees of freedom."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(degrees, 0.975))
