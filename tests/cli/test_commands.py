@@ -252,7 +252,9 @@ def test_variance_in_another_basis_with_named_bands(capsys):
     code, out, _ = run(capsys, *arguments, "--half-width", 8, "--basis", "walsh")
     assert code == 0
     assert "walsh basis" in out
-    assert "±" in out
+    low, high = (float(end) for end in expected["cross_term_ci"].values)
+    assert f"{low:.4g} … {high:.4g}" in out
+    assert found["batches"] == expected.attrs["batches"] == 20
 
 
 @pytest.mark.parametrize(
@@ -281,7 +283,33 @@ def test_converge_stops_at_a_precision_and_chooses_its_window(capsys):
         fit_last="auto",
     )
     (curve,) = found["curves"]
-    np.testing.assert_allclose(curve["variance"], expected["variance"].values[0])
+    for name in ("variance", "mse", "fit_first_n", "fit_chi2", "realizations_used", "reached"):
+        np.testing.assert_allclose(curve[name], expected[name].values[0])
+    _, out, _ = run(capsys, *arguments, "--relative-error", 0.2, "--fit-last", "auto")
+    assert "fit from n" in out.splitlines()[1]
+    shown = [f"{curve['fit_first_n']:.0f}", f"{curve['fit_chi2']:.3g}"]
+    assert out.splitlines()[-1].split()[-2:] == shown
+
+
+def test_converge_says_which_counts_missed_the_precision(capsys):
+    arguments = ("converge", "gaussian", "--sampler", "random", "--counts", "4,16", "-m", 20)
+    code, out, _ = run(capsys, *arguments, "--relative-error", 0.01)
+    assert code == 0
+    assert (
+        "random: the relative error 0.01 was not reached with 20 realisations at n = 4, 16" in out
+    )
+    assert run_json(capsys, *arguments, "--relative-error", 0.01)["curves"][0]["reached"] == [0, 0]
+    assert "reached" not in run(capsys, *arguments)[1]
+
+
+@pytest.mark.parametrize("given", ["foo", "1", "2.5", "nan"])
+def test_converge_names_the_windows_it_takes(capsys, given):
+    code, _, err = run(
+        capsys, "converge", "gaussian", "--sampler", "random", "--counts", "4,16",
+        f"--fit-last={given}",
+    )  # fmt: skip
+    assert code == 2
+    assert f"--fit-last is '{given}'; give a whole number of at least 2, or auto." in err
 
 
 @pytest.mark.parametrize("given", ["0", "-1", "nan", "inf", "x"])

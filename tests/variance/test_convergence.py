@@ -173,6 +173,23 @@ def test_stops_when_precise_enough():
     assert float(first["variance"][0]) == pytest.approx(float(one["variance"][0, 0]), rel=1e-12)
 
 
+def test_says_where_the_precision_was_not_reached():
+    f = mcs.Estimator("linear", dims=2)
+    d = mcs.convergence(f, ["random"], [4, 16], realizations=300, relative_error=0.1, rng=3)
+    assert d["reached"].dims == ("sampler", "n")
+    assert (d["reached"] == 1).all()
+    few = mcs.convergence(f, "random", [4, 16], realizations=50, relative_error=0.1, rng=3)
+    assert few["reached"].values.tolist() == [0, 0]
+    assert "reached" not in mcs.convergence(f, "random", [4, 16], realizations=5)
+
+
+def test_nothing_fitted_has_no_window():
+    d = mcs.convergence(
+        mcs.Estimator("constant", dims=2), "jittered", [4, 16], realizations=5, fit_last="auto"
+    )
+    assert "fit_last" not in d.attrs
+
+
 def test_window_is_reported():
     f = mcs.Estimator(GAUSSIAN)
     whole = mcs.convergence(f, "jittered | shift", [4, 16, 64, 256], realizations=50)
@@ -189,6 +206,8 @@ def test_window_is_reported():
         ({"counts": [64, 16]}, ParameterError, "ascending"),
         ({"counts": []}, ParameterError, "ascending"),
         ({"counts": [0, 4]}, ParameterError, "at least 1"),
+        ({"counts": [[4, 8]]}, ParameterError, "one flat list"),
+        ({"counts": np.array([[4, 8]])}, ParameterError, "one flat list"),
         ({"realizations": 1}, ParameterError, "from 2 to"),
         ({"fit_last": 3}, ParameterError, "fit_last"),
         ({"fit_last": "all"}, ParameterError, "'auto' or None"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from mcspectra.cli.common import (
     whole_number,
 )
 from mcspectra.cli.progress import progress_bars
+from mcspectra.core.errors import ParameterError
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -50,9 +52,7 @@ def run(options: argparse.Namespace) -> int:
     from mcspectra.variance.convergence import convergence
 
     estimator = build_estimator(options)
-    last: Any = options.fit_last
-    if last not in (None, "auto"):
-        last = whole_number("--fit-last", last, least=2)
+    last = _window(options.fit_last)
     precision = options.relative_error
     with one_sentence_warnings(options.quiet), progress_bars(options.quiet):
         result = convergence(
@@ -75,30 +75,60 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
+def _window(given: str | None) -> int | str | None:
+    if given is None or given == "auto":
+        return given
+    try:
+        return whole_number("--fit-last", given, least=2)
+    except ParameterError:
+        raise ParameterError(
+            f"--fit-last is {given!r}; give a whole number of at least 2, or auto."
+        ) from None
+
+
 def _curve(result: xr.Dataset, sampler: Any) -> dict[str, Any]:
+    """All variables of one sampler's curve."""
     picked = result.sel(sampler=sampler)
-    names = ("variance", "variance_ci", "mean", "mean_se", "bias", "rate", "rate_ci")
-    return {
-        "sampler": str(sampler),
-        "n": result["n"].values,
-        **{name: picked[name].values for name in names},
-    }
+    values = {str(name): variable.values for name, variable in picked.data_vars.items()}
+    return {"sampler": str(sampler), "n": result["n"].values, **values}
 
 
 def _text(result: xr.Dataset) -> str:
-    """One row a sampler (and channel): variances, then rate ± half its interval."""
-    header = ["sampler", "", *(f"n = {n}" for n in result["n"].values), "rate", "±"]
+    """One row a sampler (and channel): variances, rate ± half its interval, window and lack of fit."""
+    counts = [f"n = {n}" for n in result["n"].values]
+    header = ["sampler", "", *counts, "rate", "±", "fit from n", "χ²/dof"]
+    several = result.sizes.get("channel", 1) > 1
     rows = []
-    channels = range(result.sizes.get("channel", 1))
     for sampler in result["sampler"].values:
-        for channel in channels:
-            picked = result.sel(sampler=sampler)
-            if "channel" in picked.dims:
-                picked = picked.isel(channel=channel)
-            low, high = picked["rate_ci"].values
-            label = f"[{channel}]" if len(channels) > 1 else ""
+        curve = result.sel(sampler=sampler)
+        channels = [curve.isel(channel=c) for c in range(curve.sizes.get("channel", 0))] or [curve]
+        for channel, picked in enumerate(channels):
             values = [f"{v:.4g}" for v in picked["variance"].values]
-            rate = float(picked["rate"])
-            shown = [f"{rate:+.3f}", f"{(high - low) / 2:.3f}"] if np.isfinite(rate) else ["–", "–"]
-            rows.append([str(sampler), label, *values, *shown])
-    return f"variance of {result.attrs['estimator']}\n{text_table(header, rows)}"
+            label = f"[{channel}]" if several else ""
+            rows.append([str(sampler), label, *values, *_fit(picked)])
+    lines = [f"variance of {result.attrs['estimator']}", text_table(header, rows)]
+    return "\n".join([*lines, *_unreached(result)])
+
+
+def _fit(curve: xr.Dataset) -> list[str]:
+    """Rate, half its interval, smallest count of the fit and lack of fit; dashes for what is not."""
+    low, high = curve["rate_ci"].values
+    rate, first, chi2 = (float(curve[name]) for name in ("rate", "fit_first_n", "fit_chi2"))
+    if not np.isfinite(rate):
+        return ["–"] * 4
+    shown = [f"{rate:+.3f}", f"{(high - low) / 2:.3f}", f"{first:.0f}"]
+    return [*shown, f"{chi2:.3g}" if np.isfinite(chi2) else "–"]
+
+
+def _unreached(result: xr.Dataset) -> Iterator[str]:
+    """A line for each sampler about the counts at which the wanted precision was not reached."""
+    if "reached" not in result:
+        return
+    for sampler in result["sampler"].values:
+        missed = result["n"].values[result["reached"].sel(sampler=sampler).values == 0]
+        if missed.size:
+            goal, most = result.attrs["relative_error"], result.attrs["realizations"]
+            yield (
+                f"{sampler}: the relative error {goal:g} was not reached with {most} realisations "
+                f"at n = {', '.join(map(str, missed))}"
+            )

@@ -68,7 +68,8 @@ def convergence(
     -------
     xarray.Dataset
         ``variance(n)``, ``variance_ci(n, bound)``, ``mean(n)``, ``mean_se(n)``, ``bias(n)`` and
-        ``mse(n)`` against the estimator's integral, ``realizations_used(n)``, ``rate``,
+        ``mse(n)`` against the estimator's integral, ``realizations_used(n)``, with `relative_error`
+        ``reached(n)`` (1: yes; 0: `realizations` came first, or there was no spread), ``rate``,
         ``rate_ci(bound)``, ``fit_first_n`` (the smallest count of the fit) and ``fit_chi2`` (its lack of
         fit per degree of freedom). Lists add the dims estimator and sampler, several channels the dim
         channel. Counts whose variance is rounding noise are left out of the fit; the rate of fewer
@@ -99,16 +100,20 @@ def convergence(
     stream = Stream.from_rng(rng)
     threads = available_workers(workers)
 
-    def cell(es: list[AbstractEstimator], s: Sampler, n: int) -> list[Moments]:
+    def cell(es: list[AbstractEstimator], s: Sampler, n: int) -> list[tuple[Moments, bool]]:
         own = count_stream(stream, n)
         if goal is None:
-            return joint_moments(es, s, n, realizations, own, threads)
-        return [moments_until(e, s, n, goal, realizations, own, threads)[0] for e in es]
+            return [(m, True) for m in joint_moments(es, s, n, realizations, own, threads)]
+        return [moments_until(e, s, n, goal, realizations, own, threads) for e in es]
 
     def curves(es: list[AbstractEstimator], s: Sampler) -> Iterator[dict[str, Array]]:
         found = [cell(es, s, n) for n in ns]
-        for e, moments in zip(es, zip(*found, strict=True), strict=True):
-            yield curve_from_moments(ns, list(moments), np.atleast_1d(e.integral), window)
+        for e, cells in zip(es, zip(*found, strict=True), strict=True):
+            moments = [m for m, _ in cells]
+            curve = curve_from_moments(ns, moments, np.atleast_1d(e.integral), window)
+            if goal is not None:
+                curve["reached"] = np.array([np.int64(reached) for _, reached in cells])
+            yield curve
 
     # One technique that has no `draw` of its own gets the sampler's points: then all share them.
     plain = all(e.counts == (1,) and type(e).draw is AbstractEstimator.draw for e in estimators)
@@ -165,6 +170,10 @@ def _check_counts(
 ) -> list[int]:
     if not isinstance(counts, Sequence | np.ndarray) or isinstance(counts, str):
         raise ParameterError(f"counts is {counts!r}; give a list of ascending numbers of points.")
+    if any(np.ndim(n) > 0 for n in counts if not isinstance(n, str)):
+        raise ParameterError(
+            f"counts is {counts!r}; give one flat list of numbers, not lists in it."
+        )
     ns = [as_integer("counts", n, least=1) for n in counts]
     if not ns or any(b <= a for a, b in itertools.pairwise(ns)):
         raise ParameterError(f"counts is {list(counts)}; give ascending numbers of points.")
@@ -203,10 +212,11 @@ def curve_from_moments(
     }
 
 
-def _largest_window(ns: list[int], grid: list[list[dict[str, Array]]]) -> int:
-    """How many counts the fits go over, the most of any."""
+def _largest_window(ns: list[int], grid: list[list[dict[str, Array]]]) -> int | None:
+    """How many counts the fits go over, the most of any; None where nothing was fitted."""
     first = np.array([curve["fit_first_n"] for row in grid for curve in row])
-    return sum(n >= np.nanmin(first, initial=ns[-1]) for n in ns)
+    fitted = first[np.isfinite(first)]
+    return sum(n >= fitted.min() for n in ns) if fitted.size else None
 
 
 _DIMS = {
@@ -217,6 +227,7 @@ _DIMS = {
     "bias": ("n", "channel"),
     "mse": ("n", "channel"),
     "realizations_used": ("n",),
+    "reached": ("n",),
     "rate": ("channel",),
     "rate_ci": ("channel", "bound"),
     "fit_first_n": ("channel",),
@@ -233,7 +244,8 @@ def _labelled(
 ) -> xr.Dataset:
     """Stack the curves of a grid estimator × sampler, dropping the dims that were not asked for."""
     variables = {}
-    for name, own in _DIMS.items():
+    for name in grid[0][0]:
+        own = _DIMS[name]
         dims = ("estimator", "sampler", *own)
         values = np.stack([np.stack([curve[name] for curve in row]) for row in grid])
         index = tuple(0 if dim in drop else slice(None) for dim in dims)
