@@ -2,7 +2,7 @@
 
 All of it is one weighted least-squares fit of log variance against log n a pixel, as
 `mcspectra.variance.fit` does it for one curve: weights from the relative standard errors, intervals
-widened by the lack of fit. Arrays are (strategy, n, y, x) and (strategy, y, x).
+widened by the lack of fit with Student's t. Arrays are (strategy, n, y, x) and (strategy, y, x).
 """
 
 from __future__ import annotations
@@ -84,6 +84,8 @@ def fit_lines(
         Variances of a larger relative standard error come of very few realisations that met what is
         rare: most often they are far too small. They are left out like zeros.
     """
+    from scipy.special import stdtrit
+
     with np.errstate(invalid="ignore", divide="ignore"):
         floor = (_ULPS * np.finfo(np.float32).eps * mean) ** 2
         used = (variance > floor) & (relative_se > 0) & (relative_se <= largest_se)
@@ -101,7 +103,9 @@ def fit_lines(
         residual = y - level[:, None] - rate[:, None] * step
         degrees = used.sum(axis=1) - 2
         chi2 = np.where(degrees > 0, _over_counts(weight * residual**2) / degrees, np.nan)
-        widening = np.sqrt(np.fmax(chi2, 1.0))
+        # Scatter is known from few counts only: Student's t, in units of the normal quantile.
+        student = stdtrit(np.maximum(degrees, 1), 0.975) / CONFIDENCE_Z
+        widening = np.where(chi2 > 1.0, student * np.sqrt(chi2), 1.0)
         return LineFits(
             rate=rate,
             rate_se=np.where(enough, widening / np.sqrt(spread), np.nan),
