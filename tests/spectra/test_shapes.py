@@ -40,7 +40,7 @@ def test_rings_by_hand(dims):
         assert rings["anisotropy_db"].values[ring - 1] == pytest.approx(10 * np.log10(anisotropy))
         # ±ν hold one number: half of the squares count, and half of the frequencies
         error = np.sqrt((made["power_se"].values[members] ** 2).sum() / 2) / half
-        assert rings["radial_power_error"].values[ring - 1] == pytest.approx(error, rel=1e-12)
+        assert rings["radial_power_se"].values[ring - 1] == pytest.approx(error, rel=1e-12)
 
 
 def test_anisotropy_of_random_points_is_noise():
@@ -61,8 +61,62 @@ def test_radial_error_covers_the_known_power():
     """Random points have power 1/n everywhere: the mean of z² over rings is 1 within 6 √(2/24)."""
     spectrum = mcs.power_spectrum("random", 256, half_width=24, realizations=200, rng=2)
     rings = mcs.radial_statistics(spectrum)
-    z = (rings["radial_power"].values - 1 / 256) / rings["radial_power_error"].values
+    z = (rings["radial_power"].values - 1 / 256) / rings["radial_power_se"].values
     assert abs(np.mean(z**2) - 1) < 6 * np.sqrt(2 / 24)
+
+
+@pytest.mark.parametrize(("dims", "density"), [(1, "linear(slope=1.8)"), (2, "linear(slope=1)")])
+def test_errors_of_rings_and_wedges_cover_under_a_density(dims, density):
+    """Random points have power ∫1/p/n at every m ≠ 0: mean z² over seeds, 6 √(2.4/150) either way.
+
+    All frequencies share Σ1/p²: taken as uncorrelated, errors are far too small. A skewness γ of the
+    means of one set adds 2 γ²/R to z², which for bounded 1/p is small at R = 200.
+    """
+    n, count, seeds = 12, 200, 150
+    sampler, p = mcs.sampler("random", dims=dims), mcs.density(density, dims=dims)
+    truth = p.reciprocal_integral() / n
+    ring, wedge = [], []
+    for seed in range(seeds):
+        spectrum = mcs.power_spectrum(
+            sampler, n, density=p, half_width=5, realizations=count, rng=seed, engine="direct"
+        )
+        rings = mcs.radial_statistics(spectrum)
+        ring.append((rings["radial_power"].values - truth) / rings["radial_power_se"].values)
+        if dims == 2:
+            found = mcs.wedge_means(spectrum)
+            wedge.append((found["wedge_power"].values - truth) / found["wedge_power_se"].values)
+    for z in (ring, wedge) if dims == 2 else (ring,):
+        square = np.mean(np.square(z), axis=0)
+        assert np.abs(square - 1).max() < 6 * np.sqrt(2.4 / seeds), square
+
+
+@pytest.mark.parametrize("dims", [1, 2, 3])
+def test_streamed_errors_are_those_of_ring_means(dims):
+    """Of each realisation by itself, drawn again as a spectrum of one realisation."""
+    sampler, kept = mcs.sampler("jittered", dims=dims), 5
+    given = {"half_width": 4, "density": mcs.density("linear", dims=dims), "eps": 1e-12}
+    many = mcs.power_spectrum(sampler, 8 if dims != 2 else 9, realizations=kept, rng=3, **given)
+    points = sampler.draw(8 if dims != 2 else 9, realizations=kept, rng=3)
+    alone = [
+        mcs.power_spectrum(mcs.Sampler.from_points(x[None]), len(x), realizations=1, **given)
+        for x in points
+    ]
+    for name in ("radial_power", "wedge_power")[: 1 + (dims == 2)]:
+        means = np.stack([one[name].values for one in alone])
+        np.testing.assert_allclose(many[name], means.mean(axis=0), rtol=1e-9)
+        se = means.std(axis=0, ddof=1) / np.sqrt(kept)
+        np.testing.assert_allclose(many[f"{name}_se"], se, rtol=1e-6)
+        assert np.isnan(alone[0][f"{name}_se"]).all()
+
+
+def test_other_wedges_have_no_errors_under_a_density():
+    spectrum = mcs.power_spectrum("random", 9, density="linear", half_width=8, realizations=4)
+    assert np.isnan(mcs.wedge_means(spectrum, 8)["wedge_power_se"]).all()
+    assert np.isfinite(mcs.wedge_means(spectrum, 12)["wedge_power_se"]).all()
+    eight = mcs.power_spectrum(
+        "random", 9, density="linear", half_width=8, realizations=4, wedges=8
+    )
+    assert np.isfinite(mcs.wedge_means(eight, 8)["wedge_power_se"]).all()
 
 
 def test_latin_hypercube_is_anisotropic_and_its_slices_show_why():

@@ -21,11 +21,12 @@ View = Callable[["xr.Dataset"], tuple[str, dict[str, Any]]]
 def _power(spectrum: xr.Dataset) -> tuple[str, dict[str, Any]]:
     n, dims = spectrum.attrs["n"], len(spectrum["power"].dims)
     radius, power = spectrum["radius"].values, spectrum["radial_power"].values
+    error = spectrum["radial_power_se"].values
     rows = [
-        [f"{r:.4g}", f"{r / n ** (1 / dims):.3f}", f"{n * p:.5g}"]
-        for r, p in zip(radius, power, strict=True)
+        [f"{r:.4g}", f"{r / n ** (1 / dims):.3f}", f"{n * p:.5g}", _shown(n * se)]
+        for r, p, se in zip(radius, power, error, strict=True)
     ]
-    text = text_table(["|m|", "|m|/n^(1/d)", "n·power"], rows)
+    text = text_table(["|m|", "|m|/n^(1/d)", "n·power", "std. error"], rows)
     return text, _data(spectrum, spectrum.attrs, ("radius", "radial_power", "radial_power_se"))
 
 
@@ -33,7 +34,7 @@ def _radial(spectrum: xr.Dataset) -> tuple[str, dict[str, Any]]:
     from mcspectra.spectra.shapes import radial_statistics
 
     found, n = radial_statistics(spectrum), spectrum.attrs["n"]
-    names = ("radial_power", "radial_power_error", "anisotropy_db", "anisotropy_noise_db")
+    names = ("radial_power", "radial_power_se", "anisotropy_db", "anisotropy_noise_db")
     header = ["|m|", "", "n·power", "std. error", "anisotropy dB", "noise alone dB"]
     columns = [found[name].values for name in ("radius", *names)]
     rows = [

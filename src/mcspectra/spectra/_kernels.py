@@ -11,7 +11,7 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
 
-__all__ = ["bin_weights", "pair_mean", "power_sums", "split_pair"]
+__all__ = ["bin_weights", "group_power", "pair_mean", "power_sums", "split_pair"]
 
 
 @kernel
@@ -46,6 +46,23 @@ def power_sums(packed: Array, pair: bool, total: Array, squares: Array) -> None:
             p = a.real * a.real + a.imag * a.imag
             total[h] += p
             squares[h] += p * p
+
+
+@kernel
+def group_power(packed: Array, pair: bool, label: Array, sums: Array) -> None:
+    """Add |S|² of one set, or of each of a pair, to sums (2, G) by label (H,); −1 is left out."""
+    last = packed.size - 1
+    for h in range(label.size):
+        group = label[h]
+        if group < 0:
+            continue
+        a = packed[h]
+        if pair:
+            b = packed[last - h]
+            sums[0, group] += 0.25 * ((a.real + b.real) ** 2 + (a.imag - b.imag) ** 2)
+            sums[1, group] += 0.25 * ((a.real - b.real) ** 2 + (a.imag + b.imag) ** 2)
+        else:
+            sums[0, group] += a.real * a.real + a.imag * a.imag
 
 
 @kernel

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,12 +21,16 @@ from mcspectra.densities import Density, as_warp
 from mcspectra.densities.base import divide_by_density
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra._kernels import power_sums
+from mcspectra.spectra._polar import PolarSums
 from mcspectra.spectra.transforms import FrequencyGrid, Transform
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["PowerSums", "power_spectrum", "radial_mean", "weighted_points"]
+__all__ = ["MAX_WEDGES", "PowerSums", "power_spectrum", "wedge_angles", "weighted_points"]
+
+MAX_WEDGES = 360
+"""Most directions into which a half turn is divided."""
 
 
 def power_spectrum(
@@ -38,6 +42,7 @@ def power_spectrum(
     frequency_step: float = 1.0,
     realizations: int = 100,
     mean: bool = False,
+    wedges: int = 12,
     rng: RngLike = 0,
     engine: str = "auto",
     eps: float = 1e-9,
@@ -59,6 +64,8 @@ def power_spectrum(
         Number of realisations averaged; 2 or more for standard errors.
     mean
         Whether to return the complex mean ⟨S_m⟩ too: bias, 0 at integer m ≠ 0 for unbiased sets.
+    wedges
+        In two dims, the number of directions of which mean power is returned, 360 at most.
     rng
         Seed (SPEC 7).
     engine, eps
@@ -72,8 +79,10 @@ def power_spectrum(
         ``power``, ``power_se`` on dims m0, m1, … (power 1/n is random sampling; m = 0 holds
         ⟨S_0²⟩; with a density random is ∫1/p / n, the attribute ``random_level`` over n);
         ``radial_power``, ``radial_power_se`` on dim radius (|m|, cycles per unit, rings of one
-        frequency step, without m = 0); with `mean`, ``mean_coefficient`` (complex) and
-        ``mean_coefficient_se`` on dims m0, m1, …
+        frequency step, without m = 0), the error from the ring means of each realisation, since
+        the frequencies of one set are not independent; in two dims ``wedge_power`` and
+        ``wedge_power_se`` likewise, see `wedge_means`; with `mean`, ``mean_coefficient`` (complex)
+        and ``mean_coefficient_se`` on dims m0, m1, …
 
     Raises
     ------
@@ -100,35 +109,33 @@ def power_spectrum(
     n = source.check_count(n)
     realizations = as_integer("realizations", realizations, least=1, most=MAX_REALIZATIONS)
     grid = FrequencyGrid(dims, half_width, frequency_step)
+    wedges = as_integer("wedges", wedges, least=1, most=MAX_WEDGES)
     transform = Transform(grid, n, engine=engine, eps=eps)
     stream = Stream.from_rng(rng)
+    polar = PolarSums.of(grid, wedges)
 
-    def block_sums(block: Block) -> PowerSums:
-        sums = PowerSums.zeros(grid.half_size, mean)
+    def block_sums(block: Block) -> tuple[PowerSums, PolarSums]:
+        sums, means = PowerSums.zeros(grid.half_size, mean), polar.empty()
         points, weights = weighted_points(source, p, n, stream, block)
-        transform.add_power(points, weights, sums.total, sums.squares, sums.mean)
-        return sums
+        transform.add_power(points, weights, sums.total, sums.squares, sums.mean, means)
+        return sums, means
 
     sums = PowerSums.zeros(grid.half_size, mean)
     # A block holds its points and two half spectra; pairs share a transform.
     blocks = realization_blocks(realizations, max(n * source.dims, grid.size // 8), multiple=2)
-    for part in map_in_order(block_sums, blocks, available_workers(workers)):
+    for part, means in map_in_order(block_sums, blocks, available_workers(workers)):
         sums.add(part)
+        polar.add(means)
     power, se = sums.power(realizations)
-    radius, radial, radial_se = radial_mean(grid, power)
-    coords = {
-        **grid.coords,
-        "radius": ("radius", radius, {"long_name": "|m|", "units": "cycles per unit"}),
-    }
+    variables, coords = _polar_variables(grid, polar, realizations)
     return dataset(
         {
             "power": (grid.names, grid.full(power)),
             "power_se": (grid.names, grid.full(se)),
-            "radial_power": (("radius",), radial),
-            "radial_power_se": (("radius",), radial_se),
+            **variables,
             **_mean_variables(grid, sums, realizations),
         },
-        coords,
+        {**grid.coords, **coords},
         sampler=source.spec,
         density=p.spec if p is not None else None,
         n=n,
@@ -188,6 +195,33 @@ def _standard_error(spread: Array, count: int) -> Array:
     return np.asarray(np.sqrt(np.maximum(spread, 0.0) / (count - 1)))
 
 
+def _polar_variables(
+    grid: FrequencyGrid, polar: PolarSums, count: int
+) -> tuple[dict[str, tuple[tuple[str, ...], Array]], dict[str, Any]]:
+    """Means over rings and, in two dims, over wedges, with their coordinates."""
+    mean, se = polar.means(count)
+    rings = grid.half_width
+    variables: dict[str, tuple[tuple[str, ...], Array]] = {
+        "radial_power": (("radius",), mean[:rings]),
+        "radial_power_se": (("radius",), se[:rings]),
+    }
+    labels = {"long_name": "|m|", "units": "cycles per unit"}
+    coords: dict[str, Any] = {"radius": ("radius", polar.radius * grid.step, labels)}
+    if grid.dims == 2:
+        variables |= {
+            "wedge_power": (("angle",), mean[rings:]),
+            "wedge_power_se": (("angle",), se[rings:]),
+        }
+        coords["angle"] = wedge_angles(len(mean) - rings)
+    return variables, coords
+
+
+def wedge_angles(wedges: int) -> tuple[str, Array, dict[str, str]]:
+    """Centres of the wedges, as a coordinate."""
+    angle = np.arange(wedges) * 180.0 / wedges
+    return "angle", angle, {"long_name": "direction", "units": "degrees"}
+
+
 def _mean_variables(
     grid: FrequencyGrid, sums: PowerSums, count: int
 ) -> dict[str, tuple[tuple[str, ...], Array]]:
@@ -211,21 +245,3 @@ def weighted_points(
     x = density.sample(points)
     equal = np.full((len(x), n), 1.0 / n)
     return x, divide_by_density(equal, density.pdf(x), x, density.spec, constant=True)
-
-
-def radial_mean(grid: FrequencyGrid, half: Array) -> tuple[Array, Array, Array]:
-    """Mean over directions in rings of one frequency step: radius, mean, its standard error.
-
-    `half` holds values on the half grid; rings reach to half_width, where they are complete.
-    """
-    length = np.sqrt((grid.half_indices()[:-1] ** 2).sum(axis=1))
-    ring = np.rint(length).astype(np.int64)
-    inside = (ring >= 1) & (ring <= grid.half_width)
-    ring, values = ring[inside] - 1, half[:-1][inside]
-    size = np.bincount(ring, minlength=grid.half_width)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.bincount(ring, values, minlength=grid.half_width) / size
-        square = np.bincount(ring, values * values, minlength=grid.half_width) / size
-        se = np.sqrt(np.maximum(square - mean * mean, 0.0) / np.maximum(size - 1, 1))
-    radius = np.bincount(ring, length[inside], minlength=grid.half_width) / np.maximum(size, 1)
-    return radius * grid.step, mean, se

@@ -1,7 +1,7 @@
 """Shapes of a measured spectrum: rings, slices, wedges, and the variance that it predicts.
 
-All take the dataset of `power_spectrum`. Standard errors are those over realisations, for means over
-frequencies that are taken as uncorrelated, except that ν and −ν hold the same number.
+All take the dataset of `power_spectrum`. Standard errors are those over realisations, of the means
+over rings and wedges of each of them.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ import numpy as np
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.results import dataset
+from mcspectra.spectra._polar import wedge_labels
+from mcspectra.spectra.power import MAX_WEDGES, wedge_angles
 from mcspectra.spectra.transforms import FrequencyGrid
 
 if TYPE_CHECKING:
@@ -29,7 +31,6 @@ __all__ = [
 ]
 
 _MAX_SLICE_DIMS = 4
-_MAX_WEDGES = 360
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,8 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        On dim radius (rings of one frequency step): ``radial_power``, ``radial_power_error``;
+        On dim radius (rings of one frequency step): ``radial_power``, ``radial_power_se``, that of
+        the spectrum, or of frequencies taken as uncorrelated in a spectrum without it;
         ``anisotropy``, the variance over direction divided by the mean² [Ulichney1988]_, and
         ``anisotropy_db``, 10 log10 of it; ``anisotropy_noise_db``, what noise alone makes of an
         isotropic spectrum (−10 log10 of the realisations for Gaussian S), to compare with. NaN
@@ -123,9 +125,11 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
         anisotropy = np.where(count > 1, spread / (count - 1), np.nan) / mean**2
         noise = count * (se / mean) ** 2  # the mean of the squared errors, over mean²
         decibels = [10 * np.log10(values) for values in (anisotropy, noise)]
+    if "radial_power_se" in spectrum:
+        se = spectrum["radial_power_se"].to_numpy()
     found = {
         "radial_power": mean,
-        "radial_power_error": se,
+        "radial_power_se": se,
         "anisotropy": anisotropy,
         "anisotropy_db": decibels[0],
         "anisotropy_noise_db": decibels[1],
@@ -189,29 +193,34 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
     spectrum
         Result of `power_spectrum` in two dims.
     wedges
-        How many divide the half turn; the first is centred on the m0 axis.
+        How many divide the half turn; the first is centred on the m0 axis. Standard errors need
+        the number that `power_spectrum` was given.
 
     Returns
     -------
     xarray.Dataset
         ``wedge_power`` and ``wedge_power_se`` on dim angle (degrees, centres of the wedges); NaN
-        where no frequency lies in a wedge.
+        where no frequency lies in a wedge. The errors of points with a density are NaN for other
+        numbers of wedges than the spectrum's; those of uniform points then take frequencies as
+        uncorrelated.
     """
     half = HalfSpectrum.of(spectrum)
-    wedges = as_integer("wedges", wedges, least=1, most=_MAX_WEDGES)
+    wedges = as_integer("wedges", wedges, least=1, most=MAX_WEDGES)
     if half.grid.dims != 2:
         raise ParameterError(
             f"The spectrum has {half.grid.dims} dims; wedges are of two: use radial_statistics "
             "or slices."
         )
-    turn = np.arctan2(half.index[:, 1], half.index[:, 0]) / np.pi
-    label = np.floor(turn * wedges + 0.5).astype(np.int64) % wedges
+    label = wedge_labels(half.index, wedges)
     label[half.length > half.grid.half_width] = -1
     mean, se, _ = half.mean_by(label, wedges)
-    angle = np.arange(wedges) * 180.0 / wedges
+    if spectrum.sizes.get("angle") == wedges:
+        se = spectrum["wedge_power_se"].to_numpy()
+    elif "density" in half.attrs:  # its frequencies share the fluctuation of the weights
+        se = np.full(wedges, np.nan)
     return dataset(
         {"wedge_power": (("angle",), mean), "wedge_power_se": (("angle",), se)},
-        {"angle": ("angle", angle, {"long_name": "direction", "units": "degrees"})},
+        {"angle": wedge_angles(wedges)},
         **half.attrs,
     )
 

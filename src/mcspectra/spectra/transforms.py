@@ -29,7 +29,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -123,6 +123,13 @@ class FrequencyGrid:
         return full.reshape(self.size, *full.shape[self.dims :])[: self.half_size]
 
 
+class Groups(Protocol):
+    """What sums power over groups of frequencies, realisation by realisation."""
+
+    def take(self, packed: Array, pair: bool) -> None:
+        """Add one set, or two: S1 + i S2 over the full grid."""
+
+
 class Transform:
     """Transforms of blocks of realisations on one frequency grid.
 
@@ -197,8 +204,12 @@ class Transform:
         total: Array,
         squares: Array,
         mean: Array | None = None,
+        groups: Groups | None = None,
     ) -> None:
-        """Add Σ_r |S_m|² and Σ_r |S_m|⁴ of a block to `total` and `squares`, Σ_r S_m to `mean`: (H,)."""
+        """Add Σ_r |S_m|² and Σ_r |S_m|⁴ of a block to `total` and `squares`, Σ_r S_m to `mean`: (H,).
+
+        `groups` takes every transform, of one set or of a pair.
+        """
         sets, n, _ = points.shape
         if weights is None:
             weights = np.broadcast_to(1.0 / n, (sets, n))
@@ -207,11 +218,15 @@ class Transform:
             power_sums(packed, True, total, squares)
             if mean is not None:
                 pair_mean(packed, mean)
+            if groups is not None:
+                groups.take(packed, True)
         for r in range(paired, sets):
             single = self._single(points[r], weights[r])
             power_sums(single, False, total, squares)
             if mean is not None:
                 mean += single[: mean.size]
+            if groups is not None:
+                groups.take(single, False)
 
     def _single(self, points: Array, weights: Array) -> Array:
         """Transform of one set, of which at least the half grid is there."""
