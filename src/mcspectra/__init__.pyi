@@ -56,6 +56,8 @@ from .variance.exact import exact_variance as exact_variance
 from .variance.mirror_study import mirror_study as mirror_study
 from .variance.modes import covariance_modes as covariance_modes
 from .variance.pair_route import variance_from_pair_correlation as variance_from_pair_correlation
+from .variance.prediction import DecayFit as DecayFit
+from .variance.prediction import fitted_decay as fitted_decay
 from .variance.prediction import integrand_decay as integrand_decay
 from .variance.prediction import predicted_rate as predicted_rate
 from .variance.primary import primary_picture as primary_picture
@@ -69,6 +71,7 @@ from .version import __version__ as __version__
 
 __all__ = [
     "ChannelSampling",
+    "DecayFit",
     "Density",
     "Estimator",
     "Integrand",
@@ -97,6 +100,7 @@ __all__ = [
     "diagonal_frequencies",
     "estimators",
     "exact_variance",
+    "fitted_decay",
     "gain_coefficients",
     "integrand",
     "integrand_decay",

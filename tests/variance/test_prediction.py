@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import ParameterError, PreasymptoticWarning
 
 INF = math.inf
 
@@ -90,13 +90,47 @@ def test_decay_of_jumps(integrand, dims, excess):
     assert mcs.integrand_decay(f, half_width=width) == pytest.approx(dims + excess, abs=8 / width)
 
 
+def test_decay_of_a_jump_anywhere_at_the_default_width():
+    """γ = 2 wherever a step lies; at K = 64 these are 1.5 … 2.3. 48 intervals of 95 %: ≤ 9 miss."""
+    places = np.arange(0.03, 0.98, 0.02)
+    fits = [mcs.fitted_decay(mcs.integrand(f"step(at={at:.2f})", dims=1)) for at in places]
+    decay = np.array([fit.decay for fit in fits])
+    assert np.abs(decay - 2.0).max() < 0.06
+    assert all(fit.settled and fit.half_width == 512 for fit in fits)
+    missed = sum(not fit.interval[0] <= 2.0 <= fit.interval[1] for fit in fits)
+    assert missed <= 9  # binomial(48, 0.05): more with probability 2e-4
+
+
+@pytest.mark.parametrize(("integrand", "dims"), [(DISK, 2), (GAUSSIAN, 2), ("linear", 1)])
+def test_interval_of_the_decay_holds_that_of_a_jump(integrand, dims):
+    fit = mcs.fitted_decay(mcs.integrand(integrand, dims=dims))
+    low, high = fit.interval
+    assert low <= dims + 1.0 <= high
+    assert high - low < 0.5
+
+
+def test_an_exponent_that_still_grows_is_no_limit():
+    """|f_m|² = exp(−4π²w²m²) with no jump above rounding: locally |m| to the −8π²w²m²."""
+    narrow = mcs.integrand("gaussian(center=0.5, width=0.05)", dims=1)
+    with pytest.warns(PreasymptoticWarning, match="no limit yet"):
+        assert mcs.integrand_decay(narrow, half_width=16) > 4
+    assert not mcs.fitted_decay(narrow, half_width=16).settled
+    assert mcs.integrand_decay(narrow) == INF
+
+
+def test_zeros_of_the_spectrum_are_no_noise():
+    """Two steps half apart: f_m = 0 at odd m, among them the only one from 4 to 5.7."""
+    twice = mcs.Integrand.from_function(lambda x: 1.0 * (2 * x[..., 0] % 1 < 0.5), dims=1)
+    assert mcs.integrand_decay(twice, half_width=32) == pytest.approx(2.0, abs=0.6)
+
+
 def test_decay_of_kinks_and_smooth():
     kink = mcs.Integrand.from_function(lambda x: np.abs(x[..., 0] - 0.5), dims=1)
     # |f_m|² = 1/(πm)^4 at odd m
     assert mcs.integrand_decay(kink, half_width=64) == pytest.approx(4.0, abs=0.15)
     assert mcs.integrand_decay("cosine(frequency=[2, 1])") == INF
     bump = mcs.Integrand.from_function(lambda x: np.exp(np.cos(2 * np.pi * x[..., 0])), dims=1)
-    assert mcs.integrand_decay(bump, half_width=16) > 10
+    assert mcs.fitted_decay(bump, half_width=16).decay > 10
 
 
 def test_decay_of_channels_is_the_least():

@@ -108,6 +108,10 @@ class InfiniteWeightVarianceWarning(UserWarning):
     """∫1/p diverges: the variance of S_0 is infinite, although that of the estimate may not be."""
 
 
+class PreasymptoticWarning(UserWarning):
+    """A fitted exponent still changes over the range that it is fitted to: it is no limit yet."""
+
+
 class UndefinedRatioWarning(UserWarning):
     """f and p are both 0 at a sample: f/p counts as 0 there, whatever its limit."""
 

@@ -8,26 +8,37 @@ the directions fall like ρ^-γ. Then, with N = n^(1/d) the frequency up to whic
 Either the lowest frequencies dominate, n^(−1 − b/d), or those about N, n^(−1 − (γ − d)/d), whichever is
 the slower [Pilleboue2015]_. A jump across a hypersurface has γ = d + 1, a kink d + 3. On the torus,
 where shifted sets live, a smooth function whose values at 0 and 1 differ has a jump too.
+
+γ is fitted to means of |f_m|² over shells half an octave wide. Ripples of the spectrum, of frequency
+one over the distance of two jumps, and terms of higher order scatter these means about the line; the
+interval is that of the scatter, with Student's t.
 """
 
 from __future__ import annotations
 
 import math
+import warnings
+from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
 from mcspectra.core.checks import MAX_DIMS, Array, as_choice, as_integer
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import ParameterError, PreasymptoticWarning
 from mcspectra.integrands import Integrand
 from mcspectra.integrands.registry import as_integrand
 
-__all__ = ["DECAYS", "integrand_decay", "predicted_rate"]
+__all__ = ["DECAYS", "DecayFit", "fitted_decay", "integrand_decay", "predicted_rate"]
 
 DECAYS = {"jump": 1.0, "kink": 3.0, "smooth": math.inf}
 """γ − d by what is not smooth: values, first derivatives across a hypersurface, or nothing."""
 
-_SHELLS = 3  # octaves that the decay is fitted to
-_LEAST_WIDTH = 1 << _SHELLS
+_OCTAVES = 3  # at the end of the spectrum, that the decay is fitted to
+_LEAST_WIDTH = 1 << _OCTAVES
+_LEAST_SHELLS = 3  # that show scatter
+_BEND = 1.0  # change of the exponent over these octaves from which on it is no limit
+_WIDTHS = {1: 512}  # default half widths; ripples of 1-D spectra have few frequencies to a shell
+_WIDTH = 64
 _NOISE = 1e-26  # |f_m|² relative to the largest that double precision knows nothing of
 
 
@@ -40,8 +51,9 @@ def predicted_rate(b: float, decay: float | str, dims: int) -> float:
         Low-frequency exponent of the power: 0 for random and Poisson disk sets, 2 for jittered
         ones, more for those that are optimised to be smooth; infinite for step noise.
     decay
-        γ: |f_m|², averaged over directions, falls like |m|^-γ; more than `dims` for a finite variance.
-        Or ``"jump"``, ``"kink"``, ``"smooth"`` for what the integrand has on the torus: `DECAYS`.
+        γ: |f_m|², averaged over directions, falls like |m|^-γ; more than `dims` for a finite variance:
+        `integrand_decay` measures it, `fitted_decay` with its interval, which moves the rate by as
+        much over `dims` where γ − d < b. Or ``"jump"``, ``"kink"``, ``"smooth"`` for what the integrand has on the torus: `DECAYS`.
     dims
         Number of dims d.
 
@@ -75,7 +87,34 @@ def predicted_rate(b: float, decay: float | str, dims: int) -> float:
     return -1.0 - best / d
 
 
-def integrand_decay(integrand: Integrand | str, *, half_width: int = 64) -> float:
+@final
+@dataclass(frozen=True)
+class DecayFit:
+    """A fitted decay of |f_m|².
+
+    Attributes
+    ----------
+    decay, interval
+        γ and its 95 % interval; both infinite where the coefficients are rounding noise. The interval
+        knows of the scatter about a power law, not of laws that set in beyond the half width.
+    bend
+        Change of the local exponent from the first shell of the fit to the last, by a parabola.
+    half_width
+        K: shells up to |m| = K were fitted.
+    """
+
+    decay: float
+    interval: tuple[float, float]
+    bend: float
+    half_width: int
+
+    @property
+    def settled(self) -> bool:
+        """Whether the exponent is about the same over all shells."""
+        return math.isinf(self.decay) or abs(self.bend) <= _BEND
+
+
+def integrand_decay(integrand: Integrand | str, *, half_width: int | None = None) -> float:
     """Measure γ, the decay of |f_m|² averaged over directions, at the end of the spectrum.
 
     Parameters
@@ -83,12 +122,21 @@ def integrand_decay(integrand: Integrand | str, *, half_width: int = 64) -> floa
     integrand
         f, or its spec string.
     half_width
-        K: the slope is fitted over the last three octaves up to |m| = K; at least 8.
+        K: the slope is fitted over the last three octaves up to |m| = K; at least 8. By default 512
+        in 1-D, where a jump is then found to ±0.06 wherever it lies, and 64 in more dims, where
+        jumps along the axes can be off by more: see the interval of `fitted_decay`.
 
     Returns
     -------
     float
         γ, infinite where the coefficients there are rounding noise. Of several channels the least.
+        `fitted_decay` has its interval.
+
+    Warns
+    -----
+    PreasymptoticWarning
+        The exponent changes by more than 1 over these octaves: K is too small to see how the
+        spectrum ends, as for smooth functions before rounding noise.
 
     Examples
     --------
@@ -96,23 +144,71 @@ def integrand_decay(integrand: Integrand | str, *, half_width: int = 64) -> floa
     >>> round(mcs.integrand_decay("disk", half_width=64), 1)
     3.0
     """
+    found = fitted_decay(integrand, half_width=half_width)
+    if not found.settled:
+        warnings.warn(
+            f"The decay {found.decay:.3g} changes by {found.bend:.2g} over the octaves up to "
+            f"|m| = {found.half_width}: it is no limit yet; give a larger half_width, or 'smooth' or "
+            "'jump' for predicted_rate.",
+            PreasymptoticWarning,
+            stacklevel=2,
+        )
+    return found.decay
+
+
+def fitted_decay(integrand: Integrand | str, *, half_width: int | None = None) -> DecayFit:
+    """Measure γ like `integrand_decay`, with its interval and how much it still changes.
+
+    Parameters
+    ----------
+    integrand, half_width
+        As in `integrand_decay`.
+
+    Returns
+    -------
+    DecayFit
+        Of several channels that of the least γ.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> found = mcs.fitted_decay(mcs.integrand("step(at=0.3)", dims=1))
+    >>> found.interval[0] < 2.0 < found.interval[1], found.settled
+    (True, True)
+    """
     f = as_integrand(integrand)
-    width = as_integer("half_width", half_width, least=_LEAST_WIDTH)
+    given = _WIDTHS.get(f.dims, _WIDTH) if half_width is None else half_width
+    width = as_integer("half_width", given, least=_LEAST_WIDTH)
     power = np.abs(f.fourier_grid(width)) ** 2
     power = power.reshape(*power.shape[: f.dims], -1)
     axes = np.meshgrid(*[np.arange(-width, width + 1) ** 2] * f.dims, indexing="ij")
     length = np.sqrt(sum(axes, np.zeros(())))
-    return min(_slope(power[..., c], length, width) for c in range(power.shape[-1]))
+    fits = [_decay_fit(power[..., c], length, width) for c in range(power.shape[-1])]
+    return min(fits, key=lambda fit: fit.decay)
 
 
-def _slope(power: Array, length: Array, width: int) -> float:
-    """Minus the slope of log mean power against log |m| over octaves (K/2, K], (K/4, K/2], …"""
-    edges = width * 0.5 ** np.arange(_SHELLS, -1, -1)
+def _decay_fit(power: Array, length: Array, width: int) -> DecayFit:
+    """Least squares of log mean power against log mean |m| over shells (K/√2, K], (K/2, K/√2], …"""
+    edges = width * 0.5 ** (0.5 * np.arange(2 * _OCTAVES, -1, -1))
     place = np.searchsorted(edges, length, side="left")
-    shells = [power[place == k].mean() for k in range(1, _SHELLS + 1)]
-    if min(shells) <= _NOISE * power.max():
-        return math.inf
-    return -float(np.polyfit(np.arange(_SHELLS), np.log2(shells), 1)[0])
+    shells = [place == k for k in range(1, 2 * _OCTAVES + 1) if (place == k).any()]
+    mean = np.array([power[shell].mean() for shell in shells])
+    known = mean > _NOISE * power.max()
+    if not known[-2:].any() or known.sum() < _LEAST_SHELLS:
+        return DecayFit(math.inf, (math.inf, math.inf), 0.0, width)
+    x = np.log2([length[shell].mean() for shell in shells])[known]
+    return _line_through(x, -np.log2(mean[known]), width)
+
+
+def _line_through(x: Array, y: Array, width: int) -> DecayFit:
+    from scipy.special import stdtrit
+
+    slope, level = (float(value) for value in np.polyfit(x, y, 1))
+    degrees = len(x) - 2
+    scatter = float(((y - level - slope * x) ** 2).sum()) / degrees
+    half = float(stdtrit(degrees, 0.975)) * math.sqrt(scatter / ((x - x.mean()) ** 2).sum())
+    bend = 2.0 * float(np.polyfit(x, y, 2)[0]) * float(x[-1] - x[0])
+    return DecayFit(slope, (slope - half, slope + half), bend, width)
 
 
 def _exponent(name: str, value: object, *, above: float) -> float:
