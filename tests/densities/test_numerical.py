@@ -194,3 +194,74 @@ def test_input_is_read_only_for_the_pdf():
 
     with pytest.raises(DensityError, match="read-only"):
         of(greedy)
+
+
+@pytest.mark.parametrize("sides", [(0.008, 0.008), (0.005, 0.02), (0.1, 0.0025)])
+def test_narrow_boxes_keep_their_mass(sides):
+    """1 + 1000 in a box: the mass of the box counts, to rounding."""
+    low = np.array([0.5083, 0.2277])
+
+    def pdf(x):
+        return 1 + 1000.0 * ((x > low) & (x < low + sides)).all(axis=-1)
+
+    p = of(pdf, 2, normalize=True)
+    mass = 1 + 1000 * math.prod(sides)
+    assert float(p.pdf([0.1, 0.1])) == pytest.approx(1 / mass, rel=1e-12)
+    u = np.random.default_rng(4).random((1000, 2))
+    np.testing.assert_allclose(p.invert(p.sample(u)), u, atol=1e-11)
+    # x_1 has the cdf of its marginal, a step function
+    y = p.sample(u)[:, 1]
+    inside = np.clip(y - low[1], 0, sides[1])
+    np.testing.assert_allclose((y + 1000 * sides[0] * inside) / mass, u[:, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize("radius", [0.02, 0.005, 0.002])
+def test_narrow_cones_are_refused(radius):
+    def pdf(x):
+        return 1 + 1000 * np.maximum(0, 1 - np.hypot(X(x) - 0.5123, Y(x) - 0.2317) / radius)
+
+    with pytest.raises(DensityError, match="too rough|not parallel"):
+        of(pdf, 2, normalize=True)
+
+
+@pytest.mark.parametrize("sigma", [1e-3, 1e-5, 1e-6])
+def test_narrow_peaks_keep_their_mass(sigma):
+    peak = mcs.density(f"truncated-normal(mean=0.37123, sigma={sigma})", dims=1)
+    p = of(lambda x: 0.7 + 0.3 * peak.pdf(x), normalize=True)
+    assert float(p.pdf([0.1])) == pytest.approx(0.7, rel=1e-10)
+    x = p.sample(U)
+    expected = 0.7 * x + 0.3 * peak.invert(x)
+    np.testing.assert_allclose(expected, U, atol=1e-9)
+
+
+@pytest.mark.parametrize("at", [0.25 + 1e-6, 0.25 - 1e-6, 1 / 256 + 1e-9, 0.5 - 1e-12])
+def test_jumps_next_to_borders_of_cells(at):
+    """A jump within a thousandth of a cell from its border: nodes are not so close to it."""
+    p = of(lambda x: np.where(X(x) < at, 1.0, 9.0), normalize=True)
+    mass = at + 9 * (1 - at)
+    assert float(p.pdf([0.1 * at])) == pytest.approx(1 / mass, rel=1e-13)
+    found = p.breaks[0]
+    assert found == pytest.approx((at / mass,), abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("pdf", "says"),
+    [
+        (lambda x: 0.5 / np.sqrt(1 - X(x)), "too steep .* move a pole to 0"),
+        (lambda x: X(x) ** -0.3 * (1 - X(x)) ** -0.7, "too rough .* move a pole to 0"),
+        (lambda x: np.abs(X(x) - 0.4) ** -0.3, "poles at 0 only|too steep .* move a pole to 0"),
+        (lambda x: 1 / np.abs(X(x) - 0.5), "poles at 0 only"),
+    ],
+)
+def test_poles_away_from_zero_are_refused_with_what_to_do(pdf, says):
+    with pytest.raises(DensityError, match=says):
+        of(pdf, normalize=True)
+
+
+def test_a_mild_pole_at_one_next_to_a_pole_at_zero():
+    """Beta(0.3, 0.7): what is not resolved next to 1 is 1e-11 of the mass."""
+    from scipy.stats import beta
+
+    p = of(lambda x: X(x) ** -0.7 * (1 - X(x)) ** -0.3, normalize=True)
+    u = np.linspace(0.01, 0.99, 99)[:, None]
+    np.testing.assert_allclose(p.sample(u), beta(0.3, 0.7).ppf(u), rtol=1e-8)

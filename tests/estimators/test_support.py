@@ -9,6 +9,7 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import DensityError
+from mcspectra.densities import Mixture, Product
 
 ONE = {dims: mcs.integrand("constant", dims=dims) for dims in (1, 2, 3, 5)}
 
@@ -131,3 +132,28 @@ def test_probing_is_cheap(dims):
     for _ in range(5):
         mcs.Estimator(ONE[dims], p)
     assert (time.process_time() - start) / 5 < 0.1
+
+
+@pytest.mark.parametrize("width", [1e-2, 1e-5, 1e-7])
+def test_gaps_of_parts_are_found(width):
+    part = without(0.3, 0.3 + width)
+    for parts in ([part, "tent"], ["tent", part], ["uniform(dims=2)", part]):
+        p = Product(parts=parts)
+        with pytest.raises(DensityError, match="would miss"):
+            mcs.Estimator(ONE[p.dims], p)
+    nested = Product(parts=["uniform", Product(parts=[part, part])])
+    with pytest.raises(DensityError, match="would miss"):
+        mcs.Estimator(ONE[3], nested)
+    with pytest.raises(DensityError, match="would miss"):
+        mcs.Estimator(ONE[1], Mixture(parts=[part, without(0.3, 0.3 + 2 * width)]))
+    mcs.Estimator(ONE[1], Mixture(parts=[part, without(0.7, 0.7 + width)]))
+    mcs.Estimator(ONE[1], Mixture(parts=[part, "uniform"]))
+
+
+def test_gaps_of_a_pdf_alone_are_found_to_the_resolution_of_its_warp():
+    low, high = 0.37122, 0.37123
+    p = mcs.Density.from_functions(
+        pdf=lambda x: np.where((x[..., 0] > low) & (x[..., 0] < high), 0.0, 1 / (1 - (high - low)))
+    )
+    with pytest.raises(DensityError, match="would miss"):
+        mcs.Estimator(ONE[1], p)

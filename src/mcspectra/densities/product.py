@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, final
@@ -74,8 +74,12 @@ class Product(Density):
 
     def zero_points(self) -> Array:
         """Zeros of each part, each at a few places along the other axes."""
-        rows = [self._lifted(part, own) for part, own in zip(self.parts, self._domain, strict=True)]
-        return np.concatenate(rows)
+        return self.lifted([part.zero_points() for part in self.parts])
+
+    def lifted(self, points: Sequence[Array]) -> Array:
+        """Points of each part, (k_j, d_j), each at a few places along the other axes: (Σk_j, d)."""
+        pairs = zip(points, self._domain, strict=True)
+        return np.concatenate([self._at_places(part, own) for part, own in pairs])
 
     def reciprocal_integral(self) -> float:
         """Product over the parts."""
@@ -89,14 +93,13 @@ class Product(Density):
     def _primary(self) -> tuple[slice, ...]:
         return _slices([part.primary_dims for part in self.parts])
 
-    def _lifted(self, part: Density, own: slice) -> Array:
-        zeros = part.zero_points()
+    def _at_places(self, points: Array, own: slice) -> Array:
         places = (
-            np.arange(len(zeros))[:, None] % _PLACES + 0.5 + 0.25 * np.sin(np.arange(self.dims))
+            np.arange(len(points))[:, None] % _PLACES + 0.5 + 0.25 * np.sin(np.arange(self.dims))
         )
-        points = np.asarray(places / (_PLACES + 0.25))
-        points[:, own] = zeros
-        return points
+        lifted = np.asarray(places / (_PLACES + 0.25))
+        lifted[:, own] = points
+        return lifted
 
     def _pdf(self, x: Array) -> Array:
         factors = (p._pdf(x[..., own]) for p, own in zip(self.parts, self._domain, strict=True))

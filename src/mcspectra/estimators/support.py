@@ -6,11 +6,14 @@ What is probed, all of it deterministic:
 * points next to faces and corners, at distances 2^-4, 2^-8 and 2^-12;
 * the zeros that densities know of (empty cells of tables, wherever they lie);
 * what integrands know of: both sides of their breaks, the brightest pixels of a picture;
-* in 1-D the gaps of the warp: a region where p = 0 is a jump of T, and bisection of 1024 intervals
-  of u closes in on jumps however small.
+* in 1-D, and in 1-D parts of products and mixtures, the gaps of the warp: a region where p = 0 is
+  a jump of T, and bisection of 1024 intervals of u closes in on jumps, wider than 2^-30, of which
+  the largest in each interval counts.
 
 Where p is 0 only at points (a power at 0, a tent at its ends) nothing is found: no probe lies there.
-What slips through is a region that none of this hits, in 2-D and more.
+What slips through is a region that none of this hits, in 2-D and more, and gaps that a density's
+warp does not have: one computed from a pdf alone knows those wider than 2^-18
+(`mcspectra.densities.NumericalDensity`).
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import DensityError, point_in_words
-from mcspectra.densities import Density
+from mcspectra.densities import Density, Mixture, Product
 from mcspectra.integrands import Integrand
 
 __all__ = ["check_support", "probe_points"]
@@ -104,6 +107,15 @@ def _landmarks(integrand: Integrand) -> Array:
 
 
 def _gaps(density: Density) -> Array:
+    """Points in gaps of the warp, or of those of the parts of a product or mixture."""
+    if isinstance(density, Product):
+        return density.lifted([_gaps(part) for part in density.parts])
+    if isinstance(density, Mixture):
+        return np.concatenate([_gaps(part) for part in density.parts])
+    return _steps(density)
+
+
+def _steps(density: Density) -> Array:
     """Middle of the largest step of T in each of 1024 intervals of u, in 1-D.
 
     Each interval is halved 32 times, to the half over which x moves more: at a jump x moves by the
