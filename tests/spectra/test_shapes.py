@@ -15,7 +15,9 @@ def _made(power_of, dims=2, half_width=8, step=1.0, se=0.01):
     nu = np.stack(np.meshgrid(*[grid.axis.astype(float)] * dims, indexing="ij"), axis=-1)
     power = power_of(nu)
     variables = {"power": (grid.names, power), "power_se": (grid.names, se * power)}
-    return dataset(variables, grid.coords, n=100, realizations=10)
+    if step != 1.0:
+        variables["mean_coefficient"] = (grid.names, np.zeros(power.shape, complex))
+    return dataset(variables, grid.coords, n=100, realizations=10**9)
 
 
 def _length(nu):
@@ -265,12 +267,66 @@ def test_poisson_disk_is_flat_at_low_frequencies():
 def test_scrambled_nets_have_an_exponent_between_those_of_their_parts():
     """2-D: m² along the axes, m0² m1² (log n − log m0 m1) off them, and no power law of |m|.
 
-    The interval covers what the fit of a wrong model can say: it is wide.
+    The largest power near the axes, where m0 m1 is small, grows by less than |m|^4.
     """
     spectrum = mcs.power_spectrum("sobol | owen", 1024, half_width=8, realizations=200, rng=7)
     found = mcs.low_frequency_exponent(spectrum, up_to=8)
     assert 2 < float(found["low_frequency_exponent"]) < 4
-    assert float(found["exponent_fit_chi2"]) > 10
+    assert found.attrs["directions"] != "all"
+
+
+@pytest.mark.parametrize(
+    ("spec", "n", "b"),
+    [
+        ("latin-hypercube | shift", 4096, 0.0),
+        ("latin-hypercube", 1024, 0.0),
+        ("multi-jittered | shift", 4096, 1.9),
+    ],
+)
+def test_the_directions_with_the_largest_power_decide(spec, n, b):
+    """Latin hypercubes: 1/n off the axes, m² on them. Multi-jitter: off the axes as jittered.
+
+    1.9: between 2 and the slope of 1 − sinc² at the end of the window, n^(1/2)/4: 1.8.
+    """
+    spectrum = mcs.power_spectrum(spec, n, half_width=16, realizations=200, rng=7, eps=1e-12)
+    found = mcs.low_frequency_exponent(spectrum)
+    low, high = found["low_frequency_exponent_ci"].values
+    half = (high - low) / 2
+    assert abs(float(found["low_frequency_exponent"]) - b) < 2 * half + 0.1 * (b > 0)
+    assert half < 0.5  # tells 0 from 2
+    assert found.attrs["directions"].startswith("m0 and m1")
+    assert "reason" not in found.attrs
+    axis = mcs.low_frequency_exponent(spectrum, axis=0)
+    assert float(axis["low_frequency_exponent"]) > 1.7
+    assert axis.attrs["directions"] == "axis 0"
+
+
+def test_two_exponents_by_hand():
+    """|ν|^2 on the axes and |ν|^1 off them: 1, the larger power; with the axes higher, 2."""
+    for factor, b in ((1e-3, 1.0), (1e3, 2.0)):
+        made = _made(
+            lambda nu, k=factor: np.where((nu == 0).any(-1), k * _length(nu) ** 2, _length(nu)), 2
+        )
+        found = mcs.low_frequency_exponent(made, up_to=8)
+        assert float(found["low_frequency_exponent"]) == pytest.approx(b, abs=1e-9)
+
+
+def test_a_bad_fit_is_called_one():
+    bent = _made(lambda nu: 1 + np.abs(nu[..., 0]) ** 3, 1, 20, se=1e-4)
+    assert "no power law" in mcs.low_frequency_exponent(bent, up_to=20).attrs["reason"]
+
+
+def test_between_integers_the_power_of_the_mean_is_taken_off():
+    """Jittered: ⟨|S_ν|²⟩ − sinc²(πν) = (1 − sinc²(πν/n))/n, b = 2; with sinc² it would be below 0."""
+    sampler = mcs.sampler("jittered", dims=1)
+    given = {"half_width": 32, "frequency_step": 0.25, "realizations": 500, "rng": 2}
+    spectrum = mcs.power_spectrum(sampler, 64, mean=True, eps=1e-12, **given)
+    found = mcs.low_frequency_exponent(spectrum)
+    low, high = found["low_frequency_exponent_ci"].values
+    assert abs(float(found["low_frequency_exponent"]) - 1.95) < 1.5 * (high - low) + 0.05
+    assert high - low < 0.3
+    with pytest.raises(ParameterError, match="frequency step of 0.25"):
+        mcs.low_frequency_exponent(mcs.power_spectrum(sampler, 64, **given))
 
 
 def test_lattices_have_no_exponent_and_say_why():

@@ -80,13 +80,17 @@ def _exponent(spectrum: xr.Dataset) -> tuple[str, dict[str, Any]]:
     names = ("low_frequency_exponent", "low_frequency_exponent_ci", "exponent_fit_chi2")
     b, (low, high), chi2 = (found[name].values for name in names)
     data = _data(found, {**spectrum.attrs, **found.attrs}, names)
-    if "reason" in found.attrs:
+    if np.isnan(b):
         return f"no exponent: {found.attrs['reason']}", data
-    window = f"|m| ≤ {found.attrs['up_to']:.4g} ({found.attrs['lengths']} lengths)"
+    directions = found.attrs["directions"]
+    where = "" if directions == "all" else f", directions {directions}"
+    window = f"|m| ≤ {found.attrs['up_to']:.4g} ({found.attrs['lengths']} lengths{where})"
     text = (
         f"power ∝ |m|^b for {window}: b = {float(b):.4g}, 95 % interval {low:.4g} … {high:.4g}, "
         f"χ² per degree of freedom {float(chi2):.3g}"
     )
+    if "reason" in found.attrs:
+        text += f"\n{found.attrs['reason']}"
     return text, data
 
 
