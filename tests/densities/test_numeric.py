@@ -236,3 +236,36 @@ def test_from_functions_without_an_inverse():
     assert p.reciprocal_integral() == math.inf
     with pytest.raises(DensityError, match="without an inverse"):
         p.invert([[0.5]])
+
+
+@pytest.mark.parametrize(
+    ("dims", "error"), [(1, 0.015), (1, -0.005), (1, 0.002), (2, 0.015), (2, -0.005)]
+)
+def test_samples_that_are_slightly_wrong_everywhere_are_found(dims, error):
+    """T(u) = u + e u (1 − u) on every axis puts 1/2 + e/4 of the mass to the left, not 1/2."""
+    with pytest.raises(DensityError, match="do not follow its pdf"):
+        mcs.Density.from_functions(pdf=one, sample=lambda u: u + error * u * (1 - u), dims=dims)
+
+
+def test_one_cell_of_64_that_is_wrong_is_found():
+    """A kink moves 3 % of the mass of one cell to its neighbour."""
+    width = 1 / 64
+
+    def sample(u):
+        away = np.abs(u - 32 * width)
+        return u + 0.03 * np.maximum(0.0, width - away)
+
+    with pytest.raises(DensityError, match=r"fall between \(0.48|fall between \(0.5"):
+        mcs.Density.from_functions(pdf=one, sample=sample)
+
+
+def test_sums_over_cells_of_twice_the_edge():
+    from mcspectra.densities.numeric import _doubled
+
+    cells = np.arange(2 * 16.0).reshape(2, 16)
+    found = _doubled(cells, 4, 2)
+    expected = [
+        [c.reshape(4, 4)[i : i + 2, j : j + 2].sum() for i in (0, 2) for j in (0, 2)] for c in cells
+    ]
+    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(_doubled(cells[0], 16, 1), cells[0].reshape(8, 2).sum(axis=1))
