@@ -119,6 +119,24 @@ def test_modes_of_the_points_alone(capsys):
     assert (data["weighted"], data["basis"]) == (0, "cosine")
 
 
+def test_modes_without_variance_say_so(capsys):
+    arguments = ("modes", "constant", "-d", 1, "--sampler", "jittered", "-n", 4, "-m", 20)
+    code, out, _ = run(capsys, *arguments, "--half-width", 2, "--modes", 2)
+    assert code == 0
+    assert out.splitlines()[-1] == "no mode: the coefficients do not vary"
+    arguments = ("modes", "linear", "-d", 1, "--sampler", "regular | shift", "-n", 4, "-m", 50)
+    _, out, _ = run(capsys, *arguments, "--half-width", 4, "--modes", 4)
+    assert "2 more of rounding size" in out  # S_4 has a phase: two modes
+    assert "nan" not in out
+
+
+def test_modes_of_a_channel(capsys):
+    arguments = ("modes", "gaussian", "-d", 1, "--sampler", "random", "-n", 4, "-m", 50)
+    assert run(capsys, *arguments, "--half-width", 2, "--modes", 1, "--channel", 0)[0] == 0
+    code, _, err = run(capsys, *arguments, "--half-width", 2, "--modes", 1, "--channel", 1)
+    assert (code, "channel is 1" in err) == (2, True)
+
+
 SPECTRUM = ("spectrum", "jittered", "-n", 16, "--half-width", 5, "-m", 20)
 
 

@@ -50,8 +50,49 @@ def test_modes_are_the_eigenvectors_of_the_cross_matrix(estimator, sampler, chan
     assert np.allclose(found["mode_contribution"], expected, atol=1e-9 * scale)
 
 
+def test_errors_of_eigenvalues_are_their_spread():
+    """A leading mode far above the others, over 60 runs; its batch means hold 10 realisations each."""
+    runs = [
+        mcs.covariance_modes(
+            F1, "random", 8, half_width=4, modes=1, realizations=200, rng=seed, basis="cosine"
+        )
+        for seed in range(60)
+    ]
+    values = np.array([float(d["eigenvalue"][0]) for d in runs])
+    claimed = np.sqrt(np.mean([float(d["eigenvalue_se"][0]) ** 2 for d in runs]))
+    # the spread of 60 is known to 9 %; batches of 10 claim up to √(10/9) too much
+    assert 1 - 4 * 0.092 < claimed / values.std(ddof=1) < np.sqrt(10 / 9) * (1 + 4 * 0.092)
+
+
+@pytest.mark.parametrize("realizations", [20, 400])
+def test_sampling_alone_makes_a_flat_spectrum_steep(realizations):
+    """Random points: n Cov(S_m, S_l) is the identity; the largest of 80 is at Marchenko-Pastur's edge.
+
+    The edge fluctuates by D^-2/3 of itself, here 5 %, and lies a little above the largest.
+    """
+    found = mcs.covariance_modes(
+        F2, "random", 256, half_width=4, modes=1, weighted=False, passes=30, rng=5,
+        realizations=realizations,
+    )  # fmt: skip
+    largest, edge = 256 * float(found["eigenvalue"][0]), 256 * float(found["noise_edge"])
+    assert edge == pytest.approx((1 + np.sqrt(80 / (realizations - 1))) ** 2, rel=0.1)
+    assert 0.8 < largest / edge < 1.1
+    assert "noise_edge" in found.attrs["note"]
+    many = mcs.covariance_modes(F1, "random", 8, half_width=1, modes=1, realizations=30, rng=1)
+    assert "note" not in many.attrs
+
+
+def test_no_more_modes_than_coefficients():
+    """The imaginary part of m = 0 is no coordinate."""
+    assert (
+        mcs.covariance_modes(F1, "random", 8, half_width=2, modes=5, **ARGUMENTS).sizes["mode"] == 5
+    )
+    with pytest.raises(ParameterError, match="modes is 6; give a whole number from 1 to 5"):
+        mcs.covariance_modes(F1, "random", 8, half_width=2, modes=6, **ARGUMENTS)
+
+
 def test_all_modes_make_up_the_variance():
-    found = mcs.covariance_modes(F1, "jittered", 8, half_width=3, modes=8, **ARGUMENTS)
+    found = mcs.covariance_modes(F1, "jittered", 8, half_width=3, modes=7, **ARGUMENTS)
     terms = mcs.variance_terms(F1, "jittered", 8, half_width=3, **ARGUMENTS)
     total = float(found["mode_contribution"].sum())
     assert total == pytest.approx(float(terms["predicted_variance"]), rel=1e-9)
@@ -148,6 +189,8 @@ def test_product_in_parts_is_that_of_the_whole():
         ({"band": "99"}, "band"),
         ({"band": []}, "band is"),
         ({"band": float("nan")}, "band"),
+        ({"band": 1}, "band is 1; give labels of bands as text, such as '4'"),
+        ({"band": ["1", 2]}, "as text"),
         ({"bands": "rings"}, "bands"),
         ({"half_width": 10**9}, ""),
         ({"half_width": float("nan")}, "half_width"),

@@ -31,7 +31,15 @@ if TYPE_CHECKING:
 
 __all__ = ["add_arguments", "run"]
 
-_VALUES = ("eigenvalue", "eigenvalue_share", "eigenvalue_residual", "mode_contribution")
+_VALUES = (
+    "eigenvalue",
+    "eigenvalue_se",
+    "eigenvalue_share",
+    "eigenvalue_residual",
+    "mode_contribution",
+)
+_HEADER = ["mode", "", "eigenvalue", "standard error", "share", "numerical residual ≤"]
+_ROUNDING = 1e-13  # of the sum of all: what eigenvalues of zero come out as
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,6 +68,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--band", action="append", metavar="LABEL", help="only this band; repeatable"
     )
+    parser.add_argument(
+        "--channel", default=0, metavar="C", help="of an integrand with several (default 0)"
+    )
     parser.add_argument("-o", "--out", metavar="FILE", help=".npz")
 
 
@@ -81,6 +92,7 @@ def run(options: argparse.Namespace) -> int:
             weighted=not options.points_only,
             bands=options.bands,
             band=options.band,
+            channel=whole_number("--channel", options.channel, least=0),
             passes=whole_number("--passes", options.passes, least=2),
             realizations=whole_number("--realizations", options.realizations, least=2),
             rng=seed_option(options),
@@ -90,7 +102,7 @@ def run(options: argparse.Namespace) -> int:
     if options.out:
         _write(result, options.out)
     if options.json:
-        values = {name: result[name].values for name in (*_VALUES, "band_trace")}
+        values = {name: result[name].values for name in (*_VALUES, "band_trace", "noise_edge")}
         print_json({**result.attrs, **values})
     elif not options.quiet:
         print(_text(result))
@@ -100,14 +112,24 @@ def run(options: argparse.Namespace) -> int:
 def _text(result: xr.Dataset) -> str:
     attrs = result.attrs
     about = f"{attrs['estimator']}  with  {attrs['sampler']},  n = {attrs['n']}"
-    columns = (result[name].values for name in _VALUES)
+    trace, edge = float(result["band_trace"]), float(result["noise_edge"])
+    shown = int(np.count_nonzero(result["eigenvalue"].values > _ROUNDING * trace))
+    if not shown:
+        return f"{about}\nno mode: the coefficients do not vary"
+    columns = (result[name].values[:shown] for name in _VALUES)
     rows = [
-        [str(place), "", *(f"{value:.5g}" for value in values)]
+        [str(place), "", *(f"{v:.5g}" if np.isfinite(v) else "–" for v in values)]
         for place, values in enumerate(zip(*columns, strict=True))
     ]
-    header = ["mode", "", "eigenvalue", "share", "error ≤", "part of variance"]
-    trace = f"sum of all eigenvalues: {float(result['band_trace']):.6g}"
-    return "\n".join([about, text_table(header, rows), trace])
+    lines = [about, text_table([*_HEADER, "part of variance"], rows)]
+    if shown < result.sizes["mode"]:
+        lines.append(f"{result.sizes['mode'] - shown} more of rounding size")
+    if "note" in attrs:
+        lines.append(attrs["note"])
+    lines.append(
+        f"largest eigenvalue of a flat spectrum with the same sum (noise edge): {edge:.6g}"
+    )
+    return "\n".join([*lines, f"sum of all eigenvalues: {trace:.6g}"])
 
 
 def _write(result: xr.Dataset, path: str) -> None:

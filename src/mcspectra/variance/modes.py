@@ -15,7 +15,6 @@ those stored, times √2, which is a unitary change of coordinates.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,8 +33,15 @@ from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, as_estimator
 from mcspectra.samplers import as_sampler
 from mcspectra.spectra.bases import BASES, Basis, fitting_basis, make_basis
+from mcspectra.variance._coordinates import Coordinates
 from mcspectra.variance.bands import make_bands
-from mcspectra.variance.subspace import CovarianceProduct, Eigenpairs, leading_eigenpairs
+from mcspectra.variance.subspace import (
+    BATCHES,
+    CovarianceProduct,
+    Eigenpairs,
+    flat_edge,
+    leading_eigenpairs,
+)
 from mcspectra.variance.views import SPACES, View, check_terms, view_dims
 
 if TYPE_CHECKING:
@@ -92,7 +98,10 @@ def covariance_modes(
     Returns
     -------
     xarray.Dataset
-        ``eigenvalue(mode)``, descending; ``eigenvalue_residual(mode)``, a bound of its distance to an
+        ``eigenvalue(mode)``, descending, of the sample covariance; ``eigenvalue_se(mode)``, its error as
+        the variance along the mode, by batch means; ``noise_edge``, the largest eigenvalue to expect if
+        all were equal: sampling alone makes flat spectra steep unless there are many more realisations
+        than coefficients; ``eigenvalue_residual(mode)``, numerical: a bound of the distance to an
         eigenvalue of the sample covariance; ``eigenvalue_share(mode)`` of the trace;
         ``mode_contribution(mode)``, what the mode alone gives to the variance of the band-limited
         estimate; ``mode_vector(mode, m0, …)``, of norm 1 over all frequencies; ``band_trace``, the sum of
@@ -129,7 +138,7 @@ def covariance_modes(
     functions = make_basis(basis, view_dims(estimator, space), half_width)
     inside = _inside(bands, band, functions)
     view = View.of(estimator, n, space, functions, engine, eps)
-    coordinates = _Coordinates.of(view, inside, channel, weighted=weighted)
+    coordinates = Coordinates.of(view, inside, channel, weighted=weighted)
     modes = as_integer("modes", modes, least=1, most=coordinates.size)
     stream = Stream.from_rng(rng)
     width = min(coordinates.size, modes + _OVERSAMPLING)
@@ -141,15 +150,17 @@ def covariance_modes(
             return CovarianceProduct.of(coordinates.real(s), vectors)
 
         numbers = max(n * estimator.dims * sum(estimator.counts), 4 * coordinates.size)
-        blocks = realization_blocks(realizations, numbers, multiple=2)
+        blocks = list(realization_blocks(realizations, numbers, multiple=2, least=BATCHES))
         parts = map_in_order(block, blocks, available_workers(workers))
-        return CovarianceProduct.merged(parts, vectors)
+        return CovarianceProduct.merged(iter(parts), vectors, -(-len(blocks) // BATCHES))
 
+    pairs = leading_eigenpairs(product, start, passes)
     return _labelled(
-        leading_eigenpairs(product, start, passes),
+        pairs,
         coordinates,
         view,
         modes,
+        flat_edge(pairs.diagonal, realizations),
         estimator=estimator.spec,
         sampler=source.spec,
         n=n,
@@ -160,64 +171,13 @@ def covariance_modes(
         channel=channel if estimator.channels else None,
         band=band if band is None or isinstance(band, str) else list(band),
         passes=passes,
+        real_coefficients=coordinates.size,
+        note=_note(coordinates.size, realizations),
         stream_key=f"{stream.key:#x}",
         seed=rng if isinstance(rng, int) else None,
         engine=view.engine,
         eps=eps,
     )
-
-
-@dataclass(frozen=True)
-class _Coordinates:
-    """Real orthonormal coordinates z of the coefficients y_m of a band.
-
-    Attributes
-    ----------
-    place
-        Where the band's coefficients are among all stored, those of all techniques: int64 (P,).
-    factor
-        What makes y of S: conj(f_m) or 1, times `scale`: (P,).
-    scale
-        √2 for a coefficient that stands for −m too, else 1: (P,).
-    direction
-        The band's part of the estimate is its scalar product with z: (D,).
-    """
-
-    place: Array
-    factor: Array
-    scale: Array
-    direction: Array
-
-    @staticmethod
-    def of(view: View, inside: Array, channel: int, *, weighted: bool) -> _Coordinates:
-        techniques = len(view.transforms)
-        place = np.flatnonzero(np.tile(inside, techniques))
-        f = view.integrand_coefficients[channel].reshape(-1)[place]
-        scale = np.sqrt(np.tile(view.basis.double, techniques)[place])
-        towards = scale if weighted else scale * f
-        parts = [towards.real, towards.imag] if np.iscomplexobj(f) else [towards]
-        factor = scale * f.conj() if weighted else scale
-        return _Coordinates(place, factor, scale, np.concatenate(parts))
-
-    @property
-    def size(self) -> int:
-        """D."""
-        return len(self.direction)
-
-    def real(self, s: Array) -> Array:
-        """z of spectra (R, T·H): float64 (R, D)."""
-        y = s[:, self.place] * self.factor
-        return np.concatenate([y.real, y.imag], axis=1) if np.iscomplexobj(s) else y
-
-    def stored(self, vectors: Array, size: int) -> Array:
-        """Patterns over all `size` stored coefficients, (k, size), of vectors (D, k)."""
-        half = len(self.place)
-        y: Array = vectors[:half].T
-        if self.size > half:
-            y = y + 1j * vectors[half:].T
-        out = np.zeros((vectors.shape[1], size), y.dtype)
-        out[:, self.place] = y / self.scale
-        return out
 
 
 def _check_modes(
@@ -237,14 +197,34 @@ def _check_modes(
         )
 
 
+_MANY = 10.0  # realisations per coefficient from which on sampling changes eigenvalues by < 75 %
+
+
+def _note(size: int, realizations: int) -> str | None:
+    """Caution where sampling noise shapes the spectrum of eigenvalues."""
+    if realizations >= _MANY * size:
+        return None
+    return (
+        f"{realizations} realisations of {size} coefficients: eigenvalues are those of the sample, "
+        "the largest too large; compare noise_edge, which a flat spectrum would reach."
+    )
+
+
 def _inside(bands: str | Array, band: str | Sequence[str] | None, basis: Basis) -> Array:
     """Which stored coefficients belong to the bands of these labels: bool (H,)."""
     partition = make_bands(bands, basis)
     if band is None:
         return np.ones(basis.stored, bool)
     given = [band] if isinstance(band, str) else band
-    if not isinstance(given, list | tuple) or not given:
-        raise ParameterError(f"band is {band!r}; give labels of bands, or None for all.")
+    if (
+        not isinstance(given, list | tuple)
+        or not all(isinstance(b, str) for b in given)
+        or not given
+    ):
+        raise ParameterError(
+            f"band is {band!r}; give labels of bands as text, such as {partition.labels[-1]!r}, or None "
+            "for all."
+        )
     wanted = [partition.labels.index(as_choice("band", b, partition.labels)) for b in given]
     inside = np.isin(partition.of, wanted)
     if not inside.any():
@@ -253,7 +233,12 @@ def _inside(bands: str | Array, band: str | Sequence[str] | None, basis: Basis) 
 
 
 def _labelled(
-    pairs: Eigenpairs, coordinates: _Coordinates, view: View, modes: int, **provenance: Any
+    pairs: Eigenpairs,
+    coordinates: Coordinates,
+    view: View,
+    modes: int,
+    edge: float,
+    **provenance: Any,
 ) -> xr.Dataset:
     """Make the dataset; each vector's sign is such that the mode adds to the estimate."""
     values, vectors = pairs.values[:modes], pairs.vectors[:, :modes]
@@ -270,11 +255,13 @@ def _labelled(
         patterns, maps = patterns[:, 0], ("mode", *basis.names)
     variables: dict[str, tuple[tuple[str, ...], Any]] = {
         "eigenvalue": (("mode",), values),
+        "eigenvalue_se": (("mode",), pairs.errors[:modes]),
         "eigenvalue_residual": (("mode",), pairs.residuals[:modes]),
         "eigenvalue_share": (("mode",), values / pairs.trace if pairs.trace else values * np.nan),
         "mode_contribution": (("mode",), values * amplitude**2),
         "mode_vector": (maps, patterns),
         "band_trace": ((), pairs.trace),
+        "noise_edge": ((), edge),
     }
     number = ("mode", np.arange(modes), {"long_name": "mode, by eigenvalue", "units": "1"})
     return dataset(variables, {"mode": number, **basis.coords}, **provenance)

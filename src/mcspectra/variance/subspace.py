@@ -3,18 +3,37 @@
 Randomised subspace iteration [Halko2011]_: the range of A Ω, Ω random, holds the leading eigenvectors but
 for errors that shrink with every further product; the eigenpairs of A projected on it (Rayleigh-Ritz)
 are the answer. The last product also gives ‖A v − λ v‖, which no eigenvalue of A is farther from λ.
+
+A itself is a sample: batches of realisations each give a variance along v, whose spread is the error of
+λ as the variance along v. That v was picked for a large λ it does not know: `flat_edge` is what picking
+makes of a flat spectrum.
 """
 
 from __future__ import annotations
 
+import functools
+import itertools
+import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.variance.batches import spread
 
-__all__ = ["CovarianceProduct", "Eigenpairs", "leading_eigenpairs"]
+__all__ = ["BATCHES", "CovarianceProduct", "Eigenpairs", "flat_edge", "leading_eigenpairs"]
+
+_ROUNDING = 1e-20  # variances beside the largest that are rounding
+BATCHES = 20  # whose spread gives the errors of eigenvalues
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Vᵀ A_b V of a batch of realisations, (k, k), and its degrees of freedom."""
+
+    degrees: int
+    projected: Array
 
 
 @dataclass(frozen=True)
@@ -29,12 +48,15 @@ class CovarianceProduct:
         The sum, (D, k).
     squares
         Σ (z − z̄)², (D,): the diagonal.
+    batches
+        What each batch says by itself, where `merged` kept them.
     """
 
     count: int
     mean: Array
     product: Array
     squares: Array
+    batches: tuple[Batch, ...] = ()
 
     @staticmethod
     def of(z: Array, vectors: Array) -> CovarianceProduct:
@@ -58,22 +80,36 @@ class CovarianceProduct:
         )
 
     @staticmethod
-    def merged(parts: Iterator[CovarianceProduct], vectors: Array) -> CovarianceProduct:
-        """All parts together, in order."""
-        total = next(parts)
-        for part in parts:
-            total = total.merge(part, vectors)
-        return total
+    def merged(
+        parts: Iterator[CovarianceProduct], vectors: Array, group: int = 1
+    ) -> CovarianceProduct:
+        """All parts together, in order; `group` parts are a batch."""
+        total = None
+        batches: list[Batch] = []
+        while own := list(itertools.islice(parts, group)):
+            batch = functools.reduce(lambda a, b: a.merge(b, vectors), own)
+            if batch.count > 1:
+                degrees = batch.count - 1
+                batches.append(Batch(degrees, vectors.T @ batch.product / degrees))
+            total = batch if total is None else total.merge(batch, vectors)
+        assert total is not None
+        return replace(total, batches=tuple(batches))
 
 
 @dataclass(frozen=True)
 class Eigenpairs:
-    """Eigenvalues, descending; eigenvectors, (D, k); ‖A v − λ v‖; the trace of A."""
+    """Eigenvalues, descending; eigenvectors, (D, k); ‖A v − λ v‖; standard errors; the diagonal of A."""
 
     values: Array
     vectors: Array
     residuals: Array
-    trace: float
+    errors: Array
+    diagonal: Array
+
+    @property
+    def trace(self) -> float:
+        """Sum of all eigenvalues of A."""
+        return float(self.diagonal.sum())
 
 
 def leading_eigenpairs(
@@ -100,5 +136,29 @@ def leading_eigenpairs(
     values, rotation = values[::-1], rotation[:, ::-1]
     found = vectors @ rotation
     residuals = np.linalg.norm(image @ rotation - found * values, axis=0)
-    trace = float(last.squares.sum()) / (last.count - 1)
-    return Eigenpairs(np.maximum(values, 0.0), found, residuals, trace)
+    diagonal = last.squares / (last.count - 1)
+    errors = _errors(last.batches, rotation)
+    return Eigenpairs(np.maximum(values, 0.0), found, residuals, errors, diagonal)
+
+
+def _errors(batches: tuple[Batch, ...], rotation: Array) -> Array:
+    """Standard errors of the variances along the eigenvectors, (k,), by batch means."""
+    along = [np.einsum("ik,ij,jk->k", rotation, b.projected, rotation) for b in batches]
+    if not along:
+        return np.full(rotation.shape[1], np.nan)
+    weight = np.array([b.degrees for b in batches], np.float64)
+    share = weight / weight.sum()
+    return spread(np.array(along) - share @ np.array(along), share)
+
+
+def flat_edge(diagonal: Array, realizations: int) -> float:
+    """Largest sample eigenvalue of a flat spectrum of the same trace, by Marchenko and Pastur.
+
+    With D coordinates that vary and R − 1 degrees of freedom, λ (1 + √(D/(R − 1)))² in the limit of many
+    of both [Marchenko1967]_, where the eigenvalues of the covariance itself are all λ.
+    """
+    varying = int(np.count_nonzero(diagonal > _ROUNDING * diagonal.max(initial=0.0)))
+    if not varying:
+        return 0.0
+    level = float(diagonal.sum()) / varying
+    return level * (1.0 + math.sqrt(varying / (realizations - 1))) ** 2
