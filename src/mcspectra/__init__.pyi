@@ -50,6 +50,7 @@ from .spectra.shapes import wedge_means as wedge_means
 from .variance.alignment import aligned as aligned
 from .variance.alignment import strata_shift_scan as strata_shift_scan
 from .variance.anova import anova_variances as anova_variances
+from .variance.anova_fourier import anova_spectrum as anova_spectrum
 from .variance.best_alignment import best_alignment as best_alignment
 from .variance.convergence import convergence as convergence
 from .variance.exact import exact_variance as exact_variance
@@ -85,6 +86,7 @@ __all__ = [
     "TechniqueSum",
     "__version__",
     "aligned",
+    "anova_spectrum",
     "anova_variances",
     "axis_frequencies",
     "best_alignment",
