@@ -110,3 +110,12 @@ def test_bad_input(name):
 def test_dims_are_not_mixed():
     with pytest.raises(ParameterError, match="different figures"):
         figures.warp_maps({"a": warp("uniform"), "b": warp("uniform", 1)})
+
+
+def test_warp_maps__four_stand_two_by_two():
+    names = ["disk", 'disk(warp="polar")', "sphere", "hemisphere"]
+    figure = figures.warp_maps({name: warp(name) for name in names})
+    panels = [axes for axes in figure.axes if axes.get_label() != "<colorbar>"]
+    assert len(panels) == 8
+    places = {(s.rowspan.start, s.colspan.start) for s in (a.get_subplotspec() for a in panels)}
+    assert places == {(row, column) for row in range(4) for column in range(2)}

@@ -130,7 +130,7 @@ def panel_blocks(count: int, parts: int, height: float) -> tuple[Figure, list[li
         columns, rows = min(parts, 2), math.ceil(parts / 2)
         places = [[divmod(part, columns) for part in range(parts)]]
     else:
-        columns = min(count, _MOST_COLUMNS)
+        columns = math.ceil(count / math.ceil(count / _MOST_COLUMNS))  # 4 stand 2 by 2
         rows = parts * math.ceil(count / columns)
         places = [
             [(parts * (item // columns) + part, item % columns) for part in range(parts)]
