@@ -401,3 +401,21 @@ def test_joint_sets_need_a_count_that_the_sampler_can_make():
     e = mcs.MultipleImportance("gaussian", ["uniform"] * 2, sets="joint", dims=2)
     with pytest.raises(ParameterError, match="The joint set has 2 · 16 points"):
         mcs.convergence(e, "jittered", [16], realizations=2)
+
+
+@pytest.mark.parametrize(
+    ("densities", "dims", "infinite"),
+    [
+        # 1/p_t diverges for each, but at opposite ends: the balanced weights are exactly ½
+        (["linear(slope=2)", "linear(slope=-2)"], 1, False),
+        (["linear(slope=2)", "linear(slope=2)"], 1, True),
+        (["linear(slope=2)", "power(exponent=1)"], 2, True),
+        # both are 0 in the corners (0, 1) and (1, 0) only, where their sum grows like the distance
+        (["linear(slope=2)", "linear(slope=-2)"], 2, False),
+        (["piecewise-constant(values=[1, 0])", "piecewise-constant(values=[0, 1])"], 1, False),
+        (["linear(slope=2)", "uniform"], 1, False),
+    ],
+)
+@pytest.mark.parametrize("make", [mcs.MultipleImportance, mcs.OneSampleMIS])
+def test_weights_are_infinite_only_where_no_density_covers(densities, dims, infinite, make):
+    assert make("gaussian(center=0.4)", densities, dims=dims).infinite_weights is infinite

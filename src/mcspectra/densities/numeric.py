@@ -17,7 +17,7 @@ from mcspectra.core.streams import Stream
 from mcspectra.densities.adaptive import MOST_CELLS, Quadrature, integrate
 from mcspectra.densities.base import LARGEST_BELOW_ONE, Density
 
-__all__ = ["check_density", "positive_integral", "reciprocal_integral"]
+__all__ = ["check_density", "mean_or_infinity", "positive_integral", "reciprocal_integral"]
 
 _CELLS = {1: 64, 2: 16}  # a side, of the cells in which masses are compared
 _SETS, _SET_SIZE = 32, 4096  # shifted low-discrepancy sets; their spread is the error bar
@@ -69,12 +69,20 @@ def reciprocal_integral(density: Density) -> float:
         with np.errstate(divide="ignore", over="ignore"):
             return np.asarray(1.0 / density._pdf(x))
 
-    if density.dims <= 2:
+    return mean_or_infinity(reciprocal, density.dims)
+
+
+def mean_or_infinity(function: Callable[[Array], Array], dims: int) -> float:
+    """Return ∫ of a function ≥ 0 of points (..., d), any d: infinite where it seems to diverge.
+
+    By the means of `reciprocal_integral`, whose notes say what to expect of the value.
+    """
+    if dims <= 2:
         with np.errstate(over="ignore", invalid="ignore"):
-            found = integrate(reciprocal, density.dims, cells=_CELLS[density.dims])
+            found = integrate(function, dims, cells=_CELLS[dims])
         if _isolated(found):
             return _limit(found)
-    return _mean_with_tail(reciprocal(_points(density.dims).reshape(-1, density.dims)))
+    return _mean_with_tail(function(_points(dims).reshape(-1, dims)))
 
 
 def positive_integral(

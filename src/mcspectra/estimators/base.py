@@ -88,6 +88,17 @@ class AbstractEstimator(ABC):
         """Whether ∫1/p diverges, so that Var(S_0) is infinite in the domain view."""
         return False
 
+    @property
+    def evaluations_per_point(self) -> int:
+        """Evaluations of the function underneath for each sample."""
+        f = self.domain_integrand
+        return 1 if f is None else f.evaluations_per_point
+
+    @property
+    def pilot_evaluations(self) -> int:
+        """Evaluations that were spent on a pilot, before any sample."""
+        return 0
+
     @abstractmethod
     def primary_integrand(self, technique: int) -> Integrand:
         """The integrand g_t of the primary view."""

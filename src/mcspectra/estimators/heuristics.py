@@ -14,6 +14,7 @@ A heuristic gives weights w_t(x) that sum to 1 wherever any technique can sample
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,6 +28,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import Component, parse
 from mcspectra.densities import Density
+from mcspectra.densities.numeric import mean_or_infinity
 
 if TYPE_CHECKING:
     from mcspectra.estimators.pilots import Pilot
@@ -76,6 +78,11 @@ class Heuristic(Component, ABC):
         """Whether weights are as smooth as the densities; otherwise they fall to 0 at a jump."""
         return True
 
+    @property
+    def pilot_evaluations(self) -> int:
+        """Evaluations of f for points of a pilot; 0 where weights do not look at f."""
+        return 0
+
     def fit(
         self,
         integrand: Integrand,
@@ -122,6 +129,28 @@ class Combination:
         """w_t/p_t at points x (..., d): (...)."""
         q = np.stack([c * p.pdf(x) for c, p in zip(self.shares, self.densities, strict=True)])
         return np.asarray(self.shares[technique] * self.heuristic.ratio(q, technique))
+
+    @property
+    def infinite(self) -> bool:
+        """Whether ∫ Σ_t (w_t/p_t)² p_t diverges, so that Var(S_0) is infinite.
+
+        One ∫1/p_t that converges is enough for weights that are `Heuristic.bounded`. Where none does,
+        the densities may still cover for one another, as two that are 0 at opposite ends.
+        """
+        finite = [math.isfinite(p.reciprocal_integral()) for p in self.densities]
+        if all(finite) or (any(finite) and self.heuristic.bounded):
+            return False
+        return not math.isfinite(mean_or_infinity(self._second_moment, self.densities[0].dims))
+
+    def _second_moment(self, x: Array) -> Array:
+        """Σ_t (w_t/p_t)² p_t at points x (..., d): (...)."""
+        with np.errstate(divide="ignore", over="ignore"):
+            parts = [
+                self.over_density(t, x) ** 2 * density.pdf(x)
+                for t, density in enumerate(self.densities)
+            ]
+            nowhere = sum(density.pdf(x) for density in self.densities) == 0
+        return np.asarray(np.where(nowhere, np.inf, sum(parts)))
 
     def weights(self, x: Array) -> Array:
         """w_t at points x (..., d): (T, ...), which sum to 1 where any density is positive."""

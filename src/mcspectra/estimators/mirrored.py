@@ -122,6 +122,11 @@ class Mirrored(AbstractEstimator):
         return self.estimator.domain_integrand
 
     @property
+    def pilot_evaluations(self) -> int:
+        """Those of the estimator inside."""
+        return self.estimator.pilot_evaluations
+
+    @property
     def infinite_weights(self) -> bool:
         """That of the estimator inside."""
         return self.estimator.infinite_weights

@@ -113,10 +113,19 @@ class OneSampleMIS(DomainEstimator):
         return f"{self.integrand.spec} / one-sample {self.heuristic}{split}[{shown}]"
 
     @property
+    def evaluations_per_point(self) -> int:
+        """Those of f."""
+        return self.integrand.evaluations_per_point
+
+    @property
+    def pilot_evaluations(self) -> int:
+        """Those of the heuristic."""
+        return self.combination.heuristic.pilot_evaluations
+
+    @property
     def infinite_weights(self) -> bool:
-        """Whether every ∫1/p_t diverges; one suffices where weights are not `Heuristic.bounded`."""
-        finite = [np.isfinite(p.reciprocal_integral()) for p in self.densities]
-        return not (any(finite) if self.combination.heuristic.bounded else all(finite))
+        """Whether the combined weights have no second moment (`Combination.infinite`)."""
+        return self.combination.infinite
 
     @property
     def domain_integrand(self) -> Integrand:

@@ -63,6 +63,11 @@ class Optimal(Heuristic):
     def __post_init__(self) -> None:
         _check_pilot(self)
 
+    @property
+    def pilot_evaluations(self) -> int:
+        """`samples`; a quadrature is not counted."""
+        return self.samples if self.pilot == "samples" else 0
+
     def ratio(self, q: Array, technique: int) -> Array:
         """That of `balance`, for the residual."""
         return Balance().ratio(q, technique)
@@ -119,6 +124,11 @@ class VarianceAware(Heuristic):
 
     def __post_init__(self) -> None:
         _check_pilot(self)
+
+    @property
+    def pilot_evaluations(self) -> int:
+        """`samples`; a quadrature is not counted."""
+        return self.samples if self.pilot == "samples" else 0
 
     def ratio(self, q: Array, technique: int) -> Array:
         """That of `balance`, for q that hold the factors."""

@@ -124,6 +124,11 @@ class Integrand(Component, ABC):
         """Points (k, d) at which f may differ from 0 on a small region, for probing; often none."""
         return np.empty((0, self.dims))
 
+    @property
+    def evaluations_per_point(self) -> int:
+        """Evaluations of the function underneath for one value; more than 1 where values are means."""
+        return 1
+
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:  # noqa: ARG002
         """Means of f and of f² over axis-aligned boxes, where they are known in closed form.
 

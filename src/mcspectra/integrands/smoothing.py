@@ -238,6 +238,12 @@ class BoxSmoothed(Integrand):
         return self.integrand.integral
 
     @property
+    def evaluations_per_point(self) -> int:
+        """``nodes^d`` where f knows no means over boxes."""
+        inside = self.integrand.evaluations_per_point
+        return inside if self._known else inside * self.nodes**self.dims
+
+    @property
     def _known(self) -> bool:
         """Whether f knows its means over boxes."""
         few = self.dims <= 6  # 3^d parts of a box
