@@ -72,14 +72,17 @@ def reciprocal_integral(density: Density) -> float:
     return mean_or_infinity(reciprocal, density.dims)
 
 
-def mean_or_infinity(function: Callable[[Array], Array], dims: int) -> float:
+def mean_or_infinity(
+    function: Callable[[Array], Array], dims: int, *, most_cells: int = MOST_CELLS
+) -> float:
     """Return ∫ of a function ≥ 0 of points (..., d), any d: infinite where it seems to diverge.
 
-    By the means of `reciprocal_integral`, whose notes say what to expect of the value.
+    By the means of `reciprocal_integral`, whose notes say what to expect of the value; `most_cells` is as
+    for `positive_integral`.
     """
     if dims <= 2:
         with np.errstate(over="ignore", invalid="ignore"):
-            found = integrate(function, dims, cells=_CELLS[dims])
+            found = integrate(function, dims, cells=_CELLS[dims], most_cells=most_cells)
         if _isolated(found):
             return _limit(found)
     return _mean_with_tail(function(_points(dims).reshape(-1, dims)))

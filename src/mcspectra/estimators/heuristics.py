@@ -19,6 +19,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, final
 
 import numpy as np
@@ -63,6 +64,8 @@ HEURISTICS = Registry(
     },
 )
 """Heuristics that spec strings can name."""
+
+_FEW_CELLS = 2**12  # whether an integral diverges shows long before its value is known
 
 
 class Heuristic(Component, ABC):
@@ -130,7 +133,7 @@ class Combination:
         q = np.stack([c * p.pdf(x) for c, p in zip(self.shares, self.densities, strict=True)])
         return np.asarray(self.shares[technique] * self.heuristic.ratio(q, technique))
 
-    @property
+    @cached_property
     def infinite(self) -> bool:
         """Whether ∫ Σ_t (w_t/p_t)² p_t diverges, so that Var(S_0) is infinite.
 
@@ -140,7 +143,9 @@ class Combination:
         finite = [math.isfinite(p.reciprocal_integral()) for p in self.densities]
         if all(finite) or (any(finite) and self.heuristic.bounded):
             return False
-        return not math.isfinite(mean_or_infinity(self._second_moment, self.densities[0].dims))
+        dims = self.densities[0].dims
+        value = mean_or_infinity(self._second_moment, dims, most_cells=_FEW_CELLS)
+        return not math.isfinite(value)
 
     def _second_moment(self, x: Array) -> Array:
         """Σ_t (w_t/p_t)² p_t at points x (..., d): (...)."""
