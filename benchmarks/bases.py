@@ -14,6 +14,9 @@ SAMPLERS = (
     "jittered | digital-shift",
     "sobol | owen",
     "jittered | shift | mirror(mode='fold')",
+    "jittered | mirror",
+    "jittered | mirror(mode='uniform')",
+    "jittered | shift | mirror(mode='uniform')",
 )
 FUNCTIONS = {
     "smooth, not periodic": "gaussian(center=0.3, width=0.3)",
@@ -27,9 +30,9 @@ def main() -> None:
     """Print cross / predicted variance, then predicted / measured against the half width."""
     for function in FUNCTIONS.values():
         print(f"cross / predicted, {function}, n = 64, half width 32, 2000 realisations")
-        print(f"{'':38s}" + "".join(f"{basis:>18s}" for basis in BASES))
+        print(f"{'':42s}" + "".join(f"{basis:>18s}" for basis in BASES))
         for sampler in SAMPLERS:
-            print(f"{sampler:38s}" + "".join(_share(function, sampler, b) for b in BASES))
+            print(f"{sampler:42s}" + "".join(_share(function, sampler, b) for b in BASES))
     for what, function in FUNCTIONS.items():
         print(
             f"predicted / measured at half width {', '.join(map(str, WIDTHS))}: {what}, {function}"

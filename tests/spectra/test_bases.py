@@ -145,6 +145,8 @@ def test_terms_sum_to_the_variance_of_the_truncated_estimate(basis, space, dims)
 
 FITS = [("jittered | shift", "fourier"), ("jittered | digital-shift", "walsh")]
 FITS += [("jittered | shift | mirror(mode='fold')", "cosine")]
+FITS += [("jittered | mirror", "cosine"), ("jittered | shift | mirror(mode='uniform')", "cosine")]
+FITS += [("jittered | mirror(mode='uniform')", "walsh"), ("sobol | owen | mirror", "cosine")]
 FITS += [("sobol | owen", "walsh"), ("sobol | owen", "haar"), ("jittered", "haar")]
 MISFITS = [("jittered", "fourier"), ("jittered | shift", "walsh"), ("jittered | shift", "haar")]
 
@@ -189,6 +191,13 @@ def test_the_cross_term_does_not_vanish_elsewhere(sampler, basis):
         ("jittered", 16, "cosine"),
         ("random", 16, "cosine"),
         ("sobol", 16, "cosine"),
+        ("jittered | mirror", 16, "cosine"),
+        ("jittered | shift | mirror(mode='fold')", 16, "cosine"),
+        ("jittered | mirror(mode='uniform')", 16, "walsh"),
+        ("jittered | mirror(mode='uniform')", 17, "cosine"),
+        ("jittered | shift | mirror(mode='uniform')", 16, "cosine"),
+        ("poisson-disk | mirror(mode='uniform')", 16, "cosine"),
+        ("jittered | digital-shift | mirror(mode='uniform')", 16, "walsh"),
     ],
 )
 def test_auto_picks_what_fits_the_randomization(sampler, half_width, basis):
@@ -197,6 +206,31 @@ def test_auto_picks_what_fits_the_randomization(sampler, half_width, basis):
         "gaussian", mcs.sampler(sampler), 16, half_width=half_width, realizations=4, basis="auto"
     )
     assert d.attrs["basis"] == basis
+
+
+@pytest.mark.parametrize(
+    ("mode", "sampler", "space", "basis"),
+    [
+        ("integrand", "jittered | shift", "domain", "cosine"),
+        ("integrand", "jittered | shift", "primary", "fourier"),
+        ("random", "jittered | shift", "domain", "cosine"),
+        ("uniform", "jittered", "domain", "walsh"),
+        ("uniform", "jittered | shift", "primary", "cosine"),
+    ],
+)
+def test_auto_knows_what_a_mirrored_estimator_makes_of_points(mode, sampler, space, basis):
+    estimator = mcs.Mirrored("gaussian(center=0.3, width=0.3)", mode, dims=2)
+    d = mcs.variance_terms(
+        estimator, sampler, 64, half_width=8, realizations=400, basis="auto", space=space, rng=3
+    )
+    assert d.attrs["basis"] == basis
+    assert abs(float(d["cross_term"])) < 4 * float(d["cross_term_se"])
+
+
+@pytest.mark.parametrize("given", [None, 1, ["fourier"]])
+def test_a_basis_has_a_name(given):
+    with pytest.raises(ParameterError, match="give the name of one: fourier, cosine"):
+        mcs.variance_terms("gaussian", "random", 16, half_width=4, basis=given)
 
 
 @pytest.mark.parametrize("basis", ["walsh", "haar"])

@@ -35,6 +35,7 @@ from mcspectra.integrands import Integrand
 from mcspectra.integrands.products import axis_rules, cell_integrals, product_coefficients
 from mcspectra.samplers import Randomized, Sampler
 from mcspectra.samplers.base import Structure
+from mcspectra.samplers.mirror import Mirror
 from mcspectra.spectra._kernels import bin_weights
 from mcspectra.spectra.transforms import FrequencyGrid, Transform
 
@@ -370,20 +371,33 @@ _DYADIC_STEPS = ("digital-shift", "owen", "lms", "permute")
 
 
 def fitting_basis(sampler: Sampler, half_width: int) -> str:
-    """Name the basis in which a sampler's randomisation leaves the least cross term.
+    """Name a basis that fits what was random about a sampler last.
 
-    Fourier after a shift and for sets that are statistically the same after any translation; Walsh
-    after randomisations of binary digits, if the half width is a power of two; cosine else: it has
-    no boundary term, and jittered sets are nearly diagonal in it.
+    Fourier after a shift and for sets that are statistically the same after any translation, cosine
+    after a shift that is folded or put into all mirror images, and after random reflections, Walsh
+    after randomisations of binary digits, if the half width is a power of two: none of these leaves a
+    cross term there. All mirror images of any other set: Walsh, where a reflection is one more digital
+    shift.
+
+    Cosine else, which is a compromise: of smooth functions jittered sets leave little cross term in
+    it and the sum over m converges fast, as it has no boundary term; of discontinuous ones they leave as
+    much as in Fourier (a disk, n = 64: −0.40 of the variance). Strata of 2^k to a side leave none
+    in Haar and Walsh, in which sums of smooth functions converge slowly.
     """
     steps = sampler.steps if isinstance(sampler, Randomized) else ()
     dyadic = not half_width & (half_width - 1) and set(sampler.digit_bases) == {2}
+    images = False
     for step in reversed(steps):
-        if step.stationary:
-            return "fourier"
-        if step.name == "mirror":
-            return "cosine"
-        if step.name in _DYADIC_STEPS and dyadic:
+        if isinstance(step, Mirror):
+            if step.mode != "uniform":
+                return "cosine"
+            images = True
+        elif step.stationary:
+            return "cosine" if images else "fourier"
+        elif step.name in _DYADIC_STEPS and dyadic:
             return "walsh"
+    base = sampler.base if isinstance(sampler, Randomized) else sampler
+    if images:
+        return "walsh" if dyadic and base.structure is not Structure.TORUS else "cosine"
     stationary = sampler.structure is Structure.TORUS and sampler.unbiased and not steps
     return "fourier" if stationary else "cosine"

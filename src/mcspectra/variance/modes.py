@@ -32,7 +32,7 @@ from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, as_estimator
 from mcspectra.samplers import as_sampler
-from mcspectra.spectra.bases import BASES, Basis, fitting_basis, make_basis
+from mcspectra.spectra.bases import Basis, make_basis
 from mcspectra.variance._coordinates import Coordinates
 from mcspectra.variance.bands import make_bands
 from mcspectra.variance.subspace import (
@@ -42,7 +42,7 @@ from mcspectra.variance.subspace import (
     flat_edge,
     leading_eigenpairs,
 )
-from mcspectra.variance.views import SPACES, View, check_terms, view_dims
+from mcspectra.variance.views import SPACES, View, check_terms, chosen_basis, view_dims
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -129,8 +129,7 @@ def covariance_modes(
     source = as_sampler(sampler, estimator.dims)
     n = source.check_count(n)
     estimator.check_sampler(source, n)
-    if as_choice("basis", basis, (*BASES, "auto")) == "auto":
-        basis = fitting_basis(source, half_width)
+    basis = chosen_basis(basis, estimator, source, space, half_width)
     realizations = as_integer("realizations", realizations, least=2, most=MAX_REALIZATIONS)
     passes = as_integer("passes", passes, least=2, most=100)
     _check_modes(estimator, half_width, space, basis, modes)

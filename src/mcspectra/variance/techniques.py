@@ -33,13 +33,13 @@ from mcspectra.estimators import AbstractEstimator, as_estimator
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.spectra.bases import BASES, fitting_basis, make_basis
+from mcspectra.spectra.bases import make_basis
 from mcspectra.variance.batches import Variables
 from mcspectra.variance.bottleneck import in_words, technique_rates
 from mcspectra.variance.convergence import count_stream
 from mcspectra.variance.fit import check_window
 from mcspectra.variance.technique_sums import TechniqueBatches, TechniqueSums, TechniqueView
-from mcspectra.variance.views import SPACES, check_terms, view_dims
+from mcspectra.variance.views import SPACES, check_terms, chosen_basis, view_dims
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -183,8 +183,7 @@ class _Job:
         has_domain = estimator.domain_integrand is not None
         chosen = ("domain" if has_domain else "primary") if space is None else space
         as_choice("space", chosen, SPACES)
-        if as_choice("basis", basis, (*BASES, "auto")) == "auto":
-            basis = fitting_basis(source, half_width)
+        basis = chosen_basis(basis, estimator, source, chosen, half_width)
         check_terms(estimator, half_width, chosen, cross_matrix=False, basis=basis)
         infinite = chosen == "domain" and estimator.infinite_weights
         if infinite:

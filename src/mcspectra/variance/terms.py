@@ -36,12 +36,12 @@ from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.spectra.bases import BASES, Basis, fitting_basis, make_basis
+from mcspectra.spectra.bases import Basis, make_basis
 from mcspectra.variance._term_variables import term_errors, term_variables
 from mcspectra.variance.bands import Bands, make_bands
 from mcspectra.variance.batches import Batches, Variables
 from mcspectra.variance.sums import Partition, SpectralSums
-from mcspectra.variance.views import SPACES, View, check_terms, view_dims
+from mcspectra.variance.views import SPACES, View, check_terms, chosen_basis, view_dims
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -138,8 +138,7 @@ def variance_terms(
     n = source.check_count(n)
     estimator.check_sampler(source, n)
     realizations = as_integer("realizations", realizations, least=2, most=MAX_REALIZATIONS)
-    if as_choice("basis", basis, (*BASES, "auto")) == "auto":
-        basis = fitting_basis(source, half_width)
+    basis = chosen_basis(basis, estimator, source, space, half_width)
     check_terms(estimator, half_width, space, cross_matrix=cross_matrix, basis=basis)
     functions = make_basis(basis, view_dims(estimator, space), half_width)
     view = View.of(estimator, n, space, functions, engine, eps)

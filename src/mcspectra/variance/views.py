@@ -11,13 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import Array, as_choice
 from mcspectra.core.errors import ParameterError
-from mcspectra.estimators import AbstractEstimator
-from mcspectra.spectra.bases import Basis, Coefficients, make_basis
+from mcspectra.estimators import AbstractEstimator, Mirrored
+from mcspectra.samplers import Sampler
+from mcspectra.samplers.mirror import Mirror
+from mcspectra.spectra.bases import BASES, Basis, Coefficients, fitting_basis, make_basis
 from mcspectra.variance.sums import Partition
 
-__all__ = ["MAX_MATRIX", "SPACES", "View", "check_terms", "view_dims"]
+__all__ = ["MAX_MATRIX", "SPACES", "View", "check_terms", "chosen_basis", "view_dims"]
 
 SPACES = ("domain", "primary")
 MAX_MATRIX = 4096
@@ -82,6 +84,25 @@ class View:
             np.tile(shell, techniques),
             matrix,
         )
+
+
+def chosen_basis(
+    basis: object, estimator: AbstractEstimator, sampler: Sampler, space: str, half_width: int
+) -> str:
+    """Return a basis' name; for ``"auto"`` the one that fits the points that an estimator makes.
+
+    A mirrored integrand has folded points in the domain, in primary space those of the sampler.
+    """
+    if not isinstance(basis, str):
+        raise ParameterError(
+            f"basis is {basis!r}; give the name of one: {', '.join((*BASES, 'auto'))}."
+        )
+    if as_choice("basis", basis, (*BASES, "auto")) != "auto":
+        return basis
+    source = estimator.randomized(sampler)
+    if space == "domain" and isinstance(estimator, Mirrored) and estimator.mode == "integrand":
+        source = source.then(Mirror(mode="fold"))
+    return fitting_basis(source, half_width)
 
 
 def view_dims(estimator: AbstractEstimator, space: str | None) -> int:
