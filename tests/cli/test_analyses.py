@@ -1,5 +1,6 @@
 """The verbs exact, anova and modes, and the views of spectrum, against the functions behind them."""
 
+import io
 import json
 
 import numpy as np
@@ -185,3 +186,61 @@ def test_no_exponent_has_its_reason(capsys):
     assert code == 0
     assert out.startswith("no exponent: 3 of 3 lengths have no power")
     assert run_json(capsys, *arguments)["low_frequency_exponent"] is None
+
+
+def test_exact_says_infinite(capsys):
+    given = ("exact", "cosine", "-d", 1, "--density", "power", "--sampler", "random", "-n", "4,8")
+    code, out, _ = run(capsys, *given)
+    assert code == 0
+    assert [line.split()[1:] for line in out.splitlines()[3:]] == [["infinite", "–"]] * 2
+
+
+def test_a_warning_is_shown_once(capsys):
+    given = ("exact", "linear", "-d", 1, "--sampler", "sobol | digital-shift", "-n", "16,60,60")
+    code, _, err = run(capsys, *given)
+    assert code == 0
+    assert err.count("60 Sobol' points are not balanced") == 1
+
+
+@pytest.mark.parametrize(("verb", "name"), [("spectrum", "power"), ("pcf", "pair_correlation")])
+def test_all_sets_given_are_used_by_default(capsys, monkeypatch, verb, name):
+    del name
+    for sets in (1, 3):
+        code, points, _ = run(capsys, "points", "jittered", "-n", 16, "-m", sets)
+        assert code == 0
+        monkeypatch.setattr("sys.stdin", io.StringIO(points))
+        options = ["--half-width", 3] if verb == "spectrum" else ["--bins", 4]
+        data = run_json(capsys, verb, "-", "-n", 16, *options)
+        assert data["realizations"] == sets
+
+
+def test_asking_for_more_sets_than_given(capsys, monkeypatch):
+    _, points, _ = run(capsys, "points", "jittered", "-n", 16)
+    monkeypatch.setattr("sys.stdin", io.StringIO(points))
+    code, _, err = run(capsys, "spectrum", "-", "-n", 16, "-m", 5)
+    assert code == 2
+    assert "holds 1 realisation, but" in err
+
+
+def test_effective_dimensions_beyond_the_order(capsys):
+    """Π(1 + 3(x − ½))-like in 3 dims: subsets of three axes have more than 1 %."""
+    code, out, _ = run(capsys, "anova", "polynomial(coefficients=[0, 1])", "-d", 3, "-m", 20_000)
+    assert code == 0
+    assert "effective dimension superposition: more than 2" in out
+    code, out, _ = run(capsys, "anova", "constant", "-d", 2, "-m", 10)
+    assert code == 0
+    assert out.count("undefined") == 4 + 3
+    assert "nan" not in out
+
+
+def test_shares_of_rounding_are_0(capsys):
+    _, out, _ = run(capsys, "anova", "linear", "-d", 3, "-m", 200)
+    shares = {line.split()[0]: line.split()[-1] for line in out.splitlines()[3:9]}
+    assert shares["x1"] == shares["x2"] == shares["x1x2"] == "0"
+    assert shares["x0"] == "1"
+
+
+def test_no_half_width(capsys):
+    code, _, err = run(capsys, "spectrum", "jittered", "-n", 16, "--half-width", 0)
+    assert code == 2
+    assert "at least 1" in err

@@ -210,3 +210,8 @@ def test_variance_of_scrambled_nets(spec, net, n, dims):
 def test_bad_input(call, error, sentence):
     with pytest.raises(error, match=sentence):
         call()
+
+
+def test_an_empty_list_is_refused_as_such():
+    with pytest.raises(ParameterError, match=r"have shape \(0,\)"):
+        mcs.closed_form_walsh_power("sobol | digital-shift", 4, [])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import CorrelatedFrequenciesWarning, ParameterError
 from mcspectra.core.results import dataset
 from mcspectra.spectra.transforms import FrequencyGrid
 
@@ -129,7 +129,7 @@ def test_latin_hypercube_is_anisotropic_and_its_slices_show_why():
     signal = rings["anisotropy_db"] - rings["anisotropy_noise_db"]
     assert (signal.values[1:] > 3).all()
     cut = mcs.slices(spectrum)
-    assert cut["slice"].values.tolist() == ["(1, 1)", "(1, 0)", "(1, -1)", "(0, 1)"]
+    assert cut["slice"].values.tolist() == ["(1, 0)", "(0, 1)", "(1, 1)", "(1, -1)"]
     m = cut["multiple"].values
     for name in ("(1, 0)", "(0, 1)"):
         along = cut.sel(slice=name)
@@ -442,3 +442,18 @@ def test_exponents_need_lengths_and_errors():
 def test_bad_coefficients(f):
     with pytest.raises(ParameterError, match="coefficients"):
         mcs.variance_from_spectrum(_made(_length), f)
+
+
+def test_predictions_of_other_than_homogeneous_sets():
+    f = mcs.integrand("gaussian", dims=2).fourier_grid(3)
+    weighted = mcs.power_spectrum("random", 9, density="linear", half_width=3, realizations=2)
+    with pytest.raises(ParameterError, match="density linear"):
+        mcs.variance_from_spectrum(weighted, f)
+    jittered = mcs.power_spectrum("jittered", 9, half_width=3, realizations=2)
+    with pytest.warns(CorrelatedFrequenciesWarning, match="add shift"):
+        mcs.variance_from_spectrum(jittered, f)
+    for spec in ("jittered | shift", "random", "poisson-disk"):
+        mcs.variance_from_spectrum(mcs.power_spectrum(spec, 9, half_width=3, realizations=2), f)
+    points = mcs.Sampler.from_points(np.random.default_rng(1).random((2, 9, 2)))
+    with np.testing.assert_no_warnings():
+        mcs.variance_from_spectrum(mcs.power_spectrum(points, 9, half_width=3, realizations=2), f)

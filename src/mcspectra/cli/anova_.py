@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["add_arguments", "run"]
 
+_ROUNDING = 1e-14  # of the variance: sums of terms that cancel
 _NUMBERS = (
     "variance",
     "mean_dimension",
@@ -82,7 +84,10 @@ def _text(result: xr.Dataset) -> str:
     for channel in range(result.sizes.get("channel", 1)):
         one = result.isel(channel=channel) if "channel" in result.dims else result
         lines += [f"channel {channel}"] if "channel" in result.dims else []
-        lines += [_table(one), *(f"{_words(name)}: {float(one[name]):.6g}" for name in _NUMBERS)]
+        lines += [
+            _table(one),
+            *(f"{_words(name)}: {_number(one, name, attrs['order'])}" for name in _NUMBERS),
+        ]
     return "\n".join(lines)
 
 
@@ -90,10 +95,11 @@ def _table(one: xr.Dataset) -> str:
     """Rows of subsets, then what larger ones have."""
     names = ("anova_variance", "anova_variance_se", "anova_share")
     columns = (one[name].values for name in ("subset_label", *names))
-    rows = [[str(u), "", *map(_shown, values)] for u, *values in zip(*columns, strict=True)]
+    floor = _ROUNDING * float(one["variance"])
+    rows = [[str(u), "", *_cells(values, floor)] for u, *values in zip(*columns, strict=True)]
     rest = [float(one[f"higher_order_variance{end}"]) for end in ("", "_se")]
     share = 1.0 - float(np.sum(one["anova_share"].values))
-    rows.append(["larger subsets", "", *map(_shown, (*rest, share))])
+    rows.append(["larger subsets", "", *_cells([*rest, share], floor)])
     return text_table(["axes", "", "variance", "std. error", "share"], rows)
 
 
@@ -101,5 +107,21 @@ def _words(name: str) -> str:
     return name.replace("_", " ")
 
 
-def _shown(value: float) -> str:
+def _number(one: xr.Dataset, name: str, order: int) -> str:
+    """A number; where there is a variance but too much of it in larger subsets, what is known."""
+    value = float(one[name])
+    if np.isfinite(value):
+        return f"{value:.6g}"
+    varies = np.isfinite(float(one["mean_dimension"]))
+    return f"more than {order}" if varies and name.endswith("superposition") else "undefined"
+
+
+def _cells(values: Sequence[float], floor: float) -> list[str]:
+    """Variance, standard error and share; 0 below the floor of rounding."""
+    return [_shown(v, f) for v, f in zip(values, (floor, floor, _ROUNDING), strict=True)]
+
+
+def _shown(value: float, floor: float) -> str:
+    if abs(value) < floor:
+        return "0"
     return f"{value:.5g}" if np.isfinite(value) else "undefined"

@@ -30,6 +30,7 @@ __all__ = [
     "print_json",
     "read_sampler",
     "real_number",
+    "realizations_option",
     "seed_option",
     "text_table",
     "whole_number",
@@ -98,6 +99,15 @@ def read_sampler(text: str, dims: int | None) -> Sampler:
     for call in parse_chain(rest) if bar else []:
         given = given.then(RANDOMIZATIONS.build(call))
     return given  # type: ignore[no-any-return]
+
+
+def realizations_option(text: object, sampler: Sampler, default: int) -> int:
+    """Read --realizations; by default as many as there are sets where the points are given."""
+    from mcspectra.samplers import GivenPoints
+
+    if text is not None:
+        return whole_number("--realizations", text)
+    return len(sampler.points) if isinstance(sampler, GivenPoints) else default
 
 
 def add_estimator_arguments(parser: argparse.ArgumentParser) -> None:
@@ -213,9 +223,13 @@ def text_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 @contextmanager
 def one_sentence_warnings(quiet: bool) -> Iterator[None]:
-    """Show warnings as one line each on standard error, or not at all."""
+    """Show each warning once, as one line on standard error, or not at all."""
+    seen: set[str] = set()
 
     def show(message: Warning | str, *_: Any) -> None:
+        if str(message) in seen:  # from another place in the code
+            return
+        seen.add(str(message))
         print(f"mcspectra: Warning: {message}", file=sys.stderr)
 
     with warnings.catch_warnings():

@@ -62,11 +62,14 @@ def _rows(counts: list[int], variances: list[Any]) -> list[list[str]]:
         for channel, variance in enumerate(variances[place]):
             label = f"[{channel}]" if len(variances[place]) > 1 else ""
             before = (counts[place - 1], variances[place - 1][channel]) if place else None
-            rows.append([str(n), label, f"{variance:.9g}", _local_rate(before, n, variance)])
+            shown = "infinite" if math.isinf(variance) else f"{variance:.9g}"
+            rows.append([str(n), label, shown, _local_rate(before, n, variance)])
     return rows
 
 
 def _local_rate(before: tuple[int, float] | None, n: int, variance: float) -> str:
     if before is None or before[0] == n or min(before[1], variance) <= 0.0:
+        return "–"
+    if math.isinf(before[1]) or math.isinf(variance):
         return "–"
     return f"{math.log(variance / before[1]) / math.log(n / before[0]):+.4f}"

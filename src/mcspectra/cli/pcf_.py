@@ -6,6 +6,7 @@ Prints r, r in units of the mean spacing n^(-1/d), g(r) and its standard error.
 from __future__ import annotations
 
 import argparse
+import math
 from typing import TYPE_CHECKING
 
 from mcspectra.cli.common import (
@@ -13,6 +14,7 @@ from mcspectra.cli.common import (
     print_json,
     read_sampler,
     real_number,
+    realizations_option,
     seed_option,
     text_table,
     whole_number,
@@ -30,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("sampler", help="sampler spec; - reads one point set from standard input")
     parser.add_argument("-n", required=True, metavar="N", help="points in a set, at least 2")
     parser.add_argument("-d", "--dims", metavar="D", help="number of dims (default 2)")
-    parser.add_argument("-m", "--realizations", default=16, metavar="R", help="default 16")
+    parser.add_argument("-m", "--realizations", metavar="R", help="default 16, or all sets given")
     parser.add_argument("--bins", default=100, metavar="B", help="bins of r (default 100)")
     parser.add_argument(
         "--boundary",
@@ -54,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
             sampler,
             whole_number("-n", options.n),
             bins=whole_number("--bins", options.bins),
-            realizations=whole_number("--realizations", options.realizations),
+            realizations=realizations_option(options.realizations, sampler, 16),
             rng=seed_option(options),
             boundary=options.boundary,
             max_distance=None if most is None else real_number("--max-distance", most),
@@ -72,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
 def _text(result: xr.Dataset, spacing: float) -> str:
     columns = (result[name].values for name in ("r", "pair_correlation", "pair_correlation_se"))
     rows = [
-        [f"{r:.5g}", f"{r / spacing:.3f}", f"{g:.5g}", f"{se:.2g}"]
+        [f"{r:.5g}", f"{r / spacing:.3f}", f"{g:.5g}", f"{se:.2g}" if math.isfinite(se) else "–"]
         for r, g, se in zip(*columns, strict=True)
     ]
     return text_table(["r", "r·n^(1/d)", "g(r)", "std. error"], rows)

@@ -17,6 +17,7 @@ from mcspectra.cli.common import (
     one_sentence_warnings,
     print_json,
     read_sampler,
+    realizations_option,
     seed_option,
     whole_number,
 )
@@ -36,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("sampler", help="sampler spec; - reads one point set from standard input")
     parser.add_argument("-n", required=True, metavar="N", help="points in a set")
     parser.add_argument("-d", "--dims", metavar="D", help="number of dims (default 2)")
-    parser.add_argument("-m", "--realizations", default=100, metavar="R", help="default 100")
+    parser.add_argument("-m", "--realizations", metavar="R", help="default 100, or all sets given")
     parser.add_argument("--density", metavar="SPEC", help="importance density")
     parser.add_argument("--half-width", default=64, metavar="K", help="default 64")
     parser.add_argument(
@@ -67,13 +68,14 @@ def run(options: argparse.Namespace) -> int:
             f"--frequency-step is {options.frequency_step!r}; give a number greater than 0."
         ) from None
     with one_sentence_warnings(options.quiet), progress_bars(options.quiet):
+        sampler = read_sampler(options.sampler, dims)
         result = power_spectrum(
-            read_sampler(options.sampler, dims),
+            sampler,
             whole_number("-n", options.n),
             density=options.density,
-            half_width=whole_number("--half-width", options.half_width, least=0),
+            half_width=whole_number("--half-width", options.half_width),
             frequency_step=step,
-            realizations=whole_number("--realizations", options.realizations),
+            realizations=realizations_option(options.realizations, sampler, 100),
             rng=seed_option(options),
             engine=options.engine,
         )

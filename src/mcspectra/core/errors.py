@@ -13,6 +13,7 @@ from collections.abc import Iterable
 __all__ = [
     "CacheWarning",
     "ConfigError",
+    "CorrelatedFrequenciesWarning",
     "CountError",
     "DensityError",
     "DependentRealizationsWarning",
@@ -90,6 +91,10 @@ class NoClosedForm(McspectraError, NotImplementedError):
 
 class MissingDependency(McspectraError, ImportError):
     """An optional package is needed; the message names the extra to install."""
+
+
+class CorrelatedFrequenciesWarning(UserWarning):
+    """A sum over powers alone is not the variance: the frequencies of this set are correlated."""
 
 
 class CacheWarning(UserWarning):

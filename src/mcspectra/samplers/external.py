@@ -112,7 +112,7 @@ class GivenPoints(Sampler):
         sets = len(self.points)
         if first + count > sets and not self.cycle:
             raise CountError(
-                f"{self.spec} holds {sets} realisations, but number {first + count} was asked for; "
+                f"{self.spec} holds {sets} realisation{'s' if sets != 1 else ''}, but number {first + count} was asked for; "
                 "ask for fewer, give more sets, or let a randomisation such as '| shift' follow."
             )
         return np.asarray(self.points[np.arange(first, first + count) % sets])

@@ -149,7 +149,8 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
     >>> closed_form_walsh_power("sobol | digital-shift", 4, [[1, 1], [2, 2], [3, 1]])
     array([0., 1., 1.])
     """
-    dims = np.shape(indices)[-1] if np.ndim(indices) else None
+    # An empty list has no dims: it is refused as such, not for them.
+    dims = np.shape(indices)[-1] or None if np.ndim(indices) else None
     source = as_sampler(sampler, None if isinstance(sampler, Sampler) else dims)
     n = source.check_count(n)
     m = _as_indices(indices, source.dims)

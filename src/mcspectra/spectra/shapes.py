@@ -7,15 +7,22 @@ over rings and wedges of each of them.
 from __future__ import annotations
 
 import itertools
+import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import (
+    CorrelatedFrequenciesWarning,
+    FileFormatError,
+    ParameterError,
+)
 from mcspectra.core.results import dataset
+from mcspectra.samplers import as_sampler
 from mcspectra.spectra._polar import wedge_labels
+from mcspectra.spectra.bases import fitting_basis
 from mcspectra.spectra.power import MAX_WEDGES, wedge_angles
 from mcspectra.spectra.transforms import FrequencyGrid
 
@@ -149,8 +156,8 @@ def slices(spectrum: xr.Dataset) -> xr.Dataset:
     -------
     xarray.Dataset
         ``slice_power`` and ``slice_power_se`` on dims slice and multiple: the power at ν = multiple ·
-        frequency step · direction. slice is labelled by its direction, such as (1, -1); the
-        coordinate ``slice_radius`` is |ν|. There are 1, 4, 13 or 40 of them in one to four dims.
+        frequency step · direction. slice is labelled by its direction, such as (1, -1),
+        axes first; the coordinate ``slice_radius`` is |ν|. There are 1, 4, 13 or 40 of them in one to four dims.
     """
     half = HalfSpectrum.of(spectrum)  # checks
     grid = half.grid
@@ -160,11 +167,14 @@ def slices(spectrum: xr.Dataset) -> xr.Dataset:
             "with axis_frequencies."
         )
     directions = np.array(
-        [
-            direction
-            for direction in itertools.product((1, 0, -1), repeat=grid.dims)
-            if next((c for c in direction if c), 0) > 0
-        ]
+        sorted(
+            (
+                direction
+                for direction in itertools.product((1, 0, -1), repeat=grid.dims)
+                if next((c for c in direction if c), 0) > 0
+            ),
+            key=lambda direction: sum(map(abs, direction)),
+        )
     )
     multiple = np.arange(1, grid.half_width + 1)
     place = directions[:, None, :] * multiple[:, None] + grid.half_width
@@ -243,6 +253,16 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
         window for variance and does not fall with n beyond it, as the paper's slides show
         [Singh2019]_.
 
+    Raises
+    ------
+    ParameterError
+        Not a spectrum, one of points with a density, or other coefficients than one a frequency.
+
+    Warns
+    ------
+    CorrelatedFrequenciesWarning
+        The points are not the same after any translation, so that a cross term is missing.
+
     Examples
     --------
     >>> import mcspectra as mcs
@@ -252,6 +272,7 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
     True
     """
     power, grid = _checked(spectrum)
+    _check_homogenized(spectrum)
     f = np.asarray(coefficients)
     if f.shape != grid.shape or f.dtype.kind not in "iufc" or not np.isfinite(f).all():
         raise ParameterError(
@@ -261,3 +282,29 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
     terms = np.abs(f) ** 2 * power.to_numpy()
     terms[(grid.half_width,) * grid.dims] = 0.0
     return float(terms.sum() * grid.step**grid.dims)
+
+
+def _check_homogenized(spectrum: xr.Dataset) -> None:
+    """Refuse spectra of weighted points, and warn of those that are not homogeneous."""
+    density, spec = spectrum.attrs.get("density"), spectrum.attrs.get("sampler")
+    if density is not None:
+        raise ParameterError(
+            f"The spectrum is of points with the density {density}, whose frequencies are correlated; "
+            "use variance_terms, or closed_form_covariance."
+        )
+    try:
+        source = None if spec is None else as_sampler(spec, spectrum["power"].ndim)
+    except (ParameterError, FileFormatError):  # of given points the spec does not tell
+        return
+    step = float(spectrum["m0"][-1] - spectrum["m0"][-2])
+    # Between the integers the sum is not the variance anyway, as the docstring says
+    if source is None or source.name == "random" or step != round(step):
+        return
+    if fitting_basis(source, 1) == "fourier":
+        return
+    warnings.warn(
+        f"Frequencies of {spec} are correlated: the variance has a cross term that the sum over powers "
+        "lacks; add shift, or use variance_terms.",
+        CorrelatedFrequenciesWarning,
+        stacklevel=3,
+    )
