@@ -107,7 +107,8 @@ def _text(result: xr.Dataset) -> str:
             label = f"[{channel}]" if several else ""
             rows.append([str(sampler), label, *values, *_fit(picked)])
     lines = [f"variance of {result.attrs['estimator']}", text_table(header, rows)]
-    return "\n".join([*lines, *_unreached(result)])
+    notes = [result.attrs["note"]] if "note" in result.attrs else []
+    return "\n".join([*lines, *_unreached(result), *notes])
 
 
 def _fit(curve: xr.Dataset) -> list[str]:

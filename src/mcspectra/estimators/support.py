@@ -71,11 +71,11 @@ def check_support(integrand: Integrand, densities: Sequence[Density]) -> None:
         )
 
 
-def probe_points(dims: int) -> Array:
-    """4096 points that hit no grid line: the additive recurrence on square roots of primes."""
+def probe_points(dims: int, count: int = _PROBES) -> Array:
+    """Points (count, dims) that hit no grid line: the additive recurrence on square roots of primes."""
     primes = np.array([2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71])
     steps = np.sqrt(np.resize(primes, dims) + np.arange(dims) // primes.size)
-    return np.asarray((0.5 + np.arange(1, _PROBES + 1)[:, None] * steps) % 1.0)
+    return np.asarray((0.5 + np.arange(1, count + 1)[:, None] * steps) % 1.0)
 
 
 def _borders(dims: int) -> Array:

@@ -20,6 +20,7 @@ from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
 from mcspectra.estimators.moments import rounding_floor
+from mcspectra.estimators.tails import unsampled_note
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.variance.fit import check_window, fit_rate
 from mcspectra.variance.stopping import check_relative_error, joint_moments, moments_until
@@ -71,7 +72,8 @@ def convergence(
         ``mse(n)`` against the estimator's integral, ``realizations_used(n)``, with `relative_error`
         ``reached(n)`` (1: yes; 0: `realizations` came first, or there was no spread), ``rate``,
         ``rate_ci(bound)``, ``fit_first_n`` (the smallest count of the fit) and ``fit_chi2`` (its lack of
-        fit per degree of freedom). Lists add the dims estimator and sampler, several channels the dim
+        fit per degree of freedom). The attribute ``note`` says where the largest simulation cannot
+        see most of a variance (`mcspectra.estimators.tails`). Lists add the dims estimator and sampler, several channels the dim
         channel. Counts whose variance is rounding noise are left out of the fit; the rate of fewer
         than two others is NaN.
 
@@ -143,7 +145,16 @@ def convergence(
         stream_key=f"{stream.key:#x}",
         seed=rng if isinstance(rng, int) else None,
         integral_source="; ".join(dict.fromkeys(e.integral_source for e in estimators)),
+        note="; ".join(_notes(estimators, ns[-1] * realizations)) or None,
     )
+
+
+def _notes(estimators: list[AbstractEstimator], samples: int) -> Iterator[str]:
+    """What to say of estimators whose variance no simulation of this size can measure."""
+    for estimator in estimators:
+        note = unsampled_note(estimator, samples)
+        if note:
+            yield f"{estimator.spec}: {note}"
 
 
 def count_stream(stream: Stream, n: int) -> Stream:

@@ -34,6 +34,7 @@ from mcspectra.core.parallel import (
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
+from mcspectra.estimators.tails import unsampled_note
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra.bases import Basis, make_basis
@@ -184,8 +185,15 @@ def variance_terms(
         seed=rng if isinstance(rng, int) else None,
         engine=view.engine,
         eps=eps,
-        note="spectral terms are infinite: ∫1/p diverges" if infinite else None,
+        note=_note(estimator, n * realizations, infinite=infinite),
     )
+
+
+def _note(estimator: AbstractEstimator, samples: int, *, infinite: bool) -> str | None:
+    """What to say of terms that are infinite and of a variance that these samples cannot measure."""
+    parts = ["spectral terms are infinite: ∫1/p diverges"] if infinite else []
+    parts += filter(None, [unsampled_note(estimator, samples)])
+    return "; ".join(parts) or None
 
 
 def _merged(
