@@ -373,11 +373,10 @@ _DYADIC_STEPS = ("digital-shift", "owen", "lms", "permute")
 def fitting_basis(sampler: Sampler, half_width: int) -> str:
     """Name a basis that fits what was random about a sampler last.
 
-    Fourier after a shift and for sets that are statistically the same after any translation, cosine
-    after a shift that is folded or put into all mirror images, and after random reflections, Walsh
-    after randomisations of binary digits, if the half width is a power of two: none of these leaves a
-    cross term there. All mirror images of any other set: Walsh, where a reflection is one more digital
-    shift.
+    Fourier after a shift and for sets that are statistically the same after any translation; Walsh
+    after randomisations of binary digits, if the half width is a power of two. Mirrored points: cosine
+    where a shift went before, Walsh else, for reflecting and folding permute Walsh functions but for
+    their signs. None of these leaves a cross term there, of strata if they are 2^k to a side.
 
     Cosine else, which is a compromise: of smooth functions jittered sets leave little cross term in
     it and the sum over m converges fast, as it has no boundary term; of discontinuous ones they leave as
@@ -386,18 +385,16 @@ def fitting_basis(sampler: Sampler, half_width: int) -> str:
     """
     steps = sampler.steps if isinstance(sampler, Randomized) else ()
     dyadic = not half_width & (half_width - 1) and set(sampler.digit_bases) == {2}
-    images = False
+    mirrored = False
     for step in reversed(steps):
         if isinstance(step, Mirror):
-            if step.mode != "uniform":
-                return "cosine"
-            images = True
+            mirrored = True
         elif step.stationary:
-            return "cosine" if images else "fourier"
+            return "cosine" if mirrored else "fourier"
         elif step.name in _DYADIC_STEPS and dyadic:
             return "walsh"
     base = sampler.base if isinstance(sampler, Randomized) else sampler
-    if images:
+    if mirrored:
         return "walsh" if dyadic and base.structure is not Structure.TORUS else "cosine"
     stationary = sampler.structure is Structure.TORUS and sampler.unbiased and not steps
     return "fourier" if stationary else "cosine"
