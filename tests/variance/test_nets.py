@@ -75,6 +75,13 @@ CASES = [
     ("latin-hypercube", "gaussian(center=0.3)", "linear(slope=1)", 2, 5),
     ("latin-hypercube", "gaussian(center=0.3)", None, 3, 6),
     ("n-rooks", "disk", None, 2, 2),
+    ("latin-hypercube | shift", "gaussian(center=0.3)", None, 2, 4),
+    ("latin-hypercube | shift", "linear", None, 2, 8),
+    ("halton(scramble='owen')", "gaussian(center=0.3)", None, 2, 13),
+    ("van-der-corput(scramble='owen')", "gaussian(center=0.3)", "linear(slope=1)", 1, 8),
+    ("antithetic-jittered", "gaussian(center=0.3)", "linear(slope=1)", 1, 8),
+    ("antithetic-jittered", "gaussian(center=0.3)", None, 2, 18),
+    ("antithetic-jittered", "step(at=0.3)", None, 2, 8),
 ]
 
 
@@ -85,6 +92,23 @@ def test_simulation_agrees(sampler, f, density, dims, n):
     sampler = mcs.sampler(sampler, dims=dims)
     limit = stats.norm.isf(0.5 * (1 - (1 - 1e-3) ** (1 / len(CASES))))
     assert abs(_pull(estimator, sampler, n, mcs.exact_variance(estimator, sampler, n), 5)) < limit
+
+
+@pytest.mark.parametrize("s", [1, 3, 8])
+def test_antithetic_pairs_take_away_lines_and_leave_the_second_order(s):
+    """x: 0. (x − ½)² in cells of side a = 1/s: the pair's mean is t² + const, t = ±a/2: a⁴/180 each."""
+    sampler = mcs.sampler("antithetic-jittered", dims=1)
+    assert mcs.exact_variance("linear", sampler, 2 * s) == pytest.approx(0.0, abs=1e-18)
+    f = mcs.Integrand.from_function(lambda x: (x[..., 0] - 0.5) ** 2, dims=1)
+    found = mcs.exact_variance(f, sampler, 2 * s)
+    assert found == pytest.approx(s**-5 / 180, rel=1e-6)
+
+
+def test_scrambled_sequences_are_those_of_the_randomisation():
+    for spec in ("halton", "halton(skip=3)"):
+        inside = spec.replace("halton", "halton(scramble='owen')", 1).replace(")(", ", ")
+        expected = mcs.exact_variance("gaussian", mcs.sampler(f"{spec} | owen", dims=2), 9)
+        assert mcs.exact_variance("gaussian", mcs.sampler(inside, dims=2), 9) == expected
 
 
 @pytest.mark.parametrize("n", [2, 3, 10])

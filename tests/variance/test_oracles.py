@@ -177,7 +177,8 @@ def test_mis_is_the_sum_over_techniques():
 
 
 @pytest.mark.parametrize(
-    "spec", ["sobol | shift", "poisson-disk", "latin-hypercube | shift", "halton | shift"]
+    "spec",
+    ["sobol | shift", "poisson-disk", "latin-hypercube | strata-shift", "halton | shift"],
 )
 def test_unknown_exact_variance_is_refused(spec):
     with pytest.raises(mcs.NoClosedForm, match="convergence"):

@@ -44,14 +44,18 @@ from mcspectra.variance._strata import (
 __all__ = ["level_variances", "net_variance", "scrambling"]
 
 _KEEP_LAW = frozenset({"digital-shift", "permute"})  # of nested scrambling, too
+_SHIFTS = frozenset({"shift", "shuffle"})
 _LATIN = ("latin-hypercube", "n-rooks")
 _MOST_BITS = 24
 
 
 def scrambling(sampler: Sampler) -> str | None:
-    """Return ``"owen"``, ``"digital-shift"`` or ``"latin"``; None for what is none of these."""
-    if sampler.name in _LATIN and getattr(sampler, "strength", 1) == 1 and sampler.dims > 1:
-        return "latin"
+    """Return ``"owen"``, ``"digital-shift"``, ``"latin"`` or ``"latin-shift"``; None for others."""
+    base = sampler.base if isinstance(sampler, Randomized) else sampler
+    if base.name in _LATIN and getattr(base, "strength", 1) == 1 and sampler.dims > 1:
+        steps = {step.name for step in sampler.steps} if isinstance(sampler, Randomized) else set()
+        shifted = "latin-shift" if "shift" in steps else "latin"
+        return shifted if steps <= _SHIFTS else None
     if not isinstance(sampler, Randomized) or not is_fixed(sampler.base):
         return None
     names = {step.name for step in sampler.steps}  # in the base of the net: others do not fit it
@@ -71,7 +75,9 @@ def net_variance(sampler: Sampler, n: int, g: Integrand, order: int, kind: str) 
         Coordinates coincide or are finer than can be resolved, or there are too many cells.
     """
     if kind == "latin":
-        return _latin(sampler, n, g, order)
+        return _latin(sampler, n, g, order, np.zeros(g.dims))
+    if kind == "latin-shift":
+        return _shifted_latin(sampler, n, g, order)
     assert isinstance(sampler, Randomized)
     net = sampler.base
     points = net.draw_stream(n, Stream.from_rng(0), 0, 1)[0]
@@ -126,10 +132,18 @@ def _nested(net: Sampler, n: int, g: Integrand, order: int, digits: tuple[int, .
     return np.asarray((within + np.tensordot(gains, levels, axes=g.dims)) / n)
 
 
-def _latin(sampler: Sampler, n: int, g: Integrand, order: int) -> Array:
+def _shifted_latin(sampler: Sampler, n: int, g: Integrand, order: int) -> Array:
+    """Mean over the offset of the cells: the points are uniform for each, so that nothing is added."""
+    sides = (n,) * g.dims
+    nodes, weights = offset_rule(g, sides, order // 2 + 2)  # a mean over all cells is smooth
+    _check_cells(sampler, sides, len(nodes) * order**g.dims)
+    return np.asarray(weights @ np.stack([_latin(sampler, n, g, order, d) for d in nodes]))
+
+
+def _latin(sampler: Sampler, n: int, g: Integrand, order: int, offset: Array) -> Array:
     sides = (n,) * g.dims
     _check_cells(sampler, sides)
-    means, squares = stratum_moments(g, sides, np.zeros(g.dims), order)
+    means, squares = stratum_moments(g, sides, offset, order)
     within = np.maximum(squares - means**2, 0.0).mean(axis=0)
     if n == 1:
         return np.asarray(within)

@@ -9,6 +9,7 @@ is averaged over: E_δ[Var | δ] + Var_δ(E | δ). Nets have a finite sum over l
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,8 +20,10 @@ from mcspectra.estimators import AbstractEstimator, as_estimator
 from mcspectra.estimators.sets import check_independent_techniques
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import (
+    Halton,
     Jittered,
     LatinHypercube,
+    Owen,
     Random,
     Randomized,
     Regular,
@@ -28,8 +31,10 @@ from mcspectra.samplers import (
     Shift,
     StrataShift,
     UniformJitter,
+    VanDerCorput,
     as_sampler,
 )
+from mcspectra.variance._antithetic import antithetic_variance
 from mcspectra.variance._nets import net_variance, scrambling
 from mcspectra.variance._reflections import mirrored_variance, without_mirror
 from mcspectra.variance._squares import mean_square
@@ -51,8 +56,8 @@ def exact_variance(
     ----------
     estimator, sampler, n
         Any estimator with one of: random, jittered, regular, uniform-jitter, each alone or with
-        shift or strata-shift, and with mirror; latin-hypercube; nets and sequences such as sobol or
-        halton with owen, and those in base 2 with digital-shift. Latin hypercubes and nets take cells,
+        shift or strata-shift, and with mirror; antithetic-jittered; latin-hypercube, alone or with
+        shift; nets and sequences such as sobol or halton with owen, and those in base 2 with digital-shift. Latin hypercubes and nets take cells,
         about n to a side: some thousands of points in 2-D, some tens in 3-D.
 
     Returns
@@ -79,12 +84,19 @@ def exact_variance(
     n = source.check_count(n)
     estimator.check_sampler(source, n)
     check_independent_techniques(estimator)
-    source = estimator.randomized(source)
+    source = _scrambled_after(estimator.randomized(source))
     total: Any = 0.0
     for technique, count in enumerate(estimator.counts):
         g = estimator.primary_integrand(technique)
         total = total + _converged(source, n * count, g)
     return total if estimator.channels else float(np.squeeze(total))
+
+
+def _scrambled_after(sampler: Sampler) -> Sampler:
+    """Write what a sequence does to its own digits as the randomisation that does the same."""
+    if not isinstance(sampler, Halton | VanDerCorput) or sampler.scramble != "owen":
+        return sampler
+    return replace(sampler, scramble="none").then(Owen())
 
 
 def _converged(sampler: Sampler, n: int, g: Integrand) -> Array:
@@ -119,6 +131,8 @@ def _variance(sampler: Sampler, n: int, g: Integrand, order: int) -> Array:
     if mode is not None:
         of_inner = functools.partial(_variance, order=order)
         return mirrored_variance(of_inner, mode, inner, n, g)
+    if sampler.name == "antithetic-jittered":
+        return antithetic_variance(g, n, order)
     kind = scrambling(sampler)
     if kind is not None:
         return net_variance(sampler, n, g, order, kind)
