@@ -20,7 +20,8 @@ def _errors(estimator, sampler, seed, realizations=400, truth=None):
         estimates_of(estimator, source, n, realizations, stream.child(k))
         for k, n in enumerate(COUNTS)
     ]
-    return Errors.of(COUNTS, values, truth)
+    integral = np.atleast_1d(estimator.integral) if truth is None else truth
+    return Errors.of(COUNTS, values, integral, biased=truth is not None)
 
 
 def test_ratio_and_rates_of_known_variances_are_covered():
@@ -84,6 +85,20 @@ def test_estimates_that_do_not_vary_have_no_rate_and_beat_all_others():
     assert not errors.used.any()
     assert math.isnan(errors.rate()[0])
     assert compare(errors, _errors(X, "random", 1), 256).log_ratio == -math.inf
+
+
+def test_estimates_that_are_alike_but_miss_the_integral_have_an_unknown_error():
+    rare = mcs.Estimator(
+        mcs.Integrand.from_function(
+            lambda x: 1.0 * (np.abs(x[..., 0] - 0.37) < 5e-8), dims=1, integral=1e-7
+        )
+    )
+    errors = _errors(rare, "random", 1)
+    assert errors.blind.all()
+    assert math.isnan(errors.at(256)[0])
+    found = compare(errors, _errors(X, "random", 1), 256)
+    assert math.isnan(found.log_ratio)
+    assert not _errors(mcs.Estimator("constant(value=2)", dims=1), "random", 1).blind.any()
 
 
 def test_simultaneous_intervals():

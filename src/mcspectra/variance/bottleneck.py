@@ -12,28 +12,31 @@ import math
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.parallel import Block, map_in_order, realization_blocks
+from mcspectra.core.streams import Stream
+from mcspectra.estimators import AbstractEstimator, Moments
 from mcspectra.estimators.moments import rounding_floor
+from mcspectra.samplers import Sampler
 from mcspectra.variance.batches import Variables
 from mcspectra.variance.fit import RateFit, fit_rate
-from mcspectra.variance.technique_sums import TechniqueSums
 
-__all__ = ["UNDECIDED", "in_words", "technique_rates"]
+__all__ = ["UNDECIDED", "in_words", "technique_moments", "technique_rates"]
 
 UNDECIDED = -1
 """What ``bottleneck`` says where the intervals of the slowest rates overlap."""
 
 
 def technique_rates(
-    ns: list[int], results: list[TechniqueSums], window: int | str
+    ns: list[int], moments: list[Moments], window: int | str
 ) -> tuple[Variables, list[int]]:
     """Rates of all techniques and of the whole estimate, and the bottleneck of each channel.
 
     Parameters
     ----------
-    ns, results, window
-        Counts, the sums of each, and what to fit (`mcspectra.variance.fit.check_window`).
+    ns, moments, window
+        Counts, for each the moments (C, T + 1) of the techniques' parts and of the whole estimate, and
+        what to fit (`mcspectra.variance.fit.check_window`).
     """
-    moments = [sums.moments for sums in results]
     variance = np.stack([m.variance for m in moments])  # (N, C, T + 1)
     relative = np.stack([m.relative_se for m in moments])
     # What is noise is measured against the whole estimate: a part of it may be 0.
@@ -60,6 +63,32 @@ def technique_rates(
         "bottleneck": (("channel",), np.array(choice)),
     }
     return variables, choice
+
+
+def technique_moments(
+    estimator: AbstractEstimator,
+    sampler: Sampler,
+    n: int,
+    realizations: int,
+    stream: Stream,
+    workers: int = 1,
+) -> Moments:
+    """Moments (C, T + 1) of the parts of the estimate that techniques make, and of their sum."""
+
+    def of_block(block: Block) -> Moments:
+        points = estimator.draw(sampler, n, stream, *block)
+        parts = [
+            estimator.primary_values(t, u).mean(axis=1).reshape(block[1], -1)
+            for t, u in enumerate(points)
+        ]
+        return Moments.of(np.stack([*parts, sum(parts[1:], parts[0])], axis=2))
+
+    numbers = n * estimator.dims * sum(estimator.counts)
+    found = map_in_order(of_block, realization_blocks(realizations, numbers), workers)
+    total = next(found)
+    for moments in found:
+        total = total.merge(moments)
+    return total
 
 
 def _bottleneck(fits: list[RateFit], still: Array) -> int:

@@ -21,7 +21,7 @@ from mcspectra.estimators.base import Weighted
 from mcspectra.estimators.channels import ChannelSampling
 from mcspectra.estimators.heuristics import HEURISTICS, as_heuristic
 from mcspectra.estimators.mirrored import MIRRORINGS
-from mcspectra.integrands.smoothing import smoothed
+from mcspectra.integrands.smoothing import BoxSmoothed, smoothed
 from mcspectra.samplers import Jittered, Sampler, Shift, StrataShift
 from mcspectra.samplers.base import Randomized, Structure
 from mcspectra.samplers.registry import sampler as make_sampler
@@ -52,6 +52,7 @@ _SAMPLERS = (
 )
 _COUNT_TRIES = 256
 _MOST_ALIGNED = 2
+_INSIDE = frozenset({"smoothed", "warp", "heuristic", "techniques", "channels"})
 _WIDTHS = tuple(2.0**-k for k in range(10, 1, -1))
 _SCAN_REALIZATIONS = 300
 
@@ -79,7 +80,17 @@ class Setup:
     @property
     def cost(self) -> int:
         """Evaluations of the integrand for each of n points."""
-        return sum(self.estimator.counts)
+        return sum(self.estimator.counts) * self.estimator.evaluations_per_point
+
+    @property
+    def overhead(self) -> int:
+        """Evaluations before the first point: those of a pilot."""
+        return self.estimator.pilot_evaluations
+
+    @property
+    def unbiased(self) -> bool:
+        """Whether the points that are drawn are uniform, so that estimates have no bias."""
+        return self.estimator.randomized(self.sampler).unbiased
 
 
 @dataclass(frozen=True)
@@ -145,7 +156,7 @@ def other_setups(given: Setup, kinds: tuple[str, ...], budget: Budget) -> Found:
     """All set-ups of the kinds asked for, in the order of `kinds`, none twice."""
     seen = {(given.estimator.spec, given.sampler.spec, given.at_count)}
     for kind in kinds:
-        for found in KINDS[kind](given, budget):
+        for found in _of_kind(kind, given, budget):
             if isinstance(found, Counterfactual):
                 key = (found.setup.estimator.spec, found.setup.sampler.spec, found.setup.at_count)
                 if key in seen:
@@ -154,13 +165,27 @@ def other_setups(given: Setup, kinds: tuple[str, ...], budget: Budget) -> Found:
             yield found
 
 
+def _of_kind(kind: str, given: Setup, budget: Budget) -> Found:
+    """Changes of one kind; those of what is mirrored are mirrored again."""
+    outer = given.estimator
+    if not isinstance(outer, Mirrored) or kind not in _INSIDE:
+        yield from KINDS[kind](given, budget)
+        return
+    for found in KINDS[kind](replace(given, estimator=outer.estimator), budget):
+        if isinstance(found, NotTried):
+            yield found
+            continue
+        again = replace(found.setup, estimator=Mirrored(found.setup.estimator, outer.mode))
+        yield replace(found, setup=again)
+
+
 def affordable_count(setup: Setup, budget: int) -> int | None:
     """Largest n whose estimate takes at most `budget` evaluations and which can be drawn, or None.
 
     Counts that a sampler warns of (nets away from powers of their base) are passed over.
     """
     source = setup.estimator.randomized(setup.sampler)
-    n: int | None = min(budget // setup.cost, source.max_count)
+    n: int | None = min(max(budget - setup.overhead, 0) // setup.cost, source.max_count)
     for _ in range(_COUNT_TRIES):
         n = source._counts_near(n)[0] if n else None
         if not n:
@@ -385,7 +410,8 @@ def _smoothed(given: Setup, budget: Budget) -> Found:
     make = partial(
         Estimator, smoothed(estimator.integrand, width, method=method), estimator.density
     )
-    yield from _attempt(given, "smoothed", name, change, estimator=make, biased=True)
+    biased = not isinstance(make().integrand, BoxSmoothed)  # means over boxes keep the integral
+    yield from _attempt(given, "smoothed", name, change, estimator=make, biased=biased)
 
 
 def _channels(given: Setup, budget: Budget) -> Found:  # noqa: ARG001

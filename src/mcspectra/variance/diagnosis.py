@@ -18,9 +18,8 @@ from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator, Mirrored
 from mcspectra.samplers import Sampler, Shift
 from mcspectra.samplers.base import Randomized
-from mcspectra.variance.bottleneck import UNDECIDED
+from mcspectra.variance.bottleneck import UNDECIDED, technique_moments, technique_rates
 from mcspectra.variance.primary import primary_picture
-from mcspectra.variance.techniques import technique_terms
 
 __all__ = ["Diagnosis", "Jumps", "diagnose", "jumps_of"]
 
@@ -108,6 +107,8 @@ class Diagnosis:
         """Why a change that was measured is better; what the measurement says where it is not."""
         if column["verdict"] == "given":
             return ""
+        if column["blind"]:
+            return "Its estimates are all alike and miss the integral: what is rare was not met."
         if column["verdict"] == "undecided":
             return "Its interval does not tell it from the set-up as given."
         if column["verdict"] == "worse":
@@ -183,16 +184,11 @@ def _slowest(
     """The bottleneck among techniques, of all channels alike; None where it is not decided."""
     if len(estimator.counts) < 2 or len(counts) < 2:
         return None
-    found = technique_terms(
-        estimator,
-        sampler,
-        list(counts),
-        half_width=0,
-        space="primary",
-        realizations=_REALIZATIONS,
-        rng=stream.generator(0),
-    )
-    chosen = set(found["bottleneck"].values.ravel().tolist()) - {UNDECIDED}
+    moments = [
+        technique_moments(estimator, sampler, n, _REALIZATIONS, stream.child(n)) for n in counts
+    ]
+    _, choice = technique_rates(list(counts), moments, len(counts))
+    chosen = set(choice) - {UNDECIDED}
     return int(chosen.pop()) if len(chosen) == 1 else None
 
 
@@ -206,6 +202,8 @@ def _named(estimator: AbstractEstimator, technique: int) -> str:
 
 
 def _by_rate(column: Mapping[str, Any]) -> str:
+    if math.isnan(column["rate"]):
+        return ""
     if column["rate_verdict"] == "better":
         return f"Its rate is better, {column['rate']:.2f}."
     return "It is better by a factor, not by its rate."
@@ -234,9 +232,11 @@ def _why_aligned(diagnosis: Diagnosis, column: Mapping[str, Any]) -> str:
 
 
 def _why_smoothed(diagnosis: Diagnosis, column: Mapping[str, Any]) -> str:
-    del column
-    ramp = "The jump inside becomes a ramp, for a bias that the error contains."
-    return ramp if diagnosis.inside else ""
+    if not diagnosis.inside:
+        return ""
+    if column["biased"]:
+        return "The jump inside becomes a ramp, for a bias that the error contains."
+    return "The jump inside becomes a ramp; means over boxes keep the integral."
 
 
 def _why_warped(diagnosis: Diagnosis, column: Mapping[str, Any]) -> str:
@@ -273,9 +273,8 @@ def _why_channels(diagnosis: Diagnosis, column: Mapping[str, Any]) -> str:
 
 
 def _why_sampler(diagnosis: Diagnosis, column: Mapping[str, Any]) -> str:
-    if diagnosis._wrapped_jump and "shift" not in column["name"]:
-        return "Nothing wraps around the jump between opposite sides."
-    return ""
+    del diagnosis, column
+    return ""  # which of a sampler's properties it is has not been looked at
 
 
 _REASONS = {

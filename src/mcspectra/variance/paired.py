@@ -9,6 +9,9 @@ is thereby in the error, whichever way it goes: no pairing has to be assumed.
 For the mean squared error v = Σ_c mean_r (e_rc − I_c)² the influence on log v is
 ψ_r = Σ_c (e_rc − I_c)²/v − 1; for an unbiased estimator I_c is the mean of the estimates, and v the
 variance, summed over channels.
+
+Estimates that are all alike have no variance, or none of them has met what makes it: a rare event. The
+integral tells the two apart. Where they miss it their error is unknown (NaN), not 0.
 """
 
 from __future__ import annotations
@@ -43,11 +46,13 @@ class Errors:
     error
         Mean squared error v, summed over channels, (N,).
     bias
-        Mean estimate minus the truth, (N, C); 0 where the estimator is taken to be unbiased.
+        Mean estimate minus the integral, (N, C).
     influence
         ψ, (N, R).
     noise
         v below which the estimates differ by rounding only, (N,).
+    blind
+        Whether the estimates are all alike, but not the integral, (N,).
     """
 
     cost: Array
@@ -55,17 +60,44 @@ class Errors:
     bias: Array
     influence: Array
     noise: Array
+    blind: Array
 
     @staticmethod
-    def of(cost: Sequence[int], estimates: Sequence[Array], truth: Array | None) -> Errors:
-        """Errors of estimates (R, C) at each cost; about `truth` (C,), or their mean where None."""
-        parts = [_spread(values, truth) for values in estimates]
+    def of(
+        cost: Sequence[int],
+        estimates: Sequence[Array],
+        integral: Array,
+        *,
+        biased: bool = False,
+        tolerance: float = 1e-9,
+    ) -> Errors:
+        """Errors of estimates (R, C) at each cost.
+
+        Parameters
+        ----------
+        cost, estimates
+            One array (R, C) for each cost.
+        integral
+            What is estimated, (C,).
+        biased
+            Take the error about the integral; else about the mean of the estimates.
+        tolerance
+            How well the integral is known, relative to it.
+        """
+        parts = [_spread(values, integral if biased else None) for values in estimates]
+        error = np.array([error for error, _ in parts])
+        bias = np.stack([values.mean(axis=0) - integral for values in estimates])
+        noise = np.array([rounding_floor(np.abs(v).mean(axis=0)).sum() for v in estimates])
+        miss = np.abs(bias).max(axis=1) > tolerance * np.abs(integral).max()
+        alike = np.array(
+            [
+                np.ptp(v, axis=0).max() <= 4 * math.sqrt(f)
+                for v, f in zip(estimates, noise, strict=True)
+            ]
+        )
+        influence = np.stack([influence for _, influence in parts])
         return Errors(
-            np.asarray(cost, np.float64),
-            np.array([error for error, _, _ in parts]),
-            np.stack([bias for _, bias, _ in parts]),
-            np.stack([influence for _, _, influence in parts]),
-            np.array([rounding_floor(np.abs(values).mean(axis=0)).sum() for values in estimates]),
+            np.asarray(cost, np.float64), error, bias, influence, noise, alike & miss & (not biased)
         )
 
     @property
@@ -100,7 +132,8 @@ class Errors:
         """log v at a cost of `budget`, and its influences (R,): the last error, carried by the rate."""
         last = len(self.cost) - 1
         if not self.used[last]:
-            return -math.inf, np.zeros(self.influence.shape[1])
+            unknown = math.nan if self.blind[last] else -math.inf
+            return unknown, np.zeros(self.influence.shape[1])
         gap = math.log(budget / self.cost[last])
         log_error, influence = math.log(self.error[last]), self.influence[last]
         if gap == 0.0:
@@ -177,15 +210,14 @@ def simultaneous_z(comparisons: int, confidence: float = 0.95) -> float:
     return float(ndtri(0.5 * (1.0 + single)))
 
 
-def _spread(values: Array, truth: Array | None) -> tuple[float, Array, Array]:
-    """Mean squared error, bias (C,) and influences (R,) of estimates (R, C)."""
+def _spread(values: Array, truth: Array | None) -> tuple[float, Array]:
+    """Mean squared error and influences (R,) of estimates (R, C); about their mean by default."""
     count = len(values)
-    bias = np.zeros(values.shape[1]) if truth is None else values.mean(axis=0) - truth
     centre = values.mean(axis=0) if truth is None else truth
     squares = ((values - centre) ** 2).sum(axis=1)
     error = float(squares.sum() / (count - 1 if truth is None else count))
     mean = squares.mean()
-    return error, bias, squares / mean - 1.0 if mean > 0 else np.zeros(count)
+    return error, squares / mean - 1.0 if mean > 0 else np.zeros(count)
 
 
 def _standard_error(influence: Array, prior: int = _PRIOR) -> float:

@@ -35,6 +35,7 @@ from mcspectra.variance.counterfactuals import (
     other_setups,
 )
 from mcspectra.variance.diagnosis import diagnose
+from mcspectra.variance.fit import RateFit
 from mcspectra.variance.paired import Comparison, Errors, compare, estimates_of, simultaneous_z
 
 if TYPE_CHECKING:
@@ -48,6 +49,8 @@ _SEARCH = _STEPS  # stream label of searches; those below are of the steps
 _MOST_REALIZATIONS = 100_000
 _MOST_BUDGET = 2**24
 GIVEN = "as given"
+_EXACT, _BY_QUADRATURE = 1e-9, 1e-3  # how well integrals are known, relative to them
+_NO_RATE = RateFit(math.nan, (math.nan, math.nan), math.nan, math.nan)
 
 
 def remedies(
@@ -98,7 +101,11 @@ def remedies(
     -----
     Where no count of points costs exactly the budget, the largest below is measured and the error is
     carried to the budget along the fitted rate; the interval knows of the slope's uncertainty.
-    The error of a biased remedy is taken about the integral of the given estimator.
+    What is biased, by smoothing or by a sampler that is not randomised, has its error taken about the
+    integral of the given estimator; what is smoothed to another integral has no rate, as its error
+    ends at the square of the bias. Pilots of heuristics and the values that a mean over a box takes count
+    as evaluations. Where all estimates are alike but not the integral, they have missed what is rare:
+    error and ratio are NaN, and the verdict is undecided. Set-ups without a rate are last by rate.
 
     Examples
     --------
@@ -127,21 +134,27 @@ class _Run:
     stream: Stream
     workers: int
 
-    def errors(self, setup: Setup, truth: Array | None) -> Errors | None:
+    def errors(self, setup: Setup, integral: Any, biased: bool, exact: bool) -> Errors | None:
         """Errors at the counts that fit into each step's budget; None where two do not."""
         cost: list[int] = []
         estimates: list[Array] = []
         for step in range(_STEPS):
             n = affordable_count(setup, self.budget // _RATIO ** (_STEPS - 1 - step))
-            if n is None or (cost and n * setup.cost <= cost[-1]):
+            spent = n and n * setup.cost + setup.overhead
+            if not spent or (cost and spent <= cost[-1]):
                 continue
+            assert n is not None
             try:
                 estimator = setup.at(n)
             except McspectraError:  # strata too few for the edges
                 continue
-            cost.append(n * setup.cost)
+            cost.append(spent)
             estimates.append(self._estimates(estimator, setup.sampler, n, step))
-        return Errors.of(cost, estimates, truth) if len(cost) > 1 else None
+        if len(cost) < 2:
+            return None
+        truth = np.atleast_1d(np.asarray(integral, np.float64))
+        tolerance = _EXACT if exact else _BY_QUADRATURE
+        return Errors.of(cost, estimates, truth, biased=biased, tolerance=tolerance)
 
     def _estimates(
         self, estimator: AbstractEstimator, sampler: Sampler, n: int, step: int
@@ -163,28 +176,28 @@ def _measured(
     given: Setup, kinds: tuple[str, ...], run: _Run
 ) -> tuple[list[_Tried], list[NotTried]]:
     """All set-ups that can be measured, the given one first, and why the others cannot."""
-    reference = run.errors(given, None)
+    integral, exact = given.estimator.integral, given.estimator.integral_source == "exact"
+    reference = run.errors(given, integral, not given.unbiased, exact)
     if reference is None:
         raise ParameterError(
-            f"{run.budget} evaluations are too few for {given.estimator.spec} with "
-            f"{given.sampler.spec}: two budgets a factor {_RATIO} apart are needed; give more."
+            f"{given.sampler.spec} has no two counts within {run.budget} evaluations for "
+            f"{given.estimator.spec}, which a rate takes; give a larger budget, or a sampler of "
+            "more counts."
         )
     start = Counterfactual("given", GIVEN, "leave everything as it is", given)
     tried = [_Tried(start, reference, compare(reference, reference, run.budget))]
     not_tried = []
     own = Budget(run.budget, run.realizations, run.stream.child(_SEARCH), run.workers)
     others = list(other_setups(given, kinds, own))
-    truth = np.atleast_1d(np.asarray(given.estimator.integral, np.float64))
     for k, other in enumerate(others):
         report("remedies", k / len(others))
         if isinstance(other, NotTried):
             not_tried.append(other)
             continue
-        errors = run.errors(other.setup, truth if other.biased else None)
+        biased = other.biased or not other.setup.unbiased
+        errors = run.errors(other.setup, integral, biased, exact)
         if errors is None:
-            reason = (
-                f"{other.setup.sampler.spec} has no two counts within {run.budget} evaluations."
-            )
+            reason = _too_dear(other.setup, run.budget)
             not_tried.append(NotTried(other.kind, other.name, reason))
         else:
             tried.append(_Tried(other, errors, compare(errors, reference, run.budget)))
@@ -198,13 +211,14 @@ def _ranked(
     """The dataset of all set-ups, in the order of their errors at the budget."""
     z = simultaneous_z(2 * (len(tried) - 1))  # of the errors and of the rates
     start = tried[0]
-    ordered = sorted(tried, key=lambda t: t.errors.at(run.budget)[0])
+    ordered = sorted(tried, key=lambda t: np.nan_to_num(t.errors.at(run.budget)[0], nan=np.inf))
     columns = [_columns(t, run.budget, z) for t in ordered]
-    counts = [int(cost) // given.cost for cost in start.errors.cost]
+    counts = [int(cost - given.overhead) // given.cost for cost in start.errors.cost]
     own = run.stream.child(_SEARCH + 1)
     diagnosis = diagnose(given.estimator, given.sampler, counts, own)
     for column in columns:
         column["reason"] = diagnosis.reason(column)
+    reasons = [f"{n.name}: {n.reason}" for n in not_tried]
     by_rate = np.argsort(np.argsort([np.nan_to_num(c["rate"], nan=np.inf) for c in columns]))
     variables = {
         name: (dims, np.array([c[name] for c in columns])) for name, dims in _VARIABLES.items()
@@ -219,8 +233,8 @@ def _ranked(
         realizations=run.realizations,
         simultaneous_z=z,
         diagnosis=diagnosis.text,
-        recommendation=_recommendation(columns, run.budget),
-        not_tried=[f"{n.name}: {n.reason}" for n in not_tried],
+        recommendation=_recommendation(columns, run.budget, reasons),
+        not_tried=reasons,
         stream_key=f"{run.stream.key:#x}",
         given_error=float(start.errors.error[-1]),
         **provenance,
@@ -253,22 +267,25 @@ def _columns(tried: _Tried, budget: int, z: float) -> dict[str, Any]:
     errors, found = tried.errors, tried.comparison
     log_error, influence = errors.at(budget)
     spread = max(math.sqrt(float(np.mean(influence**2)) / len(influence)), 1e-9)
-    fit = errors.fit()
+    fit = _NO_RATE if tried.change.biased else errors.fit()
     is_given = tried.change.kind == "given"
     ratio = _interval(found.log_ratio, z * found.log_ratio_se)
-    slope = _interval(found.rate_difference, z * found.rate_difference_se)
+    difference = math.nan if tried.change.biased else found.rate_difference
+    slope = _interval(difference, z * found.rate_difference_se)
     return {
         "name": tried.change.name,
         "kind": tried.change.kind,
         "change": tried.change.change,
         "estimator": tried.change.setup.estimator,
+        "biased": tried.change.biased,
+        "blind": bool(errors.blind[-1]),
         "error": math.exp(log_error),
         "error_ci": variance_interval(np.asarray(math.exp(log_error)), np.asarray(spread)).tolist(),
         "error_ratio": math.exp(found.log_ratio),
         "error_ratio_ci": [math.exp(b) for b in ratio],
         "rate": fit.rate,
         "rate_ci": list(fit.interval),
-        "rate_difference": found.rate_difference,
+        "rate_difference": difference,
         "rate_difference_ci": slope,
         "verdict": "given" if is_given else _verdict(ratio),
         "rate_verdict": "given" if is_given else _verdict(slope),
@@ -292,13 +309,34 @@ def _padded(values: Array) -> list[float]:
     return [math.nan] * (_STEPS - len(values)) + [float(v) for v in values]
 
 
-def _recommendation(columns: list[dict[str, Any]], budget: int) -> str:
+def _too_dear(setup: Setup, budget: int) -> str:
+    if setup.overhead >= budget:
+        return f"Its pilot alone takes {setup.overhead} evaluations, {budget} are the budget."
+    if setup.cost > sum(setup.estimator.counts):
+        points = setup.cost // sum(setup.estimator.counts)
+        return f"Each of its samples takes {points} evaluations: too few fit into {budget}."
+    return f"{setup.sampler.spec} has no two counts within {budget} evaluations."
+
+
+def _recommendation(columns: list[dict[str, Any]], budget: int, reasons: list[str]) -> str:
     """What to do, as far as the intervals support it."""
+    if _given(columns)["blind"]:
+        return (
+            "All estimates of the set-up as given are alike and miss the integral: none has met what "
+            "makes it. Nothing can be said; give more realisations or a larger budget."
+        )
+    changes = len(columns) - 1
+    if not changes:
+        return " ".join(["No change could be tried.", *reasons[:3]])
     better = [c for c in columns if c["verdict"] == "better"]
     if not better:
+        tried = (
+            f"None of the {changes} changes that were" if changes > 1 else "The one change that was"
+        )
+        no = "is" if changes > 1 else "is not"
         return (
-            f"None of the {len(columns) - 1} changes that were tried is better at {budget} "
-            "evaluations with 95 % confidence: keep the set-up as given." + _later(columns, None)
+            f"{tried} tried {no} better at {budget} evaluations with 95 % confidence: keep the set-up "
+            "as given." + _later(columns, None)
         )
     best = better[0]
     text = f"{best['change'][0].upper()}{best['change'][1:]}: at {budget} evaluations "

@@ -142,7 +142,7 @@ def technique_terms(
         variables = _without_spectra(variables)
     notes: dict[str, Any] = {}
     if several:
-        rates, choice = technique_rates(ns, [sums for sums, _, _ in results], window)
+        rates, choice = technique_rates(ns, [sums.moments for sums, _, _ in results], window)
         variables |= rates
         notes["bottleneck"] = in_words(choice, scalar=job.estimator.channels == 0)
     return _labelled(variables, ns, job, results[0][1], several=several, **notes)
