@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
 from mcspectra.report import figures, sampler_styles
 from mcspectra.report.figures.variance import usable_counts
@@ -67,6 +68,9 @@ def test_three_terms__every_bar_has_the_whiskers_of_its_interval(make: Make) -> 
     figure = figures.three_terms({"jittered": data})
     lines = [c.get_segments()[0][:, 0] for c in figure.axes[0].collections]
     np.testing.assert_allclose(lines[::2], [data[f"{name}_ci"].values for name in names])
+    low, high = figure.axes[0].get_xlim()
+    assert low < min(map(min, lines))
+    assert high > max(map(max, lines))
 
 
 def test_three_terms__rounding_does_not_stretch_the_axis(make: Make) -> None:
@@ -95,6 +99,31 @@ def test_contributions__shells_sum_to_what_lies_inside_the_half_width(make: Make
     length = np.sqrt(sum(g**2 for g in np.meshgrid(m, m, m)))
     expected = data["contribution"].values[np.rint(length) <= 2].sum()
     assert ends.sum() == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("bands", "some"),
+    [("anova", ["constant", "x0", "x1", "x0x1"]), ("wedge", ["constant", "0°", "15°", "165°"])],
+)
+def test_band_covariances__bands_have_their_names(bands: str, some: list[str]) -> None:
+    sampler = mcs.sampler("jittered", dims=2)
+    terms = mcs.variance_terms("disk", sampler, 16, half_width=6, realizations=20, bands=bands)
+    figure = figures.band_covariances({"a": terms, "b": terms})
+    for axes in figure.axes[:4]:
+        names = [t.get_text() for t in axes.get_xticklabels()]
+        assert set(some) <= set(names)
+        assert [float(tick) for tick in axes.get_xticks()] == list(range(len(names)))
+
+
+def test_band_covariances__many_shells_have_whole_ticks_and_one_legend(make: Make) -> None:
+    data = make["terms"](dims=1, half_width=40, realizations=20)
+    figure = figures.band_covariances({"a": data, "b": data})
+    for axes in figure.axes[:4]:
+        ticks = [float(tick) for tick in axes.get_xticks()]
+        assert len(ticks) <= 7
+        assert all(tick.is_integer() for tick in ticks)
+    drawn = {tuple(map(tuple, c.get_color())) for a in figure.axes[1:4:2] for c in a.collections}
+    assert len(drawn) == 2  # the same two colours in every panel: those of the legend
 
 
 def test_first_of_several_channels(make: Make) -> None:

@@ -14,6 +14,7 @@ from mcspectra.report.figures.groups import Group, as_group, frequency_dims
 from mcspectra.report.style import (
     FAINT,
     GRAY,
+    INK,
     LineStyle,
     entitle,
     labels,
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 __all__ = ["band_covariances", "contributions", "cross_matrices"]
 
 _DIVERGING = "RdBu_r"
+_MOST_NUMBERS, _MOST_TICKS = 7, 13  # numbers and names of bands along an axis
+_MOST_LETTERS = 16  # that fit unturned
 _MOST_ENTRIES = 257  # entries a side of a matrix panel; more are not told apart
 
 
@@ -118,15 +121,15 @@ def band_covariances(data: Group, *, styles: Mapping[str, LineStyle] | None = No
     data
         ``band_covariance(band, band_other)`` by sampler; of several channels the first is shown.
     styles
-        How each sampler is drawn.
+        Not used: bars mean the same for every sampler.
 
     Raises
     ------
     ParameterError
         Nothing to draw, or the variable is missing.
     """
+    del styles  # one legend for all panels: their colours are those of its two entries
     group = as_group(data, "band_covariance")
-    styles = styles or sampler_styles(list(group))
     matrices = {name: each["band_covariance"].values for name, each in group.items()}
     norm = signed_norm(list(matrices.values()))
     figure, blocks = panel_blocks(len(group), 2, 0.92)
@@ -138,8 +141,9 @@ def band_covariances(data: Group, *, styles: Mapping[str, LineStyle] | None = No
         unit = _band_unit(group[name])
         image.set(xlabel=f"band b{unit}", ylabel=f"band a{unit}")
         outer_labels(image)
-        _band_bars(bars, shares, name, styles[name])
+        _band_bars(bars, shares, name)
         bars.set_xlabel(f"band a{unit}")
+        _band_ticks(image, bars, _band_labels(group[name], len(matrix)))
     _signed_bar(figure, drawn, norm, "Cov(I_a, I_b)")
     legend_below(figure, blocks[0][1])
     return figure
@@ -213,14 +217,33 @@ def _band_unit(data: xr.Dataset) -> str:
     return ", |m|" if "radial" in meaning else ""
 
 
-def _band_bars(
-    axes: Axes, shares: Mapping[str, tuple[Array, Array]], name: str, style: LineStyle
-) -> None:
+def _band_labels(data: xr.Dataset, count: int) -> list[str]:
+    """What each band is called; its number where the result does not say."""
+    attributes = data["band"].attrs if "band" in data.coords else {}
+    names = str(attributes.get("labels", "")).split(", ")
+    return names if len(names) == count else [str(band) for band in range(count)]
+
+
+def _band_ticks(image: Axes, bars: Axes, names: list[str]) -> None:
+    """Put names at whole bands: all of them, or every second, fourth, … where they are many."""
+    stride = 1
+    most = _MOST_NUMBERS if all(name.isdigit() for name in names) else _MOST_TICKS
+    while len(names) / stride > most:
+        stride *= 2
+    shown = names[::stride]
+    places = range(0, len(names), stride)
+    turned = 90 if sum(map(len, shown)) > _MOST_LETTERS else 0
+    image.set_yticks(places, shown)
+    for axes in (image, bars):
+        axes.set_xticks(places, shown, rotation=turned)
+
+
+def _band_bars(axes: Axes, shares: Mapping[str, tuple[Array, Array]], name: str) -> None:
     own, through = shares[name]
     band = np.arange(len(own))
     scale = signed_axis(axes, "y", np.concatenate([v for both in shares.values() for v in both]), 6)
     axes.vlines(band - 0.2, 0, own, GRAY, lw=_bar_width(band), label="within the band")
-    axes.vlines(band + 0.2, 0, through, style.color, lw=_bar_width(band), label="with other bands")
+    axes.vlines(band + 0.2, 0, through, INK, lw=_bar_width(band), label="with other bands")
     axes.axhline(0.0, color=GRAY, lw=0.6)
     axes.set_ylabel(_with_scale("share of variance", scale))
     axes.set_xlim(-0.7, len(own) - 0.3)

@@ -66,6 +66,7 @@ def three_terms(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -
         entitle(axes, names[name], "left")
     every = [[float(each[term]) for term in _TERMS] for each in group.values()]
     scale = signed_axis(rows[0], "x", _above_rounding(np.array(every)))
+    _show_whiskers(rows[0], group)
     rows[-1].set_xlabel("part of the variance" + (f"   ({scale})" if scale else ""))
     for axes in rows[:-1]:
         axes.tick_params(labelbottom=False)
@@ -184,7 +185,7 @@ def _term_bars(axes: Axes, data: xr.Dataset, style: LineStyle) -> None:
             textcoords="offset points", va="center", fontsize=SMALL_SIZE, color=INK,
         )  # fmt: skip
     for row, name in enumerate(_TERMS):
-        low, high = data[f"{name}_ci"].values if f"{name}_ci" in data else (math.nan, math.nan)
+        low, high = _interval_of(data, name)
         shown = abs(values[row]) > NEGLIGIBLE * scale
         if shown and math.isfinite(low) and math.isfinite(high):
             axes.hlines(row, low, high, INK, lw=1.0)
@@ -194,6 +195,24 @@ def _term_bars(axes: Axes, data: xr.Dataset, style: LineStyle) -> None:
     axes.set_ylim(4.6, -0.6)
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
+
+
+def _interval_of(data: xr.Dataset, name: str) -> tuple[float, float]:
+    """95 % interval of a term; NaN where a result has none."""
+    low, high = data[f"{name}_ci"].values if f"{name}_ci" in data else (math.nan, math.nan)
+    return float(low), float(high)
+
+
+def _show_whiskers(axes: Axes, group: Mapping[str, xr.Dataset]) -> None:
+    """Make room for the ends of intervals, but no more than as much again as the bars take."""
+    ends = np.array([_interval_of(each, name) for each in group.values() for name in _TERMS])
+    finite = ends[np.isfinite(ends)]
+    low, high = axes.get_xlim()
+    reach = high - low
+    axes.set_xlim(
+        max(min(low, 1.05 * float(finite.min(initial=0.0))), low - reach),
+        min(max(high, 1.05 * float(finite.max(initial=0.0))), high + reach),
+    )
 
 
 def _curve(axes: Axes, data: xr.Dataset, style: LineStyle, name: str) -> None:
