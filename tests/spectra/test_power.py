@@ -10,6 +10,7 @@ from mcspectra.core.errors import (
     NoClosedForm,
     ParameterError,
 )
+from mcspectra.core.progress import listening
 
 # Šidák: 5e-7 two-sided over a few thousand frequencies of one test is about 6 σ.
 SIGMAS = 6.0
@@ -132,6 +133,21 @@ def test_workers_and_engines_do_not_change_results():
     assert np.array_equal(one["power_se"], two["power_se"])
     direct = mcs.power_spectrum("jittered", 1024, engine="direct", **kwargs)
     assert np.abs(one["power"] - direct["power"]).max() < 1e-8
+
+
+def test_too_many_points_are_refused_before_they_are_drawn():
+    with pytest.raises(ParameterError, match="at most 33554432 of them"):
+        mcs.power_spectrum("jittered", 10**8, half_width=8)
+
+
+def test_progress_is_reported():
+    seen = []
+    with listening(lambda what, done: seen.append((what, done))):
+        mcs.power_spectrum("random", 2**18, half_width=2, realizations=6)
+    fractions = [done for what, done in seen if what == "power_spectrum"]
+    assert len(fractions) > 1
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
 
 
 def test_radial_mean_of_random_points_is_flat():

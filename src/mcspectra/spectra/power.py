@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.errors import ParameterError
 from mcspectra.core.parallel import (
     MAX_REALIZATIONS,
     Block,
@@ -15,6 +16,7 @@ from mcspectra.core.parallel import (
     map_in_order,
     realization_blocks,
 )
+from mcspectra.core.progress import report
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.densities import Density, as_warp
@@ -28,6 +30,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = ["MAX_WEDGES", "PowerSums", "power_spectrum", "wedge_angles", "weighted_points"]
+
+_MOST_COORDINATES = 2**26  # of a set: half a GiB, and several times that in a transform
 
 MAX_WEDGES = 360
 """Most directions into which a half turn is divided."""
@@ -87,14 +91,15 @@ def power_spectrum(
     Raises
     ------
     ParameterError
-        A value is out of range, the grid too large, or dims disagree.
+        A value is out of range, the grid too large, or dims disagree; or a set has more than 2^26
+        coordinates.
 
     Notes
     -----
     Power is as in the slides, ⟨|S_m|²⟩. Multiply by n for the convention of UTK, random = 1.
     Cost O(n log^d(1/eps) + M log M) for a pair of realisations of M frequencies. Memory does not grow
-    with the realisations: 100 M bytes for each thread at most, and up to 64 MB for its points (and
-    phases, of the direct engine).
+    with the realisations: 100 M bytes for each thread at most, and for its points (and phases, of
+    the direct engine) up to 64 MB or, where two sets are larger than that, 100 n d bytes.
 
     Examples
     --------
@@ -108,6 +113,7 @@ def power_spectrum(
     dims = source.dims if p is None else p.dims
     n = source.check_count(n)
     realizations = as_integer("realizations", realizations, least=1, most=MAX_REALIZATIONS)
+    _check_points(n, max(dims, source.dims))
     grid = FrequencyGrid(dims, half_width, frequency_step)
     wedges = as_integer("wedges", wedges, least=1, most=MAX_WEDGES)
     transform = Transform(grid, n, engine=engine, eps=eps)
@@ -118,14 +124,18 @@ def power_spectrum(
         sums, means = PowerSums.zeros(grid.half_size, mean), polar.empty()
         points, weights = weighted_points(source, p, n, stream, block)
         transform.add_power(points, weights, sums.total, sums.squares, sums.mean, means)
+        sums.count = len(points)
         return sums, means
 
     sums = PowerSums.zeros(grid.half_size, mean)
     # A block holds its points and two half spectra; pairs share a transform.
     blocks = realization_blocks(realizations, max(n * source.dims, grid.size // 8), multiple=2)
+    done = 0
     for part, means in map_in_order(block_sums, blocks, available_workers(workers)):
         sums.add(part)
         polar.add(means)
+        done += part.count
+        report("power_spectrum", done / realizations)
     power, se = sums.power(realizations)
     variables, coords = _polar_variables(grid, polar, realizations)
     return dataset(
@@ -149,13 +159,22 @@ def power_spectrum(
     )
 
 
+def _check_points(n: int, dims: int) -> None:
+    if n * dims > _MOST_COORDINATES:
+        raise ParameterError(
+            f"{n} points in {dims} dims are {100 * n * dims / 2**30:.3g} GiB a thread; a spectrum takes "
+            f"at most {_MOST_COORDINATES // dims} of them."
+        )
+
+
 @dataclass
 class PowerSums:
-    """Sums of |S|², |S|⁴ and, if wanted, S over realisations, by frequency: (F,)."""
+    """Sums of |S|², |S|⁴ and, if wanted, S over `count` realisations, by frequency: (F,)."""
 
     total: Array
     squares: Array
     mean: Array | None
+    count: int = 0
 
     @staticmethod
     def zeros(size: int, mean: bool) -> PowerSums:
