@@ -344,7 +344,7 @@ COMMAND = _rows(
     ),
     ("remedies gaussian --sampler random", "--budget"),
     ("remedies gaussian --sampler random --budget many", "--budget"),
-    ("remedies gaussian --sampler random --budget 64 --kind magic", "kinds"),
+    ("remedies gaussian --sampler random --budget 64 --kind magic", "--kind"),
     ("remedies gaussian --sampler random --budget 99999999999", "budget"),
 )
 

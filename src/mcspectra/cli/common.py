@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.core.checks import as_integer, as_real
+from mcspectra.core.checks import as_choice, as_integer, as_real
 from mcspectra.core.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -121,14 +121,19 @@ def add_estimator_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--heuristic",
+        action=Once,
         metavar="SPEC",
         help="MIS: balance (default), power(beta=2), cutoff, maximum, optimal or variance-aware",
     )
     parser.add_argument(
-        "--shares", metavar="K,K,…", help="MIS: points of each technique, in units of n"
+        "--shares",
+        action=Once,
+        metavar="K,K,…",
+        help="MIS: points of each technique, in units of n",
     )
     parser.add_argument(
         "--mirror",
+        action=Once,
         metavar="MODE",
         help="mirror the integrand or the samples: integrand, random or uniform",
     )
@@ -152,9 +157,9 @@ def build_estimator(options: argparse.Namespace) -> AbstractEstimator:
     estimator = _plain_estimator(options)
     if options.mirror is None:
         return estimator
-    from mcspectra.estimators import Mirrored
+    from mcspectra.estimators import MIRRORINGS, Mirrored
 
-    return Mirrored(estimator, options.mirror)
+    return Mirrored(estimator, as_choice("--mirror", options.mirror, MIRRORINGS))
 
 
 def _plain_estimator(options: argparse.Namespace) -> AbstractEstimator:
@@ -175,14 +180,19 @@ def _plain_estimator(options: argparse.Namespace) -> AbstractEstimator:
             options.integrand,
             densities,
             heuristic=options.heuristic or "balance",
-            counts=None if options.shares is None else _shares(options.shares),
+            counts=None if options.shares is None else _shares(options.shares, len(densities)),
             dims=dims,
         )
     return Estimator(options.integrand, densities[0] if densities else None, dims=dims)
 
 
-def _shares(text: str) -> list[int]:
-    return [whole_number("--shares", part.strip()) for part in text.split(",")]
+def _shares(text: str, techniques: int) -> list[int]:
+    shares = [whole_number("--shares", part.strip()) for part in text.split(",")]
+    if len(shares) != techniques:
+        raise ParameterError(
+            f"--shares has {len(shares)} numbers for {techniques} densities; give one for each."
+        )
+    return shares
 
 
 def print_json(data: Any) -> None:

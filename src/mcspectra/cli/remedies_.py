@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import textwrap
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ from mcspectra.cli.common import (
     whole_number,
 )
 from mcspectra.cli.progress import progress_bars
+from mcspectra.core.checks import as_choice
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -62,17 +64,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Measure, rank and print."""
+    from mcspectra.variance.counterfactuals import KINDS
     from mcspectra.variance.remedies import remedies
 
+    kinds = options.kind and [as_choice("--kind", kind, tuple(KINDS)) for kind in options.kind]
     estimator = build_estimator(options)
     with one_sentence_warnings(options.quiet), progress_bars(options.quiet):
         result = remedies(
             estimator,
             read_sampler(options.sampler, estimator.dims),
             whole_number("--budget", options.budget),
-            realizations=whole_number("--realizations", options.realizations),
+            realizations=whole_number("--realizations", options.realizations, least=100),
             rng=seed_option(options),
-            kinds=options.kind,
+            kinds=kinds,
         )
     if options.json:
         print_json({**result.attrs, "remedies": [_row(result, r) for r in result["remedy"].values]})
@@ -107,4 +111,11 @@ def _text(result: xr.Dataset) -> str:
     about = f"{attrs['estimator']}  with  {attrs['sampler']},  {attrs['budget']} evaluations"
     sentences = (attrs["diagnosis"], attrs["recommendation"])
     paragraphs = [textwrap.fill(text, _WIDTH) for text in sentences if text]
+    left_out = json.loads(attrs["not_tried"]) if "not_tried" in attrs else []
+    if left_out:
+        paragraphs.append("not tried:")
+        paragraphs += [
+            textwrap.fill(reason, _WIDTH, initial_indent="  ", subsequent_indent="    ")
+            for reason in left_out
+        ]
     return "\n".join([about, text_table(header, rows), *paragraphs])

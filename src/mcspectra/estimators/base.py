@@ -236,6 +236,6 @@ def check_counts(counts: Any, techniques: int) -> tuple[int, ...]:
     values = tuple(counts) if isinstance(counts, list | tuple | np.ndarray) else (counts,)
     if len(values) != techniques:
         raise ParameterError(
-            f"counts has {len(values)} entries for {techniques} techniques; give one for each."
+            f"counts is {counts!r:.60}, {len(values)} for {techniques} techniques; give one for each."
         )
     return tuple(as_integer(f"counts[{i}]", c, least=1) for i, c in enumerate(values))

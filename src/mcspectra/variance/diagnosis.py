@@ -206,7 +206,7 @@ def _by_rate(column: Mapping[str, Any]) -> str:
         return ""
     if column["rate_verdict"] == "better":
         return f"Its rate is better, {column['rate']:.2f}."
-    return "It is better by a factor, not by its rate."
+    return "By how much its rate differs, the intervals leave open."
 
 
 def _why_unshifted(diagnosis: Diagnosis, column: Mapping[str, Any]) -> str:

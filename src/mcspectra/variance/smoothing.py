@@ -125,11 +125,11 @@ def smoothing_scan(
 def _check_widths(widths: Any) -> list[float]:
     if not isinstance(widths, Sequence | np.ndarray) or isinstance(widths, str):
         raise ParameterError(f"widths is {widths!r:.80}; give a list of ascending widths.")
-    places = [as_real(f"widths[{i}]", w, least=0.0) for i, w in enumerate(widths[:_MOST_WIDTHS])]
-    if not places or sorted(set(places)) != places:
-        raise ParameterError(f"widths is {widths!r:.80}; give one or more, ascending.")
     if len(widths) > _MOST_WIDTHS:
         raise ParameterError(f"widths has {len(widths)} values; give {_MOST_WIDTHS} at most.")
+    places = [as_real(f"widths[{i}]", w, least=0.0) for i, w in enumerate(widths)]
+    if not places or sorted(set(places)) != places:
+        raise ParameterError(f"widths is {widths!r:.80}; give one or more, ascending.")
     return places
 
 
