@@ -105,7 +105,7 @@ def test_infinite_power_is_said():
 )
 def test_unknown_closed_forms_are_refused(spec, n, density):
     with pytest.raises(NoClosedForm, match="power_spectrum"):
-        mcs.closed_form_power(mcs.sampler(spec, dims=2), n, np.ones((1, 2)), density=density)
+        mcs.closed_form_power(mcs.sampler(spec, dims=2), n, np.full((1, 2), 0.5), density=density)
 
 
 def test_shift_has_no_closed_form_between_integers():
