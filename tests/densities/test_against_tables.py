@@ -9,7 +9,7 @@ from scipy.stats import chi2
 from mcspectra.densities import PiecewiseConstant
 from mcspectra.densities.adaptive import integrate
 
-SIDE = {1: 1024, 2: 96}
+SIDE = {1: 1024, 2: 128}  # the environment has 32 × 64 pixels, one of them the sun
 BINS = 8
 SAMPLES = 10_000
 FALSE_ALARM = 1e-6  # of the whole module

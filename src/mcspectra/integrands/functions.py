@@ -157,7 +157,7 @@ def _finite(values: Array, x: Array, who: str) -> Array:
     where = point_in_words(x[bad][0])
     raise ParameterError(
         f"{who} is NaN or infinite at {np.count_nonzero(bad)} of {bad.size} points, the first "
-        f"({where}); it must be finite."
+        f"{where}; it must be finite."
     )
 
 
