@@ -32,6 +32,7 @@ _VERBS = {
     "modes": "which patterns of frequencies vary together",
     "render": "render a scene's direct illumination: image, variance, EXR and PNG",
     "map": "variance, rate and bottleneck at every pixel of a scene",
+    "mitsuba": "render a Mitsuba scene file, with our samplers known to its integrators",
     "doctor": "what is installed and whether it works",
     "cite": "how to cite the package and its methods",
 }

@@ -13,6 +13,7 @@ from .pixel import describe_pixel as describe_pixel
 from .pixel import pixel_strategies as pixel_strategies
 from .pixel_mis import PixelMIS as PixelMIS
 from .pixel_mis import pixel_mis as pixel_mis
+from .plugin import register_samplers as register_samplers
 from .point_sampler import MitsubaSampler as MitsubaSampler
 from .scene_checks import check_scene as check_scene
 from .scenes import SCENES as SCENES
@@ -20,6 +21,7 @@ from .scenes import load_scene as load_scene
 from .scenes import named_pixels as named_pixels
 from .scenes import project as project
 from .skies import sky_pixels as sky_pixels
+from .stock import render_file as render_file
 from .wavefront import Wavefront as Wavefront
 
 __all__ = [
@@ -39,7 +41,9 @@ __all__ = [
     "pixel_strategies",
     "project",
     "reference",
+    "register_samplers",
     "render",
+    "render_file",
     "sky_pixels",
     "variance_map",
     "veach",

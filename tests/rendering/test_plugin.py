@@ -1,0 +1,370 @@
+"""Our samplers as Mitsuba's: sets, requests, images, passes, and one sentence an error."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from mcspectra.cli.main import main
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import CountError, FileFormatError, MissingDependency, ParameterError
+from mcspectra.core.streams import Stream
+from mcspectra.rendering import load_mitsuba, register_samplers, render_file
+from mcspectra.rendering.backend import import_mitsuba
+from mcspectra.rendering.plugin import PLUGIN_VARIANTS
+from mcspectra.rendering.sample_tables import LARGEST_SAMPLE, PaddedSets, Rounds
+
+pytestmark = pytest.mark.render
+
+LEVEL = 1e-3
+SCENE = """<scene version="3.0.0">
+  <default name="type" value="mcspectra"/><default name="spec" value="sobol | owen"/>
+  <default name="integrator" value="direct"/><default name="passes" value="4294967295"/>
+  <integrator type="$integrator"><integer name="samples_per_pass" value="$passes"/></integrator>
+  <sensor type="perspective"><float name="fov" value="30"/>
+    <transform name="to_world"><lookat origin="0, 3, 4" target="0, 0, 0" up="0, 1, 0"/></transform>
+    <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="6"/>
+      <rfilter type="box"/></film>
+    <sampler type="$type"><integer name="sample_count" value="16"/>{properties}</sampler>
+  </sensor>
+  <shape type="rectangle">
+    <transform name="to_world"><rotate x="1" angle="-90"/><scale value="4"/></transform></shape>
+  <shape type="rectangle">
+    <transform name="to_world"><rotate x="1" angle="90"/><translate y="5"/></transform>
+    <emitter type="area"/></shape>
+</scene>"""
+PROGRAM = "import sys; from mcspectra.cli.main import main; sys.exit(main(sys.argv[1:]))"
+OURS = '<string name="spec" value="$spec"/>'
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    folder = tmp_path_factory.mktemp("plugin")
+    texts = {
+        "ours": OURS,
+        "joint": OURS + '<integer name="joint_dims" value="5"/>',
+        "passes": OURS + '<integer name="samples_per_pass" value="4"/>',
+        "stock": "",
+    }
+    for name, properties in texts.items():
+        text = SCENE.replace("{properties}", properties)
+        if name == "stock":
+            text = text.replace("$type", "independent").replace(
+                '<default name="type" value="mcspectra"/><default name="spec" value="sobol | owen"/>',
+                "",
+            )
+        (folder / f"{name}.xml").write_text(text, encoding="utf-8")
+    return {name: str(folder / f"{name}.xml") for name in texts}
+
+
+def sampler(variant: str = "llvm_ad_rgb", **properties: Any) -> Any:
+    """An object of the plugin, in a variant that is set until the next call."""
+    register_samplers(variant)
+    mitsuba = import_mitsuba()
+    mitsuba.set_variant(variant)
+    return mitsuba.load_dict({"type": "mcspectra", **properties})
+
+
+def numbers(source: Any, *dims: int) -> Array:
+    """Draw requests of a wavefront one after the other: (lanes, sum of dims)."""
+    parts = [source.next_1d() if d == 1 else source.next_2d() for d in dims]
+    return np.concatenate([np.atleast_2d(part.numpy()) for part in parts]).T.astype(np.float64)
+
+
+def test_pads_are_the_samplers_sets_in_another_order() -> None:
+    sets = PaddedSets(spec="sobol | owen", count=16)
+    for dims in (1, 2):
+        points = sets.pads(dims, Stream(5), 0, 40)
+        assert points.shape == (40, 16, dims)
+        assert points.dtype == np.float32
+        cells = np.floor(points.astype(np.float64) * (16 if dims == 1 else 4)).astype(int)
+        number = cells[..., 0] if dims == 1 else 4 * cells[..., 0] + cells[..., 1]
+        assert (np.sort(number, axis=1) == np.arange(16)).all()
+
+
+def test_sets_do_not_depend_on_how_many_are_drawn_at_once() -> None:
+    sets = PaddedSets(spec="jittered", count=256, joint=4)
+    whole = sets.pads(2, Stream(5), 0, 1500)  # two blocks
+    np.testing.assert_array_equal(whole[1022:1026], sets.pads(2, Stream(5), 1022, 4))
+    whole = sets.joints(Stream(5), 0, 600)
+    np.testing.assert_array_equal(whole[511:514], sets.joints(Stream(5), 511, 3))
+
+
+def test_orders_of_two_sets_are_independent() -> None:
+    # Without shuffling, points in the first half would meet points in the first half only.
+    points = PaddedSets(spec="sobol", count=16).pads(1, Stream(5), 0, 2000)[..., 0]
+    halves = points < 0.5
+    together = (halves[::2] & halves[1::2]).sum(axis=1)
+    # Of 8 of 16 against 8 of 16: hypergeometric, mean 4
+    expected = stats.hypergeom(16, 8, 8)
+    found = np.bincount(together, minlength=9)[1:8]
+    mass = expected.pmf(np.arange(1, 8))
+    p = stats.chisquare(found, found.sum() * mass / mass.sum()).pvalue
+    assert p > LEVEL
+
+
+def test_numbers_stay_below_one() -> None:
+    points = PaddedSets(spec="mitsuba(sampler='independent')", count=4).pads(2, Stream(1), 0, 3)
+    assert points.max() <= LARGEST_SAMPLE
+    assert float(LARGEST_SAMPLE) < 1.0
+
+
+@pytest.mark.parametrize("pixels", [1, 7, 509, 5000, 2**20])
+def test_requests_of_a_pixel_take_different_sets(pixels: int) -> None:
+    rounds = Rounds.of(pixels, 4, 2 * 64)
+    assert 2 * 64 * rounds.size <= 2**27
+    taken = {request * rounds.stride % rounds.size for request in range(509)}
+    assert len(taken) == 509
+
+
+def test_first_requests_of_all_pixels_take_different_sets() -> None:
+    rounds = Rounds.of(300, 4, 32)
+    taken = {
+        (p + request * rounds.stride) % rounds.size for p in range(300) for request in range(4)
+    }
+    assert len(taken) == 1200
+
+
+@pytest.mark.parametrize("joint", [0, 4])
+def test_lanes_are_samples_of_pixels(joint: int) -> None:
+    source = sampler(sample_count=16, joint_dims=joint)
+    source.seed(3, 16 * 50)
+    drawn = numbers(source, 2, 2, 1, 2).reshape(50, 16, 7)
+    for columns in ((0, 1), (2, 3), (5, 6)):
+        cells = np.floor(drawn[..., columns] * 4) @ [4, 1]
+        assert (np.sort(cells, axis=1) == np.arange(16)).all()
+    assert (np.sort(np.floor(drawn[..., 4] * 16), axis=1) == np.arange(16)).all()
+    assert len(np.unique(drawn[..., 0])) > 790  # of 800: no pixel has another's set
+
+
+def test_joint_dims_are_one_set_in_its_own_order() -> None:
+    source = sampler(sample_count=16, joint_dims=4, spec="sobol", seed=9)
+    source.seed(3, 16 * 2)
+    drawn = numbers(source, 2, 1, 2).reshape(2, 16, 5)
+    plain = PaddedSets(spec="sobol", count=16, joint=4).joints(Stream(1), 0, 1)[0]
+    np.testing.assert_array_equal(drawn[0, :, :3], plain[:, :3])
+    assert not np.array_equal(drawn[0, :, 3], plain[:, 3])  # two numbers do not fit: a pad
+
+
+def test_seeds_change_points_and_are_reproducible() -> None:
+    def first(seed: int, own: int) -> Array:
+        source = sampler(sample_count=4, seed=own)
+        source.seed(seed, 32)
+        return numbers(source, 2, 1)
+
+    base = first(1, 2)
+    np.testing.assert_array_equal(base, first(1, 2))
+    for other in (first(2, 2), first(1, 3), first(2, 1)):
+        assert not np.isin(other, base).any()
+
+
+def test_clones_go_on_alike_and_forks_need_a_seed() -> None:
+    source = sampler(sample_count=4)
+    source.seed(1, 8)
+    numbers(source, 2)
+    twin = source.clone()
+    np.testing.assert_array_equal(numbers(source, 1, 2), numbers(twin, 1, 2))
+    with pytest.raises(ParameterError, match="has no seed"):
+        source.fork().next_1d()
+
+
+@pytest.mark.parametrize("dims", [1, 2])
+def test_passes_share_a_pixels_set(dims: int) -> None:
+    source = sampler(sample_count=16)
+    source.set_samples_per_wavefront(4)
+    source.seed(1, 4 * 5)
+    passes = []
+    for _ in range(4):
+        passes.append(numbers(source, dims).reshape(5, 4, dims))
+        source.advance()
+    cells = np.concatenate(passes, axis=1)[..., 0]
+    assert (np.sort(np.floor(cells * 16), axis=1) == np.arange(16)).all()
+    with pytest.raises(ParameterError, match="All 16 samples of each pixel are used"):
+        source.next_1d()
+
+
+def test_scalar_sets_of_a_pixel_are_the_samplers() -> None:
+    source = sampler("scalar_rgb", sample_count=16, joint_dims=2)
+    source.seed(7)
+    twin = source.clone()
+    drawn = []
+    for _ in range(16):
+        sample = [*source.next_2d(), *source.next_2d(), source.next_1d()]
+        assert sample == [*twin.next_2d(), *twin.next_2d(), twin.next_1d()]
+        drawn.append(sample)
+        source.advance()
+        twin.advance()
+    points = np.array(drawn, dtype=np.float64)
+    for columns in ((0, 1), (2, 3)):
+        cells = np.floor(points[:, columns] * 4) @ [4, 1]
+        assert (np.sort(cells) == np.arange(16)).all()
+    assert (np.sort(np.floor(points[:, 4] * 16)) == np.arange(16)).all()
+    load_mitsuba()
+
+
+def batches(file: str, variant: str = "llvm_ad_rgb", spp: int = 64, **definitions: str) -> Array:
+    """Sixteen images with seeds of their own."""
+    register_samplers(variant)
+    mitsuba = import_mitsuba()
+    mitsuba.set_variant(variant)
+    scene = mitsuba.load_file(file, **definitions)
+    kind = int if variant.startswith("scalar") else mitsuba.UInt32
+    images = [mitsuba.render(scene, spp=spp, seed=kind(s)) for s in range(16)]
+    return np.stack([np.array(image, dtype=np.float64) for image in images])
+
+
+def smallest_p_value(a: Array, b: Array) -> float:
+    """Šidák-corrected p-value of the worst pixel, by Welch's test; channels are alike."""
+    p = stats.ttest_ind(a[..., 0], b[..., 0], equal_var=False).pvalue
+    return float(-np.expm1(p.size * np.log1p(-p.min())))
+
+
+@pytest.mark.parametrize(
+    ("name", "integrator", "variant"),
+    [
+        ("ours", "direct", "llvm_ad_rgb"),
+        ("joint", "path", "llvm_ad_rgb"),
+        ("ours", "path", "llvm_ad_rgb"),
+        ("ours", "direct", "scalar_rgb"),
+    ],
+)
+def test_images_are_those_of_the_stock_sampler_with_less_noise(
+    files: dict[str, str], name: str, integrator: str, variant: str
+) -> None:
+    ours = batches(files[name], variant, integrator=integrator)
+    stock = batches(files["stock"], variant, integrator=integrator)
+    assert smallest_p_value(stock, ours) > LEVEL
+    ratio = stock[..., 0].var(axis=0, ddof=1) / ours[..., 0].var(axis=0, ddof=1)
+    # Of equal variances a ratio of 15 and 15 degrees of freedom exceeds this once in 1e6.
+    assert np.median(ratio) > stats.f.isf(1e-6, 15 * 24, 15 * 24)
+
+
+def test_two_percent_are_noticed(files: dict[str, str]) -> None:
+    ours, stock = batches(files["ours"], spp=256), batches(files["stock"], spp=1024)
+    assert smallest_p_value(stock, 1.02 * ours) < LEVEL
+    assert smallest_p_value(stock, ours) > LEVEL
+
+
+def test_images_repeat_and_seeds_change_them(files: dict[str, str]) -> None:
+    for variant in PLUGIN_VARIANTS:
+        image = render_file(files["ours"], variant, seed=1)
+        np.testing.assert_array_equal(image, render_file(files["ours"], variant, seed=1))
+        assert not np.array_equal(image, render_file(files["ours"], variant, seed=2))
+
+
+def test_split_passes_give_the_image_of_one_pass(files: dict[str, str]) -> None:
+    passes = {"definitions": {"passes": 4}}
+    import_mitsuba().set_log_level(import_mitsuba().LogLevel.Error)
+    np.testing.assert_allclose(
+        render_file(files["passes"], "llvm_ad_rgb", **passes),  # type: ignore[arg-type]
+        render_file(files["ours"], "llvm_ad_rgb"),
+        rtol=1e-5,
+    )
+    with pytest.raises(ParameterError, match="needs the sampler's integer samples_per_pass"):
+        render_file(files["ours"], "llvm_ad_rgb", **passes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("variant", PLUGIN_VARIANTS)
+def test_command_writes_the_image(files: dict[str, str], tmp_path: Path, variant: str) -> None:
+    out = tmp_path / "image.exr"
+    command = ["mitsuba", files["ours"], "-m", variant, "-o", str(out), "--seed", "3"]
+    run = subprocess.run(
+        [sys.executable, "-c", PROGRAM, *command],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    assert "8 × 6 pixels" in run.stdout
+    written = np.array(load_mitsuba().Bitmap(str(out)), dtype=np.float64)
+    # The film writes half floats.
+    np.testing.assert_allclose(written, render_file(files["ours"], variant, seed=3), rtol=1e-3)
+
+
+def test_counts_that_cannot_be_made_name_the_nearest(files: dict[str, str]) -> None:
+    for variant in PLUGIN_VARIANTS:
+        with pytest.raises(CountError, match="nearest counts are 9 and 16"):
+            render_file(files["ours"], variant, spp=15, definitions={"spec": "jittered"})
+
+
+@pytest.mark.parametrize(
+    ("properties", "words"),
+    [
+        ({"spec": "nosuch"}, "no sampler called 'nosuch'"),
+        ({"spec": 3}, "3 is not a sampler"),
+        ({"spec": ""}, "sampler"),
+        ({"sample_count": 15, "spec": "jittered"}, "nearest counts are 9 and 16"),
+        ({"sample_count": 2**30}, "give a whole number from 1 to 65536"),
+        ({"sample_count": 0}, "give a whole number from 1"),
+        ({"joint_dims": 1}, "joint_dims is 1; give a whole number from 2"),
+        ({"joint_dims": 2.5}, "joint_dims is 2.5"),
+        ({"samples_per_pass": 3}, "samples_per_pass is 3; give a divisor of sample_count, 4"),
+        ({"samples_per_pass": -1}, "samples_per_pass is -1"),
+        ({"seed": -1}, "seed"),
+        ({"sed": 1}, "unreferenced property"),
+    ],
+)
+def test_bad_properties(properties: dict[str, Any], words: str) -> None:
+    with pytest.raises(RuntimeError, match=words):
+        sampler(**properties)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["-D", "spec=nosuch"], "no sampler called 'nosuch'"),
+        (["-D", "spec"], "give KEY=VALUE"),
+        (["-D", "a=b"], "a=b"),
+        (["-m", "nosuch"], "variant is 'nosuch'"),
+        (["-s", "3"], "sensor is 3"),
+        (["--spp", "0"], "--spp is '0'"),
+        (["--seed", "4294967296"], "seed is 4294967296"),
+        (["-o", "image.png"], "give an .exr file"),
+        (["-o", "nowhere/image.exr"], "in a folder that exists"),
+    ],
+)
+def test_bad_commands_are_one_sentence(
+    files: dict[str, str], capsys: pytest.CaptureFixture[str], options: list[str], words: str
+) -> None:
+    assert main(["mitsuba", files["ours"], *options]) == 2
+    printed = capsys.readouterr().err
+    assert words in printed
+    assert printed.count("\n") == 1
+
+
+def test_bad_files_are_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(FileFormatError, match="There is no scene file"):
+        render_file(tmp_path / "missing.xml")
+    broken = tmp_path / "broken.xml"
+    broken.write_text("<scene", encoding="utf-8")
+    with pytest.raises(FileFormatError, match=r"Mitsuba cannot render .*broken\.xml"):
+        render_file(broken)
+    blind = tmp_path / "blind.xml"
+    blind.write_text('<scene version="3.0.0"/>', encoding="utf-8")
+    with pytest.raises(ParameterError, match="no camera"):
+        render_file(blind)
+
+
+def test_variant_is_put_back(files: dict[str, str]) -> None:
+    mitsuba = load_mitsuba()
+    render_file(files["ours"], "scalar_rgb")
+    assert mitsuba.variant() == "llvm_ad_rgb"
+
+
+def test_without_llvm_only_the_scalar_plugin_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    from mcspectra.rendering import plugin
+
+    def missing() -> None:
+        raise MissingDependency("no LLVM")
+
+    monkeypatch.setattr(plugin, "load_mitsuba", missing)
+    plugin._plugin_class.cache_clear()
+    assert register_samplers() == ("scalar_rgb",)
+    with pytest.raises(MissingDependency, match="no LLVM"):
+        register_samplers("llvm_ad_rgb")
