@@ -94,4 +94,5 @@ def _version(package: str) -> str:
 
 
 def _joined(value: dict[str, Any]) -> str:
-    return "; ".join(f"{key} {item}" for key, item in value.items() if item)
+    texts = {k: ", ".join(v) if isinstance(v, list) else v for k, v in value.items()}
+    return "; ".join(f"{key} {text}" for key, text in texts.items() if text)

@@ -29,6 +29,7 @@ from mcspectra.core.errors import MissingDependency
 
 __all__ = [
     "LOCK",
+    "SCALAR_VARIANT",
     "VARIANT",
     "Verdict",
     "describe",
@@ -39,6 +40,9 @@ __all__ = [
 
 VARIANT = "llvm_ad_rgb"
 """The vectorised CPU variant, float32 and RGB."""
+
+SCALAR_VARIANT = "scalar_rgb"
+"""The variant that needs no LLVM: whole images by Mitsuba's own integrators, one ray at a time."""
 
 LOCK = threading.RLock()
 """Hold this around all Dr.Jit work: its traces and the variant belong to the whole process."""
@@ -74,6 +78,15 @@ hit = scene.ray_intersect(mi.Ray3f(mi.Point3f(0, 0, -5), mi.Vector3f(0, 0, 1)))
 wo = hit.bsdf().sample(mi.BSDFContext(), hit, x, mi.Point2f(x, dr.minimum(x, 0.5)))[0].wo
 dr.eval(wo)
 print("works", dr.isfinite(wo.x)[0])
+import ctypes, os
+numbers = [ctypes.c_uint() for _ in range(3)]
+ctypes.CDLL(os.environ[{_LIBRARY_VARIABLE!r}]).LLVMGetVersion(*map(ctypes.byref, numbers))
+print("version", ".".join(str(number.value) for number in numbers))
+"""
+_SCALAR_PROBE = f"""
+import mitsuba as mi
+mi.set_variant({SCALAR_VARIANT!r})
+print("works", mi.load_dict({{"type": "independent"}}).next_1d() < 1)
 """
 _loaded: list[Any] = []
 
@@ -90,11 +103,14 @@ class Verdict:
         Whether the variant compiled and ran a kernel with it.
     reason
         Why not, empty if it works.
+    version
+        Version of LLVM if it works, e.g. ``19.1.7``.
     """
 
     library: str
     works: bool
     reason: str
+    version: str = ""
 
 
 def load_mitsuba() -> Any:
@@ -141,17 +157,33 @@ def describe() -> dict[str, Any]:
     Returns
     -------
     dict
-        ``mitsuba`` and ``drjit`` (versions or None), ``library`` (path or None), ``variant`` (the
-        one that works, or None), ``reason`` (why none does, else None).
+        ``mitsuba`` and ``drjit`` (versions or None), ``library`` and ``llvm`` (path and version, or
+        None), ``variant`` (the vectorised one if it works, else None), ``variants`` (all that were
+        tried and work), ``refused`` (libraries tried before and why, or None), ``reason`` (why the
+        vectorised one does not work, else None).
     """
     found: dict[str, Any] = {name: _version(name) for name in ("mitsuba", "drjit")}
-    found |= {"library": None, "variant": None, "reason": None}
+    found |= dict.fromkeys(("library", "llvm", "variant", "refused", "reason")) | {"variants": []}
     if found["mitsuba"] is None:
         return found | {"reason": _no_mitsuba()}
     best, refused = find_library(fresh=True)
+    scalar = [SCALAR_VARIANT] if _scalar_works() else []
+    found |= {"variants": scalar, "refused": _reasons(refused) or None}
     if best is None:
         return found | {"reason": _no_library(refused)}
-    return found | {"library": best.library, "variant": VARIANT}
+    found |= {"library": best.library, "llvm": best.version or None, "variant": VARIANT}
+    return found | {"variants": [VARIANT, *scalar]}
+
+
+def _scalar_works() -> bool:
+    command = [sys.executable, "-c", _SCALAR_PROBE]
+    try:
+        run = subprocess.run(
+            command, capture_output=True, text=True, timeout=_PROBE_SECONDS, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return run.returncode == 0 and "works True" in run.stdout
 
 
 def import_mitsuba() -> Any:
@@ -207,12 +239,16 @@ def _no_mitsuba() -> str:
 
 
 def _no_library(refused: list[Verdict]) -> str:
-    tried = "; ".join(f"{v.library}: {v.reason}" for v in refused) or "none was found"
+    tried = _reasons(refused) or "none was found"
     return (
         f"Mitsuba needs a libLLVM, version {_OLDEST_LLVM} or newer, that works ({tried}); {_INSTALL}"
         f" (Linux x86-64), or install the system's LLVM ≥ {_OLDEST_LLVM} and set "
         f"{_LIBRARY_VARIABLE} to its library."
     )
+
+
+def _reasons(refused: list[Verdict]) -> str:
+    return "; ".join(f"{v.library}: {v.reason}" for v in refused)
 
 
 def _candidates() -> Iterator[str]:
@@ -295,7 +331,7 @@ def _probe(library: str) -> tuple[Verdict, bool]:
     except (OSError, subprocess.TimeoutExpired) as error:
         return Verdict(library, False, f"the trial did not finish: {error}"), False
     if run.returncode == 0 and "works True" in run.stdout:
-        return Verdict(library, True, ""), True
+        return Verdict(library, True, "", run.stdout.partition("version ")[2].strip()), True
     return Verdict(library, False, _last_words(run)), True
 
 
@@ -319,7 +355,7 @@ def _cache_folder() -> Path:
 def _read_verdict(file: Path, library: str) -> Verdict | None:
     try:
         kept = json.loads(file.read_text(encoding="utf-8"))
-        return Verdict(library, bool(kept["works"]), str(kept["reason"]))
+        return Verdict(library, bool(kept["works"]), str(kept["reason"]), str(kept["version"]))
     except (OSError, ValueError, KeyError, TypeError):
         return None
 
@@ -327,7 +363,7 @@ def _read_verdict(file: Path, library: str) -> Verdict | None:
 def _write_verdict(file: Path, verdict: Verdict) -> None:
     """Keep a verdict; a cache that cannot be written only costs the next start a probe."""
     draft = file.with_suffix(f".{os.getpid()}.tmp")
-    text = json.dumps({"works": verdict.works, "reason": verdict.reason})
+    text = json.dumps({name: getattr(verdict, name) for name in ("works", "reason", "version")})
     with contextlib.suppress(OSError):
         file.parent.mkdir(parents=True, exist_ok=True)
         draft.write_text(text, encoding="utf-8")

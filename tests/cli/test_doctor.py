@@ -1,0 +1,102 @@
+"""What `doctor` says of the renderer: what works, what was refused, and what to install."""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mcspectra.cli import doctor_
+from mcspectra.cli.main import main
+from mcspectra.rendering import backend
+
+pytestmark = pytest.mark.render
+
+ABORTING = "#include <stdlib.h>\n__attribute__((constructor)) static void stop(void) { abort(); }\n"
+
+
+@pytest.fixture(autouse=True)
+def own_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(backend, "_cache_folder", lambda: tmp_path / "cache")
+
+
+def only(monkeypatch: pytest.MonkeyPatch, library: Path) -> None:
+    """Let there be no other library than the one that the variable names."""
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(library))
+    monkeypatch.setattr(backend, "_wheel_library", list)
+    monkeypatch.setattr(backend, "_system_libraries", list)
+
+
+def aborting_library(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A library that ends the process when it is loaded; without a compiler, a probe that does."""
+    library = folder / "libLLVM-99.so"
+    compiler = shutil.which("cc")
+    if compiler is None:
+        library.write_text("stands for one")
+        monkeypatch.setattr(backend, "_PROBE", "import os; os.abort()")
+        return library
+    source = folder / "stop.c"
+    source.write_text(ABORTING, encoding="utf-8")
+    subprocess.run([compiler, "-shared", "-fPIC", "-o", library, source], check=True)
+    return library
+
+
+def test_renderer_names_variants_library_and_version() -> None:
+    found = doctor_._renderer()
+    assert found["variants"] == ["llvm_ad_rgb", "scalar_rgb"]
+    assert int(found["llvm"].split(".")[0]) >= 17
+    assert Path(found["library"]).is_file()
+    assert found["refused"] is found["reason"] is None
+
+
+def test_version_of_a_kept_verdict_is_the_one_found() -> None:
+    first, _ = backend.find_library()
+    again, _ = backend.find_library()
+    assert first == again
+    assert first is not None
+    assert first.version
+
+
+def test_library_that_is_none_is_passed_over(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    library = tmp_path / "libLLVM-99.so"
+    library.write_text("no library")
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(library))
+    assert main(["doctor"]) == 0
+    (line,) = (x for x in capsys.readouterr().out.splitlines() if x.startswith("renderer"))
+    assert f"refused {library}: the trial ended with" in line
+    assert "variants llvm_ad_rgb, scalar_rgb" in line
+
+
+def test_library_that_aborts_leaves_the_scalar_variant(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    only(monkeypatch, aborting_library(tmp_path, monkeypatch))
+    found: dict[str, Any] = backend.describe()
+    assert found["variant"] is None
+    assert found["library"] is None
+    assert "the trial ended with signal 6" in found["refused"]
+    assert "pip install 'mcspectra[render]'" in found["reason"]
+
+
+def test_missing_library_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    only(monkeypatch, tmp_path / "libLLVM-nowhere.so")
+    found = backend.describe()
+    assert "libLLVM-nowhere.so: there is no such file" in found["reason"]
+    assert found["variants"] == ["scalar_rgb"]
+
+
+def test_without_mitsuba_doctor_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setattr(backend, "_version", lambda _: None)
+    assert main(["doctor"]) == 0
+    assert "not installed; install it with: pip install 'mcspectra[render]'" in (
+        capsys.readouterr().out
+    )
