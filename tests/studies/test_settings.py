@@ -104,8 +104,8 @@ def test_summary_has_window_basis_and_errors(finished):
     row = next(r for r in summarize(tree) if (r.estimator, r.sampler) == ("one", "jittered"))
     terms = tree["one/jittered/terms"]
     assert (row.fit_first_n, row.basis) == (16, "walsh")
-    assert row.power_se == float(terms["power_term_se"])
-    assert row.cross_se == float(terms["cross_term_se"])
+    assert [row.power_low, row.power_high] == terms["power_term_ci"].values.tolist()
+    assert [row.cross_low, row.cross_high] == terms["cross_term_ci"].values.tolist()
 
 
 def test_the_report_shows_basis_window_precision_and_errors(finished):
@@ -125,7 +125,8 @@ def test_the_report_shows_basis_window_precision_and_errors(finished):
     ):
         assert words in text, words
     terms = open_results(finished)["two/jittered-shift/terms"]
-    half = f"± {1.959963984540054 * float(terms['power_term_se']):.1e}"[:5]
+    low, high = terms["power_term_ci"].values
+    half = f"± {(high - low) / 2:.1e}"[:5]
     assert half in text
 
 

@@ -19,6 +19,8 @@ __all__ = ["main"]
 
 _VERBS = {
     "run": "run a study file: results, figures and report.html",
+    "init": "write a study file to begin with",
+    "schema": "print the JSON Schema of study files",
     "list": "list samplers, randomizations, densities or integrands",
     "points": "draw point sets and write them as text or files",
     "gallery": "measure samplers and show them side by side",

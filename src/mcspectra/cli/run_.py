@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ from mcspectra.cli.common import one_sentence_warnings, print_json, text_table, 
 from mcspectra.cli.progress import Bars, progress_bars
 
 if TYPE_CHECKING:
-    from mcspectra.studies import SummaryRow
+    from mcspectra.studies import CellEstimate, StudyConfig, SummaryRow, Trust
     from mcspectra.studies.run import Progress
 
 __all__ = ["add_arguments", "run"]
@@ -31,6 +31,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--resume", action="store_true", help="continue what is in the folder")
     parser.add_argument("--workers", metavar="N", help="threads (default: all processors)")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change the study, e.g. convergence.realizations=100; values as in TOML",
+    )
+    parser.add_argument(
+        "--dry-run", action="store_true", help="estimate time, memory and storage, and stop"
+    )
+    parser.add_argument("--force", action="store_true", help="run however much it is")
+    parser.add_argument(
+        "--allow-code",
+        action="append",
+        default=[],
+        metavar="MODULE:FUNCTION",
+        help="a Python function that the study may name",
+    )
+    parser.add_argument(
+        "--allow-path",
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="a folder, beside the study's own, that it may read files from",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -38,15 +63,18 @@ def run(options: argparse.Namespace) -> int:
     import msgspec
 
     from mcspectra.report import write_report
-    from mcspectra.studies import open_results, read_study, run_study, summarize
+    from mcspectra.studies import Trust, open_results, read_study, run_study, summarize
 
     study = Path(options.study)
     out = Path(options.out) if options.out else Path("out") / study.stem
     workers = None if options.workers is None else whole_number("--workers", options.workers)
-    config = read_study(study)
+    config = read_study(study, options.set)
     if options.seed is not None:
         config = msgspec.structs.replace(config, seed=whole_number("--seed", options.seed, least=0))
+    trust = Trust(tuple(options.allow_code), tuple(map(Path, options.allow_path)))
     silent = options.quiet or options.json
+    if options.dry_run:
+        return _dry_run(config, study.parent, trust, workers, options)
     try:
         with one_sentence_warnings(silent), progress_bars(silent) as bars:
             run_study(
@@ -55,6 +83,8 @@ def run(options: argparse.Namespace) -> int:
                 folder=study.parent,
                 resume=options.resume,
                 workers=workers,
+                trust=trust,
+                force=options.force,
                 report=_reporter(bars),
             )
     except KeyboardInterrupt:
@@ -72,6 +102,59 @@ def run(options: argparse.Namespace) -> int:
         print(summary_text(rows))
         print(f"\nreport: {page}")
     return 0
+
+
+def _dry_run(
+    config: StudyConfig,
+    folder: Path,
+    trust: Trust,
+    workers: int | None,
+    options: argparse.Namespace,
+) -> int:
+    """Print what the study would take."""
+    import msgspec
+
+    from mcspectra.core.parallel import available_workers
+    from mcspectra.studies import estimate_study, make_plan
+    from mcspectra.studies.estimate import wall_time
+
+    with one_sentence_warnings(quiet=True):
+        estimates = estimate_study(make_plan(config, folder, trust, force=options.force))
+    count = available_workers(workers)
+    wall = wall_time(estimates, count)
+    if options.json:
+        cells = [msgspec.to_builtins(each) for each in estimates]
+        print_json({"seconds": wall, "workers": count, "cells": cells})
+    elif not options.quiet:
+        print(estimate_text(estimates, wall, count))
+    return 0
+
+
+def estimate_text(estimates: Sequence[CellEstimate], wall: float, workers: int) -> str:
+    """A row for each analysis of each estimator, all samplers together, and the sums."""
+    from mcspectra.studies.sizes import shown_bytes
+
+    groups: dict[tuple[str, str], list[CellEstimate]] = {}
+    for each in estimates:
+        groups.setdefault((each.estimator, each.analysis), []).append(each)
+    rows = [
+        [
+            *names,
+            str(sum(each.tasks for each in group)),
+            f"{sum(each.seconds for each in group):.3g}",
+            shown_bytes(max(each.memory for each in group)),
+            shown_bytes(sum(each.storage for each in group)),
+        ]
+        for names, group in groups.items()
+    ]
+    table = text_table(["estimator", "analysis", "tasks", "seconds", "memory", "storage"], rows)
+    memory = shown_bytes(sum(sorted((each.memory for each in estimates), reverse=True)[:workers]))
+    tasks = sum(each.tasks for each in estimates)
+    storage = shown_bytes(sum(each.storage for each in estimates))
+    return (
+        f"{table}\n\nabout {wall:.3g} s with {workers} workers; {tasks} tasks, {memory} of memory "
+        f"at most, {storage} of storage"
+    )
 
 
 def _reporter(bars: Bars | None) -> Callable[[Progress], None] | None:

@@ -13,7 +13,18 @@ if TYPE_CHECKING:
 
 __all__ = ["ANALYSES", "EstimatorGroup", "Pair", "collect"]
 
-ANALYSES = ("convergence", "terms", "spectrum", "points")
+ANALYSES = (
+    "convergence",
+    "terms",
+    "spectrum",
+    "points",
+    "techniques",
+    "pcf",
+    "anova",
+    "exact",
+    "remedies",
+    "map",
+)
 
 
 @final
@@ -62,7 +73,8 @@ def collect(tree: xr.DataTree) -> list[EstimatorGroup]:
 def _study_order(study: Mapping[str, Any]) -> dict[str, list[str]]:
     """Samplers by estimator, as the study lists them."""
     shared = study.get("samplers") or []
-    return {e["name"]: e.get("samplers") or shared for e in study.get("estimators") or []}
+    entries = [*(study.get("estimators") or []), *(study.get("maps") or [])]
+    return {e["name"]: e.get("samplers") or shared for e in entries}
 
 
 def _group(

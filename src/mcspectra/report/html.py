@@ -15,6 +15,7 @@ from mcspectra.report.encode import encode
 from mcspectra.report.formatting import percent, slug
 from mcspectra.report.gallery import pictures
 from mcspectra.report.sentences import explain
+from mcspectra.report.study_tables import further_tables
 from mcspectra.report.style import LineStyle, sampler_styles
 from mcspectra.report.tables import Table, summary_table, terms_table
 from mcspectra.studies import SummaryRow, open_results
@@ -98,6 +99,7 @@ class _Section:
     sentences: tuple[tuple[str, str], ...]
     missing: tuple[str, ...]
     terms: Table | None
+    tables: tuple[tuple[str, Table], ...]
     images: tuple[_Image, ...]
 
 
@@ -114,6 +116,7 @@ def _section(
         sentences=tuple(s for pair in group.pairs for s in _sentences(pair)),
         missing=tuple(_missing(group)),
         terms=table if table.rows else None,
+        tables=tuple(further_tables(group)),
         images=tuple(_images(group, anchor, styles, folder)),
     )
 
@@ -251,21 +254,25 @@ def page_template(name: str) -> Template:
 def study_toml(study: Mapping[str, Any]) -> str:
     """Write a study (as stored: plain dicts and lists) as TOML, so that it can be run again."""
     lines = list(_pairs(study))
-    for name in ("convergence", "terms", "spectrum"):
-        if study.get(name):
-            lines += ["", f"[{name}]", *_pairs(study[name])]
-    for estimator in study.get("estimators") or []:
-        lines += ["", "[[estimators]]", *_pairs(estimator)]
-        for name in ("convergence", "terms", "spectrum"):
-            if estimator.get(name):
-                lines += [f"[estimators.{name}]", *_pairs(estimator[name])]
+    for name, table in _tables(study):
+        lines += ["", f"[{name}]", *_pairs(table)]
+    for kind in ("estimators", "maps"):
+        for entry in study.get(kind) or []:
+            lines += ["", f"[[{kind}]]", *_pairs(entry)]
+            for name, table in _tables(entry):
+                lines += [f"[{kind}.{name}]", *_pairs(table)]
     return "\n".join(lines) + "\n"
+
+
+def _tables(table: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Tables inside a table."""
+    return ((name, value) for name, value in table.items() if isinstance(value, dict))
 
 
 def _pairs(table: Mapping[str, Any]) -> Iterator[str]:
     """Lines ``key = value`` of all that is no table. JSON's strings and lists are TOML's."""
     for key, value in table.items():
-        if value is None or isinstance(value, dict) or key == "estimators":
+        if value is None or isinstance(value, dict) or key in ("estimators", "maps"):
             continue
         # TOML wants the delete character escaped, JSON leaves it alone.
         yield f"{key} = {json.dumps(value, ensure_ascii=False)}".replace("\x7f", "\\u007f")

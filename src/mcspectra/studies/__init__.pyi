@@ -1,19 +1,29 @@
 from .config import StudyConfig as StudyConfig
+from .config import decode_study as decode_study
 from .config import read_study as read_study
+from .estimate import CellEstimate as CellEstimate
+from .estimate import estimate_study as estimate_study
 from .plan import make_plan as make_plan
 from .run import run_study as run_study
+from .schema import study_schema as study_schema
 from .store import Store as Store
 from .store import open_results as open_results
 from .summary import SummaryRow as SummaryRow
 from .summary import summarize as summarize
+from .trust import Trust as Trust
 
 __all__ = [
+    "CellEstimate",
     "Store",
     "StudyConfig",
     "SummaryRow",
+    "Trust",
+    "decode_study",
+    "estimate_study",
     "make_plan",
     "open_results",
     "read_study",
     "run_study",
+    "study_schema",
     "summarize",
 ]

@@ -2,59 +2,58 @@
 
 from __future__ import annotations
 
-import itertools
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
 
-from mcspectra.core.checks import as_choice
 from mcspectra.core.errors import ConfigError, McspectraError
-from mcspectra.core.spec import Call, parse_chain
-from mcspectra.densities import DENSITIES
-from mcspectra.estimators import AbstractEstimator, Estimator, MultipleImportance, TechniqueSum
-from mcspectra.integrands import INTEGRANDS
+from mcspectra.estimators import AbstractEstimator
 from mcspectra.samplers import Sampler, sampler_from_calls
-from mcspectra.spectra.bases import BASES, fitting_basis, make_basis
-from mcspectra.spectra.transforms import FrequencyGrid
-from mcspectra.studies.config import (
-    ConvergenceConfig,
+from mcspectra.studies.analyses import Asked, asked_analyses, asked_map
+from mcspectra.studies.building import build_estimator
+from mcspectra.studies.sizes import MOST_EVALUATIONS
+from mcspectra.studies.tables import (
     EstimatorConfig,
-    SpectrumConfig,
+    MapConfig,
+    Settings,
     StudyConfig,
-    TermsConfig,
+    entries_of,
+    samplers_of,
 )
-from mcspectra.variance.bands import make_bands
-from mcspectra.variance.fit import check_window
-from mcspectra.variance.stopping import check_relative_error
-from mcspectra.variance.views import check_terms
+from mcspectra.studies.trust import Site, Trust
 
-__all__ = ["Analysis", "Cell", "Plan", "make_plan"]
+__all__ = ["Cell", "Plan", "make_plan"]
 
-Analysis = Literal["convergence", "terms", "spectrum", "points"]
-Settings = ConvergenceConfig | TermsConfig | SpectrumConfig
+_MOST_CELLS = 10**7
+_RESERVED = frozenset({"zarr.json", "c"})
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One analysis of one estimator with one sampler.
+    """One analysis of one estimator with one sampler, or a map of a scene.
 
     Attributes
     ----------
     path
         Group of the cell in the store: estimator/sampler/analysis.
+    estimator
+        None for a map.
     cost
         Work in arbitrary units, about proportional to time; for scheduling and progress.
+    memory
+        Bytes it takes at most, estimated.
     """
 
     path: str
-    analysis: Analysis
+    analysis: str
     estimator_name: str
     sampler_spec: str
-    estimator: AbstractEstimator
+    estimator: AbstractEstimator | None
     sampler: Sampler
     settings: Settings
     cost: float
+    memory: int = 0
 
 
 @dataclass(frozen=True)
@@ -65,8 +64,10 @@ class Plan:
     cells: tuple[Cell, ...]
 
 
-def make_plan(config: StudyConfig, folder: Path) -> Plan:
-    """Build every component and check every count before anything runs.
+def make_plan(
+    config: StudyConfig, folder: Path, trust: Trust | None = None, *, force: bool = False
+) -> Plan:
+    """Build every component and check every count and size before anything runs.
 
     Parameters
     ----------
@@ -74,93 +75,112 @@ def make_plan(config: StudyConfig, folder: Path) -> Plan:
         The study.
     folder
         Folder of the study file: relative paths in spec strings start there.
+    trust
+        What the study may reach beyond `folder`; nothing by default.
+    force
+        Allow more than `MOST_EVALUATIONS` evaluations.
 
     Raises
     ------
     ConfigError
-        A component cannot be built or a sampler cannot do a count; names the estimator.
+        A component cannot be built, a sampler cannot do a count, a file or a function is not one
+        that the study may reach, or the study is too large; names the estimator.
     """
+    site = Site(folder, trust or Trust())
+    _check_number(config)
     cells: list[Cell] = []
     slugs: dict[str, str] = {}
-    for entry in config.estimators:
+    for entry in entries_of(config):
         try:
-            estimator = _build_estimator(entry, folder)
-            parent = _slug(entry.name, slugs)
-            inner: dict[str, str] = {}
-            specs: dict[str, str] = {}
-            for text in entry.samplers if entry.samplers is not None else config.samplers:
-                sampler = sampler_from_calls(_resolved(text, folder), estimator.dims)
-                _check_new(sampler, text, specs)
-                path = f"{parent}/{_slug(text, inner)}"
-                cells += _cells(config, entry, estimator, sampler, text, path)
+            cells += _cells(config, entry, site, _slug(entry.name, slugs))
         except ConfigError:
             raise
         except McspectraError as error:
-            raise ConfigError(f"Estimator {entry.name!r}: {error}") from error
+            kind = "Map" if isinstance(entry, MapConfig) else "Estimator"
+            raise ConfigError(f"{kind} {entry.name!r}: {error}") from error
     if not cells:
         raise ConfigError(
             "The study asks for no analysis; give a table convergence, terms or spectrum."
         )
+    _check_work(cells, force)
     return Plan(config, tuple(cells))
 
 
-def _build_estimator(entry: EstimatorConfig, folder: Path) -> AbstractEstimator:
-    def integrand(text: str) -> Any:
-        return INTEGRANDS.build(_one(text, folder), entry.dims)
-
-    if entry.integrands is not None:
-        return TechniqueSum([integrand(t) for t in entry.integrands], counts=entry.technique_counts)
-    f = integrand(entry.integrand or "")
-    if entry.densities is not None:
-        densities = [DENSITIES.build(_one(t, folder), f.dims) for t in entry.densities]
-        return MultipleImportance(
-            f, densities, heuristic=entry.heuristic or "balance", counts=entry.technique_counts
-        )
-    if entry.density is None:
-        return Estimator(f)
-    return Estimator(f, DENSITIES.build(_one(entry.density, folder), f.dims))
-
-
 def _cells(
+    config: StudyConfig, entry: EstimatorConfig | MapConfig, site: Site, parent: str
+) -> Iterator[Cell]:
+    """Cells of an estimator, or of a map, with all its samplers."""
+    estimator = None
+    if isinstance(entry, MapConfig):
+        site.scene(entry.scene)  # whether it may be read
+        dims = entry.dims
+    else:
+        estimator = build_estimator(entry, site)
+        dims = estimator.dims
+    inner: dict[str, str] = {}
+    specs: dict[str, str] = {}
+    for text in samplers_of(config, entry):
+        sampler = sampler_from_calls(site.calls(text), dims)
+        _check_new(sampler, text, specs)
+        path = f"{parent}/{_slug(text, inner)}"
+        for asked in _asked(config, entry, estimator, sampler, site):
+            yield _cell(asked, path, entry.name, text, estimator, sampler)
+
+
+def _asked(
     config: StudyConfig,
-    entry: EstimatorConfig,
-    estimator: AbstractEstimator,
+    entry: EstimatorConfig | MapConfig,
+    estimator: AbstractEstimator | None,
     sampler: Sampler,
-    text: str,
+    site: Site,
+) -> Iterator[Asked]:
+    if isinstance(entry, MapConfig):
+        import msgspec
+
+        found = msgspec.structs.replace(entry, scene=site.scene(entry.scene))
+        return iter([asked_map(found, sampler)])
+    assert estimator is not None
+    return asked_analyses(config, entry, estimator, sampler)
+
+
+def _cell(
+    asked: Asked,
     path: str,
-) -> list[Cell]:
-    """Cells of one estimator with one sampler."""
-    cells: list[Cell] = []
+    name: str,
+    text: str,
+    estimator: AbstractEstimator | None,
+    sampler: Sampler,
+) -> Cell:
+    return Cell(
+        path=f"{path}/{asked.analysis}",
+        analysis=asked.analysis,
+        estimator_name=name,
+        sampler_spec=text,
+        estimator=estimator,
+        sampler=sampler,
+        settings=asked.settings,
+        cost=asked.cost,
+        memory=asked.memory,
+    )
 
-    def add(analysis: Analysis, settings: Settings, cost: float) -> None:
-        name = entry.name
-        cells.append(
-            Cell(f"{path}/{analysis}", analysis, name, text, estimator, sampler, settings, cost)
+
+def _check_number(config: StudyConfig) -> None:
+    """Refuse more cells than a store can hold, before any is built."""
+    pairs = sum(len(samplers_of(config, entry)) for entry in entries_of(config))
+    if pairs > _MOST_CELLS:
+        raise ConfigError(
+            f"The study has {pairs:,} pairs of estimator and sampler; {_MOST_CELLS:,} at most are "
+            "planned, so take several studies."
         )
 
-    techniques = sum(estimator.counts)
-    convergence = entry.convergence or config.convergence
-    if convergence is not None:
-        for n in convergence.counts:
-            estimator.check_sampler(sampler, n)
-        _check_convergence(entry.name, convergence)
-        add(
-            "convergence",
-            convergence,
-            sum(convergence.counts) * convergence.realizations * techniques,
+
+def _check_work(cells: list[Cell], force: bool) -> None:
+    total = sum(cell.cost for cell in cells)
+    if total > MOST_EVALUATIONS and not force:
+        raise ConfigError(
+            f"The study would take about {total:.2g} evaluations, months of a hundred processors; ask "
+            "for fewer points or realisations, or give --force."
         )
-    terms = entry.terms or config.terms
-    if terms is not None:
-        estimator.check_sampler(sampler, terms.n)
-        frequencies = _check_terms(estimator, sampler, terms)
-        add("terms", terms, terms.realizations * (techniques * terms.n + frequencies))
-    spectrum = entry.spectrum or config.spectrum
-    if spectrum is not None:
-        estimator.check_sampler(sampler, spectrum.n)
-        frequencies = FrequencyGrid(estimator.dims, spectrum.half_width).size
-        add("spectrum", spectrum, spectrum.realizations * (spectrum.n + 0.5 * frequencies))
-        add("points", spectrum, spectrum.n)
-    return cells
 
 
 def _check_new(sampler: Sampler, text: str, specs: dict[str, str]) -> None:
@@ -170,57 +190,14 @@ def _check_new(sampler: Sampler, text: str, specs: dict[str, str]) -> None:
     specs[sampler.spec] = text
 
 
-def _check_terms(estimator: AbstractEstimator, sampler: Sampler, settings: TermsConfig) -> int:
-    """Refuse what `variance_terms` would; return the number of coefficients."""
-    basis = as_choice("basis", settings.basis, (*BASES, "auto"))
-    if basis == "auto":
-        basis = fitting_basis(sampler, settings.half_width)
-    matrix = settings.cross_matrix
-    size = check_terms(
-        estimator, settings.half_width, settings.space, cross_matrix=matrix, basis=basis
-    )
-    make_bands(settings.bands, make_basis(basis, estimator.dims, 1))  # whether there are such
-    return size
-
-
-def _check_convergence(name: str, settings: ConvergenceConfig) -> None:
-    counts = settings.counts
-    if any(b <= a for a, b in itertools.pairwise(counts)):
-        raise ConfigError(f"Estimator {name!r}: counts {list(counts)} must be ascending.")
-    check_window(settings.fit_last, len(counts))
-    if settings.relative_error is not None:
-        check_relative_error(settings.relative_error)
-
-
-def _one(text: str, folder: Path) -> Call:
-    calls = _resolved(text, folder)
-    if len(calls) != 1:
-        raise ConfigError(f"{text!r} chains parts with '|'; only samplers can be chained.")
-    return calls[0]
-
-
-def _resolved(text: str, folder: Path) -> list[Call]:
-    """Parse a spec; its path= arguments are taken relative to the study file's folder."""
-    return [
-        Call(
-            call.name,
-            {k: _anchor(v, folder) if k == "path" else v for k, v in call.arguments.items()},
-        )
-        for call in parse_chain(text)
-    ]
-
-
-def _anchor(path: Any, folder: Path) -> Any:
-    if isinstance(path, str):
-        return str(folder / path)
-    if isinstance(path, list | tuple):
-        return [_anchor(p, folder) for p in path]
-    return path
-
-
 def _slug(text: str, taken: dict[str, str]) -> str:
-    """A short group name of letters, digits and hyphens, different for different texts."""
-    base = re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.")[:60] or "x"
+    """A short group name of letters, digits and hyphens, different for different texts.
+
+    It has no separator and no leading dot, so that no name leads out of the store, and is none of
+    the names of the store's own files.
+    """
+    base = re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.")[:60].strip("-.") or "x"
+    base = f"{base}-1" if base in _RESERVED else base
     slug, number = base, 2
     while taken.get(slug, text) != text:
         slug, number = f"{base}-{number}", number + 1

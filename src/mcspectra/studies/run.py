@@ -14,6 +14,7 @@ from mcspectra.studies.cells import compute_cell
 from mcspectra.studies.config import StudyConfig
 from mcspectra.studies.plan import Cell, Plan, make_plan
 from mcspectra.studies.store import Store
+from mcspectra.studies.trust import Trust
 
 __all__ = ["CellFailed", "Progress", "run_study"]
 
@@ -44,6 +45,8 @@ def run_study(
     folder: str | Path = ".",
     resume: bool = False,
     workers: int | None = None,
+    trust: Trust | None = None,
+    force: bool = False,
     report: Callable[[Progress], Any] | None = None,
 ) -> Store:
     """Run all cells of a study that are not in its store yet.
@@ -60,6 +63,10 @@ def run_study(
         Continue an existing store.
     workers
         Threads; all processors by default. Results do not depend on it, bit for bit.
+    trust
+        What the study may reach beyond `folder`; nothing by default.
+    force
+        Run however many evaluations it takes.
     report
         Called in this thread after every cell.
 
@@ -77,7 +84,7 @@ def run_study(
     KeyboardInterrupt
         Passed on; the store keeps every finished cell and can be resumed.
     """
-    plan = make_plan(config, Path(folder))
+    plan = make_plan(config, Path(folder), trust, force=force)
     store = Store.create(Path(out), config, resume=resume)
     missing = [cell for cell in plan.cells if not store.done(cell.path)]
     total = sum(cell.cost for cell in plan.cells)

@@ -61,7 +61,7 @@ def _places(study: dict[str, Any]) -> dict[tuple[str, str], int]:
     """Place of every (estimator, sampler) in the study file; the store keeps no order."""
     names = [
         (e["name"], sampler)
-        for e in study.get("estimators", [])
+        for e in [*study.get("estimators", []), *study.get("maps", [])]
         for sampler in (e.get("samplers") or study.get("samplers") or [])
     ]
     return {name: place for place, name in enumerate(names)}

@@ -1,0 +1,28 @@
+"""Write a study file to begin with: commented, and it runs as it is."""
+
+from __future__ import annotations
+
+import argparse
+
+from mcspectra.cli.common import print_json
+
+__all__ = ["add_arguments", "run"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the verb's options."""
+    parser.add_argument(
+        "file", nargs="?", default="study.toml", metavar="FILE", help="default study.toml"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write it, unless something is there."""
+    from mcspectra.studies.template import write_template
+
+    file = write_template(options.file)
+    if options.json:
+        print_json({"file": str(file)})
+    elif not options.quiet:
+        print(f"{file}: run it with 'mcspectra run {file}'.")
+    return 0

@@ -1,0 +1,26 @@
+"""Print the JSON Schema of study files, for editors and checkers."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+__all__ = ["add_arguments", "run"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the verb's options."""
+    parser.add_argument(
+        "--markdown", action="store_true", help="print all keys as tables of docs/studies.md"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print."""
+    from mcspectra.studies.schema import key_tables, study_schema
+
+    if options.markdown:
+        print(key_tables())
+    else:
+        print(json.dumps(study_schema(), indent=2, ensure_ascii=False))
+    return 0

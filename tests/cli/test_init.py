@@ -1,0 +1,122 @@
+"""The verbs init and schema, and what run does with --set, --dry-run and its allowances."""
+
+import json
+
+import pytest
+
+from mcspectra.cli.main import main
+from mcspectra.studies import study_schema
+from mcspectra.studies.template import TEMPLATE
+
+
+def run(capsys, *arguments):
+    code = main([str(a) for a in arguments])
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+@pytest.fixture
+def file(capsys, tmp_path):
+    path = tmp_path / "mine.toml"
+    assert run(capsys, "init", path)[0] == 0
+    return path
+
+
+def test_init_writes_a_study_that_runs(capsys, file, tmp_path):
+    assert file.read_text(encoding="utf-8") == TEMPLATE
+    few = ("--set", "convergence.realizations=20", "--set", "terms.realizations=20")
+    code, out, err = run(capsys, "run", file, "--out", tmp_path / "o", "--json", *few)
+    assert (code, err) == (0, "")
+    assert len(json.loads(out)["rows"]) == 9
+
+
+def test_all_that_the_template_offers_in_comments_is_valid(capsys, file):
+    """Every commented line of TOML that follows a table can be taken in."""
+    offered = [
+        line.removeprefix("# ") if line.startswith("# [") or " = " in line[:24] else line
+        for line in TEMPLATE.splitlines()
+    ]
+    text = "\n".join(offered).replace("one_sample = true", "# one_sample = true")
+    file.write_text(text, encoding="utf-8")
+    code, out, err = run(
+        capsys, "run", file, "--dry-run", "--json", "--set", "terms.bands='radial'"
+    )
+    assert (code, err) == (0, "")
+    analyses = {cell["analysis"] for cell in json.loads(out)["cells"]}
+    assert analyses == {
+        "convergence", "terms", "spectrum", "points", "pcf", "anova", "exact", "remedies", "map"
+    }  # fmt: skip
+
+
+def test_init_refuses_to_overwrite(capsys, file):
+    file.write_text("mine")
+    code, out, err = run(capsys, "init", file)
+    assert (code, out) == (2, "")
+    assert "is there already; give another name" in err
+    assert file.read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("no/folder/x.toml", "cannot be written"), ("x.txt", "must end in .toml")]
+)
+def test_init_where_no_file_can_be(capsys, tmp_path, name, words):
+    code, _, err = run(capsys, "init", tmp_path / name)
+    assert code == 2
+    assert words in err
+
+
+def test_init_says_what_it_wrote(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert json.loads(run(capsys, "init", "--json")[1]) == {"file": "study.toml"}
+    assert run(capsys, "init", "b.toml", "--quiet")[1] == ""
+
+
+def test_schema_prints_the_schema(capsys):
+    assert json.loads(run(capsys, "schema")[1]) == study_schema()
+    assert "| `counts` |" in run(capsys, "schema", "--markdown")[1]
+
+
+def test_dry_run_writes_nothing(capsys, file, tmp_path):
+    code, out, _ = run(capsys, "run", file, "--dry-run", "--out", tmp_path / "o", "--workers", 2)
+    assert code == 0
+    assert not (tmp_path / "o").exists()
+    assert "with 2 workers; 18 tasks" in out
+    rows = [line for line in out.splitlines() if " convergence " in line]
+    assert [row.split()[0] for row in rows] == ["plain", "importance-sampled", "multiple"]
+    found = json.loads(run(capsys, "run", file, "--dry-run", "--json")[1])
+    assert len(found["cells"]) == 18
+    assert all(cell["seconds"] >= 0 and cell["memory"] > 0 for cell in found["cells"])
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--set", "convergance.realizations=3"), "Did you mean 'convergence'"),
+        (("--set", "seed"), "has no '='"),
+        (("--set", "convergence.counts=[1000000000000]"), "64 TB of memory"),
+        (("--set", "convergence.realizations=1000000000", "--set", "convergence.counts=[1000000]"),
+         "--force"),
+        (("--set", "estimators[0].integrand=\"python(function='os:getcwd')\""),
+         "--allow-code os:getcwd"),
+        (("--set", "samplers=[\"points(path='/etc/passwd')\"]"), "outside the study's folder"),
+        (("--allow-code", "os"), "module:function"),
+    ],
+)  # fmt: skip
+def test_run_refuses_before_it_writes(capsys, file, tmp_path, options, words):
+    code, out, err = run(capsys, "run", file, "--out", tmp_path / "o", *options)
+    assert (code, out) == (2, "")
+    assert words in err
+    assert not (tmp_path / "o").exists()
+
+
+def test_allowed_functions_run(capsys, tmp_path, monkeypatch):
+    (tmp_path / "allowed_functions.py").write_text("def first(x):\n    return x[..., 0]\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    file = tmp_path / "s.toml"
+    file.write_text(
+        "title = 't'\nsamplers = ['random']\nconvergence = { counts = [4], realizations = 10 }\n"
+        "[[estimators]]\nname = 'a'\n"
+        "integrand = \"python(function='allowed_functions:first')\"\n"
+    )
+    allowed = ("--allow-code", "allowed_functions:first")
+    assert run(capsys, "run", file, "--out", tmp_path / "o", "--quiet", *allowed)[0] == 0

@@ -1,0 +1,144 @@
+"""Further analyses in a study are what the functions return, stored without text."""
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.report import write_report
+from mcspectra.studies import make_plan, open_results, run_study, summarize
+from mcspectra.studies.cells import compute_cell, labels_of
+from mcspectra.studies.config import decode_study
+
+STUDY = """
+title = "further"
+seed = 5
+samplers = ["jittered | shift"]
+[exact]
+counts = [4, 16]
+[[estimators]]
+name = "edge"
+integrand = "linear"
+dims = 1
+anova = { realizations = 40 }
+pcf = { n = 8, bins = 10, realizations = 4, boundary = "border" }
+remedies = { budget = 64, realizations = 100, kinds = ["unshifted"] }
+spectrum = { n = 8, half_width = 3, realizations = 6, frequency_step = 0.5 }
+[[estimators]]
+name = "sum"
+integrands = ["linear", "step(at=0.3)"]
+dims = 1
+techniques = { counts = [4, 16], half_width = 4, realizations = 30, fit_last = 2 }
+[[estimators]]
+name = "none"
+integrand = "disk"
+exact = { counts = [4] }
+samplers = ["poisson-disk"]
+"""
+SAMPLER = "jittered | shift"
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("study")
+    run_study(decode_study(STUDY), folder, workers=2)
+    return folder
+
+
+def _expected():
+    edge = mcs.Estimator("linear", dims=1)
+    both = mcs.TechniqueSum(["linear", "step(at=0.3)"], dims=1)
+    return {
+        "edge/jittered-shift/anova": mcs.anova_variances(edge, SAMPLER, realizations=40, rng=5),
+        "edge/jittered-shift/pcf": mcs.pair_correlation(
+            mcs.sampler(SAMPLER, 1), 8, bins=10, realizations=4, boundary="border", rng=5
+        ),
+        "edge/jittered-shift/remedies": mcs.remedies(
+            edge, SAMPLER, 64, realizations=100, kinds=["unshifted"], rng=5
+        ),
+        "edge/jittered-shift/spectrum": mcs.power_spectrum(
+            mcs.sampler(SAMPLER, 1), 8, half_width=3, realizations=6, frequency_step=0.5, rng=5
+        ),
+        "sum/jittered-shift/techniques": mcs.technique_terms(
+            both, SAMPLER, [4, 16], half_width=4, realizations=30, fit_last=2, rng=5
+        ),
+    }
+
+
+def test_cells_are_what_the_functions_return(finished):
+    tree = open_results(finished)
+    for path, expected in _expected().items():
+        stored = tree[path].to_dataset()
+        assert set(stored.data_vars) == set(expected.data_vars), path
+        for name in expected.data_vars:
+            assert np.array_equal(stored[name], expected[name], equal_nan=True), (path, name)
+        for name, coord in expected.coords.items():
+            if coord.dtype.kind == "U" and name != "bound":
+                assert labels_of(stored, name) == coord.values.tolist()
+                assert name not in stored.coords
+
+
+def test_exact_variances(finished):
+    found = open_results(finished)["edge/jittered-shift/exact"]
+    estimator = mcs.Estimator("linear", dims=1)
+    wanted = [mcs.exact_variance(estimator, SAMPLER, n) for n in (4, 16)]
+    assert found["exact_variance"].values.tolist() == wanted
+    assert "note" not in found.attrs
+
+
+def test_no_closed_form_is_a_note_and_no_failure(finished):
+    found = open_results(finished)["none/poisson-disk/exact"]
+    assert np.isnan(found["exact_variance"].values).all()
+    with pytest.raises(mcs.NoClosedForm) as caught:
+        mcs.exact_variance(mcs.Estimator("disk"), "poisson-disk", 4)
+    assert found.attrs["note"] == str(caught.value)
+
+
+def test_the_report_has_their_tables(finished):
+    text = write_report(finished).read_text(encoding="utf-8")
+    tree = open_results(finished)
+    remedies = tree["edge/jittered-shift/remedies"]
+    for heading in ("Remedies", "Techniques", "Axes", "Exact variance"):
+        assert f"<h3>{heading}</h3>" in text
+    assert remedies.attrs["labels_remedy"][0] in text
+    assert tree["sum/jittered-shift/techniques"].attrs["bottleneck"] in text
+    assert tree["none/poisson-disk/exact"].attrs["note"][:30] in text
+    assert "<h3>Figures</h3>" in text
+    assert summarize(tree) == []
+
+
+def test_the_study_in_the_report_is_the_study(finished):
+    from mcspectra.report.html import study_toml
+
+    config = decode_study(STUDY)
+    assert decode_study(study_toml(open_results(finished).attrs["study"])) == config
+
+
+@pytest.mark.render
+def test_maps_are_what_variance_map_returns(tmp_path):
+    from mcspectra.rendering import variance_map
+
+    text = """
+title = "map"
+seed = 3
+[[maps]]
+name = "m"
+scene = "penumbra"
+samplers = ["jittered"]
+strategies = ["mis"]
+size = [4, 4]
+crop = [1, 2, 2, 2]
+counts = [4, 16]
+realizations = 6
+predict_every = 0
+"""
+    (cell,) = make_plan(decode_study(text), tmp_path).cells
+    stored = compute_cell(cell, 3)
+    direct = variance_map(
+        "penumbra", ["mis"], "jittered", [4, 16], 6, size=(4, 4), crop=(1, 2, 2, 2), rng=3,
+        predict_every=0,
+    )  # fmt: skip
+    for name in direct.data_vars:
+        assert np.array_equal(stored[name], direct[name], equal_nan=True), name
+    assert labels_of(stored, "strategy") == direct["strategy"].values.tolist()
+    run_study(decode_study(text), tmp_path, workers=1)
+    assert "<h3>Map</h3>" in write_report(tmp_path).read_text(encoding="utf-8")

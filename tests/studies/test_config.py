@@ -1,0 +1,163 @@
+"""Keys of a study: what they build, and which contradict each other."""
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import ConfigError
+from mcspectra.studies import make_plan
+from mcspectra.studies.config import decode_study
+
+HEAD = """
+title = "t"
+samplers = ["jittered"]
+[convergence]
+counts = [4, 16]
+realizations = 20
+[[estimators]]
+name = "a"
+"""
+STEP = 'integrand = "step(at=0.3)"\ndims = 1\n'
+TWO = 'integrand = "linear"\ndims = 1\ndensities = ["uniform", "linear(slope=1)"]\n'
+SUM = 'integrands = ["linear", "step(at=0.3)"]\ndims = 1\n'
+TWO_DENSITIES = ["uniform", "linear(slope=1)"]
+
+
+def _estimator(keys, tmp_path):
+    return make_plan(decode_study(HEAD + keys), tmp_path).cells[0].estimator
+
+
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        (STEP, lambda: mcs.Estimator("step(at=0.3)", dims=1)),
+        (STEP + 'density = "linear(slope=1)"',
+         lambda: mcs.Estimator("step(at=0.3)", "linear(slope=1)", dims=1)),
+        (STEP + "smoothed = 0.1", lambda: mcs.Estimator(mcs.smoothed("step(at=0.3)", 0.1, dims=1))),
+        (STEP + 'mirror = "integrand"', lambda: mcs.Mirrored("step(at=0.3)", "integrand", dims=1)),
+        (STEP + 'mirror = "random"', lambda: mcs.Mirrored("step(at=0.3)", "random", dims=1)),
+        (STEP + 'mirror = "uniform"', lambda: mcs.Mirrored("step(at=0.3)", "uniform", dims=1)),
+        (TWO, lambda: mcs.MultipleImportance("linear", TWO_DENSITIES, dims=1)),
+        (TWO + 'heuristic = "power(beta=3)"\ntechnique_counts = [1, 2]',
+         lambda: mcs.MultipleImportance(
+             "linear", TWO_DENSITIES, dims=1, heuristic="power(beta=3)", counts=[1, 2])),
+        (TWO + 'sets = "shared"',
+         lambda: mcs.MultipleImportance("linear", TWO_DENSITIES, dims=1, sets="shared")),
+        (TWO + "one_sample = true", lambda: mcs.OneSampleMIS("linear", TWO_DENSITIES, dims=1)),
+        (TWO + 'one_sample = true\nprobabilities = [0.25, 0.75]\nselection = "coordinate"',
+         lambda: mcs.OneSampleMIS(
+             "linear", TWO_DENSITIES, [0.25, 0.75], dims=1, selection="coordinate")),
+        (SUM + 'sets = "joint"\ntechnique_counts = [1, 2]',
+         lambda: mcs.TechniqueSum(["linear", "step(at=0.3)"], dims=1, sets="joint", counts=[1, 2])),
+    ],
+)  # fmt: skip
+def test_keys_make_the_estimators_of_the_library(tmp_path, keys, expected):
+    built, wanted = _estimator(keys, tmp_path), expected()
+    assert type(built) is type(wanted)
+    assert (built.spec, built.counts, built.dims) == (wanted.spec, wanted.counts, wanted.dims)
+    u = np.random.default_rng(1).random((7, built.dims))
+    for t in range(len(built.counts)):
+        assert np.array_equal(built.primary_values(t, u), wanted.primary_values(t, u))
+
+
+@pytest.fixture
+def colour(tmp_path):
+    from PIL import Image
+
+    pixels = np.random.default_rng(2).integers(20, 250, (8, 8, 3)).astype(np.uint8)
+    Image.fromarray(pixels).save(tmp_path / "c.png")
+    return tmp_path
+
+
+@pytest.mark.parametrize("way", ["own", "shared", "combined"])
+def test_channels_are_those_of_channel_estimators(colour, way):
+    specs = [f"image(path='{{folder}}c.png', channel={c})" for c in range(3)]
+    listed = ", ".join(f'"{s.format(folder="")}"' for s in specs)
+    keys = f'integrand = "image(path=\'c.png\')"\ndensities = [{listed}]\nchannels = "{way}"\n'
+    built = _estimator(keys, colour)
+    made = mcs.channel_estimators(
+        f"image(path='{colour}/c.png')", [s.format(folder=f"{colour}/") for s in specs]
+    )
+    wanted = made["mis" if way == "combined" else way]
+    assert type(built) is type(wanted)
+    assert built.spec == wanted.spec
+    u = np.random.default_rng(1).random((5, 2))
+    for t in range(3):
+        assert np.array_equal(built.primary_values(t, u), wanted.primary_values(t, u))
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ("", "either integrand or integrands"),
+        (STEP + 'integrands = ["linear"]', "either integrand or integrands"),
+        (TWO + 'density = "uniform"', "density and densities"),
+        (STEP + 'heuristic = "power"', "which weights densities"),
+        (STEP + "technique_counts = [1]", "but one technique"),
+        (TWO + "one_sample = true\ntechnique_counts = [1, 2]", "but one technique"),
+        ('integrands = ["linear"]\ndims = 1\ndensity = "uniform"', "carry their densities inside"),
+        ('integrands = ["linear"]\ndims = 1\nsmoothed = 0.1', "cannot be smoothed"),
+        (STEP + 'sets = "shared"', "belong to several techniques"),
+        (STEP + "one_sample = true", "no densities to choose from"),
+        (TWO + "probabilities = [0.5, 0.5]", "belong to one_sample"),
+        (TWO + 'channels = "one"', "which needs density"),
+        (STEP + 'channels = "own"', "which needs densities"),
+        (TWO + 'channels = "own"', "no channels: it is scalar"),
+        (TWO + 'channels = "own"\nheuristic = "power"', "takes no heuristic"),
+        (TWO + 'channels = "combined"\none_sample = true', "channels and one_sample"),
+        (TWO + "one_sample = true\nprobabilities = [0.5]", "probabilities"),
+        (TWO + 'sets = "sharde"', "sets"),
+        (STEP + 'mirror = "both"', "mirror"),
+        (STEP + "smoothed = 0", "> 0"),
+        (STEP + "smoothed = nan", "smoothed|width"),
+        (STEP + "anova = { order = 3 }", "order: expected int <= 2"),
+        (STEP + 'remedies = { budget = 64, kinds = ["mirorred"] }', "Did you mean 'mirrored'"),
+        (STEP + "remedies = { budget = 64, kinds = [] }", "kinds"),
+        (STEP + "remedies = { budget = 64, realizations = 99 }", ">= 100"),
+        (TWO + "remedies = { budget = 1 }", "budget 1 is below the 2 evaluations"),
+        (STEP + "exact = { counts = [16, 4] }", "must be ascending"),
+        (STEP + "techniques = { counts = [] }", "counts"),
+        (STEP + "techniques = { counts = [4, 4] }", "must be ascending"),
+        (STEP + 'techniques = { counts = [4], basis = "sine" }', "basis is 'sine'"),
+        (STEP + "pcf = { n = 1 }", "n: expected int >= 2"),
+        (STEP + "pcf = { n = 4, max_distance = 0.6 }", "<= 0.5"),
+        (STEP + "spectrum = { n = 4, frequency_step = 0 }", "frequency_step"),
+        (STEP + "spectrum = { m = 4 }", "there is no key 'm'; allowed here: n"),
+        ('integrand = "linear"\ndims = 65\nanova = {}\nsamplers = ["random"]', "up to 64 dims"),
+    ],
+)  # fmt: skip
+def test_keys_that_contradict_or_are_wrong(tmp_path, keys, words):
+    with pytest.raises(ConfigError, match=words):
+        _estimator(keys, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("title = 't'", "nothing to study"),
+        ("title = 't'\n[[maps]]\nname = 'm'\nscene = 'veach'", "has no samplers"),
+        (HEAD + STEP + "[[maps]]\nname = 'a'\nscene = 'veach'", "names must differ"),
+        ("title = 't'\nsamplers = []\n[[maps]]\nname = 'm'\nscene = 'x'\nspam = 1", "'spam'"),
+        ("title = 't'\nseed = " + "9" * 5000, "number that is too long"),
+        ("a = " + "[" * 100_000, "nested too deeply"),
+    ],
+)
+def test_studies_that_are_none(text, words):
+    with pytest.raises(ConfigError, match=words):
+        decode_study(text)
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ("counts = [4, 4]", "must be ascending"),
+        ("counts = [7, 9]", "jittered"),
+        ("scene = '../room.xml'", "outside the study's folder"),
+        ("counts = [1000000000000]", "memory"),
+    ],
+)
+def test_maps_that_cannot_be_made(tmp_path, keys, words):
+    scene = "" if "scene" in keys else "scene = 'veach'\n"
+    text = f"title = 't'\nsamplers = ['jittered']\n[[maps]]\nname = 'm'\n{scene}{keys}"
+    with pytest.raises(ConfigError, match=words):
+        make_plan(decode_study(text), tmp_path)

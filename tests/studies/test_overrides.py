@@ -1,0 +1,84 @@
+"""``--set``: values as in TOML, at places that are there."""
+
+import pytest
+
+from mcspectra.core.errors import ConfigError
+from mcspectra.studies.config import decode_study
+from mcspectra.studies.overrides import apply_overrides
+
+STUDY = """
+title = "t"
+samplers = ["random"]
+[convergence]
+counts = [4, 16]
+[[estimators]]
+name = "a"
+integrand = "linear"
+dims = 1
+"""
+
+
+def test_values_keep_their_types():
+    config = decode_study(
+        STUDY,
+        overrides=[
+            "convergence.realizations=100",
+            "convergence.relative_error = 0.5",
+            'estimators[0].density="linear"',
+            'samplers=["random", "jittered"]',
+            "estimators[0].spectrum={n = 4}",
+            "terms.n=8",
+            "convergence.counts[1]=64",
+        ],
+    )
+    assert config.convergence.realizations == 100
+    assert config.convergence.relative_error == 0.5
+    assert config.convergence.counts == (4, 64)
+    assert config.estimators[0].density == "linear"
+    assert config.samplers == ("random", "jittered")
+    assert config.estimators[0].spectrum.n == 4
+    assert config.terms.n == 8
+
+
+def test_later_changes_win_and_grids_see_them():
+    config = decode_study(
+        STUDY, overrides=["seed=1", "seed=2", 'estimators[0].integrand="linear(gradient={g})"',
+                          "grid={g = [1, 2]}"],
+    )  # fmt: skip
+    assert config.seed == 2
+    assert [e.name for e in config.estimators] == ["a (g=1)", "a (g=2)"]
+
+
+def test_the_given_table_is_left_alone():
+    table = {"a": {"b": [1, 2]}}
+    assert apply_overrides(table, ["a.b[0]=5"]) == {"a": {"b": [5, 2]}}
+    assert table == {"a": {"b": [1, 2]}}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("convergence.realizations", "has no '='"),
+        ("convergance.realizations=100", "Did you mean 'convergence'"),
+        ("convergence.realisations=100", "Did you mean 'realizations'"),
+        ("estimators[1].density='linear'", r"1 entries at \[1\]"),
+        ("title[0]='x'", "no list at"),
+        ("title.x='x'", "no table that could hold 'x'"),
+        ("estimators.name='x'", "no table that could hold 'name'"),
+        ("=1", "not a place"),
+        ("a..b=1", "not a place"),
+        ("__class__.x=1", "not a place"),
+        ("estimators[-1].name='x'", "not a place"),
+        ("title=plain", "strings need quotes"),
+        ("title=", "not a value"),
+        ("seed=1\ntitle='two'", "not a value"),
+        ("seed=1\n[terms]\nn=3", "not a value"),
+        ("seed=" + "[" * 5000, "not a value"),
+        ("seed='x'", "expected int"),
+        ("seed=nan", "expected int"),
+        ("convergence.realizations=" + "9" * 5000, "not a value"),
+    ],
+)
+def test_changes_that_are_none(text, words):
+    with pytest.raises(ConfigError, match=words):
+        decode_study(STUDY, overrides=[text])

@@ -1,0 +1,166 @@
+"""A study from a stranger: no code, no files elsewhere, no names that lead out of the store."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from mcspectra.core.errors import ConfigError
+from mcspectra.studies import Trust, make_plan, run_study
+from mcspectra.studies.config import decode_study
+from mcspectra.studies.trust import Site
+
+STUDY = """
+title = "t"
+samplers = ["random"]
+[convergence]
+counts = [4]
+realizations = 10
+[[estimators]]
+name = "a"
+integrand = "linear"
+dims = 1
+"""
+CODE = "\"python(function='strangers:f')\""
+
+
+@pytest.fixture
+def module(tmp_path, monkeypatch):
+    """A module that leaves a mark when it is imported."""
+    folder = tmp_path / "modules"
+    folder.mkdir()
+    (folder / "strangers.py").write_text(
+        f"open({str(tmp_path / 'mark')!r}, 'w').close()\n"
+        "def f(x):\n    return 2 * x[..., 0]\nvalue = 3\n"
+    )
+    monkeypatch.syspath_prepend(str(folder))
+    yield tmp_path / "mark"
+    sys.modules.pop("strangers", None)
+
+
+def _with(old, new):
+    assert old in STUDY
+    return decode_study(STUDY.replace(old, new))
+
+
+def test_code_is_imported_only_if_allowed(module, tmp_path):
+    config = _with('"linear"', CODE)
+    with pytest.raises(ConfigError, match="--allow-code strangers:f"):
+        make_plan(config, tmp_path)
+    with pytest.raises(ConfigError, match="--allow-code strangers:f"):
+        make_plan(config, tmp_path, Trust(code=("strangers:other",)))
+    assert not module.exists()
+    estimator = make_plan(config, tmp_path, Trust(code=("strangers:f",))).cells[0].estimator
+    assert module.exists()
+    assert estimator.primary_values(0, np.array([[0.25]])) == 0.5
+    assert estimator.dims == 1
+
+
+def test_a_module_beside_the_study_is_not_found(tmp_path):
+    (tmp_path / "beside.py").write_text("def f(x): return x[..., 0]\n")
+    config = _with('"linear"', "\"python(function='beside:f')\"")
+    with pytest.raises(ConfigError, match="cannot be imported"):
+        make_plan(config, tmp_path, Trust(code=("beside:f",)))
+
+
+@pytest.mark.parametrize(
+    ("spec", "words"),
+    [
+        ("python(function='strangers:value')", "not a function"),
+        ("python(function='strangers:none')", "cannot be imported"),
+        ("python(function='strangers')", "module:function"),
+        ("python(function='os;x:f')", "module:function"),
+        ("python(function=3)", "module:function"),
+        ("python(code='1')", "function='module:function'"),
+        ("python", "function='module:function'"),
+    ],
+)
+def test_functions_that_are_none(module, tmp_path, spec, words):
+    trust = Trust(code=("strangers:value", "strangers:none"))
+    with pytest.raises(ConfigError, match=words):
+        make_plan(_with('"linear"', f'"{spec}"'), tmp_path, trust)
+
+
+def test_densities_and_samplers_are_no_functions(module, tmp_path):
+    trust = Trust(code=("strangers:f",))
+    with pytest.raises(ConfigError, match="only integrands"):
+        make_plan(_with("dims = 1", f"dims = 1\ndensity = {CODE}"), tmp_path, trust)
+    with pytest.raises(ConfigError, match="no sampler called 'python'"):
+        make_plan(_with('["random"]', f"[{CODE}]"), tmp_path, trust)
+    assert not module.exists()
+
+
+@pytest.mark.parametrize("name", ["strangers", "a b:c", "a:b()", "", ":", "a:b:c"])
+def test_allowances_are_checked(name):
+    with pytest.raises(ConfigError, match="module:function"):
+        Trust(code=(name,))
+
+
+@pytest.fixture
+def places(tmp_path):
+    """A study's folder with a set inside, one outside, and links to the latter."""
+    folder, outside = tmp_path / "study", tmp_path / "outside"
+    (folder / "sub").mkdir(parents=True)
+    outside.mkdir()
+    for file in (folder / "sub/in.dat", outside / "out.dat"):
+        np.savetxt(file, np.linspace(0, 0.9, 4)[:, None])
+    (folder / "link.dat").symlink_to(outside / "out.dat")
+    (folder / "loop.dat").symlink_to(folder / "loop.dat")
+    return folder, outside
+
+
+def _points(path):
+    return _with('["random"]', f"[\"points(path='{path}') | shift\"]")
+
+
+def test_files_are_read_below_the_studys_folder(places):
+    folder, outside = places
+    for path in ("sub/in.dat", "./sub/../sub/in.dat", folder / "sub/in.dat"):
+        assert make_plan(_points(path), folder).cells
+    for path in ("../outside/out.dat", outside / "out.dat", "link.dat", "loop.dat"):
+        with pytest.raises(ConfigError, match=r"outside the study's folder.*--allow-path"):
+            make_plan(_points(path), folder)
+    for path in ("../outside/out.dat", outside / "out.dat", "link.dat"):
+        assert make_plan(_points(path), folder, Trust(folders=(outside,))).cells
+
+
+def test_files_inside_lists_and_inner_specs_are_found(places):
+    site = Site(places[0])
+    inside = site.calls("points(path=['sub/in.dat', 'sub/in.dat'])")[0].arguments["path"]
+    assert inside == [str(places[0] / "sub/in.dat")] * 2
+    inner = site.calls("defensive(density=\"image(path = 'sub/in.dat', channel=0)\")")[0]
+    path = str(places[0] / "sub/in.dat")
+    assert inner.arguments["density"] == f"image(path={path!r}, channel=0)"
+    for spec in (
+        "mixture(densities=['uniform', \"image(path='/etc/passwd')\"])",
+        "defensive(density=\"image(path='../x.png')\")",
+        'defensive(density="defensive(density=\'image(path=\\"../x.png\\")\')")',
+        "points(path=['sub/in.dat', '/etc/passwd'])",
+        "points(path=[['../x']])",
+        "pixel(scene='../scene.xml')",
+        "pixel(scene='/tmp/scene')",
+    ):
+        with pytest.raises(ConfigError, match="outside the study's folder"):
+            site.calls(spec)
+
+
+def test_scenes_are_names_or_files(places):
+    site = Site(places[0])
+    assert site.scene("veach") == "veach"
+    assert site.scene("sky(turbidity=3)") == "sky(turbidity=3)"
+    assert site.scene("sub/room.XML") == str(places[0] / "sub/room.XML")
+
+
+@pytest.mark.parametrize(
+    "name", ["../../evil", "/etc/passwd", "..", ".", "a/../..", "zarr.json", "c", "\u2028", "C:\\x"]
+)
+def test_hostile_names_stay_in_the_store(tmp_path, name):
+    text = STUDY.replace('"a"', f"'{name}'")
+    folder = tmp_path / "x" / "y"
+    run_study(decode_study(text), folder / "out", workers=1)
+    assert [p.name for p in tmp_path.iterdir()] == ["x"]
+    assert [p.name for p in folder.iterdir()] == ["out"]
+    assert [p.name for p in (folder / "out").iterdir()] == ["results.zarr"]
+    (cell,) = make_plan(decode_study(text), tmp_path).cells
+    assert (folder / "out/results.zarr" / cell.path / "variance").is_dir()
+    assert all(part.strip(".") for part in cell.path.split("/"))
