@@ -15,6 +15,7 @@ from .pixel_mis import PixelMIS as PixelMIS
 from .pixel_mis import pixel_mis as pixel_mis
 from .plugin import register_samplers as register_samplers
 from .point_sampler import MitsubaSampler as MitsubaSampler
+from .point_sampler import from_mitsuba as from_mitsuba
 from .scene_checks import check_scene as check_scene
 from .scenes import SCENES as SCENES
 from .scenes import load_scene as load_scene
@@ -34,6 +35,7 @@ __all__ = [
     "compare_strategies",
     "describe",
     "describe_pixel",
+    "from_mitsuba",
     "load_mitsuba",
     "load_scene",
     "named_pixels",

@@ -1,6 +1,6 @@
-"""Mitsuba's own samplers as point sets.
+"""Mitsuba's own samplers as point sets, by name or as objects.
 
-They run in the variant ``scalar_rgb`` without setting it: the variant of the process, on which
+Those by name run in the variant ``scalar_rgb`` without setting it: the variant of the process, on which
 pixels depend, stays what it is. The module is here and not among the samplers because it needs
 `backend`, which sees to it that importing Mitsuba leaves rendering possible.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import importlib
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, final
@@ -24,7 +25,7 @@ from mcspectra.rendering.backend import LOCK, import_mitsuba
 from mcspectra.samplers._primes import is_prime
 from mcspectra.samplers.base import Sampler, check_dims
 
-__all__ = ["MitsubaSampler"]
+__all__ = ["MitsubaObject", "MitsubaSampler", "from_mitsuba"]
 
 _SEEDS = 2**32
 _LARGEST_SAMPLE = 1.0 - 2.0**-24  # the largest float32 below 1
@@ -122,6 +123,98 @@ def _draw(source: Any, points: Array) -> None:
         if odd:
             point[-1] = source.next_1d()
         source.advance()
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class MitsubaObject(Sampler):
+    """A sampler object of Mitsuba, of any variant and any class; see `from_mitsuba`."""
+
+    name: ClassVar[str] = "mitsuba-object"
+    max_dims: ClassVar[int | None] = 1024
+    max_count: ClassVar[int] = 2**20
+    source: Any
+    dims: int = DEFAULT_DIMS
+
+    def __post_init__(self) -> None:
+        check_dims(self)
+        needed = ("fork", "seed", "next_2d", "set_sample_count", "variant_name")
+        if isinstance(self.source, type) or not all(hasattr(self.source, name) for name in needed):
+            raise ParameterError(
+                f"{self.source!r} is no sampler of Mitsuba; give an object, such as "
+                "scene.sensors()[0].sampler()."
+            )
+
+    @property
+    def spec(self) -> str:
+        """The object's class and count; no spec string can make the object again."""
+        count = self.source.sample_count()
+        return f"mitsuba-object({self.source.class_name()}, sample_count={count})"
+
+    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        start = int(stream.keys(0, 1)[0, 0])
+        out = np.empty((count, n, self.dims))
+        scalar = "scalar" in self.source.variant_name()
+        with LOCK:
+            source = self._fork(n)
+            for r in range(count):
+                if scalar:
+                    source.seed((start + first + r) % _SEEDS)
+                    _draw(source, out[r])
+                else:
+                    source.set_samples_per_wavefront(n)
+                    source.seed((start + first + r) % _SEEDS, n)
+                    out[r] = _columns(source, self.dims)
+        return np.minimum(out, _LARGEST_SAMPLE, out=out)
+
+    def _fork(self, n: int) -> Any:
+        source = self.source.fork()
+        source.set_sample_count(n)
+        return source
+
+    def _counts_near(self, n: int) -> tuple[int | None, int]:
+        with LOCK:
+            made = int(self._fork(n).sample_count())
+        return (made if made <= n else None), (made if made >= n else sys.maxsize)
+
+
+def from_mitsuba(source: Any, dims: int = DEFAULT_DIMS) -> MitsubaObject:
+    """Make a sampler of a sampler object of Mitsuba, e.g. ``scene.sensors()[0].sampler()``.
+
+    Parameters
+    ----------
+    source
+        An object of any variant and class, plugins written in Python included. It is forked, so
+        that it stays what it is.
+    dims
+        Number of dims; pairs of them are requests of two numbers.
+
+    Returns
+    -------
+    MitsubaObject
+        Makes the counts that the object takes without rounding (it is asked each time).
+
+    Raises
+    ------
+    ParameterError
+        `source` is no such object.
+
+    Notes
+    -----
+    Every realisation is a seeding of its own, so that it does not depend on how many are drawn at
+    once. In vectorised variants that is one wavefront of n lanes, some milliseconds.
+    """
+    return MitsubaObject(source=source, dims=dims)
+
+
+def _columns(source: Any, dims: int) -> Array:
+    """Draw all samples of one wavefront: (n, dims)."""
+    pairs, odd = divmod(dims, 2)
+    parts = [source.next_2d().numpy() for _ in range(pairs)]
+    if odd:
+        parts.append(source.next_1d().numpy()[np.newaxis])
+    points: Array = np.concatenate(parts).T
+    return points
 
 
 def _any(n: int) -> tuple[int | None, int]:
