@@ -33,6 +33,7 @@ _VERBS = {
     "anova": "which axes the variance comes from, effective dimension",
     "modes": "which patterns of frequencies vary together",
     "render": "render a scene's direct illumination: image, variance, EXR and PNG",
+    "pixel": "what one pixel sees, its rates, terms and bottleneck, and what would help",
     "map": "variance, rate and bottleneck at every pixel of a scene",
     "mitsuba": "render a Mitsuba scene file, with our samplers known to its integrators",
     "doctor": "what is installed and whether it works",

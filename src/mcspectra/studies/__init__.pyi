@@ -3,6 +3,7 @@ from .config import decode_study as decode_study
 from .config import read_study as read_study
 from .estimate import CellEstimate as CellEstimate
 from .estimate import estimate_study as estimate_study
+from .pixel import analyse_pixel as analyse_pixel
 from .plan import make_plan as make_plan
 from .run import run_study as run_study
 from .schema import study_schema as study_schema
@@ -18,6 +19,7 @@ __all__ = [
     "StudyConfig",
     "SummaryRow",
     "Trust",
+    "analyse_pixel",
     "decode_study",
     "estimate_study",
     "make_plan",

@@ -1,0 +1,454 @@
+"""Everything about one pixel: what it sees, how fast each strategy converges there, and why.
+
+Strategies are light sampling, BSDF sampling, and both combined by the balance and by the power
+heuristic, with n samples of each technique. Rates are measured for all of them with several samplers.
+Terms, the bottleneck and remedies are those of one sampler, the first that is not ``random``.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any, TypeAlias, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_choice, as_integer
+from mcspectra.core.errors import ParameterError, close_match_hint
+from mcspectra.core.parallel import available_workers
+from mcspectra.core.progress import report
+from mcspectra.estimators import AbstractEstimator, Estimator
+from mcspectra.quality.jumps import curve_length
+from mcspectra.rendering.backend import LOCK
+from mcspectra.rendering.draws import View
+from mcspectra.rendering.hemisphere import incident_light
+from mcspectra.rendering.pixel import Pixel, check_view, describe_pixel
+from mcspectra.rendering.pixel_mis import PixelMIS, pixel_mis
+from mcspectra.rendering.scenes import (
+    Scene,
+    as_scene,
+    emitter_name,
+    load_scene,
+    named_pixels,
+    scene_name,
+)
+from mcspectra.samplers import Sampler, Shift, as_sampler
+from mcspectra.samplers.base import Randomized
+from mcspectra.variance.convergence import convergence
+from mcspectra.variance.diagnosis import Diagnosis, Jumps
+from mcspectra.variance.primary import primary_picture
+from mcspectra.variance.remedies import remedies as find_remedies
+from mcspectra.variance.techniques import technique_terms
+from mcspectra.variance.terms import variance_terms
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["EFFORTS", "PIXEL_SAMPLERS", "PIXEL_STRATEGIES", "Effort", "analyse_pixel"]
+
+PIXEL_STRATEGIES = ("light", "bsdf", "balance", "power")
+"""Light and BSDF sampling, and multiple importance sampling of both by two heuristics."""
+
+PIXEL_SAMPLERS = ("random", "jittered", "jittered | shift", "sobol | owen")
+"""Samplers that are compared unless others are given."""
+
+_HEURISTICS = ("balance", "power")
+_TECHNIQUES = ("light", "bsdf")
+_BASES = ("auto", "fourier")
+_QUICK_REMEDIES = ("unshifted", "mirrored", "sampler", "heuristic", "techniques")
+_ROUNDING = 1e-5  # of the largest |g|: a hundred roundings of float32
+_MOST_SAMPLES = 2**22
+_LEAST_BUDGET = 8  # of two techniques
+_FEWEST = 100  # realisations that remedies take
+
+Parts: TypeAlias = "dict[str, xr.Dataset]"
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Effort:
+    """How much is measured.
+
+    Attributes
+    ----------
+    counts
+        Numbers of samples n of each technique, by dims.
+    realizations
+        Estimates of each.
+    half_width
+        Of the spectra, by dims.
+    resolution
+        Of pictures.
+    remedies
+        Kinds of changes to try; None: all.
+    """
+
+    counts: dict[int, tuple[int, ...]]
+    realizations: int
+    half_width: dict[int, int]
+    resolution: int
+    remedies: tuple[str, ...] | None
+
+
+EFFORTS = {
+    "quick": Effort(
+        counts={2: (16, 64, 256, 1024), 3: (8, 64, 512)},
+        realizations=200,
+        half_width={2: 32, 3: 8},
+        resolution=128,
+        remedies=_QUICK_REMEDIES,
+    ),
+    "full": Effort(
+        counts={2: (16, 64, 256, 1024, 4096), 3: (8, 64, 512, 4096)},
+        realizations=1000,
+        half_width={2: 64, 3: 12},
+        resolution=256,
+        remedies=None,
+    ),
+}
+"""Some seconds, or minutes."""
+
+
+def analyse_pixel(
+    scene: Scene,
+    x: int | str,
+    y: int | None = None,
+    *,
+    light: int | str | None = None,
+    channel: str | int = "luminance",
+    dims: int = 2,
+    samplers: Sequence[Sampler | str] = PIXEL_SAMPLERS,
+    counts: Sequence[int] | None = None,
+    realizations: int | None = None,
+    budget: int | None = None,
+    remedies: bool = True,
+    effort: str = "quick",
+    rng: int = 0,
+    workers: int | None = None,
+) -> xr.DataTree:
+    """Measure, predict and explain the noise of a pixel's direct illumination.
+
+    Parameters
+    ----------
+    scene, light
+        As of `Pixel`.
+    x, y
+        The pixel; or the name of one as ``x`` (`named_pixels`), without ``y``.
+    channel
+        ``"luminance"``, 0, 1 or 2.
+    dims
+        2, or 3 to leave the choice of a light or of a lobe of the BSDF to a third coordinate.
+    samplers
+        Samplers or their spec strings, all different.
+    counts, realizations, budget
+        Samples n of each technique, ascending, at least two; estimates for each; evaluations of
+        the integrand for which remedies are ranked, by default twice the largest n. Defaults are
+        those of `effort`.
+    remedies
+        Whether to look for what would lower the noise.
+    effort
+        ``"quick"`` or ``"full"``: see `EFFORTS`.
+    rng
+        Seed (SPEC 7), the same for every analysis: each gives what it gives alone.
+    workers
+        Threads; all processors by default. Results do not depend on it.
+
+    Returns
+    -------
+    xarray.DataTree
+        ``convergence``: `mcspectra.convergence` on (strategy, sampler, n).
+        ``terms/STRATEGY/VIEW``: `mcspectra.variance_terms` in primary space, where VIEW is ``auto`` (the
+        basis that fits the sampler) or ``fourier``. ``techniques``: `mcspectra.technique_terms` of the
+        balance heuristic. ``pictures/NAME``: `mcspectra.primary_picture` of ``light``, ``bsdf`` and each
+        technique's share, as ``balance-light``, without the steps of float32 (2 dims only). ``incident``: `incident_light`.
+        ``remedies``: `mcspectra.remedies` of the balance heuristic. Attributes of the root: what the
+        pixel is and sees, the sampler of the terms, and ``diagnosis_STRATEGY``, sentences.
+
+    Raises
+    ------
+    McspectraError
+        As of `Pixel`; or no such named pixel; or a sampler cannot do a count.
+    """
+    import xarray as xr
+
+    place = _find(scene, x, y)
+    measured = _Pixel.of(scene, place, light, channel, dims)
+    plan = _Plan.of(dims, samplers, counts, realizations, budget, effort, rng, workers)
+    with ThreadPoolExecutor(1) as beside:
+        searched = beside.submit(_remedies, measured, plan) if remedies else None
+        parts = _measured(measured, plan)
+        if searched is not None:
+            parts["remedies"] = searched.result()
+    report("pixel", 1.0)
+    tree: xr.DataTree = xr.DataTree.from_dict(dict(parts))
+    tree.attrs = {**measured.attributes, **plan.attributes, **_diagnoses(measured, plan, parts)}
+    return tree
+
+
+@dataclass(frozen=True)
+class _Pixel:
+    """A pixel with its strategies, each kept so that its quadratures are done once."""
+
+    view: View
+    combined: dict[str, PixelMIS]
+    strategies: dict[str, AbstractEstimator]
+    attributes: dict[str, Any]
+
+    @staticmethod
+    def of(
+        scene: Scene, place: tuple[int, int], light: int | str | None, channel: Any, dims: int
+    ) -> _Pixel:
+        request, (x, y) = as_scene(scene), place
+        as_integer("dims", dims, least=2, most=3)
+        if channel == "rgb":
+            raise ParameterError("channel is 'rgb'; give 'luminance', 0, 1 or 2, one at a time.")
+        view = View(request, x, y, light, channel, dims)
+        check_view(view, bsdf=True)
+        given: dict[str, Any] = {"light": light, "channel": channel, "dims": dims}
+        singles = {s: Pixel(scene=request, x=x, y=y, strategy=s, **given) for s in _TECHNIQUES}
+        combined = {h: pixel_mis(request, x, y, heuristic=h, **given) for h in _HEURISTICS}
+        for mis in combined.values():
+            # What is asked twice is the same object then, and keeps its quadratures.
+            mis.primary_integrand = cache(mis.primary_integrand)  # type: ignore[method-assign]
+        strategies: dict[str, AbstractEstimator] = {s: Estimator(g) for s, g in singles.items()}
+        strategies |= combined
+        about = {
+            "scene": scene_name(request).strip("'"),
+            "x": x,
+            "y": y,
+            **describe_pixel(request, x, y),
+            "light": "all" if light is None else light,
+            "lights": _lights(request),
+            "channel": channel,
+            "dims": dims,
+            "value": float(singles["light"].integral),
+        }
+        return _Pixel(view, combined, strategies, about)
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What is measured, and how well."""
+
+    samplers: tuple[Sampler, ...]
+    counts: tuple[int, ...]
+    options: dict[str, Any]
+    budget: int
+    effort: Effort
+    half_width: int
+
+    @staticmethod
+    def of(
+        dims: int,
+        samplers: Sequence[Sampler | str],
+        counts: Sequence[int] | None,
+        realizations: int | None,
+        budget: int | None,
+        effort: str,
+        rng: int,
+        workers: int | None,
+    ) -> _Plan:
+        chosen = EFFORTS[as_choice("effort", effort, tuple(EFFORTS))]
+        if isinstance(samplers, str) or not samplers:
+            raise ParameterError(f"samplers is {samplers!r}; give a list of samplers.")
+        made = tuple(as_sampler(s, dims) for s in samplers)
+        if len({s.spec for s in made}) < len(made):
+            raise ParameterError(f"samplers is {list(samplers)!r:.80}; give each only once.")
+        ns = _checked_counts(made, chosen.counts[dims] if counts is None else counts)
+        number = chosen.realizations if realizations is None else realizations
+        options = {
+            "realizations": as_integer("realizations", number, least=4),
+            "rng": as_integer("rng", rng, least=0),
+            "workers": available_workers(workers),
+        }
+        total = 2 * int(ns[-1]) if budget is None else budget
+        total = as_integer("budget", total, least=_LEAST_BUDGET, most=2**24)
+        return _Plan(made, ns, options, total, chosen, chosen.half_width[dims])
+
+    @property
+    def explained(self) -> Sampler:
+        """The sampler of terms, bottleneck and remedies."""
+        return next((s for s in self.samplers if s.spec != "random"), self.samplers[0])
+
+    @property
+    def terms_count(self) -> int:
+        """The count at which the terms are taken, the middle one: a spectrum of a given half width
+        captures more of the noise of few strata."""
+        return self.counts[(len(self.counts) - 1) // 2]
+
+    @property
+    def wraps(self) -> bool:
+        """Whether a sampler shifts points around the torus."""
+        randomized = [s for s in self.samplers if isinstance(s, Randomized)]
+        return any(isinstance(step, Shift) for s in randomized for step in s.steps)
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """What results say of it."""
+        known = {k: v for k, v in self.options.items() if k != "workers"}
+        return {"sampler": self.explained.spec, "counts": list(self.counts), **known}
+
+
+def _checked_counts(samplers: Sequence[Sampler], counts: Sequence[int]) -> tuple[int, ...]:
+    """Counts that every sampler can do, before any work."""
+    ns = [as_integer("counts", n, least=1, most=_MOST_SAMPLES) for n in counts]
+    for source in samplers:
+        for n in ns:
+            source.check_count(n)
+    if len(ns) < 2 or any(b <= a for a, b in itertools.pairwise(ns)):
+        raise ParameterError(f"counts is {ns}; give at least two, ascending, for a rate.")
+    return tuple(ns)
+
+
+def _find(scene: Scene, x: int | str, y: int | None) -> tuple[int, int]:
+    """The pixel (x, y), or that of this name."""
+    if y is not None and not isinstance(x, str):
+        return x, y  # checked against the film by whatever uses it
+    if y is not None or not isinstance(x, str):
+        raise ParameterError(f"The pixel is {x!r}, {y!r}; give x and y, or the name of a pixel.")
+    names = named_pixels(scene)
+    if x in names:
+        return names[x]
+    hint, _ = close_match_hint(x, names)
+    there = f" It has {', '.join(names)}." if names and not hint else hint
+    raise ParameterError(
+        f"The scene {scene_name(scene)} has no pixel named {x!r}; give x and y.{there}"
+    )
+
+
+def _measured(pixel: _Pixel, plan: _Plan) -> Parts:
+    """All parts but the remedies."""
+    stages: dict[str, Callable[[], Parts]] = {
+        "rates": lambda: {"convergence": _curves(pixel, plan)},
+        "terms": lambda: _terms(pixel, plan),
+        "techniques": lambda: {"techniques": _techniques(pixel, plan)},
+        "pictures": lambda: _pictures(pixel, plan),
+    }
+    parts: Parts = {}
+    for done, (name, stage) in enumerate(stages.items()):
+        report(f"pixel: {name}", done / len(stages))
+        parts |= stage()
+    return parts
+
+
+def _lights(scene: Scene) -> list[str]:
+    with LOCK:
+        return [emitter_name(emitter) for emitter in load_scene(scene).emitters()]
+
+
+def _curves(pixel: _Pixel, plan: _Plan) -> xr.Dataset:
+    found = convergence(
+        list(pixel.strategies.values()), list(plan.samplers), plan.counts, **plan.options
+    )
+    specs = [estimator.spec for estimator in pixel.strategies.values()]
+    named = found.rename(estimator="strategy").assign_coords(strategy=list(pixel.strategies))
+    return named.assign_coords(spec=("strategy", specs))
+
+
+def _terms(pixel: _Pixel, plan: _Plan) -> Parts:
+    return {
+        f"terms/{strategy}/{basis}": variance_terms(
+            estimator,
+            plan.explained,
+            plan.terms_count,
+            half_width=plan.half_width,
+            space="primary",
+            basis=basis,
+            **plan.options,
+        )
+        for strategy, estimator in pixel.strategies.items()
+        for basis in _BASES
+    }
+
+
+def _techniques(pixel: _Pixel, plan: _Plan) -> xr.Dataset:
+    return technique_terms(
+        pixel.strategies["balance"],
+        plan.explained,
+        plan.counts,
+        half_width=plan.half_width,
+        space="primary",
+        basis="auto",
+        **plan.options,
+    )
+
+
+def _pictures(pixel: _Pixel, plan: _Plan) -> Parts:
+    """The light that arrives and, in two dims, g of every strategy."""
+    v, side = pixel.view, plan.effort.resolution
+    incident = incident_light(
+        v.scene, v.x, v.y, light=v.light, channel=v.channel, resolution=2 * side
+    )
+    parts = {"incident": incident}
+    if v.dims > 2:
+        return parts
+    for strategy, estimator in pixel.strategies.items():
+        for t in range(len(estimator.counts)):
+            share = strategy in _HEURISTICS
+            name = f"{strategy}-{_TECHNIQUES[t]}" if share else strategy
+            picture = primary_picture(estimator, technique=t, resolution=side)
+            parts[f"pictures/{name}"] = _without_rounding(picture)
+    return parts
+
+
+def _remedies(pixel: _Pixel, plan: _Plan) -> xr.Dataset:
+    options = {**plan.options, "realizations": max(_FEWEST, plan.options["realizations"])}
+    kinds = plan.effort.remedies
+    return find_remedies(
+        pixel.combined["balance"], plan.explained, plan.budget, kinds=kinds, **options
+    )
+
+
+def _diagnoses(pixel: _Pixel, plan: _Plan, parts: Parts) -> dict[str, str]:
+    """What costs each strategy its rate, from the pictures that were made."""
+    return {
+        f"diagnosis_{strategy}": Diagnosis(
+            estimator=estimator,
+            wraps=plan.wraps,
+            unbounded=False,
+            slow=None,
+            boundary=_jumps(strategy, "boundary", parts),
+            inside=_jumps(strategy, "interior", parts),
+        ).text
+        for strategy, estimator in pixel.strategies.items()
+    }
+
+
+def _jumps(strategy: str, kind: str, parts: Parts) -> Jumps | None:
+    """Jumps of all of a strategy's integrands; None where there is no picture of them."""
+    head = f"pictures/{strategy}"
+    found = [p for name, p in parts.items() if name == head or name.startswith(f"{head}-")]
+    if not found:
+        return None
+    sizes = [
+        (
+            float(p["primary_jump_length"].sel(kind=kind)),
+            float(p["primary_jump_height"].sel(kind=kind)),
+        )
+        for p in found
+    ]
+    total = sum(length for length, _ in sizes)
+    mean = sum(length * height for length, height in sizes if length > 0) / total if total else 0.0
+    return Jumps(total, mean, 2)
+
+
+def _without_rounding(picture: xr.Dataset) -> xr.Dataset:
+    """The picture without jumps that float32 makes: a step of its last digits is no jump of g."""
+    kept, floor = picture.copy(), _ROUNDING * float(np.abs(picture["primary_value"]).max())
+    for name in ("primary_jump", "face_jump"):
+        kept[name] = (
+            picture[name].where(picture[name] > floor, 0.0).assign_attrs(picture[name].attrs)
+        )
+    inside, faces = kept["primary_jump"].values, kept["face_jump"].values
+    lengths = [curve_length(inside > 0), np.count_nonzero(faces) / faces.shape[1]]
+    heights = [_mean_jump(inside), _mean_jump(faces)]
+    for name, values in (("length", lengths), ("height", heights)):
+        kept[f"primary_jump_{name}"] = picture[f"primary_jump_{name}"].copy(data=values)
+    return kept.assign_attrs(smallest_jump=floor)
+
+
+def _mean_jump(heights: Array) -> float:
+    return float(heights[heights > 0].mean()) if heights.any() else 0.0

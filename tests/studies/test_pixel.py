@@ -1,0 +1,255 @@
+"""Everything about a pixel: each part is what its own analysis gives, and the words follow the numbers."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import mcspectra as mcs
+from mcspectra.core.errors import CountError, McspectraError, ParameterError
+from mcspectra.rendering import Pixel, named_pixels, pixel_mis
+from mcspectra.rendering.hemisphere import incident_light
+from mcspectra.report.pixel_page import write_pixel
+from mcspectra.report.pixel_text import (
+    STRATEGY_NAMES,
+    bottleneck_sentence,
+    pixel_rows,
+    pixel_sentences,
+    pixel_summary,
+    term_rows,
+)
+from mcspectra.studies import pixel as module
+from mcspectra.studies.pixel import EFFORTS, PIXEL_STRATEGIES, Effort, analyse_pixel
+
+pytestmark = pytest.mark.render
+
+SAMPLERS = ("random", "jittered | shift", "sobol | owen")
+COUNTS = (4, 16, 64)
+SMALL = Effort(
+    counts={2: COUNTS, 3: (8, 64)},
+    realizations=100,
+    half_width={2: 6, 3: 2},
+    resolution=32,
+    remedies=("unshifted", "techniques"),
+)
+Q = named_pixels("figure1")["Q"]
+OPTIONS: dict[str, Any] = {"realizations": 100, "rng": 3}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_effort() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(EFFORTS, "quick", SMALL)
+        yield
+
+
+@pytest.fixture(scope="module")
+def tree(small_effort: None) -> xr.DataTree:
+    return analyse_pixel("figure1", "Q", samplers=SAMPLERS, budget=128, rng=3)
+
+
+def estimators() -> dict[str, Any]:
+    x, y = Q
+    singles = {
+        s: mcs.Estimator(Pixel(scene="figure1", x=x, y=y, strategy=s)) for s in ("light", "bsdf")
+    }
+    return singles | {h: pixel_mis("figure1", x, y, heuristic=h) for h in ("balance", "power")}
+
+
+def same(found: xr.Dataset, expected: xr.Dataset, *names: str) -> None:
+    for name in names or expected.data_vars:
+        assert np.array_equal(found[name].values, expected[name].values, equal_nan=True), name
+
+
+def test_curves_are_those_of_convergence(tree: xr.DataTree) -> None:
+    direct = mcs.convergence(list(estimators().values()), list(SAMPLERS), COUNTS, **OPTIONS)
+    found = tree["convergence"].to_dataset()
+    assert found["strategy"].values.tolist() == list(PIXEL_STRATEGIES)
+    assert found["spec"].values.tolist() == direct["estimator"].values.tolist()
+    same(found, direct)
+
+
+@pytest.mark.parametrize(("strategy", "view"), [("light", "auto"), ("balance", "fourier")])
+def test_terms_are_those_of_variance_terms(tree: xr.DataTree, strategy: str, view: str) -> None:
+    direct = mcs.variance_terms(
+        estimators()[strategy],
+        SAMPLERS[1],
+        16,
+        half_width=6,
+        space="primary",
+        basis=view,
+        **OPTIONS,
+    )
+    same(tree[f"terms/{strategy}/{view}"].to_dataset(), direct)
+
+
+def test_techniques_pictures_and_light_are_direct_calls(tree: xr.DataTree) -> None:
+    balance = estimators()["balance"]
+    direct = mcs.technique_terms(
+        balance, SAMPLERS[1], COUNTS, half_width=6, space="primary", basis="auto", **OPTIONS
+    )
+    same(tree["techniques"].to_dataset(), direct)
+    picture = mcs.primary_picture(balance, technique=1, resolution=32)
+    same(tree["pictures/balance-bsdf"].to_dataset(), picture, "primary_value")
+    same(tree["incident"].to_dataset(), incident_light("figure1", *Q, resolution=64))
+
+
+def test_remedies_are_direct_calls(tree: xr.DataTree) -> None:
+    kinds = SMALL.remedies
+    direct = mcs.remedies(estimators()["balance"], SAMPLERS[1], 128, kinds=kinds, **OPTIONS)
+    found = tree["remedies"].to_dataset()
+    same(found, direct)
+    assert found["remedy"].values.tolist() == direct["remedy"].values.tolist()
+    assert found.attrs["recommendation"] == direct.attrs["recommendation"]
+
+
+def test_steps_of_float32_are_no_jumps(tree: xr.DataTree) -> None:
+    """From P the light is seen whole, and g of its samples is smooth; from Q it is cut."""
+    assert float(tree["pictures/light"]["primary_jump_length"].sel(kind="interior")) > 0
+    x, y = named_pixels("veach")["wall"]
+    smooth = mcs.Estimator(Pixel(scene="veach", x=x, y=y, light="light-3"))
+    raw = mcs.primary_picture(smooth, resolution=32)
+    cleaned = module._without_rounding(raw)
+    floor = 1e-5 * float(raw["primary_value"].max())
+    assert cleaned.attrs["smallest_jump"] == pytest.approx(floor)
+    assert float(cleaned["primary_jump_length"].sel(kind="interior")) == 0.0
+    kept = cleaned["face_jump"].values
+    assert kept[kept > 0].min() > floor
+    assert np.array_equal(kept, np.where(raw["face_jump"] > floor, raw["face_jump"], 0.0))
+
+
+def test_a_picture_without_rounding_is_left_as_it_is(tree: xr.DataTree) -> None:
+    raw = mcs.primary_picture(mcs.Estimator(mcs.integrand("step(at=0.3)", dims=2)), resolution=32)
+    same(module._without_rounding(raw), raw)
+
+
+def test_rows_for_all_pairs_and_terms(tree: xr.DataTree) -> None:
+    rows = pixel_rows(tree)
+    pairs = [(row.estimator, row.sampler) for row in rows]
+    assert pairs == [(name, s) for name in STRATEGY_NAMES.values() for s in SAMPLERS]
+    rates = tree["convergence"]["rate"].values.ravel().tolist()
+    assert [row.rate for row in rows] == rates
+    assert [row.captured is not None for row in rows] == [s == SAMPLERS[1] for _, s in pairs]
+    # The fitting basis of shifted points is Fourier's: one row, not two.
+    assert [row.sampler for row in term_rows(tree)] == [
+        f"{name}; fourier" for name in STRATEGY_NAMES.values()
+    ]
+
+
+def test_summary_holds_the_numbers(tree: xr.DataTree) -> None:
+    summary = pixel_summary(tree)
+    assert (summary["pixel"]["x"], summary["pixel"]["y"]) == Q
+    assert summary["pixel"]["shape"] == "floor"
+    assert len(summary["rates"]) == 12
+    last = summary["rates"][-1]
+    assert (last["strategy"], last["sampler"]) == ("power", SAMPLERS[2])
+    assert float(last["rate"]) == float(tree["convergence"]["rate"].values[-1, -1])
+    for terms in summary["terms"]:
+        total = terms["dc_term"] + terms["power_term"] + terms["cross_term"]
+        assert total == pytest.approx(terms["predicted_variance"], rel=1e-9)
+    assert [r["remedy"] for r in summary["remedies"]["ranked"]] == tree["remedies"][
+        "remedy"
+    ].values.tolist()
+    assert {j["integrand"] for j in summary["jumps"]} == set(tree["pictures"].children)
+
+
+@pytest.mark.parametrize(
+    ("slow", "words"),
+    [(0, "^Light sampling is the bottleneck"), (1, "^BSDF sampling is the bottleneck"),
+     (-1, "^No technique is told")],
+)  # fmt: skip
+def test_the_bottleneck_in_words(tree: xr.DataTree, slow: int, words: str) -> None:
+    changed = tree.copy(deep=True)
+    changed["techniques"]["bottleneck"] = slow
+    text = bottleneck_sentence(changed)
+    assert re.search(words, text)
+    rates = changed["techniques"]["technique_rate"].values
+    for value in rates:
+        assert f"{value:.2f}"[:5].replace("-", "−") in text
+
+
+def test_sentences_name_jumps_bottleneck_and_remedy(tree: xr.DataTree) -> None:
+    said = dict(pixel_sentences(tree))
+    assert "g jumps inside along curves" in said["light"]
+    assert "the shift carries that jump into the strata" in said["light"]
+    assert said["bottleneck"] == bottleneck_sentence(tree)
+    assert said["remedies"] == tree["remedies"].attrs["recommendation"]
+    rates = {(r.estimator, r.sampler): r.rate for r in pixel_rows(tree)}
+    best = min(rates, key=lambda pair: rates[pair] or 0.0)
+    assert f": {best[0]} with {best[1]}. The least variance" in said["fastest"]
+
+
+def test_the_page_stands_alone(tree: xr.DataTree, tmp_path: Path) -> None:
+    page = write_pixel(tree, tmp_path).read_text(encoding="utf-8")
+    assert not re.search(r"https?:|<script|<link|src=\"(?!data:)|url\(", page)
+    for name, _ in pixel_sentences(tree):
+        assert f"<b>{name[0].upper()}{name[1:]}</b>" in page
+    for strategy in STRATEGY_NAMES.values():
+        for sampler in SAMPLERS:
+            row = rf'<th scope="row">{re.escape(strategy)}</th>\s*<th scope="row">{re.escape(sampler)}'
+            assert re.search(row, page), (strategy, sampler)
+    for name in ("rates", "terms", "captured", "integrands", "incident", "remedies"):
+        png = (tmp_path / "figures" / f"{name}.png").read_bytes()
+        assert png.startswith(b"\x89PNG")
+    again = write_pixel(tree, tmp_path / "again").read_bytes()
+    assert again == page.encode()
+
+
+def test_three_dims_have_no_pictures_of_g(tmp_path: Path) -> None:
+    """A BSDF with lobes needs a third coordinate."""
+    found = analyse_pixel(
+        "sky", "plastic", dims=3, samplers=["jittered"], remedies=False, realizations=20
+    )
+    assert "pictures" not in found.children
+    assert "remedies" not in found.children
+    assert "looked for in 1 and 2 dims only" in dict(pixel_sentences(found))["light"]
+    page = write_pixel(found, tmp_path).read_text(encoding="utf-8")
+    assert 'id="integrands"' not in page
+    assert pixel_summary(found)["jumps"] == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "words"),
+    [
+        ({"x": "R"}, ParameterError, "no pixel named 'R'.*P, Q|no pixel named 'R'"),
+        ({"x": 3}, ParameterError, "give x and y"),
+        ({"x": "Q", "y": 3}, ParameterError, "give x and y"),
+        ({"x": 384, "y": 0}, ParameterError, "outside the film"),
+        ({"x": 1.5, "y": 0}, ParameterError, "outside the film"),
+        ({"channel": "rgb"}, ParameterError, "one at a time"),
+        ({"channel": 7}, ParameterError, "channel is 7"),
+        ({"dims": 4}, ParameterError, "dims"),
+        ({"light": "moon"}, ParameterError, "no light"),
+        ({"samplers": []}, ParameterError, "list of samplers"),
+        ({"samplers": "jittered"}, ParameterError, "list of samplers"),
+        ({"samplers": ["jittered", "jittered"]}, ParameterError, "only once"),
+        ({"samplers": ["jitered"]}, McspectraError, "jittered"),
+        ({"counts": [16]}, ParameterError, "at least two"),
+        ({"counts": [16, 4]}, ParameterError, "ascending"),
+        ({"counts": [16, 20]}, CountError, "20"),
+        ({"counts": [16, float("nan")]}, ParameterError, "counts"),
+        ({"counts": [4, 2**60]}, ParameterError, "counts"),
+        ({"realizations": 3}, ParameterError, "realizations"),
+        ({"realizations": float("inf")}, ParameterError, "realizations"),
+        ({"budget": 4}, ParameterError, "budget"),
+        ({"budget": 2**40}, ParameterError, "budget"),
+        ({"rng": -1}, ParameterError, "rng"),
+        ({"effort": "hasty"}, ParameterError, "quick"),
+        ({"scene": "figur1"}, McspectraError, "figure1"),
+        ({"scene": "no-such.xml", "x": 1, "y": 1}, McspectraError, "no scene file"),
+    ],
+)
+def test_bad_input_is_one_sentence(
+    changes: dict[str, Any], error: type[Exception], words: str
+) -> None:
+    given: dict[str, Any] = {"scene": "figure1", "x": "Q", "samplers": ["jittered"]}
+    given |= changes
+    with pytest.raises(error, match=words) as caught:
+        analyse_pixel(**given)
+    assert "\n" not in str(caught.value)
