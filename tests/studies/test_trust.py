@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mcspectra.core.errors import ConfigError
+from mcspectra.core.spec import parse_chain
 from mcspectra.studies import Trust, make_plan, run_study
 from mcspectra.studies.config import decode_study
 from mcspectra.studies.trust import Site
@@ -137,11 +138,28 @@ def test_files_inside_lists_and_inner_specs_are_found(places):
         'defensive(density="defensive(density=\'image(path=\\"../x.png\\")\')")',
         "points(path=['sub/in.dat', '/etc/passwd'])",
         "points(path=[['../x']])",
+        "digital-net(matrices='../net.txt')",
+        "qmcpy(generator='DigitalNetB2', options={'generating_matrices': '../x.txt'})",
+        "qmcpy(generator='Lattice', options={'generating_vector': '../x.npy'})",
+        "pixel(scene={'sky': {'type': 'envmap', 'filename': '../sky.exr'}}, x=0, y=0)",
         "pixel(scene='../scene.xml')",
         "pixel(scene='/tmp/scene')",
     ):
         with pytest.raises(ConfigError, match="outside the study's folder"):
             site.calls(spec)
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        "digital-net(matrices=[['10', '01'], ['01', '10']])",
+        "mixture(densities=['uniform', 'linear(slope=[1, 2])'], weights=[0.25, 0.75])",
+        "image(path=None, pixels=[[1, 2]])",
+        "linear(note='(not a spec')",
+    ],
+)
+def test_specs_without_files_stay_as_they_are(places, spec):
+    assert Site(places[0]).calls(spec) == parse_chain(spec)
 
 
 def test_scenes_are_names_or_files(places):

@@ -20,7 +20,8 @@ from mcspectra.core.spec import Call, parse_chain
 __all__ = ["Site", "Trust"]
 
 _FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
-_FILE_KEYS = ("path", "scene")
+# Files of point sets and images, of Mitsuba's plugins, of digital nets, and of QMCPy's generators.
+_FILES = ("path", "filename", "matrices", "generating_matrices", "generating_vector")
 
 
 @final
@@ -125,24 +126,24 @@ class Site:
 
     def _argument(self, key: str, value: Any) -> Any:
         if isinstance(value, list | tuple):
-            return [self._argument(key, item) for item in value]
+            # Only of paths may there be several; the rows of a net's matrices are digits.
+            return [self._argument(key if key == "path" else "", item) for item in value]
         if isinstance(value, dict):
             return {k: self._argument(str(k), item) for k, item in value.items()}
         if not isinstance(value, str):
             return value
-        if key == "path" or (key == "scene" and _is_file(value)):
+        if key in _FILES or (key == "scene" and _is_file(value)):
             return str(self._file(value))
         return self._inner(value)
 
     def _inner(self, text: str) -> str:
         """A string argument: its paths start at the folder if it is a spec."""
-        if not any(f"{key}=" in text.replace(" ", "") for key in _FILE_KEYS):
-            return text
         try:
-            parse_chain(text)
+            given = parse_chain(text)
         except McspectraError:
             return text
-        return " | ".join(_written(call) for call in self.calls(text))
+        found = self.calls(text)
+        return text if found == given else " | ".join(map(_written, found))
 
     def _file(self, path: str) -> Path:
         """The file, found from the folder; links are followed to see where it is.
