@@ -227,6 +227,18 @@ def test_names_that_meet_in_one_group_name_stay_apart(tmp_path):
     assert len({cell.path for cell in plan.cells}) == len(plan.cells) == 3 * 2 * 4
 
 
+def test_thousands_of_names_that_begin_alike_are_named_at_once():
+    from mcspectra.studies.plan import _Slugs
+
+    slugs = _Slugs()
+    found = [slugs(f"{'a' * 60} {i}") for i in range(100_000)]
+    assert len(set(found)) == len(found)
+    assert found[:3] == ["a" * 60, "a" * 60 + "-2", "a" * 60 + "-3"]
+    assert [slugs(name) for name in ("b-2", "b", "B", "b!", "zarr.json")] == [
+        "b-2", "b", "b-3", "b-4", "zarr.json-2"
+    ]  # fmt: skip
+
+
 def test_the_tour_is_a_valid_study():
     from pathlib import Path
 

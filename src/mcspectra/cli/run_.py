@@ -62,8 +62,7 @@ def run(options: argparse.Namespace) -> int:
     """Run, report, print the summary."""
     import msgspec
 
-    from mcspectra.report import write_report
-    from mcspectra.studies import Trust, open_results, read_study, run_study, summarize
+    from mcspectra.studies import Trust, read_study, run_study
 
     study = Path(options.study)
     out = Path(options.out) if options.out else Path("out") / study.stem
@@ -93,15 +92,24 @@ def run(options: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         return 130
-    tree = open_results(out)
-    rows = summarize(tree)
+    _show(out, options)
+    return 0
+
+
+def _show(out: Path, options: argparse.Namespace) -> None:
+    """Write the report, print the summary."""
+    import msgspec
+
+    from mcspectra.report import write_report
+    from mcspectra.studies import open_results, summarize
+
+    rows = summarize(open_results(out))
     page = write_report(out)
     if options.json:
         print_json({"report": str(page), "rows": [msgspec.to_builtins(row) for row in rows]})
     elif not options.quiet:
         print(summary_text(rows))
         print(f"\nreport: {page}")
-    return 0
 
 
 def _dry_run(

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
+
 from mcspectra.core.errors import ConfigError, McspectraError
 from mcspectra.estimators import AbstractEstimator
 from mcspectra.samplers import Sampler, sampler_from_calls
@@ -89,10 +91,10 @@ def make_plan(
     site = Site(folder, trust or Trust())
     _check_number(config)
     cells: list[Cell] = []
-    slugs: dict[str, str] = {}
+    slugs = _Slugs()
     for entry in entries_of(config):
         try:
-            cells += _cells(config, entry, site, _slug(entry.name, slugs))
+            cells += _cells(config, entry, site, slugs(entry.name))
         except ConfigError:
             raise
         except McspectraError as error:
@@ -112,18 +114,18 @@ def _cells(
     """Cells of an estimator, or of a map, with all its samplers."""
     estimator = None
     if isinstance(entry, MapConfig):
-        site.scene(entry.scene)  # whether it may be read
+        entry = msgspec.structs.replace(entry, scene=site.scene(entry.scene))
         dims = entry.dims
     else:
         estimator = build_estimator(entry, site)
         dims = estimator.dims
-    inner: dict[str, str] = {}
+    inner = _Slugs()
     specs: dict[str, str] = {}
     for text in samplers_of(config, entry):
         sampler = sampler_from_calls(site.calls(text), dims)
         _check_new(sampler, text, specs)
-        path = f"{parent}/{_slug(text, inner)}"
-        for asked in _asked(config, entry, estimator, sampler, site):
+        path = f"{parent}/{inner(text)}"
+        for asked in _asked(config, entry, estimator, sampler):
             yield _cell(asked, path, entry.name, text, estimator, sampler)
 
 
@@ -132,15 +134,11 @@ def _asked(
     entry: EstimatorConfig | MapConfig,
     estimator: AbstractEstimator | None,
     sampler: Sampler,
-    site: Site,
 ) -> Iterator[Asked]:
-    if isinstance(entry, MapConfig):
-        import msgspec
-
-        found = msgspec.structs.replace(entry, scene=site.scene(entry.scene))
-        return iter([asked_map(found, sampler)])
-    assert estimator is not None
-    return asked_analyses(config, entry, estimator, sampler)
+    if estimator is not None and isinstance(entry, EstimatorConfig):
+        yield from asked_analyses(config, entry, estimator, sampler)
+    elif isinstance(entry, MapConfig):
+        yield asked_map(entry, sampler)
 
 
 def _cell(
@@ -190,16 +188,23 @@ def _check_new(sampler: Sampler, text: str, specs: dict[str, str]) -> None:
     specs[sampler.spec] = text
 
 
-def _slug(text: str, taken: dict[str, str]) -> str:
-    """A short group name of letters, digits and hyphens, different for different texts.
+class _Slugs:
+    """Short group names of letters, digits, dots and hyphens, a different one for each text.
 
-    It has no separator and no leading dot, so that no name leads out of the store, and is none of
+    They have no separator and no leading dot, so that no name leads out of the store, and are none of
     the names of the store's own files.
     """
-    base = re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.")[:60].strip("-.") or "x"
-    base = f"{base}-1" if base in _RESERVED else base
-    slug, number = base, 2
-    while taken.get(slug, text) != text:
-        slug, number = f"{base}-{number}", number + 1
-    taken[slug] = text
-    return slug
+
+    def __init__(self) -> None:
+        self._taken: set[str] = set(_RESERVED)
+        self._next: dict[str, int] = {}
+
+    def __call__(self, text: str) -> str:
+        base = re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.")[:60].strip("-.") or "x"
+        slug = base
+        while slug in self._taken:
+            # Numbers go on where they were: thousands of texts may begin alike.
+            number = self._next.get(base, 2)
+            slug, self._next[base] = f"{base}-{number}", number + 1
+        self._taken.add(slug)
+        return slug
