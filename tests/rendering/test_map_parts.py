@@ -73,9 +73,9 @@ def test_errors_of_a_line_are_those_of_many_lines() -> None:
     variance = np.exp(exact + se * generator.standard_normal(se.shape))
     fits = statistics.fit_lines(NS, variance, se, np.ones_like(variance))
     student = 3.182446305284263 / 1.959963984540054  # three degrees of freedom
-    plain = np.where(
-        fits.chi2 > 1, student * np.sqrt(fits.chi2), 1.0
-    )  # without the widening by lack of fit
+    # without the widening by lack of fit: 2.6049 is χ²/3 at 5 %, from where Student's t is taken
+    wide = np.where(fits.chi2 > 7.814727903251179 / 3, student, 1.0) * np.sqrt(fits.chi2)
+    plain = np.maximum(wide, 1.0)
     for value, error, true in (
         (fits.rate, fits.rate_se, -1.5),
         (fits.at(50.0)[0], fits.at(50.0)[1], 3.0 - 1.5 * np.log(50.0)),

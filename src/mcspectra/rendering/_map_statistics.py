@@ -30,6 +30,7 @@ __all__ = [
 
 UNDECIDED = -1.0
 
+_LACK_OF_FIT = 0.05  # significance, as in `mcspectra.variance.fit`
 _ULPS = 4.0  # of float32: below, variances are the rounding of Mitsuba's values
 
 
@@ -84,8 +85,6 @@ def fit_lines(
         Variances of a larger relative standard error come of very few realisations that met what is
         rare: most often they are far too small. They are left out like zeros.
     """
-    from scipy.special import stdtrit
-
     with np.errstate(invalid="ignore", divide="ignore"):
         floor = (_ULPS * np.finfo(np.float32).eps * mean) ** 2
         used = (variance > floor) & (relative_se > 0) & (relative_se <= largest_se)
@@ -103,9 +102,7 @@ def fit_lines(
         residual = y - level[:, None] - rate[:, None] * step
         degrees = used.sum(axis=1) - 2
         chi2 = np.where(degrees > 0, _over_counts(weight * residual**2) / degrees, np.nan)
-        # Scatter is known from few counts only: Student's t, in units of the normal quantile.
-        student = stdtrit(np.maximum(degrees, 1), 0.975) / CONFIDENCE_Z
-        widening = np.where(chi2 > 1.0, student * np.sqrt(chi2), 1.0)
+        widening = _widening(degrees, chi2)
         return LineFits(
             rate=rate,
             rate_se=np.where(enough, widening / np.sqrt(spread), np.nan),
@@ -114,6 +111,19 @@ def fit_lines(
             centre=centre,
             chi2=chi2,
         )
+
+
+def _widening(degrees: Array, chi2: Array) -> Array:
+    """By what lack of fit widens intervals: as in `mcspectra.variance.fit`."""
+    from scipy.special import chdtrc, stdtrit
+
+    some = np.maximum(degrees, 1)
+    lack = np.where(degrees > 0, chi2, 0.0)
+    # What errors do not explain is known from few counts only: Student's t over the normal quantile.
+    student = stdtrit(some, 0.975) / CONFIDENCE_Z
+    significant = chdtrc(some, lack * some) < _LACK_OF_FIT
+    wide = np.where(significant, student, 1.0) * np.sqrt(lack)
+    return np.asarray(np.maximum(wide, 1.0))
 
 
 def smooth(rate: Array, rate_se: Array, window: int, independent: bool) -> tuple[Array, Array]:

@@ -2,8 +2,9 @@
 
 Weighted least squares: each variance is weighted by the inverse square of its relative standard
 error, which is known from the realisations, so that the 95 % interval of a straight line is normal.
-Where the lack of fit, χ² per degree of freedom, exceeds 1, the scatter about the line is estimated
-from the counts instead: √χ² times Student's t with as many degrees, three counts having one.
+Where the lack of fit, χ² per degree of freedom, exceeds 1, it is widened by √χ²; where that is
+significant (`LACK_OF_FIT`), the errors are not what makes the scatter, which is estimated from the counts:
+√χ² times Student's t with as many degrees, three counts having one.
 
 Curves bend at small n (lower-order terms); a *window* is the last so many counts, and ``"auto"``
 takes the largest window of at least three counts that shows neither lack of fit (`LACK_OF_FIT`) nor
@@ -28,7 +29,7 @@ from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.estimators.moments import CONFIDENCE_Z
 
-__all__ = ["CURVATURE", "LACK_OF_FIT", "RateFit", "check_window", "fit_rate"]
+__all__ = ["CURVATURE", "LACK_OF_FIT", "RateFit", "check_window", "fit_rate", "widening"]
 
 LACK_OF_FIT = 0.05
 """Significance of χ² below which a window of counts is taken to be bent."""
@@ -108,11 +109,13 @@ def _line(x: Array, y: Array, se: Array, *, chosen: bool = False) -> RateFit:
     rate, spread, residual = _regression(x, y, se)
     degrees = len(x) - 2
     chi2 = float((residual**2).sum() / degrees) if degrees else math.nan
-    half = CONFIDENCE_Z
-    if (chosen and degrees) or chi2 > 1.0:
-        half = max(half, _student(degrees) * math.sqrt(chi2))
-    half /= math.sqrt(spread)
+    half = _quantile(degrees, chi2, chosen=chosen) / math.sqrt(spread)
     return RateFit(rate, (rate - half, rate + half), float(np.rint(np.exp(x[0]))), chi2)
+
+
+def widening(degrees: int, chi2: float) -> float:
+    """By what lack of fit widens the interval of a fit with so many degrees of freedom."""
+    return _quantile(degrees, chi2, chosen=False) / CONFIDENCE_Z
 
 
 def _regression(x: Array, y: Array, se: Array) -> tuple[float, float, Array]:
@@ -133,6 +136,17 @@ def _bent(x: Array, y: Array, se: Array) -> bool:
     curvature = (parabola * residual).sum() ** 2 / (parabola**2).sum()
     lack = chdtrc(len(x) - 2, (residual**2).sum())
     return bool(lack < LACK_OF_FIT or chdtrc(1, curvature) < CURVATURE)
+
+
+def _quantile(degrees: int, chi2: float, *, chosen: bool) -> float:
+    """Half an interval, in units of what the errors alone would make the slope's standard error."""
+    if not degrees:
+        return CONFIDENCE_Z
+    from scipy.special import chdtrc
+
+    if chosen or chdtrc(degrees, chi2 * degrees) < LACK_OF_FIT:
+        return max(CONFIDENCE_Z, _student(degrees) * math.sqrt(chi2))
+    return CONFIDENCE_Z * math.sqrt(max(1.0, chi2))
 
 
 def _student(degrees: int) -> float:

@@ -28,7 +28,7 @@ from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.samplers import Sampler
-from mcspectra.variance.fit import RateFit, fit_rate
+from mcspectra.variance.fit import RateFit, fit_rate, widening
 
 __all__ = ["Comparison", "Errors", "compare", "estimates_of", "simultaneous_z"]
 
@@ -128,6 +128,11 @@ class Errors:
         """The rate with its interval and lack of fit, as `mcspectra.convergence` gives it."""
         return fit_rate(self.cost, self.error, self.relative_se, self.noise)
 
+    def widening(self) -> float:
+        """By what the lack of fit widens the interval of the rate."""
+        degrees = int(self.used.sum()) - 2
+        return widening(degrees, self.fit().chi2) if degrees > 0 else 1.0
+
     def at(self, budget: float) -> tuple[float, Array]:
         """log v at a cost of `budget`, and its influences (R,): the last error, carried by the rate."""
         last = len(self.cost) - 1
@@ -174,7 +179,7 @@ def compare(errors: Errors, reference: Errors, budget: float) -> Comparison:
     rate, slope = errors.rate()
     other_rate, other_slope = reference.rate()
     # Curves that bend or wobble know their slope less well than their scatter says
-    bend = math.sqrt(max(1.0, *(np.nan_to_num(e.fit().chi2) for e in (errors, reference))))
+    bend = max(e.widening() for e in (errors, reference))
     return Comparison(
         own - other,
         _standard_error(own_influence - other_influence, prior=0),
