@@ -15,10 +15,11 @@ from mcspectra.cli.main import main
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import CountError, FileFormatError, MissingDependency, ParameterError
 from mcspectra.core.streams import Stream
-from mcspectra.rendering import load_mitsuba, register_samplers, render_file
+from mcspectra.rendering import load_mitsuba, load_scene, register_samplers, render_file
 from mcspectra.rendering.backend import import_mitsuba
 from mcspectra.rendering.plugin import PLUGIN_VARIANTS
 from mcspectra.rendering.sample_tables import LARGEST_SAMPLE, PaddedSets, Rounds
+from mcspectra.rendering.scenes import film_size
 
 pytestmark = pytest.mark.render
 
@@ -349,6 +350,16 @@ def test_bad_files_are_one_sentence(tmp_path: Path) -> None:
     blind.write_text('<scene version="3.0.0"/>', encoding="utf-8")
     with pytest.raises(ParameterError, match="no camera"):
         render_file(blind)
+
+
+def test_scenes_with_our_sampler_are_ours_too(files: dict[str, str], tmp_path: Path) -> None:
+    assert film_size(files["ours"]) == (8, 6)
+    wrong = tmp_path / "wrong.xml"
+    text = Path(files["ours"]).read_text(encoding="utf-8").replace("sobol | owen", "nosuch")
+    wrong.write_text(text, encoding="utf-8")
+    with pytest.raises(FileFormatError, match="There is no sampler called 'nosuch'") as caught:
+        load_scene(str(wrong))
+    assert "Traceback" not in str(caught.value)
 
 
 def test_variant_is_put_back(files: dict[str, str]) -> None:

@@ -15,8 +15,9 @@ from mcspectra.core.checks import as_integer, as_reals
 from mcspectra.core.errors import FileFormatError, ParameterError, close_match_hint
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import parse
-from mcspectra.rendering.backend import LOCK, load_mitsuba
+from mcspectra.rendering.backend import LOCK, VARIANT, load_mitsuba
 from mcspectra.rendering.dict_scene import DictScene
+from mcspectra.rendering.plugin import register_samplers
 
 __all__ = [
     "SCENES",
@@ -26,6 +27,7 @@ __all__ = [
     "film_size",
     "find_emitter",
     "load_scene",
+    "mitsuba_reason",
     "named_pixels",
     "project",
     "scene_name",
@@ -218,22 +220,28 @@ def _from_dict(scene: DictScene) -> Any:
 
 
 def _built(name: str, load: Callable[..., Any], source: object) -> Any:
+    register_samplers(VARIANT)  # the scene may name one of ours
     try:
         # Unoptimised: merging would rename shapes and shuffle their order.
         scene = load(source, optimize=False)
     except (RuntimeError, TypeError) as error:
         raise FileFormatError(
-            f"Mitsuba cannot read the scene {name!r}: {_reason(error)}."
+            f"Mitsuba cannot read the scene {name!r}: {mitsuba_reason(error)}."
         ) from None
     if not isinstance(scene, load_mitsuba().Scene):
         raise FileFormatError(f"{name!r} holds no scene; its root element must be <scene>.")
     return scene
 
 
-def _reason(error: Exception) -> str:
-    """Return Mitsuba's words on one line, without the places in its own source code."""
-    text = re.sub(r"\[\w+\.(?:cpp|h):\d+\]\s*", "", str(error))
-    return " ".join(text.split()).rstrip(".")
+def mitsuba_reason(error: Exception) -> str:
+    """Return Mitsuba's words on one line, without the places in its own source code.
+
+    Of an error in a plugin written in Python that is the last line, after the error's name.
+    """
+    text = str(error).strip()
+    if "Traceback" in text:
+        text = text.splitlines()[-1].partition(": ")[2]
+    return " ".join(re.sub(r"\[\w+\.(?:cpp|h):\d+\]\s*", "", text).split()).rstrip(".")
 
 
 def _as_file(request: str | Path) -> Path | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +13,7 @@ from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import FileFormatError, McspectraError, ParameterError
 from mcspectra.rendering.backend import LOCK, import_mitsuba
 from mcspectra.rendering.plugin import register_samplers
+from mcspectra.rendering.scenes import mitsuba_reason
 
 __all__ = ["render_file"]
 
@@ -126,12 +126,4 @@ def _plain_errors(file: str) -> Iterator[None]:
         cause = error.__cause__
         if isinstance(cause, McspectraError):
             raise cause from None
-        raise FileFormatError(f"Mitsuba cannot render {file!r}: {_reason(error)}.") from None
-
-
-def _reason(error: Exception) -> str:
-    """Return the last line of an error, which is what a plugin said, without places in code."""
-    text = str(error).strip()
-    if "Traceback" in text:
-        text = text.splitlines()[-1].partition(": ")[2]
-    return " ".join(re.sub(r"\[\w+\.(?:cpp|h):\d+\]\s*", "", text).split()).rstrip(".")
+        raise FileFormatError(f"Mitsuba cannot render {file!r}: {mitsuba_reason(error)}.") from None
