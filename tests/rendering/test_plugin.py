@@ -89,6 +89,14 @@ def test_pads_are_the_samplers_sets_in_another_order() -> None:
         assert (np.sort(number, axis=1) == np.arange(16)).all()
 
 
+@pytest.mark.parametrize("spec", ["sobol | owen", "random"])
+def test_sets_in_one_dim_share_no_numbers_with_pairs(spec: str) -> None:
+    sets = PaddedSets(spec=spec, count=16)
+    single, pair = (sets.pads(dims, Stream(5), 0, 20) for dims in (1, 2))
+    # 320 against 640 numbers of 24 bits: 0.01 equal pairs are expected
+    assert np.isin(single, pair).sum() <= 1
+
+
 def test_sets_do_not_depend_on_how_many_are_drawn_at_once() -> None:
     sets = PaddedSets(spec="jittered", count=256, joint=4)
     whole = sets.pads(2, Stream(5), 0, 1500)  # two blocks
