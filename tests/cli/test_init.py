@@ -24,10 +24,11 @@ def file(capsys, tmp_path):
 
 def test_init_writes_a_study_that_runs(capsys, file, tmp_path):
     assert file.read_text(encoding="utf-8") == TEMPLATE
-    few = ("--set", "convergence.realizations=20", "--set", "terms.realizations=20")
+    changes = ("convergence.realizations=20", "terms.realizations=20", 'samplers=["jittered"]')
+    few = [part for change in changes for part in ("--set", change)]
     code, out, err = run(capsys, "run", file, "--out", tmp_path / "o", "--json", *few)
     assert (code, err) == (0, "")
-    assert len(json.loads(out)["rows"]) == 9
+    assert [row["sampler"] for row in json.loads(out)["rows"]] == ["jittered"] * 3
 
 
 def test_all_that_the_template_offers_in_comments_is_valid(capsys, file):
