@@ -19,6 +19,7 @@ __all__ = [
     "DependentRealizationsWarning",
     "DomainError",
     "FileFormatError",
+    "IncompleteImageWarning",
     "InfiniteWeightVarianceWarning",
     "McspectraError",
     "MissingDependency",
@@ -119,6 +120,10 @@ class PreasymptoticWarning(UserWarning):
 
 class UndefinedRatioWarning(UserWarning):
     """f and p are both 0 at a sample: f/p counts as 0 there, whatever its limit."""
+
+
+class IncompleteImageWarning(UserWarning):
+    """An image lacks a part of what the scene would show: a lens, a light, a specular surface."""
 
 
 def close_match_hint(

@@ -21,6 +21,7 @@ from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers, map_in_
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators.moments import Moments
+from mcspectra.rendering.scene_checks import check_environment, warn_lens, warn_missed
 from mcspectra.rendering.scenes import Scene, scene_name
 from mcspectra.rendering.wavefront import Wavefront
 from mcspectra.samplers import Sampler, as_sampler
@@ -51,6 +52,10 @@ def render(
     workers: int | None = None,
 ) -> xr.Dataset:
     """Render a scene's direct illumination, lights that the camera sees included.
+
+    Rays start at the centre of the lens, halfway through the shutter's time: a camera with a lens or
+    a shutter gives an `IncompleteImageWarning`, and so does a strategy that leaves out a light or a
+    surface because it is a delta function.
 
     Parameters
     ----------
@@ -88,13 +93,15 @@ def render(
     Raises
     ------
     ParameterError
-        A parameter is out of range, `crop` leaves the film, or the scene cannot be rendered.
+        A parameter is out of range, `crop` leaves the film, an environment map has pixels that are
+        no radiance, or the scene cannot be rendered.
     CountError
         The sampler cannot make `spp` points.
     MissingDependency
         Mitsuba or LLVM is missing.
     """
     waves = Wavefront(scene, light, film, heuristic=heuristic, emission=True)
+    check_environment(scene, light)
     points = as_sampler(sampler, waves.dims(strategy))
     plan = _Plan(
         waves=waves,
@@ -105,6 +112,8 @@ def render(
         crop=_as_crop(crop, waves),
         stream=Stream.from_rng(rng),
     )
+    warn_lens(scene)
+    warn_missed(scene, strategy, light)
     moments = _moments(plan, available_workers(workers))
     return _as_dataset(
         moments,

@@ -38,7 +38,7 @@ from mcspectra.rendering._map_results import labelled
 from mcspectra.rendering._map_store import TileStore
 from mcspectra.rendering._map_tiles import MAP_STRATEGIES, Measurement
 from mcspectra.rendering.backend import LOCK, load_mitsuba
-from mcspectra.rendering.scene_checks import check_lights
+from mcspectra.rendering.scene_checks import check_lights, check_scene, warn_lens
 from mcspectra.rendering.scenes import Scene, as_scene, film_size, scene_name, sensor_of
 from mcspectra.rendering.techniques import POWERS
 from mcspectra.samplers import as_sampler
@@ -157,10 +157,11 @@ def variance_map(
     with _threads(workers):
         maps = _measured(measurement, window, store)
     if not (maps["status"] == RECEIVER).any():
-        raise ParameterError(
+        nothing = (
             f"No pixel of the crop {list(window)} of {scene_name(scene)} sees a surface that scatters "
             "light; choose another crop."
         )
+        raise ParameterError(" ".join([nothing, *check_scene(scene, light=light)]))
     return labelled(measurement, window, maps, smoothing, rng)
 
 
@@ -185,6 +186,7 @@ def _measurement(
         sensor_of(scene)
         grid = film_size(scene) if size is None else check_size(size)
         check_lights(scene, light)
+        warn_lens(scene)
     chosen = as_sampler(sampler, as_integer("dims", dims, least=2, most=3))
     return Measurement(
         lighting=Lighting(

@@ -1,19 +1,25 @@
-"""What of a scene cannot be analysed: participating media, delta lights, delta BSDFs."""
+"""What of a scene cannot be analysed: media, delta lights and BSDFs, lenses, broken maps."""
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable
 from typing import Any
 
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import IncompleteImageWarning, ParameterError
 from mcspectra.rendering.backend import LOCK, load_mitsuba
 from mcspectra.rendering.scenes import Scene, emitter_name, find_emitter, load_scene, scene_name
+from mcspectra.rendering.skies import rotation_of
 
 __all__ = [
+    "check_environment",
     "check_lights",
     "check_media",
     "check_scene",
     "delta_bsdf",
     "delta_light",
+    "warn_lens",
+    "warn_missed",
 ]
 
 
@@ -30,10 +36,11 @@ def check_scene(scene: Scene, *, light: int | str | None = None) -> list[str]:
     Returns
     -------
     list of str
-        A sentence for each: no camera, no lights, participating media, lights that are delta
-        functions (point, spot, directional, …), shapes whose BSDF has a delta function (dielectric,
-        smooth conductor, mask, …). Empty if everything is supported. Shapes inside instances do
-        not show; a pixel that sees one says so itself.
+        A sentence for each: no camera, a camera with a lens or a shutter, no lights, participating
+        media, lights that are delta functions (point, spot, directional, …), an environment that
+        is scaled or has pixels that are no radiance, shapes whose BSDF has a delta function
+        (dielectric, smooth conductor, mask, …). Empty if everything is supported. Shapes inside
+        instances do not show; a pixel that sees one says so itself.
 
     Raises
     ------
@@ -50,9 +57,11 @@ def check_scene(scene: Scene, *, light: int | str | None = None) -> list[str]:
         loaded = load_scene(scene)
         return [
             *_without_camera(scene, loaded),
+            *_lens(scene, loaded),
             *_media(scene, loaded),
             *_lights(scene, light),
-            *filter(None, (delta_bsdf(s.bsdf(), s.id()) for s in loaded.shapes() if s.bsdf())),
+            *_environment(scene, light, (_scaled, _no_radiance)),
+            *_delta_bsdfs(loaded),
         ]
 
 
@@ -65,11 +74,50 @@ def check_media(scene: Scene) -> None:
 def check_lights(scene: Scene, light: int | str | None = None) -> None:
     """Raise a ParameterError unless the lights that count can be sampled and reach surfaces.
 
-    There must be at least one, none a delta function, and no participating media on the way.
+    There must be at least one, none a delta function, no participating media on the way, and the
+    pixels of an environment must be radiances.
     """
     check_media(scene)
     with LOCK:
         _raise_first(_lights(scene, light))
+    check_environment(scene, light)
+
+
+def check_environment(scene: Scene, light: int | str | None = None) -> None:
+    """Raise a ParameterError if the environment counts and has pixels that are no radiance."""
+    with LOCK:
+        _raise_first(_environment(scene, light, (_no_radiance,)))
+
+
+def warn_lens(scene: Scene) -> None:
+    """Warn that a lens or a shutter of the camera is not sampled."""
+    with LOCK:
+        sentences = _lens(scene, load_scene(scene))
+    for sentence in sentences:
+        _warn(sentence)
+
+
+def warn_missed(scene: Scene, strategy: str, light: int | str | None = None) -> None:
+    """Warn of what one strategy alone leaves out of an image.
+
+    BSDF sampling never meets a light that is a delta function, light sampling gives nothing on a
+    BSDF that is one.
+    """
+    with LOCK:
+        if strategy == "bsdf":
+            lights = [emitter_name(e) for e in _chosen(scene, light) if delta_light(e)]
+            missed = [f"the light {name!r}" for name in lights]
+        elif strategy == "light":
+            shapes = [s for s in load_scene(scene).shapes() if _specular(s)]
+            missed = [f"specular reflection by {_called('shape', s.id())}" for s in shapes]
+        else:
+            return
+    if missed:
+        other = "light" if strategy == "bsdf" else "bsdf"
+        _warn(
+            f"The strategy {strategy!r} leaves out {_listed(missed)} of {scene_name(scene)}, a "
+            f"delta function; choose 'mis' or {other!r}."
+        )
 
 
 def delta_light(emitter: Any) -> bool:
@@ -92,12 +140,47 @@ def _raise_first(sentences: list[str]) -> None:
         raise ParameterError(sentences[0])
 
 
+def _warn(sentence: str) -> None:
+    warnings.warn(sentence, IncompleteImageWarning, stacklevel=4)
+
+
+def _listed(names: list[str]) -> str:
+    """The first of some names and how many follow."""
+    more = len(names) - 1
+    return names[0] + (f" and {more} more" if more else "")
+
+
 def _without_camera(scene: Scene, loaded: Any) -> list[str]:
     return (
         []
         if loaded.sensors()
         else [f"The scene {scene_name(scene)} has no camera; add a <sensor>."]
     )
+
+
+def _lens(scene: Scene, loaded: Any) -> list[str]:
+    """What of the first camera is not sampled: rays start at the lens's centre at one time."""
+    sensors = loaded.sensors()[:1]
+    found = {
+        f"a lens (of radius {radius:.3g})": radius > 0.0 for radius in map(_aperture, sensors)
+    } | {"a shutter (open for a while)": any(s.shutter_open_time() > 0.0 for s in sensors)}
+    return [
+        f"The camera of {scene_name(scene)} has {what}, which is not sampled: every ray starts at "
+        "the centre of the lens halfway through the time that the shutter is open."
+        for what, there in found.items()
+        if there
+    ]
+
+
+def _aperture(sensor: Any) -> float:
+    """Radius of a camera's lens, 0 for a pinhole."""
+    if not sensor.needs_aperture_sample():
+        return 0.0
+    parameters = load_mitsuba().traverse(sensor)
+    if "aperture_radius" not in parameters:
+        return 0.0
+    radius = parameters["aperture_radius"]
+    return float(radius if isinstance(radius, float) else radius[0])
 
 
 def _media(scene: Scene, loaded: Any) -> list[str]:
@@ -112,7 +195,7 @@ def _has_medium(shape: Any) -> bool:
 
 
 def _lights(scene: Scene, light: int | str | None) -> list[str]:
-    chosen = load_scene(scene).emitters() if light is None else [find_emitter(scene, light)]
+    chosen = _chosen(scene, light)
     if not chosen:
         return [f"The scene {scene_name(scene)} has no lights; add an emitter to it."]
     return [
@@ -121,6 +204,53 @@ def _lights(scene: Scene, light: int | str | None) -> list[str]:
         for e in chosen
         if delta_light(e)
     ]
+
+
+def _chosen(scene: Scene, light: int | str | None) -> list[Any]:
+    """Lights that count."""
+    if light is None:
+        return list(load_scene(scene).emitters())
+    return [find_emitter(scene, light)]
+
+
+def _environment(
+    scene: Scene, light: int | str | None, problems: tuple[Callable[[Any], str], ...]
+) -> list[str]:
+    """What is wrong with the environment, if it counts."""
+    found = [e for e in _chosen(scene, light) if e.is_environment()]
+    return [sentence for emitter in found for problem in problems if (sentence := problem(emitter))]
+
+
+def _scaled(emitter: Any) -> str:
+    try:
+        rotation_of(emitter)
+    except ParameterError as error:
+        return str(error)
+    return ""
+
+
+def _no_radiance(emitter: Any) -> str:
+    """Say that a map has pixels that are NaN, infinite or negative."""
+    import drjit
+
+    parameters = load_mitsuba().traverse(emitter)
+    if "data" not in parameters:
+        return ""
+    values = parameters["data"].array
+    if drjit.all(drjit.isfinite(values) & (values >= 0.0)):
+        return ""
+    return (
+        f"The map of the environment {emitter_name(emitter)!r} has pixels that are NaN, infinite or "
+        "negative; replace them."
+    )
+
+
+def _delta_bsdfs(loaded: Any) -> list[str]:
+    return [delta_bsdf(s.bsdf(), s.id()) for s in loaded.shapes() if _specular(s)]
+
+
+def _specular(shape: Any) -> bool:
+    return bool(shape.bsdf() and delta_bsdf(shape.bsdf(), shape.id()))
 
 
 def _called(kind: str, name: str) -> str:

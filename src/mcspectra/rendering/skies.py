@@ -20,7 +20,7 @@ from mcspectra.densities import Density, EnvironmentDensity, as_density
 from mcspectra.rendering.backend import LOCK, load_mitsuba
 from mcspectra.rendering.scenes import Scene, emitter_name, find_emitter, load_scene, scene_name
 
-__all__ = ["Sky", "environment_of", "sky_pixels", "sky_technique"]
+__all__ = ["Sky", "environment_of", "rotation_of", "sky_pixels", "sky_technique"]
 
 _ROWS = 512
 _MOST_ROWS = 2**12
@@ -146,7 +146,7 @@ def _sky(loaded: Any, name: str, density: Density | str) -> Sky:
         raise ParameterError(
             f"The environment of {name} is sampled by a density in 2 dims; {density!r:.80} is none."
         )
-    return Sky(made, _rotation(loaded.environment()))
+    return Sky(made, rotation_of(loaded.environment()))
 
 
 def _of_scene(loaded: Any, spec: str) -> Density | None:
@@ -165,11 +165,11 @@ def _pixels(emitter: Any, rows: int) -> Array:
         (np.arange(rows) + 0.5) / rows, (np.arange(2 * rows) + 0.5) / (2 * rows), indexing="ij"
     )
     x = np.stack([x_0.ravel(), x_1.ravel()], axis=-1)
-    return _radiance(emitter, _local(x) @ _rotation(emitter).T).reshape(rows, 2 * rows, 3)
+    return _radiance(emitter, _local(x) @ rotation_of(emitter).T).reshape(rows, 2 * rows, 3)
 
 
-def _rotation(emitter: Any) -> Array:
-    """The frame of an emitter in the world, (3, 3)."""
+def rotation_of(emitter: Any) -> Array:
+    """Return the frame of an emitter in the world, (3, 3), a ParameterError if it is scaled."""
     matrix = np.asarray(emitter.world_transform().matrix, np.float64).reshape(4, 4)[:3, :3]
     if not np.allclose(matrix.T @ matrix, np.eye(3), atol=_ORTHONORMAL):
         raise ParameterError(

@@ -1,0 +1,125 @@
+"""What an image leaves out is said: a lens, a shutter, lights and surfaces that are delta functions."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mcspectra.core.errors import IncompleteImageWarning, ParameterError
+from mcspectra.rendering import Pixel, check_scene, variance_map
+from mcspectra.rendering.backend import LOCK, load_mitsuba
+from mcspectra.rendering.image import render
+from mcspectra.rendering.scene_checks import check_lights, warn_missed
+
+pytestmark = pytest.mark.render
+
+FILM = {"type": "hdrfilm", "width": 6, "height": 4}
+
+
+def scene(camera: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
+    """A diffuse wall that fills the view, with what a test adds; lit by a constant sky."""
+    sensor = {"type": "perspective", "film": FILM} | (camera or {})
+    sky = {} if "sky" in more else {"sky": {"type": "constant"}}
+    with LOCK:
+        away = load_mitsuba().ScalarTransform4f().translate([0, 0, 2]).rotate([0, 1, 0], 180)
+    wall = {"type": "rectangle", "to_world": away.scale(9), "bsdf": {"type": "diffuse"}}
+    return {"type": "scene", "sensor": sensor, "wall": wall} | sky | more
+
+
+def sky(values: np.ndarray, **more: Any) -> dict[str, Any]:
+    return {"type": "envmap", "bitmap": load_mitsuba().Bitmap(values.astype(np.float32)), **more}
+
+
+def silent(scene: Any, strategy: str = "mis", **options: Any) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        render(scene, strategy, spp=1, **options)
+
+
+LENS = {"type": "thinlens", "aperture_radius": 0.25, "focus_distance": 1.0}
+SHUTTER = {"shutter_open": 0.0, "shutter_close": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("camera", "words"),
+    [
+        (LENS, ["a lens (of radius 0.25)"]),
+        (SHUTTER, ["a shutter"]),
+        (LENS | SHUTTER, 2 * ["has a"]),
+    ],
+)
+def test_cameras_that_are_not_sampled_are_named(camera: dict[str, Any], words: list[str]) -> None:
+    made = scene(camera)
+    sentences = check_scene(made)
+    assert len(sentences) == len(words)
+    for sentence, word in zip(sentences, words, strict=True):
+        assert word in sentence
+        assert sentence.count("\n") == 0
+    for measure in (
+        lambda: render(made, spp=1),
+        lambda: variance_map(made, counts=(1, 4), realizations=2, predict_every=0),
+    ):
+        with pytest.warns(IncompleteImageWarning) as heard:
+            measure()
+        assert [str(each.message) for each in heard] == sentences
+
+
+def test_pinholes_are_rendered_in_silence() -> None:
+    assert check_scene(scene()) == []
+    silent(scene())
+
+
+def test_strategies_that_leave_out_a_light_say_so() -> None:
+    lamp = {"type": "point", "position": [0, 0, 1]}
+    made = scene(lamp=lamp, spot={"type": "spot"})
+    with pytest.warns(
+        IncompleteImageWarning, match=r"'bsdf' leaves out the light 'lamp' and 1 more"
+    ):
+        found = render(made, "bsdf", spp=4)["image"]
+    np.testing.assert_array_equal(found, render(scene(), "bsdf", spp=4)["image"])  # silently less
+    silent(made, "light")
+    silent(made, "mis")
+    silent(made, "bsdf", light="sky")
+
+
+def test_strategies_that_leave_out_a_mirror_say_so() -> None:
+    made = scene(ball={"type": "sphere", "bsdf": {"type": "conductor"}})
+    with pytest.warns(IncompleteImageWarning, match="'light' leaves out specular .*'ball'"):
+        render(made, "light", spp=1)
+    silent(made, "bsdf")
+    warn_missed(made, "mis-light")
+
+
+def test_scaled_environments_are_listed() -> None:
+    with LOCK:
+        twice = load_mitsuba().ScalarTransform4f().scale(2)
+    (sentence,) = check_scene(scene(sky=sky(np.ones((4, 8, 3)), to_world=twice)))
+    assert "'sky' is no rotation or reflection" in sentence
+    assert check_scene(scene(sky=sky(np.ones((4, 8, 3))))) == []
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
+def test_environments_with_a_broken_pixel_are_refused(value: float) -> None:
+    pixels = np.ones((4, 8, 3))
+    pixels[2, 3, 1] = value
+    made = scene(sky=sky(pixels), lamp={"type": "point"})
+    assert any("'sky' has pixels that are NaN" in each for each in check_scene(made))
+    assert not any("NaN" in each for each in check_scene(made, light="lamp"))
+    for refused in (
+        lambda: render(made, "light", spp=1),
+        lambda: check_lights(made, "sky"),
+        lambda: Pixel(scene=made, x=1, y=1, light="sky"),
+    ):
+        with pytest.raises(ParameterError, match="'sky' has pixels that are NaN"):
+            refused()
+
+
+def test_maps_that_see_nothing_say_what_is_in_the_way() -> None:
+    made = scene(
+        wall={"type": "rectangle"}, ball={"type": "sphere", "bsdf": {"type": "dielectric"}}
+    )
+    with pytest.raises(ParameterError, match=r"choose another crop\. The BSDF of the shape 'ball'"):
+        variance_map(made, counts=(1, 4), realizations=2)
