@@ -15,7 +15,6 @@ from mcspectra.rendering._map_tiles import MAP_STRATEGIES
 __all__ = [
     "POINTS",
     "Window",
-    "check_channel",
     "check_counts",
     "check_crop",
     "check_memory",
@@ -32,13 +31,6 @@ Window = tuple[int, int, int, int]
 _MOST_NUMBERS = 2**27  # of a result: 1 GiB
 _MOST_SMOOTHING = 31
 _LONGEST_SIDE = 65_536
-
-
-def check_channel(channel: Any) -> str | int:
-    """Return one channel."""
-    if channel == "luminance" or (type(channel) is int and 0 <= channel <= 2):
-        return channel  # type: ignore[no-any-return]
-    raise ParameterError(f"channel is {channel!r}; give 'luminance', 0, 1 or 2.")
 
 
 def check_counts(counts: Any) -> list[int]:

@@ -14,7 +14,7 @@ from typing import Any, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.rendering.backend import LOCK, load_mitsuba
 from mcspectra.rendering.receivers import Hit, film_hits, primary_hit
@@ -198,11 +198,15 @@ class View:
             )
 
 
-def check_channel(channel: object) -> None:
-    """Raise a ParameterError unless this names a channel of a `Pixel`."""
-    if channel in ("luminance", "rgb") or (type(channel) is int and 0 <= channel <= 2):
-        return
-    raise ParameterError(f"channel is {channel!r}; give 'luminance', 'rgb', 0, 1 or 2.")
+def check_channel(channel: object, names: Sequence[str] = ("luminance", "rgb")) -> str | int:
+    """Return a channel, one of these names or 0, 1 or 2; anything else is a ParameterError."""
+    if isinstance(channel, str) and channel in names:
+        return str(channel)
+    try:
+        return as_integer("channel", channel, least=0, most=2)
+    except ParameterError:
+        allowed = ", ".join(map(repr, names))
+        raise ParameterError(f"channel is {channel!r}; give {allowed}, 0, 1 or 2.") from None
 
 
 def _as_samples(u: Array) -> Array:

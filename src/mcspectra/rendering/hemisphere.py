@@ -56,17 +56,17 @@ def incident_light(
     """
     request = as_scene(scene)
     rows = as_integer("resolution", resolution, least=4, most=1024)
-    check_channel(channel)
-    if channel == "rgb":
+    chosen = check_channel(channel)
+    if chosen == "rgb":
         raise ParameterError("channel is 'rgb'; give 'luminance', 0, 1 or 2, one at a time.")
     elevation = (np.arange(rows) + 0.5) * (90.0 / rows)
     azimuth = (np.arange(4 * rows) + 0.5) * (90.0 / rows)
     with LOCK:
-        check_pixel(request, x, y)
+        x, y = check_pixel(request, x, y)
         check_lights(request, light)
         hit = check_receiver(request, x, y)
         emitter = None if light is None else find_emitter(request, light)
-        seen = _look(hit, emitter, _directions(elevation, azimuth), channel)
+        seen = _look(hit, emitter, _directions(elevation, azimuth), chosen)
     shape = (elevation.size, azimuth.size)
     names = ("incident_radiance", "reflected_radiance")
     dims = ("elevation", "azimuth")
@@ -77,7 +77,7 @@ def incident_light(
         x=x,
         y=y,
         light=light,
-        channel=channel,
+        channel=chosen,
     )
 
 

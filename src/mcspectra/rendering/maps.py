@@ -25,7 +25,6 @@ from mcspectra.core.streams import RngLike, Stream
 from mcspectra.rendering._map_checks import (
     POINTS,
     Window,
-    check_channel,
     check_counts,
     check_crop,
     check_memory,
@@ -38,6 +37,7 @@ from mcspectra.rendering._map_results import labelled
 from mcspectra.rendering._map_store import TileStore
 from mcspectra.rendering._map_tiles import MAP_STRATEGIES, Measurement
 from mcspectra.rendering.backend import LOCK, load_mitsuba
+from mcspectra.rendering.draws import check_channel
 from mcspectra.rendering.scene_checks import check_lights, check_scene, warn_lens
 from mcspectra.rendering.scenes import Scene, as_scene, film_size, scene_name, sensor_of
 from mcspectra.rendering.techniques import POWERS
@@ -193,7 +193,7 @@ def _measurement(
             scene=scene,
             light=light,
             heuristic=as_choice("heuristic", heuristic, tuple(POWERS)),
-            channel=check_channel(channel),
+            channel=check_channel(channel, ("luminance",)),
             size=grid,
         ),
         strategies=check_strategies(strategies),

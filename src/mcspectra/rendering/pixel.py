@@ -118,7 +118,9 @@ class Pixel(Integrand):
             raise ParameterError(
                 f"density is for strategy='environment', not for {self.strategy!r}; leave it out."
             )
-        check_view(self._view, bsdf=self.strategy.endswith("bsdf"))
+        view = check_view(self._view, bsdf=self.strategy.endswith("bsdf"))
+        for name in ("x", "y", "channel", "dims"):  # NumPy's integers become Python's
+            object.__setattr__(self, name, getattr(view, name))
         self._technique()
 
     @property
@@ -167,8 +169,8 @@ def pixel_strategies(
     }
 
 
-def check_view(view: View, *, bsdf: bool) -> None:
-    """Raise a ParameterError unless a pixel can be sampled.
+def check_view(view: View, *, bsdf: bool) -> View:
+    """Return a pixel with its numbers as Python integers, if it can be sampled.
 
     Parameters
     ----------
@@ -176,19 +178,26 @@ def check_view(view: View, *, bsdf: bool) -> None:
         The pixel.
     bsdf
         Whether its BSDF will be, which may need a dim more.
+
+    Raises
+    ------
+    ParameterError
+        It cannot be sampled, as of `Pixel`.
     """
-    check_channel(view.channel)
+    channel = check_channel(view.channel)
     dims = as_integer("dims of a pixel", view.dims, least=2, most=MOST_DIMS)
     single_lobe = bsdf and dims % 2 == 0
     with LOCK:
-        check_pixel(view.scene, view.x, view.y)
+        x, y = check_pixel(view.scene, view.x, view.y)
         check_lights(view.scene, view.light)
-        if view.on_film:
-            check_film_receivers(view.scene, view.x, view.y, single_lobe=single_lobe)
-            return
-        hit = check_receiver(view.scene, view.x, view.y)
+        checked = View(view.scene, x, y, view.light, channel, dims)
+        if checked.on_film:
+            check_film_receivers(view.scene, x, y, single_lobe=single_lobe)
+            return checked
+        hit = check_receiver(view.scene, x, y)
         if single_lobe:
             check_single_lobe(hit, dims)
+        return checked
 
 
 def describe_pixel(scene: Scene, x: int, y: int) -> dict[str, Any]:
@@ -207,8 +216,7 @@ def describe_pixel(scene: Scene, x: int, y: int) -> dict[str, Any]:
         The pixel is outside the film.
     """
     with LOCK:
-        check_pixel(scene, x, y)
-        hit = primary_hit(load_scene(scene), x, y)
+        hit = primary_hit(load_scene(scene), *check_pixel(scene, x, y))
         if not hit.bsdf:
             return dict.fromkeys(("shape", "bsdf", "light", "position", "normal"))
         return {

@@ -279,8 +279,8 @@ def pixel_mis(
             f"techniques is {techniques!r:.80}; give 'light' and 'bsdf' once at most, and densities "
             "without 'light', which samples the environment too."
         )
-    view = View(as_scene(scene), x, y, light, channel, dims)
-    check_view(view, bsdf="bsdf" in given)
+    asked = View(as_scene(scene), x, y, light, channel, dims)
+    view = check_view(asked, bsdf="bsdf" in given)
     return PixelMIS(view, given, heuristic=heuristic, counts=counts, sets=sets)
 
 

@@ -20,7 +20,6 @@ from mcspectra.rendering.scenes import (
     film_size,
     load_scene,
     scene_name,
-    sensor_of,
 )
 from mcspectra.rendering.techniques import LARGEST_SAMPLE
 
@@ -96,15 +95,15 @@ def film_hits(scene: Any, x: int, y: int, film: Array) -> Hit:
     return Hit(scene, interaction, interaction.bsdf(), interaction.is_valid() & ~shines)
 
 
-def check_pixel(scene: Scene, x: object, y: object) -> None:
-    """Raise a ParameterError unless the pixel is on the scene's film."""
-    sensor_of(scene)
-    for name, value, size in zip("xy", (x, y), film_size(scene), strict=True):
-        try:
-            as_integer(name, value, least=0, most=size - 1)
-        except ParameterError as error:
-            where = scene_name(scene)
-            raise ParameterError(f"The pixel is outside the film of {where}: {error}") from None
+def check_pixel(scene: Scene, x: object, y: object) -> tuple[int, int]:
+    """Return x and y as Python integers; a pixel off the scene's film is a ParameterError."""
+    width, height = film_size(scene)
+    try:
+        column = as_integer("x", x, least=0, most=width - 1)
+        return column, as_integer("y", y, least=0, most=height - 1)
+    except ParameterError as error:
+        where = scene_name(scene)
+        raise ParameterError(f"The pixel is outside the film of {where}: {error}") from None
 
 
 def check_receiver(scene: Scene, x: int, y: int) -> Hit:

@@ -201,12 +201,12 @@ class _Pixel:
     def of(
         scene: Scene, place: tuple[int, int], light: int | str | None, channel: Any, dims: int
     ) -> _Pixel:
-        request, (x, y) = as_scene(scene), place
+        request = as_scene(scene)
         as_integer("dims", dims, least=2, most=3)
         if channel == "rgb":
             raise ParameterError("channel is 'rgb'; give 'luminance', 0, 1 or 2, one at a time.")
-        view = View(request, x, y, light, channel, dims)
-        check_view(view, bsdf=True)
+        view = check_view(View(request, *place, light, channel, dims), bsdf=True)
+        x, y, channel = view.x, view.y, view.channel
         given: dict[str, Any] = {"light": light, "channel": channel, "dims": dims}
         singles = {s: Pixel(scene=request, x=x, y=y, strategy=s, **given) for s in _TECHNIQUES}
         combined = {h: pixel_mis(request, x, y, heuristic=h, **given) for h in _HEURISTICS}
