@@ -60,6 +60,7 @@ def test_pictures_and_page(made: tuple[Path, xr.Dataset]) -> None:
         assert (folder / f"{kind}.png").read_bytes().startswith(b"\x89PNG")
         assert f'id="{kind}"' in page
         assert caption.split(":")[0] in page
+    assert "All pixels have the same points, so their errors are alike" in page
     assert "http" not in page.replace("http-equiv", "")
     assert page.count("data:image/png;base64,") == len(MAP_CAPTIONS)
     assert not list(folder.glob(".*"))
@@ -89,7 +90,11 @@ def test_text_has_a_row_a_strategy(tmp_path: Path, capsys: pytest.CaptureFixture
     options = ("--strategies", "bsdf,light", "--predict-every", 0, "--out", tmp_path)
     code, out, _ = run(capsys, "veach", *SMALL, *options)
     assert code == 0
-    header, _, *rows, last = out.splitlines()
+    header, _, *rows, note, last = out.splitlines()
+    assert note.startswith(
+        "Medians over the 24 pixels that see a lit surface; mean and variance at"
+    )
+    assert "n = 16. All pixels have the same points" in note
     assert header.split() == ["strategy", "mean", "variance", "rate", "rate_se"]
     assert [row.split()[0] for row in rows] == ["light", "bsdf"]
     assert last == f"map: {tmp_path / 'report.html'}"
@@ -107,7 +112,7 @@ def test_options_reach_the_map(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert list(found["strategies"]) == ["light", "mis-bsdf"]
     expected = {
         "sampler": "random", "light": "light-3", "heuristic": "power", "channel": 1,
-        "points": "own", "smoothing": 3, "crop": "[8, 6, 6, 4]", "size": "[24, 16]",
+        "points": "own", "smoothing": 3, "crop": [8, 6, 6, 4], "size": [24, 16],
     }  # fmt: skip
     assert {name: found[name] for name in expected} == expected
     assert "predicted_ratio" not in found["strategies"]["light"]
@@ -131,6 +136,7 @@ def test_options_reach_the_map(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (("veach", "-m", "nan"), "--realizations is 'nan'"),
         (("veach", "--sampler", "jit"), "jit"),
         (("veach", "--light", "moon"), "no light 'moon'"),
+        (("veach", "--light=-1"), "light is -1; give a whole number from 0 to 4"),
         (("veach", "--heuristic", "best"), "balance, power"),
         (("veach", "--channel", "rgb"), "channel is 'rgb'"),
         (("veach", "--dims", "7"), "from 2 to 3"),

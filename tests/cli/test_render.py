@@ -108,6 +108,8 @@ def test_exposure_brightens_the_png(command, tmp_path):
         ((*SMALL, "--reference", "-m", "1"), "--realizations"),
         ((*SMALL, "--reference", "--spp", "100"), "multiple of batches"),
         ((*SMALL, "--light", "moon"), "no light 'moon'"),
+        ((*SMALL, "--light", "-1"), "light is -1; give a whole number from 0 to 4"),
+        ((*SMALL, "--light", "5"), "light is 5; give a whole number from 0 to 4"),
         ((*SMALL, "--heuristic", "best"), "balance, power"),
         ((*SMALL, "--film", "gaussian"), "center, sampled"),
         ((*SMALL, "--exposure", "nan"), "--exposure"),

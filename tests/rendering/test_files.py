@@ -134,3 +134,24 @@ def test_layers_that_are_refused(tmp_path: Path, layers: dict[str, Any]) -> None
 def test_exposures_that_are_refused(tmp_path: Path, exposure: Any) -> None:
     with pytest.raises(McspectraError, match="exposure"):
         write_png(tmp_path / "image.png", IMAGE, exposure=exposure)
+
+
+def test_finite_numbers_stay_finite(tmp_path: Path) -> None:
+    file, largest = tmp_path / "image.exr", np.finfo(np.float32).max
+    values = np.array([[1e300, -1e300, np.inf, -np.inf, np.nan, 1.5]])
+    write_exr(file, {"": values})  # an overflow would be a warning, and so an error here
+    expected = [[largest, -largest, np.inf, -np.inf, np.nan, 1.5]]
+    np.testing.assert_array_equal(planes(file)["Y"], expected)
+
+
+def test_results_and_paths_that_are_swapped_or_missing(tmp_path: Path) -> None:
+    file = tmp_path / "a.exr"
+    with pytest.raises(ParameterError, match="give the path first, then the result") as refused:
+        write_render(result(), file)  # type: ignore[arg-type]
+    assert "\n" not in str(refused.value)
+    for wrong in (None, IMAGE, result().drop_vars("image")):
+        with pytest.raises(ParameterError, match="give what render returns"):
+            write_render(file, wrong)  # type: ignore[arg-type]
+    with pytest.raises(FileFormatError, match=r"^A Dataset is not the path"):
+        write_exr(result(), {"": IMAGE})  # type: ignore[arg-type]
+    assert not file.exists()

@@ -26,6 +26,7 @@ __all__ = [
     "add_estimator_arguments",
     "build_estimator",
     "counts_option",
+    "index_or_name",
     "one_sentence_warnings",
     "print_json",
     "read_sampler",
@@ -193,6 +194,12 @@ def _shares(text: str, techniques: int) -> list[int]:
             f"--shares has {len(shares)} numbers for {techniques} densities; give one for each."
         )
     return shares
+
+
+def index_or_name(text: str | None) -> int | str | None:
+    """Return an option that is a number or a name: whole numbers as such, also negative ones."""
+    digits = "" if text is None else text.removeprefix("-")
+    return int(text) if text and digits.isdecimal() and len(digits) < 20 else text
 
 
 def print_json(data: Any) -> None:

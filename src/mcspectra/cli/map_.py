@@ -12,6 +12,7 @@ from typing import Any
 
 from mcspectra.cli.common import (
     counts_option,
+    index_or_name,
     one_sentence_warnings,
     print_json,
     seed_option,
@@ -51,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Measure, write and print."""
     from mcspectra.rendering.maps import variance_map
-    from mcspectra.report.map_page import map_summary, write_map
+    from mcspectra.report.map_page import map_note, map_summary, write_map
 
     silent = options.quiet or options.json
     folder = Path(options.out)
@@ -62,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json({**summary, "report": str(page)})
     elif not options.quiet:
-        print(f"{_text(summary)}\nmap: {page}")
+        print(f"{_text(summary)}\n{map_note(summary)}\nmap: {page}")
     return 0
 
 
@@ -72,9 +73,9 @@ def _arguments(options: argparse.Namespace) -> dict[str, Any]:
         "sampler": options.sampler,
         "counts": counts_option(options.counts),
         "realizations": whole_number("--realizations", options.realizations, least=2),
-        "light": _index_or_name(options.light),
+        "light": index_or_name(options.light),
         "heuristic": options.heuristic,
-        "channel": _index_or_name(options.channel),
+        "channel": index_or_name(options.channel),
         "dims": whole_number("--dims", options.dims),
         "points": options.points,
         "smoothing": whole_number("--smoothing", options.smoothing),
@@ -94,10 +95,6 @@ def _arguments(options: argparse.Namespace) -> dict[str, Any]:
 
 def _integers(name: str, text: str) -> list[int]:
     return [whole_number(name, part.strip(), least=0) for part in text.split(",")]
-
-
-def _index_or_name(text: str | None) -> int | str | None:
-    return int(text) if text is not None and text.isdecimal() else text
 
 
 def _text(summary: dict[str, Any]) -> str:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from mcspectra.cli.common import (
     counts_option,
+    index_or_name,
     one_sentence_warnings,
     print_json,
     seed_option,
@@ -89,8 +90,8 @@ def _place(x: str, y: str | None) -> tuple[int | str, int | None]:
 def _arguments(options: argparse.Namespace) -> dict[str, Any]:
     """Arguments of `analyse_pixel` from the options; those not given keep their defaults."""
     chosen: dict[str, Any] = {
-        "light": _index_or_name(options.light),
-        "channel": _index_or_name(options.channel),
+        "light": index_or_name(options.light),
+        "channel": index_or_name(options.channel),
         "dims": whole_number("--dims", options.dims),
         "remedies": not options.no_remedies,
         "effort": "full" if options.full else "quick",
@@ -105,10 +106,6 @@ def _arguments(options: argparse.Namespace) -> dict[str, Any]:
     if options.budget is not None:
         chosen["budget"] = whole_number("--budget", options.budget)
     return chosen
-
-
-def _index_or_name(text: str | None) -> int | str | None:
-    return int(text) if text is not None and text.isdecimal() else text
 
 
 def _text(tree: xr.DataTree) -> str:

@@ -14,6 +14,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from mcspectra.cli.common import (
+    index_or_name,
     one_sentence_warnings,
     print_json,
     seed_option,
@@ -92,7 +93,7 @@ def _render(options: argparse.Namespace) -> xr.Dataset:
         "sampler": options.sampler,
         "crop": None if options.crop is None else _crop(options.crop),
         "film": options.film,
-        "light": _light(options.light),
+        "light": index_or_name(options.light),
         "heuristic": options.heuristic,
         "rng": seed_option(options),
     }
@@ -132,10 +133,6 @@ def _crop(text: str) -> list[int]:
     if len(parts) != 4:
         raise ParameterError(f"--crop is {text!r}; give X,Y,W,H, four whole numbers.")
     return [whole_number("--crop", part.strip(), least=0) for part in parts]
-
-
-def _light(text: str | None) -> int | str | None:
-    return int(text) if text is not None and text.isascii() and text.isdigit() else text
 
 
 def _exposure(text: str) -> float:

@@ -54,8 +54,9 @@ def write_render(
     FileFormatError
         Another extension, or the file cannot be written.
     ParameterError
-        `exposure` is not a number from −64 to 64.
+        `exposure` is not a number from −64 to 64, or `result` is nothing that `render` returns.
     """
+    _check_result(path, result)
     file = check_image_path(path)
     if file.suffix.lower() == ".png":
         write_png(file, result["image"].values, exposure=exposure)
@@ -68,6 +69,8 @@ def write_render(
 
 def write_exr(path: str | PathLike[str], layers: Mapping[str, Array], *, comment: str = "") -> None:
     """Write layers as float32 channels of one EXR file (ZIP, scan lines).
+
+    Finite numbers beyond the range of float32 become its largest.
 
     Parameters
     ----------
@@ -139,7 +142,8 @@ def encode_srgb(linear: Array) -> Array:
 def check_image_path(path: object, extensions: tuple[str, ...] = RENDER_EXTENSIONS) -> Path:
     """Return `path` if its extension is one of those, and its folder exists."""
     if not isinstance(path, str | PathLike) or not str(path):
-        raise FileFormatError(f"{path!r} is not the path of an image; give a file name.")
+        given = repr(path) if isinstance(path, str | bytes | int | float) else f"A {_type(path)}"
+        raise FileFormatError(f"{given} is not the path of an image; give a file name.")
     file = Path(path)
     if file.suffix.lower() not in extensions:
         raise FileFormatError(f"{str(file)!r} must end in {' or '.join(extensions)}.")
@@ -153,6 +157,21 @@ def check_image_path(path: object, extensions: tuple[str, ...] = RENDER_EXTENSIO
     if problem:
         raise FileFormatError(f"{str(file)!r} {problem}; give another file name.")
     return file
+
+
+def _check_result(path: object, result: object) -> None:
+    """Refuse what is no image with its channels, such as the path if the two are swapped."""
+    if "image" in getattr(result, "data_vars", ()):
+        return
+    swapped = "image" in getattr(path, "data_vars", ())
+    raise ParameterError(
+        f"The result to write is a {_type(result)} without an image; give "
+        + ("the path first, then the result." if swapped else "what render returns.")
+    )
+
+
+def _type(value: object) -> str:
+    return type(value).__name__
 
 
 def _touch(file: Path) -> None:
@@ -171,8 +190,15 @@ def _channels(layers: Mapping[str, Array]) -> dict[str, Any]:
         for i, letter in enumerate(letters):
             values = plane if plane.ndim == 2 else plane[..., i]
             full = f"{name}.{letter}" if name else letter
-            channels[full] = np.ascontiguousarray(values, np.float32)
+            channels[full] = _single(values)
     return channels
+
+
+def _single(values: Array) -> Array:
+    """Return contiguous float32; what is finite stays so."""
+    largest = float(np.finfo(np.float32).max)
+    clipped = np.where(np.isfinite(values), np.clip(values, -largest, largest), values)
+    return np.ascontiguousarray(clipped, np.float32)
 
 
 def _checked(layers: Mapping[str, Array]) -> dict[str, Array]:

@@ -36,6 +36,7 @@ from mcspectra.rendering._map_kernel import RECEIVER, Lighting
 from mcspectra.rendering._map_results import labelled
 from mcspectra.rendering._map_store import TileStore
 from mcspectra.rendering._map_tiles import MAP_STRATEGIES, Measurement
+from mcspectra.rendering._scene_files import scene_state
 from mcspectra.rendering.backend import LOCK, load_mitsuba
 from mcspectra.rendering.draws import check_channel
 from mcspectra.rendering.scene_checks import check_lights, check_scene, warn_lens
@@ -243,6 +244,7 @@ def _settings(measurement: Measurement, window: Window) -> dict[str, Any]:
     return {
         "scene": str(lighting.scene),
         "scene_sha256": content,
+        "scene_files": None if content is None else scene_state(path),
         "light": lighting.light,
         "heuristic": lighting.heuristic,
         "channel": lighting.channel,

@@ -20,7 +20,7 @@ from mcspectra.report.html import page_template
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["map_layers", "map_summary", "write_map"]
+__all__ = ["map_layers", "map_note", "map_summary", "write_map"]
 
 _NAMES = {
     "mean": "Mean",
@@ -107,6 +107,7 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
         for strategy in result["strategy"].values
     }
     found: dict[str, Any] = {**result.attrs, "counts": result["n"].values.tolist()}
+    found |= {name: json.loads(found[name]) for name in ("size", "crop") if name in found}
     found["strategies"] = strategies
     for name in ("bottleneck", "dominant_technique"):
         if name in result:
@@ -121,6 +122,20 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
             "below_1": float((high < 1).sum() / known),
         }
     return found
+
+
+def map_note(summary: Mapping[str, Any]) -> str:
+    """Say what the numbers of `map_summary` are, and whether pixels err together."""
+    note = (
+        f"Medians over the {summary['pixels_measured']} pixels that see a lit surface; mean and "
+        f"variance at n = {summary['counts'][-1]}."
+    )
+    if summary["points"] == "own":
+        return note
+    return (
+        f"{note} All pixels have the same points, so their errors are alike: neither medians nor "
+        "shares of pixels average them out."
+    )
 
 
 def _strategy_summary(data: xr.Dataset) -> dict[str, float]:
@@ -145,7 +160,7 @@ def _share(values: Array, label: int) -> float:
 
 def _page(result: xr.Dataset, summary: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     known = result.attrs
-    x0, y0, width, height = json.loads(known["crop"])
+    x0, y0, width, height = summary["crop"]
     counts = ", ".join(map(str, summary["counts"]))
     return page_template("maps.html.j2").render(
         title=known["scene"],
@@ -153,6 +168,7 @@ def _page(result: xr.Dataset, summary: Mapping[str, Any], pictures: Mapping[str,
             f"{width} × {height} pixels from ({x0}, {y0}), sampler {known['sampler']}, n = {counts} "
             f"of each technique, {known['realizations']} realisations, {known['points']} points."
         ),
+        note=map_note(summary),
         columns=["strategy", *next(iter(summary["strategies"].values()))],
         rows=[
             [name, *(f"{value:.4g}" for value in row.values())]
