@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import gc
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -15,6 +16,7 @@ from mcspectra.core.checks import as_integer, as_reals
 from mcspectra.core.errors import FileFormatError, ParameterError, close_match_hint
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import parse
+from mcspectra.rendering._scene_probe import what_fails
 from mcspectra.rendering.backend import LOCK, VARIANT, load_mitsuba
 from mcspectra.rendering.dict_scene import DictScene
 from mcspectra.rendering.plugin import register_samplers
@@ -91,7 +93,7 @@ def load_scene(scene: Scene) -> Any:
     UnknownName
         No scene of that name.
     ParameterError
-        Not a scene at all.
+        Not a scene at all, or Mitsuba cannot evaluate a material or a light of it.
     FileFormatError
         The file is missing, or Mitsuba cannot read it or the dictionary; its reason is quoted.
     MissingDependency
@@ -230,7 +232,17 @@ def _built(name: str, load: Callable[..., Any], source: object) -> Any:
         ) from None
     if not isinstance(scene, load_mitsuba().Scene):
         raise FileFormatError(f"{name!r} holds no scene; its root element must be <scene>.")
-    return scene
+    found = what_fails(scene)
+    if found is None:
+        return scene
+    part, reason = found[0], mitsuba_reason(found[1])
+    # Its materials are traced with those of every other scene as long as they live.
+    del scene, found
+    gc.collect()
+    raise ParameterError(
+        f"Mitsuba cannot evaluate {part} in the scene {name!r}: {reason}; change its parameters "
+        "or textures."
+    )
 
 
 def mitsuba_reason(error: Exception) -> str:
