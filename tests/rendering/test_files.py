@@ -14,7 +14,13 @@ import xarray as xr
 from mcspectra.core.errors import FileFormatError, McspectraError, ParameterError
 from mcspectra.core.images import read_image
 from mcspectra.core.streams import Stream
-from mcspectra.rendering.files import encode_srgb, write_exr, write_png, write_render
+from mcspectra.rendering.files import (
+    encode_srgb,
+    write_comparison,
+    write_exr,
+    write_png,
+    write_render,
+)
 
 IMAGE = 4.0 * Stream.from_rng(1).uniforms(0, 1, 5 * 7 * 3).reshape(5, 7, 3)
 
@@ -155,3 +161,15 @@ def test_results_and_paths_that_are_swapped_or_missing(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match=r"^A Dataset is not the path"):
         write_exr(result(), {"": IMAGE})  # type: ignore[arg-type]
     assert not file.exists()
+
+
+def test_comparisons_that_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "all.exr"
+    smaller = result().isel(x=slice(3))
+    with pytest.raises(ParameterError, match="all of one size"):
+        write_comparison(file, {"reference": result(), "mis": smaller})
+    with pytest.raises(ParameterError, match="give what render returns"):
+        write_comparison(file, {"reference": xr.Dataset()})
+    with pytest.raises(FileFormatError, match=r"must end in \.exr"):
+        write_comparison(tmp_path / "all.png", {"reference": result()})
+    assert write_comparison(file, {"reference": result()}) == ["reference", "reference.image_se"]

@@ -4,6 +4,9 @@ SCENE is the name of a built-in scene, e.g. 'veach' or "veach(lights=['light-3']
 file. Prints the mean radiance, the root mean square of the pixels' standard errors where there are
 several images (-m) or a --reference, and samples a second, with the time that kernels take to
 compile. An .exr holds image, variance and standard error, a .png the image in sRGB.
+
+--compare renders a reference, light, BSDF and multiple importance sampling at equal samples: a .png
+shows them side by side, an .exr holds a layer of each, and their distance to the reference is printed.
 """
 
 from __future__ import annotations
@@ -34,9 +37,7 @@ _SPP, _REFERENCE_SPP = 16, 1024
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options."""
     parser.add_argument("scene", metavar="SCENE", help="name of a scene, or a Mitsuba XML file")
-    parser.add_argument(
-        "--strategy", default="mis", help="light, bsdf, mis (default), mis-light or mis-bsdf"
-    )
+    parser.add_argument("--strategy", help="light, bsdf, mis (default), mis-light or mis-bsdf")
     parser.add_argument(
         "--sampler", default="sobol | owen", metavar="SPEC", help="default 'sobol | owen'"
     )
@@ -48,6 +49,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--reference", action="store_true", help="--spp counts the samples of all images together"
+    )
+    parser.add_argument(
+        "--compare", action="store_true", help="a reference and all strategies, --spp 4 each"
+    )
+    parser.add_argument(
+        "--reference-spp", metavar="N", help="samples of the reference of --compare (default 1024)"
     )
     parser.add_argument("--crop", metavar="X,Y,W,H", help="part of the film, in pixels")
     parser.add_argument("--width", metavar="W", help="width of a built-in scene's film")
@@ -69,6 +76,12 @@ def run(options: argparse.Namespace) -> int:
 
     exposure = _exposure(options.exposure)
     files = [check_image_path(file) for file in options.out or []]
+    if options.compare:
+        from mcspectra.cli.render_compare import run_comparison
+
+        return run_comparison(options, _sized(options), _settings(options), files, exposure)
+    if options.reference_spp is not None:
+        raise ParameterError("--reference-spp is for --compare; with --reference give --spp.")
     with one_sentence_warnings(options.quiet), progress_bars(options.quiet):
         start = time.perf_counter()
         result = _render(options)
@@ -88,14 +101,9 @@ def _render(options: argparse.Namespace) -> xr.Dataset:
 
     default = _REFERENCE_SPP if options.reference else _SPP
     spp = default if options.spp is None else whole_number("--spp", options.spp)
-    settings: dict[str, Any] = {
-        "strategy": options.strategy,
-        "sampler": options.sampler,
-        "crop": None if options.crop is None else _crop(options.crop),
-        "film": options.film,
-        "light": index_or_name(options.light),
-        "heuristic": options.heuristic,
-        "rng": seed_option(options),
+    settings = {
+        "strategy": "mis" if options.strategy is None else options.strategy,
+        **_settings(options),
     }
     scene, images = _sized(options), options.realizations
     if options.reference:
@@ -103,6 +111,18 @@ def _render(options: argparse.Namespace) -> xr.Dataset:
         return reference(scene, spp, batches=batches, **settings)
     count = 1 if images is None else whole_number("--realizations", images)
     return render(scene, spp=spp, realizations=count, **settings)
+
+
+def _settings(options: argparse.Namespace) -> dict[str, Any]:
+    """Arguments that all ways to render share."""
+    return {
+        "sampler": options.sampler,
+        "crop": None if options.crop is None else _crop(options.crop),
+        "film": options.film,
+        "light": index_or_name(options.light),
+        "heuristic": options.heuristic,
+        "rng": seed_option(options),
+    }
 
 
 def _sized(options: argparse.Namespace) -> str:

@@ -1,6 +1,7 @@
 from .backend import describe as describe
 from .backend import load_mitsuba as load_mitsuba
 from .builtin.veach import veach as veach
+from .files import write_comparison as write_comparison
 from .files import write_exr as write_exr
 from .files import write_png as write_png
 from .files import write_render as write_render
@@ -49,6 +50,7 @@ __all__ = [
     "sky_pixels",
     "variance_map",
     "veach",
+    "write_comparison",
     "write_exr",
     "write_png",
     "write_render",

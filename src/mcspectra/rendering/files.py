@@ -20,6 +20,7 @@ __all__ = [
     "RENDER_EXTENSIONS",
     "check_image_path",
     "encode_srgb",
+    "write_comparison",
     "write_exr",
     "write_png",
     "write_render",
@@ -64,6 +65,41 @@ def write_render(
     layers = {"": result["image"].values}
     layers |= {n: result[n].values for n in ("variance", "image_se") if n in result}
     write_exr(file, layers, comment=json.dumps(result.attrs))
+    return list(layers)
+
+
+def write_comparison(path: str | PathLike[str], images: Mapping[str, xr.Dataset]) -> list[str]:
+    """Write what `compare_strategies` found as one EXR file, a layer for each image.
+
+    Parameters
+    ----------
+    path
+        A name that ends in ``.exr``.
+    images
+        ``reference``, ``light``, …, of one size.
+
+    Returns
+    -------
+    list of str
+        Names of the layers: those of the images, and ``reference.image_se``. The provenance of all
+        is the file's comment.
+
+    Raises
+    ------
+    FileFormatError
+        Another extension, or the file cannot be written.
+    ParameterError
+        An image is nothing that `render` returns, or they are of different sizes.
+    """
+    file = check_image_path(path, (".exr",))
+    layers: dict[str, Array] = {}
+    for name, result in images.items():
+        _check_result(path, result)
+        layers[name] = result["image"].values
+        if name == "reference" and "image_se" in result:
+            layers["reference.image_se"] = result["image_se"].values
+    told = {name: result.attrs for name, result in images.items()}
+    write_exr(file, layers, comment=json.dumps(told))
     return list(layers)
 
 

@@ -1,4 +1,4 @@
-"""Figures as bytes, the same bytes for the same figure: PNG for pages, PDF for papers."""
+"""Figures as bytes, the same for the same figure: PNG for pages and pictures, PDF for papers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["encode"]
+__all__ = ["encode", "encode_exact"]
 
 _DPI = 120
 _PDF_IMAGE_DPI = 200  # of images inside the PDF; everything else is vectors
@@ -48,6 +48,19 @@ def encode(figure: Figure) -> tuple[bytes, bytes]:
         figure.set_dpi(_DPI)
         figure.set_canvas(canvas)
     return _palette_png(pixels), pdf.getvalue()
+
+
+def encode_exact(figure: Figure) -> bytes:
+    """Return a PNG of a figure at its own dpi, in full colour: photographs need more than 256."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()  # type: ignore[no-untyped-call]
+    pixels = np.asarray(canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]
+    png = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(pixels)).save(png, format="PNG")
+    return png.getvalue()
 
 
 def _palette_png(pixels: np.ndarray) -> bytes:

@@ -6,6 +6,7 @@ from .scene_maps import map_figures as map_figures
 from .spectra import power_images as power_images
 from .spectra import power_lines as power_lines
 from .spectra import radial_power as radial_power
+from .strategy_images import strategy_images as strategy_images
 from .variance import captured_curves as captured_curves
 from .variance import convergence_curves as convergence_curves
 from .variance import three_terms as three_terms
@@ -24,6 +25,7 @@ __all__ = [
     "power_lines",
     "primary_pictures",
     "radial_power",
+    "strategy_images",
     "three_terms",
     "warp_maps",
 ]
