@@ -65,9 +65,9 @@ def map_figures(result: xr.Dataset) -> Iterator[tuple[str, Figure]]:
     result
         What `mcspectra.rendering.variance_map` returns.
 
-    Yields
-    ------
-    tuple
+    Returns
+    -------
+    iterator of tuple
         Kind of figure, a key of `MAP_CAPTIONS`, and the figure. Pixels without a number are light
         gray.
 
@@ -76,8 +76,17 @@ def map_figures(result: xr.Dataset) -> Iterator[tuple[str, Figure]]:
     ParameterError
         The result is no map.
     """
-    if not {"variance", "mean", "rate"} <= set(result.data_vars) or "x" not in result.dims:
-        raise ParameterError("map_figures draws what variance_map returns; this is something else.")
+    needed = {"variance", "mean", "rate"}
+    if not needed <= set(getattr(result, "data_vars", ())) or "x" not in result.dims:
+        raise ParameterError(
+            "What is to be drawn has no maps of mean, variance and rate; give what variance_map "
+            "returns."
+        )
+    return _figures(result)
+
+
+def _figures(result: xr.Dataset) -> Iterator[tuple[str, Figure]]:
+    """The figures of `map_figures`, one after the other."""
     last = result.isel(n=-1)
     yield "mean", _logarithmic(last["mean"], "mean estimate")
     yield "variance", _logarithmic(last["variance"], "variance")
