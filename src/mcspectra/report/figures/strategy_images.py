@@ -89,8 +89,8 @@ def _size(images: Mapping[str, xr.Dataset]) -> tuple[int, int]:
     shapes = {data["image"].shape for data in images.values() if "image" in data}
     if "reference" not in images or len(images) < 2 or len(shapes) != 1:
         raise ParameterError(
-            "strategy_images draws what compare_strategies returns: a reference and images of its "
-            "size by strategy."
+            "What is to be drawn has no reference with images of its size by strategy; give what "
+            "compare_strategies returns."
         )
     height, width, _ = shapes.pop()
     return height, width
