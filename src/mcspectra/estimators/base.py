@@ -79,6 +79,15 @@ class AbstractEstimator(ABC):
         """``"exact"`` or how `integral` was computed."""
 
     @property
+    def integral_error(self) -> float:
+        """Standard error of `integral`, or an estimate of its absolute error; 0 where it is exact."""
+        from mcspectra.integrands import integral_accuracy
+
+        f = self.domain_integrand
+        parts = [self.primary_integrand(t) for t in range(len(self.counts))] if f is None else [f]
+        return sum(integral_accuracy(g)[1] for g in parts)
+
+    @property
     @abstractmethod
     def domain_integrand(self) -> Integrand | None:
         """The integrand f of the domain view, None where there is none."""

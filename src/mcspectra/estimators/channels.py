@@ -31,7 +31,7 @@ from mcspectra.estimators.base import AbstractEstimator
 from mcspectra.estimators.importance import Estimator, check_support
 from mcspectra.estimators.mis import MultipleImportance
 from mcspectra.estimators.primary import PrimaryIntegrand
-from mcspectra.integrands import Integrand, as_integrand
+from mcspectra.integrands import Integrand, as_integrand, integral_accuracy
 from mcspectra.integrands.channel import Channel
 from mcspectra.samplers import Sampler
 
@@ -108,6 +108,11 @@ class ChannelSampling(AbstractEstimator):
     def integral_source(self) -> str:
         """Where `integral` comes from."""
         return self.integrand.integral_source
+
+    @property
+    def integral_error(self) -> float:
+        """That of ∫ f."""
+        return integral_accuracy(self.integrand)[1]
 
     @property
     def domain_integrand(self) -> None:

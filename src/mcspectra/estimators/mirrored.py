@@ -117,6 +117,11 @@ class Mirrored(AbstractEstimator):
         return self.estimator.integral_source
 
     @property
+    def integral_error(self) -> float:
+        """That of the estimator inside."""
+        return self.estimator.integral_error
+
+    @property
     def domain_integrand(self) -> Integrand | None:
         """f, which the folded and warped points meet."""
         return self.estimator.domain_integrand

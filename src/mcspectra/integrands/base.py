@@ -10,13 +10,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from mcspectra.core.checks import MAX_DIMS, Array, as_frequencies, as_integer, as_real_array
 from mcspectra.core.errors import DomainError, ParameterError
 from mcspectra.core.spec import Component
+
+if TYPE_CHECKING:
+    from mcspectra.integrands._quadrature import Estimate
 
 __all__ = ["Integrand", "check_dims"]
 
@@ -70,7 +73,7 @@ class Integrand(Component, ABC):
 
     @property
     def integral_source(self) -> str:
-        """``"exact"`` or how `integral` was computed."""
+        """``"exact"`` or how `integral` was computed; `integral_accuracy` says how well."""
         return "exact" if self._integral() is not None else "quadrature"
 
     def fourier(self, m: object) -> Array:
@@ -151,6 +154,10 @@ class Integrand(Component, ABC):
 
     def _integral(self) -> Any:
         """The exact integral, or None where it is not known."""
+        return None
+
+    def _estimated_integral(self) -> Estimate | None:
+        """The integral by a rule of the integrand's own, or None for quadrature."""
         return None
 
     def _fourier(self, m: Array) -> Array | None:  # noqa: ARG002

@@ -35,6 +35,8 @@ from mcspectra.core.checks import Array, as_choice, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.densities import Density
 from mcspectra.integrands.base import Integrand
+from mcspectra.integrands.numeric import Estimate
+from mcspectra.rendering._pixel_integral import SOURCE, mean_of_points
 from mcspectra.rendering.backend import LOCK
 from mcspectra.rendering.draws import MOST_DIMS, Technique, View, check_channel
 from mcspectra.rendering.receivers import (
@@ -127,6 +129,14 @@ class Pixel(Integrand):
     def channels(self) -> int:  # type: ignore[override]
         """3 with ``channel="rgb"``, else 0."""
         return self._view.channels
+
+    @property
+    def integral_source(self) -> str:
+        """What means `integral` is made of: its standard error is that of `integral_accuracy`."""
+        return SOURCE
+
+    def _estimated_integral(self) -> Estimate:
+        return mean_of_points(self)
 
     def _evaluate(self, x: Array) -> Array:
         heuristic = self.heuristic if self.strategy.startswith("mis") else None

@@ -23,6 +23,8 @@ from mcspectra.estimators.importance import Estimator, scale
 from mcspectra.estimators.pilots import Pilot
 from mcspectra.estimators.sets import check_sets
 from mcspectra.integrands import Integrand
+from mcspectra.integrands.numeric import Estimate
+from mcspectra.rendering._pixel_integral import SOURCE, mean_of_points
 from mcspectra.rendering.draws import Draws, Technique, View
 from mcspectra.rendering.pixel import ENVIRONMENT, Pixel, check_view
 from mcspectra.rendering.scenes import Scene, as_scene, scene_name
@@ -68,6 +70,7 @@ class PixelMIS(AbstractEstimator):
         self.sets = check_sets(sets, self.counts)
         pilot = _PixelPilot(self, np.asarray(self.counts, np.float64))
         self.shares, self.control = self._weights.adapt(pilot)
+        self._integrands = tuple(_Weighted(self, t) for t in range(len(self.counts)))
 
     def __repr__(self) -> str:
         return f"PixelMIS({self.spec})"
@@ -102,8 +105,8 @@ class PixelMIS(AbstractEstimator):
 
     @property
     def integral_source(self) -> str:
-        """``"quadrature"``: nothing is known in closed form."""
-        return "quadrature"
+        """What means the integrals of the techniques are made of."""
+        return SOURCE
 
     @property
     def domain_integrand(self) -> None:
@@ -111,8 +114,8 @@ class PixelMIS(AbstractEstimator):
         return
 
     def primary_integrand(self, technique: int) -> Integrand:
-        """g_t."""
-        return _Weighted(self, technique)
+        """g_t, the same object each time: it keeps what was computed for it."""
+        return self._integrands[technique]
 
     def primary_values(self, technique: int, u: Array) -> Array:
         """w_t f/p_t, which with optimal weights is α_t + (f − Σ α_s p_s) w_t/p_t."""
@@ -187,6 +190,14 @@ class _Weighted(Integrand):
     def spec(self) -> str:
         """Text for messages."""
         return f"{self.estimator.technique_name(self.technique)} of {self.estimator.spec}"
+
+    @property
+    def integral_source(self) -> str:
+        """As of `Pixel`."""
+        return SOURCE
+
+    def _estimated_integral(self) -> Estimate:
+        return mean_of_points(self)
 
     def _evaluate(self, x: Array) -> Array:
         return self.estimator.primary_values(self.technique, x)

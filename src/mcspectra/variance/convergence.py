@@ -69,7 +69,8 @@ def convergence(
     -------
     xarray.Dataset
         ``variance(n)``, ``variance_ci(n, bound)``, ``mean(n)``, ``mean_se(n)``, ``bias(n)`` and
-        ``mse(n)`` against the estimator's integral, ``realizations_used(n)``, with `relative_error`
+        ``mse(n)`` against the estimator's integral (attribute ``integral_source``), ``bias_se(n)``,
+        which has the integral's own error in it, ``realizations_used(n)``, with `relative_error`
         ``reached(n)`` (1: yes; 0: `realizations` came first, or there was no spread), ``rate``,
         ``rate_ci(bound)``, ``fit_first_n`` (the smallest count of the fit) and ``fit_chi2`` (its lack of
         fit per degree of freedom). The attribute ``note`` says where the largest simulation cannot
@@ -113,6 +114,7 @@ def convergence(
         for e, cells in zip(es, zip(*found, strict=True), strict=True):
             moments = [m for m, _ in cells]
             curve = curve_from_moments(ns, moments, np.atleast_1d(e.integral), window)
+            curve["bias_se"] = np.hypot(curve["mean_se"], e.integral_error)
             if goal is not None:
                 curve["reached"] = np.array([np.int64(reached) for _, reached in cells])
             yield curve
@@ -236,6 +238,7 @@ _DIMS = {
     "mean": ("n", "channel"),
     "mean_se": ("n", "channel"),
     "bias": ("n", "channel"),
+    "bias_se": ("n", "channel"),
     "mse": ("n", "channel"),
     "realizations_used": ("n",),
     "reached": ("n",),

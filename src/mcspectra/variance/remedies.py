@@ -50,6 +50,7 @@ _MOST_REALIZATIONS = 100_000
 _MOST_BUDGET = 2**24
 GIVEN = "as given"
 _EXACT, _BY_QUADRATURE = 1e-9, 1e-3  # how well integrals are known, relative to them
+_SIGMAS = 4.0  # or so many of the errors that they say of themselves
 _NO_RATE = RateFit(math.nan, (math.nan, math.nan), math.nan, math.nan)
 
 
@@ -134,7 +135,7 @@ class _Run:
     stream: Stream
     workers: int
 
-    def errors(self, setup: Setup, integral: Any, biased: bool, exact: bool) -> Errors | None:
+    def errors(self, setup: Setup, integral: Any, biased: bool, tolerance: float) -> Errors | None:
         """Errors at the counts that fit into each step's budget; None where two do not."""
         cost: list[int] = []
         estimates: list[Array] = []
@@ -153,7 +154,6 @@ class _Run:
         if len(cost) < 2:
             return None
         truth = np.atleast_1d(np.asarray(integral, np.float64))
-        tolerance = _EXACT if exact else _BY_QUADRATURE
         return Errors.of(cost, estimates, truth, biased=biased, tolerance=tolerance)
 
     def _estimates(
@@ -172,12 +172,22 @@ class _Tried:
     comparison: Comparison
 
 
+def _tolerance(estimator: AbstractEstimator) -> float:
+    """How well the integral of an estimator is known, relative to it."""
+    if estimator.integral_source == "exact":
+        return _EXACT
+    size = float(np.abs(estimator.integral).max())
+    own = _SIGMAS * estimator.integral_error / size if size else 0.0
+    return max(_BY_QUADRATURE, own)
+
+
 def _measured(
     given: Setup, kinds: tuple[str, ...], run: _Run
 ) -> tuple[list[_Tried], list[NotTried]]:
     """All set-ups that can be measured, the given one first, and why the others cannot."""
-    integral, exact = given.estimator.integral, given.estimator.integral_source == "exact"
-    reference = run.errors(given, integral, not given.unbiased, exact)
+    integral = given.estimator.integral
+    tolerance = _tolerance(given.estimator)
+    reference = run.errors(given, integral, not given.unbiased, tolerance)
     if reference is None:
         raise ParameterError(
             f"{given.sampler.spec} has no two counts within {run.budget} evaluations for "
@@ -195,7 +205,7 @@ def _measured(
             not_tried.append(other)
             continue
         biased = other.biased or not other.setup.unbiased
-        errors = run.errors(other.setup, integral, biased, exact)
+        errors = run.errors(other.setup, integral, biased, tolerance)
         if errors is None:
             reason = _too_dear(other.setup, run.budget)
             not_tried.append(NotTried(other.kind, other.name, reason))
