@@ -93,12 +93,22 @@ def test_strategies_that_leave_out_a_mirror_say_so() -> None:
     warn_missed(made, "mis-light")
 
 
-def test_scaled_environments_are_listed() -> None:
+def test_scaled_environments_are_refused() -> None:
     with LOCK:
-        twice = load_mitsuba().ScalarTransform4f().scale(2)
-    (sentence,) = check_scene(scene(sky=sky(np.ones((4, 8, 3)), to_world=twice)))
+        transform = load_mitsuba().ScalarTransform4f
+        twice, turned = (
+            transform().scale(2),
+            transform().rotate([0.6, 0, 0.8], 40).scale([-1, 1, 1]),
+        )
+    made = scene(sky=sky(np.ones((4, 8, 3)), to_world=twice))
+    (sentence,) = check_scene(made)
     assert "'sky' is no rotation or reflection" in sentence
-    assert check_scene(scene(sky=sky(np.ones((4, 8, 3))))) == []
+    # Mitsuba renders it in silence, twice as bright by light sampling.
+    for refused in (lambda: render(made, "light", spp=1), lambda: Pixel(scene=made, x=1, y=1)):
+        with pytest.raises(ParameterError, match="no rotation or reflection"):
+            refused()
+    assert check_scene(scene(sky=sky(np.ones((4, 8, 3)), to_world=turned))) == []
+    assert check_scene(scene(sky={"type": "constant", "to_world": twice})) == []
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])

@@ -93,8 +93,8 @@ def render(
     Raises
     ------
     ParameterError
-        A parameter is out of range, `crop` leaves the film, an environment map has pixels that are
-        no radiance, or the scene cannot be rendered.
+        A parameter is out of range, `crop` leaves the film, an environment map is scaled or has
+        pixels that are no radiance, or the scene cannot be rendered.
     CountError
         The sampler cannot make `spp` points.
     MissingDependency

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from typing import Any
 
 from mcspectra.core.errors import IncompleteImageWarning, ParameterError
@@ -60,7 +59,7 @@ def check_scene(scene: Scene, *, light: int | str | None = None) -> list[str]:
             *_lens(scene, loaded),
             *_media(scene, loaded),
             *_lights(scene, light),
-            *_environment(scene, light, (_scaled, _no_radiance)),
+            *_environment(scene, light),
             *_delta_bsdfs(loaded),
         ]
 
@@ -74,8 +73,8 @@ def check_media(scene: Scene) -> None:
 def check_lights(scene: Scene, light: int | str | None = None) -> None:
     """Raise a ParameterError unless the lights that count can be sampled and reach surfaces.
 
-    There must be at least one, none a delta function, no participating media on the way, and the
-    pixels of an environment must be radiances.
+    There must be at least one, none a delta function, no participating media on the way; an
+    environment must not be scaled, and its pixels must be radiances.
     """
     check_media(scene)
     with LOCK:
@@ -84,9 +83,12 @@ def check_lights(scene: Scene, light: int | str | None = None) -> None:
 
 
 def check_environment(scene: Scene, light: int | str | None = None) -> None:
-    """Raise a ParameterError if the environment counts and has pixels that are no radiance."""
+    """Raise a ParameterError if the environment counts and is scaled or has broken pixels.
+
+    Mitsuba takes a scale in silence: its light sampling is then off by the factor of the scale.
+    """
     with LOCK:
-        _raise_first(_environment(scene, light, (_no_radiance,)))
+        _raise_first(_environment(scene, light))
 
 
 def warn_lens(scene: Scene) -> None:
@@ -213,15 +215,16 @@ def _chosen(scene: Scene, light: int | str | None) -> list[Any]:
     return [find_emitter(scene, light)]
 
 
-def _environment(
-    scene: Scene, light: int | str | None, problems: tuple[Callable[[Any], str], ...]
-) -> list[str]:
+def _environment(scene: Scene, light: int | str | None) -> list[str]:
     """What is wrong with the environment, if it counts."""
     found = [e for e in _chosen(scene, light) if e.is_environment()]
-    return [sentence for emitter in found for problem in problems if (sentence := problem(emitter))]
+    return [s for emitter in found for s in (_scaled(emitter), _no_radiance(emitter)) if s]
 
 
 def _scaled(emitter: Any) -> str:
+    """Say that an environment is scaled; one that is the same on all sides may be."""
+    if "to_world" not in load_mitsuba().traverse(emitter):
+        return ""
     try:
         rotation_of(emitter)
     except ParameterError as error:

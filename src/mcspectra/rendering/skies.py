@@ -174,7 +174,7 @@ def rotation_of(emitter: Any) -> Array:
     if not np.allclose(matrix.T @ matrix, np.eye(3), atol=_ORTHONORMAL):
         raise ParameterError(
             f"The to_world of the environment {emitter_name(emitter)!r} is no rotation or "
-            "reflection, which our densities need; take scales out of it."
+            "reflection, as sampling it correctly needs; take scales out of it."
         )
     return matrix
 
