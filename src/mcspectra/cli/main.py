@@ -102,7 +102,7 @@ def _dispatch(given: list[str]) -> int:
     if known[0] not in _VERBS:
         from mcspectra.core.errors import close_match_hint
 
-        hint, _ = close_match_hint(known[0], _VERBS)
+        hint, _ = close_match_hint(known[0], _VERBS, "mcspectra --help")
         top.exit(2, f"mcspectra: There is no verb {known[0]!r}.{hint}\n")
     module = importlib.import_module(f"mcspectra.cli.{known[0]}_")
     parser = _Parser(
