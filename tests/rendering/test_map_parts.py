@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import CacheWarning, StoreError
@@ -101,10 +102,30 @@ def test_gain_compares_equal_totals() -> None:
     assert np.isnan(statistics.gain(missing, mis, 64)[0]).all()
 
 
-def test_slowest_needs_intervals_that_are_apart() -> None:
+def test_slowest_needs_a_difference_apart_from_zero() -> None:
     rate = np.array([[[-2.0, -1.0, -1.5, np.nan, np.nan]], [[-1.0, -2.0, -1.6, -1.0, np.nan]]])
-    found = statistics.slowest(statistics.interval(rate, np.full_like(rate, 0.1)))
+    found = statistics.slowest(rate, np.full_like(rate, 0.1))
     assert np.array_equal(found[0], [1, 0, -1, -1, np.nan], equal_nan=True)
+
+
+def test_slowest_is_decided_where_intervals_still_overlap() -> None:
+    """1.96 · √2 · 0.1 = 0.277 is enough; intervals are apart from 0.392."""
+    rate, se = np.array([[[-2.0, -2.0]], [[-1.7, -1.73]]]), np.full((2, 1, 2), 0.1)
+    assert np.array_equal(statistics.slowest(rate, se)[0], [1, -1])
+
+
+@pytest.mark.parametrize("difference", [0.0, 0.2, 0.5, 1.0])
+def test_slowest_decides_as_often_as_a_normal_test(difference: float) -> None:
+    """Shares of right, wrong and no decision, for errors that differ by a factor of 3."""
+    count, errors = 20_000, np.array([0.05, 0.15])
+    noise = np.random.default_rng(11).standard_normal((2, count, 1))
+    se = np.broadcast_to(errors[:, None, None], noise.shape)
+    rate = np.array([-2.0, -2.0 + difference])[:, None, None] + noise * se
+    found = statistics.slowest(rate, se)
+    step = difference / np.hypot(*errors)
+    for technique, chance in ((1, norm.cdf(step - 1.96)), (0, norm.cdf(-step - 1.96))):
+        spread = (chance * (1 - chance) / count) ** 0.5
+        assert abs((found == technique).mean() - chance) <= 4.5 * spread + 1e-4
 
 
 def test_dominant_needs_a_ratio_apart_from_one() -> None:

@@ -21,6 +21,7 @@ __all__ = ["labelled"]
 
 Maps = dict[str, Array]
 
+_LARGEST_PREDICTED_SE = 0.5  # relative; beyond, a prediction is not reported
 _SHARES = ("mis-light", "mis-bsdf")
 _SINGLE = ("light", "bsdf")
 _DIMS = {
@@ -95,7 +96,7 @@ def _variables(measurement: Measurement, maps: Maps, smoothing: int) -> Maps:
     row = {name: i for i, name in enumerate(measurement.strategies)}
     if "mis" in row:
         shares = [row[name] for name in _SHARES]
-        found["bottleneck"] = statistics.slowest(found["rate_ci"][shares])
+        found["bottleneck"] = statistics.slowest(rate[shares], rate_se[shares])
         last = (variance[shares, -1], relative_se[shares, -1])
         found["dominant_technique"] = statistics.dominant(*last)
     if row.keys() >= {"mis", *_SINGLE}:
@@ -103,16 +104,22 @@ def _variables(measurement: Measurement, maps: Maps, smoothing: int) -> Maps:
         total = measurement.counts[-1]
         found["mis_gain"], found["mis_gain_ci"] = statistics.gain(single, mis, total)
     if np.isfinite(maps["predicted"]).any():
-        found |= _predicted(maps)
+        found |= _predicted(maps, largest_se)
     return found
 
 
-def _predicted(maps: Maps) -> Maps:
-    """Predicted over measured variance at the largest count, both uncertain."""
+def _predicted(maps: Maps, largest_se: float) -> Maps:
+    """Predicted over measured variance at the largest count, both uncertain.
+
+    NaN where either comes of very few samples that met what is rare: such values are most often far
+    too small, and so are their errors.
+    """
     predicted, measured = maps["predicted"], maps["variance"][:, -1]
     with np.errstate(invalid="ignore", divide="ignore"):
-        error = np.hypot(maps["predicted_se"] / predicted, maps["relative_se"][:, -1])
+        own, other = maps["predicted_se"] / predicted, maps["relative_se"][:, -1]
+        error = np.hypot(own, other)
         log_ratio = np.log(predicted) - np.log(measured)
-        log_ratio[~np.isfinite(log_ratio)] = np.nan
+        known = np.isfinite(log_ratio) & (own <= _LARGEST_PREDICTED_SE) & (other <= largest_se)
+        log_ratio[~known] = np.nan
         value, ci = statistics.ratio(log_ratio, error)
     return {"predicted_ratio": value, "predicted_ratio_ci": ci}

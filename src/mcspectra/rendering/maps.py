@@ -124,11 +124,13 @@ def variance_map(
         ``variance(strategy, n)``, ``variance_relative_se(strategy, n)``; ``mean(strategy)`` and
         ``mean_se(strategy)`` at the largest n; ``rate(strategy)``, ``rate_se``, ``rate_ci(bound)``,
         ``fit_chi2``; with ``"mis"``: ``bottleneck``, the technique whose share of MIS has the slower
-        rate (0 light, 1 BSDF, −1 if the intervals overlap), ``dominant_technique``, the one with the
-        larger variance at the largest n, likewise; with the single strategies too: ``mis_gain``,
+        rate (0 light, 1 BSDF, −1 if the 95 % interval of their difference contains 0),
+        ``dominant_technique``, the one with the larger variance at the largest n, likewise; with the
+        single strategies too: ``mis_gain``,
         variance of the better of them over that of MIS at the same total of samples (the largest n,
         from the fitted lines), and ``mis_gain_ci``; ``predicted_ratio(strategy)``, predicted over
-        measured variance at the largest n, and ``predicted_ratio_ci``.
+        measured variance at the largest n, and ``predicted_ratio_ci``, NaN where the relative standard
+        error of the prediction is more than ½, or that of the measurement more than rates allow.
 
     Raises
     ------
@@ -145,7 +147,9 @@ def variance_map(
     Memory: about 200 MiB beside the result, whatever the size of the image: pixels are measured in
     tiles. Where few realisations meet a light, variances are mostly far too small at the smaller n:
     there is no rate where one is zero, or has a standard error of more than a half of it, at a
-    smaller n than others; more realisations give one. ``bottleneck`` compares 95 % intervals; over many pixels some decisions are wrong.
+    smaller n than others; more realisations give one. ``bottleneck`` is one comparison a
+    pixel, of techniques with points of their own, at 95 %: where both rates are equal a pixel in 20 is
+    decided all the same.
     """
     measurement = _measurement(
         *(scene, strategies, sampler, counts, realizations, size, light, heuristic, channel),

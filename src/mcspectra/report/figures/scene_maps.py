@@ -35,7 +35,7 @@ MAP_CAPTIONS = {
     "variance": "Variance of the estimate at the largest number of samples.",
     "rate": "Fitted exponent of variance in the number of samples; random sampling is −1.",
     "rate_se": "Standard error of the exponent.",
-    "bottleneck": "Technique whose share of MIS has the slower rate, by 95 % intervals that are apart.",
+    "bottleneck": "Technique whose share of MIS has the slower rate, by the 95 % interval of their difference.",
     "dominant": "Technique whose share of MIS has the larger variance, at the largest number of samples.",
     "gain": "Variance of the better single strategy over that of MIS, at the same total of samples. "
     "Above 1, MIS is better.",
