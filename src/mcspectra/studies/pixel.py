@@ -11,7 +11,6 @@ import itertools
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias, final
 
 import numpy as np
@@ -210,9 +209,6 @@ class _Pixel:
         given: dict[str, Any] = {"light": light, "channel": channel, "dims": dims}
         singles = {s: Pixel(scene=request, x=x, y=y, strategy=s, **given) for s in _TECHNIQUES}
         combined = {h: pixel_mis(request, x, y, heuristic=h, **given) for h in _HEURISTICS}
-        for mis in combined.values():
-            # What is asked twice is the same object then, and keeps its quadratures.
-            mis.primary_integrand = cache(mis.primary_integrand)  # type: ignore[method-assign]
         strategies: dict[str, AbstractEstimator] = {s: Estimator(g) for s, g in singles.items()}
         strategies |= combined
         about = {
