@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+from scipy.stats import norm, t
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import CacheWarning, StoreError
@@ -258,3 +258,10 @@ def test_damaged_manifests_and_files_in_the_way_are_refused(tmp_path: Path) -> N
     (tmp_path / "file").write_text("")
     with pytest.raises(StoreError, match="cannot be written"):
         TileStore(tmp_path / "file", SETTINGS, resume=True)
+
+
+def test_errors_of_few_strata_take_students_t() -> None:
+    """Where J strata differ alike there are J degrees of freedom, where one does there is one."""
+    squares = np.array([[1.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
+    expected = t.ppf(0.975, [1, 4, 1]) / norm.ppf(0.975)
+    assert np.allclose(prediction._student(squares), expected, rtol=1e-6)

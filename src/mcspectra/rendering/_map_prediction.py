@@ -23,12 +23,13 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.streams import Stream
+from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.samplers import Jittered, Random, Sampler
 
 __all__ = ["Prediction", "prediction_for"]
 
 _REPEATS = 2  # predictions a stratum, for their standard error
-_CELLS = 1024  # of all strata, about; each has 2 or more along each axis
+_CELLS = 4096  # of all strata, about, to meet small lights; each has 2 or more along each axis
 _GRIDS = {2: 64, 3: 16}  # dims to midpoints along each axis, an even number
 _POWER_REALIZATIONS = 1024
 
@@ -87,7 +88,9 @@ class _Strata:
         own = (g**2).mean(axis=(1, 3)) - means[:, 0] * means[:, 1]
         difference = own[0] - own[1]
         predicted = own.mean(axis=0).sum(axis=0) / self.strata**2
-        return predicted, np.sqrt((difference**2).sum(axis=0)) / (2.0 * self.strata**2)
+        squares = difference**2
+        se = np.sqrt(squares.sum(axis=0)) / (2.0 * self.strata**2)
+        return predicted, se * _student(squares)
 
 
 @final
@@ -119,6 +122,18 @@ class _Grid:
         # The powers of m and −m are one number: their errors add up, those of other pairs do not.
         doubled = np.sqrt(2.0 * _sum(self.power_se**2, energy**2))
         return _sum(self.power, energy), np.hypot(_error_of_mean(parts), doubled)
+
+
+def _student(squares: Array) -> Array:
+    """Quantile of Student's t over that of the normal, for the sum of squares (J, P) over strata.
+
+    Where one stratum has nearly all of the sum, its standard error has one degree of freedom.
+    """
+    from scipy.special import stdtrit
+
+    total, fourth = squares.sum(axis=0), (squares**2).sum(axis=0)
+    effective = np.divide(total**2, fourth, out=np.ones_like(total), where=fourth > 0.0)
+    return np.asarray(stdtrit(effective, 0.975) / CONFIDENCE_Z)
 
 
 def _error_of_mean(parts: list[Array]) -> Array:
