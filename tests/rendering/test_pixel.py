@@ -14,8 +14,14 @@ from mcspectra.core.errors import DomainError, ParameterError
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import parse
 from mcspectra.core.streams import Stream
-from mcspectra.rendering import Pixel, describe_pixel, load_mitsuba, load_scene, pixel_strategies
-from mcspectra.rendering import draws
+from mcspectra.rendering import (
+    Pixel,
+    describe_pixel,
+    draws,
+    load_mitsuba,
+    load_scene,
+    pixel_strategies,
+)
 from mcspectra.rendering.pixel import STRATEGIES
 from mcspectra.rendering.scenes import film_size
 
