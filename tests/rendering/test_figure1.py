@@ -6,6 +6,7 @@ from statistics import NormalDist
 
 import pytest
 import xarray as xr
+from tests.rendering.slopes import slope_error
 
 import mcspectra as mcs
 from mcspectra.rendering import named_pixels, pixel_strategies
@@ -40,8 +41,7 @@ def test_rate(curves: xr.Dataset, name: str, strategy: str, sampler: str) -> Non
     fastest = (name, strategy, sampler) == ("P", "light", "jittered")
     expected = -2.0 if fastest else -1.5
     at = {"estimator": CURVES.index((name, strategy)), "sampler": SAMPLERS.index(sampler)}
-    low, high = curves["rate_ci"].isel(at).values
-    error = (high - low) / 2 / NormalDist().inv_cdf(0.975)
+    error = slope_error(curves.isel(at))
     difference = float(curves["rate"].isel(at)) - expected
     assert error < 0.04  # -1.5 and -2 are a dozen errors apart
     assert abs(difference) < min(0.1, SIGMAS * error)

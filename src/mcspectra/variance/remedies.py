@@ -112,7 +112,7 @@ def remedies(
     --------
     >>> import mcspectra as mcs
     >>> found = mcs.remedies(
-    ...     mcs.Estimator("linear", dims=1), "jittered | shift", 1024, kinds=["unshifted", "mirrored"]
+    ...     mcs.Estimator("linear", dims=1), "jittered | shift", 1024, kinds=["unshifted"]
     ... )
     >>> str(found["remedy"].values[0])
     'unshifted'
