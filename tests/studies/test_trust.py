@@ -143,7 +143,7 @@ def test_files_inside_lists_and_inner_specs_are_found(places):
         "qmcpy(generator='Lattice', options={'generating_vector': '../x.npy'})",
         "pixel(scene={'sky': {'type': 'envmap', 'filename': '../sky.exr'}}, x=0, y=0)",
         "pixel(scene='../scene.xml')",
-        "pixel(scene='/tmp/scene')",
+        "pixel(scene='/elsewhere/scene')",
     ):
         with pytest.raises(ConfigError, match="outside the study's folder"):
             site.calls(spec)
