@@ -314,6 +314,19 @@ def test_mirrored_estimators_keep_their_other_remedies():
     )
 
 
+def test_a_kind_that_fails_costs_itself_only(monkeypatch):
+    def broken(given, budget):
+        raise ParameterError("no scan of that.")
+        yield
+
+    monkeypatch.setitem(KINDS, "aligned", broken)
+    found = _found(SMOOTH, "jittered | shift", "aligned", "unshifted")
+    assert [(c.kind, getattr(c, "reason", "")) for c in found] == [
+        ("aligned", "no scan of that."),
+        ("unshifted", ""),
+    ]
+
+
 def test_where_nothing_can_be_tried_the_reasons_are_said():
     found = mcs.remedies(SMOOTH, "jittered", 256, realizations=100, kinds=["warp", "channels"])
     assert found.attrs["recommendation"].startswith("No change could be tried. warp: ")

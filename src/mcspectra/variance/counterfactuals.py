@@ -166,7 +166,15 @@ def other_setups(given: Setup, kinds: tuple[str, ...], budget: Budget) -> Found:
 
 
 def _of_kind(kind: str, given: Setup, budget: Budget) -> Found:
-    """Changes of one kind; those of what is mirrored are mirrored again."""
+    """Changes of one kind, and why there are no more where that cannot be told."""
+    try:
+        yield from _again_mirrored(kind, given, budget)
+    except McspectraError as error:
+        yield NotTried(kind, kind, str(error))
+
+
+def _again_mirrored(kind: str, given: Setup, budget: Budget) -> Found:
+    """Changes of one kind; those of what is inside of a mirrored estimator are mirrored again."""
     outer = given.estimator
     if not isinstance(outer, Mirrored) or kind not in _INSIDE:
         yield from KINDS[kind](given, budget)
@@ -389,21 +397,17 @@ def _smoothed(given: Setup, budget: Budget) -> Found:
         yield NotTried("smoothed", "smoothed", "No jump inside was found that could be smoothed.")
         return
     method = "distance" if inside is None else "auto"  # boxes are for few dims
-    try:
-        scan = smoothing_scan(
-            estimator.integrand,
-            given.sampler,
-            n,
-            _WIDTHS,
-            density=estimator.density,
-            method=method,
-            realizations=min(budget.realizations, _SCAN_REALIZATIONS),
-            rng=budget.stream.generator(0),
-            workers=budget.workers,
-        )
-    except McspectraError as error:
-        yield NotTried("smoothed", "smoothed", str(error))
-        return
+    scan = smoothing_scan(
+        estimator.integrand,
+        given.sampler,
+        n,
+        _WIDTHS,
+        density=estimator.density,
+        method=method,
+        realizations=min(budget.realizations, _SCAN_REALIZATIONS),
+        rng=budget.stream.generator(0),
+        workers=budget.workers,
+    )
     width = float(scan["best_width"].values[0])
     name = f"smoothed by {width:.3g}"
     change = f"smooth the edges of f over a width of {width:.3g}"
