@@ -13,19 +13,32 @@ its dataset. `compute` drives one in this process, `mcspectra.studies` many at o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeAlias, TypeVar, final
 
 from mcspectra.core.checks import Array
+from mcspectra.core.packing import pack_dataset, unpack_dataset
 from mcspectra.core.parallel import map_in_order
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Chunk", "MergeTree", "Run", "Staged", "Stages", "chunks", "compute", "compute_chunk"]
+__all__ = [
+    "Chunk",
+    "MergeTree",
+    "Run",
+    "Staged",
+    "Stages",
+    "Whole",
+    "chunks",
+    "compute",
+    "compute_chunk",
+    "in_step",
+]
 
 State = TypeVar("State")
+Result = TypeVar("Result")
 
 Chunk: TypeAlias = tuple[int, int]
 """First atomic block and number of blocks: a power of two that divides the first, or the last ones."""
@@ -82,6 +95,45 @@ class Staged(Protocol[State]):
         """Inverse of `pack`."""
 
 
+@final
+@dataclass(frozen=True)
+class Whole:
+    """An analysis that cannot be cut: one run of one block, whose state is the dataset itself.
+
+    Attributes
+    ----------
+    function
+        Computes the dataset, in one thread.
+    cost
+        As of a `Run`.
+    """
+
+    function: Callable[[], xr.Dataset]
+    cost: float = 1.0
+
+    def stages(self) -> Stages:
+        """One run; its state is the result."""
+        (state,) = yield [Run(part=0, first=0, realizations=1, blocks=1, cost=self.cost)]
+        result: xr.Dataset = state
+        return result
+
+    def block(self, run: Run, index: int) -> xr.Dataset:  # noqa: ARG002
+        """Compute all of it."""
+        return self.function()
+
+    def merge(self, left: xr.Dataset, right: xr.Dataset) -> xr.Dataset:  # noqa: ARG002
+        """There is one block, which has no neighbour."""
+        raise AssertionError("an analysis of one block has nothing to merge")
+
+    def pack(self, state: xr.Dataset) -> dict[str, Array]:
+        """Variables as arrays, the rest as JSON (`mcspectra.core.packing`)."""
+        return pack_dataset(state)
+
+    def unpack(self, arrays: dict[str, Array]) -> xr.Dataset:
+        """Inverse of `pack`."""
+        return unpack_dataset(arrays)
+
+
 class MergeTree(Generic[State]):
     """Merges states of consecutive blocks as a binary counter does: neighbours of equal size first.
 
@@ -112,6 +164,26 @@ class MergeTree(Generic[State]):
 def chunks(blocks: int, size: int) -> Iterator[Chunk]:
     """Cut blocks into chunks of `size`, a power of two; the last may be shorter."""
     return ((first, min(size, blocks - first)) for first in range(0, blocks, size))
+
+
+def in_step(
+    parts: Sequence[Generator[Run, State, Result]],
+) -> Generator[list[Run], list[State], list[Result]]:
+    """Drive generators of one run at a time side by side: a stage has the next run of each.
+
+    Returns what each returned, in their order.
+    """
+    results: dict[int, Result] = {}
+    states: dict[int, Any] = dict.fromkeys(range(len(parts)))
+    while states:
+        runs: dict[int, Run] = {}
+        for place, state in states.items():
+            try:
+                runs[place] = parts[place].send(state)
+            except StopIteration as end:
+                results[place] = end.value
+        states = dict(zip(runs, (yield list(runs.values())), strict=True)) if runs else {}
+    return [results[place] for place in range(len(parts))]
 
 
 def compute_chunk(analysis: Staged[State], run: Run, chunk: Chunk) -> State:
