@@ -36,6 +36,7 @@ _VERBS = {
     "pixel": "what one pixel sees, its rates, terms and bottleneck, and what would help",
     "map": "variance, rate and bottleneck at every pixel of a scene",
     "mitsuba": "render a Mitsuba scene file, with our samplers known to its integrators",
+    "reproduce": "the slides' figures and statements made again, with what agrees",
     "doctor": "what is installed and whether it works",
     "cite": "how to cite the package and its methods",
 }
@@ -134,7 +135,7 @@ def _explain(error: Exception) -> int:
 
     if isinstance(error, McspectraError):
         print(f"mcspectra: {error}", file=sys.stderr)
-        failed = isinstance(error, RuntimeError) and type(error).__name__ == "CellFailed"
+        failed = type(error).__name__ in ("CellFailed", "StorageError")
         return 1 if failed else 2
     if isinstance(error, MemoryError):
         print(

@@ -10,7 +10,7 @@ from typing import cast
 from mcspectra.core.errors import UnknownName, close_match_hint
 from mcspectra.report.reproduction.base import ExhibitFunction
 
-__all__ = ["EXHIBITS", "exhibit_names", "load_exhibit"]
+__all__ = ["EXHIBITS", "SUMMARIES", "exhibit_names", "load_exhibit"]
 
 _PACKAGE = "mcspectra.report.reproduction"
 
@@ -41,6 +41,34 @@ EXHIBITS = MappingProxyType(
     }
 )
 """Name of each exhibit to ``"module:function"``."""
+
+SUMMARIES = MappingProxyType(
+    {
+        "estimator": "estimator and sampling function of random, jittered, Poisson-disk points",
+        "power-spectra": "power spectra of one point set and their expectation",
+        "variance-integral": "variance as the integral of two power spectra, stationary samples",
+        "real-and-integer-frequencies": "rates predicted at real and at integer frequencies",
+        "closed-forms": "expected power of random and jittered points, exactly",
+        "homogenisation": "homogenisation by shift and toroidal wrapping, step by step",
+        "homogenisation-convergence": "what homogenisation does to convergence",
+        "strata-alignment": "strata aligned with the integrand converge faster",
+        "homogenised-formula": "the variance of homogenised samples: the power term alone",
+        "generalised-formula": "three terms of the variance, cross matrices",
+        "importance-terms": "first and third term under importance sampling",
+        "phase": "the third term encodes phase: shifted strata",
+        "dimensionality": "growth of the third term, and maps in place of its matrix",
+        "direct-illumination": "light and BSDF sampling of direct illumination",
+        "veach-pictures": "Veach's scene: reference, light, BSDF and multiple importance sampling",
+        "mis-slowest": "multiple importance sampling follows the slowest technique",
+        "environment-channels": "environment maps: importance of gray against all channels",
+        "mirroring": "mirroring of the integrand and of the samples",
+        "light-smoothing": "smoothed lights restore the rate",
+        "importance-spectra": "power spectra of importance samples",
+        "pair-correlation": "variance through the pair correlation",
+        "bias": "bias of an estimator through the mean of its coefficients",
+    }
+)
+"""Name of each exhibit to what it shows, for listings, without loading it."""
 
 
 def exhibit_names(names: Sequence[str]) -> list[str]:
