@@ -27,6 +27,8 @@ __all__ = [
     "NotPowerOfTwoWarning",
     "ParameterError",
     "SpecError",
+    "StaleLockWarning",
+    "StorageError",
     "StoreError",
     "UndefinedRatioWarning",
     "UnknownName",
@@ -86,6 +88,10 @@ class StoreError(McspectraError, RuntimeError):
     """A result store exists already, is incomplete or belongs to another study."""
 
 
+class StorageError(StoreError):
+    """Results cannot be written: the disk is full, a quota is reached, the device fails."""
+
+
 class NoClosedForm(McspectraError, NotImplementedError):
     """No closed form is known for this combination; simulate instead."""
 
@@ -120,6 +126,10 @@ class PreasymptoticWarning(UserWarning):
 
 class UndefinedRatioWarning(UserWarning):
     """f and p are both 0 at a sample: f/p counts as 0 there, whatever its limit."""
+
+
+class StaleLockWarning(UserWarning):
+    """A lock was left behind by a process that has ended; it is taken over."""
 
 
 class IncompleteImageWarning(UserWarning):
