@@ -24,6 +24,23 @@ def test_blocks_of_realisations_cover_all():
     assert all(count % 2 == 0 for _, count in blocks[:-1])
 
 
+@pytest.mark.parametrize(("realizations", "least"), [(1, 1), (1001, 3), (1024, 8), (0, 1)])
+def test_any_block_is_found_by_its_place(realizations, least):
+    blocks = realization_blocks(realizations, 2**12, first=5, least=least)
+    listed = list(blocks)
+    assert len(blocks) == len(listed)
+    assert [blocks[i] for i in range(len(blocks))] == listed
+    assert _members(listed) == list(range(5, 5 + realizations))
+    with pytest.raises(IndexError):
+        blocks[len(blocks)]
+
+
+def test_blocks_of_a_billion_realisations_take_no_memory():
+    blocks = realization_blocks(10**9, 2**21)
+    assert len(blocks) == 10**9
+    assert blocks[10**9 - 1] == (10**9 - 1, 1)
+
+
 @pytest.mark.parametrize("workers", [1, 3])
 def test_results_come_in_order(workers):
     assert list(map_in_order(lambda x: x * x, range(50), workers)) == [x * x for x in range(50)]

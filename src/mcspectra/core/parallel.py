@@ -10,13 +10,15 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TypeVar
+from dataclasses import dataclass
+from typing import TypeVar, final
 
 from mcspectra.core.checks import as_integer
 
 __all__ = [
     "MAX_REALIZATIONS",
     "Block",
+    "RealizationBlocks",
     "available_workers",
     "cache_blocks",
     "map_in_order",
@@ -44,17 +46,36 @@ def available_workers(workers: int | None = None) -> int:
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
+@final
+@dataclass(frozen=True)
+class RealizationBlocks:
+    """Realisations `first` to `stop`, the latter not among them, in blocks of `size`."""
+
+    first: int
+    stop: int
+    size: int
+
+    def __len__(self) -> int:
+        return len(range(self.first, self.stop, self.size))
+
+    def __getitem__(self, index: int) -> Block:
+        start = range(self.first, self.stop, self.size)[index]
+        return start, min(self.size, self.stop - start)
+
+    def __iter__(self) -> Iterator[Block]:
+        return map(self.__getitem__, range(len(self)))
+
+
 def realization_blocks(
     realizations: int, numbers_each: int, *, multiple: int = 1, first: int = 0, least: int = 1
-) -> Iterator[Block]:
+) -> RealizationBlocks:
     """Split realisations into blocks of about `_BLOCK_NUMBERS` numbers, a multiple of `multiple`.
 
     There are at least `least` blocks, if there are `multiple` realisations for each.
     """
     size = max(1, _BLOCK_NUMBERS // max(1, numbers_each) // multiple) * multiple
     size = min(size, max(1, realizations // least // multiple) * multiple)
-    stop = first + realizations
-    return ((start, min(size, stop - start)) for start in range(first, stop, size))
+    return RealizationBlocks(first, first + realizations, size)
 
 
 def cache_blocks(block: Block, numbers_each: int) -> Iterator[Block]:

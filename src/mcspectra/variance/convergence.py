@@ -8,7 +8,8 @@ its relative standard error, from the kurtosis of the estimates, is its weight i
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,19 +17,20 @@ import numpy as np
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
-from mcspectra.core.results import dataset
+from mcspectra.core.staged import compute
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
-from mcspectra.estimators.moments import rounding_floor
+from mcspectra.estimators import AbstractEstimator, as_estimator
 from mcspectra.estimators.tails import unsampled_note
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.variance.fit import check_window, fit_rate
-from mcspectra.variance.stopping import check_relative_error, joint_moments, moments_until
+from mcspectra.variance._curves import curve_from_moments, fitted_counts, labelled
+from mcspectra.variance.fit import check_window
+from mcspectra.variance.staged_moments import Found, MomentsCell, Search, StagedMoments
+from mcspectra.variance.stopping import all_realizations, check_relative_error, until_precise
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["convergence"]
+__all__ = ["convergence", "count_stream", "staged_convergence"]
 
 
 def convergence(
@@ -90,68 +92,155 @@ def convergence(
     >>> round(float(curve["rate"]), 1)
     -3.0
     """
+    threads = available_workers(workers)
+    return compute(
+        staged_convergence(
+            estimator,
+            sampler,
+            counts,
+            realizations=realizations,
+            rng=rng,
+            relative_error=relative_error,
+            fit_last=fit_last,
+        ),
+        threads,
+    )
+
+
+def staged_convergence(
+    estimator: Any,
+    sampler: Any,
+    counts: Sequence[int],
+    *,
+    realizations: int = 1000,
+    rng: RngLike = 0,
+    relative_error: float | None = None,
+    fit_last: int | str | None = None,
+) -> StagedMoments:
+    """Return `convergence` as a staged analysis, its arguments checked.
+
+    A run is a count of one sampler, or with `relative_error` the next realisations of one.
+    """
     several, given = isinstance(estimator, list | tuple), isinstance(sampler, list | tuple)
     if (several and not estimator) or (given and not sampler):
         raise ParameterError("convergence needs at least one estimator and one sampler.")
     estimators = [as_estimator(e) for e in (estimator if several else [estimator])]
     samplers = [as_sampler(s, estimators[0].dims) for s in (sampler if given else [sampler])]
     _check_comparable(estimators, samplers)
-    ns = _check_counts(counts, estimators, samplers)
-    realizations = as_integer("realizations", realizations, least=2, most=MAX_REALIZATIONS)
-    window = check_window(fit_last, len(ns))
-    goal = None if relative_error is None else check_relative_error(relative_error)
-    stream = Stream.from_rng(rng)
-    threads = available_workers(workers)
-
-    def cell(es: list[AbstractEstimator], s: Sampler, n: int) -> list[tuple[Moments, bool]]:
-        own = count_stream(stream, n)
-        if goal is None:
-            return [(m, True) for m in joint_moments(es, s, n, realizations, own, threads)]
-        return [moments_until(e, s, n, goal, realizations, own, threads) for e in es]
-
-    def curves(es: list[AbstractEstimator], s: Sampler) -> Iterator[dict[str, Array]]:
-        found = [cell(es, s, n) for n in ns]
-        for e, cells in zip(es, zip(*found, strict=True), strict=True):
-            moments = [m for m, _ in cells]
-            curve = curve_from_moments(ns, moments, np.atleast_1d(e.integral), window)
-            curve["bias_se"] = np.hypot(curve["mean_se"], e.integral_error)
-            if goal is not None:
-                curve["reached"] = np.array([np.int64(reached) for _, reached in cells])
-            yield curve
-
-    # One technique that has no `draw` of its own gets the sampler's points: then all share them.
-    plain = all(e.counts == (1,) and type(e).draw is AbstractEstimator.draw for e in estimators)
-    groups = [estimators] if plain else [[e] for e in estimators]
-    grid = [
-        list(row)
-        for es in groups
-        for row in zip(*(list(curves(es, s)) for s in samplers), strict=True)
-    ]
-    return _labelled(
-        grid,
-        ns,
-        drop=[
-            name
-            for name, single in (
-                ("estimator", not several),
-                ("sampler", not given),
-                ("channel", all(e.channels == 0 for e in estimators)),
-            )
-            if single
-        ],
-        coords={"estimator": [e.spec for e in estimators], "sampler": [s.spec for s in samplers]},
-        realizations=realizations,
-        relative_error=goal,
-        fit_last=_largest_window(ns, grid),
-        fit_window="auto" if window == "auto" else None,
-        stream_key=f"{stream.key:#x}",
-        seed=rng if isinstance(rng, int) else None,
-        integral_source="; ".join(dict.fromkeys(e.integral_source for e in estimators)),
-        note="; ".join(_notes(estimators, ns[-1] * realizations)) or None,
+    job = _Job(
+        tuple(estimators),
+        tuple(samplers),
+        tuple(_check_counts(counts, estimators, samplers)),
+        as_integer("realizations", realizations, least=2, most=MAX_REALIZATIONS),
+        Stream.from_rng(rng),
+        rng if isinstance(rng, int) else None,
+        None if relative_error is None else check_relative_error(relative_error),
+        check_window(fit_last, len(counts)),
+        several,
+        given,
     )
+    return StagedMoments(job.cells, job.search, job.result)
 
 
-def _notes(estimators: list[AbstractEstimator], samples: int) -> Iterator[str]:
+@dataclass(frozen=True)
+class _Job:
+    """What is asked for.
+
+    Attributes
+    ----------
+    several, given
+        Whether estimators, and samplers, are lists, which have dims of their own.
+    """
+
+    estimators: tuple[AbstractEstimator, ...]
+    samplers: tuple[Sampler, ...]
+    counts: tuple[int, ...]
+    realizations: int
+    stream: Stream
+    seed: int | None
+    goal: float | None
+    window: int | str
+    several: bool
+    given: bool
+
+    @property
+    def groups(self) -> list[tuple[AbstractEstimator, ...]]:
+        """Estimators that share points and realisations.
+
+        One technique that has no `draw` of its own gets the sampler's points: all such share them.
+        A wanted precision takes as many realisations as each estimator needs by itself.
+        """
+        draws = AbstractEstimator.draw
+        plain = all(e.counts == (1,) and type(e).draw is draws for e in self.estimators)
+        joint = plain and self.goal is None
+        return [self.estimators] if joint else [(e,) for e in self.estimators]
+
+    @property
+    def cells(self) -> tuple[MomentsCell, ...]:
+        """By group, by sampler, by count."""
+        return tuple(
+            MomentsCell(group, s, n, count_stream(self.stream, n))
+            for group in self.groups
+            for s in self.samplers
+            for n in self.counts
+        )
+
+    @property
+    def search(self) -> Callable[[MomentsCell, int], Search]:
+        """How many realisations a cell takes."""
+        if self.goal is None:
+            return all_realizations(self.realizations)
+        return until_precise(self.goal, self.realizations)
+
+    def result(self, found: list[list[Found]]) -> xr.Dataset:
+        """Dataset of what was found in the cells."""
+        rest = iter(found)
+        grid = []
+        for group in self.groups:
+            rows = [list(itertools.islice(rest, len(self.counts))) for _ in self.samplers]
+            for place, estimator in enumerate(group):
+                own = ([cell[place] for cell in row] for row in rows)
+                grid.append([self._curve(estimator, cells) for cells in own])
+        return self._labelled(grid)
+
+    def _curve(self, estimator: AbstractEstimator, found: list[Found]) -> dict[str, Array]:
+        """Variables of one estimator with one sampler."""
+        moments = [m for m, _ in found]
+        integral = np.atleast_1d(estimator.integral)
+        curve = curve_from_moments(list(self.counts), moments, integral, self.window)
+        curve["bias_se"] = np.hypot(curve["mean_se"], estimator.integral_error)
+        if self.goal is not None:
+            curve["reached"] = np.array([np.int64(reached) for _, reached in found])
+        return curve
+
+    def _labelled(self, grid: list[list[dict[str, Array]]]) -> xr.Dataset:
+        """Label a grid estimator × sampler."""
+        singles = {
+            "estimator": not self.several,
+            "sampler": not self.given,
+            "channel": all(e.channels == 0 for e in self.estimators),
+        }
+        samples = self.counts[-1] * self.realizations
+        return labelled(
+            grid,
+            list(self.counts),
+            drop=[name for name, single in singles.items() if single],
+            coords={
+                "estimator": [e.spec for e in self.estimators],
+                "sampler": [s.spec for s in self.samplers],
+            },
+            realizations=self.realizations,
+            relative_error=self.goal,
+            fit_last=fitted_counts(list(self.counts), grid),
+            fit_window="auto" if self.window == "auto" else None,
+            stream_key=f"{self.stream.key:#x}",
+            seed=self.seed,
+            integral_source="; ".join(dict.fromkeys(e.integral_source for e in self.estimators)),
+            note="; ".join(_notes(self.estimators, samples)) or None,
+        )
+
+
+def _notes(estimators: Iterable[AbstractEstimator], samples: int) -> Iterator[str]:
     """What to say of estimators whose variance no simulation of this size can measure."""
     for estimator in estimators:
         note = unsampled_note(estimator, samples)
@@ -195,78 +284,3 @@ def _check_counts(
             for n in ns:
                 e.check_sampler(s, n)
     return ns
-
-
-def curve_from_moments(
-    ns: list[int], moments: list[Moments], integral: Array, window: int | str
-) -> dict[str, Array]:
-    """Variances, intervals, bias and rate of one curve from the moments of its counts."""
-    variance = np.stack([m.variance for m in moments])
-    relative = np.stack([m.relative_se for m in moments])
-    mean = np.stack([m.mean for m in moments])
-    floor = rounding_floor(np.maximum(np.abs(mean), np.abs(integral)))
-    fits = [
-        fit_rate(np.array(ns), variance[:, c], relative[:, c], floor[:, c], window)
-        for c in range(variance.shape[1])
-    ]
-    return {
-        "variance": variance,
-        "variance_ci": np.stack([m.variance_ci for m in moments]),
-        "mean": mean,
-        "mean_se": np.stack([m.mean_se for m in moments]),
-        "bias": mean - integral,
-        "mse": (mean - integral) ** 2
-        + variance * np.array([(m.count - 1) / m.count for m in moments])[:, None],
-        "realizations_used": np.array([m.count for m in moments]),
-        "rate": np.array([fit.rate for fit in fits]),
-        "rate_ci": np.array([fit.interval for fit in fits]),
-        "fit_first_n": np.array([fit.first_n for fit in fits]),
-        "fit_chi2": np.array([fit.chi2 for fit in fits]),
-    }
-
-
-def _largest_window(ns: list[int], grid: list[list[dict[str, Array]]]) -> int | None:
-    """How many counts the fits go over, the most of any; None where nothing was fitted."""
-    first = np.array([curve["fit_first_n"] for row in grid for curve in row])
-    fitted = first[np.isfinite(first)]
-    return sum(n >= fitted.min() for n in ns) if fitted.size else None
-
-
-_DIMS = {
-    "variance": ("n", "channel"),
-    "variance_ci": ("n", "channel", "bound"),
-    "mean": ("n", "channel"),
-    "mean_se": ("n", "channel"),
-    "bias": ("n", "channel"),
-    "bias_se": ("n", "channel"),
-    "mse": ("n", "channel"),
-    "realizations_used": ("n",),
-    "reached": ("n",),
-    "rate": ("channel",),
-    "rate_ci": ("channel", "bound"),
-    "fit_first_n": ("channel",),
-    "fit_chi2": ("channel",),
-}
-
-
-def _labelled(
-    grid: list[list[dict[str, Array]]],
-    ns: list[int],
-    drop: list[str],
-    coords: dict[str, Any],
-    **provenance: Any,
-) -> xr.Dataset:
-    """Stack the curves of a grid estimator × sampler, dropping the dims that were not asked for."""
-    variables = {}
-    for name in grid[0][0]:
-        own = _DIMS[name]
-        dims = ("estimator", "sampler", *own)
-        values = np.stack([np.stack([curve[name] for curve in row]) for row in grid])
-        index = tuple(0 if dim in drop else slice(None) for dim in dims)
-        variables[name] = (tuple(dim for dim in dims if dim not in drop), values[index])
-    kept = {name: values for name, values in coords.items() if name not in drop}
-    single = {name: values[0] for name, values in coords.items() if name in drop}
-    count = ("n", ns, {"long_name": "number of points", "units": "1"})
-    return dataset(
-        variables, {"n": count, "bound": ["low", "high"], **kept}, **single, **provenance
-    )

@@ -14,37 +14,43 @@ tried, then the error is given as NaN, and the goal as not reached.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer, as_real
+from mcspectra.core.checks import as_integer, as_real
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.parallel import (
-    MAX_REALIZATIONS,
-    Block,
-    available_workers,
-    cache_blocks,
-    map_in_order,
-    realization_blocks,
-)
+from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers, map_in_order
 from mcspectra.core.results import dataset
+from mcspectra.core.staged import MergeTree, compute
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.variance.staged_moments import (
+    Found,
+    MomentsCell,
+    Search,
+    StagedMoments,
+    merge_moments,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
+    "all_realizations",
+    "check_relative_error",
     "count_moments",
     "joint_moments",
-    "moments_until",
     "realizations_needed",
     "relative_error_of",
+    "staged_realizations_needed",
+    "until_precise",
 ]
+
+Variables: TypeAlias = dict[str, tuple[tuple[str, ...], Any]]
 
 _LEAST = 100  # realisations of the first stage: κ of fewer says little
 _STEP = 1.25  # a stage makes the sample longer by a quarter at least,
@@ -103,6 +109,30 @@ def realizations_needed(
     >>> bool(found["reached"]), bool(found["variance_relative_se"] <= 0.1)
     (True, True)
     """
+    threads = available_workers(workers)
+    return compute(
+        staged_realizations_needed(
+            estimator,
+            sampler,
+            n,
+            relative_error=relative_error,
+            max_realizations=max_realizations,
+            rng=rng,
+        ),
+        threads,
+    )
+
+
+def staged_realizations_needed(
+    estimator: Any,
+    sampler: Sampler | str,
+    n: int,
+    *,
+    relative_error: float = 0.05,
+    max_realizations: int = 1_000_000,
+    rng: RngLike = 0,
+) -> StagedMoments:
+    """Return `realizations_needed` as a staged analysis, its arguments checked."""
     estimator = as_estimator(estimator, getattr(sampler, "dims", None))
     source = as_sampler(sampler, estimator.dims)
     n = source.check_count(n)
@@ -110,22 +140,25 @@ def realizations_needed(
     goal = check_relative_error(relative_error)
     most = as_integer("max_realizations", max_realizations, least=2, most=MAX_REALIZATIONS)
     stream = Stream.from_rng(rng)
-    moments, reached = moments_until(
-        estimator, source, n, goal, most, stream, available_workers(workers)
-    )
-    names = {"realizations_used": np.int64(moments.count), "reached": np.int64(reached)}
-    found = {name: ((), value) for name, value in names.items()}
-    return dataset(
-        {**found, **_summary(moments, scalar=estimator.channels == 0)},
-        {"bound": ["low", "high"]},
-        estimator=estimator.spec,
-        sampler=source.spec,
-        n=n,
-        relative_error=goal,
-        max_realizations=most,
-        stream_key=f"{stream.key:#x}",
-        seed=rng if isinstance(rng, int) else None,
-    )
+
+    def result(found: list[list[Found]]) -> xr.Dataset:
+        ((moments, reached),) = found[0]
+        names = {"realizations_used": np.int64(moments.count), "reached": np.int64(reached)}
+        used: Variables = {name: ((), value) for name, value in names.items()}
+        return dataset(
+            used | _summary(moments, scalar=estimator.channels == 0),
+            {"bound": ["low", "high"]},
+            estimator=estimator.spec,
+            sampler=source.spec,
+            n=n,
+            relative_error=goal,
+            max_realizations=most,
+            stream_key=f"{stream.key:#x}",
+            seed=rng if isinstance(rng, int) else None,
+        )
+
+    cell = MomentsCell((estimator,), source, n, stream)
+    return StagedMoments((cell,), until_precise(goal, most), result)
 
 
 def check_relative_error(value: object) -> float:
@@ -162,50 +195,40 @@ def joint_moments(
     first: int = 0,
 ) -> list[Moments]:
     """Return `count_moments` of several estimators that draw the same points; drawn once."""
-    numbers = n * estimators[0].dims * sum(estimators[0].counts)
-
-    def estimates(block: Block) -> list[Array]:
-        points = estimators[0].draw(sampler, n, stream, *block)
-        return [e.estimate(points).reshape(block[1], -1) for e in estimators]
-
-    def block_moments(block: Block) -> list[Moments]:
-        inner = cache_blocks(block, numbers)
-        parts = zip(*map(estimates, inner), strict=True)
-        return [Moments.of(np.concatenate(part)) for part in parts]
-
-    blocks = realization_blocks(realizations, numbers, first=first)
-    results = map_in_order(block_moments, blocks, workers)
-    totals = next(results)
-    for each in results:
-        totals = [total.merge(moments) for total, moments in zip(totals, each, strict=True)]
-    return totals
+    cell = MomentsCell(tuple(estimators), sampler, n, stream)
+    tree = MergeTree(merge_moments)
+    for moments in map_in_order(cell.moments, cell.blocks(first, realizations), workers):
+        tree.add(moments)
+    return tree.total()
 
 
-def moments_until(
-    estimator: AbstractEstimator,
-    sampler: Sampler,
-    n: int,
-    relative_error: float,
-    most: int,
-    stream: Stream,
-    workers: int = 1,
-) -> tuple[Moments, bool]:
-    """Moments of as many realisations as the error takes, and whether it was reached and confirmed."""
+def all_realizations(realizations: int) -> Callable[[MomentsCell, int], Search]:
+    """Return a search that takes a given number of realisations."""
 
-    def more(first: int, count: int) -> Moments:
-        return count_moments(estimator, sampler, n, count, stream, workers, first)
+    def search(cell: MomentsCell, part: int) -> Search:
+        return [(moments, True) for moments in (yield cell.run(part, 0, realizations))]
 
-    total = more(0, min(_LEAST, most))
-    before = False
-    while True:
-        error = relative_error_of(total)
-        now = error <= relative_error
-        blank = math.isnan(error)
-        if (now and before) or total.count >= (min(most, _BLANK) if blank else most):
-            return total, now and before
-        before = now
-        stop = min(most, _next_stop(total.count, math.inf if blank else error / relative_error))
-        total = total.merge(more(total.count, stop - total.count))
+    return search
+
+
+def until_precise(relative_error: float, most: int) -> Callable[[MomentsCell, int], Search]:
+    """Return a search that goes on until the error is reached and confirmed, for one estimator."""
+
+    def search(cell: MomentsCell, part: int) -> Search:
+        (total,) = yield cell.run(part, 0, min(_LEAST, most))
+        before = False
+        while True:
+            error = relative_error_of(total)
+            now = error <= relative_error
+            blank = math.isnan(error)
+            if (now and before) or total.count >= (min(most, _BLANK) if blank else most):
+                return [(total, now and before)]
+            before = now
+            stop = min(most, _next_stop(total.count, math.inf if blank else error / relative_error))
+            (more,) = yield cell.run(part, total.count, stop - total.count)
+            total = total.merge(more)
+
+    return search
 
 
 def relative_error_of(moments: Moments) -> float:
@@ -219,7 +242,7 @@ def _next_stop(count: int, excess: float) -> int:
     return math.ceil(count * min(max(excess**2, _STEP), _LEAP))
 
 
-def _summary(moments: Moments, *, scalar: bool) -> dict[str, tuple[tuple[str, ...], Any]]:
+def _summary(moments: Moments, *, scalar: bool) -> Variables:
     """Result variables of the moments of one count."""
     varies = moments.variance > rounding_floor(moments.mean)
     second = np.where(varies, moments.m2, np.nan)
