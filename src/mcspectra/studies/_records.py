@@ -12,8 +12,7 @@ import hashlib
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any, BinaryIO, TypeAlias, final
+from typing import Any, BinaryIO, TypeAlias
 
 import msgspec
 
@@ -62,9 +61,7 @@ class Head(msgspec.Struct, frozen=True):
     info: dict[str, Any] = {}
 
 
-@final
-@dataclass(frozen=True)
-class Record:
+class Record(msgspec.Struct, frozen=True, gc=False):
     """A sound record: its study's digest, its head, and where it lies in the file."""
 
     study: bytes
@@ -74,9 +71,7 @@ class Record:
     end: int
 
 
-@final
-@dataclass(frozen=True)
-class Damage:
+class Damage(msgspec.Struct, frozen=True):
     """Bytes that are no sound record; `torn` if they are the beginning of one at the file's end."""
 
     name: str

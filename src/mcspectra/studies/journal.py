@@ -10,7 +10,6 @@ reached through an index in memory; payloads stay in the file until they are ask
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import hashlib
 import os
 import time
@@ -18,6 +17,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, final
+
+import msgspec
 
 from mcspectra.core.errors import StorageError, StoreError
 from mcspectra.studies._records import MOST_PAYLOAD, Head, Record, encode_record
@@ -298,7 +299,7 @@ class Journal:
             shift = start - record.start
             yield (
                 key,
-                dataclasses.replace(
+                msgspec.structs.replace(
                     record, start=start, payload=record.payload + shift, end=record.end + shift
                 ),
             )
