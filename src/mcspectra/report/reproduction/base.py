@@ -41,6 +41,8 @@ _VERDICT_Z = 3.4739788691540388  # normal quantile of (1 + 0.95^(1/100)) / 2
 VERDICT_WIDENING = _VERDICT_Z / CONFIDENCE_Z
 """By what the distance of a 95 % interval's ends is multiplied for a verdict."""
 
+_VISIBLE = 5e-4  # tolerances of rates from here on are shown with the rate
+
 Interval: TypeAlias = tuple[float, float]
 """Lower and upper end."""
 
@@ -186,7 +188,7 @@ def rate_finding(
         measured=float(curve["rate"]),
         interval=(low, high),
         tolerance=tolerance,
-        text=f"{text} ± {number(tolerance, 2)}" if tolerance else text,
+        text=f"{text} ± {number(tolerance, 2)}" if tolerance >= _VISIBLE else text,
         note=note,
     )
 

@@ -18,7 +18,7 @@ from mcspectra.report.reproduction.base import (
     comparison,
     normal_interval,
 )
-from mcspectra.report.style import WIDE, entitle, new_figure, quiet, quiet_colorbar
+from mcspectra.report.style import WIDE, entitle, new_figure, outer_labels, quiet, quiet_colorbar
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -177,11 +177,13 @@ def _exponent(name: str, spectrum: xr.Dataset, expected: float) -> Finding:
 
 
 def _images(single: Spectra, expected: Spectra, realizations: int) -> Picture:
-    figure = new_figure(WIDE, 5.3)
+    figure = new_figure(WIDE, 4.9)
     grid = figure.subplots(2, 3)
     for row, (data, what) in enumerate(((single, "one set"), (expected, "expected"))):
         for axes, name in zip(grid[row], _SAMPLERS, strict=True):
             drawn = _image(axes, data[name])
+            axes.set_xlabel("m₀ (cycles per unit)" if row else "")
+            outer_labels(axes)
             entitle(axes, f"{name}, {what}")
     bar = figure.colorbar(drawn, ax=list(grid.ravel()), extend="max", shrink=0.7, pad=0.02)
     quiet_colorbar(bar, "N · |S|²   (random: 1)")
@@ -189,7 +191,7 @@ def _images(single: Spectra, expected: Spectra, realizations: int) -> Picture:
         kind="power-spectra",
         caption=f"N times the power over the frequencies m₀, m₁ = −{_HALF_WIDTH} … {_HALF_WIDTH} (cycles per unit), "
         f"N = {_N}. Above, of one set; below, its mean over {realizations} sets. m = 0 is left out.",
-        alt="Six images of power. One set: grainy. Expected: flat for random, a dark cross-like hole for "
+        alt="Six images of power. One set: grainy. Expected: flat for random, a small dark hole for "
         "jittered, a dark disk within a bright ring for Poisson disk.",
         figure=figure,
     )
@@ -210,7 +212,7 @@ def _image(axes: Axes, spectrum: xr.Dataset) -> AxesImage:
     )
     quiet(axes)
     ticks = [-_HALF_WIDTH, 0, _HALF_WIDTH]
-    axes.set(xlabel="m₀ (cycles per unit)", ylabel="m₁", xticks=ticks, yticks=ticks)
+    axes.set(ylabel="m₁ (cycles per unit)", xticks=ticks, yticks=ticks)
     return drawn
 
 
