@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "count_axis",
+    "far_apart",
     "linear_threshold",
     "log_axis",
     "log_ticks",
@@ -30,6 +31,7 @@ __all__ = [
     "signed_norm",
     "signed_ticks",
     "threshold_note",
+    "tick_label",
 ]
 
 Which = Literal["x", "y"]
@@ -66,13 +68,13 @@ def count_axis(axes: Axes, which: Which, counts: Sequence[int], most: int = 6) -
     """Make an axis logarithmic with ticks at (some of) the counts of points themselves."""
     distinct = sorted(set(counts))
     _set_scale(axes, which, "log")
-    chosen = _far_apart(distinct, most)
+    chosen = far_apart(distinct, most)
     _set_ticks(axes, which, chosen, [f"{n:,}".replace(",", "\u2009") for n in chosen])
     margin = (distinct[-1] / distinct[0]) ** 0.05 if len(distinct) > 1 else 2.0
     _set_limits(axes, which, distinct[0] / margin, distinct[-1] * margin)
 
 
-def _far_apart(counts: list[int], most: int) -> list[int]:
+def far_apart(counts: Sequence[int], most: int) -> list[int]:
     """Choose counts whose labels do not touch on a logarithmic axis, the last one included."""
     gap = math.log(counts[-1] / counts[0]) / most if len(counts) > 1 else 0.0
     chosen = [counts[-1]]
@@ -155,7 +157,7 @@ def signed_bar_ticks(bar: Colorbar, norm: SymLogNorm, most: int = 7) -> None:
     """Put the ticks of a signed scale on a colour bar."""
     top = float(norm.vmax or 1.0)
     ticks = signed_ticks(-top, top, float(norm.linthresh), most)
-    bar.set_ticks(ticks, labels=[_tick_label(t) for t in ticks])
+    bar.set_ticks(ticks, labels=[tick_label(t) for t in ticks])
     bar.minorticks_off()
 
 
@@ -166,7 +168,7 @@ def _linear_ticks(low: float, high: float, most: int) -> list[float]:
     return [float(t) for t in ticks if low - 1e-12 <= t <= high + 1e-12]
 
 
-def _tick_label(value: float) -> str:
+def tick_label(value: float) -> str:
     """Shortest text of a tick: ``−20``, ``0.5``, ``10⁻⁶``, ``2×10⁻⁴``."""
     sign = "−" if value < 0 else ""
     mantissa, exponent = f"{abs(value):.5e}".split("e")
@@ -190,5 +192,5 @@ def _set_ticks(
     from matplotlib.ticker import NullLocator
 
     axis = axes.xaxis if which == "x" else axes.yaxis
-    axis.set_ticks(list(ticks), labels=texts or [_tick_label(t) for t in ticks])
+    axis.set_ticks(list(ticks), labels=texts or [tick_label(t) for t in ticks])
     axis.set_minor_locator(NullLocator())

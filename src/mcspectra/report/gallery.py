@@ -6,14 +6,21 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias, final
 
-import numpy as np
-
 from mcspectra.report import figures
 from mcspectra.report.collect import EstimatorGroup
 from mcspectra.report.figures.groups import channel_note, frequency_dims
 from mcspectra.report.figures.variance import usable_counts
-from mcspectra.report.formatting import number, number_beside, percent, rate
 from mcspectra.report.style import NARROW, LineStyle
+from mcspectra.report.words import (
+    band_words,
+    captured_words,
+    first_channel,
+    for_each,
+    low_power_words,
+    peak_words,
+    rate_words,
+    term_words,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -56,11 +63,11 @@ def _convergence(data: Datasets, styles: Styles) -> Iterator[Picture]:
             "Variance against the number of points, with 95 % intervals, fitted lines and their "
             "rates; dotted, the rate of random sampling.",
             "Variances of zero or of rounding size have no place on a logarithmic axis."
-            if any(not usable_counts(_first(d)).all() for d in data.values())
+            if any(not usable_counts(first_channel(d)).all() for d in data.values())
             else "",
             channel_note(data),
         ),
-        alt="Logarithmic plot of variance against n. " + _each(data, _rate_words),
+        alt="Logarithmic plot of variance against n. " + for_each(data, rate_words),
         figure=figures.convergence_curves(data, styles=styles),
     )
 
@@ -74,7 +81,7 @@ def _terms(data: Datasets, styles: Styles) -> Iterator[Picture]:
             "variance below; whiskers are 95 % intervals.",
             channel,
         ),
-        alt="Bars of the three terms. " + _each(data, _term_words),
+        alt="Bars of the three terms. " + for_each(data, term_words),
         figure=figures.three_terms(data, styles=styles),
     )
     yield Picture(
@@ -85,7 +92,7 @@ def _terms(data: Datasets, styles: Styles) -> Iterator[Picture]:
             channel,
         ),
         alt="Predicted over measured variance against the half width. "
-        + _each(data, _captured_words),
+        + for_each(data, captured_words),
         figure=figures.captured_curves(data, styles=styles),
     )
 
@@ -95,7 +102,7 @@ def _maps(data: Datasets, styles: Styles) -> Iterator[Picture]:
     yield Picture(
         kind="contributions",
         caption=_join(_contribution_caption(data), channel),
-        alt="Signed contribution of each frequency to the variance. " + _each(data, _peak_words),
+        alt="Signed contribution of each frequency to the variance. " + for_each(data, peak_words),
         figure=figures.contributions(data, styles=styles),
     )
     yield Picture(
@@ -105,7 +112,7 @@ def _maps(data: Datasets, styles: Styles) -> Iterator[Picture]:
             "band's share of the predicted variance by itself and through the other bands.",
             channel,
         ),
-        alt="Matrix of covariances between frequency bands. " + _each(data, _band_words),
+        alt="Matrix of covariances between frequency bands. " + for_each(data, band_words),
         figure=figures.band_covariances(data, styles=styles),
     )
     matrices = {name: d for name, d in data.items() if _has_plain_matrix(d)}
@@ -130,7 +137,7 @@ def _spectrum(data: Datasets, styles: Styles) -> Iterator[Picture]:
         yield Picture(
             kind="spectrum",
             caption=f"Power spectra: {level}",
-            alt="Power against frequency m. " + _each(data, _low_power_words),
+            alt="Power against frequency m. " + for_each(data, low_power_words),
             figure=figures.power_lines(data, styles=styles),
         )
     elif dims == 2:
@@ -138,7 +145,7 @@ def _spectrum(data: Datasets, styles: Styles) -> Iterator[Picture]:
             kind="spectrum",
             caption=f"Power spectra on one colour scale: {level}",
             alt="Images of the power over the frequencies m₀ and m₁. "
-            + _each(data, _low_power_words),
+            + for_each(data, low_power_words),
             figure=figures.power_images(data),
         )
     yield Picture(
@@ -146,7 +153,7 @@ def _spectrum(data: Datasets, styles: Styles) -> Iterator[Picture]:
         caption="Mean power over all directions against the length of the frequency, in units "
         "of n to the 1/d: the slope at the left decides the rate."
         + (" In this many dims it stands for the whole spectrum." if dims > 2 else ""),
-        alt="Logarithmic plot of n times the radial mean power. " + _each(data, _low_power_words),
+        alt="Logarithmic plot of n times the radial mean power. " + for_each(data, low_power_words),
         figure=figures.radial_power(data, styles=styles),
     )
 
@@ -198,67 +205,6 @@ def _contribution_caption(data: Datasets) -> str:
 
 def _has_plain_matrix(data: xr.Dataset) -> bool:
     return "cross_matrix" in data and "m_0" not in data.coords and "m_technique" not in data.coords
-
-
-def _rate_words(data: xr.Dataset) -> str:
-    low, high = (float(end) for end in data["rate_ci"].values)
-    counts = data["n"].values
-    variance = data["variance"].values
-    return (
-        f"rate {rate(float(data['rate']), low, high)}, variance {number(float(variance[0]))} at "
-        f"n = {counts[0]} and {number(float(variance[-1]))} at n = {counts[-1]}"
-    )
-
-
-def _term_words(data: xr.Dataset) -> str:
-    power = float(data["power_term"])
-    values = (
-        f"{t} {number_beside(float(data[f'{t}_term']), power)}" for t in ("dc", "power", "cross")
-    )
-    return f"{', '.join(values)}, measured {number(float(data['measured_variance']))}"
-
-
-def _captured_words(data: xr.Dataset) -> str:
-    curve = data["captured_by_half_width"].values
-    last = float(curve[-1])
-    return f"{percent(last) if np.isfinite(last) else '–'} at half width {len(curve) - 1}"
-
-
-def _peak_words(data: xr.Dataset) -> str:
-    """Where the contribution is largest; of ±m, which are equal, the later one."""
-    values = data["contribution"]
-    if not np.isfinite(values.values).any():
-        return "infinite"
-    flat = np.abs(np.nan_to_num(values.values)).ravel()
-    place = np.unravel_index(len(flat) - 1 - int(np.argmax(flat[::-1])), values.shape)
-    at = [
-        f"{values[d].values[i]:g}"
-        for d, i in zip(values.dims, place, strict=True)
-        if str(d) in frequency_dims(data)
-    ]
-    peak = number(float(values.values[place]))
-    return f"largest, {peak}, at m = ±({', '.join(at)})".replace("-", "−")
-
-
-def _band_words(data: xr.Dataset) -> str:
-    matrix = data["band_covariance"].values
-    total = float(matrix.sum())
-    if not np.isfinite(total) or total == 0:
-        return "no finite share"
-    return f"{percent(float(np.trace(matrix)) / total)} of the predicted variance on the diagonal"
-
-
-def _low_power_words(data: xr.Dataset) -> str:
-    low, high = (int(data.attrs["n"]) * float(data["radial_power"].values[i]) for i in (0, -1))
-    return f"{number(low)} at the lowest and {number(high)} at the highest frequencies"
-
-
-def _each(data: Datasets, words: Callable[[xr.Dataset], str]) -> str:
-    return "; ".join(f"{name}: {words(_first(each))}" for name, each in data.items()) + "."
-
-
-def _first(data: xr.Dataset) -> xr.Dataset:
-    return data.isel(channel=0) if "channel" in data.dims else data
 
 
 def _listed(data: Datasets) -> str:

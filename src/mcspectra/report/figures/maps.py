@@ -33,7 +33,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
-__all__ = ["band_covariances", "contributions", "cross_matrices"]
+__all__ = [
+    "band_covariances",
+    "band_labels",
+    "band_shares",
+    "band_unit",
+    "by_frequency",
+    "contributions",
+    "cross_matrices",
+    "one_technique",
+]
 
 _DIVERGING = "RdBu_r"
 _MOST_NUMBERS, _MOST_TICKS = 7, 13  # numbers and names of bands along an axis
@@ -71,7 +80,7 @@ def contributions(data: Group, *, styles: Mapping[str, LineStyle] | None = None)
         group.items(), blocks, labels(list(group), 26).values(), strict=True
     ):
         for technique, axes in enumerate(block):
-            panels.append((axes, _technique(each, technique), styles[name]))
+            panels.append((axes, one_technique(each, technique), styles[name]))
             entitle(axes, title if techniques == 1 else f"{title}, technique {technique}")
     if two_dims:
         _contribution_images(figure, [(axes, each) for axes, each, _ in panels])
@@ -134,22 +143,22 @@ def band_covariances(data: Group, *, styles: Mapping[str, LineStyle] | None = No
     norm = signed_norm(list(matrices.values()))
     figure, blocks = panel_blocks(len(group), 2, 0.92)
     names = labels(list(group), 26)
-    shares = {name: _shares(matrix) for name, matrix in matrices.items()}
+    shares = {name: band_shares(matrix) for name, matrix in matrices.items()}
     for (name, matrix), (image, bars) in zip(matrices.items(), blocks, strict=True):
         drawn = _image(image, matrix, norm, (-0.5, len(matrix) - 0.5))
         entitle(image, names[name])
-        unit = _band_unit(group[name])
+        unit = band_unit(group[name])
         image.set(xlabel=f"band b{unit}", ylabel=f"band a{unit}")
         outer_labels(image)
         _band_bars(bars, shares, name)
         bars.set_xlabel(f"band a{unit}")
-        _band_ticks(image, bars, _band_labels(group[name], len(matrix)))
+        _band_ticks(image, bars, band_labels(group[name], len(matrix)))
     _signed_bar(figure, drawn, norm, "Cov(I_a, I_b)")
     legend_below(figure, blocks[0][1])
     return figure
 
 
-def _technique(data: xr.Dataset, technique: int) -> xr.Dataset:
+def one_technique(data: xr.Dataset, technique: int) -> xr.Dataset:
     if "technique" not in data.dims:
         return data
     return data.isel(technique=min(technique, data.sizes["technique"] - 1))
@@ -167,7 +176,7 @@ def _contribution_images(figure: Figure, panels: list[tuple[Axes, xr.Dataset]]) 
 
 def _contribution_bars(panels: list[tuple[Axes, xr.Dataset, LineStyle]]) -> None:
     """Draw what the power alone would give as a grey shape, the contribution as coloured bars."""
-    curves = [_by_frequency(each) for _, each, _ in panels]
+    curves = [by_frequency(each) for _, each, _ in panels]
     every = np.concatenate([values for _, *both in curves for values in both])
     shells = len(frequency_dims(panels[0][1])) > 1
     for (axes, _, style), (m, total, power) in zip(panels, curves, strict=True):
@@ -185,7 +194,7 @@ def _contribution_bars(panels: list[tuple[Axes, xr.Dataset, LineStyle]]) -> None
             say(axes, "infinite: ∫1/p diverges")
 
 
-def _by_frequency(data: xr.Dataset) -> tuple[Array, Array, Array]:
+def by_frequency(data: xr.Dataset) -> tuple[Array, Array, Array]:
     """Frequencies, contributions and their power part: by m in 1-D, summed over shells otherwise."""
     dims = frequency_dims(data)
     total, power = (
@@ -202,7 +211,7 @@ def _by_frequency(data: xr.Dataset) -> tuple[Array, Array, Array]:
     return np.arange(keep), summed[0], summed[1]
 
 
-def _shares(matrix: Array) -> tuple[Array, Array]:
+def band_shares(matrix: Array) -> tuple[Array, Array]:
     """Share of every band in the predicted variance: by itself, and through the other bands."""
     total = float(matrix.sum())
     if not np.isfinite(total) or total == 0:
@@ -211,13 +220,13 @@ def _shares(matrix: Array) -> tuple[Array, Array]:
     return own, matrix.sum(axis=1) / total - own
 
 
-def _band_unit(data: xr.Dataset) -> str:
+def band_unit(data: xr.Dataset) -> str:
     """What counts the bands: |m| where they are its shells, of other partitions nothing."""
     meaning = data["band"].attrs.get("long_name", "radial") if "band" in data.coords else "radial"
     return ", |m|" if "radial" in meaning else ""
 
 
-def _band_labels(data: xr.Dataset, count: int) -> list[str]:
+def band_labels(data: xr.Dataset, count: int) -> list[str]:
     """What each band is called; its number where the result does not say."""
     attributes = data["band"].attrs if "band" in data.coords else {}
     names = str(attributes.get("labels", "")).split(", ")

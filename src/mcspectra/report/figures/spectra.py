@@ -31,7 +31,15 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-__all__ = ["power_images", "power_lines", "radial_power"]
+__all__ = [
+    "color_top",
+    "power_images",
+    "power_label",
+    "power_lines",
+    "radial_power",
+    "random_level",
+    "without_dc",
+]
 
 _FLOOR = 1e-4  # n·power shown at least: below it a set is as good as free of noise
 _LINEAR_TOP = 12.0  # up to here lines are drawn on a linear axis
@@ -51,10 +59,10 @@ def power_images(data: Group) -> Figure:
         Nothing to draw, or the spectra are not two-dimensional.
     """
     group = as_group(data, "power")
-    images = {name: _without_dc(each, 2) for name, each in group.items()}
+    images = {name: without_dc(each, 2) for name, each in group.items()}
     figure, blocks = panel_blocks(len(group), 1, 1.0)
     names = labels(list(group), 26)
-    top = _top(list(images.values()))
+    top = color_top(list(images.values()))
     for (name, each), (axes,) in zip(group.items(), blocks, strict=True):
         m0, m1 = each["m0"].values, each["m1"].values
         drawn = axes.imshow(
@@ -94,7 +102,7 @@ def power_lines(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -
         Nothing to draw, or the spectra are not one-dimensional.
     """
     group = as_group(data, "power")
-    curves = {n: (d["m0"].values, _without_dc(d, 1)) for n, d in group.items()}
+    curves = {n: (d["m0"].values, without_dc(d, 1)) for n, d in group.items()}
     figure = _lines(curves, styles or sampler_styles(list(group)), log_x=False)
     figure.axes[0].set(xlabel="frequency m (cycles per unit)", ylabel=power_label(group.values()))
     return figure
@@ -168,7 +176,7 @@ def power_label(datasets: Iterable[xr.Dataset]) -> str:
     return f"n · ⟨|Sₘ|²⟩{' / ∫1/p' if weighted else ''}   (random: 1)"
 
 
-def _without_dc(data: xr.Dataset, dims: int) -> Array:
+def without_dc(data: xr.Dataset, dims: int) -> Array:
     """Return n · power over that of random points, with NaN at m = 0."""
     names = frequency_dims(data)
     if len(names) != dims:
@@ -188,6 +196,6 @@ def _edges(m: Array) -> tuple[float, float]:
     return float(m[0]) - half, float(m[-1]) + half
 
 
-def _top(images: list[Array]) -> float:
+def color_top(images: list[Array]) -> float:
     """End of the colour scale: 2, or what all but 1 % of the frequencies stay below."""
     return max(2.0, float(np.nanpercentile(np.concatenate([i.ravel() for i in images]), 99.0)))

@@ -34,9 +34,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["captured_curves", "convergence_curves", "three_terms", "usable_counts"]
+__all__ = [
+    "TERMS",
+    "captured_curves",
+    "convergence_curves",
+    "fitted_line",
+    "interval_of",
+    "three_terms",
+    "usable_counts",
+]
 
-_TERMS = ("dc_term", "power_term", "cross_term", "predicted_variance", "measured_variance")
+TERMS = ("dc_term", "power_term", "cross_term", "predicted_variance", "measured_variance")
 _LINEAR_TOP = 4.0  # captured shares up to here are drawn on a linear axis
 
 
@@ -55,7 +63,7 @@ def three_terms(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -
     ParameterError
         Nothing to draw, or a variable is missing.
     """
-    group = as_group(data, *_TERMS, "predicted_variance_ci", "measured_variance_ci")
+    group = as_group(data, *TERMS, "predicted_variance_ci", "measured_variance_ci")
     styles = styles or sampler_styles(list(group))
     names = labels(list(group), 40)
     figure = new_figure(NARROW, 0.5 + 1.25 * len(group))
@@ -64,7 +72,7 @@ def three_terms(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -
         quiet(axes)
         _term_bars(axes, each, styles[name])
         entitle(axes, names[name], "left")
-    every = [[float(each[term]) for term in _TERMS] for each in group.values()]
+    every = [[float(each[term]) for term in TERMS] for each in group.values()]
     scale = signed_axis(rows[0], "x", _above_rounding(np.array(every)))
     _show_whiskers(rows[0], group)
     rows[-1].set_xlabel("part of the variance" + (f"   ({scale})" if scale else ""))
@@ -173,7 +181,7 @@ def _above_rounding(values: Array) -> Array:
 
 
 def _term_bars(axes: Axes, data: xr.Dataset, style: LineStyle) -> None:
-    values = [float(data[name]) for name in _TERMS]
+    values = [float(data[name]) for name in TERMS]
     scale = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
     shades = (0.35, 0.35, 0.35, 0.75, 1.0)
     for row, (value, shade) in enumerate(zip(values, shades, strict=True)):
@@ -184,8 +192,8 @@ def _term_bars(axes: Axes, data: xr.Dataset, style: LineStyle) -> None:
             note, (1.0, row), xycoords=axes.get_yaxis_transform(), xytext=(4, 0),
             textcoords="offset points", va="center", fontsize=SMALL_SIZE, color=INK,
         )  # fmt: skip
-    for row, name in enumerate(_TERMS):
-        low, high = _interval_of(data, name)
+    for row, name in enumerate(TERMS):
+        low, high = interval_of(data, name)
         shown = abs(values[row]) > NEGLIGIBLE * scale
         if shown and math.isfinite(low) and math.isfinite(high):
             axes.hlines(row, low, high, INK, lw=1.0)
@@ -197,7 +205,7 @@ def _term_bars(axes: Axes, data: xr.Dataset, style: LineStyle) -> None:
     axes.spines["left"].set_visible(False)
 
 
-def _interval_of(data: xr.Dataset, name: str) -> tuple[float, float]:
+def interval_of(data: xr.Dataset, name: str) -> tuple[float, float]:
     """95 % interval of a term; NaN where a result has none."""
     low, high = data[f"{name}_ci"].values if f"{name}_ci" in data else (math.nan, math.nan)
     return float(low), float(high)
@@ -205,7 +213,7 @@ def _interval_of(data: xr.Dataset, name: str) -> tuple[float, float]:
 
 def _show_whiskers(axes: Axes, group: Mapping[str, xr.Dataset]) -> None:
     """Make room for the ends of intervals, but no more than as much again as the bars take."""
-    ends = np.array([_interval_of(each, name) for each in group.values() for name in _TERMS])
+    ends = np.array([interval_of(each, name) for each in group.values() for name in TERMS])
     finite = ends[np.isfinite(ends)]
     low, high = axes.get_xlim()
     reach = high - low
@@ -230,11 +238,11 @@ def _curve(axes: Axes, data: xr.Dataset, style: LineStyle, name: str) -> None:
         capthick=0.8, label=label, zorder=3,
     )  # fmt: skip
     if math.isfinite(slope):
-        x, y = _fitted_line(data, used, slope)
+        x, y = fitted_line(data, used, slope)
         axes.plot(x, y, color=style.color, ls=style.dashes, lw=1.0, zorder=2)
 
 
-def _fitted_line(data: xr.Dataset, used: Array, slope: float) -> tuple[Array, Array]:
+def fitted_line(data: xr.Dataset, used: Array, slope: float) -> tuple[Array, Array]:
     """Ends of the fitted line: through the fit's weighted centre, with its slope."""
     last = int(data.attrs.get("fit_last", used.size))
     fitted = used & (np.arange(used.size) >= used.size - last)
