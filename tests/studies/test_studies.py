@@ -171,22 +171,35 @@ def test_summary_has_a_row_for_every_pair(finished):
 
 
 def test_failed_cells_do_not_take_the_others_with_them(tmp_path, monkeypatch):
-    from mcspectra.studies import run
+    from mcspectra.studies import engines
 
-    real = run.compute_cell
+    real = engines.compute_task
 
-    def failing(cell, seed):
-        if cell.path == "sum/random/convergence":
+    def failing(text, task):
+        if task.path == "sum/random/convergence":
             raise mcs.McspectraError("the integrand gave NaN")
-        return real(cell, seed)
+        return real(text, task)
 
-    monkeypatch.setattr(run, "compute_cell", failing)
+    monkeypatch.setattr(engines, "compute_task", failing)
     with pytest.raises(CellFailed, match="the integrand gave NaN") as caught:
         run_study(decode_study(STUDY), tmp_path, workers=2)
     assert list(caught.value.failures) == ["sum/random/convergence"]
-    monkeypatch.setattr(run, "compute_cell", real)
+    monkeypatch.setattr(engines, "compute_task", real)
     seen = []
-    run_study(decode_study(STUDY), tmp_path, resume=True, report=lambda p: seen.append(p.cell.path))
+
+    def again(**given):
+        run_study(
+            decode_study(STUDY),
+            tmp_path,
+            resume=True,
+            report=lambda p: seen.append(p.cell.path),
+            **given,
+        )
+
+    with pytest.raises(CellFailed, match="the integrand gave NaN"):
+        again()
+    assert seen == []
+    again(retry=True)
     assert seen == ["sum/random/convergence"]
 
 

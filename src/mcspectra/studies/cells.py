@@ -1,4 +1,4 @@
-"""What a cell computes: one dataset, from its address alone, with one thread."""
+"""What a cell computes: one dataset, from its address alone, cut into blocks where it can be."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.results import dataset
+from mcspectra.core.staged import Staged, Whole, compute
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator, Estimator
 from mcspectra.spectra.pair_correlation import pair_correlation
@@ -35,13 +36,22 @@ from mcspectra.variance.terms import variance_terms
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["compute_cell", "labels_of"]
+__all__ = ["compute_cell", "finished_cell", "labels_of", "staged_cell"]
 
 
 def compute_cell(cell: Cell, seed: int) -> xr.Dataset:
-    """Compute a cell: the same bits wherever and whenever it runs."""
-    result = _without_text(_COMPUTE[cell.analysis](cell, cell.settings, seed))
-    return result.assign_attrs(
+    """Compute a cell in this thread: the same bits wherever and whenever it runs."""
+    return finished_cell(cell, compute(staged_cell(cell, seed), 1))
+
+
+def staged_cell(cell: Cell, seed: int) -> Staged[Any]:
+    """The analysis of a cell, to be computed as a whole or in chunks."""
+    return Whole(lambda: _COMPUTE[cell.analysis](cell, cell.settings, seed), cell.cost)
+
+
+def finished_cell(cell: Cell, result: xr.Dataset) -> xr.Dataset:
+    """What is stored of a result: text as attributes, and what the cell is."""
+    return _without_text(result).assign_attrs(
         estimator_name=cell.estimator_name, sampler_spec=cell.sampler_spec, analysis=cell.analysis
     )
 

@@ -1,22 +1,37 @@
-"""Run a study in this process: cells on a thread pool, largest first, each committed when done."""
+"""Run a study: tasks on an engine, results in a journal, finished cells in the store."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+import contextlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
+from mcspectra.core.checks import Array
 from mcspectra.core.errors import McspectraError
 from mcspectra.core.parallel import available_workers
-from mcspectra.studies.cells import compute_cell
+from mcspectra.core.staged import Chunk, Staged
+from mcspectra.studies.cells import finished_cell
 from mcspectra.studies.config import StudyConfig
+from mcspectra.studies.engines import Engine, LocalEngine, Outcome
+from mcspectra.studies.journal import Journal
 from mcspectra.studies.plan import Cell, Plan, make_plan
-from mcspectra.studies.store import Store
+from mcspectra.studies.processes import ProcessEngine, check_time_limit
+from mcspectra.studies.scheduling import Pace, Recorded, Schedule, Settled
+from mcspectra.studies.store import Store, config_hash
+from mcspectra.studies.tasks import StudyText, analysis_of, keep_plan, unpack_payload
 from mcspectra.studies.trust import Trust
+from mcspectra.version import __version__
 
-__all__ = ["CellFailed", "Progress", "run_study"]
+__all__ = ["CellFailed", "MakeEngine", "Progress", "drive", "run_study"]
+
+MakeEngine = Callable[[StudyText], Engine]
+"""Makes the engine that computes the tasks of a study."""
+
+_AHEAD = 2  # tasks under way for each worker: one that it computes, one that waits
+_TARGET = 1.0  # seconds of a task
+_OF_LIMIT = 0.2  # and at most this part of the time limit
 
 
 @dataclass(frozen=True)
@@ -44,7 +59,10 @@ def run_study(
     *,
     folder: str | Path = ".",
     resume: bool = False,
+    retry: bool = False,
     workers: int | None = None,
+    time_limit: float | None = None,
+    engine: MakeEngine | None = None,
     trust: Trust | None = None,
     force: bool = False,
     report: Callable[[Progress], Any] | None = None,
@@ -56,13 +74,22 @@ def run_study(
     config
         The study.
     out
-        Output folder; results go to ``out/results.zarr``.
+        Output folder; results go to ``out/results.zarr``, those of tasks of unfinished cells to
+        ``out/journal``.
     folder
         Where relative paths in spec strings start: the study file's folder.
     resume
-        Continue an existing store.
+        Continue an existing store. Cells that failed stay so.
+    retry
+        With `resume`: try cells that failed again.
     workers
-        Threads; all processors by default. Results do not depend on it, bit for bit.
+        Threads, or processes with a time limit; all processors by default. Results do not depend
+        on it, bit for bit.
+    time_limit
+        Seconds that a task may take, by default the study's own; tasks then run in processes of their
+        own, and one that takes longer is stopped and fails its cell.
+    engine
+        Makes what computes the tasks instead, such as a cluster's.
     trust
         What the study may reach beyond `folder`; nothing by default.
     force
@@ -77,63 +104,178 @@ def run_study(
 
     Raises
     ------
-    ConfigError, StoreError
-        Before anything runs.
+    ConfigError, ParameterError, StoreError
+        Before anything runs; StoreError also when results cannot be written.
     CellFailed
         After everything else has run.
     KeyboardInterrupt
-        Passed on; the store keeps every finished cell and can be resumed.
+        Passed on; finished cells and finished tasks are kept, and the run can be resumed.
     """
+    limit = check_time_limit(config.time_limit if time_limit is None else time_limit)
+    count = available_workers(workers)
     plan = make_plan(config, Path(folder), trust, force=force)
+    text = StudyText.of(config, Path(folder), trust, force=force)
+    keep_plan(text, plan)
+    make = engine or _own_engine(count, limit)
     store = Store.create(Path(out), config, resume=resume)
-    missing = [cell for cell in plan.cells if not store.done(cell.path)]
-    total = sum(cell.cost for cell in plan.cells)
-    done_cost = total - sum(cell.cost for cell in missing)
-    done = len(plan.cells) - len(missing)
-    failures: dict[str, str] = {}
-    for cell, outcome in _outcomes(missing, config.seed, available_workers(workers)):
-        if isinstance(outcome, McspectraError):
-            failures[cell.path] = str(outcome)
-        else:
-            store.write(cell.path, outcome)
-        done, done_cost = done + 1, done_cost + cell.cost
-        if report is not None:
-            report(Progress(cell, done, len(plan.cells), done_cost, total))
-    store.finish()
+    with contextlib.closing(_journal(Path(out), config, resume=resume)) as journal:
+        run = _StudyRun(plan, text, store, journal, report)
+        run.begin(retry=retry)
+        try:
+            run.compute(make, Pace(_TARGET if limit is None else min(_TARGET, _OF_LIMIT * limit)))
+        finally:
+            store.finish()
+        failures = journal.failures()
     if failures:
         raise _failure(failures, plan)
     return store
 
 
-def _outcomes(cells: list[Cell], seed: int, workers: int) -> Any:
-    """Yield (cell, dataset or error) as cells finish; unexpected exceptions propagate."""
-    queue = sorted(cells, key=lambda cell: -cell.cost)
+def drive(
+    schedule: Schedule, engine: Engine, record: Callable[[Outcome], Any]
+) -> Iterator[Settled]:
+    """Have an engine compute a schedule; yields cells as they are done or fail.
 
-    def attempt(cell: Cell) -> Any:
-        try:
-            return compute_cell(cell, seed)
-        except McspectraError as error:
-            return error
+    Parameters
+    ----------
+    record
+        Called with what is not yet part of a finished cell.
+    """
+    outcomes = engine.outcomes()
+    while True:
+        while schedule.under_way < _AHEAD * engine.workers:
+            task = schedule.next_task()
+            yield from schedule.settled()
+            if task is None:
+                break
+            engine.submit(task)
+        if not schedule.under_way:
+            return
+        outcome = next(outcomes)
+        if schedule.take(outcome):
+            record(outcome)
+        yield from schedule.settled()
 
-    with ThreadPoolExecutor(workers) as pool:
-        running: dict[Future[Any], Cell] = {}
+
+def _own_engine(workers: int, limit: float | None) -> MakeEngine:
+    if limit is None:
+        return lambda text: LocalEngine(text, workers)
+    return lambda text: ProcessEngine(text, workers, limit)
+
+
+def _journal(out: Path, config: StudyConfig, *, resume: bool) -> Journal:
+    header = {
+        "study_hash": config_hash(config),
+        "seed": config.seed,
+        "version_mcspectra": __version__,
+    }
+    return Journal.resume(out, header) if resume else Journal.create(out, header)
+
+
+@final
+class _StudyRun:
+    """A run: what is stored, what is recorded, and how far it is."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        text: StudyText,
+        store: Store,
+        journal: Journal,
+        report: Callable[[Progress], Any] | None,
+    ) -> None:
+        self._plan = plan
+        self._text = text
+        self._store = store
+        self._journal = journal
+        self._report = report
+        self._missing: list[Cell] = []
+        self._keys: dict[str, list[str]] = {}  # what the journal has, by the path of its cell
+        self._total = sum(cell.cost for cell in plan.cells)
+        self._done_cost = self._total
+        self._done = len(plan.cells)
+
+    def begin(self, *, retry: bool) -> None:
+        """Find out what is missing."""
+        if retry:
+            self._journal.forget(list(self._journal.failures()))
+        failed = self._journal.failures()
+        done = {cell.path for cell in self._plan.cells if self._store.done(cell.path)}
+        self._journal.forget([path for path in failed if path in done])
+        self._missing = [
+            cell for cell in self._plan.cells if cell.path not in done and cell.path not in failed
+        ]
+        self._done -= len(self._missing)
+        self._done_cost -= sum(cell.cost for cell in self._missing)
+        for key in tuple(self._journal.keys()):
+            self._keys.setdefault(_path_of(key), []).append(key)
+        stale = self._keys.keys() - {cell.path for cell in self._missing} - failed.keys()
+        self._journal.forget([key for path in stale for key in self._keys.pop(path)])
+
+    def compute(self, make: MakeEngine, pace: Pace) -> None:
+        """Compute what is missing."""
+        if not self._missing:
+            return
+        schedule = Schedule(self._missing, self, self._recorded(), pace)
+        engine = make(self._text)
+        finished = False
         try:
-            while queue or running:
-                # One cell ahead of the workers: results wait in memory for one writer only.
-                while queue and len(running) <= workers:
-                    cell = queue.pop(0)
-                    running[pool.submit(attempt, cell)] = cell
-                finished, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    yield running.pop(future), future.result()
+            for settled in drive(schedule, engine, self._record):
+                self._keep(settled)
+            finished = True
         finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+            engine.close(cancel=not finished)
+
+    def analysis(self, cell: Cell) -> Staged[Any]:
+        """The analysis of a cell: the one that threads of this process take too."""
+        return analysis_of(self._text, cell.path)
+
+    def load(self, key: str) -> dict[str, Array] | None:
+        """What the journal has of a task; None if it is damaged."""
+        try:
+            return unpack_payload(self._journal.payload(key))
+        except McspectraError:
+            return None
+
+    def _recorded(self) -> Recorded:
+        return {path: [_chunk_of(key) for key in keys] for path, keys in self._keys.items()}
+
+    def _record(self, outcome: Outcome) -> None:
+        info = {"seconds": outcome.seconds, "host": outcome.host}
+        self._journal.append(outcome.key, outcome.payload, None, info)
+        self._keys.setdefault(_path_of(outcome.key), []).append(outcome.key)
+
+    def _keep(self, settled: Settled) -> None:
+        """Store a cell that is done, note why one has failed."""
+        cell = settled.cell
+        if settled.result is None:
+            self._journal.append(cell.path, None, settled.error, {})
+        else:
+            self._store.write(cell.path, finished_cell(cell, settled.result))
+            self._journal.forget(self._keys.pop(cell.path, ()))
+        self._done, self._done_cost = self._done + 1, self._done_cost + cell.cost
+        if self._report is not None:
+            self._report(
+                Progress(cell, self._done, len(self._plan.cells), self._done_cost, self._total)
+            )
+
+
+def _path_of(key: str) -> str:
+    """The path of the cell that a task's key begins with."""
+    return key.rsplit("/", 2)[0]
+
+
+def _chunk_of(key: str) -> tuple[str, Chunk]:
+    """The run's key and the blocks that a task's key ends with; no blocks where it does not."""
+    *_, run, blocks = key.rsplit("/", 2)
+    first, _, count = blocks.partition("+")
+    return run, (int(first), int(count)) if first.isdigit() and count.isdigit() else (0, 0)
 
 
 def _failure(failures: dict[str, str], plan: Plan) -> CellFailed:
     path, message = next(iter(failures.items()))
     return CellFailed(
         f"{len(failures)} of {len(plan.cells)} cells failed; the others are stored, and --resume "
-        f"tries these again. First: {path}: {message}",
+        f"--retry tries these again. First: {path}: {message}",
         failures,
     )

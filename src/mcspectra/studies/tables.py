@@ -293,6 +293,10 @@ class StudyConfig(_Analyses, frozen=True, kw_only=True):
         tuple[Text, ...],
         Meta(description="Samplers of all estimators: `mcspectra list samplers`, chained by |."),
     ] = ()
+    time_limit: Annotated[
+        Annotated[float, Meta(gt=0, le=1e9)] | None,
+        Meta(description="Seconds a task may take; then it is stopped and its analysis fails."),
+    ] = None
     grid: Annotated[
         Grid | None, Meta(description="Values of {placeholders} anywhere in the study.")
     ] = None
