@@ -204,7 +204,7 @@ def _spectrum() -> Picture:
     figure = new_figure(NARROW, 3.2)
     axes = figure.subplots()
     quiet(axes, grid=True)
-    nu = np.linspace(0.05, 4.0, 800)
+    nu = np.arange(10, 801) / 200  # the integers included
     whole = np.arange(1.0, 5.0)
     for n, color in zip((16, 64, 256), ("#56B4E9", "#0072B2", INK), strict=True):
         axes.plot(nu, _power(n, nu), color=color, lw=1.3, label=f"N = {n}")
