@@ -43,9 +43,10 @@ def test_comparison_at_the_ends_of_its_interval() -> None:
             tolerance=tolerance,
         ).agrees
 
-    assert agrees(low + 1e-9) and agrees(high - 1e-9)
-    assert not agrees(low - 1e-9) and not agrees(high + 1e-9)
-    assert agrees(high + 0.05, tolerance=0.06) and not agrees(high + 0.05, tolerance=0.04)
+    assert all(map(agrees, (low + 1e-9, high - 1e-9)))
+    assert not any(map(agrees, (low - 1e-9, high + 1e-9)))
+    assert agrees(high + 0.05, tolerance=0.06)
+    assert not agrees(high + 0.05, tolerance=0.04)
 
 
 def test_intervals_of_variances_widen_as_ratios() -> None:

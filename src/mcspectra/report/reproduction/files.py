@@ -88,7 +88,8 @@ def _digits(value: float, interval: tuple[float, float]) -> int:
     largest = max(abs(value), *map(abs, interval))
     if not (0 < half < math.inf and 0 < largest < math.inf):
         return 3
-    return min(max(math.ceil(math.log10(largest / half)) + 2, 3), 8)
+    places = math.floor(math.log10(largest)) - math.floor(math.log10(half))
+    return min(max(places + 2, 3), 8)
 
 
 def _lines(entry: Entry) -> Iterator[tuple[str, str]]:

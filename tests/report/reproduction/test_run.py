@@ -1,0 +1,220 @@
+"""The gallery: page, pictures, PDF and findings of exhibits made up for the purpose."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mcspectra.cli.main import main
+from mcspectra.core.errors import ParameterError, StoreError, UnknownName
+from mcspectra.report.gallery import Picture
+from mcspectra.report.reproduction import entries, registry
+from mcspectra.report.reproduction.base import Exhibit, Finding
+from mcspectra.report.reproduction.files import measured_text
+from mcspectra.report.reproduction.run import reproduce
+from mcspectra.report.style import new_figure
+
+
+def _finding(**other: object) -> Finding:
+    values = {
+        "statement": "One is <one>.",
+        "expected": "1",
+        "measured": 1.0,
+        "interval": (0.9, 1.1),
+    }
+    return Finding(**{**values, "agrees": True, **other})  # type: ignore[arg-type]
+
+
+def _picture(photograph: bool) -> Picture:
+    figure = new_figure(3.0, 2.0)
+    axes = figure.subplots()
+    if photograph:
+        axes.imshow(np.random.default_rng(0).random((64, 64, 3)))
+    return Picture(
+        kind="photo" if photograph else "plot", caption="A $ sign.", alt='"Alt"', figure=figure
+    )
+
+
+def _good(*, quick: bool, seed: int) -> Exhibit:
+    return Exhibit(
+        name="good",
+        title="A good one",
+        slide="Slide & quotation",
+        caption=f"quick {quick}, seed {seed}",
+        formula=r"\frac{1}{N} \sum_k x_k",
+        pictures=(_picture(False), _picture(True)),
+        findings=(
+            _finding(),
+            _finding(
+                measured=float("inf"), interval=(float("-inf"), 2.0), agrees=False, note="why"
+            ),
+            _finding(measured="words", interval=None, agrees=None),
+        ),
+    )
+
+
+def _bad(*, quick: bool, seed: int) -> Exhibit:
+    raise ZeroDivisionError("it broke")
+
+
+@pytest.fixture
+def exhibits(monkeypatch: pytest.MonkeyPatch) -> None:
+    here: dict[str, Callable[..., Exhibit]] = {"good": _good, "bad": _bad}
+    summaries = {"good": "good things", "bad": "bad things"}
+    for module in (registry, entries):
+        monkeypatch.setattr(module, "SUMMARIES", summaries)
+    monkeypatch.setattr(registry, "EXHIBITS", dict.fromkeys(here, "unused:unused"))
+    monkeypatch.setattr(entries, "load_exhibit", here.__getitem__)
+
+
+pytestmark = pytest.mark.usefixtures("exhibits")
+
+
+def test_findings_are_plain_json(tmp_path: Path) -> None:
+    reproduce(tmp_path, ["good"])
+    rows = json.loads((tmp_path / "findings.json").read_text(encoding="utf-8"))
+    assert [set(row) for row in rows] == [
+        {"exhibit", "statement", "expected", "measured", "interval", "agrees", "note"}
+    ] * 3
+    assert [row["measured"] for row in rows] == [1.0, "∞", "words"]
+    assert [row["interval"] for row in rows] == [[0.9, 1.1], [None, 2.0], None]
+    assert [row["agrees"] for row in rows] == [True, False, None]
+
+
+def test_a_failing_exhibit_fails_itself_only(tmp_path: Path) -> None:
+    seen: list[str] = []
+    made = reproduce(tmp_path, done=lambda entry: seen.append(f"{entry.name} {entry.tally}"))
+    assert made.failed == ("bad",)
+    assert seen == ["good 1 of 2 agree", "bad failed"]
+    rows = json.loads((tmp_path / "findings.json").read_text(encoding="utf-8"))
+    failed = rows[-1]
+    assert (failed["exhibit"], failed["agrees"]) == ("bad", False)
+    assert "ZeroDivisionError: it broke" in failed["note"]
+    page = made.page.read_text(encoding="utf-8")
+    assert "It could not be made:</strong> ZeroDivisionError: it broke" in page
+
+
+def test_the_page_stands_alone_and_escapes(tmp_path: Path) -> None:
+    page = reproduce(tmp_path, ["good"], seed=7).page.read_text(encoding="utf-8")
+    assert "One is &lt;one&gt;." in page
+    assert "Slide &amp; quotation" in page
+    assert 'alt="&#34;Alt&#34;"' in page
+    assert "<math" in page
+    assert "<mfrac>" in page
+    assert not re.search(r'(?:src|href)="(?!data:|#)', page)
+    assert "<script" not in page
+    assert "prefers-color-scheme: dark" in page
+    inside = re.findall(r"data:image/png;base64,([^\"]+)", page)
+    files = sorted((tmp_path / "figures").iterdir())
+    assert [f.name for f in files] == ["good-photo.png", "good-plot.png"]
+    assert {base64.b64decode(text) for text in inside} == {f.read_bytes() for f in files}
+
+
+def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
+    for folder in ("a", "b"):
+        reproduce(tmp_path / folder, ["good"], seed=3)
+    for name in ("index.html", "reproduce.pdf", "findings.json", "figures/good-plot.png"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_photographs_keep_their_colours(tmp_path: Path) -> None:
+    from PIL import Image
+
+    reproduce(tmp_path, ["good"])
+    for name, mode in (("photo", "RGB"), ("plot", "P")):
+        with Image.open(tmp_path / f"figures/good-{name}.png") as image:
+            assert image.mode == mode
+
+
+def test_the_pdf_has_a_page_of_text_and_one_for_each_figure(tmp_path: Path) -> None:
+    reproduce(tmp_path, ["good"])
+    pdf = (tmp_path / "reproduce.pdf").read_bytes()
+    assert pdf.startswith(b"%PDF")
+    assert re.findall(rb"/Count (\d+)", pdf) == [b"3"]
+
+
+def test_what_is_not_ours_stays(tmp_path: Path) -> None:
+    (tmp_path / "figures").mkdir()
+    kept = [tmp_path / "notes.txt", tmp_path / "figures" / "mine.png"]
+    for path in kept:
+        path.write_text("mine")
+    (tmp_path / "index.html").write_text("old")
+    reproduce(tmp_path, ["good"])
+    assert all(path.read_text() == "mine" for path in kept)
+    assert (tmp_path / "index.html").read_text(encoding="utf-8") != "old"
+    assert not list(tmp_path.glob(".*partial"))
+
+
+def test_bad_input_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(UnknownName, match="Did you mean 'good'"):
+        reproduce(out, ["goood"])
+    for seed in (-1, 0.5, "x", float("nan")):
+        with pytest.raises(ParameterError, match="seed"):
+            reproduce(out, ["good"], seed=seed)  # type: ignore[arg-type]
+    assert not out.exists()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError, match="cannot be written"):
+        reproduce(tmp_path / "file", ["good"])
+
+
+@pytest.mark.parametrize(
+    ("value", "interval", "shown"),
+    [
+        (-2.998765, (-3.0009, -2.9966), ("−2.9988", "−3.0009 … −2.9966")),
+        (0.5, (0.1, 0.9), ("0.500", "0.100 … 0.900")),
+        (None, None, ("–", "")),
+        ("words", None, ("words", "")),
+        (2.5e-13, None, ("2.50×10⁻¹³", "")),
+    ],
+)
+def test_digits_follow_the_interval(
+    value: float | str | None, interval: tuple[float, float] | None, shown: tuple[str, str]
+) -> None:
+    assert measured_text(_finding(measured=value, interval=interval)) == shown
+
+
+def test_command_says_what_disagrees_and_what_failed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["reproduce", "--quick", "--seed", "5", "--out", str(tmp_path)]) == 1
+    out, err = capsys.readouterr()
+    assert "good: 1 of 2 agree" in out
+    assert "does not agree: One is <one>.: why" in out
+    assert "2 figures; 1 of 2 findings agree; 1 failed" in out
+    assert err.strip() == "mcspectra: The figure bad failed: ZeroDivisionError: it broke"
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert "quick True, seed 5" in page
+    assert "<code>mcspectra reproduce --quick --seed 5</code>" in page
+
+
+def test_command_in_json_and_quiet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["reproduce", "good", "--json", "--out", str(tmp_path)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["figures"], told["agree"], told["judged"], told["failed"]) == (["good"], 1, 2, [])
+    assert Path(told["gallery"]).exists()
+    assert main(["reproduce", "good", "--quiet", "--out", str(tmp_path)]) == 0
+    assert capsys.readouterr().out == ""
+
+
+def test_command_lists_without_making(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["reproduce", "--list"]) == 0
+    assert capsys.readouterr().out == "good  good things\nbad   bad things\n"
+    assert main(["reproduce", "--list", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)[1] == {"name": "bad", "summary": "bad things"}
+
+
+@pytest.mark.parametrize("seed", ["-1", "1.5", "x", "nan"])
+def test_command_refuses_odd_seeds(
+    seed: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert main(["reproduce", "good", "--seed", seed, "--out", str(out)]) == 2
+    assert "--seed" in capsys.readouterr().err
+    assert not out.exists()
