@@ -3,12 +3,13 @@ from .config import decode_study as decode_study
 from .config import read_study as read_study
 from .estimate import CellEstimate as CellEstimate
 from .estimate import estimate_study as estimate_study
+from .opening import open_results as open_results
+from .opening import result_paths as result_paths
 from .pixel import analyse_pixel as analyse_pixel
 from .plan import make_plan as make_plan
 from .run import run_study as run_study
 from .schema import study_schema as study_schema
 from .store import Store as Store
-from .store import open_results as open_results
 from .summary import SummaryRow as SummaryRow
 from .summary import summarize as summarize
 from .trust import Trust as Trust
@@ -25,6 +26,7 @@ __all__ = [
     "make_plan",
     "open_results",
     "read_study",
+    "result_paths",
     "run_study",
     "study_schema",
     "summarize",

@@ -117,7 +117,8 @@ def run_study(
     text = StudyText.of(config, Path(folder), trust, force=force)
     keep_plan(text, plan)
     make = engine or _own_engine(count, limit)
-    store = Store.create(Path(out), config, resume=resume)
+    paths = [cell.path for cell in plan.cells]
+    store = Store.create(Path(out), config, resume=resume, paths=paths)
     with contextlib.closing(_journal(Path(out), config, resume=resume)) as journal:
         run = _StudyRun(plan, text, store, journal, report)
         run.begin(retry=retry)

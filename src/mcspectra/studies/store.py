@@ -1,182 +1,239 @@
 """The result store: a zarr directory, one writer, whole cells or nothing.
 
-Layout: ``/`` (attributes: the study's text and hash, versions, state), then
-``/<estimator>/<sampler>/<analysis>``, a dataset each. A cell is written beside the store's tree and
-renamed into place, so that a group that exists is complete: `--resume` skips those and nothing else.
+Layout: ``DIR/results.zarr`` is the tree: ``/`` (attributes: the study's text and hash, versions,
+format), then ``/<estimator>/<sampler>/<analysis>``, a dataset each. ``DIR/manifest.jsonl`` has the
+checksum of every cell. A cell is written beside the tree, entered into the manifest and renamed into
+place: it counts if it is there with its checksum, and anything else is computed again.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
-import math
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from mcspectra.core.errors import StoreError
+from mcspectra.core.errors import StorageError, StoreError
 from mcspectra.core.results import package_versions
+from mcspectra.studies._zarr_cell import array_documents, write_cell
+from mcspectra.studies.checksums import Checksum, checksum, damage_of
 from mcspectra.studies.config import StudyConfig
+from mcspectra.studies.lock import check_unlocked
+from mcspectra.studies.manifest import (
+    FORMAT,
+    CellLine,
+    Line,
+    Manifest,
+    append_line,
+    now,
+    read_manifest,
+    state_line,
+    study_line,
+    write_manifest,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["STORE_NAME", "Store", "config_hash", "open_results"]
+__all__ = ["STORE_NAME", "Store", "config_hash", "root_attributes", "root_document"]
 
 STORE_NAME = "results.zarr"
-_FORMAT = 1
 _BOUND = ["low", "high"]
+_MOST_CONSOLIDATED = 2000  # cells: readers take the metadata of all of them at once
+_GROUP = {"attributes": {}, "zarr_format": 3, "node_type": "group"}
 
 
 class Store:
-    """Results of one study in a folder.
+    """Results of one study in a folder, for its one writer.
 
     Parameters
     ----------
     folder
         Output folder; the store is ``results.zarr`` inside.
+
+    Attributes
+    ----------
+    damaged
+        What was found damaged since the store was opened: a sentence for each cell, by its path.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.path = folder / STORE_NAME
+        self.damaged: dict[str, str] = {}
+        self._paths: tuple[str, ...] = ()
+        self._cells: dict[str, CellLine] = {}
+        self._parents: set[str] = set()
 
     @staticmethod
-    def create(folder: Path, config: StudyConfig, *, resume: bool = False) -> Store:
+    def create(
+        folder: Path, config: StudyConfig, *, resume: bool = False, paths: Sequence[str] = ()
+    ) -> Store:
         """Make a new store, or with `resume` open the one that is there.
+
+        Parameters
+        ----------
+        folder
+            Output folder.
+        config
+            The study.
+        resume
+            Go on with the store of this study; without one, make it.
+        paths
+            Of all cells of the study, so that it can be said which are missing.
 
         Raises
         ------
         StoreError
-            A store exists and `resume` is not asked for, or it belongs to another study or format;
-            or the folder cannot be written.
+            A store exists and `resume` is not asked for, it belongs to another study or format, or
+            another process writes into it; or the folder cannot be written.
         """
         store = Store(folder)
-        if store.path.exists():
-            if not resume:
-                raise StoreError(
-                    f"{str(folder)!r} holds results already; "
-                    "give another --out, or --resume to continue them."
-                )
+        exists = store.path.exists()
+        if exists and not resume:
+            raise StoreError(
+                f"{str(folder)!r} holds results already; "
+                "give another --out, or --resume to continue them."
+            )
+        if exists:
+            check_unlocked(folder)
             store._check_same(config)
-            store._remove_partial()
-            store._forget_consolidation()
-            return store
+        begin = store._continue if exists else store._begin
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            store._write_root(config)
+            begin(config, paths)
         except OSError as error:
-            raise StoreError(f"{str(folder)!r} cannot be written: {error.strerror}.") from None
+            raise StorageError(f"{str(folder)!r} cannot be written: {error.strerror}.") from None
         return store
 
     def done(self, path: str) -> bool:
-        """Whether the cell at `path` is there and can be read; a damaged one is removed."""
+        """Whether the cell at `path` is there, as it was written; a damaged one is removed."""
         group = self.path / path
-        if not group.exists():
-            return False
-        if _readable(group):
+        line = self._cells.get(path)
+        reason = "its checksum is not known" if line is None else damage_of(group, _expected(line))
+        if reason is None:
             return True
-        shutil.rmtree(group, ignore_errors=True)
+        if group.exists():
+            self.damaged[path] = reason
+            shutil.rmtree(group, ignore_errors=True)
         return False
 
     def write(self, path: str, result: xr.Dataset) -> None:
-        """Commit a cell: write beside the tree, then rename into place."""
-        target = self.path / path
+        """Commit a cell: written beside the tree, entered into the manifest, renamed into place.
+
+        Raises
+        ------
+        StorageError
+            It cannot be written; what was committed before is kept.
+        """
         partial = self.folder / f".partial-{hashlib.sha256(path.encode()).hexdigest()[:16]}"
         shutil.rmtree(partial, ignore_errors=True)
         try:
             # Zarr v3 has no stable type for fixed-width text; the root's attribute `bound` names them.
-            result.drop_vars("bound", errors="ignore").to_zarr(
-                partial, mode="w", zarr_format=3, consolidated=False, write_empty_chunks=True
-            )
+            write_cell(partial, result.drop_vars("bound", errors="ignore"))
+            found = checksum(partial)
             self._make_parents(path)
-            partial.replace(target)
+            line = CellLine(path, found.sha256, found.parts, found.bytes, now())
+            append_line(self.folder, line)
+            partial.replace(self.path / path)
         except OSError as error:
+            raise StorageError(
+                f"The cell {path} cannot be written: {error.strerror}; what was finished is kept, and "
+                "--resume continues it."
+            ) from None
+        finally:
             shutil.rmtree(partial, ignore_errors=True)
-            raise StoreError(f"The cell {path} cannot be written: {error.strerror}.") from None
+        self._cells[path] = line
 
     def finish(self) -> None:
-        """Consolidate the metadata, so that the whole tree opens in one read."""
-        import warnings
+        """Note that all cells are there, if they are; let the tree be opened in one read.
 
-        import zarr
+        The metadata of the cells are consolidated up to 2,000 of them. Where neither can be written,
+        as on a full disk, nothing is lost: readers can do without.
+        """
+        with contextlib.suppress(OSError, StorageError):
+            if self._paths and all(path in self._cells for path in self._paths):
+                append_line(self.folder, state_line("finished"))
+            if len(self._cells) <= _MOST_CONSOLIDATED:
+                document = root_document(self.path) | {"consolidated_metadata": self._inline()}
+                self._replace(self.path / "zarr.json", document)
 
-        with warnings.catch_warnings():
-            # Consolidated metadata is outside the v3 specification; every reader can do without.
-            warnings.simplefilter("ignore")
-            zarr.consolidate_metadata(str(self.path))
-
-    def _make_parents(self, path: str) -> None:
-        import zarr
-
-        *parents, _ = path.split("/")
-        for depth in range(1, len(parents) + 1):
-            group = self.path.joinpath(*parents[:depth])
-            if not (group / "zarr.json").is_file():
-                zarr.open_group(str(group), mode="a", zarr_format=3)
-
-    def _write_root(self, config: StudyConfig) -> None:
-        import zarr
-
+    def _begin(self, config: StudyConfig, paths: Sequence[str]) -> None:
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._paths = tuple(paths)
+        study = study_line(config_hash(config), config.seed, package_versions())
+        write_manifest(self.folder, study, paths)
         partial = self.folder / f".{STORE_NAME}.partial"
         shutil.rmtree(partial, ignore_errors=True)
-        root = zarr.open_group(str(partial), mode="w", zarr_format=3)
-        root.attrs.update(
-            {
-                "format": _FORMAT,
-                "study": json.loads(msgspec.json.encode(config)),
-                "study_hash": config_hash(config),
-                "bound": _BOUND,
-                **package_versions(),
-            }
-        )
+        partial.mkdir()
+        document = json.dumps({**_GROUP, "attributes": _root_attributes(config)})
+        (partial / "zarr.json").write_text(document, encoding="utf-8")
         partial.replace(self.path)
+
+    def _continue(self, config: StudyConfig, paths: Sequence[str]) -> None:
+        for partial in self.folder.glob(".partial-*"):
+            shutil.rmtree(partial) if partial.is_dir() else partial.unlink()
+        manifest = read_manifest(self.folder) or Manifest(None, (), {}, (), (), 0)
+        self._cells = manifest.cells
+        self._paths = tuple(paths) or manifest.paths
+        study = manifest.study or study_line(config_hash(config), config.seed, package_versions())
+        further: list[Line] = [*manifest.cells.values(), *manifest.states, state_line("resumed")]
+        write_manifest(self.folder, study, self._paths, further)
+        document = root_document(self.path)
+        if document.pop("consolidated_metadata", None) is not None:
+            self._replace(
+                self.path / "zarr.json", document
+            )  # readers would not see cells that are added
+
+    def _make_parents(self, path: str) -> None:
+        *parents, _ = path.split("/")
+        for depth in range(1, len(parents) + 1):
+            parent = "/".join(parents[:depth])
+            file = self.path / parent / "zarr.json"
+            if parent not in self._parents and not file.is_file():
+                file.parent.mkdir(exist_ok=True)
+                self._replace(file, _GROUP)
+            self._parents.add(parent)
+
+    def _replace(self, file: Path, document: dict[str, Any]) -> None:
+        """Write metadata in place of other, as a whole or not at all."""
+        partial = self.folder / f".partial-{file.name}"
+        partial.write_text(json.dumps(document), encoding="utf-8")
+        partial.replace(file)
+
+    def _inline(self) -> dict[str, Any]:
+        """Metadata of all groups and arrays, as zarr keeps them in the root's.
+
+        Consolidated metadata is outside the specification of Zarr v3; it is what zarr-python writes.
+        """
+        found: dict[str, Any] = {}
+        empty = {"kind": "inline", "must_understand": False, "metadata": {}}
+        for path in sorted(self._cells):
+            *parents, _ = path.split("/")
+            for depth in range(1, len(parents) + 1):
+                found["/".join(parents[:depth])] = {**_GROUP, "consolidated_metadata": empty}
+            for name, document in array_documents(self.path / path).items():
+                extra = {} if name else {"consolidated_metadata": empty}
+                found[f"{path}/{name}".rstrip("/")] = document | extra
+        return {**empty, "metadata": found}
 
     def _check_same(self, config: StudyConfig) -> None:
         attributes = root_attributes(self.path)
-        if attributes.get("format") != _FORMAT:
+        if attributes.get("format") != FORMAT:
+            earlier = attributes.get("format") == 1
             raise StoreError(
                 f"{str(self.path)!r} has store format {attributes.get('format')!r}; this version "
-                f"reads {_FORMAT}: give another --out."
+                f"writes {FORMAT}{' and only reads 1' if earlier else ''}: give another --out."
             )
         if attributes.get("study_hash") != config_hash(config):
             raise StoreError(
                 f"{str(self.path)!r} belongs to another study or another version of this one; "
                 "give another --out."
             )
-
-    def _forget_consolidation(self) -> None:
-        """Drop consolidated metadata before cells are added: readers would not see those."""
-        document = _root_document(self.path)
-        if document.pop("consolidated_metadata", None) is not None:
-            partial = self.folder / f".{STORE_NAME}.root"
-            partial.write_text(json.dumps(document), encoding="utf-8")
-            partial.replace(self.path / "zarr.json")
-
-    def _remove_partial(self) -> None:
-        for partial in self.folder.glob(".partial-*"):
-            shutil.rmtree(partial, ignore_errors=True)
-
-
-def _readable(group: Path) -> bool:
-    """Whether every chunk of a cell is there and decodes; zarr reads missing ones as fill values."""
-    import xarray as xr
-
-    try:
-        for array in group.glob("*/zarr.json"):
-            document = json.loads(array.read_text(encoding="utf-8"))
-            chunk = document["chunk_grid"]["configuration"]["chunk_shape"]
-            expected = math.prod(-(-n // c) for n, c in zip(document["shape"], chunk, strict=True))
-            folder = array.parent / "c"
-            found = 1 if folder.is_file() else sum(f.is_file() for f in folder.rglob("*"))
-            if found != expected:
-                return False
-        xr.open_zarr(group, consolidated=False).load()
-    except (OSError, ValueError, KeyError, TypeError, RuntimeError):
-        return False
-    return True
 
 
 def config_hash(config: StudyConfig) -> str:
@@ -192,32 +249,38 @@ def root_attributes(path: Path) -> dict[str, Any]:
     StoreError
         There is no store, or it is damaged.
     """
-    attributes: dict[str, Any] = _root_document(path)["attributes"]
+    attributes: dict[str, Any] = root_document(path)["attributes"]
     return attributes
 
 
-def _root_document(path: Path) -> dict[str, Any]:
+def root_document(path: Path) -> dict[str, Any]:
+    """Metadata of a store's root group.
+
+    Raises
+    ------
+    StoreError
+        There is no store, or it is damaged.
+    """
     try:
         document = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise StoreError(f"There are no results in {str(path.parent)!r}.") from None
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         document = None
     if not isinstance(document, dict) or not isinstance(document.get("attributes"), dict):
         raise StoreError(f"{str(path)!r} is damaged: its zarr.json cannot be read.")
     return document
 
 
-def open_results(folder: str | Path) -> xr.DataTree:
-    """Open the results of a study as a tree of datasets, loaded lazily.
+def _root_attributes(config: StudyConfig) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "study": json.loads(msgspec.json.encode(config)),
+        "study_hash": config_hash(config),
+        "bound": _BOUND,
+        **package_versions(),
+    }
 
-    Raises
-    ------
-    StoreError
-        There are none in `folder`.
-    """
-    import xarray as xr
 
-    path = Path(folder) / STORE_NAME
-    consolidated = _root_document(path).get("consolidated_metadata") is not None
-    return xr.open_datatree(path, engine="zarr", consolidated=consolidated)
+def _expected(line: CellLine) -> Checksum:
+    return Checksum(line.sha256, line.parts, line.bytes)

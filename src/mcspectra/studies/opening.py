@@ -1,0 +1,233 @@
+"""Results for reading: from a folder, a zip file, or wherever fsspec reaches.
+
+A store from a stranger is data. Only zarr v3 is read, with codecs that compress numbers: format 2 of
+zarr could name one that unpickles. Sizes are checked against memory before anything is allocated.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import importlib.util
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mcspectra.core.errors import MissingDependency, StoreError
+from mcspectra.studies.manifest import read_manifest
+from mcspectra.studies.sizes import available_memory, shown_bytes
+from mcspectra.studies.store import STORE_NAME, root_document
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["open_results", "result_paths"]
+
+_FORMATS = (1, 2)
+_CODECS = frozenset(
+    {"bytes", "zstd", "blosc", "gzip", "crc32c", "transpose", "sharding_indexed"},
+)
+
+
+def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
+    """Open the results of a study as a tree of datasets, loaded lazily.
+
+    Parameters
+    ----------
+    source
+        Output folder of a study, a ``.zarr`` folder, a ``.zarr.zip`` file, or a URL such as
+        ``s3://bucket/out`` that fsspec opens.
+    select
+        Pattern of the paths of cells, such as ``"estimator/*"``; all by default. A tree takes some
+        milliseconds for each cell, so that of large studies only a part should be opened.
+
+    Raises
+    ------
+    StoreError
+        There are no results, they are damaged or of a format that this version cannot read, no cell
+        matches, or they hold what results never hold.
+    MissingDependency
+        A URL is given, and fsspec or what it needs for it is not installed.
+    """
+    import xarray as xr
+
+    store, root = _opened(source)
+    name = str(source)
+    paths = None if select is None else _selected(source, root, select)
+    for path in [""] if paths is None else paths:
+        _check_group(root, path, name)
+    try:
+        if paths is None:
+            whole = root.metadata.consolidated_metadata is not None
+            return xr.open_datatree(store, engine="zarr", consolidated=whole, zarr_format=3)
+        cells: dict[str, Any] = {path: _dataset(store, path) for path in paths}
+    except (ValueError, KeyError, TypeError, OSError) as error:
+        raise _damaged(name, error) from None
+    return xr.DataTree.from_dict({"/": xr.Dataset(attrs=dict(root.attrs)), **cells})
+
+
+def result_paths(source: str | Path) -> tuple[str, ...]:
+    """Paths of all cells that are there; of a folder by its manifest, without opening any.
+
+    Raises
+    ------
+    StoreError
+        There are no results, or they cannot be read.
+    """
+    _, root = _opened(source)
+    return tuple(_paths(source, root))
+
+
+def _paths(source: str | Path, root: Any) -> Iterator[str]:
+    folder = Path(source)
+    manifest = None if _is_url(source) or not folder.is_dir() else read_manifest(folder)
+    if manifest is None or not manifest.cells:
+        yield from _leaves(root, str(source))
+        return
+    for path in manifest.cells:
+        if (folder / STORE_NAME / path / "zarr.json").is_file():
+            yield path
+
+
+def _leaves(root: Any, name: str) -> list[str]:
+    """Paths of groups that hold arrays."""
+    from zarr import Array as ZarrArray
+
+    try:
+        members = root.members(max_depth=None)
+    except (ValueError, KeyError, TypeError, OSError) as error:
+        raise _damaged(name, error) from None
+    parents = (path.rpartition("/")[0] for path, m in members if isinstance(m, ZarrArray))
+    return [path for path in dict.fromkeys(parents) if path]
+
+
+def _selected(source: str | Path, root: Any, select: str) -> list[str]:
+    paths = fnmatch.filter(_paths(source, root), select)
+    if not paths:
+        raise StoreError(f"No cell of {str(source)!r} matches {select!r}; paths are a/b/analysis.")
+    return paths
+
+
+def _opened(source: str | Path) -> tuple[Any, Any]:
+    """The zarr store of a source, and its root group."""
+    import zarr
+
+    store = _store_of(source)
+    try:
+        root = zarr.open_group(store, mode="r", zarr_format=3)
+    except FileNotFoundError:
+        raise StoreError(f"There are no results in {str(source)!r}.") from None
+    except (ValueError, KeyError, TypeError, OSError, RecursionError) as error:
+        raise _damaged(str(source), error) from None
+    found = root.attrs.get("format")
+    if found not in _FORMATS:
+        raise StoreError(
+            f"{str(source)!r} has store format {found!r}; this version reads "
+            f"{' and '.join(map(str, _FORMATS))}: open it with the version that wrote it."
+        )
+    return store, root
+
+
+def _store_of(source: str | Path) -> Any:
+    if _is_url(source):
+        return _remote(str(source))
+    path = Path(source)
+    if path.suffix == ".zip":
+        return _zip(path)
+    folder = path if path.suffix == ".zarr" else path / STORE_NAME
+    root_document(folder)
+    return folder
+
+
+def _is_url(source: str | Path) -> bool:
+    return isinstance(source, str) and ("://" in source or "::" in source)
+
+
+def _zip(path: Path) -> Any:
+    import zipfile
+
+    from zarr.storage import ZipStore
+
+    if not path.is_file():
+        raise StoreError(f"There are no results in {str(path)!r}.")
+    if not zipfile.is_zipfile(path):
+        raise StoreError(f"{str(path)!r} is damaged: it is not a zip file.")
+    return ZipStore(path, mode="r")
+
+
+def _remote(url: str) -> Any:
+    """A store that fsspec opens: at the URL, or ``results.zarr`` below it."""
+    if importlib.util.find_spec("fsspec") is None:
+        raise MissingDependency(
+            f"Opening {url!r} needs fsspec, which is not installed: pip install fsspec."
+        )
+    from zarr.storage import FsspecStore
+
+    try:
+        if _has_root(url):
+            return FsspecStore.from_url(url, read_only=True)
+        inner = f"{url.rstrip('/')}/{STORE_NAME}"
+        found = _has_root(inner)
+    except ImportError as error:
+        raise MissingDependency(f"Opening {url!r} needs more: {_line(error)}.") from None
+    except (OSError, ValueError) as error:
+        raise StoreError(f"{url!r} cannot be opened: {_line(error)}.") from None
+    if not found:
+        raise StoreError(f"There are no results in {url!r}.")
+    return FsspecStore.from_url(inner, read_only=True)
+
+
+def _has_root(url: str) -> bool:
+    import fsspec  # type: ignore[import-untyped]
+
+    files, path = fsspec.core.url_to_fs(url)
+    return bool(files.exists(f"{path.rstrip('/')}/zarr.json"))
+
+
+def _dataset(store: Any, path: str) -> xr.Dataset:
+    import xarray as xr
+
+    return xr.open_dataset(store, engine="zarr", group=path, consolidated=False, zarr_format=3)
+
+
+def _check_group(root: Any, path: str, name: str) -> None:
+    """Refuse arrays that results never hold, from their metadata alone."""
+    from zarr import Array as ZarrArray
+
+    try:
+        group = root[path] if path else root
+        members = group.members(max_depth=None)
+    except (ValueError, KeyError, TypeError, OSError, RecursionError) as error:
+        raise _damaged(name, error) from None
+    for inner, member in members:
+        if isinstance(member, ZarrArray):
+            _check_array(member, f"{name}: the array {f'{path}/{inner}'.lstrip('/')}")
+
+
+def _check_array(array: Any, what: str) -> None:
+    codecs = {codec["name"] for codec in array.metadata.to_dict()["codecs"]}
+    if not codecs <= _CODECS:
+        raise StoreError(
+            f"{what} is coded with {', '.join(sorted(codecs - _CODECS))}; results are coded with "
+            f"{', '.join(sorted(_CODECS))} only."
+        )
+    if array.dtype.kind not in "biufc":
+        raise StoreError(f"{what} has the type {array.dtype}; results hold numbers only.")
+    size = math.prod(array.shape) * array.dtype.itemsize
+    chunk = math.prod(array.chunks) * array.dtype.itemsize
+    if max(size, chunk) > available_memory():
+        raise StoreError(
+            f"{what} claims {shown_bytes(max(size, chunk))}, more than the memory of this machine."
+        )
+
+
+def _damaged(name: str, error: Exception) -> StoreError:
+    return StoreError(f"{name!r} is damaged: {_line(error)}.")
+
+
+def _line(error: Exception) -> str:
+    """What an error says, in one line without its full stop."""
+    if isinstance(error, json.JSONDecodeError):
+        return "metadata that are not JSON"
+    return " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__
