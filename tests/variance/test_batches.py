@@ -46,21 +46,23 @@ def test_the_interval_of_captured_covers_the_truth(runs):
     assert 1 - 4 * 0.092 < claimed / spread < np.sqrt(8 / 7) * (1 + 4 * 0.092)
 
 
+def _merged(blocks, weights):
+    """Spread of four blocks: the last two merged first."""
+    a, b, c, d = map(RunningSpread.of, blocks.copy(), weights)
+    return a.merge(b).merge(c.merge(d))
+
+
 def test_spread_of_blocks_is_that_of_all_kept():
     """Against the blocks side by side: weights w, errors about the mean with weights w²."""
     generator = np.random.default_rng(1)
     weights = np.array([3.0, 3.0, 3.0, 1.0])
     values = 50.0 + generator.standard_normal((4, 2, 3)) + 1j * generator.standard_normal((4, 2, 3))
     for blocks in (values.real, values):
-        running = RunningSpread()
-        for block, weight in zip(blocks, weights, strict=True):
-            running.add(block, weight)
+        running = _merged(blocks, weights)
         off = blocks - np.average(blocks, axis=0, weights=weights**2)
         squares = np.tensordot((weights / weights.sum()) ** 2, np.abs(off) ** 2, axes=1)
         np.testing.assert_allclose(running.error(), np.sqrt(squares * 4 / 3), rtol=1e-10)
-    equal = RunningSpread()
-    for block in values.real:
-        equal.add(block, 7)
+    equal = _merged(values.real, [7] * 4)
     same = spread(values.real - values.real.mean(axis=0), np.full(4, 0.25))
     np.testing.assert_allclose(equal.error(), same, rtol=1e-10)
 

@@ -1,6 +1,7 @@
 """Memory of the analyses: flat in the number of realisations, and below a gigabyte at 513²."""
 
 import json
+import math
 import subprocess
 import sys
 import tracemalloc
@@ -75,9 +76,10 @@ def test_memory_is_flat_in_realizations(analysis, workers):
     analysis(REALIZATIONS, workers=workers)  # imports, compiled kernels, plans
     few = _peak(lambda: analysis(REALIZATIONS, workers=workers))
     many = _peak(lambda: analysis(4 * REALIZATIONS, workers=workers))
-    # Threads have a few results of blocks waiting, each of a spectrum or three; to keep what every
-    # block returns would take 50 spectra or more.
-    assert many - few < 12 * BYTES
+    # Threads have a few results of blocks waiting, each of three or four spectra, and fourfold
+    # realisations are two levels more of the tree, each a state; to keep what every block returns
+    # would take a thousand spectra.
+    assert many - few < (12 + 2 * 4) * BYTES
 
 
 @pytest.mark.parametrize(("dims", "half_width", "n"), [(3, 6, 27), (4, 3, 16)])
@@ -101,8 +103,11 @@ def test_bands_take_their_square_and_no_more():
     few = _peak(lambda: _terms(REALIZATIONS, workers=1))
     bands = _peak(lambda: _terms(REALIZATIONS, workers=1, bands=labels))
     realizations_a_block = max(1, _BLOCK // (2 * GRID.half_size))
-    # band_covariance: in the sums of a block, of all blocks, merged, and in the result
-    assert bands - few < 8 * (8 * 200**2) + 8 * 200 * realizations_a_block + labels.nbytes + 2**20
+    # band_covariance: three in every node of the tree, which are the sums and the mean and squares of
+    # their spread; in a block, merged, and in the result
+    nodes = math.ceil(math.log2(REALIZATIONS / 2))
+    squares = (3 * nodes + 8) * (8 * 200**2)
+    assert bands - few < squares + 8 * 200 * realizations_a_block + labels.nbytes + 2**20
 
 
 def test_513_squared_stays_far_below_a_gigabyte():

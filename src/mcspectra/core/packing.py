@@ -9,7 +9,8 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
+from types import UnionType
+from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
 
@@ -41,7 +42,10 @@ def pack_record(record: Any, prefix: str = "") -> dict[str, Array]:
 
 
 def unpack_record(kind: type[Record], arrays: Mapping[str, Array], prefix: str = "") -> Record:
-    """Inverse of `pack_record`: fields annotated as int or float become plain numbers again."""
+    """Inverse of `pack_record`: fields annotated as int or float become plain numbers again.
+
+    Fields that are not there are None if that is what they are annotated to be; else KeyError.
+    """
     hints = get_type_hints(kind)
     return kind(**{name: _field(hints[name], arrays, prefix + name) for name in _names(kind)})
 
@@ -51,10 +55,13 @@ def _names(kind: Any) -> list[str]:
 
 
 def _field(kind: Any, arrays: Mapping[str, Array], name: str) -> Any:
+    if isinstance(kind, UnionType):  # what may be None
+        kind = get_args(kind)[0]
+        if not any(key == name or key.startswith(f"{name}.") for key in arrays):
+            return None
     if is_dataclass(kind):
         return unpack_record(kind, arrays, f"{name}.")  # type: ignore[arg-type]
-    value = arrays.get(name)
-    return kind(value) if value is not None and kind in (int, float) else value
+    return kind(arrays[name]) if kind in (int, float) else arrays[name]
 
 
 def pack_dataset(data: xr.Dataset) -> dict[str, Array]:

@@ -17,7 +17,7 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
 
-__all__ = ["accumulate", "add_to_spread", "band_estimates", "merge_moments", "term_sums"]
+__all__ = ["accumulate", "band_estimates", "merge_moments", "merge_spreads", "term_sums"]
 
 _TILE = 512
 
@@ -119,12 +119,16 @@ def term_sums(f: Array, m2: Array, cov: Array, double: Array, dc: Array, out: Ar
 
 
 @kernel
-def add_to_spread(values: Array, part: float, weight: float, mean: Array, squares: Array) -> None:
-    """Add values (J,) to a running weighted mean (J,) and the weighted squares about it (J,).
+def merge_spreads(
+    part: float, factor: float, mean: Array, squares: Array, other_mean: Array, other_squares: Array
+) -> None:
+    """Add to means (J,) and squares about them (J,) those of other blocks; empty squares are zeros.
 
-    `part` is `weight` over the sum of all weights, this one included (West 1979).
+    `part` is the others' part of the weight, `factor` what the squared difference of means counts.
     """
-    for j in range(values.size):
-        delta = values[j] - mean[j]
+    for j in range(mean.size):
+        delta = other_mean[j] - mean[j]
         mean[j] += part * delta
-        squares[j] += weight * delta * (values[j] - mean[j])
+        squares[j] += factor * delta * delta
+    for j in range(other_squares.size):
+        squares[j] += other_squares[j]

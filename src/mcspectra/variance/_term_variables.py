@@ -74,7 +74,7 @@ def term_errors(
     for name, error in zip(_TERMS, batches.term_errors(), strict=True):
         found[f"{name}_se"] = (("channel",), error)
         found[f"{name}_ci"] = _interval(variables[name][1], student_t(batches.count) * error)
-    if partition.matrix:
+    if batches.matrix is not None:
         found |= _matrix_errors(batches.matrix.error(), partition.coefficients, view)
     return found
 

@@ -9,6 +9,7 @@ block): the errors are on the safe side.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -16,7 +17,7 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.estimators import Moments
 from mcspectra.estimators.moments import rounding_floor
-from mcspectra.variance._kernels import add_to_spread
+from mcspectra.variance._kernels import merge_spreads
 from mcspectra.variance.sums import Partition, SpectralSums
 
 __all__ = ["Batches", "RunningSpread", "Variables", "spread", "student_t"]
@@ -27,37 +28,114 @@ Variables: TypeAlias = dict[str, tuple[tuple[str, ...], Any]]
 _LEVEL = 0.95
 
 
-class Batches:
-    """What each block says: terms and measured variance kept, maps and matrices as their spread."""
+@dataclass(frozen=True)
+class RunningSpread:
+    """Weighted mean of arrays and squares about it, of blocks that are merged in any order.
 
-    def __init__(self) -> None:
-        self._weights: list[int] = []
-        self._values: list[Array] = []
-        self._means: list[Array] = []
-        self.contribution = RunningSpread()
-        """Of the contributions (C, H)."""
-        self.band_covariance = RunningSpread()
-        """Of the covariances of bands (C, A, A)."""
-        self.matrix = RunningSpread()
-        """Of the stored covariances (H, 2H), where they are asked for."""
+    Deviations are taken about the mean with squared weights, which needs one pass only [West1979]_ and
+    is the same for equal blocks. Of complex numbers the error is the root of the mean |error|².
+
+    Attributes
+    ----------
+    blocks, weight, squared
+        Number of arrays, the sum of their weights, and that of the squares of the weights.
+    mean
+        In the shape and type of the arrays.
+    squares
+        Sums for each real number of the arrays: (J,), or empty as long as they are zeros.
+    """
+
+    blocks: int
+    weight: float
+    squared: float
+    mean: Array
+    squares: Array
+
+    @staticmethod
+    def of(values: Array, weight: float) -> RunningSpread:
+        """The spread of one array, which it takes over; all are of the same shape and type."""
+        weight = float(weight)
+        return RunningSpread(1, weight, weight**2, np.ascontiguousarray(values), np.zeros(0))
+
+    def merge(self, other: RunningSpread) -> RunningSpread:
+        """Spread of the arrays of both (Chan, Golub & LeVeque 1983), in the memory of this one."""
+        squared = self.squared + other.squared
+        part = other.squared / squared
+        mean = _real(self.mean)
+        squares = self.squares if self.squares.size else np.zeros(mean.size)
+        merge_spreads(part, self.squared * part, mean, squares, _real(other.mean), other.squares)
+        blocks, weight = self.blocks + other.blocks, self.weight + other.weight
+        return RunningSpread(blocks, weight, squared, self.mean, squares)
+
+    def error(self) -> Array:
+        """Standard error of the mean, in the shape of the arrays; NaN for one."""
+        if self.blocks < 2:
+            return np.full(self.mean.shape, np.nan)
+        squares = self.squares
+        if np.iscomplexobj(self.mean):
+            squares = squares.reshape(-1, 2).sum(axis=1)
+        factor = self.blocks / (self.blocks - 1) / self.weight**2
+        return np.asarray(np.sqrt(factor * squares.reshape(self.mean.shape)))
+
+
+@dataclass(frozen=True)
+class Batches:
+    """What each block says: terms and measured variance kept, maps and matrices as their spread.
+
+    Attributes
+    ----------
+    weights
+        Degrees of freedom of each block: (B,).
+    values
+        Dc, power and cross term and measured variance: (B, 4, C).
+    means
+        Of the estimates: (B, C).
+    contribution, band_covariance, matrix
+        Of the contributions (C, H), of the covariances of bands (C, A, A) and, where they are asked for,
+        of the stored covariances (H, 2H).
+    """
+
+    weights: Array
+    values: Array
+    means: Array
+    contribution: RunningSpread
+    band_covariance: RunningSpread
+    matrix: RunningSpread | None
+
+    @staticmethod
+    def of(sums: SpectralSums, measured: Moments, partition: Partition) -> Batches | None:
+        """What one block says; None for one realisation, which has no covariance."""
+        degrees = sums.count - 1
+        if degrees < 1:
+            return None
+        matrix = None if sums.matrix is None else RunningSpread.of(sums.matrix / degrees, degrees)
+        return Batches(
+            np.array([degrees], np.float64),
+            np.stack([*sums.terms(partition), measured.variance])[None],
+            measured.mean[None],
+            RunningSpread.of(sums.contribution(partition), degrees),
+            RunningSpread.of(sums.band_m2 / degrees, degrees),
+            matrix,
+        )
+
+    def merge(self, other: Batches) -> Batches:
+        """What the blocks of both say; takes over the memory of this one."""
+        matrix = None
+        if self.matrix is not None and other.matrix is not None:
+            matrix = self.matrix.merge(other.matrix)
+        return Batches(
+            np.concatenate([self.weights, other.weights]),
+            np.concatenate([self.values, other.values]),
+            np.concatenate([self.means, other.means]),
+            self.contribution.merge(other.contribution),
+            self.band_covariance.merge(other.band_covariance),
+            matrix,
+        )
 
     @property
     def count(self) -> int:
         """B, the number of blocks of two or more realisations."""
-        return len(self._weights)
-
-    def add(self, sums: SpectralSums, measured: Moments, partition: Partition) -> None:
-        """Take in one block; a block of one realisation has no covariance and says nothing."""
-        degrees = sums.count - 1
-        if degrees < 1:
-            return
-        self._weights.append(degrees)
-        self._values.append(np.stack([*sums.terms(partition), measured.variance]))
-        self._means.append(measured.mean)
-        self.contribution.add(sums.contribution(partition), degrees)
-        self.band_covariance.add(sums.band_m2 / degrees, degrees)
-        if sums.matrix is not None:
-            self.matrix.add(sums.matrix / degrees, degrees)
+        return len(self.weights)
 
     def term_errors(self) -> Array:
         """Standard errors of dc, power and cross term: (3, C)."""
@@ -69,7 +147,7 @@ class Batches:
         values, share = self._shared()
         mean = np.einsum("b,btc->tc", share, values)
         predicted, measured = mean[:3].sum(axis=0), mean[3]
-        real = measured > rounding_floor(np.mean(self._means, axis=0))
+        real = measured > rounding_floor(self.means.mean(axis=0))
         ratio = np.divide(predicted, measured, out=np.full_like(predicted, np.nan), where=real)
         residual = values[:, :3].sum(axis=1) - ratio * values[:, 3]
         half = spread(residual, share) / np.where(real, measured, np.nan)
@@ -77,47 +155,12 @@ class Batches:
 
     def _shared(self) -> tuple[Array, Array]:
         """Values of the blocks (B, 4, C) and the weight of each (B,)."""
-        weight = np.array(self._weights, np.float64)
-        return np.array(self._values), weight / weight.sum()
+        return self.values, self.weights / self.weights.sum()
 
 
-class RunningSpread:
-    """Standard errors of the weighted mean of arrays that come one after the other [West1979]_.
-
-    Deviations are taken about the mean with squared weights, which needs one pass only and is the
-    same for equal blocks. Of complex numbers the error is the root of the mean |error|².
-    """
-
-    def __init__(self) -> None:
-        self._blocks, self._weight, self._squared = 0, 0.0, 0.0
-        self._mean: Array = np.zeros(0)
-        self._squares: Array = np.zeros(0)
-        self._shape: tuple[int, ...] = ()
-        self._complex = False
-
-    def add(self, values: Array, weight: float) -> None:
-        """Take in one array, all of the same shape and type."""
-        if not self._blocks:
-            self._shape, self._complex = values.shape, np.iscomplexobj(values)
-            self._mean = np.zeros(values.size * (2 if self._complex else 1))
-            self._squares = np.zeros_like(self._mean)
-        self._blocks += 1
-        self._weight += weight
-        self._squared += weight**2
-        numbers = np.ascontiguousarray(values).reshape(-1).view(np.float64)
-        part = weight**2 / self._squared
-        add_to_spread(numbers, part, weight**2, self._mean, self._squares)
-
-    def error(self) -> Array:
-        """Standard error of the mean, in the shape of the arrays; NaN for one."""
-        squares = self._squares
-        if self._complex:
-            squares = squares.reshape(-1, 2).sum(axis=1)
-        squares = squares.reshape(self._shape)
-        if self._blocks < 2:
-            return np.full_like(squares, np.nan)
-        factor = self._blocks / (self._blocks - 1) / self._weight**2
-        return np.asarray(np.sqrt(factor * squares))
+def _real(values: Array) -> Array:
+    """The real numbers of an array in a row."""
+    return values.reshape(-1).view(np.float64)
 
 
 def spread(deviation: Array, share: Array) -> Array:

@@ -17,39 +17,32 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mcspectra.core.checks import Array, as_choice, as_integer
 from mcspectra.core.errors import InfiniteWeightVarianceWarning
-from mcspectra.core.parallel import (
-    MAX_REALIZATIONS,
-    Block,
-    available_workers,
-    map_in_order,
-    realization_blocks,
-)
+from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
 from mcspectra.core.results import dataset
+from mcspectra.core.staged import compute
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
+from mcspectra.estimators import AbstractEstimator, as_estimator
 from mcspectra.estimators.tails import unsampled_note
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra.bases import Basis, make_basis
 from mcspectra.variance._term_variables import term_errors, term_variables
 from mcspectra.variance.bands import Bands, make_bands
-from mcspectra.variance.batches import Batches, Variables
-from mcspectra.variance.sums import Partition, SpectralSums
+from mcspectra.variance.batches import Variables
+from mcspectra.variance.staged_terms import StagedTerms, TermSums
+from mcspectra.variance.sums import Partition
 from mcspectra.variance.views import SPACES, View, check_terms, chosen_basis, view_dims
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["variance_terms"]
-
-_BATCHES = 20  # blocks of realisations at least, whose spread gives the errors of the terms
+__all__ = ["staged_terms", "variance_terms"]
 
 
 def variance_terms(
@@ -133,6 +126,42 @@ def variance_terms(
     >>> bool(terms["cross_term"] < 0 < terms["power_term"])
     True
     """
+    threads = available_workers(workers)
+    return compute(
+        staged_terms(
+            estimator,
+            sampler,
+            n,
+            half_width=half_width,
+            realizations=realizations,
+            rng=rng,
+            basis=basis,
+            space=space,
+            bands=bands,
+            cross_matrix=cross_matrix,
+            engine=engine,
+            eps=eps,
+        ),
+        threads,
+    )
+
+
+def staged_terms(
+    estimator: AbstractEstimator | Integrand | str,
+    sampler: Sampler | str,
+    n: int,
+    *,
+    half_width: int = 64,
+    realizations: int = 1000,
+    rng: RngLike = 0,
+    basis: str = "fourier",
+    space: str = "domain",
+    bands: str | Array = "radial",
+    cross_matrix: bool = False,
+    engine: str = "auto",
+    eps: float = 1e-9,
+) -> StagedTerms:
+    """Return `variance_terms` as a staged analysis of one run, its arguments checked."""
     as_choice("space", space, SPACES)
     estimator = as_estimator(estimator, getattr(sampler, "dims", None))
     source = as_sampler(sampler, estimator.dims)
@@ -146,47 +175,50 @@ def variance_terms(
     chosen = make_bands(bands, functions)
     partition = view.partition(chosen.of, cross_matrix)
     stream = Stream.from_rng(rng)
-
-    def block_sums(block: Block) -> tuple[SpectralSums, Moments]:
-        points = estimator.draw(source, n, stream, *block)
-        measured = Moments.of(estimator.estimate(points).reshape(block[1], -1))
-        return SpectralSums.of(view.coefficients(points), partition), measured
-
-    numbers = max(n * estimator.dims * sum(estimator.counts), 2 * partition.double.size)
-    blocks = realization_blocks(realizations, numbers, multiple=2, least=_BATCHES)
-    sums, measured, batches = _merged(
-        map_in_order(block_sums, blocks, available_workers(workers)), partition
-    )
     infinite = space == "domain" and estimator.infinite_weights
-    if infinite:
-        warnings.warn(
-            f"∫1/p diverges for {estimator.spec}: Var(S_0) and the spectral terms are infinite "
-            "although the estimate's variance need not be; use space='primary'.",
-            InfiniteWeightVarianceWarning,
-            stacklevel=2,
+
+    def result(total: TermSums) -> xr.Dataset:
+        if infinite:
+            _warn(estimator)
+        return _labelled(
+            _variables(total, view, partition, infinite=infinite),
+            view,
+            chosen,
+            estimator=estimator.spec,
+            sampler=source.spec,
+            n=n,
+            realizations=realizations,
+            batches=total.of_blocks.count,
+            basis=basis,
+            space=space,
+            coefficients=view.source,
+            stream_key=f"{stream.key:#x}",
+            seed=rng if isinstance(rng, int) else None,
+            engine=view.engine,
+            eps=eps,
+            note=_note(estimator, n * realizations, infinite=infinite),
         )
-    variables = term_variables(sums, measured, view, partition)
-    variables |= term_errors(batches, variables, view, partition)
-    if infinite:
-        variables = {name: (d, _undefined(name, v)) for name, (d, v) in variables.items()}
-    return _labelled(
-        variables,
-        view,
-        chosen,
-        estimator=estimator.spec,
-        sampler=source.spec,
-        n=n,
-        realizations=realizations,
-        batches=batches.count,
-        basis=basis,
-        space=space,
-        coefficients=view.source,
-        stream_key=f"{stream.key:#x}",
-        seed=rng if isinstance(rng, int) else None,
-        engine=view.engine,
-        eps=eps,
-        note=_note(estimator, n * realizations, infinite=infinite),
+
+    return StagedTerms(source, n, stream, realizations, view, partition, result)
+
+
+def _warn(estimator: AbstractEstimator) -> None:
+    """Say that the terms are infinite, to who called `variance_terms`, six calls up."""
+    warnings.warn(
+        f"∫1/p diverges for {estimator.spec}: Var(S_0) and the spectral terms are infinite "
+        "although the estimate's variance need not be; use space='primary'.",
+        InfiniteWeightVarianceWarning,
+        stacklevel=6,
     )
+
+
+def _variables(total: TermSums, view: View, partition: Partition, *, infinite: bool) -> Variables:
+    """All result variables with a leading channel axis."""
+    variables = term_variables(total.sums, total.measured, view, partition)
+    variables |= term_errors(total.of_blocks, variables, view, partition)
+    if not infinite:
+        return variables
+    return {name: (dims, _undefined(name, values)) for name, (dims, values) in variables.items()}
 
 
 def _note(estimator: AbstractEstimator, samples: int, *, infinite: bool) -> str | None:
@@ -194,19 +226,6 @@ def _note(estimator: AbstractEstimator, samples: int, *, infinite: bool) -> str 
     parts = ["spectral terms are infinite: ∫1/p diverges"] if infinite else []
     parts += filter(None, [unsampled_note(estimator, samples)])
     return "; ".join(parts) or None
-
-
-def _merged(
-    results: Iterator[tuple[SpectralSums, Moments]], partition: Partition
-) -> tuple[SpectralSums, Moments, Batches]:
-    """Sums over all blocks, and what each block says by itself."""
-    batches = Batches()
-    sums, measured = next(results)
-    batches.add(sums, measured, partition)
-    for other_sums, other_measured in results:
-        batches.add(other_sums, other_measured, partition)
-        sums, measured = sums.merge(other_sums), measured.merge(other_measured)
-    return sums, measured, batches
 
 
 _INFINITE = ("dc_term", "power_term")
