@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from mcspectra.rendering import backend, scenes
-from mcspectra.rendering.receivers import primary_hit
+from mcspectra.rendering.receivers import hits_of
 from mcspectra.rendering.skies import _sky
 
 _CAMERA = """
@@ -69,7 +69,7 @@ def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 def forget_scenes() -> Iterator[None]:
     """Drop a module's scenes: Dr.Jit traces the BSDFs of all that are alive at every call."""
     yield
-    for cache in (scenes._from_name, scenes._from_file, scenes._from_dict, primary_hit, _sky):
+    for cache in (scenes._from_name, scenes._from_file, scenes._from_dict, hits_of, _sky):
         cache.cache_clear()
     gc.collect()
 

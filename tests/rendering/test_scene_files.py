@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from mcspectra.core.errors import StoreError
-from mcspectra.rendering import variance_map
-from mcspectra.rendering._scene_files import referenced_files, scene_state
+from mcspectra.rendering import _scene_files, variance_map
+from mcspectra.rendering._scene_files import referenced_files, scene_state, watched_state
 
 SCENE = """<scene version="3.0.0">
   <default name="image" value="wall.png"/>
@@ -51,6 +51,32 @@ def test_every_change_shows(scene: Path, name: str) -> None:
     before = scene_state(scene)
     os.utime(scene.parent / name, ns=(1, 1))
     assert scene_state(scene) == before | {name: (before[name][0], 1)}
+
+
+@pytest.mark.parametrize("name", [*NAMES, "scene.xml"])
+def test_a_watched_scene_shows_every_change(scene: Path, name: str) -> None:
+    before = watched_state(scene)
+    assert {path for path, *_ in before} == referenced_files(scene) | {scene.resolve()}
+    assert watched_state(scene) == before
+    os.utime(scene.parent / name, ns=(1, 1))
+    after = watched_state(scene)
+    assert after != before
+    assert {path for path, *_ in after} == {path for path, *_ in before}
+
+
+def test_a_watched_scene_shows_files_that_come_and_go(scene: Path) -> None:
+    before = watched_state(scene)
+    (scene.parent / "textures" / "wall.png").unlink()
+    assert watched_state(scene) == tuple(s for s in before if s[0].name != "wall.png")
+    lights = scene.parent / "parts" / "lights.xml"
+    lights.write_text(LIGHTS.replace("sky.exr", "../unused/wall.png"), encoding="utf-8")
+    assert (scene.parent / "unused" / "wall.png").resolve() in [p for p, *_ in watched_state(scene)]
+
+
+def test_only_changed_scenes_are_read_again(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = watched_state(scene)
+    monkeypatch.setattr(_scene_files, "referenced_files", lambda _: 1 / 0)
+    assert watched_state(scene) == before
 
 
 @pytest.mark.parametrize("text", ["", "<scene>", "\x00", "<scene><string value='a\x01b'/></scene>"])

@@ -108,6 +108,18 @@ def test_changed_file_is_read_again(scene_files: dict[str, str], tmp_path: Path)
     assert [emitter_name(e) for e in load_scene(file).emitters()] == ["screen", "sky"]
 
 
+def test_changed_mesh_is_read_again(tmp_path: Path) -> None:
+    file, mesh = tmp_path / "scene.xml", tmp_path / "panel.obj"
+    shape = '<shape type="obj"><string name="filename" value="panel.obj"/></shape>'
+    file.write_text(f'<scene version="3.0.0">{shape}</scene>')
+    for size in (1, 2):
+        mesh.write_text(f"v 0 0 0\nv {size} 0 0\nv 0 {size} 0\nf 1 2 3\n")
+        os.utime(mesh, ns=(size, size))
+        (panel,) = load_scene(file).shapes()
+        assert panel.bbox().max.x == size
+        assert load_scene(file) is load_scene(file)
+
+
 @pytest.mark.parametrize(
     ("scene", "error", "words"),
     [

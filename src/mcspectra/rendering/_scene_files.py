@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 from xml.etree import ElementTree as ET
 
-__all__ = ["referenced_files", "scene_state"]
+__all__ = ["referenced_files", "scene_state", "watched_state"]
+
+State: TypeAlias = "tuple[tuple[Path, int, int], ...]"
+"""Paths, sizes in bytes and times of change in nanoseconds."""
 
 _REFERENCE = re.compile(r"\$(\w+)")
 
@@ -31,6 +38,18 @@ def scene_state(scene: Path) -> dict[str, tuple[int, int]]:
     return {_relative(path, root): (s.st_size, s.st_mtime_ns) for path, s in states}
 
 
+def watched_state(scene: Path) -> State:
+    """Return the state of a scene's file and of all that it refers to, to be compared.
+
+    The XML is read again only if one of the files has changed since the last call: otherwise this
+    asks the file system for each, a few microseconds a file.
+    """
+    watch = _watch(scene.resolve())
+    if not watch.state or _states(path for path, *_ in watch.state) != watch.state:
+        watch.state = _states((watch.scene, *sorted(referenced_files(watch.scene))))
+    return watch.state
+
+
 def referenced_files(scene: Path) -> set[Path]:
     """Return the files that exist among those that a scene's XML names, included XML too.
 
@@ -49,6 +68,27 @@ def referenced_files(scene: Path) -> set[Path]:
             found |= new
             waiting += [place for place in new if place.suffix.lower() == ".xml"]
     return found
+
+
+@dataclass
+class _Watch:
+    """What is known of a scene's files."""
+
+    scene: Path
+    state: State = ()
+
+
+_watch = functools.lru_cache(maxsize=64)(_Watch)
+
+
+def _states(files: Iterable[Path]) -> State:
+    """States of those files that exist."""
+    found = []
+    for file in files:
+        with contextlib.suppress(OSError):
+            status = file.stat()
+            found.append((file, status.st_size, status.st_mtime_ns))
+    return tuple(found)
 
 
 def _names(file: Path, folders: list[Path]) -> Iterator[str]:

@@ -6,6 +6,7 @@ Hold `backend.LOCK` around every call.
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,9 +31,11 @@ __all__ = [
     "check_receiver",
     "check_single_lobe",
     "film_hits",
+    "hits_of",
     "primary_hit",
 ]
 
+_SCENES, _PIXELS = 4, 256  # whose hits are kept; of each scene
 _PROBES = 16  # positions along each side of a pixel at which `check_film_receivers` looks
 
 
@@ -62,9 +65,22 @@ class Hit:
     light: str | None = None
 
 
-@functools.lru_cache(maxsize=256)
 def primary_hit(scene: Any, x: int, y: int) -> Hit:
     """Follow the ray through the centre of pixel, lens and shutter."""
+    return hits_of(scene)(x, y)
+
+
+@functools.lru_cache(maxsize=_SCENES)
+def hits_of(scene: Any) -> Callable[[int, int], Hit]:
+    """Return `primary_hit` of one scene, which remembers its last pixels.
+
+    Hits keep their scene alive, with its meshes and textures, and BSDFs that Dr.Jit then traces
+    for all scenes: so those of few scenes are remembered.
+    """
+    return functools.lru_cache(maxsize=_PIXELS)(functools.partial(_primary_hit, scene))
+
+
+def _primary_hit(scene: Any, x: int, y: int) -> Hit:
     import drjit
 
     mitsuba = load_mitsuba()

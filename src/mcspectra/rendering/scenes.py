@@ -6,7 +6,7 @@ import functools
 import gc
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from mcspectra.core.checks import as_integer, as_reals
 from mcspectra.core.errors import FileFormatError, ParameterError, close_match_hint
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import parse
+from mcspectra.rendering._scene_files import watched_state
 from mcspectra.rendering._scene_probe import what_fails
 from mcspectra.rendering.backend import LOCK, VARIANT, load_mitsuba
 from mcspectra.rendering.dict_scene import DictScene
@@ -85,8 +86,9 @@ def load_scene(scene: Scene) -> Any:
     ----------
     scene
         A name in `SCENES`, with parameters in brackets if need be (``"veach(width=384)"``), the
-        path of a Mitsuba XML file, or a dictionary for `mitsuba.load_dict`. A file that has changed
-        is read again; what it refers to by a relative path is looked for beside it.
+        path of a Mitsuba XML file, or a dictionary for `mitsuba.load_dict`. A file is read again if
+        it, or a texture, mesh or other file that it refers to, has changed; what it refers to by a
+        relative path is looked for beside it.
 
     Raises
     ------
@@ -111,7 +113,7 @@ def load_scene(scene: Scene) -> Any:
                 f"There is no scene file {str(scene)!r}; give the path of a Mitsuba XML file "
                 f"or one of the names {', '.join(SCENES)}."
             )
-        return _from_file(str(path.resolve()), path.stat().st_mtime_ns)
+        return _from_file(str(path.resolve()), watched_state(path))
 
 
 def named_pixels(scene: Scene) -> dict[str, tuple[int, int]]:
@@ -212,7 +214,7 @@ def _from_name(scene: str) -> Any:
 
 
 @functools.lru_cache(maxsize=8)
-def _from_file(path: str, _modified: int) -> Any:
+def _from_file(path: str, _state: Hashable) -> Any:
     return _built(path, load_mitsuba().load_file, path)
 
 

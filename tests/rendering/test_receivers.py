@@ -1,0 +1,49 @@
+"""What is remembered of pixels, and what that keeps alive."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+from typing import Any
+
+import pytest
+
+from mcspectra.rendering import receivers
+from mcspectra.rendering.scenes import load_scene
+
+
+class Stub:
+    """Stands for a scene."""
+
+
+@pytest.mark.render
+def test_a_pixel_is_traced_once() -> None:
+    scene = load_scene("figure1")
+    assert receivers.primary_hit(scene, 96, 205) is receivers.primary_hit(scene, 96, 205)
+
+
+def test_few_scenes_and_pixels_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    traced: list[tuple[int, int]] = []
+
+    def hit(scene: Any, x: int, y: int) -> tuple[Any, int, int]:
+        traced.append((x, y))
+        return scene, x, y
+
+    monkeypatch.setattr(receivers, "_primary_hit", hit)
+    receivers.hits_of.cache_clear()
+    first: Any = Stub()
+    alive = weakref.ref(first)
+    for x in range(300):
+        assert receivers.primary_hit(first, x, 0) == (first, x, 0)
+    receivers.primary_hit(first, 299, 0)
+    assert len(traced) == 300
+    receivers.primary_hit(first, 0, 0)  # the least recent of 300 is no longer known
+    assert len(traced) == 301
+    del first
+    gc.collect()
+    assert alive() is not None
+    for _ in range(4):
+        receivers.primary_hit(Stub(), 0, 0)
+    gc.collect()
+    assert alive() is None
+    receivers.hits_of.cache_clear()
