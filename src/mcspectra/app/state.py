@@ -1,0 +1,240 @@
+"""Everything the user chose, as a frozen value: to and from the query string of a URL.
+
+A state is one set-up, A, or two side by side, A and B. The query holds what differs from the
+defaults, the keys of B with the prefix ``b.``; so a bookmark is a state and a state is a bookmark.
+What comes from a URL was written by anybody: sizes are bounded, and specs must not name files.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, final
+from urllib.parse import parse_qsl, urlencode
+
+from mcspectra.app.specs import check_chain, check_integrand, check_single
+from mcspectra.core.checks import as_choice, as_integer, as_real
+from mcspectra.core.errors import ParameterError, close_match_hint
+
+__all__ = [
+    "BASES",
+    "MIRRORS",
+    "MOST_HALF_WIDTH",
+    "MOST_POINTS",
+    "THEMES",
+    "Setup",
+    "State",
+]
+
+BASES = ("fourier", "cosine", "walsh", "haar", "auto")
+MIRRORS = ("none", "integrand", "random", "uniform")
+THEMES = ("light", "dark")
+
+MOST_POINTS = 2**16
+"""Most points of a set in the explorer; studies take more."""
+
+MOST_HALF_WIDTH = {1: 1024, 2: 128}
+"""Largest half width of the frequencies by the number of dims."""
+
+_MOST_REALIZATIONS = 2**14
+_MOST_QUERY = 8000
+_MOST_SEED = 2**63
+_PREFIX = "b."
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Setup:
+    """An estimator, a sampler, a number of points, and how they are analysed.
+
+    Parameters
+    ----------
+    sampler, density, integrand
+        Specs; they name no files. The integrand may be ``upload(digest='…')``.
+    n
+        Points of a set.
+    dims
+        1 or 2.
+    strata_shift
+        Part of a stratum by which all points are moved, in [0, 1); 0 moves nothing.
+    mirror
+        ``"none"`` or a mode of `mcspectra.Mirrored`.
+    smoothing
+        Width of the ramps that edges are made, 0 for none.
+    basis
+        As of `mcspectra.variance_terms`.
+    half_width
+        Frequencies run from −half_width to half_width along every axis.
+    frequency_step
+        Distance of the spectrum's frequencies: 1 for integers, less for real ones in between.
+    realizations
+        Where refinement ends.
+    seed
+        Seed of all draws.
+
+    Raises
+    ------
+    ParameterError, SpecError
+        A value has the wrong type or range, a spec cannot be read or names a file.
+    """
+
+    sampler: str = "jittered"
+    n: int = 256
+    density: str = "uniform"
+    integrand: str = "gaussian"
+    dims: int = 2
+    strata_shift: float = 0.0
+    mirror: str = "none"
+    smoothing: float = 0.0
+    basis: str = "fourier"
+    half_width: int = 64
+    frequency_step: float = 1.0
+    realizations: int = 1024
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_chain("sampler", self.sampler)
+        check_single("density", self.density)
+        check_integrand("integrand", self.integrand)
+        as_choice("mirror", self.mirror, MIRRORS)
+        as_choice("basis", self.basis, BASES)
+        for name, value in self._numbers().items():
+            object.__setattr__(self, name, value)
+
+    def _numbers(self) -> dict[str, float]:
+        dims = as_integer("dims", self.dims, least=1, most=2)
+        most = MOST_HALF_WIDTH[dims]
+        return {
+            "dims": dims,
+            "n": as_integer("n", self.n, least=1, most=MOST_POINTS),
+            "half_width": as_integer("half_width", self.half_width, least=1, most=most),
+            "realizations": as_integer(
+                "realizations", self.realizations, least=2, most=_MOST_REALIZATIONS
+            ),
+            "seed": as_integer("seed", self.seed, least=0, most=_MOST_SEED),
+            "strata_shift": as_real("strata_shift", self.strata_shift, least=0.0, below=1.0),
+            "smoothing": as_real("smoothing", self.smoothing, least=0.0, most=1.0),
+            "frequency_step": as_real("frequency_step", self.frequency_step, above=0.0, most=1.0),
+        }
+
+    @property
+    def displaced_sampler(self) -> str:
+        """The sampler's spec with the shift of the strata."""
+        if not self.strata_shift:
+            return self.sampler
+        return f"{self.sampler} | strata-shift(offset={self.strata_shift!r})"
+
+    def differences(self) -> dict[str, str]:
+        """What is not as by default, as text."""
+        return {
+            each.name: str(getattr(self, each.name))
+            for each in dataclasses.fields(self)
+            if getattr(self, each.name) != each.default
+        }
+
+    @staticmethod
+    def from_texts(texts: Mapping[str, str]) -> Setup:
+        """Read the values that are given; the others are the defaults.
+
+        Raises
+        ------
+        ParameterError
+            An unknown key, text that is no number where one is needed, or a value that a
+            `Setup` refuses.
+        """
+        fields = {each.name: each for each in dataclasses.fields(Setup)}
+        values: dict[str, Any] = {}
+        for key, text in texts.items():
+            if key not in fields:
+                hint, close = close_match_hint(key, fields)
+                known = hint if close else f" Known are {', '.join(fields)}."
+                raise ParameterError(f"The address has an unknown key {key[:40]!r}.{known}")
+            values[key] = _converted(key, text, type(fields[key].default))
+        return Setup(**values)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class State:
+    """What the explorer shows: set-up A, perhaps B beside it, and the theme.
+
+    Examples
+    --------
+    >>> state = State(a=Setup(n=64), b=Setup(sampler="sobol | owen"))
+    >>> state.query()
+    'n=64&b.sampler=sobol+%7C+owen'
+    >>> State.from_query(state.query()) == state
+    True
+    """
+
+    a: Setup = field(default_factory=Setup)
+    b: Setup | None = None
+    theme: str = "light"
+
+    def __post_init__(self) -> None:
+        for name, setup, kinds in (("a", self.a, Setup), ("b", self.b, Setup | None)):
+            if not isinstance(setup, kinds):
+                raise ParameterError(f"{name} is {setup!r}; give a Setup.")
+        as_choice("theme", self.theme, THEMES)
+
+    def setups(self) -> Iterator[tuple[str, Setup]]:
+        """Yield ``"A"`` and its set-up, and ``"B"`` with its own where there is one."""
+        yield "A", self.a
+        if self.b is not None:
+            yield "B", self.b
+
+    def query(self) -> str:
+        """The query string, without question mark, that `from_query` reads."""
+        pairs = list(self.a.differences().items())
+        if self.b is not None:
+            own = self.b.differences() or {"n": str(self.b.n)}  # one key says that B is there
+            pairs += [(_PREFIX + key, text) for key, text in own.items()]
+        if self.theme != THEMES[0]:
+            pairs.append(("theme", self.theme))
+        return urlencode(pairs)
+
+    @staticmethod
+    def from_query(query: str) -> State:
+        """Read a query string, with or without its question mark.
+
+        Raises
+        ------
+        ParameterError, SpecError
+            The query is too long, holds a key twice or an unknown one, or a value that is refused.
+        """
+        if len(query) > _MOST_QUERY:
+            raise ParameterError(
+                f"The address is longer than {_MOST_QUERY} characters; shorten its specs."
+            )
+        return State._from_pairs(_pairs(query.removeprefix("?")))
+
+    @staticmethod
+    def _from_pairs(pairs: Sequence[tuple[str, str]]) -> State:
+        given = dict(pairs)
+        if len(given) < len(pairs):
+            raise ParameterError("The address holds a key twice; give each once.")
+        theme = given.pop("theme", THEMES[0])
+        b = {key[len(_PREFIX) :]: t for key, t in given.items() if key.startswith(_PREFIX)}
+        a = {key: text for key, text in given.items() if not key.startswith(_PREFIX)}
+        other = Setup.from_texts(b) if b else None
+        return State(a=Setup.from_texts(a), b=other, theme=theme)
+
+
+def _pairs(query: str) -> list[tuple[str, str]]:
+    try:
+        return parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query), errors="strict")
+    except ValueError:  # UnicodeDecodeError is one
+        raise ParameterError(
+            "The address cannot be read; its part after '?' is key=value pairs joined by '&'."
+        ) from None
+
+
+def _converted(key: str, text: str, kind: type) -> Any:
+    if kind is str:
+        return text
+    try:
+        return kind(text)
+    except ValueError:
+        what = "whole number" if kind is int else "number"
+        raise ParameterError(f"{key} is {text[:40]!r}; give a {what}.") from None

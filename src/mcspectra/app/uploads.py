@@ -1,0 +1,103 @@
+"""Pictures that the user gave to the explorer, kept in the cache folder under their digest.
+
+The digest is part of the state, so that a URL means the same picture after a restart.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+from pathlib import Path
+
+from mcspectra.core.cache import cache_folder
+from mcspectra.core.errors import FileFormatError
+from mcspectra.core.images import IMAGE_EXTENSIONS, read_image
+
+__all__ = ["MOST_BYTES", "keep_upload", "upload_path"]
+
+MOST_BYTES = 16 * 2**20
+"""Largest file that is taken."""
+
+_MOST_PIXELS = 2**24
+_FOLDER = "uploads"
+
+
+def keep_upload(data: bytes, name: str) -> str:
+    """Keep a picture and return its SHA-256 digest.
+
+    Parameters
+    ----------
+    data
+        Content of the file.
+    name
+        Its name, of which the ending says the format.
+
+    Raises
+    ------
+    FileFormatError
+        Too large, of an unknown format, broken, or the cache folder cannot be written.
+    """
+    suffix = Path(name).suffix.lower()
+    if suffix not in IMAGE_EXTENSIONS:
+        raise FileFormatError(f"The picture must end in one of {', '.join(IMAGE_EXTENSIONS)}.")
+    if not 0 < len(data) <= MOST_BYTES:
+        raise FileFormatError(
+            f"The picture has {len(data)} bytes; give one of 1 byte to {MOST_BYTES // 2**20} MiB."
+        )
+    if suffix in (".png", ".jpg", ".jpeg"):
+        _check_size(data)
+    digest = hashlib.sha256(data).hexdigest()
+    file = cache_folder() / _FOLDER / f"{digest}{suffix}"
+    part = file.with_name(f"{os.getpid()}-{digest}{suffix}")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part.write_bytes(data)
+        _check_picture(part)
+        part.replace(file)
+    except OSError as error:
+        raise FileFormatError(
+            f"The picture cannot be kept in {file.parent}: {error.strerror}."
+        ) from None
+    finally:
+        part.unlink(missing_ok=True)
+    return digest
+
+
+def upload_path(digest: str) -> Path:
+    """Return the file of an upload.
+
+    Raises
+    ------
+    FileFormatError
+        There is none on this machine.
+    """
+    folder = cache_folder() / _FOLDER
+    for suffix in IMAGE_EXTENSIONS:
+        file = folder / f"{digest}{suffix}"
+        if file.is_file():
+            return file
+    raise FileFormatError("The uploaded picture of this address is not here; upload it again.")
+
+
+def _check_size(data: bytes) -> None:
+    """Refuse pictures that are small as files and huge as pixels, before they are unpacked."""
+    from PIL import Image
+
+    try:
+        with Image.open(io.BytesIO(data), formats=("PNG", "JPEG")) as image:
+            pixels = image.width * image.height
+    except Exception:  # noqa: BLE001 - whatever the parser makes of a broken file
+        raise FileFormatError("The picture is damaged or of another format.") from None
+    if pixels > _MOST_PIXELS:
+        raise FileFormatError(
+            f"The picture has {pixels} pixels; the explorer takes {_MOST_PIXELS} at most."
+        )
+
+
+def _check_picture(file: Path) -> None:
+    try:
+        read_image(file)
+    except FileFormatError as error:
+        reason = str(error).replace(f"{file} ", "The picture ")
+        raise FileFormatError(reason) from None

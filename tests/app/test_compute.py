@@ -1,0 +1,141 @@
+"""Jobs: rounds, cancelling, and what is refused."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mcspectra.app import compute as module
+from mcspectra.app.compute import KINDS, Job, Update, compute, ladder, make_parts, rounds
+from mcspectra.app.state import Setup
+from mcspectra.core.errors import McspectraError
+
+SMALL = Setup(n=16, half_width=4, realizations=64)
+
+
+@pytest.fixture(autouse=True)
+def _no_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A slow machine must not end a job early."""
+    monkeypatch.setattr(module, "_LONGEST_ROUND", 1e9)
+
+
+def finished(setup: Setup) -> tuple[list[Update], str]:
+    """Run a job to its end; return its updates and its last sentence."""
+    updates: list[Update] = []
+    sentences: list[str] = []
+    job = Job(setup, updates.append, sentences.append).start()
+    job.join(60)
+    assert len(sentences) == 1
+    return updates, sentences[0]
+
+
+@pytest.mark.parametrize(
+    ("target", "expected"),
+    [(1024, [16, 64, 256, 1024]), (16, [16]), (2, [2]), (100, [16, 64, 100])],
+)
+def test_rounds_end_at_the_target(target: int, expected: list[int]) -> None:
+    assert list(rounds(replace(SMALL, realizations=target))) == expected
+
+
+def test_a_job_sends_all_kinds_in_each_round() -> None:
+    updates, sentence = finished(SMALL)
+    assert sentence == ""
+    assert [u.kind for u in updates] == [*KINDS, *KINDS]
+    assert [u.realizations for u in updates] == [16] * 4 + [64] * 4
+    assert updates[-1].fraction == 1.0
+    assert all(0 < u.fraction <= 1 for u in updates)
+    assert updates[-1].value.attrs["realizations"] == 64
+
+
+def test_points_are_the_first_realisation_with_its_weights() -> None:
+    setup = replace(SMALL, density="linear(slope=1)", seed=3)
+    found = compute("points", setup, 16)
+    parts = make_parts(setup)
+    u = parts.sampler.draw(16, realizations=1, rng=3)[0]
+    assert parts.density is not None
+    np.testing.assert_array_equal(found.points, parts.density.sample(u))
+    np.testing.assert_array_equal(found.weights, 1.0 / parts.density.pdf(found.points))
+
+
+def test_the_spectrum_does_not_wait_for_an_integrand() -> None:
+    first = compute("spectrum", SMALL, 16)
+    other = replace(SMALL, integrand="disk", smoothing=0.1, mirror="random", basis="cosine")
+    assert compute("spectrum", other, 16) is first
+    assert compute("spectrum", replace(SMALL, seed=1), 16) is not first
+
+
+def test_a_cancelled_job_says_nothing_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    entered, go = threading.Event(), threading.Event()
+
+    def slow(kind: str, setup: Setup, realizations: int) -> str:
+        entered.set()
+        assert go.wait(30)
+        return "late"
+
+    monkeypatch.setattr(module, "compute", slow)
+    said: list[object] = []
+    job = Job(SMALL, said.append, said.append).start()
+    assert entered.wait(30)
+    job.cancel()
+    go.set()
+    job.join(30)
+    assert said == []
+
+
+def test_rounds_that_would_take_long_are_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter(np.arange(0.0, 1e4, 10.0))
+    monkeypatch.setattr(module, "_LONGEST_ROUND", 30.0)
+    monkeypatch.setattr(module, "compute", lambda *_: None)
+    monkeypatch.setattr(module.time, "perf_counter", lambda: next(clock))
+    updates, sentence = finished(replace(SMALL, realizations=1024))
+    assert [u.realizations for u in updates] == [16] * 4
+    assert "Stopped at 16 realisations: 64 would take about 40 s" in sentence
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"sampler": "no-such"}, "no sampler called"),
+        ({"sampler": "jittered", "n": 257}, "256 and 289"),
+        ({"integrand": "no-such"}, "no integrand called"),
+        ({"density": "linear(slope=9)"}, "slope"),
+        ({"integrand": "christensen-gaussian", "dims": 1}, "dims"),
+        ({"integrand": f"upload(digest='{'0' * 64}')"}, "upload it again"),
+        ({"sampler": "hexagonal", "dims": 1}, "dims"),
+        ({"basis": "walsh", "integrand": "disk", "half_width": 3}, ""),
+    ],
+)
+def test_what_cannot_be_made_is_a_sentence(changes: dict[str, object], said: str) -> None:
+    updates, sentence = finished(replace(SMALL, realizations=2, **changes))  # type: ignore[arg-type]
+    assert said in sentence
+    assert not updates or said == ""
+
+
+def test_faults_of_components_end_the_job_with_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("by zero")
+
+    monkeypatch.setattr(module, "compute", broken)
+    assert finished(SMALL)[1] == "Unexpected ZeroDivisionError: by zero."
+
+
+def test_the_ladder_has_counts_that_the_sampler_can_do() -> None:
+    for setup in (SMALL, replace(SMALL, sampler="sobol"), replace(SMALL, n=1), Setup(n=2**16)):
+        source = make_parts(setup).sampler
+        counts = ladder(setup)
+        assert counts == sorted(set(counts))
+        assert all(source.nearest_count(n) == n and n <= 2**16 for n in counts)
+
+
+def test_several_channels_are_refused_before_any_work() -> None:
+    with pytest.raises(McspectraError, match="channels"):
+        make_parts(replace(SMALL, integrand="environment(values=[[[1, 2, 3]]])"))
+
+
+def test_warnings_of_counts_are_notes() -> None:
+    parts = make_parts(replace(SMALL, sampler="sobol | owen", n=12))
+    assert len(parts.notes) == 1
+    assert "balanced" in parts.notes[0]

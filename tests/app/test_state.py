@@ -1,0 +1,142 @@
+"""States to and from query strings, and what they refuse."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mcspectra.app.state import BASES, MIRRORS, MOST_HALF_WIDTH, MOST_POINTS, THEMES, Setup, State
+from mcspectra.core.errors import ParameterError
+
+UPLOAD = f"upload(digest='{'0a' * 32}')"
+
+samplers = st.sampled_from(["jittered", "sobol | owen", "jittered(sides=[4, 2]) | shift"])
+integrands = st.sampled_from(["gaussian(width=0.1)", "disk", "step(at=0.3)", UPLOAD])
+densities = st.sampled_from(["uniform", "linear(slope=-1.25)", "mixture(parts=['tent', 'power'])"])
+
+
+@st.composite
+def setups(draw: st.DrawFn) -> Setup:
+    dims = draw(st.integers(1, 2))
+    return Setup(
+        sampler=draw(samplers),
+        n=draw(st.integers(1, MOST_POINTS)),
+        density=draw(densities),
+        integrand=draw(integrands),
+        dims=dims,
+        strata_shift=draw(st.floats(0, 1, exclude_max=True)),
+        mirror=draw(st.sampled_from(MIRRORS)),
+        smoothing=draw(st.floats(0, 1)),
+        basis=draw(st.sampled_from(BASES)),
+        half_width=draw(st.integers(1, MOST_HALF_WIDTH[dims])),
+        frequency_step=draw(st.floats(0, 1, exclude_min=True)),
+        realizations=draw(st.integers(2, 2**14)),
+        seed=draw(st.integers(0, 2**63)),
+    )
+
+
+@settings(max_examples=150, deadline=None)
+@given(setups(), st.none() | setups(), st.sampled_from(THEMES))
+def test_a_query_is_its_state(a: Setup, b: Setup | None, theme: str) -> None:
+    state = State(a=a, b=b, theme=theme)
+    assert State.from_query(state.query()) == state
+    assert State.from_query("?" + state.query()) == state
+
+
+def test_the_defaults_need_no_query() -> None:
+    assert State().query() == ""
+    assert State.from_query("") == State()
+
+
+def test_a_second_set_up_of_defaults_is_kept() -> None:
+    assert State.from_query(State(b=Setup()).query()).b == Setup()
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.text(max_size=80))
+def test_any_text_is_a_state_or_an_error_of_ours(query: str) -> None:
+    with contextlib.suppress(ParameterError):
+        assert isinstance(State.from_query(query), State)
+
+
+@pytest.mark.parametrize(
+    ("query", "said"),
+    [
+        ("n=1e9", "whole number"),
+        ("n=1000000000", "from 1 to 65536"),
+        ("n=0", "from 1"),
+        (f"n={'9' * 5000}", "whole number"),
+        ("n=4&n=5", "twice"),
+        ("m=4", "unknown key"),
+        ("b.m=4", "unknown key"),
+        ("sampler=", "give a spec"),
+        ("sampler=jittered%00", "control"),
+        ("sampler=jittered%0A", "control"),
+        (f"sampler={'a' * 3000}", "2000 at most"),
+        (f"sampler={'a' * 9000}", "longer than"),
+        ("density=a|b", "chains"),
+        ("smoothing=nan", "finite"),
+        ("strata_shift=1", "less than 1"),
+        ("strata_shift=inf", "finite"),
+        ("half_width=129", "from 1 to 128"),
+        ("dims=3", "from 1 to 2"),
+        ("frequency_step=0", "greater than 0"),
+        ("seed=-1", "from 0"),
+        ("realizations=1", "from 2"),
+        ("theme=pink", "light, dark"),
+        ("basis=wavelet", "fourier"),
+        ("mirror=yes", "none"),
+        ("n", "cannot be read"),
+        ("n=%ff", "cannot be read"),
+        ("integrand=upload(digest='12')", "digest"),
+        ("integrand=upload(digest=12)", "digest"),
+        ("integrand=upload", "digest"),
+    ],
+)
+def test_odd_addresses_get_a_sentence(query: str, said: str) -> None:
+    with pytest.raises(ParameterError, match=said) as caught:
+        State.from_query(query)
+    assert len(str(caught.value)) < 400
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "integrand=image(path='picture.png')",
+        "integrand=image(path='/picture')",
+        "integrand=pixel(scene='/a/scene.xml', x=1, y=2)",
+        "integrand=pixel(scene='scene.xml', x=1, y=2)",
+        "sampler=points(path=['a.dat'])",
+        "sampler=digital-net(matrices='a')",
+        "density=mixture(parts=[\"image(path='a.png')\"])",
+        "density=defensive(density=\"image(path='a')\")",
+        "sampler=qmcpy(options={'generating_matrices': 'a'})",
+        "sampler=qmcpy(options={'x': '..\\\\a'})",
+    ],
+)
+def test_addresses_open_no_files(query: str) -> None:
+    with pytest.raises(ParameterError, match=r"file|brackets"):
+        State.from_query(query)
+
+
+@pytest.mark.parametrize("field", [each.name for each in dataclasses.fields(Setup)])
+@pytest.mark.parametrize("value", [None, [], True, float("nan"), b"x"])
+def test_fields_of_a_wrong_type_are_refused(field: str, value: object) -> None:
+    with pytest.raises(ParameterError):
+        Setup(**{field: value})
+
+
+def test_what_is_no_set_up_is_refused() -> None:
+    with pytest.raises(ParameterError, match="Setup"):
+        State(a="jittered")  # type: ignore[arg-type]
+    with pytest.raises(ParameterError, match="Setup"):
+        State(b="jittered")  # type: ignore[arg-type]
+
+
+def test_the_strata_shift_is_a_step_of_the_sampler() -> None:
+    assert Setup(strata_shift=0.25).displaced_sampler == "jittered | strata-shift(offset=0.25)"
+    assert Setup().displaced_sampler == "jittered"
