@@ -176,7 +176,7 @@ integrand = "disk"
 """
 
 
-def test_ctrl_c_leaves_a_resumable_store(tmp_path):
+def test_ctrl_c_leaves_a_resumable_store(tmp_path, hear_interrupts):
     (tmp_path / "study.toml").write_text(STUDY)
     command = [sys.executable, "-m", "mcspectra", "run", "study.toml", "--out", "out"]
     process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
