@@ -1,0 +1,163 @@
+"""A run on two workers, one of which is cut off; prints what came of it as JSON.
+
+``namespace``: each worker is a host of its own, a network namespace joined to the scheduler's by a
+pair of virtual Ethernet devices; one pair is taken down. To be run in a network namespace of its own
+too, which ends with it (``unshare --net``). ``stopped``: both workers share this host, and one is
+stopped, so that it keeps its connections and answers nothing.
+"""
+
+import itertools
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from mcspectra.studies.cluster import ClusterOptions, DaskEngine
+from mcspectra.studies.engines import Outcome
+from mcspectra.studies.tasks import StudyText, Task
+from mcspectra.version import __version__
+
+LONGEST = 100  # seconds; then all processes end
+HOST = "10.77.9.1"  # the scheduler's, where each worker has a network of its own
+AFTERWARDS = 20  # tasks that begin when one worker is alone
+NUMBERS = {"run_part": 0, "first": 0, "realizations": 1, "blocks_total": 1}
+NUMBERS |= {"chunk_first": 0, "chunk_blocks": 1, "cost": 1.0}
+TIMEOUTS = {
+    "DASK_DISTRIBUTED__COMM__TIMEOUTS__TCP": "12s",
+    "DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL": "5s",
+    "OMP_NUM_THREADS": "1",
+}
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("", 0))
+        return probe.getsockname()[1]
+
+
+PORT = free_port()
+
+
+def started(*command, **options):
+    """A process whose log nobody reads."""
+    environment = os.environ | TIMEOUTS
+    null = subprocess.DEVNULL
+    return subprocess.Popen(command, env=environment, stdout=null, stderr=null, **options)
+
+
+def dask(what, *arguments):
+    return [sys.executable, "-m", f"distributed.cli.dask_{what}", *arguments]
+
+
+def worker(address, host, name):
+    arguments = ["--host", host, "--nthreads", "1", "--no-nanny", "--name", name]
+    return dask("worker", address, *arguments)
+
+
+def scheduler(host):
+    return started(
+        *dask(
+            "scheduler", "--host", host, "--port", str(PORT), "--dashboard-address", "127.0.0.1:0"
+        )
+    )
+
+
+def ip(*arguments):
+    subprocess.run(["ip", *arguments], check=True)
+
+
+def namespace(process):
+    return Path(f"/proc/{process}/ns/net").readlink()
+
+
+def isolated_worker(index):
+    """A worker in a network namespace of its own, reached through the device ``near<index>``."""
+    near, far, net = f"near{index}", f"far{index}", f"10.77.{index}"
+    up = (
+        f"read go; ip link set lo up; ip addr add {net}.2/24 dev {far}; ip link set {far} up; "
+        f"ip route add default via {net}.1"
+    )
+    run = " ".join(worker(f"tcp://{HOST}:{PORT}", f"{net}.2", f"worker{index}"))
+    process = started("unshare", "--net", "sh", "-c", f"{up}; exec {run}", stdin=subprocess.PIPE)
+    while namespace(process.pid) == namespace("self"):
+        time.sleep(0.01)
+    ip("link", "add", near, "type", "veth", "peer", "name", far)
+    ip("link", "set", far, "netns", str(process.pid))
+    ip("addr", "add", f"{net}.1/24", "dev", near)
+    ip("link", "set", near, "up")
+    process.stdin.write(b"\n")
+    process.stdin.close()
+    return process
+
+
+def computation():
+    """A task of a tenth of a second that says which worker computed it, sent by value."""
+
+    def compute(text, task):
+        import time
+
+        from distributed import get_worker
+
+        time.sleep(0.1)
+        name = get_worker().name
+        return Outcome(key=task.key, payload=b"%d" % int(task.key) ** 2, host=name)
+
+    return compute
+
+
+def run(address, cut):
+    """Run tasks until worker 0 has computed one, cut it off, run more."""
+    text = StudyText(config_json="{}", folder="/", seed=0, version=__version__)
+    engine = DaskEngine(text, ClusterOptions(address=address), computation())
+    deadline = time.monotonic() + 30
+    while engine._connection.threads() < 2 and time.monotonic() < deadline:
+        time.sleep(0.1)
+    serials = itertools.count()
+    outcomes, isolated = [], False
+
+    def submit(count):
+        for _ in range(count):
+            engine.submit(Task(key=str(next(serials)), path="p", **NUMBERS))
+
+    submit(4)
+    for outcome in engine.outcomes():
+        outcomes.append(
+            [outcome.key, (outcome.payload or b"").decode(), outcome.error, outcome.host]
+        )
+        if not isolated:
+            submit(1)
+        if not isolated and outcome.host == "worker0":
+            cut()
+            isolated = True
+            submit(AFTERWARDS)
+    engine.close(cancel=True)
+    return outcomes
+
+
+def main(way):
+    if way == "namespace":
+        address = f"tcp://{HOST}:{PORT}"
+        ip("link", "set", "lo", "up")
+        ip("addr", "add", f"{HOST}/32", "dev", "lo")
+        processes = [scheduler(HOST), isolated_worker(0), isolated_worker(1)]
+        cut = lambda: ip("link", "set", "near0", "down")
+    else:
+        address = f"tcp://127.0.0.1:{PORT}"
+        workers = [started(*worker(address, "127.0.0.1", f"worker{i}")) for i in range(2)]
+        processes = [scheduler("127.0.0.1"), *workers]
+        cut = lambda: workers[0].send_signal(signal.SIGSTOP)
+    try:
+        print(json.dumps(run(address, cut)))
+    finally:
+        for process in processes:
+            process.kill()
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGALRM, lambda *_: sys.exit("It took too long."))
+    signal.alarm(LONGEST)
+    main(sys.argv[1])

@@ -1,0 +1,461 @@
+"""Dask as an engine: every task has one outcome, whatever dies; nothing grows, nobody listens in."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import dask
+import distributed
+import psutil
+import pytest
+
+from mcspectra.core.errors import ParameterError
+from mcspectra.studies import connection
+from mcspectra.studies.cluster import ClusterError, ClusterLost, ClusterOptions, DaskEngine
+from mcspectra.studies.engines import Outcome
+from mcspectra.studies.tasks import StudyText, Task
+from mcspectra.version import __version__
+
+TEXT = StudyText(config_json="{}", folder="/", seed=0, version=__version__)
+NUMBERS = {"run_part": 0, "first": 0, "realizations": 1, "blocks_total": 1}
+NUMBERS |= {"chunk_first": 0, "chunk_blocks": 1, "cost": 1.0}
+
+
+def task(name):
+    return Task(key=str(name), path="cell", **NUMBERS)
+
+
+def squares():
+    """What workers compute, here and below a function inside one, which is sent by value."""
+
+    def compute(text, task):
+        number = int(task.key)
+        if number < 0:
+            return Outcome(key=task.key, error="It is negative.")
+        return Outcome(key=task.key, payload=b"%d" % number**2, seconds=0.5, host="here")
+
+    return compute
+
+
+def all_outcomes(engine, tasks):
+    for each in tasks:
+        engine.submit(each)
+    return {outcome.key: outcome for outcome in engine.outcomes()}
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """Two worker processes with nannies; the scheduler gives up a task whose worker dies."""
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=60
+        ) as cluster,
+    ):
+        yield cluster
+
+
+@pytest.fixture
+def engine_on(cluster):
+    """Make engines on that cluster, closed at the end."""
+    engines = []
+
+    def make(compute, **options):
+        options = ClusterOptions(address=cluster.scheduler_address, **options)
+        engines.append(DaskEngine(TEXT, options, compute))
+        return engines[-1]
+
+    yield make
+    for engine in engines:
+        engine.close(cancel=True)
+
+
+def test_every_task_has_one_outcome_as_computed(engine_on):
+    engine = engine_on(squares())
+    assert engine.workers == 2
+    found = all_outcomes(engine, [task(i) for i in range(-1, 20)])
+    assert found.pop("-1") == Outcome(key="-1", error="It is negative.")
+    assert found == {
+        str(i): Outcome(key=str(i), payload=b"%d" % i**2, seconds=0.5, host="here")
+        for i in range(20)
+    }
+    assert list(engine.outcomes()) == []
+    assert set(all_outcomes(engine, [task(3)])) == {"3"}  # the same key again, later
+
+
+def test_tasks_may_follow_from_outcomes(engine_on):
+    engine = engine_on(squares())
+    engine.submit(task(2))
+    seen = []
+    for outcome in engine.outcomes():
+        seen.append(int(outcome.payload))
+        if len(seen) < 4:
+            engine.submit(task(seen[-1]))
+    assert seen == [4, 16, 256, 65536]
+
+
+def marking(folder, size):
+    def compute(text, task):
+        (folder / task.key).touch()
+        return Outcome(key=task.key, payload=bytes(size))
+
+    return compute
+
+
+def test_workers_run_no_further_ahead_than_two_tasks_a_thread(engine_on, tmp_path):
+    engine = engine_on(marking(tmp_path, 8))
+    for index in range(50):
+        engine.submit(task(index))
+    time.sleep(1.0)
+    assert 1 <= len(list(tmp_path.iterdir())) <= 4
+    assert len(list(engine.outcomes())) == 50
+
+
+def test_nothing_is_kept_of_outcomes(engine_on, cluster, tmp_path):
+    engine = engine_on(marking(tmp_path, 500_000))
+    sizes = []
+    for index in range(300):
+        engine.submit(task(index))
+    for outcome in engine.outcomes():
+        assert len(outcome.payload) == 500_000
+        sizes.append(sum(state.nbytes for state in cluster.scheduler.workers.values()))
+    # 150 MB went through; at most two tasks a thread and those just released are held at once.
+    assert max(sizes) <= 10 * 510_000
+    deadline = time.monotonic() + 10
+    while cluster.scheduler.tasks and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert not cluster.scheduler.tasks
+    assert len(cluster.scheduler.task_prefixes) == 1  # kept for ever by dask, one for all studies
+    assert not engine._connection._client.futures
+
+
+def suicidal(folder, always):
+    """Task 0 kills its worker, `always` or the first time only."""
+
+    def compute(text, task):
+        import os
+        import signal
+
+        if task.key == "0" and (always or not (folder / "died").exists()):
+            (folder / "died").touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return Outcome(key=task.key, payload=b"done")
+
+    return compute
+
+
+def test_tasks_of_a_killed_worker_are_computed_by_others(engine_on, tmp_path):
+    found = all_outcomes(engine_on(suicidal(tmp_path, False)), [task(i) for i in range(10)])
+    assert len(found) == 10
+    assert {outcome.payload for outcome in found.values()} == {b"done"}
+
+
+def test_a_task_that_kills_every_worker_fails_alone(engine_on, tmp_path):
+    found = all_outcomes(engine_on(suicidal(tmp_path, True)), [task(i) for i in range(10)])
+    failed = found.pop("0")
+    assert failed.payload is None
+    assert failed.error == (
+        "2 workers died while computing it; it may need more memory than a worker has (the worker's "
+        "log says more)."
+    )
+    assert {outcome.payload for outcome in found.values()} == {b"done"}  # bystanders too
+
+
+def hanging():
+    def compute(text, task):
+        import os
+        import time
+
+        while task.key == "0":
+            time.sleep(0.01)
+        return Outcome(key=task.key, payload=b"%d" % os.getpid())
+
+    return compute
+
+
+def test_a_task_that_hangs_fails_alone_and_its_worker_is_replaced(engine_on, cluster):
+    def pids():
+        return {worker.pid for worker in cluster.workers.values() if worker.pid}
+
+    before = pids()
+    engine = engine_on(hanging(), time_limit=0.5)
+    found = all_outcomes(engine, [task(i) for i in range(6)])
+    assert found["0"].error == "It was stopped after 0.5 s, the time limit of a task."
+    assert 0.5 <= found["0"].seconds < 5.0
+    assert all(found[str(i)].payload for i in range(1, 6))
+    deadline = time.monotonic() + 20
+    while len(pids() & before) == 2 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert len(pids() & before) == 1
+
+
+def raising():
+    def compute(text, task):
+        raise ValueError("no number")
+
+    return compute
+
+
+def test_what_escapes_a_task_is_its_error(engine_on):
+    found = all_outcomes(engine_on(raising()), [task(0)])
+    assert found["0"].error == "It raised ValueError: no number."
+
+
+def test_a_worker_of_another_version_that_joins_later_ends_the_run(engine_on, monkeypatch):
+    monkeypatch.setattr(connection.Connection, "versions", lambda self: {})
+    monkeypatch.setattr(sys.modules[__name__], "TEXT", _other_version())
+    engine = engine_on(squares())
+    with pytest.raises(ClusterError, match=f"has mcspectra {__version__}, but the study was start"):
+        all_outcomes(engine, [task(0)])
+
+
+def _other_version():
+    return StudyText(config_json="{}", folder="/", seed=0, version="99.0")
+
+
+def python(*arguments, **environment):
+    """A process of dask's whose log nobody reads."""
+    null = subprocess.DEVNULL
+    command = [sys.executable, "-m", *arguments]
+    return subprocess.Popen(command, env=os.environ | environment, stdout=null, stderr=null)
+
+
+def worker(address, **environment):
+    options = ["--nthreads", "1", "--no-nanny", "--host", "127.0.0.1"]
+    return python("distributed.cli.dask_worker", address, *options, **environment)
+
+
+def scheduler(port):
+    options = ["--host", "127.0.0.1", "--port", str(port), "--dashboard-address", "127.0.0.1:0"]
+    return python("distributed.cli.dask_scheduler", *options)
+
+
+def test_workers_of_another_version_are_refused_by_name_before_anything_runs(cluster, tmp_path):
+    metadata = tmp_path / "mcspectra-99.0.dist-info" / "METADATA"
+    metadata.parent.mkdir()
+    metadata.write_text("Metadata-Version: 2.1\nName: mcspectra\nVersion: 99.0\n")
+    process = worker(cluster.scheduler_address, PYTHONPATH=str(tmp_path))
+    try:
+        deadline = time.monotonic() + 30
+        while len(cluster.scheduler.workers) < 3 and time.monotonic() < deadline:
+            time.sleep(0.05)
+        with pytest.raises(ClusterError) as caught:
+            DaskEngine(TEXT, ClusterOptions(address=cluster.scheduler_address), squares())
+    finally:
+        process.kill()
+        process.wait()
+    message = str(caught.value)
+    assert message.startswith(f"The study is run by mcspectra {__version__}, but of its workers ")
+    assert f"{socket.gethostname()} (tcp://127.0.0.1:" in message
+    assert message.endswith(" has 99.0; install the same version there.")
+    assert message.count("has") == 1  # the two others are not named
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def slow():
+    def compute(text, task):
+        import time
+
+        time.sleep(0.05)
+        return Outcome(key=task.key, payload=b"done")
+
+    return compute
+
+
+def test_a_scheduler_that_dies_may_come_back_or_ends_the_run():
+    port = free_port()
+    address = f"tcp://127.0.0.1:{port}"
+    processes = [scheduler(port), worker(address)]
+    engine = DaskEngine(TEXT, ClusterOptions(address=address, patience=60.0), slow())
+    try:
+        for index in range(40):
+            engine.submit(task(index))
+        outcomes = engine.outcomes()
+        found = [next(outcomes).key for _ in range(3)]
+        processes[0].send_signal(signal.SIGKILL)
+        processes += [scheduler(port), worker(address)]
+        found += [outcome.key for outcome in outcomes]
+        assert sorted(found) == sorted(str(index) for index in range(40))
+
+        engine._connection._client._timeout = 1.0
+        engine.submit(task(0))
+        processes[2].send_signal(signal.SIGKILL)
+        for index in range(5):
+            engine.submit(task(index))
+        start = time.monotonic()
+        with pytest.raises(ClusterLost, match=f"The dask scheduler at {address} has gone and did"):
+            list(engine.outcomes())
+        assert time.monotonic() - start < 15
+    finally:
+        engine.close(cancel=True)
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture(scope="module")
+def certificates(tmp_path_factory):
+    """An authority, which is the certificate itself, and its key."""
+    folder = tmp_path_factory.mktemp("tls")
+    made = distributed.Security.temporary()
+    for name, text in [("cert", made.tls_ca_file), ("key", made.tls_client_key)]:
+        (folder / f"{name}.pem").write_text(text)
+    cert = folder / "cert.pem"
+    return {"tls_ca": cert, "tls_cert": cert, "tls_key": folder / "key.pem"}
+
+
+def listening():
+    """Addresses at which this process and those it started listen."""
+    here = psutil.Process()
+    family = [here, *here.children(recursive=True)]
+    sockets = [each for process in family for each in process.net_connections()]
+    return {each.laddr.ip for each in sockets if each.status == psutil.CONN_LISTEN}
+
+
+def workers_here():
+    """Processes that were started for work; Python's own helpers stay."""
+    family = psutil.Process().children(recursive=True)
+    return {each.pid for each in family if any("spawn_main" in part for part in each.cmdline())}
+
+
+def test_a_cluster_of_this_machine_is_on_loopback_encrypted_and_gone_afterwards(certificates):
+    before = workers_here()
+    engine = DaskEngine(TEXT, ClusterOptions(workers=1, **certificates), squares())
+    try:
+        assert engine.workers == 1
+        assert engine.address.startswith("tls://127.0.0.1:")
+        assert engine.dashboard.startswith("http://127.0.0.1:")
+        assert listening() == {"127.0.0.1"}
+        assert all_outcomes(engine, [task(5)])["5"].payload == b"25"
+        plain = ClusterOptions(address=engine.address.replace("tls", "tcp"), patience=1.0)
+        with pytest.raises(ClusterError, match="No dask scheduler answers at tcp://127"):
+            DaskEngine(TEXT, plain, squares())
+    finally:
+        engine.close(cancel=True)
+    assert workers_here() == before
+
+
+def test_a_cluster_is_left_with_tasks_under_way(engine_on, cluster):
+    engine = engine_on(slow())
+    for index in range(100):
+        engine.submit(task(index))
+    next(engine.outcomes())
+    start = time.monotonic()
+    engine.close(cancel=True)
+    assert time.monotonic() - start < 10
+    deadline = time.monotonic() + 10
+    while cluster.scheduler.tasks and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert not cluster.scheduler.tasks
+
+
+ISOLATED = ["unshare", "--user", "--map-root-user", "--net"]
+
+
+def _can_make_networks():
+    """Whether this user may make network namespaces, as root or by user namespaces."""
+    command = [*ISOLATED, "ip", "link", "add", "near", "type", "veth", "peer", "name", "far"]
+    try:
+        return subprocess.run(command, capture_output=True, check=False).returncode == 0
+    except FileNotFoundError:
+        return False
+
+
+WAYS = [("stopped", []), *([("namespace", ISOLATED)] if _can_make_networks() else [])]
+
+
+@pytest.mark.parametrize(("way", "prefix"), WAYS, ids=[way for way, _ in WAYS])
+def test_a_run_completes_without_a_worker_that_is_cut_off(way, prefix):
+    script = str(Path(__file__).with_name("cut_off.py"))
+    command = [*prefix, sys.executable, script, way]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    outcomes = json.loads(done.stdout)
+    assert {key: payload for key, payload, _, _ in outcomes} == {
+        str(index): str(index**2) for index in range(len(outcomes))
+    }
+    hosts = [host for _, _, _, host in outcomes]
+    first = hosts.index("worker0")
+    assert len(hosts) >= first + 21
+    # One more result may have been on its way when the worker was cut off.
+    assert hosts[first + 1 :].count("worker0") <= 1
+
+
+ADDRESSES = ["", "here", "tcp://", "tcp://host", "tcp://host:port", "http://host:80", "host:1:2"]
+ADDRESSES += ["tcp://a b:1", "pickle://x:1", "tcp://host:123456", "\x00:1"]
+
+
+@pytest.mark.parametrize("address", ADDRESSES)
+def test_addresses_that_are_none(address):
+    with pytest.raises(ParameterError, match="give tcp://HOST:PORT"):
+        ClusterOptions(address=address)
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"workers": 0}, "workers is 0"),
+        ({"workers": 10**9}, "workers is 1000000000"),
+        ({"workers": 1.5}, "workers is 1.5"),
+        ({"workers": "2"}, "workers is '2'"),
+        ({"dashboard": -1}, "dashboard is -1"),
+        ({"dashboard": 65536}, "dashboard is 65536"),
+        ({"time_limit": 0.0}, "time_limit is 0.0"),
+        ({"time_limit": float("nan")}, "time_limit is nan"),
+        ({"time_limit": float("inf")}, "time_limit is inf"),
+        ({"patience": 0.0}, "patience is 0.0"),
+        ({"patience": -1.0}, "patience is -1.0"),
+        ({"address": "tcp://host:1", "workers": 2}, "has its own workers"),
+        ({"address": "tcp://host:1", "host": "0.0.0.0"}, "has its own workers"),
+        ({"address": "tcp://host:1", "dashboard": 80}, "has its own workers"),
+        ({"address": "tls://host:1"}, "needs TLS"),
+        ({"tls_ca": Path("ca.pem")}, "TLS takes three files"),
+        ({"tls_cert": Path("c.pem"), "tls_key": Path("k.pem")}, "TLS takes three files"),
+        ({f"tls_{name}": Path("no.pem") for name in ("ca", "cert", "key")}, "There is no file"),
+    ],
+)
+def test_options_that_do_not_go(options, match):
+    with pytest.raises(ParameterError, match=match):
+        ClusterOptions(**options)
+
+
+def test_tls_needs_an_address_that_says_so(certificates):
+    with pytest.raises(ParameterError, match="write tls:// instead"):
+        ClusterOptions(address="tcp://host:1", **certificates)
+
+
+def test_nobody_answers():
+    options = ClusterOptions(address=f"127.0.0.1:{free_port()}", patience=0.5)
+    start = time.monotonic()
+    with pytest.raises(ClusterError, match="No dask scheduler answers at 127.0.0.1:"):
+        DaskEngine(TEXT, options, squares())
+    assert time.monotonic() - start < 10
+
+
+@pytest.mark.parametrize("content", [None, "", "{}", "[1]", "\x00", '{"address": 3}'])
+def test_scheduler_files_that_are_none(tmp_path, content):
+    file = tmp_path / "scheduler.json"
+    if content is not None:
+        file.write_text(content)
+    with pytest.raises(ParameterError, match="is not a file that a dask scheduler wrote"):
+        DaskEngine(TEXT, ClusterOptions(address=str(file)), squares())
+
+
+def test_a_scheduler_file_is_followed(cluster, tmp_path):
+    file = tmp_path / "scheduler.json"
+    file.write_text(json.dumps({"address": cluster.scheduler_address}))
+    engine = DaskEngine(TEXT, ClusterOptions(address=str(file)), squares())
+    try:
+        assert all_outcomes(engine, [task(4)])["4"].payload == b"16"
+    finally:
+        engine.close(cancel=False)
