@@ -251,7 +251,7 @@ def all_analyses(sampler: str, dims: int = 1, n: int | None = None) -> dict[str,
     }
 
 
-@pytest.fixture(name="make")
+@pytest.fixture(name="make", scope="session")
 def _make() -> dict[str, Callable[..., Any]]:
     """Makers of results, by name."""
     return {

@@ -108,3 +108,11 @@ def test_terms__only_where_analysed_and_channels_named() -> None:
     assert terms_table(rows).rows == ()
     channel = SummaryRow(estimator="e [2]", sampler="s", terms_n=4)
     assert terms_table([channel]).rows[0][0].text == "s, channel 2"
+
+
+def test_summary__links_orders_and_bottlenecks() -> None:
+    table = summary_table([FULL, FULL], links=["#a", "#b"], bottlenecks=["light", ""])
+    assert table.columns[5] == "Bottleneck"
+    assert [row[5].text for row in table.rows] == ["light", "power 2.00×10⁻⁶"]
+    assert [row[0].link for row in table.rows] == ["#a", "#b"]
+    assert [cell.order for cell in table.rows[0]][2:5] == [-1.52, 1.234e-6, 0.96]

@@ -19,6 +19,9 @@ __all__ = ["main"]
 
 _VERBS = {
     "run": "run a study file: results, figures and report.html",
+    "report": "write the report of a study again, or compare two studies",
+    "status": "what the folder of a study holds: done, failed, missing, damaged",
+    "export": "write results as .csv, .parquet, .nc, .json or .zarr.zip",
     "init": "write a study file to begin with",
     "schema": "print the JSON Schema of study files",
     "list": "list samplers, randomizations, densities or integrands",
@@ -37,6 +40,7 @@ _VERBS = {
     "map": "variance, rate and bottleneck at every pixel of a scene",
     "mitsuba": "render a Mitsuba scene file, with our samplers known to its integrators",
     "reproduce": "the slides' figures and statements made again, with what agrees",
+    "app": "explore samplers, densities and integrands in the browser",
     "doctor": "what is installed and whether it works",
     "cite": "how to cite the package and its methods",
 }

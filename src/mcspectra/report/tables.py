@@ -21,17 +21,26 @@ __all__ = ["Cell", "Table", "summary_table", "terms_table"]
 _NO_CURVE = "convergence was not analysed"
 _NO_TERMS = "the terms were not analysed"
 _NO_RATE = "fewer than two counts have a variance above rounding noise"
+_BOTTLENECK = (
+    " The bottleneck is the technique with the slowest rate where techniques were analysed, else the "
+    "largest of the three terms."
+)
 _NO_NUMBER = "there is no finite number"
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """Text of a cell, why it has none (a tooltip), and whether it is a number."""
+    """Text of a cell, why it has none (a tooltip), and whether it is a number.
+
+    `order` is the number that the cell is sorted by, `link` where its text leads.
+    """
 
     text: str
     why: str = ""
     numeric: bool = True
+    order: float | None = None
+    link: str = ""
 
 
 @final
@@ -45,22 +54,38 @@ class Table:
     heads: int
 
 
-def summary_table(rows: Sequence[SummaryRow]) -> Table:
-    """Return the table that is read first: one row for every estimator and sampler."""
+def summary_table(
+    rows: Sequence[SummaryRow],
+    *,
+    links: Sequence[str] | None = None,
+    bottlenecks: Sequence[str] | None = None,
+) -> Table:
+    """Return the table that is read first: one row for every estimator and sampler.
+
+    Parameters
+    ----------
+    rows
+        What is known of each pair.
+    links
+        Where the name of each row's estimator leads; nowhere by default.
+    bottlenecks
+        The technique that sets each row's rate; where it is empty, the largest term stands for it.
+    """
+    extra = zip(links or [""] * len(rows), bottlenecks or [""] * len(rows), strict=True)
     return Table(
         caption="Rates are exponents of variance in n (random sampling: −1), ± half their 95 % "
         "interval. Predicted / measured is the share of the variance that the truncated spectrum "
-        "explains, ± half its 95 % interval.",
+        "explains, ± half its 95 % interval." + (_BOTTLENECK if bottlenecks is not None else ""),
         columns=(
             "Estimator",
             "Sampler",
             "Rate",
             "Variance at largest n",
             "Predicted / measured",
-            "Largest term",
+            "Largest term" if bottlenecks is None else "Bottleneck",
             "Notes",
         ),
-        rows=tuple(_summary_cells(row) for row in rows),
+        rows=tuple(_summary_cells(row, *more) for row, more in zip(rows, extra, strict=True)),
         heads=2,
     )
 
@@ -86,17 +111,18 @@ def terms_table(rows: Sequence[SummaryRow]) -> Table:
     )
 
 
-def _summary_cells(row: SummaryRow) -> tuple[Cell, ...]:
+def _summary_cells(row: SummaryRow, link: str, bottleneck: str) -> tuple[Cell, ...]:
     no_rate = _NO_CURVE if row.n is None else _NO_RATE
     variance = number(row.variance)
     at = f" (n = {row.n})" if row.n is not None and variance != MISSING else ""
+    slope = rate(row.rate, row.rate_low, row.rate_high)
     return (
-        Cell(text=row.estimator, numeric=False),
+        Cell(text=row.estimator, numeric=False, link=link),
         Cell(text=row.sampler, numeric=False),
-        _cell(rate(row.rate, row.rate_low, row.rate_high), no_rate),
-        _cell(variance + at, _NO_CURVE if row.n is None else _NO_NUMBER),
-        _cell(_captured(row), _no_term(row)),
-        _cell(_largest(row), _no_term(row)),
+        _cell(slope, no_rate, row.rate),
+        _cell(variance + at, _NO_CURVE if row.n is None else _NO_NUMBER, row.variance),
+        _cell(_captured(row), _no_term(row), row.captured),
+        _cell(bottleneck or _largest(row), _no_term(row)),
         Cell(text=row.note or "", numeric=False),
     )
 
@@ -146,5 +172,5 @@ def _no_term(row: SummaryRow) -> str:
     return row.note or (_NO_TERMS if row.terms_n is None else _NO_NUMBER)
 
 
-def _cell(text: str, why: str) -> Cell:
-    return Cell(text=text, why=why if text.startswith(MISSING) else "")
+def _cell(text: str, why: str, order: float | None = None) -> Cell:
+    return Cell(text=text, why=why if text.startswith(MISSING) else "", order=order)

@@ -21,7 +21,8 @@ PANEL = 300
 """Width of a panel in pixels."""
 MAP_DECADES = 3
 """Decades below its largest value that a signed map tells apart."""
-_KEPT_BITS = 12  # of a value's mantissa: relative 2⁻¹³, more than four digits show
+_KEPT_BITS = 10  # of a value's mantissa: it is good to 0.1 %, three digits
+_SHADE_STEP = 2.0**-5  # decades: as many shades as the palette has over seven of them
 
 
 def image(
@@ -39,7 +40,10 @@ def image(
     source = {
         title: [np.ascontiguousarray(values.T, dtype=np.float32)]
         for title, values in zip(names, grids, strict=True)
-    } | {title: [_compact(values.T)] for title, values in columns.items()}
+    } | {
+        title: [_stepped(values.T) if title == "shade" else _compact(values.T)]
+        for title, values in columns.items()
+    }
     (x, width), (y, height) = (_edges(each) for each in axes)
     place: dict[str, Any] = {"x": x, "y": y, "dw": width, "dh": height, "color_mapper": mapper}
     drawn = plot.image(shown, source=ColumnDataSource(source), **place)
@@ -60,6 +64,14 @@ def _compact(values: Array) -> Array:
     mantissa, exponent = np.frexp(np.ascontiguousarray(values, dtype=np.float64))
     rounded = np.ldexp(np.round(mantissa * 2.0**_KEPT_BITS), exponent - _KEPT_BITS)
     return np.asarray(rounded, dtype=np.float32)
+
+
+def _stepped(shades: Array) -> Array:
+    """Places on a signed scale, no finer than the palette; few distinct values take few bytes."""
+    span = float(np.max(np.abs(shades), where=np.isfinite(shades), initial=0.0))
+    # A linear scale has no decades: as many steps for whatever its unit is.
+    step = _SHADE_STEP * 2.0 ** np.ceil(np.log2(span or 1.0) - 2.0)
+    return np.asarray(np.round(shades / step) * step, dtype=np.float32)
 
 
 def signed_mapper(scale: SignedScale) -> ColorMapper:

@@ -1,0 +1,58 @@
+"""The verb report: page again, comparison, one sentence for bad input."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from mcspectra.cli.main import main
+from mcspectra.studies import Store
+from mcspectra.studies.config import decode_study
+
+STUDY = """
+title = "t"
+samplers = ["random"]
+[[estimators]]
+name = "e"
+integrand = "x"
+[estimators.terms]
+n = 4
+"""
+
+
+@pytest.fixture(name="folders")
+def _folders(tmp_path: Path) -> list[str]:
+    """Two stores without any results yet."""
+    for name in "ab":
+        Store.create(tmp_path / name, decode_study(STUDY)).finish()
+    return [str(tmp_path / name) for name in "ab"]
+
+
+def test_page_again(folders: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["report", folders[0]]) == 0
+    page = Path(folders[0]) / "report.html"
+    assert page.is_file()
+    assert capsys.readouterr().out == f"report: {page}\n"
+
+
+def test_comparison_elsewhere(
+    folders: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = str(tmp_path / "c.html")
+    assert main(["report", folders[0], "--compare", folders[1], "--out", page, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"report": page}
+    assert "Comparison" in Path(page).read_text(encoding="utf-8")
+
+
+def test_bad_input(folders: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments in (
+        [str(tmp_path)],
+        [folders[0], "--compare", str(tmp_path)],
+        [folders[0], "--compare", folders[0]],
+        [folders[0], "--out", str(tmp_path / "nowhere" / "x.html")],
+        [],
+    ):
+        assert main(["report", *arguments]) == 2
+        error = capsys.readouterr().err
+        assert error.startswith("mcspectra")
+        assert error.count("\n") == 1

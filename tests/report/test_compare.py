@@ -1,0 +1,119 @@
+"""Comparison of two studies: exact ratios and differences, what only one has, bad input."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mcspectra.core.errors import ParameterError, StoreError
+from mcspectra.report import write_comparison
+from mcspectra.report.compare import compare_curves
+
+Make = dict[str, Callable[..., Any]]
+Z = 1.959963984540054
+
+
+def test_power_laws(make: Make) -> None:
+    """Makers' intervals are those of R = 1000 normal values: log-variances have se √(2/R)."""
+    first = make["curve"]("random", rate=-1.0, half=0.03)
+    second = make["curve"]("random", rate=-1.5, half=0.04)
+    found = compare_curves(first, second)
+    assert found.n == 1024
+    assert found.ratio == pytest.approx(1024**-0.5, rel=1e-12)
+    half = Z * math.sqrt(2 * 2 / 1000)
+    assert math.log(found.ratio_high / found.ratio) == pytest.approx(half, rel=1e-9)
+    assert math.log(found.ratio / found.ratio_low) == pytest.approx(half, rel=1e-9)
+    assert found.rate == pytest.approx(-0.5)
+    assert found.rate_high - found.rate == pytest.approx(0.05)
+
+
+def test_turned_round(make: Make) -> None:
+    pair = make["curve"]("random"), make["curve"]("jittered")
+    there, back = compare_curves(*pair), compare_curves(*pair[::-1])
+    assert there.ratio * back.ratio == pytest.approx(1.0)
+    assert there.ratio_low * back.ratio_high == pytest.approx(1.0)
+    assert there.rate == -back.rate
+
+
+def test_intervals_cover(make: Make) -> None:
+    """Of 2000 pairs of sample variances with a true ratio of 2, 95 % lie inside: within 4 σ."""
+    generator = np.random.default_rng(5)
+    size, trials, inside = 200, 2000, 0
+    factor = math.exp(Z * math.sqrt(2 / size))
+    base = make["curve"]("random", counts=(16, 64))
+    for pair in generator.chisquare(size - 1, (trials, 2)) / (size - 1) * [1.0, 2.0]:
+        given = []
+        for variance in pair:
+            one = base.copy(deep=True)
+            one["variance"].values[:] = variance
+            one["variance_ci"].values[:] = [variance / factor, variance * factor]
+            given.append(one)
+        found = compare_curves(*given)
+        inside += found.ratio_low <= 2.0 <= found.ratio_high
+    assert abs(inside / trials - 0.95) < 4 * math.sqrt(0.95 * 0.05 / trials)
+
+
+def test_largest_common_count(make: Make) -> None:
+    first = make["curve"]("random", counts=(16, 64, 256))
+    second = make["curve"]("random", counts=(64, 128))
+    assert compare_curves(first, second).n == 64
+    none = compare_curves(first, make["curve"]("random", counts=(9,)))
+    assert none.n is None
+    assert math.isnan(none.ratio)
+
+
+def test_zero_variance_has_no_ratio(make: Make) -> None:
+    first, second = make["curve"]("random"), make["curve"]("random", zero=(3,))
+    assert math.isnan(compare_curves(first, second).ratio)
+    assert math.isnan(compare_curves(second, first).ratio_high)
+
+
+def test_channels__the_first(make: Make) -> None:
+    found = compare_curves(make["curve"]("random", channels=3), make["curve"]("random"))
+    assert found.ratio == pytest.approx(1.0)
+
+
+@pytest.fixture(name="folders")
+def _folders(make: Make, tmp_path: Path) -> list[Path]:
+    """Two studies that share a pair."""
+    curve = make["curve"]
+    cells = [
+        {("e", "random"): {"convergence": curve("random")}, ("e <b>", "jittered"): {"convergence": curve("jittered")}},
+        {("e", "random"): {"convergence": curve("random", rate=-1.25)}, ("e", "other"): {"convergence": curve("random")}},
+    ]  # fmt: skip
+    return [make["study"](tmp_path / n, c, title=n) for n, c in zip("ab", cells, strict=True)]
+
+
+def test_page(folders: list[Path]) -> None:
+    page = write_comparison(*folders)
+    assert page == folders[1] / "comparison.html"
+    text = page.read_text(encoding="utf-8")
+    assert "0.177" in text  # 1024^(−1/4)
+    assert "−0.25 ± 0.04" in text
+    assert "e &lt;b&gt;, with jittered" in text
+    assert "e, with other" in text
+    assert "Only in A" in text
+    assert text.count('<script type="application/gzip">') == 1
+    assert text.count('<img src="data:image/png') == 1
+    assert write_comparison(*folders).read_text(encoding="utf-8") == text
+
+
+def test_nothing_in_common(make: Make, tmp_path: Path) -> None:
+    a, b = (
+        make["study"](tmp_path / n, {(n, "random"): {"convergence": make["curve"]("random")}})
+        for n in "ab"
+    )
+    text = write_comparison(a, b, tmp_path / "c.html").read_text(encoding="utf-8")
+    assert "No estimator and sampler has a convergence in both." in text
+
+
+def test_bad_input(folders: list[Path], tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="two different"):
+        write_comparison(folders[0], folders[0])
+    with pytest.raises(StoreError, match="no results"):
+        write_comparison(folders[0], tmp_path)
+    with pytest.raises(StoreError, match="cannot be written"):
+        write_comparison(*folders, tmp_path / "nowhere" / "x.html")
