@@ -3,12 +3,15 @@ from .config import decode_study as decode_study
 from .config import read_study as read_study
 from .estimate import CellEstimate as CellEstimate
 from .estimate import estimate_study as estimate_study
+from .export import export_results as export_results
 from .opening import open_results as open_results
 from .opening import result_paths as result_paths
 from .pixel import analyse_pixel as analyse_pixel
 from .plan import make_plan as make_plan
 from .run import run_study as run_study
 from .schema import study_schema as study_schema
+from .status import StudyStatus as StudyStatus
+from .status import study_status as study_status
 from .store import Store as Store
 from .summary import SummaryRow as SummaryRow
 from .summary import summarize as summarize
@@ -18,16 +21,19 @@ __all__ = [
     "CellEstimate",
     "Store",
     "StudyConfig",
+    "StudyStatus",
     "SummaryRow",
     "Trust",
     "analyse_pixel",
     "decode_study",
     "estimate_study",
+    "export_results",
     "make_plan",
     "open_results",
     "read_study",
     "result_paths",
     "run_study",
     "study_schema",
+    "study_status",
     "summarize",
 ]

@@ -1,0 +1,32 @@
+"""Write the results of a study to one file: .csv, .parquet, .nc, .json or .zarr.zip."""
+
+from __future__ import annotations
+
+import argparse
+
+from mcspectra.cli.common import print_json
+
+__all__ = ["add_arguments", "run"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the verb's options."""
+    parser.add_argument("source", metavar="DIR", help="output folder, .zarr.zip file or URL")
+    parser.add_argument("--to", required=True, metavar="FILE", help="its end chooses the format")
+    parser.add_argument(
+        "--select", metavar="PATTERN", help="cells to export, e.g. 'estimator/*' (default: all)"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Export, say where to."""
+    from mcspectra.studies.export import export_results
+    from mcspectra.studies.sizes import shown_bytes
+
+    file = export_results(options.source, options.to, options.select)
+    size = file.stat().st_size
+    if options.json:
+        print_json({"file": str(file), "bytes": size})
+    elif not options.quiet:
+        print(f"{file}: {shown_bytes(size)}")
+    return 0
