@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import io
 import json
 import re
 from collections.abc import Callable
@@ -16,7 +17,7 @@ from mcspectra.core.errors import ParameterError, StoreError, UnknownName
 from mcspectra.report.gallery import Picture
 from mcspectra.report.reproduction import entries, registry
 from mcspectra.report.reproduction.base import Exhibit, Finding
-from mcspectra.report.reproduction.files import measured_text
+from mcspectra.report.reproduction.files import add_pages, measured_text
 from mcspectra.report.reproduction.run import reproduce
 from mcspectra.report.style import new_figure
 
@@ -137,6 +138,38 @@ def test_the_pdf_has_a_page_of_text_and_one_for_each_figure(tmp_path: Path) -> N
     pdf = (tmp_path / "reproduce.pdf").read_bytes()
     assert pdf.startswith(b"%PDF")
     assert re.findall(rb"/Count (\d+)", pdf) == [b"3"]
+
+
+def test_captions_in_the_pdf_lie_below_legends() -> None:
+    from matplotlib.figure import Figure
+
+    from mcspectra.report.style import legend_below
+
+    class Page:
+        """A page whose picture is drawn, as it is when a PDF is written."""
+
+        def savefig(self, figure: Figure, **options: object) -> None:
+            if not figure.legends:
+                return
+            drawn: list[tuple[float, float]] = []
+            caption = figure.texts[-1]
+            legend = figure.legends[0]
+
+            def look(event: object) -> None:
+                drawn.append((caption.get_window_extent().y1, legend.get_window_extent().y0))
+
+            figure.canvas.mpl_connect("draw_event", look)
+            figure.savefig(io.BytesIO(), **options)  # type: ignore[arg-type]
+            top, bottom = drawn[-1]
+            assert top < bottom
+
+    picture = _picture(False)
+    axes = picture.figure.axes[0]
+    axes.plot([0, 1], label="line")
+    legend_below(picture.figure, axes)
+    entry, _ = entries.make_entry("good", quick=True, seed=0)
+    entries._png(picture.figure)
+    add_pages(Page(), entry, [picture])  # type: ignore[arg-type]
 
 
 def test_what_is_not_ours_stays(tmp_path: Path) -> None:

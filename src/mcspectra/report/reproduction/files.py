@@ -23,6 +23,7 @@ __all__ = ["add_pages", "findings_json", "measured_text", "open_pdf", "write_ima
 
 _PAGE = (8.27, 11.69)  # inches, A4
 _LINES, _COLUMNS = 62, 100  # of text on a page
+_PER_INCH = 14  # letters of a caption
 _MARK = {True: "✓", False: "✗", None: "–"}
 
 
@@ -67,10 +68,17 @@ def add_pages(pdf: PdfPages, entry: Entry, pictures: Sequence[Picture]) -> None:
     for start in range(0, len(lines), _LINES):
         _add_text(pdf, lines[start : start + _LINES])
     for picture in pictures:
-        width = int(13 * picture.figure.get_figwidth())
-        caption = textwrap.fill(picture.caption, width)
-        picture.figure.text(0.02, -0.02, _plain_text(caption), va="top", fontsize=8)
-        pdf.savefig(picture.figure, bbox_inches="tight", pad_inches=0.3)  # type: ignore[no-untyped-call]
+        _add_figure(pdf, picture)
+
+
+def _add_figure(pdf: PdfPages, picture: Picture) -> None:
+    """Add a figure with its caption; the page grows by it."""
+    figure = picture.figure
+    for legend in figure.legends:  # or they would move to the border of the larger page
+        legend.set_bbox_to_anchor((0, 0, 1, 1), transform=figure.transFigure)
+    caption = textwrap.fill(picture.caption, int(_PER_INCH * figure.get_figwidth()))
+    figure.text(0.02, -0.02, _plain_text(caption), va="top", fontsize=8)
+    pdf.savefig(figure, bbox_inches="tight", pad_inches=0.3)  # type: ignore[no-untyped-call]
 
 
 def _plain(finding: Finding) -> dict[str, Any]:
