@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeAlias, TypeVar, fi
 from mcspectra.core.checks import Array
 from mcspectra.core.packing import pack_dataset, unpack_dataset
 from mcspectra.core.parallel import map_in_order
+from mcspectra.core.progress import report
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -195,20 +196,26 @@ def compute_chunk(analysis: Staged[State], run: Run, chunk: Chunk) -> State:
     return tree.total()
 
 
-def compute(analysis: Staged[Any], workers: int) -> xr.Dataset:
-    """Compute an analysis with `workers` threads; the result does not depend on their number."""
+def compute(analysis: Staged[Any], workers: int, reported: str | None = None) -> xr.Dataset:
+    """Compute an analysis with `workers` threads; the result does not depend on their number.
+
+    Progress of each run is told as that of `reported` (`mcspectra.core.progress`), if it has a name.
+    """
     stages = analysis.stages()
     try:
         runs = next(stages)
         while True:
-            runs = stages.send([_compute_run(analysis, run, workers) for run in runs])
+            runs = stages.send([_compute_run(analysis, run, workers, reported) for run in runs])
     except StopIteration as end:
         result: xr.Dataset = end.value
         return result
 
 
-def _compute_run(analysis: Staged[State], run: Run, workers: int) -> State:
+def _compute_run(analysis: Staged[State], run: Run, workers: int, reported: str | None) -> State:
     tree = MergeTree(analysis.merge)
-    for state in map_in_order(lambda i: analysis.block(run, i), range(run.blocks), workers):
+    states = map_in_order(lambda i: analysis.block(run, i), range(run.blocks), workers)
+    for done, state in enumerate(states, 1):
         tree.add(state)
+        if reported is not None:
+            report(reported, done / run.blocks)
     return tree.total()

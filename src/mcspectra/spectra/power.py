@@ -2,34 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.parallel import (
-    MAX_REALIZATIONS,
-    Block,
-    available_workers,
-    map_in_order,
-    realization_blocks,
-)
-from mcspectra.core.progress import report
+from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
 from mcspectra.core.results import dataset
+from mcspectra.core.staged import compute
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.densities import Density, as_warp
-from mcspectra.densities.base import divide_by_density
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.spectra._kernels import power_sums
 from mcspectra.spectra._polar import PolarSums
+from mcspectra.spectra.staged_spectrum import (
+    PowerSums,
+    SpectrumSums,
+    StagedSpectrum,
+    weighted_points,
+)
 from mcspectra.spectra.transforms import FrequencyGrid, Transform
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["MAX_WEDGES", "PowerSums", "power_spectrum", "wedge_angles", "weighted_points"]
+__all__ = [
+    "MAX_WEDGES",
+    "PowerSums",
+    "power_spectrum",
+    "staged_spectrum",
+    "wedge_angles",
+    "weighted_points",
+]
 
 _MOST_COORDINATES = 2**26  # of a set: half a GiB, and several times that in a transform
 
@@ -108,6 +112,41 @@ def power_spectrum(
     >>> spectrum["power"].dims, bool(64 * spectrum["radial_power"][0] < 0.2)
     (('m0', 'm1'), True)
     """
+    threads = available_workers(workers)
+    return compute(
+        staged_spectrum(
+            sampler,
+            n,
+            density=density,
+            half_width=half_width,
+            frequency_step=frequency_step,
+            realizations=realizations,
+            mean=mean,
+            wedges=wedges,
+            rng=rng,
+            engine=engine,
+            eps=eps,
+        ),
+        threads,
+        "power_spectrum",
+    )
+
+
+def staged_spectrum(
+    sampler: Sampler | str,
+    n: int,
+    *,
+    density: Density | str | None = None,
+    half_width: int = 64,
+    frequency_step: float = 1.0,
+    realizations: int = 100,
+    mean: bool = False,
+    wedges: int = 12,
+    rng: RngLike = 0,
+    engine: str = "auto",
+    eps: float = 1e-9,
+) -> StagedSpectrum:
+    """Return `power_spectrum` as a staged analysis of one run, its arguments checked."""
     source = as_sampler(sampler, getattr(density, "primary_dims", None))
     p = as_warp(density, source.dims)
     dims = source.dims if p is None else p.dims
@@ -118,45 +157,32 @@ def power_spectrum(
     wedges = as_integer("wedges", wedges, least=1, most=MAX_WEDGES)
     transform = Transform(grid, n, engine=engine, eps=eps)
     stream = Stream.from_rng(rng)
-    polar = PolarSums.of(grid, wedges)
 
-    def block_sums(block: Block) -> tuple[PowerSums, PolarSums]:
-        sums, means = PowerSums.zeros(grid.half_size, mean), polar.empty()
-        points, weights = weighted_points(source, p, n, stream, block)
-        transform.add_power(points, weights, sums.total, sums.squares, sums.mean, means)
-        sums.count = len(points)
-        return sums, means
+    def result(total: SpectrumSums) -> xr.Dataset:
+        power, se = total.power.power(realizations)
+        variables, coords = _polar_variables(grid, total.polar, realizations)
+        return dataset(
+            {
+                "power": (grid.names, grid.full(power)),
+                "power_se": (grid.names, grid.full(se)),
+                **variables,
+                **_mean_variables(grid, total.power, realizations),
+            },
+            {**grid.coords, **coords},
+            sampler=source.spec,
+            density=p.spec if p is not None else None,
+            n=n,
+            realizations=realizations,
+            stream_key=f"{stream.key:#x}",
+            seed=rng if isinstance(rng, int) else None,
+            engine=transform.engine,
+            eps=eps,
+            random_level=1.0 if p is None else p.reciprocal_integral(),
+            convention="power = <|S_m|^2>; random points: random_level/n, random_level = ∫1/p",
+        )
 
-    sums = PowerSums.zeros(grid.half_size, mean)
-    # A block holds its points and two half spectra; pairs share a transform.
-    blocks = realization_blocks(realizations, max(n * source.dims, grid.size // 8), multiple=2)
-    done = 0
-    for part, means in map_in_order(block_sums, blocks, available_workers(workers)):
-        sums.add(part)
-        polar.add(means)
-        done += part.count
-        report("power_spectrum", done / realizations)
-    power, se = sums.power(realizations)
-    variables, coords = _polar_variables(grid, polar, realizations)
-    return dataset(
-        {
-            "power": (grid.names, grid.full(power)),
-            "power_se": (grid.names, grid.full(se)),
-            **variables,
-            **_mean_variables(grid, sums, realizations),
-        },
-        {**grid.coords, **coords},
-        sampler=source.spec,
-        density=p.spec if p is not None else None,
-        n=n,
-        realizations=realizations,
-        stream_key=f"{stream.key:#x}",
-        seed=rng if isinstance(rng, int) else None,
-        engine=transform.engine,
-        eps=eps,
-        random_level=1.0 if p is None else p.reciprocal_integral(),
-        convention="power = <|S_m|^2>; random points: random_level/n, random_level = ∫1/p",
-    )
+    empty = PolarSums.of(grid, wedges)
+    return StagedSpectrum(source, p, n, stream, realizations, transform, mean, empty, result)
 
 
 def _check_points(n: int, dims: int) -> None:
@@ -165,53 +191,6 @@ def _check_points(n: int, dims: int) -> None:
             f"{n} points in {dims} dims are {100 * n * dims / 2**30:.3g} GiB a thread; a spectrum takes "
             f"at most {_MOST_COORDINATES // dims} of them."
         )
-
-
-@dataclass
-class PowerSums:
-    """Sums of |S|², |S|⁴ and, if wanted, S over `count` realisations, by frequency: (F,)."""
-
-    total: Array
-    squares: Array
-    mean: Array | None
-    count: int = 0
-
-    @staticmethod
-    def zeros(size: int, mean: bool) -> PowerSums:
-        """Sums of no realisations."""
-        return PowerSums(
-            np.zeros(size), np.zeros(size), np.zeros(size, np.complex128) if mean else None
-        )
-
-    def take(self, s: Array) -> None:
-        """Add one set's S (F,)."""
-        power_sums(s, False, self.total, self.squares)
-        if self.mean is not None:
-            self.mean += s
-
-    def add(self, other: PowerSums) -> None:
-        """Take in the sums of others."""
-        self.total += other.total
-        self.squares += other.squares
-        if self.mean is not None and other.mean is not None:
-            self.mean += other.mean
-
-    def power(self, count: int) -> tuple[Array, Array]:
-        """Expected power and its standard error (NaN for one realisation)."""
-        power = self.total / count
-        return power, _standard_error(self.squares / count - power * power, count)
-
-    def coefficient(self, count: int) -> tuple[Array, Array]:
-        """Mean S and its standard error, the root of the mean |error|²."""
-        assert self.mean is not None
-        mean = self.mean / count
-        return mean, _standard_error(self.total / count - np.abs(mean) ** 2, count)
-
-
-def _standard_error(spread: Array, count: int) -> Array:
-    if count < 2:
-        return np.full_like(spread, np.nan)
-    return np.asarray(np.sqrt(np.maximum(spread, 0.0) / (count - 1)))
 
 
 def _polar_variables(
@@ -252,15 +231,3 @@ def _mean_variables(
         "mean_coefficient": (grid.names, grid.full(mean, conjugate=True)),
         "mean_coefficient_se": (grid.names, grid.full(se)),
     }
-
-
-def weighted_points(
-    sampler: Sampler, density: Density | None, n: int, stream: Stream, block: Block
-) -> tuple[Array, Array | None]:
-    """Draw a block: points (R, n, d), warped by the density, and weights 1/(n p), None for 1/n."""
-    points = sampler.draw_stream(n, stream, *block)
-    if density is None:
-        return points, None
-    x = density.sample(points)
-    equal = np.full((len(x), n), 1.0 / n)
-    return x, divide_by_density(equal, density.pdf(x), x, density.spec, constant=True)
