@@ -133,14 +133,17 @@ def _verb_table() -> str:
     return "\n".join(f"  {name.ljust(width)}  {text}" for name, text in _VERBS.items())
 
 
+_FAILED_RUNS = ("CellFailed", "ClusterLost", "EngineFailed", "StorageError")
+"""Errors that are nobody's input."""
+
+
 def _explain(error: Exception) -> int:
     """Print one sentence; 2 for what the user can mend, 1 for the rest."""
     from mcspectra.core.errors import McspectraError
 
     if isinstance(error, McspectraError):
         print(f"mcspectra: {error}", file=sys.stderr)
-        failed = type(error).__name__ in ("CellFailed", "StorageError")
-        return 1 if failed else 2
+        return 1 if type(error).__name__ in _FAILED_RUNS else 2
     if isinstance(error, MemoryError):
         print(
             "mcspectra: Not enough memory; ask for fewer points, dims or frequencies.",
