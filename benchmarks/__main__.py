@@ -8,6 +8,7 @@ NAMES = (
     "streams",
     "samplers",
     "start",
+    "stores",
     "oracles",
     "identity",
     "veach",
@@ -23,6 +24,7 @@ NAMES = (
     "maps",
     "images",
     "findings",
+    "studies",
 )
 
 

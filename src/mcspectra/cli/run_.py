@@ -11,8 +11,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mcspectra.cli.common import one_sentence_warnings, print_json, text_table, whole_number
+from mcspectra.cli.common import (
+    one_sentence_warnings,
+    print_json,
+    real_number,
+    text_table,
+    whole_number,
+)
 from mcspectra.cli.progress import Bars, progress_bars
+from mcspectra.cli.run_cluster import add_cluster_arguments, cluster_engine
 
 if TYPE_CHECKING:
     from mcspectra.studies import CellEstimate, StudyConfig, SummaryRow, Trust
@@ -30,7 +37,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", metavar="DIR", help="output folder (default: out/<name of the file>)"
     )
     parser.add_argument("--resume", action="store_true", help="continue what is in the folder")
+    parser.add_argument("--retry", action="store_true", help="continue, and try what failed again")
     parser.add_argument("--workers", metavar="N", help="threads (default: all processors)")
+    parser.add_argument(
+        "--time-limit",
+        metavar="SECONDS",
+        help="stop tasks that take longer, which fails their analysis; workers are processes then",
+    )
     parser.add_argument(
         "--set",
         action="append",
@@ -56,6 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="a folder, beside the study's own, that it may read files from",
     )
+    add_cluster_arguments(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -63,36 +77,48 @@ def run(options: argparse.Namespace) -> int:
     import msgspec
 
     from mcspectra.studies import Trust, read_study, run_study
+    from mcspectra.studies.run import CellFailed
 
     study = Path(options.study)
     out = Path(options.out) if options.out else Path("out") / study.stem
     workers = None if options.workers is None else whole_number("--workers", options.workers)
+    limit = None if options.time_limit is None else real_number("--time-limit", options.time_limit)
     config = read_study(study, options.set)
     if options.seed is not None:
         config = msgspec.structs.replace(config, seed=whole_number("--seed", options.seed, least=0))
+    engine = cluster_engine(options, workers, config.time_limit if limit is None else limit)
     trust = Trust(tuple(options.allow_code), tuple(map(Path, options.allow_path)))
     silent = options.quiet or options.json
     if options.dry_run:
         return _dry_run(config, study.parent, trust, workers, options)
+    failed = None
     try:
         with one_sentence_warnings(silent), progress_bars(silent) as bars:
             run_study(
                 config,
                 out,
                 folder=study.parent,
-                resume=options.resume,
+                resume=options.resume or options.retry,
+                retry=options.retry,
                 workers=workers,
+                time_limit=limit,
+                engine=engine,
                 trust=trust,
                 force=options.force,
                 report=_reporter(bars),
             )
     except KeyboardInterrupt:
         print(
-            f"mcspectra: Interrupted; finished cells are in {out}, --resume continues.",
+            f"mcspectra: Interrupted; what was finished is in {out}, --resume continues.",
             file=sys.stderr,
         )
         return 130
+    except CellFailed as error:
+        failed = error
     _show(out, options)
+    if failed is not None:
+        print(f"mcspectra: {failed}", file=sys.stderr)
+        return 1
     return 0
 
 

@@ -6,6 +6,7 @@ Tasks and outcomes cross as MessagePack, arrays in them as plain numbers.
 
 from __future__ import annotations
 
+import importlib
 import math
 import multiprocessing
 import os
@@ -28,6 +29,7 @@ __all__ = ["EngineFailed", "ProcessEngine", "check_time_limit"]
 
 _ATTEMPTS = 3  # of a task whose worker dies; the first and two more
 _STARTS = 3  # workers in succession that may die before they are ready
+_STARTING = 600.0  # seconds that a worker may take until it is ready
 _DYING = 1.0  # seconds from the end of a worker's pipe to its exit code
 _LONGEST_LIMIT = 1e9  # seconds, 30 years: clocks and waits take no more
 
@@ -54,8 +56,8 @@ class ProcessEngine:
     workers
         Number of processes.
     time_limit
-        Seconds that a task may take; None is no limit. The first task of a process may compile
-        kernels, which counts.
+        Seconds that a task may take; None is no limit. The compilation of a kernel that is used for the
+        first time on a machine counts.
     """
 
     def __init__(self, text: StudyText, workers: int, time_limit: float | None = None) -> None:
@@ -142,6 +144,7 @@ class ProcessEngine:
         task = self._workers[place].task
         self._replace(place)
         if task is None or self._limit is None:
+            self._fail_start(f"take more than {_STARTING:g} s")
             return None
         error = f"It took longer than the time limit of {self._limit:g} s and was stopped."
         return Outcome(key=task.key, error=error, seconds=self._limit)
@@ -152,9 +155,8 @@ class ProcessEngine:
         task = worker.task
         code = self._replace(place, _DYING)
         if task is None:
-            self._failed_starts += not worker.ready
-            if self._failed_starts >= _STARTS:
-                raise EngineFailed(f"Worker processes end before they are ready ({_end(code)}).")
+            if not worker.ready:
+                self._fail_start(f"end with {_end(code)}")
             return None
         self._lost[task.key] = lost = self._lost.get(task.key, 0) + 1
         if lost < _ATTEMPTS:
@@ -163,6 +165,12 @@ class ProcessEngine:
         return Outcome(
             key=task.key, error=f"Its worker process ended {lost} times ({_end(code)}); gave up."
         )
+
+    def _fail_start(self, what: str) -> None:
+        """A worker was not ready in time, or ended before: a few in succession may."""
+        self._failed_starts += 1
+        if self._failed_starts >= _STARTS:
+            raise EngineFailed(f"Worker processes {what} before they are ready to compute.")
 
     def _replace(self, place: int, patience: float = 0.0) -> int | None:
         code = self._workers[place].end(patience)
@@ -179,7 +187,7 @@ class _Worker:
         self.pipe, inner = context.Pipe()
         self.ready = False
         self.task: Task | None = None
-        self.since = 0.0
+        self.since = time.monotonic()
         self._process = context.Process(target=_serve, args=(inner, text), daemon=True)
         self._process.start()
         inner.close()  # only the worker's copy is left, so that its end is the pipe's end
@@ -194,7 +202,9 @@ class _Worker:
         return True
 
     def deadline(self, limit: float | None) -> float:
-        """When its task must be done, on the monotonic clock; never without a task or a limit."""
+        """When its start or its task must be done, on the monotonic clock; else never."""
+        if not self.ready:
+            return self.since + _STARTING
         return math.inf if limit is None or self.task is None else self.since + limit
 
     def end(self, patience: float = 0.0) -> int | None:
@@ -213,6 +223,7 @@ def _serve(pipe: Connection, encoded: bytes) -> None:
     try:
         text = msgspec.json.decode(encoded, type=StudyText)
         prepare(text)
+        _warm_up()
     except Exception as error:  # noqa: BLE001 - whatever the code of others does
         pipe.send_bytes(explain(error).encode())
         return
@@ -223,6 +234,12 @@ def _serve(pipe: Connection, encoded: bytes) -> None:
             pipe.send_bytes(msgspec.msgpack.encode(attempt(text, task)))
     except (EOFError, OSError):
         return
+
+
+def _warm_up() -> None:
+    """Import what every task needs, so that it does not count as the time of the first one."""
+    for name in ("numba", "scipy.stats", "xarray"):
+        importlib.import_module(name)
 
 
 def _end_with_parent() -> None:
