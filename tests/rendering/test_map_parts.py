@@ -186,6 +186,33 @@ def test_strata_are_predicted_without_bias() -> None:
     assert error < 1e-3 / 48
 
 
+def test_integrals_of_predictions_have_honest_errors() -> None:
+    forecast = prediction.prediction_for(sampler("jittered", dims=2), 64, Stream.from_rng(4))
+    assert forecast is not None
+    mean, se = forecast.mean(step(forecast.samples))
+    a = np.linspace(0.2, 1.0, 40)
+    # The area of u0 + a·u1 < 0.7 in the unit square; beyond a = 0.7 the edge leaves by u1 < 1.
+    exact = np.where(a < 0.7, 0.7 - a / 2, 0.245 / a)
+    assert (np.abs(mean - exact) < 4.5 * se).all()  # Šidák for 40 integrals
+    assert (se < 0.01).all()
+
+
+@pytest.mark.parametrize("spec", ["jittered", "random", "jittered | shift"])
+def test_light_that_only_another_technique_meets_is_an_error(spec: str) -> None:
+    forecast = prediction.prediction_for(sampler(spec, dims=2), 64, Stream.from_rng(5))
+    assert forecast is not None
+    u = forecast.samples
+    met, size = 1.0 + u[:, :1], len(u)
+    mean, se = forecast.mean(met)
+    assert np.allclose(prediction.surely(forecast, met), 1.5, rtol=0.01)
+    assert (prediction.surely(forecast, met) < mean).all()
+    # Within what the values' own error explains: M²/(q n) with q = 1/N.
+    short = 2.0 * se
+    assert np.allclose(prediction.unmet(forecast, met, mean + short), size * short**2 / 64)
+    assert np.isposinf(prediction.unmet(forecast, met, mean + 0.1)).all()
+    assert (prediction.unmet(forecast, met, mean - 0.1) == 0.0).all()
+
+
 def test_unequal_strata_and_three_dims() -> None:
     unequal = prediction.prediction_for(sampler("jittered(sides_=(2, 8))", 2), 16, Stream(1))
     assert unequal is not None

@@ -25,6 +25,7 @@ from mcspectra.rendering import variance_map, veach
 from mcspectra.rendering._map_checks import check_crop, check_memory
 from mcspectra.rendering._map_kernel import Lighting, Receivers
 from mcspectra.rendering._map_tiles import Measurement
+from mcspectra.rendering.builtin.figure1 import figure1
 from mcspectra.samplers import sampler
 
 pytestmark = pytest.mark.render
@@ -121,6 +122,22 @@ def test_predictions_cover_what_is_measured() -> None:
     pixels = 24 * 4
     assert (share > 0.95 - 4 * (0.95 * 0.05 / pixels) ** 0.5).all()
     assert found.attrs["prediction"] == "strata"
+
+
+@pytest.mark.parametrize("lamp", [False, True])
+def test_predictions_that_miss_a_rare_light_say_so(lamp: bool) -> None:
+    # One BSDF sample of a million meets the lamp: neither the prediction nor the measurement know
+    # of it, and would agree. Light sampling takes every second sample from it.
+    scene = figure1()
+    if lamp:
+        light = {"type": "area", "radiance": {"type": "rgb", "value": 1e6}}
+        center = [-1.19, 2.0, 0.72]
+        scene["lamp"] = {"type": "sphere", "center": center, "radius": 0.002, "emitter": light}
+    found = variance_map(
+        scene, ("light", "bsdf"), crop=(96, 205, 1, 1), counts=(4, 64), realizations=64, rng=3
+    ).squeeze()
+    known = np.isfinite(found["predicted_ratio"]).sel(strategy=["light", "bsdf"]).values
+    assert known.tolist() == [True, not lamp]
 
 
 def test_what_is_not_a_receiver_has_no_numbers(small: xr.Dataset) -> None:

@@ -10,6 +10,10 @@ Other samplers of two dims: Var = Σ_{m≠0} |g_m|² ⟨|S_m|²⟩, the power te
 a midpoint grid, onto whose frequencies those beyond are folded. It is exact up to the grid where
 the last step of the sampler is a shift; otherwise it lacks the cross term. Grids of half the
 resolution give the standard error of both, a power without a closed form adds its own.
+
+None of these knows of a light that is so rare that no sample met it. Where one technique saw more
+light than another (`surely`), the other's prediction takes what it missed as a part of its error
+(`unmet`).
 """
 
 from __future__ import annotations
@@ -26,12 +30,13 @@ from mcspectra.core.streams import Stream
 from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.samplers import Jittered, Random, Sampler
 
-__all__ = ["Prediction", "prediction_for"]
+__all__ = ["Prediction", "prediction_for", "surely", "unmet"]
 
 _REPEATS = 2  # predictions a stratum, for their standard error
 _CELLS = 4096  # of all strata, about, to meet small lights; each has 2 or more along each axis
 _GRIDS = {2: 64, 3: 16}  # dims to midpoints along each axis, an even number
 _POWER_REALIZATIONS = 1024
+_SURE = 3.0  # standard errors
 
 
 class Prediction(Protocol):
@@ -42,11 +47,37 @@ class Prediction(Protocol):
         """Name: strata, random or spectrum."""
 
     @property
+    def count(self) -> int:
+        """Number n of points of the sampler."""
+
+    @property
     def samples(self) -> Array:
         """Where the integrand is needed, (N, dims)."""
 
     def variance(self, values: Array) -> tuple[Array, Array]:
         """Variance and its standard error (P,) from values (N, P) at the samples."""
+
+    def mean(self, values: Array) -> tuple[Array, Array]:
+        """Integral and its standard error (P,) from values (N, P) at the samples."""
+
+
+def surely(prediction: Prediction, values: Array) -> Array:
+    """What the integral of values (N, P) hardly falls short of: (P,), three standard errors below."""
+    mean, se = prediction.mean(values)
+    return mean - _SURE * se
+
+
+def unmet(prediction: Prediction, values: Array, there: Array) -> Array:
+    """Error (P,) of a variance predicted from values (N, P) whose integral is `there` at least.
+
+    A part M of the integral on a share q of the cube has the variance M²/(q n), however the n points
+    are stratified, as they meet it rarely; if none of N samples met it, q is about 1/N at most. Where
+    M is beyond what the values' own error explains, q may be anything: the error is infinite.
+    """
+    mean, se = prediction.mean(values)
+    missed = np.maximum(there - mean, 0.0)
+    error = len(prediction.samples) * missed**2 / prediction.count
+    return np.where(missed > _SURE * se, np.inf, error)
 
 
 def prediction_for(sampler: Sampler, n: int, stream: Stream) -> Prediction | None:
@@ -66,7 +97,7 @@ def prediction_for(sampler: Sampler, n: int, stream: Stream) -> Prediction | Non
 class _Strata:
     """Strata in the order of samples: (repeat, pair, stratum, cell)."""
 
-    strata: int
+    count: int
     samples: Array = field(repr=False)
     method: str = "strata"
 
@@ -80,17 +111,23 @@ class _Strata:
         u = sampler.draw_stream(count, stream, 0, 2 * _REPEATS)
         cell = np.floor(u[0] * fine).astype(np.int64) // cells
         order = np.argsort(np.ravel_multi_index(tuple(cell.T), sides), kind="stable")
-        return _Strata(strata=strata, samples=u[:, order].reshape(-1, dims))
+        return _Strata(count=strata, samples=u[:, order].reshape(-1, dims))
 
     def variance(self, values: Array) -> tuple[Array, Array]:
-        g = values.reshape(_REPEATS, 2, self.strata, -1, values.shape[-1])
+        g = values.reshape(_REPEATS, 2, self.count, -1, values.shape[-1])
         means = g.mean(axis=3)
         own = (g**2).mean(axis=(1, 3)) - means[:, 0] * means[:, 1]
         difference = own[0] - own[1]
-        predicted = own.mean(axis=0).sum(axis=0) / self.strata**2
+        predicted = own.mean(axis=0).sum(axis=0) / self.count**2
         squares = difference**2
-        se = np.sqrt(squares.sum(axis=0)) / (2.0 * self.strata**2)
+        se = np.sqrt(squares.sum(axis=0)) / (2.0 * self.count**2)
         return predicted, se * _student(squares)
+
+    def mean(self, values: Array) -> tuple[Array, Array]:
+        """Integral, and its error from the samples of each cell."""
+        cells = values.reshape(2 * _REPEATS, -1, values.shape[-1])
+        variance = cells.var(axis=0, ddof=1).sum(axis=0) / len(cells)
+        return values.mean(axis=0), np.sqrt(variance) / cells.shape[1]
 
 
 @final
@@ -109,19 +146,30 @@ class _Grid:
         dims = self.samples.shape[-1]
         grid = values.reshape(*[_GRIDS[dims]] * dims, -1)
         if self.power is None:
-            offsets = itertools.product((0, 1), repeat=dims)
-            quarters = [grid[tuple(slice(k, None, 2) for k in each)] for each in offsets]
-            plain = [q.reshape(-1, q.shape[-1]).var(axis=0) / self.count for q in quarters]
+            plain = [
+                part.reshape(-1, part.shape[-1]).var(axis=0) / self.count
+                for part in _coarse(grid, dims)
+            ]
             whole: Array = values.var(axis=0) / self.count
             return whole, _error_of_mean(plain)
         energy = _energy(grid)
-        parts = [
-            _sum(self.power, _energy(grid[i::2, j::2]))
-            for i, j in itertools.product((0, 1), repeat=2)
-        ]
+        parts = [_sum(self.power, _energy(part)) for part in _coarse(grid, dims)]
         # The powers of m and −m are one number: their errors add up, those of other pairs do not.
         doubled = np.sqrt(2.0 * _sum(self.power_se**2, energy**2))
         return _sum(self.power, energy), np.hypot(_error_of_mean(parts), doubled)
+
+    def mean(self, values: Array) -> tuple[Array, Array]:
+        """Integral, and its error from the grids of half the resolution."""
+        dims = self.samples.shape[-1]
+        grid = values.reshape(*[_GRIDS[dims]] * dims, -1)
+        parts = [part.reshape(-1, part.shape[-1]).mean(axis=0) for part in _coarse(grid, dims)]
+        return values.mean(axis=0), _error_of_mean(parts)
+
+
+def _coarse(grid: Array, dims: int) -> list[Array]:
+    """The grids of half the resolution, every other node along each axis."""
+    offsets = itertools.product((0, 1), repeat=dims)
+    return [grid[tuple(slice(k, None, 2) for k in each)] for each in offsets]
 
 
 def _student(squares: Array) -> Array:

@@ -15,7 +15,7 @@ from mcspectra.core.streams import Stream
 from mcspectra.estimators import Moments
 from mcspectra.estimators.sets import draw_sets
 from mcspectra.rendering._map_kernel import TECHNIQUES, Lighting, Receivers
-from mcspectra.rendering._map_prediction import Prediction, prediction_for
+from mcspectra.rendering._map_prediction import Prediction, prediction_for, surely, unmet
 from mcspectra.rendering.scenes import scene_name
 from mcspectra.samplers import Sampler
 
@@ -193,8 +193,14 @@ def combined(strategy: str, both: dict[str, tuple[Array, Array]]) -> Array:
 def _predicted(
     prediction: Prediction, strategy: str, each: dict[str, tuple[Array, Array]]
 ) -> tuple[Array, Array]:
-    """Variance of a strategy and its standard error; those of independent techniques add up."""
+    """Variance of a strategy and its standard error; those of independent techniques add up.
+
+    The error has a part for the light that another technique sees and this strategy does not.
+    """
     parts = ("mis-light", "mis-bsdf") if strategy == "mis" else (strategy,)
     found = [prediction.variance(combined(part, each)) for part in parts]
-    errors = np.stack([se for _, se in found])
-    return sum(v for v, _ in found), np.sqrt((errors**2).sum(axis=0))  # type: ignore[return-value]
+    there = np.max([surely(prediction, plain) for plain, _ in each.values()], axis=0)
+    whole = combined("mis" if strategy.startswith("mis") else strategy, each)
+    errors = [se for _, se in found] + [unmet(prediction, whole, there)]
+    variance: Array = np.sum([v for v, _ in found], axis=0)
+    return variance, np.sqrt(np.square(errors).sum(axis=0))

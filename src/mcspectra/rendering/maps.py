@@ -130,7 +130,8 @@ def variance_map(
         variance of the better of them over that of MIS at the same total of samples (the largest n,
         from the fitted lines), and ``mis_gain_ci``; ``predicted_ratio(strategy)``, predicted over
         measured variance at the largest n, and ``predicted_ratio_ci``, NaN where the relative standard
-        error of the prediction is more than ½, or that of the measurement more than rates allow.
+        error of the prediction is more than ½, or that of the measurement more than rates allow. That
+        error counts light that another strategy sees and the prediction's samples did not meet.
 
     Raises
     ------
