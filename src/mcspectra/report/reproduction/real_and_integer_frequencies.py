@@ -67,7 +67,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         slide="Real vs. Integer Frequencies; Convergence Rates Diverges at Real Frequencies (Random and Jittered, "
         "integer and real frequencies, f(x) and g(x)); Finite sampling domain is not properly handled; Fourier "
         "series based Variance Formulation.",
-        formula=r"\mathrm{Var}(I_N) = \sum_{m \in \mathbb{Z} \setminus 0} \langle \mathcal{P}_{S_N}(m) \rangle "
+        formula=r"\mathrm{Var}(I_N) = \sum_{m \in \mathbb{Z}, \, m \neq 0} \langle \mathcal{P}_{S_N}(m) \rangle "
         r"\times \mathcal{P}_f(m)",
         caption=_caption(curves),
         pictures=(_convergence(curves), _spectrum()),
