@@ -12,9 +12,11 @@ from mcspectra.core.checks import Array, as_choice, as_integer, as_real, as_real
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers, map_in_order
 from mcspectra.core.results import dataset
+from mcspectra.core.staged import MergeTree, compute
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra._pair_kernels import count_distances, count_ordered_pairs
+from mcspectra.spectra.staged_mean import StagedMean, mean_and_error, merge_sums
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -24,6 +26,7 @@ __all__ = [
     "count_pairs",
     "mean_of_realizations",
     "pair_correlation",
+    "staged_pair_correlation",
 ]
 
 _BOUNDARIES = ("toroidal", "border")
@@ -73,6 +76,32 @@ def pair_correlation(
     set is stationary. Only points with first coordinates nearer than max_distance are compared: the
     cost is O(n log n + n² max_distance) a realisation.
     """
+    threads = available_workers(workers)
+    return compute(
+        staged_pair_correlation(
+            sampler,
+            n,
+            bins=bins,
+            realizations=realizations,
+            rng=rng,
+            boundary=boundary,
+            max_distance=max_distance,
+        ),
+        threads,
+    )
+
+
+def staged_pair_correlation(
+    sampler: Sampler | str,
+    n: int,
+    *,
+    bins: int = 100,
+    realizations: int = 16,
+    rng: RngLike = 0,
+    boundary: str = "toroidal",
+    max_distance: float | None = None,
+) -> StagedMean:
+    """Return `pair_correlation` as a staged analysis, its arguments checked: a block is a set."""
     source = as_sampler(sampler)
     as_integer("dims of a pair correlation", source.dims, least=1, most=8)
     n = _checked_count(source, n)
@@ -90,18 +119,21 @@ def pair_correlation(
         points = source.draw_stream(n, stream, realization, 1)[0]
         return count_pairs(points, edges, wrap=wrap) / expected
 
-    mean, se = mean_of_realizations(one, realizations, available_workers(workers))
-    r = ("r", 0.5 * (edges[1:] + edges[:-1]), {"long_name": f"{boundary} distance", "units": "1"})
-    return dataset(
-        {"pair_correlation": (("r",), mean), "pair_correlation_se": (("r",), se)},
-        {"r": r},
-        sampler=source.spec,
-        n=n,
-        boundary=boundary,
-        realizations=realizations,
-        stream_key=f"{stream.key:#x}",
-        seed=rng if isinstance(rng, int) else None,
-    )
+    def result(mean: Array, se: Array) -> xr.Dataset:
+        center = 0.5 * (edges[1:] + edges[:-1])
+        r = ("r", center, {"long_name": f"{boundary} distance", "units": "1"})
+        return dataset(
+            {"pair_correlation": (("r",), mean), "pair_correlation_se": (("r",), se)},
+            {"r": r},
+            sampler=source.spec,
+            n=n,
+            boundary=boundary,
+            realizations=realizations,
+            stream_key=f"{stream.key:#x}",
+            seed=rng if isinstance(rng, int) else None,
+        )
+
+    return StagedMean(one, realizations, realizations * (n + 0.2 * most * n**2), result)
 
 
 def count_pairs(points: Array, edges: Array, *, wrap: bool) -> Array:
@@ -219,13 +251,7 @@ def mean_of_realizations(
     one: Callable[[int], Array], realizations: int, workers: int
 ) -> tuple[Array, Array]:
     """Mean over realisations and its standard error, NaN for a single one."""
-    total: Any = 0.0
-    squares: Any = 0.0
+    tree = MergeTree(merge_sums)
     for values in map_in_order(one, range(realizations), workers):
-        total = total + values
-        squares = squares + values * values
-    mean = total / realizations
-    spread = np.maximum(squares / realizations - mean * mean, 0.0)
-    if realizations == 1:
-        return mean, np.full(mean.shape, np.nan)
-    return mean, np.sqrt(spread / (realizations - 1))
+        tree.add((values, values * values))
+    return mean_and_error(tree.total(), realizations)
