@@ -273,6 +273,16 @@ def test_cells_known_to_be_short_are_one_task():
     assert settled.result.identical(result)
 
 
+def test_cells_like_short_ones_are_not_even_built():
+    """Once a whole cell has been measured, its cost says enough of others."""
+    words = {"a": Words((1,))}
+    schedule = Schedule([_cell("a", 2.0), _cell("b", 1.0)], Source(words), {}, Pace(1.0))
+    first = schedule.next_task()
+    schedule.take(_outcome(words["a"], first, seconds=0.5))
+    assert schedule.next_task().key == "b/s/kind/-1-0-1/0+1"
+    assert [settled.error for settled in schedule.settled()] == [None]
+
+
 def test_a_cell_that_is_all_recorded_is_done_at_once():
     words = Words((4,))
     source = Source({"a": words}, {"a/s/kind/0-0-4/0+4": words.pack("known")})

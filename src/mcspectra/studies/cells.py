@@ -27,11 +27,11 @@ from mcspectra.studies.tables import (
     TermsConfig,
 )
 from mcspectra.variance.anova import anova_variances
-from mcspectra.variance.convergence import convergence
+from mcspectra.variance.convergence import staged_convergence
 from mcspectra.variance.exact import exact_variance
 from mcspectra.variance.remedies import remedies
 from mcspectra.variance.techniques import technique_terms
-from mcspectra.variance.terms import variance_terms
+from mcspectra.variance.terms import staged_terms
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -46,6 +46,9 @@ def compute_cell(cell: Cell, seed: int) -> xr.Dataset:
 
 def staged_cell(cell: Cell, seed: int) -> Staged[Any]:
     """The analysis of a cell, to be computed as a whole or in chunks."""
+    staged = _STAGED.get(cell.analysis)
+    if staged is not None:
+        return staged(cell, cell.settings, seed)
     return Whole(lambda: _COMPUTE[cell.analysis](cell, cell.settings, seed), cell.cost)
 
 
@@ -68,8 +71,8 @@ def _without_text(result: xr.Dataset) -> xr.Dataset:
     return result.drop_vars([t for t in texts if t != "bound"]).assign_attrs(labels)
 
 
-def _convergence(cell: Cell, settings: ConvergenceConfig, seed: int) -> xr.Dataset:
-    return convergence(
+def _convergence(cell: Cell, settings: ConvergenceConfig, seed: int) -> Staged[Any]:
+    return staged_convergence(
         _estimator(cell),
         cell.sampler,
         settings.counts,
@@ -77,14 +80,13 @@ def _convergence(cell: Cell, settings: ConvergenceConfig, seed: int) -> xr.Datas
         rng=seed,
         relative_error=settings.relative_error,
         fit_last=settings.fit_last,
-        workers=1,
     )
 
 
-def _terms(cell: Cell, settings: TermsConfig, seed: int) -> xr.Dataset:
+def _terms(cell: Cell, settings: TermsConfig, seed: int) -> Staged[Any]:
     estimator = _estimator(cell)
     domain = estimator.domain_integrand is not None
-    return variance_terms(
+    return staged_terms(
         estimator,
         cell.sampler,
         settings.n,
@@ -95,7 +97,6 @@ def _terms(cell: Cell, settings: TermsConfig, seed: int) -> xr.Dataset:
         basis=settings.basis,
         bands=settings.bands,
         cross_matrix=settings.cross_matrix,
-        workers=1,
     )
 
 
@@ -232,9 +233,13 @@ def _map(cell: Cell, settings: MapConfig, seed: int) -> xr.Dataset:
     )
 
 
-_COMPUTE: dict[str, Callable[[Cell, Any, int], xr.Dataset]] = {
+_STAGED: dict[str, Callable[[Cell, Any, int], Staged[Any]]] = {
     "convergence": _convergence,
     "terms": _terms,
+}
+"""Analyses that are sums over realisations, and can be cut."""
+
+_COMPUTE: dict[str, Callable[[Cell, Any, int], xr.Dataset]] = {
     "techniques": _techniques,
     "spectrum": _spectrum,
     "points": _points,

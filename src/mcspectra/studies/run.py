@@ -199,7 +199,7 @@ class _StudyRun:
     def begin(self, *, retry: bool) -> None:
         """Find out what is missing."""
         if retry:
-            self._journal.forget(list(self._journal.failures()))
+            self._forget_failures()
         failed = self._journal.failures()
         done = {cell.path for cell in self._plan.cells if self._store.done(cell.path)}
         self._journal.forget([path for path in failed if path in done])
@@ -212,6 +212,12 @@ class _StudyRun:
             self._keys.setdefault(_path_of(key), []).append(key)
         stale = self._keys.keys() - {cell.path for cell in self._missing} - failed.keys()
         self._journal.forget([key for path in stale for key in self._keys.pop(path)])
+
+    def _forget_failures(self) -> None:
+        """Failures, and what else there is of those cells: code may have been mended meanwhile."""
+        failed = self._journal.failures()
+        parts = [key for key in self._journal.keys() if _path_of(key) in failed]  # noqa: SIM118
+        self._journal.forget([*failed, *parts])
 
     def compute(self, make: MakeEngine, pace: Pace) -> None:
         """Compute what is missing."""

@@ -188,15 +188,22 @@ class _Active:
     ) -> None:
         self.cell = cell
         self.result: xr.Dataset | None = None
+        self.seconds = 0.0  # of its tasks so far
         self._source = source
-        self._analysis = source.analysis(cell)
-        self._stages = self._analysis.stages()
+        self._runs: dict[str, PartialRun[Any]] = {}
         self._found: dict[str, list[Chunk]] = {}
         for key, chunk in found:
             self._found.setdefault(key, []).append(chunk)
-        self._runs: dict[str, PartialRun[Any]] = {}
+        # A wanted precision may take any number of realisations, whatever the first ones took.
+        fixed = getattr(cell.settings, "relative_error", None) is None and not self._found
+        if fixed and pace.is_short((_whole_name(cell),), cell.cost):
+            self._take_whole()
+            return
+        self._analysis: Staged[Any] = source.analysis(cell)
+        self._stages = self._analysis.stages()
         self._go_on(None)
-        if self.result is None and not self._found and self._is_short(pace):
+        cost = sum(part.run.cost for part in self._runs.values())
+        if fixed and self._runs and pace.is_short((cell.analysis,), cost):
             self._take_whole()
 
     def next_task(self, pace: Pace) -> Task | None:
@@ -216,17 +223,10 @@ class _Active:
         if all(part.complete for part in self._runs.values()):
             self._go_on([part.total() for part in self._runs.values()])
 
-    def _is_short(self, pace: Pace) -> bool:
-        """Whether one task may do all of it; a wanted precision may take many stages."""
-        if getattr(self.cell.settings, "relative_error", None) is not None:
-            return False
-        cost = sum(part.run.cost for part in self._runs.values())
-        return pace.is_short((self.cell.analysis,), cost)
-
     def _take_whole(self) -> None:
         """Have a worker compute all stages: fewer tasks, and nothing is left to do here."""
-        cost = sum(part.run.cost for part in self._runs.values())
-        self._analysis = whole = Whole(_elsewhere, cost)
+        whole = Whole(_elsewhere, self.cell.cost)
+        self._analysis = whole
         self._stages = whole.stages()
         runs = [replace(run, part=WHOLE) for run in next(self._stages)]
         self._runs = {run.key: PartialRun(whole, run) for run in runs}
@@ -241,6 +241,7 @@ class _Active:
                     return
                 states = [part.total() for part in self._runs.values()]
         except StopIteration as end:
+            self._runs = {}
             self.result = end.value
 
     def _begun(self, run: Run) -> PartialRun[Any]:
@@ -252,6 +253,11 @@ class _Active:
 
         part.restore(self._found.get(run.key, ()), load)
         return part
+
+
+def _whole_name(cell: Cell) -> str:
+    """Name for the pace of whole cells, in units of their own costs."""
+    return f"all of {cell.analysis}"
 
 
 def _elsewhere() -> xr.Dataset:
@@ -323,8 +329,7 @@ class Schedule:
         if outcome.payload is None:
             self._settle(active.cell, error=outcome.error or "It failed without a reason.")
             return None
-        names = (task.path, active.cell.analysis)
-        self._pace.learn(names, task.cost, outcome.seconds)
+        self._learn(active, task, outcome.seconds)
         try:
             active.add(task, outcome.payload)
         except Exception as error:  # noqa: BLE001 - of the estimator, or of a payload that cannot be read
@@ -332,8 +337,14 @@ class Schedule:
             return None
         if active.result is None:
             return task
+        self._pace.learn((_whole_name(active.cell),), active.cell.cost, active.seconds)
         self._settle(active.cell, active.result)
         return None
+
+    def _learn(self, active: _Active, task: Task, seconds: float) -> None:
+        active.seconds += seconds
+        if task.run_part != WHOLE:
+            self._pace.learn((task.path, active.cell.analysis), task.cost, seconds)
 
     def settled(self) -> Iterator[Settled]:
         """Cells that were done or have failed since the last call."""

@@ -176,7 +176,9 @@ _lock = threading.Lock()
 
 
 def keep_plan(text: StudyText, plan: Plan) -> None:
-    """Have tasks of this process take `plan`, which `text` would give again."""
+    """Have tasks of this process take `plan`, which `text` gives now: its files may have changed."""
+    _plans.pop(text, None)
+    analysis_of.cache_clear()
     while len(_plans) >= _PLANS:
         _plans.pop(next(iter(_plans)))
     _plans[text] = {cell.path: cell for cell in plan.cells}

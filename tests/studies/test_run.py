@@ -1,0 +1,323 @@
+"""The same bits whatever computes a study, in whatever chunks, interrupted or not; failures stay local."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.staged import Run
+from mcspectra.studies import Trust, make_plan, open_results, run_study
+from mcspectra.studies import run as run_module
+from mcspectra.studies.config import decode_study
+from mcspectra.studies.engines import LocalEngine, Outcome
+from mcspectra.studies.plan import Cell
+from mcspectra.studies.processes import ProcessEngine
+from mcspectra.studies.run import CellFailed, drive
+from mcspectra.studies.scheduling import Pace, Schedule
+from mcspectra.studies.tasks import pack_payload
+
+STUDY = """
+title = "bits"
+seed = 3
+samplers = ["random", "jittered | shift"]
+[convergence]
+counts = [64, 256]
+realizations = 9000
+[exact]
+counts = [4]
+[[estimators]]
+name = "smooth"
+integrand = "gaussian"
+dims = 2
+terms = { n = 64, half_width = 4, realizations = 9000 }
+[[estimators]]
+name = "mis"
+integrand = "linear"
+dims = 1
+densities = ["uniform", "linear(slope=1)"]
+convergence = { counts = [16, 64], realizations = 20000, relative_error = 0.1 }
+"""
+FUNCTIONS = """
+title = "failures"
+samplers = ["random"]
+[convergence]
+counts = [4, 16]
+realizations = 10
+"""
+
+
+def _functions(*names):
+    text = FUNCTIONS + "".join(
+        f"[[estimators]]\nname = '{name}'\ndims = 1\n"
+        f"integrand = \"python(function='misbehaving:{name}')\"\n"
+        for name in names
+    )
+    return text, Trust(tuple(f"misbehaving:{name}" for name in names))
+
+
+def _path(name):
+    return f"{name.replace('_', '-')}/random/convergence"
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory, stored_values):
+    folder = tmp_path_factory.mktemp("study")
+    run_study(decode_study(STUDY), folder, workers=1)
+    return stored_values(folder)
+
+
+def _assert_equal(found, expected):
+    assert found.keys() == expected.keys()
+    for name, values in expected.items():
+        assert found[name].tobytes() == values.tobytes(), name
+
+
+def test_stored_is_what_the_functions_return(finished):
+    smooth, mis = (
+        mcs.Estimator("gaussian", dims=2),
+        mcs.MultipleImportance("linear", ["uniform", "linear(slope=1)"], dims=1),
+    )
+    expected = {
+        "/smooth/jittered-shift/convergence": mcs.convergence(
+            smooth, "jittered | shift", [64, 256], realizations=9000, rng=3
+        ),
+        "/smooth/random/terms": mcs.variance_terms(
+            smooth, "random", 64, half_width=4, realizations=9000, rng=3
+        ),
+        "/mis/random/convergence": mcs.convergence(
+            mis, "random", [16, 64], realizations=20000, relative_error=0.1, rng=3
+        ),
+    }
+    for path, data in expected.items():
+        for name in data.data_vars:
+            assert finished[f"{path}/{name}"].tobytes() == data[name].values.tobytes(), name
+
+
+@pytest.mark.parametrize("workers", [2, 4])
+def test_threads_give_the_same_bits(finished, tmp_path, stored_values, workers):
+    run_study(decode_study(STUDY), tmp_path, workers=workers)
+    _assert_equal(stored_values(tmp_path), finished)
+
+
+def test_chunks_of_one_block_give_the_same_bits(finished, tmp_path, stored_values, monkeypatch):
+    """And the journal has them for a while: cells that have several tasks leave records."""
+    monkeypatch.setattr(run_module, "_TARGET", 1e-9)
+    keys = []
+    append = run_module.Journal.append
+    monkeypatch.setattr(
+        run_module.Journal,
+        "append",
+        lambda self, key, *rest: (keys.append(key), append(self, key, *rest)),
+    )
+    run_study(decode_study(STUDY), tmp_path, workers=2)
+    _assert_equal(stored_values(tmp_path), finished)
+    assert len(keys) == len(set(keys)) > 10
+    assert all(key.rsplit("+")[1] == "1" for key in keys)
+
+
+def test_processes_give_the_same_bits(finished, tmp_path, stored_values):
+    store = run_study(
+        decode_study(STUDY), tmp_path, engine=lambda text: ProcessEngine(text, 2, None)
+    )
+    assert store.path.exists()
+    _assert_equal(stored_values(tmp_path), finished)
+
+
+def test_interrupted_and_resumed_in_other_chunks_gives_the_same_bits(
+    finished, tmp_path, stored_values, monkeypatch
+):
+    """Stopped after every few tasks, each time with other chunks; no block is computed twice."""
+    blocks = []
+
+    class Stopping:
+        """An engine that is interrupted after some outcomes."""
+
+        def __init__(self, text, left):
+            self._inner = LocalEngine(text, 1)
+            self._left = left
+            self.workers = 1
+            self.submit = self._inner.submit
+
+        def outcomes(self):
+            for outcome in self._inner.outcomes():
+                if self._left == 0:
+                    raise KeyboardInterrupt
+                self._left -= 1
+                blocks.append(outcome.key)
+                yield outcome
+
+        def close(self, cancel):
+            assert cancel or self._left >= 0
+            self._inner.close(cancel)
+
+    for attempt in range(100):
+        monkeypatch.setattr(run_module, "_TARGET", 1e-9 if attempt % 2 else 0.05)
+        try:
+            run_study(
+                decode_study(STUDY),
+                tmp_path,
+                resume=attempt > 0,
+                engine=lambda text: Stopping(text, 7),
+            )
+            break
+        except KeyboardInterrupt:
+            continue
+    assert 1 < attempt < 99
+    _assert_equal(stored_values(tmp_path), finished)
+    computed = [
+        (run, block)
+        for run, first, count in map(_parsed, blocks)
+        for block in range(first, first + count)
+    ]
+    assert len(computed) == len(set(computed))
+
+
+def _parsed(key):
+    run, _, chunk = key.rpartition("/")
+    first, _, count = chunk.partition("+")
+    return run, int(first), int(count)
+
+
+def test_failures_stay_in_their_cells(misbehaving, tmp_path, stored_values):
+    """And stay failed on resume, without anything being computed, until they are retried."""
+    text, trust = _functions("good", "raises", "nan", "hangs")
+    study = decode_study(text)
+    with pytest.raises(CellFailed, match="2 of 4 cells failed.*--retry") as caught:
+        run_study(study, tmp_path / "out", trust=trust, workers=2)
+    assert caught.value.failures[_path("raises")] == "It raised ZeroDivisionError: no such light."
+    assert "NaN or infinite" in caught.value.failures[_path("nan")]
+    assert set(open_results(tmp_path / "out").children) == {"good", "hangs"}
+    with pytest.raises(CellFailed) as again:
+        run_study(study, tmp_path / "out", trust=trust, resume=True, engine=_no_engine)
+    assert again.value.failures == caught.value.failures
+    (misbehaving / "misbehaving.py").write_text(
+        (misbehaving / "misbehaving.py")
+        .read_text()
+        .replace('raise ZeroDivisionError("no such light")', "return x[..., 0]")
+    )
+    sys.modules.pop("misbehaving")
+    with pytest.raises(CellFailed) as last:
+        run_study(study, tmp_path / "out", trust=trust, resume=True, retry=True, workers=1)
+    assert list(last.value.failures) == [_path("nan")]
+    values = stored_values(tmp_path / "out")
+    assert np.array_equal(
+        values[f"/{_path('raises')}/variance"], values[f"/{_path('hangs')}/variance"]
+    )
+
+
+def _no_engine(text):
+    raise AssertionError(f"nothing is left to compute of {text}")
+
+
+def test_a_hanging_integrand_fails_its_cell_only(misbehaving, tmp_path):
+    (misbehaving / "hang").touch()
+    text, trust = _functions("hangs", "good")
+    study = decode_study("time_limit = 5\n" + text)
+    with pytest.raises(CellFailed) as caught:
+        run_study(study, tmp_path / "out", trust=trust, workers=2)
+    assert caught.value.failures == {
+        _path("hangs"): "It took longer than the time limit of 5 s and was stopped."
+    }
+    assert set(open_results(tmp_path / "out").children) == {"good"}
+
+
+def test_interrupting_the_command_exits_130_and_loses_nothing(
+    misbehaving, tmp_path, stored_values, hear_interrupts
+):
+    """Ctrl-C while a slow cell runs: the fast one is stored, and --resume completes the rest."""
+    text, trust = _functions("good", "slow")
+    study = tmp_path / "study.toml"
+    study.write_text(text.replace("[4, 16]", "[4, 8, 16, 32]").replace("= 10", "= 200"))
+    (misbehaving / "slow").touch()
+    command = [sys.executable, "-m", "mcspectra", "run", str(study), "--out", str(tmp_path / "out")]
+    command += [item for name in trust.code for item in ("--allow-code", name)]
+    environment = {**os.environ, "PYTHONPATH": str(misbehaving)}
+    process = subprocess.Popen(
+        [*command, "--workers", "2"], env=environment, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        while not (tmp_path / "out/results.zarr" / _path("good")).exists():
+            assert process.poll() is None, process.stderr.read()
+            time.sleep(0.01)
+        process.send_signal(signal.SIGINT)
+        _, message = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130
+    assert "--resume continues" in message
+    assert "Traceback" not in message
+    (misbehaving / "slow").unlink()
+    config = decode_study(study.read_text())
+    run_study(config, tmp_path / "out", trust=trust, resume=True, workers=1)
+    run_study(config, tmp_path / "straight", trust=trust, workers=1)
+    _assert_equal(stored_values(tmp_path / "out"), stored_values(tmp_path / "straight"))
+
+
+class Sums:
+    """Trivial analysis of many blocks: the sum of their numbers."""
+
+    def __init__(self, blocks):
+        self.run = Run(part=0, first=0, realizations=blocks, blocks=blocks, cost=float(blocks))
+
+    def stages(self):
+        states = yield [self.run]
+        return states[0]
+
+    def block(self, run, index):
+        return np.full(1000, float(index + run.part))
+
+    def merge(self, left, right):
+        return left + right
+
+    def pack(self, state):
+        return {"state": state}
+
+    def unpack(self, arrays):
+        return arrays["state"]
+
+
+def test_memory_is_flat_over_ten_thousand_tasks():
+    """10,000 tasks of 8 kB each: at most 2 × workers are under way, and states merge at once."""
+    analysis = Sums(10_000)
+    cell = Cell("a/s/k", "k", "a", "s", None, None, None, 1.0)
+    under_way = []
+
+    class Source:
+        def analysis(self, _):
+            return analysis
+
+        def load(self, _):
+            raise AssertionError("nothing is recorded")
+
+    def compute(_, task):
+        under_way.append(schedule.under_way)
+        state = analysis.block(task.run, task.chunk_first)
+        return Outcome(key=task.key, payload=pack_payload({"state": state}), seconds=1e9)
+
+    schedule = Schedule([cell], Source(), {}, Pace())
+    engine = LocalEngine("study", 3, compute)
+    tracemalloc.start()
+    recorded = []
+    (settled,) = drive(schedule, engine, lambda outcome: recorded.append(len(outcome.payload)))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    engine.close(cancel=False)
+    assert settled.result[0] == 10_000 * 9_999 / 2
+    assert len(under_way) == len(recorded) + 1 == 10_000
+    assert max(under_way) <= 6
+    # log2(10,000) states, six tasks under way and what each holds, two lists of 10,000 numbers.
+    assert peak < 3e6
+
+
+def test_paths_of_the_test_are_those_of_the_plan(misbehaving):
+    text, trust = _functions("dies_once")
+    (cell,) = make_plan(decode_study(text), Path(), trust).cells
+    assert cell.path == _path("dies_once")
+    assert misbehaving.exists()
