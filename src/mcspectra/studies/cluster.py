@@ -9,6 +9,7 @@ the scheduler, results that were not fetched yet among them, so that nothing gro
 from __future__ import annotations
 
 import asyncio
+import concurrent.futures
 import itertools
 import queue
 import uuid
@@ -183,7 +184,7 @@ class DaskEngine:
         try:
             # May wait: if the worker has died since, the task is computed again.
             outcome, occupied = future.result()
-        except asyncio.CancelledError:
+        except (concurrent.futures.CancelledError, asyncio.CancelledError):
             return self._resubmit(pending)
         except WorkerRefused as refusal:
             raise ClusterError(str(refusal)) from None
