@@ -12,8 +12,8 @@ from mcspectra.core.results import dataset
 from mcspectra.core.staged import Staged, Whole, compute
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator, Estimator
-from mcspectra.spectra.pair_correlation import pair_correlation
-from mcspectra.spectra.power import power_spectrum
+from mcspectra.spectra.pair_correlation import staged_pair_correlation
+from mcspectra.spectra.power import staged_spectrum
 from mcspectra.studies.plan import Cell
 from mcspectra.studies.tables import (
     AnovaConfig,
@@ -100,8 +100,8 @@ def _terms(cell: Cell, settings: TermsConfig, seed: int) -> Staged[Any]:
     )
 
 
-def _spectrum(cell: Cell, settings: SpectrumConfig, seed: int) -> xr.Dataset:
-    return power_spectrum(
+def _spectrum(cell: Cell, settings: SpectrumConfig, seed: int) -> Staged[Any]:
+    return staged_spectrum(
         cell.sampler,
         settings.n,
         density=_density(_estimator(cell)),
@@ -109,7 +109,6 @@ def _spectrum(cell: Cell, settings: SpectrumConfig, seed: int) -> xr.Dataset:
         frequency_step=settings.frequency_step,
         realizations=settings.realizations,
         rng=seed,
-        workers=1,
     )
 
 
@@ -148,8 +147,8 @@ def _techniques(cell: Cell, settings: TechniquesConfig, seed: int) -> xr.Dataset
     )
 
 
-def _pcf(cell: Cell, settings: PcfConfig, seed: int) -> xr.Dataset:
-    return pair_correlation(
+def _pcf(cell: Cell, settings: PcfConfig, seed: int) -> Staged[Any]:
+    return staged_pair_correlation(
         cell.sampler,
         settings.n,
         bins=settings.bins,
@@ -157,7 +156,6 @@ def _pcf(cell: Cell, settings: PcfConfig, seed: int) -> xr.Dataset:
         rng=seed,
         boundary=settings.boundary,
         max_distance=settings.max_distance,
-        workers=1,
     )
 
 
@@ -236,14 +234,14 @@ def _map(cell: Cell, settings: MapConfig, seed: int) -> xr.Dataset:
 _STAGED: dict[str, Callable[[Cell, Any, int], Staged[Any]]] = {
     "convergence": _convergence,
     "terms": _terms,
+    "spectrum": _spectrum,
+    "pcf": _pcf,
 }
 """Analyses that are sums over realisations, and can be cut."""
 
 _COMPUTE: dict[str, Callable[[Cell, Any, int], xr.Dataset]] = {
     "techniques": _techniques,
-    "spectrum": _spectrum,
     "points": _points,
-    "pcf": _pcf,
     "anova": _anova,
     "exact": _exact,
     "remedies": _remedies,
