@@ -142,7 +142,7 @@ def legend_below(
 
     items = [
         LegendItem(
-            label=plain_text(shorten(name, 40) + (notes or {}).get(name, "")),
+            label=plain_text(shorten(name, 32) + (notes or {}).get(name, "")),
             renderers=list(renderers),
         )
         for name, renderers in entries.items()

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["MAP_DECADES", "PANEL", "color_bar", "image", "signed_mapper"]
 
-PANEL = 300
+PANEL = 284
 """Width of a panel in pixels."""
 MAP_DECADES = 3
 """Decades below its largest value that a signed map tells apart."""

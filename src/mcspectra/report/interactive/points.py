@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["points_plot"]
 
-_SIDE = 300  # pixels of a panel
+_SIDE = 284  # pixels of a panel
 
 
 def points_plot(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -> LayoutDOM:

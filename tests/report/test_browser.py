@@ -1,0 +1,165 @@
+"""The report in Chromium: tooltips, legends, sorting, phones, paper; no network, no errors."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, Page, Route, sync_playwright
+
+from mcspectra.report import write_comparison, write_report
+
+Make = dict[str, Callable[..., Any]]
+LOCAL = ("file:", "data:", "blob:", "about:", "http://127.0.0.1", "http://localhost")
+EVIL = "</script><script>document.title='run'</script>$$x$$"
+ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
+
+
+@pytest.fixture(scope="module", name="browser")
+def _browser() -> Iterator[Browser]:
+    """Chromium of the system; a machine without it fails, it does not skip."""
+    path = os.environ.get("CHROMIUM") or shutil.which("chromium") or "/usr/bin/chromium"
+    assert Path(path).exists(), "Chromium is needed: apt-get install chromium, or set CHROMIUM."
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=ARGUMENTS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module", name="folder")
+def _folder(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Reports of a small study, one of whose names tries to break out, and of a comparison."""
+    root = tmp_path_factory.mktemp("browser")
+    cells = {("1-D", s): make["analyses"](s, 1) for s in ("random", "jittered")}
+    cells["2-D", "random"] = {"terms": make["terms"]("random", dims=2, half_width=6)}
+    cells[EVIL, EVIL] = {"convergence": make["curve"]("random", rate=-1.2)}
+    write_report(make["study"](root / "a", cells))
+    make["study"](root / "b", {("1-D", "random"): {"convergence": make["curve"](rate=-1.3)}})
+    write_comparison(root / "a", root / "b", root / "comparison.html")
+    return root
+
+
+class Visit:
+    """A page that is open, what it asked of a network, and what it complained about."""
+
+    def __init__(self, browser: Browser, path: Path, **options: Any) -> None:
+        self.asked: list[str] = []
+        self.complaints: list[str] = []
+        context = browser.new_context(**options)
+        self.page: Page = context.new_page()
+        self.page.route("**/*", self._route)
+        self.page.on("console", self._note)
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.goto(path.as_uri())
+
+    def _route(self, route: Route) -> None:
+        if route.request.url.startswith(LOCAL):
+            route.continue_()
+        else:
+            self.asked.append(route.request.url)
+            route.abort()
+
+    def _note(self, message: Any) -> None:
+        if message.type in ("error", "warning"):
+            self.complaints.append(message.text)
+
+    def show(self, label: str, *, last: bool = False) -> Any:
+        """Scroll to the first or last plot whose words begin so, and wait until it is drawn."""
+        found = self.page.locator(f".plot[aria-label^='{label}']")
+        plot = found.last if last else found.first
+        plot.locator("xpath=../..").scroll_into_view_if_needed()
+        plot.locator("canvas").first.wait_for(state="visible")
+        self.page.wait_for_function("Bokeh.documents.every(d => d.is_idle)")
+        return plot
+
+    def leave(self) -> None:
+        """Close; nothing was asked of a network and nothing went wrong."""
+        self.page.context.close()
+        assert self.asked == []
+        assert self.complaints == []
+
+
+def sweep(visit: Visit, plot: Any, word: str) -> bool:
+    """Move the pointer over a plot, row by row, until a tooltip shows `word`."""
+    box = plot.bounding_box()
+    for part in range(60):
+        x = box["x"] + box["width"] * (0.35 + 0.06 * (part % 10))
+        visit.page.mouse.move(x, box["y"] + 60 + 25 * (part // 10))
+        visit.page.wait_for_timeout(60)
+        if visit.page.locator(".bk-Tooltip").get_by_text(word).count():
+            return True
+    return False
+
+
+def test_the_pointer_shows_exact_values(browser: Browser, folder: Path) -> None:
+    visit = Visit(browser, folder / "a" / "report.html")
+    assert sweep(visit, visit.show("Bars of the three terms"), "95 %:")
+    assert sweep(
+        visit,
+        visit.show("Contribution of each frequency to the variance. random: largest", last=True),
+        "power part:",
+    )
+    visit.leave()
+
+
+def test_a_click_in_the_legend_hides_a_line(browser: Browser, folder: Path) -> None:
+    visit = Visit(browser, folder / "a" / "report.html")
+    plot = visit.show("Variance against n")
+    hidden = """() => Bokeh.documents.flatMap(d => Array.from(d._all_models.values()))
+        .filter(m => m.type === "GlyphRenderer" && !m.visible).length"""
+    assert visit.page.evaluate(hidden) == 0
+    plot.get_by_text("jittered: −3.00 ± 0.03").click()
+    assert visit.page.evaluate(hidden) == 3  # points, whiskers and fitted line
+    plot.get_by_text("jittered: −3.00 ± 0.03").click()
+    assert visit.page.evaluate(hidden) == 0
+    visit.leave()
+
+
+def test_the_overview_sorts(browser: Browser, folder: Path) -> None:
+    visit = Visit(browser, folder / "a" / "report.html")
+    head = visit.page.get_by_role("button", name="Rate")
+    rates = """() => Array.from(document.querySelectorAll(".sortable tbody tr"))
+        .map(row => row.cells[2].dataset.order ?? null)"""
+    head.click()
+    assert visit.page.evaluate(rates) == ["-3.0", "-1.2", "-1.0", None]
+    head.click()
+    assert visit.page.evaluate(rates) == ["-1.0", "-1.2", "-3.0", None]
+    assert visit.page.locator("th[aria-sort='descending']").count() == 1
+    visit.page.get_by_role("button", name="Sampler").press("Enter")
+    visit.leave()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [390, 1200])
+def test_every_plot_draws_and_nothing_spills(
+    browser: Browser, folder: Path, width: int, scheme: Any
+) -> None:
+    for name in ("a/report.html", "comparison.html"):
+        visit = Visit(
+            browser, folder / name, viewport={"width": width, "height": 800}, color_scheme=scheme
+        )
+        places = visit.page.locator(".live")
+        for i in range(places.count()):
+            places.nth(i).scroll_into_view_if_needed()
+            places.nth(i).locator("canvas").first.wait_for(state="visible")
+        assert visit.page.evaluate("document.documentElement.scrollWidth") <= width
+        assert visit.page.title() != "run"
+        visit.leave()
+
+
+def test_pictures_without_scripts_and_on_paper(browser: Browser, folder: Path) -> None:
+    visit = Visit(browser, folder / "a" / "report.html", java_script_enabled=False)
+    assert visit.page.locator("img:visible").count() == visit.page.locator("img").count() > 9
+    assert visit.page.locator("th button").count() == 0
+    visit.leave()
+    visit = Visit(browser, folder / "a" / "report.html")
+    plot = visit.show("Variance against n")
+    visit.page.emulate_media(media="print")
+    assert not plot.is_visible()
+    assert visit.page.locator("img:visible").count() == visit.page.locator("img").count()
+    assert visit.page.pdf().startswith(b"%PDF")
+    visit.leave()
