@@ -31,6 +31,7 @@ __all__ = [
     "StateLine",
     "StudyLine",
     "append_line",
+    "in_place",
     "now",
     "read_manifest",
     "state_line",
@@ -131,6 +132,17 @@ class Manifest(msgspec.Struct, frozen=True):
         """When the last run went through all cells; None while it has not."""
         last = self.states[-1] if self.states else None
         return last.at if last is not None and last.state == "finished" else None
+
+
+def in_place(tree: Path, manifest: Manifest, paths: Iterable[str] | None = None) -> Iterator[str]:
+    """Cells of a manifest, or those of `paths`, that are in the tree.
+
+    One that a crash kept from being renamed into place is not. Of 100,000 cells a `Path` each would
+    take longer than all the rest.
+    """
+    base = str(tree)
+    cells = manifest.cells if paths is None else paths
+    return (path for path in cells if os.path.isfile(f"{base}/{path}/zarr.json"))  # noqa: PTH113
 
 
 def now() -> str:

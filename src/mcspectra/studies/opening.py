@@ -10,12 +10,11 @@ import fnmatch
 import importlib.util
 import json
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcspectra.core.errors import MissingDependency, StoreError
-from mcspectra.studies.manifest import read_manifest
+from mcspectra.studies.manifest import in_place, read_manifest
 from mcspectra.studies.sizes import available_memory, shown_bytes
 from mcspectra.studies.store import STORE_NAME, root_document
 
@@ -57,11 +56,11 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
     paths = None if select is None else _selected(source, root, select)
     for path in [""] if paths is None else paths:
         _check_group(root, path, name)
+    whole = root.metadata.consolidated_metadata is not None
     try:
         if paths is None:
-            whole = root.metadata.consolidated_metadata is not None
             return xr.open_datatree(store, engine="zarr", consolidated=whole, zarr_format=3)
-        cells: dict[str, Any] = {path: _dataset(store, path) for path in paths}
+        cells: dict[str, Any] = {path: _dataset(store, path, whole) for path in paths}
     except (ValueError, KeyError, TypeError, OSError) as error:
         raise _damaged(name, error) from None
     return xr.DataTree.from_dict({"/": xr.Dataset(attrs=dict(root.attrs)), **cells})
@@ -79,15 +78,15 @@ def result_paths(source: str | Path) -> tuple[str, ...]:
     return tuple(_paths(source, root))
 
 
-def _paths(source: str | Path, root: Any) -> Iterator[str]:
+def _paths(source: str | Path, root: Any, select: str | None = None) -> list[str]:
+    """Paths of cells, of those that match."""
     folder = Path(source)
     manifest = None if _is_url(source) or not folder.is_dir() else read_manifest(folder)
     if manifest is None or not manifest.cells:
-        yield from _leaves(root, str(source))
-        return
-    for path in manifest.cells:
-        if (folder / STORE_NAME / path / "zarr.json").is_file():
-            yield path
+        paths = _leaves(root, str(source))
+        return paths if select is None else fnmatch.filter(paths, select)
+    matching = None if select is None else fnmatch.filter(manifest.cells, select)
+    return list(in_place(folder / STORE_NAME, manifest, matching))
 
 
 def _leaves(root: Any, name: str) -> list[str]:
@@ -103,7 +102,7 @@ def _leaves(root: Any, name: str) -> list[str]:
 
 
 def _selected(source: str | Path, root: Any, select: str) -> list[str]:
-    paths = fnmatch.filter(_paths(source, root), select)
+    paths = _paths(source, root, select)
     if not paths:
         raise StoreError(f"No cell of {str(source)!r} matches {select!r}; paths are a/b/analysis.")
     return paths
@@ -185,10 +184,12 @@ def _has_root(url: str) -> bool:
     return bool(files.exists(f"{path.rstrip('/')}/zarr.json"))
 
 
-def _dataset(store: Any, path: str) -> xr.Dataset:
+def _dataset(store: Any, path: str, consolidated: bool) -> xr.Dataset:
     import xarray as xr
 
-    return xr.open_dataset(store, engine="zarr", group=path, consolidated=False, zarr_format=3)
+    return xr.open_dataset(
+        store, engine="zarr", group=path, consolidated=consolidated, zarr_format=3
+    )
 
 
 def _check_group(root: Any, path: str, name: str) -> None:

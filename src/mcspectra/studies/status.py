@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ import msgspec
 from mcspectra.studies.checksums import Checksum, damage_of
 from mcspectra.studies.journal import JOURNAL_NAME, JournalState, read_journal
 from mcspectra.studies.lock import LockHolder, is_held, lock_holder
-from mcspectra.studies.manifest import CellLine, Manifest, read_manifest
+from mcspectra.studies.manifest import CellLine, Manifest, in_place, read_manifest
 from mcspectra.studies.opening import result_paths
 from mcspectra.studies.store import STORE_NAME, root_attributes
 
@@ -104,7 +104,7 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
     journal = read_journal(root, verify=verify) or JournalState((), {}, (), 0)
     tree = root / STORE_NAME
     damaged = _damaged_cells(tree, manifest, verify) | _damaged_records(manifest, journal)
-    done = tuple(path for path in _in_place(tree, manifest) if path not in damaged)
+    done = tuple(path for path in in_place(tree, manifest) if path not in damaged)
     known = {*done, *damaged}
     failed = {path: error for path, error in journal.failures.items() if path not in known}
     missing = tuple(path for path in manifest.paths if path not in known and path not in failed)
@@ -149,15 +149,10 @@ def _of_tree(root: Path) -> Manifest:
     return Manifest(None, (), cells, (), (), 0)
 
 
-def _in_place(tree: Path, manifest: Manifest) -> Iterator[str]:
-    """Cells of the manifest that are in the tree: one that a crash kept out is missing."""
-    return (path for path in manifest.cells if (tree / path / "zarr.json").is_file())
-
-
 def _damaged_cells(tree: Path, manifest: Manifest, verify: bool) -> dict[str, str]:
     """What is wrong with cells that are in the tree."""
     found: dict[str, str] = {}
-    for path in _in_place(tree, manifest) if verify else ():
+    for path in in_place(tree, manifest) if verify else ():
         line = manifest.cells[path]
         expected = Checksum(line.sha256, line.parts, line.bytes)
         reason = damage_of(tree / path, expected) if line.sha256 else None
