@@ -190,6 +190,10 @@ class DaskEngine:
             raise ClusterError(str(refusal)) from None
         except killed_worker() as error:
             return self._suspect(pending, getattr(error, "allowed_failures", 0) + 1)
+        except OSError as error:
+            if future.status == "error":
+                return Outcome(key=pending.task.key, error=explain(error))
+            return self._resubmit(pending)  # the connection broke while the result was fetched
         except Exception as error:  # noqa: BLE001 - whatever kept dask from computing it
             return Outcome(key=pending.task.key, error=explain(error))
         if occupied:

@@ -1,0 +1,164 @@
+"""Whole studies on dask: the same bits as on one thread, and resumed after the scheduler's death."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import distributed
+import numpy as np
+import pytest
+
+from mcspectra.cli.main import main
+from mcspectra.studies import open_results, run, run_study
+from mcspectra.studies.cluster import ClusterLost, ClusterOptions, DaskEngine
+from mcspectra.studies.config import decode_study
+
+STUDY = """
+title = "small"
+seed = 3
+samplers = ["random", "jittered | shift"]
+[convergence]
+counts = [16, 64]
+realizations = 3000
+[spectrum]
+n = 16
+half_width = 8
+realizations = 50
+[[estimators]]
+name = "smooth"
+integrand = "gaussian"
+dims = 2
+"""
+
+
+def values(folder):
+    """Every array of a store, by path, as bytes."""
+    return {
+        f"{node.path}/{name}": np.asarray(variable.values).tobytes()
+        for node in open_results(folder).subtree
+        for name, variable in node.to_dataset().variables.items()
+    }
+
+
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("threads")
+    run_study(decode_study(STUDY), folder, workers=1)
+    return values(folder)
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=60
+    ) as cluster:
+        yield cluster
+
+
+def on(address, **options):
+    return lambda text: DaskEngine(text, ClusterOptions(address=address, **options))
+
+
+@pytest.mark.parametrize(("workers", "seconds"), [(1, 1.0), (2, 0.01), (4, 1.0)])
+def test_same_bits_for_any_workers_and_chunks(
+    expected, cluster, tmp_path, monkeypatch, workers, seconds
+):
+    monkeypatch.setattr(run, "_TARGET", seconds)
+    cluster.scale(workers)
+    deadline = time.monotonic() + 60
+    while len(cluster.scheduler.workers) < workers and time.monotonic() < deadline:
+        time.sleep(0.05)
+    run_study(decode_study(STUDY), tmp_path, engine=on(cluster.scheduler_address))
+    assert values(tmp_path) == expected
+    assert len(expected) > 20
+
+
+def test_the_scheduler_is_killed_and_the_store_resumed(expected, tmp_path):
+    file = tmp_path / "scheduler.json"
+    null = subprocess.DEVNULL
+    options = [
+        ["scheduler", "--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0"],
+        ["worker", "--host", "127.0.0.1", "--nthreads", "1", "--no-nanny"],
+    ]
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-m", f"distributed.cli.dask_{what}", "--scheduler-file", file, *rest],
+            stdout=null,
+            stderr=null,
+            env=os.environ | {"OMP_NUM_THREADS": "1"},
+        )
+        for what, *rest in options
+    ]
+    try:
+        deadline = time.monotonic() + 60
+        while not file.exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        with pytest.raises(ClusterLost, match="--resume continues"):
+            run_study(
+                decode_study(STUDY),
+                tmp_path / "out",
+                engine=_impatient(on(str(file))),
+                report=lambda progress: processes[0].kill(),
+            )
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+    stored = values(tmp_path / "out")
+    assert 0 < len(stored) < len(expected)
+    run_study(decode_study(STUDY), tmp_path / "out", resume=True, workers=1)
+    assert values(tmp_path / "out") == expected
+
+
+def _impatient(make):
+    """An engine that waits long for the first connection, and a second when it is lost."""
+
+    def engine(text):
+        made = make(text)
+        made._connection._client._timeout = 1.0
+        return made
+
+    return engine
+
+
+def test_the_command_runs_on_a_cluster(expected, cluster, tmp_path, capsys):
+    study = tmp_path / "small.toml"
+    study.write_text(STUDY)
+    out = str(tmp_path / "out")
+    arguments = ["run", str(study), "--out", out, "--cluster", cluster.scheduler_address]
+    assert main(arguments) == 0
+    assert f"dask: {cluster.scheduler_address}, dashboard: http://127" in capsys.readouterr().err
+    assert values(tmp_path / "out") == expected
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--dashboard", "1"], "--dashboard is for clusters; give --cluster too."),
+        (["--tls-key", "k.pem"], "--tls-key is for clusters; give --cluster too."),
+        (["--cluster", "here"], "The cluster's address is 'here'; give tcp://HOST:PORT"),
+        (["--cluster", "a:1", "--workers", "2"], "The cluster at a:1 has its own workers"),
+        (["--cluster", "local", "--dashboard", "x"], "--dashboard is 'x'"),
+        (["--cluster", "tls://a:1"], "The address tls://a:1 needs TLS"),
+    ],
+)
+def test_options_that_do_not_go_are_a_sentence(tmp_path, capsys, options, sentence):
+    study = tmp_path / "small.toml"
+    study.write_text(STUDY)
+    assert main(["run", str(study), "--out", str(tmp_path / "out"), *options]) == 2
+    shown = capsys.readouterr()
+    assert sentence in shown.err
+    assert shown.err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_json_says_nothing_of_dask(cluster, tmp_path, capsys):
+    study = tmp_path / "small.toml"
+    study.write_text(STUDY)
+    arguments = ["run", str(study), "--out", str(tmp_path / "out"), "--json"]
+    assert main([*arguments, "--cluster", cluster.scheduler_address]) == 0
+    shown = capsys.readouterr()
+    assert json.loads(shown.out)["rows"]
+    assert shown.err == ""
