@@ -22,11 +22,10 @@ def _through_file(arrays):
 
 
 def _run_in_chunks(make, run, size):
-    """State of a run from chunks in any order, each of an analysis of its own, through a file."""
+    """State of a run from chunks in any order, through a file to an analysis of its own."""
     parts = list(chunks(run.blocks, size))
-    packed = {}
+    packed, analysis = {}, make()
     for chunk in random.Random(size).sample(parts, len(parts)):
-        analysis = make()
         packed[chunk] = _through_file(analysis.pack(compute_chunk(analysis, run, chunk)))
     analysis = make()
     tree = MergeTree(analysis.merge)

@@ -174,25 +174,40 @@ class TechniqueSums:
         return Covariances(dc, power, total - dc - power, measured)
 
 
+@dataclass(frozen=True)
 class TechniqueBatches:
-    """The covariances that each block of realisations says by itself, for standard errors."""
+    """The covariances that each block of realisations says by itself, for standard errors.
 
-    def __init__(self) -> None:
-        self._weights: list[int] = []
-        self._values: list[Array] = []
+    Attributes
+    ----------
+    weights
+        Degrees of freedom of each block: (B,).
+    values
+        Dc, power, cross and measured: (B, 4, C, T, T).
+    """
 
-    def add(self, sums: TechniqueSums, view: TechniqueView) -> None:
-        """Take in one block; a block of one realisation has no covariance and says nothing."""
-        if sums.count > 1:
-            self._weights.append(sums.count - 1)
-            self._values.append(sums.covariances(view).stacked)
+    weights: Array
+    values: Array
+
+    @staticmethod
+    def of(sums: TechniqueSums, view: TechniqueView) -> TechniqueBatches:
+        """One block; a block of one realisation has no covariance and says nothing."""
+        some = slice(0, int(sums.count > 1))
+        values = sums.covariances(view).stacked[None]
+        return TechniqueBatches(np.array([sums.count - 1.0])[some], values[some])
+
+    def merge(self, other: TechniqueBatches) -> TechniqueBatches:
+        """The blocks of both."""
+        return TechniqueBatches(
+            np.concatenate([self.weights, other.weights]),
+            np.concatenate([self.values, other.values]),
+        )
 
     @property
     def errors(self) -> Array:
         """Standard errors of dc, power, cross and measured: (4, C, T, T); NaN for one block."""
-        share = np.array(self._weights, np.float64) / sum(self._weights)
-        values = np.array(self._values)
-        return spread(values - np.tensordot(share, values, axes=1), share)
+        share = self.weights / self.weights.sum()
+        return spread(self.values - np.tensordot(share, self.values, axes=1), share)
 
 
 def _paired(f: Array, products: Array) -> Array:

@@ -20,14 +20,9 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_choice, as_integer
 from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError
-from mcspectra.core.parallel import (
-    MAX_REALIZATIONS,
-    Block,
-    available_workers,
-    map_in_order,
-    realization_blocks,
-)
+from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
 from mcspectra.core.results import dataset
+from mcspectra.core.staged import compute
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, as_estimator
 from mcspectra.estimators.moments import rounding_floor
@@ -38,15 +33,18 @@ from mcspectra.variance.batches import Variables
 from mcspectra.variance.bottleneck import in_words, technique_rates
 from mcspectra.variance.convergence import count_stream
 from mcspectra.variance.fit import check_window
-from mcspectra.variance.technique_sums import TechniqueBatches, TechniqueSums, TechniqueView
+from mcspectra.variance.staged_techniques import (
+    StagedTechniques,
+    TechniqueCell,
+    TechniqueTotal,
+)
+from mcspectra.variance.technique_sums import TechniqueSums, TechniqueView
 from mcspectra.variance.views import SPACES, check_terms, chosen_basis, view_dims
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["technique_terms"]
-
-_BATCHES = 20
+__all__ = ["staged_techniques", "technique_terms"]
 
 
 def technique_terms(
@@ -123,29 +121,85 @@ def technique_terms(
     >>> d.attrs["bottleneck"]
     'technique 1'
     """
-    job = _Job.of(
-        estimator, sampler, half_width, realizations, rng, basis, space, engine, eps, workers
+    threads = available_workers(workers)
+    return compute(
+        staged_techniques(
+            estimator,
+            sampler,
+            n,
+            half_width=half_width,
+            realizations=realizations,
+            rng=rng,
+            basis=basis,
+            space=space,
+            fit_last=fit_last,
+            engine=engine,
+            eps=eps,
+        ),
+        threads,
     )
+
+
+def staged_techniques(
+    estimator: AbstractEstimator | Integrand | str,
+    sampler: Sampler | str,
+    n: int | Sequence[int],
+    *,
+    half_width: int = 64,
+    realizations: int = 1000,
+    rng: RngLike = 0,
+    basis: str = "fourier",
+    space: str | None = None,
+    fit_last: int | str | None = None,
+    engine: str = "auto",
+    eps: float = 1e-9,
+) -> StagedTechniques:
+    """Return `technique_terms` as a staged analysis, its arguments checked: a run is a count."""
+    job = _Job.of(estimator, sampler, half_width, realizations, rng, basis, space, engine, eps)
     several = isinstance(n, Sequence | np.ndarray) and not isinstance(n, str)
     ns = _check_counts(n, job) if several else [job.sampler.check_count(n)]
     for count in ns:
         job.estimator.check_sampler(job.sampler, count)
     window = check_window(fit_last, len(ns))
     streams = [count_stream(job.stream, count) if several else job.stream for count in ns]
-    results = [job.result(count, stream) for count, stream in zip(ns, streams, strict=True)]
-    parts = [_variables(sums, view, errors) for sums, view, errors in results]
-    variables = {
+    cells = tuple(job.cell(count, own) for count, own in zip(ns, streams, strict=True))
+
+    def result(totals: list[TechniqueTotal]) -> xr.Dataset:
+        if job.infinite:
+            _warn(job.estimator)
+        variables = _stacked(cells, totals)
+        if job.infinite:
+            variables = _without_spectra(variables)
+        notes: dict[str, Any] = {}
+        if several:
+            rates, choice = technique_rates(ns, [t.sums.moments for t in totals], window)
+            variables |= rates
+            notes["bottleneck"] = in_words(choice, scalar=job.estimator.channels == 0)
+        return _labelled(variables, ns, job, cells[0].view, several=several, **notes)
+
+    return StagedTechniques(cells, result)
+
+
+def _warn(estimator: AbstractEstimator) -> None:
+    """Say that the terms are infinite, to who called `technique_terms`, six calls up."""
+    warnings.warn(
+        f"∫1/p diverges for {estimator.spec}: the spectral terms are infinite although the "
+        "estimate's variance need not be; use space='primary'.",
+        InfiniteWeightVarianceWarning,
+        stacklevel=6,
+    )
+
+
+def _stacked(cells: Sequence[TechniqueCell], totals: Sequence[TechniqueTotal]) -> Variables:
+    """Result variables of all counts, along a first axis n."""
+    parts = [
+        _variables(total.sums, cell.view, total.batches.errors)
+        for cell, total in zip(cells, totals, strict=True)
+    ]
+    return {
         name: (("n", *dims), np.stack([part[name][1] for part in parts]))
         for name, (dims, _) in parts[0].items()
     }
-    if job.infinite:
-        variables = _without_spectra(variables)
-    notes: dict[str, Any] = {}
-    if several:
-        rates, choice = technique_rates(ns, [sums.moments for sums, _, _ in results], window)
-        variables |= rates
-        notes["bottleneck"] = in_words(choice, scalar=job.estimator.channels == 0)
-    return _labelled(variables, ns, job, results[0][1], several=several, **notes)
 
 
 @dataclass(frozen=True)
@@ -162,7 +216,6 @@ class _Job:
     space: str
     engine: str
     eps: float
-    threads: int
     infinite: bool
 
     @staticmethod
@@ -176,7 +229,6 @@ class _Job:
         space: str | None,
         engine: str,
         eps: float,
-        workers: int | None,
     ) -> _Job:
         estimator = as_estimator(given, getattr(sampler, "dims", None))
         source = as_sampler(sampler, estimator.dims)
@@ -186,13 +238,6 @@ class _Job:
         basis = chosen_basis(basis, estimator, source, chosen, half_width)
         check_terms(estimator, half_width, chosen, cross_matrix=False, basis=basis)
         infinite = chosen == "domain" and estimator.infinite_weights
-        if infinite:
-            warnings.warn(
-                f"∫1/p diverges for {estimator.spec}: the spectral terms are infinite although the "
-                "estimate's variance need not be; use space='primary'.",
-                InfiniteWeightVarianceWarning,
-                stacklevel=3,
-            )
         return _Job(
             estimator,
             source,
@@ -204,29 +249,14 @@ class _Job:
             chosen,
             engine,
             eps,
-            available_workers(workers),
             infinite,
         )
 
-    def result(self, n: int, stream: Stream) -> tuple[TechniqueSums, TechniqueView, Array]:
-        """Sums over all realisations of one count, and standard errors (4, C, T, T)."""
+    def cell(self, n: int, stream: Stream) -> TechniqueCell:
+        """Realisations of one count."""
         functions = make_basis(self.basis, view_dims(self.estimator, self.space), self.half_width)
         view = TechniqueView.of(self.estimator, n, self.space, functions, self.engine, self.eps)
-
-        def block_sums(block: Block) -> TechniqueSums:
-            return TechniqueSums.of(view, self.estimator.draw(self.sampler, n, stream, *block))
-
-        techniques = len(self.estimator.counts)
-        numbers = n * self.estimator.dims * sum(self.estimator.counts)
-        numbers = max(numbers, 4 * techniques * functions.stored)
-        blocks = realization_blocks(self.realizations, numbers, multiple=2, least=_BATCHES)
-        batches = TechniqueBatches()
-        total: TechniqueSums | None = None
-        for sums in map_in_order(block_sums, blocks, self.threads):
-            batches.add(sums, view)
-            total = sums if total is None else total.merge(sums)
-        assert total is not None  # there are 2 realisations at least
-        return total, view, batches.errors
+        return TechniqueCell(view, self.sampler, n, stream, self.realizations)
 
 
 def _check_counts(counts: Any, job: _Job) -> list[int]:
