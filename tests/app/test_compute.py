@@ -91,8 +91,8 @@ def test_rounds_that_would_take_long_are_not_begun(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(module, "compute", lambda *_: None)
     monkeypatch.setattr(module.time, "perf_counter", lambda: next(clock))
     updates, sentence = finished(replace(SMALL, realizations=1024))
-    assert [u.realizations for u in updates] == [16] * 4
-    assert "Stopped at 16 realisations: 64 would take about 40 s" in sentence
+    assert [u.realizations for u in updates] == [16] * 4 + [64] * 4
+    assert "Stopped at 64 realisations: 256 would take about 40 s" in sentence
 
 
 @pytest.mark.parametrize(

@@ -292,8 +292,9 @@ class Job:
         make_parts(self.setup)  # refuse what cannot be made before anything is shown
         planned = list(rounds(self.setup))
         spent, last = 0.0, 0
-        for count in planned:
-            expected = spent * count / last if last else 0.0
+        for number, count in enumerate(planned):
+            # The first round also loads and compiles what the later ones only use
+            expected = spent * count / last if number > 1 else 0.0
             if expected > _LONGEST_ROUND:
                 return (
                     f"Stopped at {last} realisations: {count} would take about {expected:.0f} s; "

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from typing import Any
 
 from mcspectra.core.errors import SpecError
 from mcspectra.core.spec import Call, parse, parse_chain
@@ -69,7 +70,7 @@ def _check_call(call: Call) -> None:
     _check_mapping(call.name, call.arguments)
 
 
-def _check_mapping(name: str, values: Mapping[object, object]) -> None:
+def _check_mapping(name: str, values: Mapping[Any, Any]) -> None:
     for key, value in values.items():
         if key in _FILE_KEYS and isinstance(value, str | list | tuple):
             raise SpecError(

@@ -1,0 +1,145 @@
+"""The explorer's server: this machine only, and only for pages that it served itself.
+
+It listens on the loopback interface. That keeps other machines out, but not pages of other hosts in
+the user's own browser: these may send requests here, or point a name of theirs to 127.0.0.1. So
+every request must name this server as its Host, and as its Origin where it has one.
+"""
+
+from __future__ import annotations
+
+import socket
+import warnings
+from collections.abc import Awaitable
+from typing import Any, final
+
+from tornado import httputil, routing, web
+
+from mcspectra.core.checks import as_integer
+from mcspectra.core.errors import ParameterError
+
+__all__ = ["ADDRESS", "Guard", "make_server", "serve"]
+
+ADDRESS = "127.0.0.1"
+"""Where the server listens."""
+
+_TITLE = "mcspectra explorer"
+
+
+@final
+class Guard(routing.Router):
+    """Hands requests on to an application if they are from its own pages, else answers 403.
+
+    Parameters
+    ----------
+    application
+        What answers.
+    port
+        Port of the server.
+    """
+
+    def __init__(self, application: web.Application, port: int) -> None:
+        self._application = application
+        self._hosts = {f"{name}:{port}" for name in (ADDRESS, "localhost")}
+        self._refusal = web.Application([(".*", _Refusal)])
+
+    def find_handler(
+        self, request: httputil.HTTPServerRequest, **kwargs: Any
+    ) -> httputil.HTTPMessageDelegate | None:
+        """Return who answers `request`."""
+        chosen = self._application if self._trusts(request.headers) else self._refusal
+        return chosen.find_handler(request, **kwargs)
+
+    def _trusts(self, headers: httputil.HTTPHeaders) -> bool:
+        if headers.get_list("Host") and headers.get("Host", "").lower() not in self._hosts:
+            return False
+        origins = headers.get_list("Origin")
+        allowed = {f"http://{host}" for host in self._hosts}
+        return bool(headers.get_list("Host")) and all(each.lower() in allowed for each in origins)
+
+
+class _Refusal(web.RequestHandler):
+    """403 with a sentence, whatever is asked."""
+
+    def prepare(self) -> Awaitable[None] | None:
+        """Answer before any method is looked at."""
+        self.set_status(403)
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish("The explorer answers its own pages only; open the address that it printed.\n")
+        return None
+
+
+def make_server(port: int = 0) -> Any:
+    """Return a server that is bound but not started, `bokeh.server.server.Server`.
+
+    Parameters
+    ----------
+    port
+        Port on the loopback interface; 0 for any free one.
+
+    Raises
+    ------
+    ParameterError
+        The port is out of range or taken.
+    """
+    import panel as pn
+
+    from mcspectra.app.page import build_page
+
+    port = _free_port() if as_integer("port", port, least=0, most=65535) == 0 else port
+    pn.extension(sizing_mode="stretch_width")
+    try:
+        server: Any = pn.io.server.get_server(
+            {"/": build_page},
+            port=port,
+            address=ADDRESS,
+            websocket_origin=[f"{ADDRESS}:{port}", f"localhost:{port}"],
+            title=_TITLE,
+            http_server_kwargs={"max_buffer_size": 64 * 2**20},
+            websocket_max_message_size=64 * 2**20,
+        )
+    except OSError as error:
+        reason = error.strerror or "it is taken"
+        raise ParameterError(f"Port {port} cannot be used: {reason}; give another.") from None
+    server._http.request_callback = Guard(server._tornado, port)
+    return server
+
+
+def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> None:
+    """Run the explorer until it is interrupted.
+
+    Parameters
+    ----------
+    port
+        As of `make_server`.
+    open_browser
+        Whether to open the page.
+    quiet
+        Do not print the address.
+
+    Raises
+    ------
+    ParameterError
+        The port cannot be used.
+    """
+    server = make_server(port)
+    # Components repeat, on standard error, what the page says in its own words.
+    warnings.simplefilter("ignore")
+    address = f"http://{ADDRESS}:{server.port}/"
+    if not quiet:
+        print(f"The explorer is at {address}; stop it by Ctrl-C.", flush=True)
+    server.start()
+    if open_browser:
+        server.io_loop.add_callback(_open, address)
+    server.io_loop.start()
+
+
+def _open(address: str) -> None:
+    import webbrowser
+
+    webbrowser.open(address)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind((ADDRESS, 0))
+        return int(probe.getsockname()[1])

@@ -1,0 +1,41 @@
+"""Explore in the browser: choose a sampler, a density and an integrand, and see what they make.
+
+Serves a page on this machine alone, without any use of the network; needs the extra app.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+
+from mcspectra.cli.common import whole_number
+from mcspectra.core.errors import MissingDependency, ParameterError
+
+__all__ = ["add_arguments", "run"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the verb's options."""
+    parser.add_argument(
+        "--port", default="0", metavar="N", help="port on this machine; any free one by default"
+    )
+    parser.add_argument(
+        "--no-browser", action="store_true", help="print the address, open no browser"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Serve until interrupted."""
+    port = whole_number("--port", options.port, least=0, most=65535)
+    if options.json or options.seed is not None:
+        raise ParameterError("app takes neither --json nor --seed; choose the seed on the page.")
+    try:
+        importlib.import_module("panel")
+    except ImportError:
+        raise MissingDependency(
+            "The explorer needs Panel; install it with pip install 'mcspectra[app]'."
+        ) from None
+    from mcspectra.app.server import serve
+
+    serve(port, open_browser=not options.no_browser, quiet=options.quiet)
+    return 0

@@ -1,0 +1,201 @@
+"""The explorer in a real browser: what a user does, without a request to anywhere else."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
+
+import pytest
+from playwright.sync_api import Page, Route, expect, sync_playwright
+
+from mcspectra.app.state import State
+
+_ARGUMENTS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking")
+_PATIENCE = 90_000  # milliseconds: what is waited for comes within one on a quiet machine
+_SMALL = "half_width=8&realizations=16&n=64"
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Address of a running explorer with a cache of its own."""
+    cache = str(tmp_path_factory.mktemp("cache"))
+    process = subprocess.Popen(
+        [sys.executable, "-m", "mcspectra", "app", "--no-browser"],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "MCSPECTRA_CACHE": cache, "OMP_NUM_THREADS": "1"},
+    )
+    assert process.stdout is not None
+    try:
+        yield process.stdout.readline().split(" at ")[1].split(";")[0]
+    finally:
+        process.terminate()
+        process.wait(30)
+        process.stdout.close()
+
+
+@pytest.fixture(scope="module")
+def seen() -> dict[str, list[str]]:
+    """Requests to elsewhere and errors of the page, over all tests."""
+    return {"elsewhere": [], "errors": []}
+
+
+@pytest.fixture(scope="module")
+def page(address: str, seen: dict[str, list[str]]) -> Iterator[Page]:
+    """A tab that can reach nothing but the explorer."""
+
+    def only_here(route: Route) -> None:
+        if route.request.url.startswith((address, "data:", "blob:")):
+            route.continue_()
+        else:
+            seen["elsewhere"].append(route.request.url)
+            route.abort()
+
+    with sync_playwright() as player:
+        browser = player.chromium.launch(executable_path="/usr/bin/chromium", args=_ARGUMENTS)
+        tab = browser.new_page(viewport={"width": 1300, "height": 900})
+        tab.set_default_timeout(_PATIENCE)
+        expect.set_options(timeout=_PATIENCE)
+        tab.route("**/*", only_here)
+        tab.on("pageerror", lambda error: seen["errors"].append(str(error)))
+        tab.on(
+            "console",
+            lambda message: (
+                seen["errors"].append(message.text) if message.type == "error" else None
+            ),
+        )
+        yield tab
+        browser.close()
+
+
+def open_state(page: Page, address: str, query: str) -> None:
+    """Load a state and wait for its job to end."""
+    page.goto(f"{address}?{query}")
+    done(page)
+
+
+def done(page: Page, side: str = "A") -> None:
+    """Wait for the end of a side's job."""
+    expect(page.get_by_text(f"{side} Done.")).to_be_visible()
+
+
+def wait_for(page: Page, key: str, value: str) -> None:
+    """Wait until the address holds a value."""
+    page.wait_for_url(lambda url: parse_qs(urlsplit(url).query).get(key) == [value])
+
+
+def state_of(page: Page) -> State:
+    """The state that the address says."""
+    return State.from_query(urlsplit(page.url).query)
+
+
+def test_a_slider_by_keyboard(page: Page, address: str) -> None:
+    open_state(page, address, f"{_SMALL}&density=linear(slope=0.5)")
+    page.get_by_role("slider", name="Strata shift, A").press("ArrowRight")
+    wait_for(page, "strata_shift", "0.05")
+    page.get_by_role("slider", name="Density slope, A").press("ArrowRight")
+    wait_for(page, "density", "linear(slope=0.55)")
+    done(page)
+    expect(page.get_by_role("cell", name="strata-shift(offset=0.05)")).to_be_visible()
+
+
+def test_another_sampler_and_a_randomisation(page: Page, address: str) -> None:
+    open_state(page, address, _SMALL)
+    page.get_by_label("Sampler, A").first.select_option("sobol")
+    wait_for(page, "sampler", "sobol")
+    page.get_by_role("checkbox", name="owen").check()
+    wait_for(page, "sampler", "sobol | owen")
+    done(page)
+    expect(page.get_by_role("img", name="A: Convergence. Fitted rate")).to_be_visible()
+
+
+def test_python_that_is_copied_gives_the_figures_shown(page: Page, address: str) -> None:
+    open_state(page, address, _SMALL)
+    program = page.get_by_role("textbox", name="As Python").input_value()
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        exec(compile(program, "copied", "exec"), {})  # noqa: S102
+    found = dict(line.split() for line in printed.getvalue().splitlines())
+    cells = page.get_by_role("row", name="A jittered").get_by_role("cell").all_inner_texts()
+    assert float(cells[2]) == pytest.approx(float(found["measured_variance"]), rel=1e-3)
+    assert float(cells[4]) == pytest.approx(float(found["rate"]), abs=1e-3)
+
+
+def test_two_set_ups_and_the_address_restores_them(page: Page, address: str) -> None:
+    open_state(page, address, _SMALL)
+    page.get_by_role("checkbox", name="Compare with").check()
+    wait_for(page, "b.sampler", "random")
+    done(page, "B")
+    state = state_of(page)
+    figures = page.get_by_role("img")
+    assert figures.count() == 14
+    page.reload()
+    done(page, "B")
+    assert state_of(page) == state
+    assert state.b is not None
+    expect(page.get_by_role("img")).to_have_count(14)
+
+
+def test_odd_addresses_get_a_sentence(page: Page, address: str) -> None:
+    page.goto(f"{address}?n=100000000000")
+    expect(page.get_by_role("alert")).to_contain_text("give a whole number from 1 to 65536")
+    page.goto(f"{address}?{_SMALL}&sampler=no-such")
+    expect(page.get_by_role("alert")).to_contain_text("no sampler called 'no-such'")
+
+
+def test_a_broken_picture_gets_a_sentence(page: Page, address: str, tmp_path: Path) -> None:
+    open_state(page, address, _SMALL)
+    file = tmp_path / "broken.png"
+    file.write_bytes(b"\x89PNG\r\n\x1a\nnothing")
+    page.locator("input[type=file]").set_input_files(file)
+    expect(page.get_by_role("alert")).to_contain_text("damaged")
+
+
+@pytest.mark.render
+def test_a_pixel_of_the_scene(page: Page, address: str) -> None:
+    open_state(page, address, _SMALL)
+    page.get_by_role("button", name="Show Veach's scene").click()
+    picture = page.get_by_role("img", name="Veach's scene")
+    expect(picture).to_be_visible()
+    box = picture.bounding_box()
+    assert box is not None
+    picture.click(position={"x": box["width"] / 2, "y": 0.8 * box["height"]})
+    page.wait_for_url("**integrand=pixel**")
+    assert "veach" in state_of(page).a.integrand
+    done(page)
+
+
+def test_a_narrow_dark_page_does_not_scroll_sideways(page: Page, address: str) -> None:
+    page.set_viewport_size({"width": 420, "height": 800})
+    open_state(page, address, f"{_SMALL}&theme=dark")
+    width = page.evaluate("document.documentElement.scrollWidth")
+    page.set_viewport_size({"width": 1300, "height": 900})
+    assert width <= 420
+
+
+@pytest.mark.parametrize(
+    ("header", "value"), [("Host", "evil.example"), ("Origin", "http://evil.example")]
+)
+@pytest.mark.parametrize("path", ["", "ws", "static/js/bokeh.min.js", "no-such"])
+def test_other_hosts_and_origins_are_refused(
+    address: str, header: str, value: str, path: str
+) -> None:
+    request = urllib.request.Request(address + path, headers={header: value})
+    with pytest.raises(urllib.error.HTTPError) as caught:
+        urllib.request.urlopen(request)
+    with caught.value as answer:
+        assert answer.code == 403
+        assert b"its own pages only" in answer.read()
+
+
+def test_nothing_was_asked_of_the_network_and_no_error_was_logged(
+    page: Page, seen: dict[str, list[str]]
+) -> None:
+    assert seen == {"elsewhere": [], "errors": []}
