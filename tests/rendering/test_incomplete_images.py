@@ -12,7 +12,7 @@ from mcspectra.core.errors import IncompleteImageWarning, ParameterError
 from mcspectra.rendering import Pixel, check_scene, variance_map
 from mcspectra.rendering.backend import LOCK, load_mitsuba
 from mcspectra.rendering.image import render
-from mcspectra.rendering.scene_checks import check_lights, warn_missed
+from mcspectra.rendering.scene_checks import camera_rays, check_lights, warn_missed
 
 pytestmark = pytest.mark.render
 
@@ -44,14 +44,16 @@ SHUTTER = {"shutter_open": 0.0, "shutter_close": 0.5}
 
 
 @pytest.mark.parametrize(
-    ("camera", "words"),
+    ("camera", "words", "rays"),
     [
-        (LENS, ["a lens (of radius 0.25)"]),
-        (SHUTTER, ["a shutter"]),
-        (LENS | SHUTTER, 2 * ["has a"]),
+        (LENS, ["a lens (of radius 0.25)"], "center of the lens"),
+        (SHUTTER, ["a shutter"], "middle of the shutter's time"),
+        (LENS | SHUTTER, 2 * ["has a"], "center of the lens, middle of the shutter's time"),
     ],
 )
-def test_cameras_that_are_not_sampled_are_named(camera: dict[str, Any], words: list[str]) -> None:
+def test_cameras_that_are_not_sampled_are_named(
+    camera: dict[str, Any], words: list[str], rays: str
+) -> None:
     made = scene(camera)
     sentences = check_scene(made)
     assert len(sentences) == len(words)
@@ -63,13 +65,15 @@ def test_cameras_that_are_not_sampled_are_named(camera: dict[str, Any], words: l
         lambda: variance_map(made, counts=(1, 4), realizations=2, predict_every=0),
     ):
         with pytest.warns(IncompleteImageWarning) as heard:
-            measure()
+            result = measure()
         assert [str(each.message) for each in heard] == sentences
+        assert result.attrs["camera"] == rays
 
 
 def test_pinholes_are_rendered_in_silence() -> None:
     assert check_scene(scene()) == []
     silent(scene())
+    assert camera_rays(scene()) == "pinhole"
 
 
 def test_strategies_that_leave_out_a_light_say_so() -> None:

@@ -54,7 +54,7 @@ def ball(bsdf: dict[str, Any]) -> dict[str, Any]:
     return {"type": "sphere", "bsdf": bsdf}
 
 
-def one(scene: dict[str, Any], **options: Any) -> str:
+def one(scene: Any, **options: Any) -> str:
     sentences = check_scene(scene, **options)
     assert len(sentences) == 1
     assert "\n" not in sentences[0]
@@ -71,6 +71,16 @@ def test_delta_lights_are_named(name: str) -> None:
     with pytest.raises(ParameterError, match=f"The light '{name}'"):
         check_lights(scene)
     check_lights(scene, "light")
+
+
+def test_lights_without_id_have_a_number(tmp_path: Any) -> None:
+    file = tmp_path / "scene.xml"
+    camera = '<sensor type="perspective"/>'
+    lights = '<emitter type="constant" id="sky"/><emitter type="point"/>'
+    file.write_text(f'<scene version="3.0.0">{camera}{lights}</scene>')
+    assert "The light 'emitter-1' of " in one(file)
+    assert check_scene(file, light="sky") == []
+    assert one(file) == check_scene(file, light="emitter-1")[0]
 
 
 @pytest.mark.parametrize("name", list(SPECULAR))

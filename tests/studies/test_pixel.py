@@ -18,6 +18,7 @@ from mcspectra.rendering.hemisphere import incident_light
 from mcspectra.report.pixel_page import write_pixel
 from mcspectra.report.pixel_text import (
     STRATEGY_NAMES,
+    about_pixel,
     bottleneck_sentence,
     pixel_rows,
     pixel_sentences,
@@ -172,6 +173,27 @@ def test_the_bottleneck_in_words(tree: xr.DataTree, slow: int, words: str) -> No
     rates = changed["techniques"]["technique_rate"].values
     for value in rates:
         assert f"{value:.2f}"[:5].replace("-", "−") in text
+
+
+@pytest.mark.parametrize(("part", "words"), [(0.04, "it has 4 % of the variance"), (0.5, "")])
+def test_a_bottleneck_that_does_not_show_yet(tree: xr.DataTree, part: float, words: str) -> None:
+    changed = tree.copy(deep=True)
+    changed["techniques"]["bottleneck"] = 1
+    changed["techniques"]["technique_variance"].values[-1] = [1.0 - part, part]
+    text = bottleneck_sentence(changed)
+    n = int(changed["techniques"]["n"][-1])
+    if words:
+        assert text.endswith(f"becomes that of the sum at larger n; at n = {n} {words}.")
+    else:
+        assert text.endswith("becomes that of the sum.")
+
+
+def test_a_camera_with_a_lens_is_said(tree: xr.DataTree) -> None:
+    assert tree.attrs["camera"] == "pinhole"
+    assert "camera" not in dict(about_pixel(tree))
+    changed = tree.copy()
+    changed.attrs = tree.attrs | {"camera": "center of the lens"}
+    assert dict(about_pixel(changed))["camera"] == "its ray starts at the center of the lens"
 
 
 def test_sentences_name_jumps_bottleneck_and_remedy(tree: xr.DataTree) -> None:

@@ -21,7 +21,12 @@ from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers, map_in_
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators.moments import Moments
-from mcspectra.rendering.scene_checks import check_environment, warn_lens, warn_missed
+from mcspectra.rendering.scene_checks import (
+    camera_rays,
+    check_environment,
+    warn_lens,
+    warn_missed,
+)
 from mcspectra.rendering.scenes import Scene, scene_name
 from mcspectra.rendering.wavefront import Wavefront
 from mcspectra.samplers import Sampler, as_sampler
@@ -88,7 +93,7 @@ def render(
     xarray.Dataset
         ``image`` (y, x, channel): mean of R images; with R > 1 ``variance``, that of one image
         (ddof = 1), and ``image_se``, the standard error of ``image``. Coordinates are pixels of
-        the film.
+        the film. The attribute ``camera`` says where rays start.
 
     Raises
     ------
@@ -120,6 +125,7 @@ def render(
         plan,
         scene=scene_name(scene).strip("'\""),
         film=film,
+        camera=camera_rays(scene),
         light=light,
         heuristic=heuristic if strategy.startswith("mis") else None,
         seed=rng if isinstance(rng, int) else None,

@@ -90,7 +90,7 @@ def _primary_hit(scene: Any, x: int, y: int) -> Hit:
     interaction = scene.ray_intersect(_camera_ray(scene, position))
     drjit.make_opaque(interaction)
     emitter = interaction.emitter(scene)[0]
-    light = emitter_name(emitter) if emitter else None
+    light = emitter_name(emitter, scene) if emitter else None
     if not interaction.is_valid()[0]:
         return Hit(scene, interaction, None, active=False, light=light)
     shape = str(interaction.shape[0].id())

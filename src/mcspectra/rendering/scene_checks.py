@@ -11,6 +11,7 @@ from mcspectra.rendering.scenes import Scene, emitter_name, find_emitter, load_s
 from mcspectra.rendering.skies import rotation_of
 
 __all__ = [
+    "camera_rays",
     "check_environment",
     "check_lights",
     "check_media",
@@ -99,6 +100,15 @@ def warn_lens(scene: Scene) -> None:
         _warn(sentence)
 
 
+def camera_rays(scene: Scene) -> str:
+    """Say where camera rays start: results of cameras with a lens or a shutter are of one ray."""
+    with LOCK:
+        sensor = load_scene(scene).sensors()[0]
+        lens, shutter = _aperture(sensor) > 0.0, sensor.shutter_open_time() > 0.0
+    parts = ["center of the lens"] * lens + ["middle of the shutter's time"] * shutter
+    return ", ".join(parts) or "pinhole"
+
+
 def warn_missed(scene: Scene, strategy: str, light: int | str | None = None) -> None:
     """Warn of what one strategy alone leaves out of an image.
 
@@ -107,7 +117,8 @@ def warn_missed(scene: Scene, strategy: str, light: int | str | None = None) -> 
     """
     with LOCK:
         if strategy == "bsdf":
-            lights = [emitter_name(e) for e in _chosen(scene, light) if delta_light(e)]
+            loaded = load_scene(scene)
+            lights = [emitter_name(e, loaded) for e in _chosen(scene, light) if delta_light(e)]
             missed = [f"the light {name!r}" for name in lights]
         elif strategy == "light":
             shapes = [s for s in load_scene(scene).shapes() if _specular(s)]
@@ -200,9 +211,10 @@ def _lights(scene: Scene, light: int | str | None) -> list[str]:
     chosen = _chosen(scene, light)
     if not chosen:
         return [f"The scene {scene_name(scene)} has no lights; add an emitter to it."]
+    loaded = load_scene(scene)
     return [
-        f"The light {emitter_name(e)!r} of {scene_name(scene)} ({e.class_name()}) is a delta function, "
-        "which BSDF sampling never meets; replace it, or choose another with light=."
+        f"The light {emitter_name(e, loaded)!r} of {scene_name(scene)} ({e.class_name()}) is a delta "
+        "function, which BSDF sampling never meets; replace it, or choose another with light=."
         for e in chosen
         if delta_light(e)
     ]

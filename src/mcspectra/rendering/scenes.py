@@ -27,6 +27,7 @@ __all__ = [
     "Scene",
     "as_scene",
     "emitter_name",
+    "emitter_names",
     "film_size",
     "find_emitter",
     "load_scene",
@@ -179,8 +180,7 @@ def find_emitter(scene: Scene, light: int | str) -> Any:
     ParameterError
         There is no such light; the message lists those there are.
     """
-    emitters = load_scene(scene).emitters()
-    names = [emitter_name(emitter) for emitter in emitters]
+    emitters, names = load_scene(scene).emitters(), emitter_names(scene)
     if isinstance(light, str):
         if light in names:
             return emitters[names.index(light)]
@@ -194,10 +194,23 @@ def find_emitter(scene: Scene, light: int | str) -> Any:
         raise ParameterError(f"{error} The lights are {', '.join(names)}.") from None
 
 
-def emitter_name(emitter: Any) -> str:
-    """Return the id of the shape that an emitter sits on, else its own."""
+def emitter_name(emitter: Any, scene: Any = None) -> str:
+    """Return the id of the shape that an emitter sits on, else its own.
+
+    One without an id is called ``emitter-K``, K its number among those of `scene`, a Mitsuba scene;
+    by its class if there is no `scene`.
+    """
     shape = emitter.get_shape()
-    return str(shape.id() if shape is not None else emitter.id())
+    name = str(shape.id() if shape is not None else emitter.id())
+    if name or scene is None:
+        return name or str(emitter.class_name())
+    return next(f"emitter-{k}" for k, e in enumerate(scene.emitters()) if e == emitter)
+
+
+def emitter_names(scene: Scene) -> list[str]:
+    """Return the names of all lights of a scene, in their order."""
+    loaded = load_scene(scene)
+    return [emitter_name(emitter, loaded) for emitter in loaded.emitters()]
 
 
 def _pixel_of(scene: Scene, point: Sequence[float]) -> tuple[int, int] | None:

@@ -36,6 +36,8 @@ STRATEGY_NAMES = {
 _TERMS = ("dc_term", "power_term", "cross_term", "predicted_variance", "measured_variance")
 _REMEDY = ("kind", "change", "error", "error_ci", "error_ratio", "error_ratio_ci", "verdict")
 _REMEDY_RATE = ("rate", "rate_ci", "rate_verdict", "reason")
+_PINHOLE = "pinhole"
+_HALF = 0.5  # of the variance
 _MOST_LIGHTS = 8  # named one by one
 
 
@@ -91,12 +93,14 @@ def about_pixel(tree: xr.DataTree) -> list[tuple[str, str]]:
     lights = known["lights"]
     shown = ", ".join(lights[:_MOST_LIGHTS])
     more = f" and {len(lights) - _MOST_LIGHTS} more" if len(lights) > _MOST_LIGHTS else ""
+    camera = known.get("camera", _PINHOLE)
     return [
         ("shape", f"{known['shape']} ({known['bsdf']})"),
         ("position", f"({place}), normal ({normal})"),
         ("lights", f"{shown}{more}"),
         ("lit by", "all of them" if known["light"] == "all" else f"{known['light']} alone"),
         ("value", f"{number(known['value'], 5)} (direct illumination, {_channel(known)})"),
+        *([] if camera == _PINHOLE else [("camera", f"its ray starts at the {camera}")]),
     ]
 
 
@@ -138,12 +142,22 @@ def bottleneck_sentence(tree: xr.DataTree) -> str:
         return (
             f"{name} is the bottleneck of MIS (balance heuristic): its share converges with the rate "
             f"{rates[slow]}, that of {names[1 - slow]} with {rates[1 - slow]}, and the slower rate "
-            "becomes that of the sum."
+            f"becomes that of the sum{_still_small(found, slow)}."
         )
     return (
         "No technique is told to be the bottleneck of MIS (balance heuristic): the shares of light and "
         f"BSDF sampling converge with the rates {rates[0]} and {rates[1]}."
     )
+
+
+def _still_small(found: xr.Dataset, slow: int) -> str:
+    """Say so where the slower technique's part of the variance is the smaller one up to now."""
+    last = found["technique_variance"].isel(n=-1).values
+    part = float(last[slow] / last.sum())
+    if not part < _HALF:
+        return ""
+    n = int(found["n"][-1])
+    return f" at larger n; at n = {n} it has {100 * part:.2g} % of the variance"
 
 
 def _fastest(rows: list[SummaryRow]) -> str:

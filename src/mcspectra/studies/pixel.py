@@ -26,11 +26,11 @@ from mcspectra.rendering.draws import View
 from mcspectra.rendering.hemisphere import incident_light
 from mcspectra.rendering.pixel import Pixel, check_view, describe_pixel
 from mcspectra.rendering.pixel_mis import PixelMIS, pixel_mis
+from mcspectra.rendering.scene_checks import camera_rays
 from mcspectra.rendering.scenes import (
     Scene,
     as_scene,
-    emitter_name,
-    load_scene,
+    emitter_names,
     named_pixels,
     scene_name,
 )
@@ -216,6 +216,7 @@ class _Pixel:
             "x": x,
             "y": y,
             **describe_pixel(request, x, y),
+            "camera": camera_rays(request),
             "light": "all" if light is None else light,
             "lights": _lights(request),
             "channel": channel,
@@ -332,7 +333,7 @@ def _measured(pixel: _Pixel, plan: _Plan) -> Parts:
 
 def _lights(scene: Scene) -> list[str]:
     with LOCK:
-        return [emitter_name(emitter) for emitter in load_scene(scene).emitters()]
+        return emitter_names(scene)
 
 
 def _curves(pixel: _Pixel, plan: _Plan) -> xr.Dataset:
