@@ -15,6 +15,7 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import CacheWarning, StoreError
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import _map_prediction as prediction
+from mcspectra.rendering import _map_results as results
 from mcspectra.rendering import _map_statistics as statistics
 from mcspectra.rendering._map_store import TileStore
 from mcspectra.samplers import sampler
@@ -211,6 +212,33 @@ def test_light_that_only_another_technique_meets_is_an_error(spec: str) -> None:
     assert np.allclose(prediction.unmet(forecast, met, mean + short), size * short**2 / 64)
     assert np.isposinf(prediction.unmet(forecast, met, mean + 0.1)).all()
     assert (prediction.unmet(forecast, met, mean - 0.1) == 0.0).all()
+
+
+def test_strategies_that_met_less_light_than_another_are_found() -> None:
+    row = {"light": 0, "bsdf": 1, "mis-light": 2, "mis-bsdf": 3, "mis": 4}
+    means = [1.0, 0.5, 0.6, 0.4, 1.0]
+    mean = np.array(means).reshape(-1, 1, 1) + np.zeros((5, 1, 3))
+    # Student's t at three standard errors: 235.8 with one degree of freedom, 3.03 with 199.
+    se = np.array([0.08, 0.085, np.nan]) + np.zeros((5, 1, 3))
+    found = results._missed(row, mean, se, 200)
+    assert np.argwhere(found).tolist() == [[1, 0, 0]]
+    assert not results._missed(row, mean, se, 2).any()
+    alone = results._missed({"bsdf": 0}, mean[1:2], se[:1], 200)
+    assert not alone.any()
+
+
+def test_ratios_of_what_was_missed_are_left_out() -> None:
+    shape = (1, 1, 3)
+    maps = {
+        "predicted": np.full(shape, 2.0),
+        "predicted_se": np.full(shape, 0.1),
+        "variance": np.full((1, 2, 1, 3), 1.0),
+        "relative_se": np.full((1, 2, 1, 3), 0.1),
+    }
+    maps["predicted_se"][0, 0, 2] = np.inf
+    found = results._predicted(maps, 0.5, np.array([[[False, True, False]]]))
+    assert np.array_equal(found["predicted_ratio"], [[[2.0, np.nan, np.nan]]], equal_nan=True)
+    assert np.isnan(found["predicted_ratio_ci"][0, 0, 1:]).all()
 
 
 def test_unequal_strata_and_three_dims() -> None:

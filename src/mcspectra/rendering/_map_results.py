@@ -13,6 +13,7 @@ from mcspectra.rendering import _map_statistics as statistics
 from mcspectra.rendering._map_checks import Window
 from mcspectra.rendering._map_kernel import RECEIVER
 from mcspectra.rendering._map_tiles import Measurement
+from mcspectra.rendering.scene_checks import camera_rays
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -22,6 +23,7 @@ __all__ = ["labelled"]
 Maps = dict[str, Array]
 
 _LARGEST_PREDICTED_SE = 0.5  # relative; beyond, a prediction is not reported
+_SURE_LEVEL = 0.99865  # one-sided, three standard errors of a normal mean
 _SHARES = ("mis-light", "mis-bsdf")
 _SINGLE = ("light", "bsdf")
 _DIMS = {
@@ -66,6 +68,7 @@ def labelled(
         channel=lighting.channel,
         points="own" if measurement.own else "shared",
         smoothing=smoothing,
+        camera=camera_rays(lighting.scene),
         size=list(lighting.size),
         crop=list(window),
         prediction=None if prediction is None else prediction.method,
@@ -104,15 +107,31 @@ def _variables(measurement: Measurement, maps: Maps, smoothing: int) -> Maps:
         total = measurement.counts[-1]
         found["mis_gain"], found["mis_gain_ci"] = statistics.gain(single, mis, total)
     if np.isfinite(maps["predicted"]).any():
-        found |= _predicted(maps, largest_se)
+        missed = _missed(row, found["mean"], found["mean_se"], measurement.realizations)
+        found |= _predicted(maps, largest_se, missed)
     return found
 
 
-def _predicted(maps: Maps, largest_se: float) -> Maps:
+def _missed(row: dict[str, int], mean: Array, se: Array, realizations: int) -> Array:
+    """Where a strategy (S, y, x) met surely less light than another, by Student's t of the means.
+
+    Its variance lacks what it did not meet. Shares of MIS have means of their own: never.
+    """
+    from scipy.special import stdtrit
+
+    reach = se * stdtrit(realizations - 1, _SURE_LEVEL)
+    whole = [i for name, i in row.items() if name not in _SHARES]
+    found = np.zeros(mean.shape, bool)
+    with np.errstate(invalid="ignore"):
+        found[whole] = (mean + reach)[whole] < (mean - reach)[whole].max(axis=0)
+    return found
+
+
+def _predicted(maps: Maps, largest_se: float, missed: Array) -> Maps:
     """Predicted over measured variance at the largest count, both uncertain.
 
-    NaN where either comes of very few samples that met what is rare: such values are most often far
-    too small, and so are their errors.
+    NaN where either comes of very few samples that met what is rare, or of none: such values are
+    most often far too small, and so are their errors.
     """
     predicted, measured = maps["predicted"], maps["variance"][:, -1]
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -120,6 +139,6 @@ def _predicted(maps: Maps, largest_se: float) -> Maps:
         error = np.hypot(own, other)
         log_ratio = np.log(predicted) - np.log(measured)
         known = np.isfinite(log_ratio) & (own <= _LARGEST_PREDICTED_SE) & (other <= largest_se)
-        log_ratio[~known] = np.nan
+        log_ratio[~known | missed] = np.nan
         value, ci = statistics.ratio(log_ratio, error)
     return {"predicted_ratio": value, "predicted_ratio_ci": ci}

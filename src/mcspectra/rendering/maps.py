@@ -131,7 +131,8 @@ def variance_map(
         from the fitted lines), and ``mis_gain_ci``; ``predicted_ratio(strategy)``, predicted over
         measured variance at the largest n, and ``predicted_ratio_ci``, NaN where the relative standard
         error of the prediction is more than ½, or that of the measurement more than rates allow. That
-        error counts light that another strategy sees and the prediction's samples did not meet.
+        error counts light that another strategy sees and the prediction's samples did not meet; NaN,
+        too, where the measured estimates met surely less light than those of another strategy.
 
     Raises
     ------

@@ -194,8 +194,8 @@ def _sentences(summary: Mapping[str, Any]) -> Iterator[str]:
         share = summary["bottleneck"]
         yield (
             f"The BSDF share of MIS has the slower rate in {share['bsdf']:.0%} of the pixels, the "
-            f"light share in {share['light']:.0%}; in {share['undecided']:.0%} the 95 % intervals "
-            "overlap."
+            f"light share in {share['light']:.0%}; in {share['undecided']:.0%} the 95 % interval "
+            "of their difference contains 0."
         )
     if "mis_gain" in summary:
         gain = summary["mis_gain"]
