@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mcspectra.core.display import register_accessor
+
 if TYPE_CHECKING:
     import xarray as xr
 
@@ -195,6 +197,7 @@ def dataset(
     """Make a dataset of registered variables, name -> (dims, values), with provenance attributes."""
     import xarray as xr
 
+    register_accessor()
     arrays = {
         name: (dims, values, dict(zip(("long_name", "units"), VARIABLES[name], strict=True)))
         for name, (dims, values) in variables.items()

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from mcspectra.core.display import html_of
 from mcspectra.core.errors import SpecError
 
 __all__ = ["Call", "Component", "format_call", "parse", "parse_chain"]
@@ -41,6 +42,12 @@ class Component:
     """
 
     name: ClassVar[str] = ""
+    costly: ClassVar[bool] = False
+    """Whether a first look would take seconds, so that notebooks show no picture."""
+
+    def _repr_html_(self) -> str | None:
+        """A picture and the main figures, for notebooks."""
+        return html_of(self)
 
     @property
     def spec(self) -> str:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.display import html_of
 from mcspectra.core.errors import CountError, DependentRealizationsWarning, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.estimators.moments import Moments
@@ -42,6 +43,10 @@ class AbstractEstimator(ABC):
 
     counts: tuple[int, ...]
     sets: str = "independent"
+
+    def _repr_html_(self) -> str | None:
+        """Pictures and the main figures, for notebooks."""
+        return html_of(self)
 
     @property
     def sets_label(self) -> str:

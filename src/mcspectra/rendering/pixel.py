@@ -102,6 +102,7 @@ class Pixel(Integrand):
     """
 
     name: ClassVar[str] = "pixel"
+    costly: ClassVar[bool] = True
     scene: Any = "veach"
     x: int
     y: int

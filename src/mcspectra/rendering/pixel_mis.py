@@ -173,6 +173,7 @@ class _Weighted(Integrand):
     """g_t of a pixel's multiple importance sampling."""
 
     name: ClassVar[str] = "pixel-technique"
+    costly: ClassVar[bool] = True
     estimator: PixelMIS
     technique: int
 

@@ -67,6 +67,7 @@ class MitsubaSampler(Sampler):
     """
 
     name: ClassVar[str] = "mitsuba"
+    costly: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 1024
     max_count: ClassVar[int] = 2**20
     sampler: str = "multijitter"
@@ -131,6 +132,7 @@ class MitsubaObject(Sampler):
     """A sampler object of Mitsuba, of any variant and any class; see `from_mitsuba`."""
 
     name: ClassVar[str] = "mitsuba-object"
+    costly: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 1024
     max_count: ClassVar[int] = 2**20
     source: Any

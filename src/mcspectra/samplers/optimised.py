@@ -39,6 +39,7 @@ class OptimisedSampler(Sampler, ABC):
         errors of spectra, know K sets only.
     """
 
+    costly: ClassVar[bool] = True
     version: ClassVar[int] = 1
     """Version of the method: sets of another one are not taken from the cache."""
     structure: ClassVar[Structure] = Structure.TORUS

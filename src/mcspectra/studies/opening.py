@@ -13,6 +13,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mcspectra.core.display import register_accessor
 from mcspectra.core.errors import MissingDependency, StoreError
 from mcspectra.studies.manifest import in_place, read_manifest
 from mcspectra.studies.sizes import available_memory, shown_bytes
@@ -51,6 +52,7 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
     """
     import xarray as xr
 
+    register_accessor()
     store, root = _opened(source)
     name = str(source)
     paths = None if select is None else _selected(source, root, select)
