@@ -107,6 +107,17 @@ def test_a_slider_by_keyboard(page: Page, address: str) -> None:
     expect(page.get_by_role("cell", name="strata-shift(offset=0.05)")).to_be_visible()
 
 
+def test_all_that_can_be_operated_has_a_name(page: Page, address: str) -> None:
+    open_state(page, address, _SMALL)
+    expect(page.get_by_role("slider", name="Points n, A", exact=True)).to_be_visible()
+    name = "Compare with a second set-up, B"
+    expect(page.get_by_role("checkbox", name=name, exact=True)).to_be_visible()
+    for role in ("slider", "checkbox", "combobox", "textbox", "button", "img", "progressbar"):
+        lines = page.locator("body").aria_snapshot().splitlines()
+        own = [line.strip() for line in lines if line.strip().startswith(f"- {role}")]
+        assert all('"' in line for line in own), own
+
+
 def test_another_sampler_and_a_randomisation(page: Page, address: str) -> None:
     open_state(page, address, _SMALL)
     page.get_by_label("Sampler, A").first.select_option("sobol")

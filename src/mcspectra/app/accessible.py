@@ -15,11 +15,12 @@ const words = (root, choice) => {
   const found = root.querySelector(choice);
   return found ? found.textContent.replace(/:.*$/s, "").trim() : "";
 };
+const said = (root) => [...root.children].filter((e) => !["STYLE", "LINK"].includes(e.tagName))
+  .map((e) => e.textContent).join(" ").trim();
 // A slider over a list has its words in the widget before it.
 const before = (root) => {
   const other = root.host && root.host.previousElementSibling;
-  const text = other && other.shadowRoot ? other.shadowRoot.textContent : "";
-  return text.includes(":") ? text.replace(/:.*$/s, "").trim() : "";
+  return other && other.shadowRoot ? said(other.shadowRoot).replace(/:.*$/s, "").trim() : "";
 };
 const name = (element, text) => {
   if (text && !element.getAttribute("aria-label")) element.setAttribute("aria-label", text);
@@ -28,7 +29,7 @@ const visit = (root) => {
   for (const handle of root.querySelectorAll(".noUi-handle"))
     name(handle, words(root, ".bk-slider-title, label") || before(root));
   for (const box of root.querySelectorAll("input[type=checkbox]"))
-    name(box, (box.parentElement || box).textContent.trim() || root.textContent.trim());
+    name(box, (box.parentElement || box).textContent.trim() || said(root));
   for (const file of root.querySelectorAll("input[type=file]"))
     name(file, "Picture as integrand");
   root.querySelectorAll("button.bk-spin-btn, .bk-spin-btn-up, .bk-spin-btn-down").forEach((b) =>
