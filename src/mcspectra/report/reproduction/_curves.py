@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -10,14 +11,14 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.report.axes import count_axis, log_axis
 from mcspectra.report.formatting import number
-from mcspectra.report.reproduction.base import Finding, rate_finding
-from mcspectra.report.style import PALETTE, entitle, quiet
+from mcspectra.report.reproduction.base import Finding, Interval, rate_finding
+from mcspectra.report.style import PALETTE, entitle, line_widths, quiet
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
 
-__all__ = ["convergence_panel", "known_rate", "slope"]
+__all__ = ["convergence_panel", "known_rate", "slope", "variance_ratio"]
 
 _MARKERS = ("o", "s", "^", "D", "v")
 
@@ -39,6 +40,17 @@ def known_rate(statement: str, curve: xr.Dataset, expected: float, exact: Array)
     )
 
 
+def variance_ratio(above: xr.Dataset, below: xr.Dataset) -> tuple[float, Interval]:
+    """Return the ratio of two measured variances and its 95 % interval, as of independent ones.
+
+    Common random numbers, which vary together, make the interval too wide.
+    """
+    value = float(above["variance"]) / float(below["variance"])
+    spans = [np.ptp(np.log(each["variance_ci"].values)) / 2 for each in (above, below)]
+    half = math.hypot(*map(float, spans))
+    return value, (value * math.exp(-half), value * math.exp(half))
+
+
 def convergence_panel(
     axes: Axes,
     curves: Mapping[str, xr.Dataset],
@@ -56,7 +68,8 @@ def convergence_panel(
     """
     quiet(axes, grid=True)
     values = []
-    for (label, curve), color, marker in zip(curves.items(), PALETTE, _MARKERS, strict=False):
+    looks = zip(PALETTE, _MARKERS, line_widths(len(curves)), strict=False)
+    for (label, curve), (color, marker, width) in zip(curves.items(), looks, strict=False):
         n, variance = curve["n"].values, curve["variance"].values
         low, high = curve["variance_ci"].values.T
         axes.errorbar(
@@ -64,7 +77,7 @@ def convergence_panel(
             fmt=marker, ms=4, lw=1, color=color, label=label,
         )  # fmt: skip
         line = exact.get(label, variance)
-        axes.plot(n, line, color=color, lw=1.3, ls="-" if label in exact else ":")
+        axes.plot(n, line, color=color, lw=width, ls="-" if label in exact else ":")
         values += [*low, *high, *line]
     count_axis(axes, "x", [int(n) for n in n])
     log_axis(axes, "y", min(values), max(values), most=5)
