@@ -24,6 +24,11 @@ _GRID = ":host {{ display: grid !important; gap: 8px; grid-template-columns: rep
 _ALONE, _ABREAST = "auto-fit, minmax(min(100%, 300px), 1fr)", "2, minmax(0, 1fr)"
 _NARROW = "@media (max-width: 700px) { :host { grid-template-columns: 1fr !important; } }"
 _COPY = "navigator.clipboard.writeText(text.value)"
+_STACKED = (  # on a phone the controls stand above the figures
+    "@media (max-width: 700px) { #content { flex-direction: column !important; height: auto "
+    "!important; } #sidebar { width: 100% !important; max-width: none !important; height: 45vh "
+    "!important; overflow-y: auto; } #main { width: 100% !important; margin: 0 !important; } }"
+)
 _TABLE = "td, th { padding: 2px 16px 2px 0; text-align: left; }"
 
 
@@ -74,6 +79,7 @@ class Explorer:
             theme="dark" if self.state.theme == "dark" else "default",
             sidebar_width=330,
             header_background="#1F3A5F",
+            raw_css=[_STACKED],
         )
         template.sidebar.extend([self._compare, self._sides])
         template.main.extend(
