@@ -10,6 +10,7 @@ from . import studies as studies
 from . import variance as variance
 from .core.errors import McspectraError as McspectraError
 from .core.errors import NoClosedForm as NoClosedForm
+from .core.progress import progress_bars as progress_bars
 from .densities.base import Density as Density
 from .densities.registry import density as density
 from .estimators.channels import ChannelSampling as ChannelSampling
@@ -116,6 +117,7 @@ __all__ = [
     "power_spectrum",
     "predicted_rate",
     "primary_picture",
+    "progress_bars",
     "quality",
     "quality_figures",
     "radial_statistics",

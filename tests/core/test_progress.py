@@ -1,8 +1,15 @@
-"""Progress: the innermost listener hears it, from any thread."""
+"""Progress: the innermost listener hears it, from any thread; bars where somebody waits."""
 
+import sys
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
-from mcspectra.core.progress import listening, report
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core import progress
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.progress import LineBars, listening, progress_bars, report
 
 
 def test_reports_reach_the_innermost_listener():
@@ -22,3 +29,138 @@ def test_reports_of_threads_are_heard():
     with listening(lambda *what: heard.append(what)), ThreadPoolExecutor(2) as pool:
         list(pool.map(lambda k: report(str(k), 0.0), range(8)))
     assert sorted(heard) == [(str(k), 0.0) for k in range(8)]
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Seconds that pass only when told to."""
+    now = [100.0]
+    monkeypatch.setattr(progress, "_automatic", LineBars())
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+
+    def wait(seconds):
+        now[0] += seconds
+
+    return wait
+
+
+def test_short_work_draws_nothing(clock, capsys):
+    bars = LineBars()
+    for fraction in (0.0, 0.5, 1.0):
+        bars("quick", fraction)
+        clock(0.2)
+    assert capsys.readouterr().err == ""
+
+
+def test_long_work_draws_a_bar_and_wipes_it(clock, capsys):
+    bars = LineBars()
+    bars("long", 0.0)
+    clock(1.0)
+    bars("long", 0.25)
+    drawn = capsys.readouterr().err
+    assert drawn == "\rlong " + "━" * 6 + "╌" * 18 + "  25%"
+    bars("long", 1.0)
+    assert capsys.readouterr().err == "\r" + " " * (len(drawn) - 1) + "\r"
+
+
+def test_a_line_is_drawn_ten_times_a_second_at_most(clock, capsys):
+    bars = LineBars()
+    bars("long", 0.0)
+    clock(1.0)
+    for k in range(1000):
+        bars("long", k / 1000)
+        clock(0.001)
+    assert 9 <= capsys.readouterr().err.count("\r") <= 11
+
+
+def test_work_inside_work_shows_both(clock, capsys):
+    bars = LineBars()
+    bars("outer", 0.5)
+    bars("inner", 0.0)
+    clock(1.0)
+    bars("inner", 0.75)
+    line = capsys.readouterr().err
+    assert line.index("outer") < line.index("50%") < line.index("inner") < line.index("75%")
+
+
+def test_work_that_was_given_up_is_forgotten(clock, capsys):
+    bars = LineBars()
+    bars("given up", 0.5)
+    clock(40.0)
+    bars("next", 0.0)
+    clock(1.0)
+    bars("next", 0.5)
+    assert "given up" not in capsys.readouterr().err
+
+
+def test_fractions_out_of_range_and_a_missing_stream_do_no_harm(clock, monkeypatch):
+    bars = LineBars()
+    bars("odd", -3.0)
+    clock(1.0)
+    monkeypatch.setattr(sys, "stderr", None)
+    bars("odd", 0.9)
+    bars("odd", 7.0)
+
+
+def test_bars_appear_by_themselves_where_somebody_waits(clock, capsys, monkeypatch):
+    report("script", 0.0)
+    clock(1.0)
+    report("script", 0.5)
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(sys, "ps1", ">>> ", raising=False)
+    report("prompt", 0.0)
+    clock(1.0)
+    report("prompt", 0.5)
+    assert "prompt" in capsys.readouterr().err
+    with progress_bars(False):
+        clock(1.0)
+        report("prompt", 0.6)
+        report("prompt", 1.0)
+    assert capsys.readouterr().err == ""
+    report("prompt", 1.0)
+
+
+@pytest.mark.parametrize("running", [True, False])
+def test_notebooks_are_recognised(running, clock, capsys, monkeypatch):
+    shell = SimpleNamespace(get_ipython=lambda: object() if running else None)
+    monkeypatch.setitem(sys.modules, "IPython", shell)
+    report("cell", 0.0)
+    clock(1.0)
+    report("cell", 0.5)
+    report("cell", 1.0)
+    assert ("cell" in capsys.readouterr().err) is running
+
+
+@pytest.mark.parametrize("shown", [None, 1, "yes"])
+def test_shown_is_true_or_false(shown):
+    with pytest.raises(ParameterError, match="give True, or False"):
+        progress_bars(shown)
+
+
+ANALYSES = {
+    "convergence": lambda: mcs.convergence("disk", "jittered", [16, 64], realizations=9),
+    "variance_terms": lambda: mcs.variance_terms("disk", "jittered", 16, half_width=2),
+    "power_spectrum": lambda: mcs.power_spectrum("jittered", 16, half_width=2),
+    "pair_correlation": lambda: mcs.pair_correlation("jittered", 16, realizations=9),
+    "remedies": lambda: mcs.remedies("disk", "jittered", 64, realizations=100, kinds=["sampler"]),
+}
+
+
+@pytest.mark.parametrize("what", ANALYSES)
+def test_analyses_report_from_little_to_all(what):
+    heard = []
+    with listening(lambda *each: heard.append(each)):
+        ANALYSES[what]()
+    fractions = [fraction for name, fraction in heard if name == what]
+    assert fractions == sorted(fractions)
+    assert fractions[0] < 1.0 == fractions[-1] or len(fractions) == 1
+    assert fractions[-1] == 1.0
+
+
+def test_the_bar_of_a_convergence_covers_all_its_counts():
+    heard = []
+    with listening(lambda *each: heard.append(each)):
+        mcs.convergence("disk", "jittered", [16, 64, 256], realizations=9)
+    # work is proportional to n: 16, 80 and 336 of 336
+    ends = {round(336 * fraction) for _, fraction in heard}
+    assert ends >= {16, 80, 336}

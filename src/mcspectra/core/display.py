@@ -38,7 +38,7 @@ def register_accessor() -> None:
     import xarray as xr
 
     if not hasattr(xr.Dataset, "mcspectra"):
-        xr.register_dataset_accessor("mcspectra")(_accessor)
+        xr.register_dataset_accessor("mcspectra")(_accessor)  # type: ignore[no-untyped-call]
 
 
 def _accessor(data: xr.Dataset) -> Any:

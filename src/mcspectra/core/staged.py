@@ -13,6 +13,7 @@ its dataset. `compute` drives one in this process, `mcspectra.studies` many at o
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeAlias, TypeVar, final
@@ -199,23 +200,42 @@ def compute_chunk(analysis: Staged[State], run: Run, chunk: Chunk) -> State:
 def compute(analysis: Staged[Any], workers: int, reported: str | None = None) -> xr.Dataset:
     """Compute an analysis with `workers` threads; the result does not depend on their number.
 
-    Progress of each run is told as that of `reported` (`mcspectra.core.progress`), if it has a name.
+    Progress of each stage is told as that of `reported` (`mcspectra.core.progress`), if it has a
+    name.
     """
     stages = analysis.stages()
     try:
         runs = next(stages)
         while True:
-            runs = stages.send([_compute_run(analysis, run, workers, reported) for run in runs])
+            told = _StageProgress(reported, runs)
+            runs = stages.send([_compute_run(analysis, run, workers, told) for run in runs])
     except StopIteration as end:
         result: xr.Dataset = end.value
         return result
 
 
-def _compute_run(analysis: Staged[State], run: Run, workers: int, reported: str | None) -> State:
+class _StageProgress:
+    """Tells how much of the cost of a stage's runs is done."""
+
+    def __init__(self, what: str | None, runs: Sequence[Run]) -> None:
+        self._what = what
+        ends = itertools.accumulate((run.cost for run in runs), initial=0.0)
+        self._done = dict(zip((run.key for run in runs), ends, strict=False))
+        self._total = max(sum(run.cost for run in runs), 1e-300)
+
+    def tell(self, run: Run, share: float) -> None:
+        """Report that a share of a run is done, and all runs before it."""
+        if self._what is not None:
+            done = (self._done[run.key] + share * run.cost) / self._total
+            report(self._what, 1.0 if done > 1.0 - 1e-9 else done)
+
+
+def _compute_run(
+    analysis: Staged[State], run: Run, workers: int, progress: _StageProgress
+) -> State:
     tree = MergeTree(analysis.merge)
     states = map_in_order(lambda i: analysis.block(run, i), range(run.blocks), workers)
     for done, state in enumerate(states, 1):
         tree.add(state)
-        if reported is not None:
-            report(reported, done / run.blocks)
+        progress.tell(run, done / run.blocks)
     return tree.total()

@@ -88,6 +88,7 @@ def pair_correlation(
             max_distance=max_distance,
         ),
         threads,
+        "pair_correlation",
     )
 
 

@@ -104,6 +104,7 @@ def convergence(
             fit_last=fit_last,
         ),
         threads,
+        "convergence",
     )
 
 

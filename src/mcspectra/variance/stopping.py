@@ -120,6 +120,7 @@ def realizations_needed(
             rng=rng,
         ),
         threads,
+        "realizations_needed",
     )
 
 

@@ -137,6 +137,7 @@ def technique_terms(
             eps=eps,
         ),
         threads,
+        "technique_terms",
     )
 
 

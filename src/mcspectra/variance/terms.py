@@ -143,6 +143,7 @@ def variance_terms(
             eps=eps,
         ),
         threads,
+        "variance_terms",
     )
 
 
