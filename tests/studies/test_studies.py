@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.errors import ConfigError, StoreError
+from mcspectra.core.errors import ConfigError, DamagedResultsWarning, StoreError
 from mcspectra.studies import make_plan, open_results, read_study, run_study, summarize
 from mcspectra.studies.config import decode_study
 from mcspectra.studies.run import CellFailed
@@ -119,12 +119,13 @@ def test_resume_mends_damaged_cells(finished, tmp_path):
     (store / "mis/random/terms/contribution/c/0/0").write_bytes(b"garbage")
     (store / "sum/random/convergence/variance/c/0").unlink()
     seen = []
-    run_study(
-        decode_study(STUDY),
-        tmp_path / "copy",
-        resume=True,
-        report=lambda progress: seen.append(progress.cell.path),
-    )
+    with pytest.warns(DamagedResultsWarning, match="2 stored analyses.*contribution/c/0/0 has"):
+        run_study(
+            decode_study(STUDY),
+            tmp_path / "copy",
+            resume=True,
+            report=lambda progress: seen.append(progress.cell.path),
+        )
     assert sorted(seen) == ["mis/random/terms", "sum/random/convergence"]
     one, two = _values(finished), _values(tmp_path / "copy")
     assert all(one[name].tobytes() == two[name].tobytes() for name in one)

@@ -15,6 +15,7 @@ __all__ = [
     "ConfigError",
     "CorrelatedFrequenciesWarning",
     "CountError",
+    "DamagedResultsWarning",
     "DensityError",
     "DependentRealizationsWarning",
     "DomainError",
@@ -130,6 +131,10 @@ class UndefinedRatioWarning(UserWarning):
 
 class StaleLockWarning(UserWarning):
     """A lock was left behind by a process that has ended; it is taken over."""
+
+
+class DamagedResultsWarning(UserWarning):
+    """Stored results of an earlier run are damaged: they are named, and computed again."""
 
 
 class IncompleteImageWarning(UserWarning):

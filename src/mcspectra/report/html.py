@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mcspectra.core.errors import StoreError
+from mcspectra.core.errors import StorageError
 from mcspectra.report.collect import EstimatorGroup, Pair, collect
 from mcspectra.report.embed import bokeh_script
 from mcspectra.report.formatting import slug
@@ -16,6 +16,7 @@ from mcspectra.report.sections import Section, section_of
 from mcspectra.report.style import sampler_styles
 from mcspectra.report.tables import Table, summary_table
 from mcspectra.studies import SummaryRow, open_results
+from mcspectra.studies.links import check_folder_links
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -61,6 +62,7 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
         There are no results in `folder`, or it cannot be written.
     """
     root = Path(folder)
+    check_folder_links(root)
     tree = open_results(root)
     groups = collect(tree)
     styles = sampler_styles([pair.sampler for group in groups for pair in group.pairs])
@@ -82,13 +84,13 @@ def writing(page: Path) -> Iterator[None]:
 
     Raises
     ------
-    StoreError
+    StorageError
         The operating system refused.
     """
     try:
         yield
     except OSError as error:
-        raise StoreError(
+        raise StorageError(
             f"The report cannot be written to {str(page)!r}: {error.strerror}."
         ) from None
 

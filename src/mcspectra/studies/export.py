@@ -212,7 +212,7 @@ def _netcdf_arrays(values: Array) -> Iterator[tuple[str, Array]]:
         yield "", values.astype(np.int8)
     elif values.dtype.kind in "iu":
         low, high = (int(values.min()), int(values.max())) if values.size else (0, 0)
-        small = -(2**31) <= low and high < 2**31
+        small = low >= -(2**31) and high < 2**31
         if max(-low, high) > 2**53:
             raise StoreError("netCDF 3 holds no whole numbers beyond 2⁵³; export to .json instead.")
         yield "", values.astype(np.int32 if small else np.float64)

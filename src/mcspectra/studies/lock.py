@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime as dt
+import errno
 import importlib
 import os
 import socket
@@ -29,6 +30,7 @@ try:
     _fcntl = importlib.import_module("fcntl")
 except ImportError:  # Windows: without flock a lock that is left behind must be removed by hand
     _fcntl = None
+_NO_LINK = getattr(os, "O_NOFOLLOW", 0)  # else words of ours would go into a file of others
 _BOOT = Path("/proc/sys/kernel/random/boot_id")
 
 
@@ -97,7 +99,7 @@ class FolderLock:
             folder.mkdir(parents=True, exist_ok=True)
             descriptor = _locked_descriptor(file)
         except OSError as error:
-            raise StoreError(f"{str(folder)!r} cannot be written: {error.strerror}.") from None
+            raise _unlockable(file, error) from None
         try:
             _check_left_behind(file, descriptor)
             _write_holder(file, descriptor)
@@ -160,7 +162,7 @@ def is_held(folder: Path) -> bool:
 def _locked_descriptor(file: Path) -> int:
     """Open the lock file and lock it."""
     while True:
-        descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o644)
+        descriptor = os.open(file, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o644)
         if not _flock(descriptor):
             holder = _decoded(os.pread(descriptor, _MOST_BYTES, 0))
             os.close(descriptor)
@@ -170,6 +172,14 @@ def _locked_descriptor(file: Path) -> int:
             if os.path.samestat(os.fstat(descriptor), file.stat()):
                 return descriptor
         os.close(descriptor)
+
+
+def _unlockable(file: Path, error: OSError) -> StoreError:
+    if error.errno == errno.ELOOP:
+        return StoreError(
+            f"{str(file)!r} is a symbolic link; a lock is a file of its own: remove it."
+        )
+    return StoreError(f"{str(file.parent)!r} cannot be written: {error.strerror}.")
 
 
 def _flock(descriptor: int) -> bool:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from mcspectra.core.display import register_accessor
 from mcspectra.core.errors import MissingDependency, StoreError
+from mcspectra.studies.links import check_tree_links
 from mcspectra.studies.manifest import in_place, read_manifest
 from mcspectra.studies.sizes import available_memory, shown_bytes
 from mcspectra.studies.store import STORE_NAME, root_document
@@ -22,12 +23,13 @@ from mcspectra.studies.store import STORE_NAME, root_document
 if TYPE_CHECKING:
     import xarray as xr
 
+    from mcspectra.studies._bounded import BoundedStore
+
 __all__ = ["open_results", "result_paths"]
 
 _FORMATS = (1, 2)
-_CODECS = frozenset(
-    {"bytes", "zstd", "blosc", "gzip", "crc32c", "transpose", "sharding_indexed"},
-)
+# Those whose output is bounded before they run: gzip has no size in its header, shards have codecs inside.
+_CODECS = frozenset({"bytes", "zstd", "crc32c", "transpose"})
 
 
 def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
@@ -57,11 +59,12 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
     name = str(source)
     paths = None if select is None else _selected(source, root, select)
     for path in [""] if paths is None else paths:
-        _check_group(root, path, name)
+        _check_group(root, path, name, store)
     whole = root.metadata.consolidated_metadata is not None
     try:
         if paths is None:
-            return xr.open_datatree(store, engine="zarr", consolidated=whole, zarr_format=3)
+            opened: Any = store  # the stubs of xarray know no stores of zarr
+            return xr.open_datatree(opened, engine="zarr", consolidated=whole, zarr_format=3)
         cells: dict[str, Any] = {path: _dataset(store, path, whole) for path in paths}
     except (ValueError, KeyError, TypeError, OSError) as error:
         raise _damaged(name, error) from None
@@ -110,11 +113,13 @@ def _selected(source: str | Path, root: Any, select: str) -> list[str]:
     return paths
 
 
-def _opened(source: str | Path) -> tuple[Any, Any]:
+def _opened(source: str | Path) -> tuple[BoundedStore, Any]:
     """The zarr store of a source, and its root group."""
     import zarr
 
-    store = _store_of(source)
+    from mcspectra.studies._bounded import BoundedStore
+
+    store = BoundedStore(_store_of(source))
     try:
         root = zarr.open_group(store, mode="r", zarr_format=3)
     except FileNotFoundError:
@@ -131,6 +136,8 @@ def _opened(source: str | Path) -> tuple[Any, Any]:
 
 
 def _store_of(source: str | Path) -> Any:
+    from zarr.storage import LocalStore
+
     if _is_url(source):
         return _remote(str(source))
     path = Path(source)
@@ -138,7 +145,7 @@ def _store_of(source: str | Path) -> Any:
         return _zip(path)
     folder = path if path.suffix == ".zarr" else path / STORE_NAME
     root_document(folder)
-    return folder
+    return LocalStore(folder, read_only=True)
 
 
 def _is_url(source: str | Path) -> bool:
@@ -150,10 +157,13 @@ def _zip(path: Path) -> Any:
 
     from zarr.storage import ZipStore
 
+    from mcspectra.studies._bounded import check_zip
+
     if not path.is_file():
         raise StoreError(f"There are no results in {str(path)!r}.")
     if not zipfile.is_zipfile(path):
         raise StoreError(f"{str(path)!r} is damaged: it is not a zip file.")
+    check_zip(path)
     return ZipStore(path, mode="r")
 
 
@@ -161,7 +171,7 @@ def _remote(url: str) -> Any:
     """A store that fsspec opens: at the URL, or ``results.zarr`` below it."""
     if importlib.util.find_spec("fsspec") is None:
         raise MissingDependency(
-            f"Opening {url!r} needs fsspec, which is not installed: pip install fsspec."
+            f"Opening {url!r} needs fsspec, which is not installed: pip install 'mcspectra[remote]'."
         )
     from zarr.storage import FsspecStore
 
@@ -194,10 +204,12 @@ def _dataset(store: Any, path: str, consolidated: bool) -> xr.Dataset:
     )
 
 
-def _check_group(root: Any, path: str, name: str) -> None:
+def _check_group(root: Any, path: str, name: str, store: BoundedStore) -> None:
     """Refuse arrays that results never hold, from their metadata alone."""
     from zarr import Array as ZarrArray
 
+    if store.folder is not None:
+        check_tree_links(store.folder, path)
     try:
         group = root[path] if path else root
         members = group.members(max_depth=None)
@@ -205,14 +217,16 @@ def _check_group(root: Any, path: str, name: str) -> None:
         raise _damaged(name, error) from None
     for inner, member in members:
         if isinstance(member, ZarrArray):
-            _check_array(member, f"{name}: the array {f'{path}/{inner}'.lstrip('/')}")
+            store.allow(_check_array(member, f"{name}: the array {f'{path}/{inner}'.lstrip('/')}"))
 
 
-def _check_array(array: Any, what: str) -> None:
-    codecs = {codec["name"] for codec in array.metadata.to_dict()["codecs"]}
-    if not codecs <= _CODECS:
+def _check_array(array: Any, what: str) -> int:
+    """Bytes of a chunk of an array that results can hold."""
+    codecs = [codec["name"] for codec in array.metadata.to_dict()["codecs"]]
+    strange = sorted(set(codecs) - _CODECS) or ["zstd twice"] * (codecs.count("zstd") > 1)
+    if strange:
         raise StoreError(
-            f"{what} is coded with {', '.join(sorted(codecs - _CODECS))}; results are coded with "
+            f"{what} is coded with {', '.join(strange)}; results are coded with "
             f"{', '.join(sorted(_CODECS))} only."
         )
     if array.dtype.kind not in "biufc":
@@ -223,6 +237,7 @@ def _check_array(array: Any, what: str) -> None:
         raise StoreError(
             f"{what} claims {shown_bytes(max(size, chunk))}, more than the memory of this machine."
         )
+    return int(chunk)
 
 
 def _damaged(name: str, error: Exception) -> StoreError:

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import McspectraError
+from mcspectra.core.errors import DamagedResultsWarning, McspectraError
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.staged import Chunk, Staged
 from mcspectra.studies.cells import finished_cell
 from mcspectra.studies.config import StudyConfig
 from mcspectra.studies.engines import Engine, LocalEngine, Outcome
 from mcspectra.studies.journal import Journal
+from mcspectra.studies.lock import FolderLock
 from mcspectra.studies.plan import Cell, Plan, make_plan
 from mcspectra.studies.processes import ProcessEngine, check_time_limit
 from mcspectra.studies.scheduling import Pace, Recorded, Schedule, Settled
@@ -30,6 +32,7 @@ MakeEngine = Callable[[StudyText], Engine]
 """Makes the engine that computes the tasks of a study."""
 
 _AHEAD = 2  # tasks under way for each worker: one that it computes, one that waits
+_NAMED = 5  # in a warning
 _TARGET = 1.0  # seconds of a task
 _OF_LIMIT = 0.2  # and at most this part of the time limit
 
@@ -110,6 +113,13 @@ def run_study(
         After everything else has run.
     KeyboardInterrupt
         Passed on; finished cells and finished tasks are kept, and the run can be resumed.
+
+    Warns
+    -----
+    DamagedResultsWarning
+        Results of an earlier run are damaged: they are computed again.
+    StaleLockWarning
+        An earlier run ended without a word, as when it was killed.
     """
     limit = check_time_limit(config.time_limit if time_limit is None else time_limit)
     count = available_workers(workers)
@@ -118,15 +128,18 @@ def run_study(
     keep_plan(text, plan)
     make = engine or _own_engine(count, limit)
     paths = [cell.path for cell in plan.cells]
-    store = Store.create(Path(out), config, resume=resume, paths=paths)
-    with contextlib.closing(_journal(Path(out), config, resume=resume)) as journal:
-        run = _StudyRun(plan, text, store, journal, report)
-        run.begin(retry=retry)
-        try:
-            run.compute(make, Pace(_TARGET if limit is None else min(_TARGET, _OF_LIMIT * limit)))
-        finally:
-            store.finish()
-        failures = journal.failures()
+    with FolderLock.take(Path(out)) as lock:
+        store = Store.create(Path(out), config, resume=resume, paths=paths, lock=lock)
+        with contextlib.closing(_journal(Path(out), config, lock, resume=resume)) as journal:
+            run = _StudyRun(plan, text, store, journal, report)
+            run.begin(retry=retry)
+            _warn_of_damage(store, journal)
+            pace = Pace(_TARGET if limit is None else min(_TARGET, _OF_LIMIT * limit))
+            try:
+                run.compute(make, pace)
+            finally:
+                store.finish()
+            failures = journal.failures()
     if failures:
         raise _failure(failures, plan)
     return store
@@ -164,13 +177,29 @@ def _own_engine(workers: int, limit: float | None) -> MakeEngine:
     return lambda text: ProcessEngine(text, workers, limit)
 
 
-def _journal(out: Path, config: StudyConfig, *, resume: bool) -> Journal:
+def _journal(out: Path, config: StudyConfig, lock: FolderLock, *, resume: bool) -> Journal:
     header = {
         "study_hash": config_hash(config),
         "seed": config.seed,
         "version_mcspectra": __version__,
     }
-    return Journal.resume(out, header) if resume else Journal.create(out, header)
+    begin = Journal.resume if resume else Journal.create
+    return begin(out, header, lock=lock)
+
+
+def _warn_of_damage(store: Store, journal: Journal) -> None:
+    """Name what is computed again: the first few of each kind, and how many there are."""
+    cells = [f"{path} ({reason})" for path, reason in store.damaged.items()]
+    kinds = {"stored analyses": cells, "records of the journal": list(journal.damaged)}
+    for kind, names in kinds.items():
+        if names:
+            more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+            warnings.warn(
+                f"{len(names)} {kind} in {str(store.folder)!r} are damaged and are computed again: "
+                f"{', '.join(names[:_NAMED])}{more}.",
+                DamagedResultsWarning,
+                stacklevel=3,
+            )
 
 
 @final

@@ -23,7 +23,8 @@ from mcspectra.core.results import package_versions
 from mcspectra.studies._zarr_cell import array_documents, write_cell
 from mcspectra.studies.checksums import Checksum, checksum, damage_of
 from mcspectra.studies.config import StudyConfig
-from mcspectra.studies.lock import check_unlocked
+from mcspectra.studies.links import check_folder_links
+from mcspectra.studies.lock import FolderLock, check_unlocked
 from mcspectra.studies.manifest import (
     FORMAT,
     CellLine,
@@ -72,7 +73,12 @@ class Store:
 
     @staticmethod
     def create(
-        folder: Path, config: StudyConfig, *, resume: bool = False, paths: Sequence[str] = ()
+        folder: Path,
+        config: StudyConfig,
+        *,
+        resume: bool = False,
+        paths: Sequence[str] = (),
+        lock: FolderLock | None = None,
     ) -> Store:
         """Make a new store, or with `resume` open the one that is there.
 
@@ -86,13 +92,16 @@ class Store:
             Go on with the store of this study; without one, make it.
         paths
             Of all cells of the study, so that it can be said which are missing.
+        lock
+            The lock of the folder, if the caller holds it; else nobody may.
 
         Raises
         ------
         StoreError
             A store exists and `resume` is not asked for, it belongs to another study or format, or
-            another process writes into it; or the folder cannot be written.
+            another process writes into it; the folder cannot be written, or has symbolic links.
         """
+        check_folder_links(folder)
         store = Store(folder)
         exists = store.path.exists()
         if exists and not resume:
@@ -101,7 +110,8 @@ class Store:
                 "give another --out, or --resume to continue them."
             )
         if exists:
-            check_unlocked(folder)
+            if lock is None:
+                check_unlocked(folder)
             store._check_same(config)
         begin = store._continue if exists else store._begin
         try:
