@@ -68,7 +68,7 @@ def _page(spec: str, pictures: Pictures, rows: Rows) -> str:
     )
     return (
         f'<div class="mcspectra"><code>{escape(shorten(spec, _LONGEST))}</code>'
-        f'<div style="display:flex;flex-wrap:wrap;margin-top:.4em">{figures}<table>{cells}</table>'
+        f'<div style="display:flex;flex-wrap:wrap;align-items:flex-start;margin-top:.4em">{figures}<table>{cells}</table>'
         "</div></div>"
     )
 

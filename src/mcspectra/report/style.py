@@ -55,6 +55,7 @@ NARROW, WIDE = 4.9, 7.4
 """Widths of figures in inches: up to two panels abreast, and three."""
 LABEL_SIZE, SMALL_SIZE = 8.5, 7.5
 _MOST_COLUMNS = 3
+_OWN = "mcspectra"  # label of figures made here
 
 
 @final
@@ -106,6 +107,7 @@ def new_figure(width: float, height: float) -> Figure:
 
     layout = ConstrainedLayoutEngine(w_pad=0.07, h_pad=0.07)
     figure = Figure(figsize=(width, height), layout=layout, facecolor=PAPER)
+    figure.set_label(_OWN)
     FigureCanvasAgg(figure)
     return figure
 
@@ -206,9 +208,15 @@ def quiet_colorbar(bar: Colorbar, label: str) -> None:
 
 
 def legend_below(figure: Figure, axes: Axes, columns: int = 2) -> None:
-    """Put the legend of `axes` under the figure, where it covers nothing."""
+    """Put the legend of `axes` under the figure, where it covers nothing.
+
+    In a figure of somebody else, which has other axes perhaps, it goes into the axes.
+    """
     handles, texts = axes.get_legend_handles_labels()
     if not handles:
+        return
+    if figure.get_label() != _OWN:
+        axes.legend(handles, texts, frameon=False, fontsize=SMALL_SIZE, labelcolor=INK)
         return
     figure.legend(
         handles,

@@ -1,6 +1,7 @@
 from .maps import band_covariances as band_covariances
 from .maps import contributions as contributions
 from .maps import cross_matrices as cross_matrices
+from .pairs import pair_correlations as pair_correlations
 from .points import point_sets as point_sets
 from .scene_maps import map_figures as map_figures
 from .spectra import power_images as power_images
@@ -20,6 +21,7 @@ __all__ = [
     "convergence_curves",
     "cross_matrices",
     "map_figures",
+    "pair_correlations",
     "point_sets",
     "power_images",
     "power_lines",

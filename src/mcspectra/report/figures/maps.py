@@ -11,6 +11,7 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.report.axes import signed_axis, signed_bar_ticks, signed_norm, threshold_note
 from mcspectra.report.figures.groups import Group, as_group, frequency_dims
+from mcspectra.report.figures.panels import GivenAxes, blocks_of
 from mcspectra.report.style import (
     FAINT,
     GRAY,
@@ -20,7 +21,6 @@ from mcspectra.report.style import (
     labels,
     legend_below,
     outer_labels,
-    panel_blocks,
     quiet_colorbar,
     sampler_styles,
     say,
@@ -50,7 +50,9 @@ _MOST_LETTERS = 16  # that fit unturned
 _MOST_ENTRIES = 257  # entries a side of a matrix panel; more are not told apart
 
 
-def contributions(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -> Figure:
+def contributions(
+    data: Group, *, styles: Mapping[str, LineStyle] | None = None, axes: GivenAxes = None
+) -> Figure:
     """Draw the contribution c_m of every frequency to the variance; the sum of all is the variance.
 
     One panel for each sampler and technique: a map in 2-D, bars over m in 1-D, bars over shells of
@@ -63,6 +65,8 @@ def contributions(data: Group, *, styles: Mapping[str, LineStyle] | None = None)
         the first is shown.
     styles
         How each sampler is drawn.
+    axes
+        Axes to draw into; new ones by default.
 
     Raises
     ------
@@ -74,23 +78,23 @@ def contributions(data: Group, *, styles: Mapping[str, LineStyle] | None = None)
     first = next(iter(group.values()))
     two_dims = len(frequency_dims(first)) == 2
     techniques = max(each.sizes.get("technique", 1) for each in group.values())
-    figure, blocks = panel_blocks(len(group), techniques, 1.0 if two_dims else 0.9)
+    figure, blocks = blocks_of(axes, len(group), techniques, 1.0 if two_dims else 0.9)
     panels = []
     for (name, each), block, title in zip(
         group.items(), blocks, labels(list(group), 26).values(), strict=True
     ):
-        for technique, axes in enumerate(block):
-            panels.append((axes, one_technique(each, technique), styles[name]))
-            entitle(axes, title if techniques == 1 else f"{title}, technique {technique}")
+        for technique, panel in enumerate(block):
+            panels.append((panel, one_technique(each, technique), styles[name]))
+            entitle(panel, title if techniques == 1 else f"{title}, technique {technique}")
     if two_dims:
-        _contribution_images(figure, [(axes, each) for axes, each, _ in panels])
+        _contribution_images(figure, [(panel, each) for panel, each, _ in panels])
     else:
         _contribution_bars(panels)
         legend_below(figure, panels[0][0])
     return figure
 
 
-def cross_matrices(data: Group) -> Figure:
+def cross_matrices(data: Group, *, axes: GivenAxes = None) -> Figure:
     """Draw conj(f_m) f_l C_ml of one-dimensional results, real and imaginary parts.
 
     Parameters
@@ -98,6 +102,8 @@ def cross_matrices(data: Group) -> Figure:
     data
         ``cross_matrix(m, l)`` by sampler; of several channels the first is shown, of more than 257
         frequencies the inner ones.
+    axes
+        Axes to draw into; new ones by default.
 
     Raises
     ------
@@ -108,21 +114,23 @@ def cross_matrices(data: Group) -> Figure:
     inner = {name: _inner(each["cross_matrix"]) for name, each in group.items()}
     parts = {name: (m.values.real, m.values.imag) for name, m in inner.items()}
     norm = signed_norm([m.values.real for m in inner.values()])
-    figure, blocks = panel_blocks(len(group), 2, 1.0)
+    figure, blocks = blocks_of(axes, len(group), 2, 1.0)
     names = labels(list(group), 26)
     for (name, matrix), block in zip(inner.items(), blocks, strict=True):
         ends = _extent(matrix["m"].values)
-        for axes, part, word in zip(block, parts[name], ("real", "imaginary"), strict=True):
-            drawn = _image(axes, part, norm, ends)
-            _mark_dc(axes)
-            entitle(axes, f"{names[name]}: {word}")
-            axes.set(xlabel="l", ylabel="m")
-            outer_labels(axes)
+        for panel, part, word in zip(block, parts[name], ("real", "imaginary"), strict=True):
+            drawn = _image(panel, part, norm, ends)
+            _mark_dc(panel)
+            entitle(panel, f"{names[name]}: {word}")
+            panel.set(xlabel="l", ylabel="m")
+            outer_labels(panel)
     _signed_bar(figure, drawn, norm, "conj(fₘ) fₗ Cₘₗ")
     return figure
 
 
-def band_covariances(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -> Figure:
+def band_covariances(
+    data: Group, *, styles: Mapping[str, LineStyle] | None = None, axes: GivenAxes = None
+) -> Figure:
     """Draw the covariance of band-limited estimates and, below, each band's share of the variance.
 
     Parameters
@@ -131,6 +139,8 @@ def band_covariances(data: Group, *, styles: Mapping[str, LineStyle] | None = No
         ``band_covariance(band, band_other)`` by sampler; of several channels the first is shown.
     styles
         Not used: bars mean the same for every sampler.
+    axes
+        Axes to draw into; new ones by default.
 
     Raises
     ------
@@ -141,7 +151,7 @@ def band_covariances(data: Group, *, styles: Mapping[str, LineStyle] | None = No
     group = as_group(data, "band_covariance")
     matrices = {name: each["band_covariance"].values for name, each in group.items()}
     norm = signed_norm(list(matrices.values()))
-    figure, blocks = panel_blocks(len(group), 2, 0.92)
+    figure, blocks = blocks_of(axes, len(group), 2, 0.92)
     names = labels(list(group), 26)
     shares = {name: band_shares(matrix) for name, matrix in matrices.items()}
     for (name, matrix), (image, bars) in zip(matrices.items(), blocks, strict=True):

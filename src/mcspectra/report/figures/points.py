@@ -8,16 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mcspectra.report.figures.groups import Group, as_group
+from mcspectra.report.figures.panels import GivenAxes, blocks_of, rows_of
 from mcspectra.report.style import (
     FAINT,
     NARROW,
     LineStyle,
     entitle,
     labels,
-    new_figure,
     outer_labels,
-    panel_blocks,
-    quiet,
     sampler_styles,
 )
 
@@ -32,7 +30,9 @@ _MOST_VECTORS = 5000  # points; more make a PDF large and slow to open
 _MOST_STRATA = 64  # lines that are still told apart in a strip
 
 
-def point_sets(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -> Figure:
+def point_sets(
+    data: Group, *, styles: Mapping[str, LineStyle] | None = None, axes: GivenAxes = None
+) -> Figure:
     """Draw one realisation of every sampler's points.
 
     Parameters
@@ -41,6 +41,8 @@ def point_sets(data: Group, *, styles: Mapping[str, LineStyle] | None = None) ->
         ``points(point, axis)`` in [0,1), by sampler.
     styles
         How each sampler is drawn.
+    axes
+        Axes to draw into; new ones by default.
 
     Raises
     ------
@@ -50,13 +52,13 @@ def point_sets(data: Group, *, styles: Mapping[str, LineStyle] | None = None) ->
     group = as_group(data, "points")
     styles = styles or sampler_styles(list(group))
     if all(each.sizes["axis"] == 1 for each in group.values()):
-        return _strips(group, styles)
-    figure, blocks = panel_blocks(len(group), 1, 1.0)
+        return _strips(axes, group, styles)
+    figure, blocks = blocks_of(axes, len(group), 1, 1.0)
     names = labels(list(group), 26)
-    for (name, each), (axes,) in zip(group.items(), blocks, strict=True):
-        _square(axes, each["points"].values, styles[name])
-        entitle(axes, names[name])
-        outer_labels(axes)
+    for (name, each), (panel,) in zip(group.items(), blocks, strict=True):
+        _square(panel, each["points"].values, styles[name])
+        entitle(panel, names[name])
+        outer_labels(panel)
     return figure
 
 
@@ -77,12 +79,12 @@ def _square(axes: Axes, points: np.ndarray, style: LineStyle) -> None:
         axes.set_xlabel(f"axes 0 and 1 of {points.shape[1]}")
 
 
-def _strips(group: dict[str, xr.Dataset], styles: Mapping[str, LineStyle]) -> Figure:
+def _strips(
+    given: GivenAxes, group: dict[str, xr.Dataset], styles: Mapping[str, LineStyle]
+) -> Figure:
     """Draw a strip for every sampler, with the borders of n equal strata behind the points."""
     names = labels(list(group), 26)
-    figure = new_figure(NARROW, 0.6 + 0.42 * len(group))
-    axes = figure.subplots()
-    quiet(axes)
+    figure, (axes,) = rows_of(given, 1, NARROW, 0.6 + 0.42 * len(group))
     for row, (name, each) in enumerate(group.items()):
         x = each["points"].values[:, 0]
         if len(x) <= _MOST_STRATA:

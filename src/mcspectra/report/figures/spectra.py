@@ -11,6 +11,7 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.report.axes import log_axis
 from mcspectra.report.figures.groups import Group, as_group, frequency_dims
+from mcspectra.report.figures.panels import GivenAxes, blocks_of, rows_of
 from mcspectra.report.style import (
     GRAY,
     NARROW,
@@ -19,16 +20,14 @@ from mcspectra.report.style import (
     labels,
     legend_below,
     line_widths,
-    new_figure,
     outer_labels,
-    panel_blocks,
-    quiet,
     quiet_colorbar,
     sampler_styles,
 )
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = [
@@ -45,13 +44,15 @@ _FLOOR = 1e-4  # n·power shown at least: below it a set is as good as free of n
 _LINEAR_TOP = 12.0  # up to here lines are drawn on a linear axis
 
 
-def power_images(data: Group) -> Figure:
+def power_images(data: Group, *, axes: GivenAxes = None) -> Figure:
     """Draw two-dimensional spectra side by side, on one colour scale, dc masked.
 
     Parameters
     ----------
     data
         ``power(m0, m1)`` by sampler, with attribute ``n``.
+    axes
+        Axes to draw into; new ones by default.
 
     Raises
     ------
@@ -60,12 +61,12 @@ def power_images(data: Group) -> Figure:
     """
     group = as_group(data, "power")
     images = {name: without_dc(each, 2) for name, each in group.items()}
-    figure, blocks = panel_blocks(len(group), 1, 1.0)
+    figure, blocks = blocks_of(axes, len(group), 1, 1.0)
     names = labels(list(group), 26)
     top = color_top(list(images.values()))
-    for (name, each), (axes,) in zip(group.items(), blocks, strict=True):
+    for (name, each), (panel,) in zip(group.items(), blocks, strict=True):
         m0, m1 = each["m0"].values, each["m1"].values
-        drawn = axes.imshow(
+        drawn = panel.imshow(
             images[name].T,
             origin="lower",
             extent=(*_edges(m0), *_edges(m1)),
@@ -74,11 +75,11 @@ def power_images(data: Group) -> Figure:
             cmap="viridis",
             interpolation="nearest",
         )
-        entitle(axes, names[name])
-        axes.set(xlabel="m₀", ylabel="m₁")
-        axes.set_xticks([m0[0], 0, m0[-1]])
-        axes.set_yticks([m1[0], 0, m1[-1]])
-        outer_labels(axes)
+        entitle(panel, names[name])
+        panel.set(xlabel="m₀", ylabel="m₁")
+        panel.set_xticks([m0[0], 0, m0[-1]])
+        panel.set_yticks([m1[0], 0, m1[-1]])
+        outer_labels(panel)
     bar = figure.colorbar(
         drawn, ax=[b[0] for b in blocks], extend="max", shrink=0.85, aspect=24, pad=0.02
     )
@@ -86,7 +87,9 @@ def power_images(data: Group) -> Figure:
     return figure
 
 
-def power_lines(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -> Figure:
+def power_lines(
+    data: Group, *, styles: Mapping[str, LineStyle] | None = None, axes: GivenAxes = None
+) -> Figure:
     """Draw one-dimensional spectra as lines over m, dc left out, with the level of random points.
 
     Parameters
@@ -95,6 +98,8 @@ def power_lines(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -
         ``power(m0)`` by sampler, with attribute ``n``.
     styles
         How each sampler is drawn.
+    axes
+        Axes to draw into; new ones by default.
 
     Raises
     ------
@@ -103,12 +108,14 @@ def power_lines(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -
     """
     group = as_group(data, "power")
     curves = {n: (d["m0"].values, without_dc(d, 1)) for n, d in group.items()}
-    figure = _lines(curves, styles or sampler_styles(list(group)), log_x=False)
-    figure.axes[0].set(xlabel="frequency m (cycles per unit)", ylabel=power_label(group.values()))
+    figure, panel = _lines(axes, curves, styles or sampler_styles(list(group)), log_x=False)
+    panel.set(xlabel="frequency m (cycles per unit)", ylabel=power_label(group.values()))
     return figure
 
 
-def radial_power(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -> Figure:
+def radial_power(
+    data: Group, *, styles: Mapping[str, LineStyle] | None = None, axes: GivenAxes = None
+) -> Figure:
     """Draw the mean power over directions against |m| in units of n^(1/d).
 
     Parameters
@@ -117,6 +124,8 @@ def radial_power(data: Group, *, styles: Mapping[str, LineStyle] | None = None) 
         ``radial_power(radius)`` by sampler, with attribute ``n`` and the dims m0, m1, …
     styles
         How each sampler is drawn.
+    axes
+        Axes to draw into; new ones by default.
 
     Raises
     ------
@@ -132,19 +141,22 @@ def radial_power(data: Group, *, styles: Mapping[str, LineStyle] | None = None) 
             each["radius"].values / n ** (1 / dims),
             scale * each["radial_power"].values,
         )
-    figure = _lines(curves, styles or sampler_styles(list(group)), log_x=True)
+    figure, panel = _lines(axes, curves, styles or sampler_styles(list(group)), log_x=True)
     root = {1: "n", 2: "√n", 3: "∛n"}.get(dims, f"n^(1/{dims})")
-    figure.axes[0].set(xlabel=f"|m| / {root}", ylabel=power_label(group.values()))
+    panel.set(xlabel=f"|m| / {root}", ylabel=power_label(group.values()))
     return figure
 
 
 def _lines(
-    curves: Mapping[str, tuple[Array, Array]], styles: Mapping[str, LineStyle], *, log_x: bool
-) -> Figure:
+    given: GivenAxes,
+    curves: Mapping[str, tuple[Array, Array]],
+    styles: Mapping[str, LineStyle],
+    *,
+    log_x: bool,
+) -> tuple[Figure, Axes]:
     names = labels(list(curves), 40)
-    figure = new_figure(NARROW, 2.9 + 0.16 * ((len(curves) + 1) // 2))
-    axes = figure.subplots()
-    quiet(axes, grid=True)
+    height = 2.9 + 0.16 * ((len(curves) + 1) // 2)
+    figure, (axes,) = rows_of(given, 1, NARROW, height, grid=True)
     axes.axhline(1.0, color=GRAY, lw=0.9, zorder=1)
     everything = np.concatenate([y[np.isfinite(y)] for _, y in curves.values()])
     top, low = float(everything.max(initial=1.5)), float(everything.min(initial=0.5))
@@ -161,7 +173,7 @@ def _lines(
         xs = np.concatenate([x[x > 0] for x, _ in curves.values()])
         log_axis(axes, "x", float(xs.min(initial=1.0)), float(xs.max(initial=1.0)))
     legend_below(figure, axes)
-    return figure
+    return figure, axes
 
 
 def random_level(data: xr.Dataset) -> float:

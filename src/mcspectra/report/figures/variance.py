@@ -12,6 +12,7 @@ from mcspectra.core.checks import Array
 from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.report.axes import count_axis, log_axis, signed_axis
 from mcspectra.report.figures.groups import Group, as_group
+from mcspectra.report.figures.panels import GivenAxes, rows_of
 from mcspectra.report.formatting import MISSING, NEGLIGIBLE, number_beside, rate
 from mcspectra.report.style import (
     GRAY,
@@ -23,8 +24,6 @@ from mcspectra.report.style import (
     labels,
     legend_below,
     line_widths,
-    new_figure,
-    quiet,
     sampler_styles,
     say,
 )
@@ -48,7 +47,9 @@ TERMS = ("dc_term", "power_term", "cross_term", "predicted_variance", "measured_
 _LINEAR_TOP = 4.0  # captured shares up to here are drawn on a linear axis
 
 
-def three_terms(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -> Figure:
+def three_terms(
+    data: Group, *, styles: Mapping[str, LineStyle] | None = None, axes: GivenAxes = None
+) -> Figure:
     """Draw dc, power and cross term, their sum and the measured variance as signed bars.
 
     Parameters
@@ -57,6 +58,8 @@ def three_terms(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -
         Results of `variance_terms`, by sampler; of several channels the first is shown.
     styles
         How each sampler is drawn.
+    axes
+        Axes to draw into; new ones by default.
 
     Raises
     ------
@@ -66,22 +69,22 @@ def three_terms(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -
     group = as_group(data, *TERMS, "predicted_variance_ci", "measured_variance_ci")
     styles = styles or sampler_styles(list(group))
     names = labels(list(group), 40)
-    figure = new_figure(NARROW, 0.5 + 1.25 * len(group))
-    rows = figure.subplots(len(group), 1, squeeze=False, sharex=True)[:, 0]
-    for axes, (name, each) in zip(rows, group.items(), strict=True):
-        quiet(axes)
-        _term_bars(axes, each, styles[name])
-        entitle(axes, names[name], "left")
+    figure, rows = rows_of(axes, len(group), NARROW, 0.5 + 1.25 * len(group))
+    for row, (name, each) in zip(rows, group.items(), strict=True):
+        _term_bars(row, each, styles[name])
+        entitle(row, names[name], "left")
     every = [[float(each[term]) for term in TERMS] for each in group.values()]
     scale = signed_axis(rows[0], "x", _above_rounding(np.array(every)))
     _show_whiskers(rows[0], group)
     rows[-1].set_xlabel("part of the variance" + (f"   ({scale})" if scale else ""))
-    for axes in rows[:-1]:
-        axes.tick_params(labelbottom=False)
+    for row in rows[:-1]:
+        row.tick_params(labelbottom=False)
     return figure
 
 
-def convergence_curves(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -> Figure:
+def convergence_curves(
+    data: Group, *, styles: Mapping[str, LineStyle] | None = None, axes: GivenAxes = None
+) -> Figure:
     """Draw variance against n with intervals, fitted lines and rates; faint: n⁻¹.
 
     Variances that are zero or rounding noise are left out and counted in the legend.
@@ -92,6 +95,8 @@ def convergence_curves(data: Group, *, styles: Mapping[str, LineStyle] | None = 
         Results of `convergence`, by sampler; of several channels the first is shown.
     styles
         How each sampler is drawn.
+    axes
+        Axes to draw into; new ones by default.
 
     Raises
     ------
@@ -101,28 +106,28 @@ def convergence_curves(data: Group, *, styles: Mapping[str, LineStyle] | None = 
     group = as_group(data, "variance", "variance_ci", "mean", "rate", "rate_ci")
     styles = styles or sampler_styles(list(group))
     names = labels(list(group), 44)
-    figure = new_figure(NARROW, 3.1 + 0.17 * (len(group) + 1))
-    axes = figure.subplots()
-    quiet(axes, grid=True)
+    figure, (panel,) = rows_of(axes, 1, NARROW, 3.1 + 0.17 * (len(group) + 1), grid=True)
     for name, each in group.items():
-        _curve(axes, each, styles[name], names[name])
+        _curve(panel, each, styles[name], names[name])
     counts = [int(n) for each in group.values() for n in each["n"].values]
     values = np.concatenate(
         [d["variance_ci"].values[usable_counts(d)].ravel() for d in group.values()]
     )
-    count_axis(axes, "x", counts)
+    count_axis(panel, "x", counts)
     if values.size:
-        _reference(axes, group)
-        log_axis(axes, "y", float(values.min()), float(values.max()))
+        _reference(panel, group)
+        log_axis(panel, "y", float(values.min()), float(values.max()))
     else:
-        say(axes, "no variance above rounding noise")
-        axes.set_yticks([])
-    axes.set(xlabel="number of points n", ylabel="variance")
-    legend_below(figure, axes, columns=1)
+        say(panel, "no variance above rounding noise")
+        panel.set_yticks([])
+    panel.set(xlabel="number of points n", ylabel="variance")
+    legend_below(figure, panel, columns=1)
     return figure
 
 
-def captured_curves(data: Group, *, styles: Mapping[str, LineStyle] | None = None) -> Figure:
+def captured_curves(
+    data: Group, *, styles: Mapping[str, LineStyle] | None = None, axes: GivenAxes = None
+) -> Figure:
     """Draw predicted over measured variance against the half width of the spectrum.
 
     Parameters
@@ -131,6 +136,8 @@ def captured_curves(data: Group, *, styles: Mapping[str, LineStyle] | None = Non
         ``captured_by_half_width(half_width)`` by sampler; of several channels the first is shown.
     styles
         How each sampler is drawn.
+    axes
+        Axes to draw into; new ones by default.
 
     Raises
     ------
@@ -145,22 +152,21 @@ def captured_curves(data: Group, *, styles: Mapping[str, LineStyle] | None = Non
     # Half width 0 is the dc term alone: rounding (1e-20) where weights are uniform.
     positive = everything[np.isfinite(everything) & (everything > NEGLIGIBLE)]
     logarithmic = float(positive.max(initial=1.0)) > _LINEAR_TOP
-    figure = new_figure(NARROW, 2.7 + 0.16 * ((len(curves) + 1) // 2))
-    axes = figure.subplots()
-    quiet(axes, grid=True)
-    axes.axhline(1.0, color=GRAY, lw=0.9)
+    height = 2.7 + 0.16 * ((len(curves) + 1) // 2)
+    figure, (panel,) = rows_of(axes, 1, NARROW, height, grid=True)
+    panel.axhline(1.0, color=GRAY, lw=0.9)
     for (name, curve), thickness in zip(curves.items(), line_widths(len(curves)), strict=True):
         style = styles[name]
         shown = np.where(curve > NEGLIGIBLE, curve, np.nan) if logarithmic else curve
         width = group[name]["half_width"].values
         label = names[name] + ("" if np.isfinite(curve).any() else ": no finite prediction")
-        axes.plot(width, shown, color=style.color, ls=style.dashes, lw=thickness, label=label)
+        panel.plot(width, shown, color=style.color, ls=style.dashes, lw=thickness, label=label)
     if logarithmic:
-        log_axis(axes, "y", min(float(positive.min(initial=1.0)), 1.0), float(positive.max()))
+        log_axis(panel, "y", min(float(positive.min(initial=1.0)), 1.0), float(positive.max()))
     else:
-        axes.set_ylim(0.0, max(1.1, 1.08 * float(positive.max(initial=1.0))))
-    axes.set(xlabel="half width of the spectrum", ylabel="predicted / measured")
-    legend_below(figure, axes)
+        panel.set_ylim(0.0, max(1.1, 1.08 * float(positive.max(initial=1.0))))
+    panel.set(xlabel="half width of the spectrum", ylabel="predicted / measured")
+    legend_below(figure, panel)
     return figure
 
 

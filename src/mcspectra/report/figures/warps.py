@@ -10,6 +10,7 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.report.axes import log_ticks
 from mcspectra.report.figures.groups import Group, as_group
+from mcspectra.report.figures.panels import GivenAxes, blocks_of
 from mcspectra.report.style import (
     ACCENT,
     GRAY,
@@ -17,7 +18,6 @@ from mcspectra.report.style import (
     entitle,
     labels,
     legend_below,
-    panel_blocks,
     quiet_colorbar,
 )
 
@@ -35,13 +35,15 @@ _BOUNDARY = "#0072B2"
 _CLIPPED = 0.5  # per cent of the values at either end, where poles would hide the rest
 
 
-def warp_maps(data: Group) -> Figure:
+def warp_maps(data: Group, *, axes: GivenAxes = None) -> Figure:
     """Draw how a warp distorts a grid and, on primary space, its stretch and its jumps.
 
     Parameters
     ----------
     data
         Results of `mcspectra.warp_quality`, one or several by name, all in 1-D or all in 2-D.
+    axes
+        Axes to draw into; new ones by default.
 
     Raises
     ------
@@ -51,8 +53,8 @@ def warp_maps(data: Group) -> Figure:
     group = as_group(data, "warped", "stretch", "jump")
     group = _by_spec(group, "density")
     if _dims(group) == 1:
-        return _curves(group, "warped", "jump", "x = T(u)")
-    figure, blocks = panel_blocks(len(group), 2, 1.0)
+        return _curves(axes, group, "warped", "jump", "x = T(u)")[0]
+    figure, blocks = blocks_of(axes, len(group), 2, 1.0)
     names = labels(list(group), 26)
     top = min(_MOST_STRETCH, max(2.0, *(_largest(each["stretch"]) for each in group.values())))
     for (name, each), (image, stretch) in zip(group.items(), blocks, strict=True):
@@ -72,7 +74,7 @@ def warp_maps(data: Group) -> Figure:
     return figure
 
 
-def primary_pictures(data: Group) -> Figure:
+def primary_pictures(data: Group, *, axes: GivenAxes = None) -> Figure:
     """Draw primary-space integrands g(u) with their jumps inside and between opposite sides.
 
     Parameters
@@ -80,6 +82,8 @@ def primary_pictures(data: Group) -> Figure:
     data
         Results of `mcspectra.primary_picture`, one or several by name, all in 1-D or all in 2-D; of
         several channels the first is shown.
+    axes
+        Axes to draw into; new ones by default.
 
     Raises
     ------
@@ -89,16 +93,16 @@ def primary_pictures(data: Group) -> Figure:
     group = as_group(data, "primary_value", "primary_jump", "face_jump")
     group = _by_spec(group, "estimator")
     if _dims(group) == 1:
-        figure = _curves(group, "primary_value", "primary_jump", "g(u)")
+        figure, panels = _curves(axes, group, "primary_value", "primary_jump", "g(u)")
     else:
-        figure, blocks = panel_blocks(len(group), 1, 1.0)
+        figure, blocks = blocks_of(axes, len(group), 1, 1.0)
+        panels = [block[0] for block in blocks]
         names = labels(list(group), 26)
-        for (name, each), (axes,) in zip(group.items(), blocks, strict=True):
-            _value_map(figure, axes, each)
-            entitle(axes, names[name])
-    panels = [axes for axes in figure.axes if axes.get_label() != "<colorbar>"]
-    for axes, each in zip(panels, group.values(), strict=True):
-        axes.set_xlabel(f"{axes.get_xlabel()}\n{_jumps_in_words(each)}")
+        for (name, each), panel in zip(group.items(), panels, strict=True):
+            _value_map(figure, panel, each)
+            entitle(panel, names[name])
+    for panel, each in zip(panels, group.values(), strict=True):
+        panel.set_xlabel(f"{panel.get_xlabel()}\n{_jumps_in_words(each)}")
     panels[0].plot([], [], color=ACCENT, lw=1.4, label="jump inside")
     panels[0].plot([], [], color=_BOUNDARY, lw=3, label="jump between opposite sides")
     legend_below(figure, panels[0])
@@ -122,9 +126,11 @@ def _dims(group: dict[str, xr.Dataset]) -> int:
     return found.pop()
 
 
-def _curves(group: dict[str, xr.Dataset], value: str, jump: str, label: str) -> Figure:
+def _curves(
+    given: GivenAxes, group: dict[str, xr.Dataset], value: str, jump: str, label: str
+) -> tuple[Figure, list[Axes]]:
     """Functions of one variable, interrupted where they jump."""
-    figure, blocks = panel_blocks(len(group), 1, 0.75)
+    figure, blocks = blocks_of(given, len(group), 1, 0.75)
     names = labels(list(group), 26)
     for (name, each), (axes,) in zip(group.items(), blocks, strict=True):
         u, y = each["u0"].values, each[value].values.reshape(each.sizes["u0"], -1)[:, 0]
@@ -138,7 +144,7 @@ def _curves(group: dict[str, xr.Dataset], value: str, jump: str, label: str) -> 
                 axes.axvline(end, color=_BOUNDARY, lw=3)
         axes.set(xlim=(0, 1), xlabel="u", ylabel=label)
         entitle(axes, names[name])
-    return figure
+    return figure, [block[0] for block in blocks]
 
 
 def _warped_grid(axes: Axes, data: xr.Dataset) -> None:

@@ -1,0 +1,150 @@
+"""Results draw and explain themselves."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import mcspectra as mcs
+from mcspectra.core.errors import ParameterError
+from mcspectra.report import accessor
+
+FAST = {"realizations": 20}
+RESULTS = {
+    "convergence": lambda: mcs.convergence("disk", ["jittered", "random"], [16, 64], **FAST),
+    "terms": lambda: mcs.variance_terms("disk", "jittered", 16, half_width=3, **FAST),
+    "spectrum": lambda: mcs.power_spectrum("jittered", 16, half_width=4, **FAST),
+    "lines": lambda: mcs.power_spectrum(mcs.sampler("jittered", dims=1), 16, half_width=4, **FAST),
+    "pair_correlation": lambda: mcs.pair_correlation("jittered", 16, **FAST),
+    "warp": lambda: mcs.warp_quality("linear"),
+    "primary": lambda: mcs.primary_picture(mcs.Estimator("disk", "linear")),
+}
+PANELS = {"warp": 2}
+
+
+@pytest.fixture(scope="module", params=RESULTS)
+def result(request):
+    return request.param, RESULTS[request.param]()
+
+
+def test_every_result_is_drawn(result):
+    kind, data = result
+    assert data.mcspectra.kinds[0] == kind
+    drawn = data.mcspectra.plot()
+    several = drawn if isinstance(drawn, list) else [drawn]
+    assert len(several) == PANELS.get(kind, 1)
+    assert all(isinstance(axes, Axes) for axes in several)
+    found = data.mcspectra.figures()
+    assert tuple(found) == data.mcspectra.kinds
+    assert all(isinstance(figure, Figure) for figure in found.values())
+
+
+def test_given_axes_are_drawn_into_and_returned(result):
+    kind, data = result
+    figure = Figure()
+    panels = figure.subplots(1, 2)
+    wanted = panels if kind in PANELS else panels[0]
+    drawn = data.mcspectra.plot(axes=wanted)
+    assert drawn is wanted or list(drawn) == list(wanted)
+    assert panels[0].has_data()
+    assert panels[1].has_data() == (kind in PANELS)
+    assert not figure.legends  # a legend of the whole figure is the owner's
+    figure.canvas.draw()
+
+
+def test_a_figure_per_kind_takes_axes_too():
+    data = RESULTS["terms"]()
+    for kind in data.mcspectra.kinds:
+        count = len(data.mcspectra.plot(kind)) if kind == "bands" else 1
+        panels = np.atleast_1d(Figure().subplots(1, count))
+        data.mcspectra.plot(kind, axes=panels)
+        assert all(axes.has_data() for axes in panels)
+
+
+@pytest.mark.parametrize("axes", ["here", 3, [], [1], np.zeros(1)])
+def test_what_are_no_axes_is_refused(axes):
+    data = RESULTS["convergence"]()
+    with pytest.raises(ParameterError, match="this result takes one matplotlib Axes"):
+        data.mcspectra.plot(axes=axes)
+
+
+def test_wrong_numbers_of_axes_and_of_figures_are_refused():
+    data = RESULTS["warp"]()
+    both = [Figure().subplots(), Figure().subplots()]
+    for axes in (both, both[0], Figure().subplots(1, 3)):
+        with pytest.raises(ParameterError, match="2 matplotlib Axes of one figure"):
+            data.mcspectra.plot(axes=axes)
+
+
+def test_several_estimators_are_drawn_by_name():
+    data = mcs.convergence(["disk", "gaussian"], ["jittered", "random"], [16, 64], **FAST)
+    shown = [t.get_text() for t in data.mcspectra.plot().figure.legends[0].get_texts()]
+    assert [text.split("  ")[0] for text in shown[-4:]] == [
+        f"{f}, {s}" for f in ("disk", "gaussian") for s in ("jittered", "random")
+    ]
+    assert "gaussian, random: " in data.mcspectra.summary()
+
+
+def test_rates_are_said():
+    data = mcs.convergence("gaussian", "jittered", [16, 64, 256], realizations=300)
+    assert "faster" in data.mcspectra.summary() or "−2" in data.mcspectra.summary()
+
+
+def test_terms_are_said():
+    data = mcs.variance_terms("disk", "random", 16, half_width=1, realizations=200)
+    assert "is captured at half width 1" in data.mcspectra.summary()
+
+
+def test_other_results_say_their_numbers():
+    data = xr.Dataset({"rate": 2.5, "rate_ci": ("bound", [2.0, 3.0]), "power": ("m0", [1.0])})
+    assert data.mcspectra.summary() == (
+        "fitted exponent of variance in n; random sampling: −1: 2.50 (2.00 … 3.00); expected power "
+        "⟨|S_m|²⟩; random points: ∫1/p / n: over m0."
+    )
+
+
+def test_channels_are_said_one_by_one():
+    data = mcs.convergence("environment", "random", [16, 64], **FAST)
+    said = data.mcspectra.summary()
+    assert all(f"environment [{k}], random: " in said for k in range(3))
+
+
+@pytest.mark.parametrize("data", [xr.Dataset(), xr.Dataset({"a": ("x", [1.0])})])
+def test_what_is_no_result_is_refused_in_one_sentence(data):
+    for draw in (data.mcspectra.plot, data.mcspectra.figures):
+        with pytest.raises(ParameterError, match="No figure shows"):
+            draw()
+    assert data.mcspectra.kinds == ()
+
+
+def test_unknown_kinds_name_those_there_are():
+    with pytest.raises(ParameterError, match="it must be one of spectrum, radial"):
+        RESULTS["spectrum"]().mcspectra.plot("radail")
+
+
+def test_maps_have_their_own_figures():
+    pixels = ("y", "x")
+    values = np.random.default_rng(1).random((2, 4, 4)) + 0.5
+    data = xr.Dataset(
+        {
+            "variance": (("n", *pixels), values),
+            "mean": (("n", *pixels), values),
+            "rate": (pixels, -values[0]),
+            "rate_se": (pixels, 0.1 * values[0]),
+        },
+        {"n": [4, 16], "x": np.arange(4), "y": np.arange(4)},
+    )
+    assert set(data.mcspectra.figures()) >= {"map_mean", "map_variance", "map_rate"}
+
+
+def test_importing_the_module_registers_the_accessor():
+    code = "import xarray as xr, mcspectra.report.accessor; print(xr.Dataset().mcspectra.kinds)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "()\n"
+    assert accessor.Result(xr.Dataset()).kinds == ()
