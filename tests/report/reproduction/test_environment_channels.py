@@ -1,0 +1,58 @@
+"""Gray against all channels: findings, jumps counted by hand, and what would contradict them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+import mcspectra as mcs
+from mcspectra.report.reproduction import environment_channels as channels
+from mcspectra.report.reproduction.base import Exhibit
+
+
+@pytest.fixture(scope="module")
+def made() -> Exhibit:
+    return channels.exhibit(quick=True, seed=1)
+
+
+def test_all_findings_agree(made: Exhibit) -> None:
+    assert made.name == "environment-channels"
+    assert [f.statement for f in made.findings if f.agrees is not True] == []
+    assert all(len(p.alt) > 40 for p in made.pictures)
+
+
+def test_theory_has_two_rates(made: Exhibit) -> None:
+    rates = [f.expected.split()[0] for f in made.findings[:9]]
+    assert rates == ["−2.0"] * 3 + ["−3.0"] * 3 + ["−2.0"] * 3
+
+
+def test_the_integral_of_the_map() -> None:
+    integral = channels._ways()["one"].integral
+    for c in range(3):
+        parts = [
+            quad(lambda x, c=c: channels._radiance(np.array([x]))[c], k / 8, (k + 1) / 8)[0]  # type: ignore[misc]
+            for k in range(8)
+        ]
+        assert integral[c] == pytest.approx(sum(parts), rel=1e-9)
+
+
+def test_luminance_leaves_jumps(monkeypatch: pytest.MonkeyPatch) -> None:
+    gray = channels._PIXELS @ channels._LUMINANCE
+    right = channels._weighted
+    monkeypatch.setattr(channels, "_weighted", lambda _, channel: right(gray, channel))
+    assert [channels._continuous(c).agrees for c in range(3)] == [False] * 3
+
+
+def test_rates_of_one_way_are_not_those_of_another() -> None:
+    ways = channels._ways()
+    counts = channels._COUNTS["own"]
+    curves = {
+        w: mcs.convergence(ways[w], "jittered", counts, realizations=300, rng=1)
+        for w in ("one", "own")
+    }
+    for way, other in (("one", "own"), ("own", "one")):
+        exact = np.array(counts, float)[:, None] ** channels._RATES[other] * np.ones(3)
+        assert channels._rate(other, 1, curves[way], exact).agrees is False
+    swapped = {"one": curves["own"], "own": curves["one"]}
+    assert channels._gain(0, swapped).agrees is False
