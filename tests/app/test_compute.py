@@ -12,6 +12,7 @@ from mcspectra.app import compute as module
 from mcspectra.app.compute import KINDS, Job, Update, compute, ladder, make_parts, rounds
 from mcspectra.app.state import Setup
 from mcspectra.core.errors import McspectraError
+from mcspectra.core.progress import report
 
 SMALL = Setup(n=16, half_width=4, realizations=64)
 
@@ -65,6 +66,35 @@ def test_the_spectrum_does_not_wait_for_an_integrand() -> None:
     other = replace(SMALL, integrand="disk", smoothing=0.1, mirror="random", basis="cosine")
     assert compute("spectrum", other, 16) is first
     assert compute("spectrum", replace(SMALL, seed=1), 16) is not first
+
+
+def test_cancelling_ends_an_analysis_between_its_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, go, told = threading.Event(), threading.Event(), []
+
+    def slow(setup: Setup, realizations: int) -> None:
+        del setup, realizations
+        begun.set()
+        go.wait(30)
+        for k in range(5):
+            report("terms", k / 5)
+            told.append(k)
+
+    monkeypatch.setitem(module._MAKERS, "points", slow)
+    sentences: list[str] = []
+    job = Job(replace(SMALL, seed=5), told.append, sentences.append).start()
+    assert begun.wait(30)
+    job.cancel()
+    go.set()
+    job.join(30)
+    assert told == []
+    assert sentences == []
+
+
+def test_a_job_does_not_hear_of_another_that_was_cancelled() -> None:
+    cancelled = Job(replace(SMALL, seed=6), lambda _: None, lambda _: None)
+    cancelled.cancel()
+    cancelled.start().join(30)
+    assert finished(replace(SMALL, seed=6, realizations=16))[1] == ""
 
 
 def test_a_cancelled_job_says_nothing_more(monkeypatch: pytest.MonkeyPatch) -> None:

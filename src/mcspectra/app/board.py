@@ -10,6 +10,7 @@ from typing import Any, final
 import panel as pn
 
 from mcspectra.app.compute import Job, Update, make_parts
+from mcspectra.app.look import text_block
 from mcspectra.app.state import Setup
 from mcspectra.app.views import View, make_views
 
@@ -49,9 +50,7 @@ class Board:
         self._later, self._on_update, self._on_shown = later, on_update, on_shown
         self._job: Job | None = None
         self._inbox: SimpleQueue[tuple[Job, Update | str]] = SimpleQueue()
-        self._status = pn.pane.HTML(
-            sizing_mode="stretch_width", margin=(0, 10), stylesheets=[_STATUS]
-        )
+        self._status = text_block(css=_STATUS)
         self._progress = pn.indicators.Progress(
             value=0, max=100, sizing_mode="stretch_width", margin=(4, 10)
         )
@@ -102,7 +101,7 @@ class Board:
     def _make(self, setup: Setup) -> None:
         self._made_for = self._kind(setup)
         self._views: list[View] = make_views(setup, self._theme)
-        self._captions = [pn.pane.HTML("", margin=(0, 10, 12, 10)) for _ in self._views]
+        self._captions = [text_block(margin=(0, 10, 12, 10)) for _ in self._views]
         for view in self._views:
             self._name(view, "")
         self.cards = [
@@ -128,6 +127,10 @@ class Board:
 
     def _read(self) -> None:
         """Take what has come in, in its order, which the page's callbacks do not keep."""
+        with pn.io.hold():  # one message to the browser for all changes
+            self._take()
+
+    def _take(self) -> None:
         while not self._inbox.empty():
             job, news = self._inbox.get()
             if job is not self._job:  # what a job of the past still sends
@@ -143,7 +146,7 @@ class Board:
         for view, caption in zip(self._views, self._captions, strict=True):
             if view.kind == update.kind:
                 sentence = view.show(update.value)
-                caption.object = f"<p>{escape(sentence)}</p>"
+                caption.text = f"<p>{escape(sentence)}</p>"
                 self._name(view, sentence)
         self._progress.value = round(100 * update.fraction)
         self._say(f"{update.realizations} realisations, {update.fraction:.0%} done.")
@@ -163,6 +166,6 @@ class Board:
 
     def _say(self, sentence: str, *, alert: bool = False) -> None:
         role = "alert" if alert else "status"
-        self._status.object = (
+        self._status.text = (
             f'<p role="{role}" class="{role}"><strong>{self._side}</strong> {escape(sentence)}</p>'
         )

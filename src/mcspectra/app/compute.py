@@ -21,6 +21,7 @@ from mcspectra.app.state import MOST_POINTS, Setup
 from mcspectra.app.uploads import upload_path
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import McspectraError, ParameterError
+from mcspectra.core.progress import listening
 from mcspectra.core.spec import parse
 from mcspectra.densities import Density, density
 from mcspectra.estimators import AbstractEstimator, Estimator, Mirrored
@@ -230,6 +231,21 @@ KINDS = tuple(_MAKERS)
 """What is computed in each round, in this order."""
 
 
+class _Cancelled(Exception):
+    """Ends the analysis of a job that was cancelled."""
+
+
+_own = threading.local()  # the job of this thread
+
+
+def _stop_if_cancelled(what: str, fraction: float) -> None:
+    """A listener to progress, which is told in the job's own thread between blocks."""
+    del what, fraction
+    job: Job | None = getattr(_own, "job", None)
+    if job is not None and job.cancelled:
+        raise _Cancelled
+
+
 @final
 class Job:
     """One set-up under way in a thread of its own, round by round.
@@ -246,8 +262,8 @@ class Job:
 
     Notes
     -----
-    `cancel` returns at once. The analysis that is running is not interrupted; what it returns is
-    dropped, and no other round begins.
+    `cancel` returns at once. The analysis that is running ends where it next reports progress, after
+    a block of realisations, and no other begins.
     """
 
     def __init__(
@@ -276,8 +292,12 @@ class Job:
 
     def _run(self) -> None:
         sentence = ""
+        _own.job = self
         try:
-            sentence = self._refine()
+            with listening(_stop_if_cancelled):
+                sentence = self._refine()
+        except _Cancelled:
+            return
         except McspectraError as error:
             sentence = str(error)
         except MemoryError:
@@ -287,6 +307,11 @@ class Job:
             sentence = f"Unexpected {type(error).__name__}: {text}."
         if not self._cancelled.is_set():
             self._on_end(sentence)
+
+    @property
+    def cancelled(self) -> bool:
+        """Whether `cancel` was called."""
+        return self._cancelled.is_set()
 
     def _refine(self) -> str:
         make_parts(self.setup)  # refuse what cannot be made before anything is shown

@@ -13,6 +13,7 @@ from mcspectra.app.board import Board
 from mcspectra.app.compute import Update
 from mcspectra.app.controls import Controls
 from mcspectra.app.export import as_python, as_toml
+from mcspectra.app.look import text_block
 from mcspectra.app.scene import pixel_spec
 from mcspectra.app.scene_view import SceneView
 from mcspectra.app.state import THEMES, Setup, State
@@ -55,10 +56,8 @@ class Explorer:
         self._sides = pn.Tabs(sizing_mode="stretch_width")
         self._headers = pn.Row(sizing_mode="stretch_width")
         self._grid = pn.Column(sizing_mode="stretch_width")
-        self._summary = pn.pane.HTML(
-            "", sizing_mode="stretch_width", margin=(0, 10), stylesheets=[_TABLE]
-        )
-        self._theme_link = pn.pane.HTML("", margin=(0, 10))
+        self._summary = text_block(css=_TABLE)
+        self._theme_link = text_block()
         self._python = _text_area("As Python")
         self._toml = _text_area("As TOML")
         self._compare = pn.widgets.Checkbox(
@@ -179,9 +178,7 @@ class Explorer:
             self._location.search = f"?{query}" if query else ""
         other = next(theme for theme in THEMES if theme != self.state.theme)
         there = replace(self.state, theme=other).query()
-        self._theme_link.object = (
-            f'<p><a href="?{escape(there)}">{other.capitalize()} theme</a></p>'
-        )
+        self._theme_link.text = f'<p><a href="?{escape(there)}">{other.capitalize()} theme</a></p>'
 
     def _write_texts(self, update: Update) -> None:
         """Write the exports once the parts are made; runs in a job's thread."""
@@ -205,7 +202,7 @@ class Explorer:
             f'<th scope="col">{name}</th>'
             for name in ("", "sampler", "n", "variance", "captured", "rate")
         )
-        self._summary.object = f"<table><tr>{head}</tr>{''.join(rows)}</table>"
+        self._summary.text = f"<table><tr>{head}</tr>{''.join(rows)}</table>"
 
 
 def build_page() -> Any:

@@ -266,11 +266,13 @@ class ConvergenceView:
     kind: ClassVar[str] = "curve"
 
     def __init__(self, setup: Setup, look: Look) -> None:
-        from bokeh.models import ColumnDataSource
+        from bokeh.models import ColumnDataSource, FixedTicker
         from bokeh.models.annotations import Whisker
 
         del setup
         self._source = ColumnDataSource({"n": [], "v": [], "low": [], "high": []})
+        # Kept: a model that is new makes bokeh walk through the whole document, for 0.2 s
+        self._ticker = FixedTicker(ticks=[])
         self._lines = ColumnDataSource({"n": [], "fit": [], "random": []})
         self.figure = new_figure(
             "Convergence", "n", "variance", look, x_axis_type="log", y_axis_type="log",
@@ -287,6 +289,7 @@ class ConvergenceView:
             base="n", upper="high", lower="low", source=self._source, line_color=look.ink
         )
         self.figure.add_layout(whisker)
+        self.figure.xaxis.ticker = self._ticker
         legend_outside(self.figure, look)
 
     def show(self, value: xr.Dataset) -> str:
@@ -301,7 +304,7 @@ class ConvergenceView:
             self._lines.data = {"n": [], "fit": [], "random": []}
             return "No rate: too few counts have a variance above rounding."
         fit = np.exp(np.mean(np.log(v[seen]) - rate * np.log(n[seen]))) * n**rate
-        self.figure.xaxis.ticker = n.tolist()
+        self._ticker.ticks = n.tolist()
         self._lines.data = {"n": n, "fit": fit, "random": v[seen][0] * n[seen][0] / n}
         return (
             f"Fitted rate {rate:.3f}, 95 % interval {bounds[0]:.2f} to {bounds[1]:.2f}; "

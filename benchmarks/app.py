@@ -1,0 +1,100 @@
+"""Latency of the explorer: from a slider's move in Chromium to the figures that answer it.
+
+The page is the default one: 256 jittered points, 129² frequencies. A key moves the slider of the
+strata shift; the page notes when bokeh has new data for the first figure and for the last one of the
+round of fewest realisations. Processor time of the server counts from the key to the last figure of
+all rounds, in the mean over the moves.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+MOVES = 8
+MOST = 200.0  # milliseconds to the first figure
+CHROMIUM = "/usr/bin/chromium"
+_FIGURES = 7  # with data sources that change in each round
+_PATIENCE = 120_000  # milliseconds
+_WATCH = """() => {
+  window.heard = [];
+  const models = [...Bokeh.documents[0]._all_models.values()];
+  for (const model of models.filter((each) => each.type === "ColumnDataSource"))
+    model.properties.data.change.connect(() =>
+      requestAnimationFrame(() => window.heard.push([model.id, performance.now()])));
+  document.addEventListener("keydown", () => { window.pressed = performance.now(); }, true);
+}"""
+_TIMES = "() => window.heard.map(([id, time]) => [id, time - window.pressed])"
+
+
+def main() -> None:
+    """Print medians of the latency to the first figure and to all of them, and processor time."""
+    from playwright.sync_api import sync_playwright
+
+    with _server() as (process, address), sync_playwright() as player:
+        arguments = ["--headless", "--no-sandbox", "--disable-gpu"]
+        browser = player.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        page = browser.new_page(viewport={"width": 1300, "height": 900})
+        page.set_default_timeout(_PATIENCE)
+        page.goto(address)
+        _wait(page)
+        page.evaluate(_WATCH)
+        found = [_move(page, process.pid) for _ in range(MOVES)]
+        browser.close()
+    first, every, seconds = (median(each) for each in zip(*found, strict=True))
+    verdict = "met" if first <= MOST else "missed"
+    print(f"first figure {first:6.0f} ms (at most {MOST:.0f}: {verdict})")
+    print(f"all figures  {every:6.0f} ms, of the round of fewest realisations")
+    print(f"server       {1e3 * seconds:6.0f} ms of processor time, all rounds")
+
+
+def _move(page: Any, pid: int) -> tuple[float, float, float]:
+    """Press a key on the slider; milliseconds to the first and the last figure, server's seconds."""
+    before = _processor_time(pid)
+    page.evaluate("() => { window.heard.length = 0; }")
+    page.get_by_role("slider", name="Strata shift, A").press("ArrowRight")
+    page.wait_for_function("() => window.heard.length > 0")
+    _wait(page)
+    times: dict[str, float] = {}
+    for source, time in page.evaluate(_TIMES):
+        times.setdefault(source, time)
+    return min(times.values()), max(times.values()), _processor_time(pid) - before
+
+
+def _wait(page: Any) -> None:
+    """Wait for the end of all rounds."""
+    page.get_by_text("A Done.").wait_for()
+
+
+@contextmanager
+def _server() -> Iterator[tuple[subprocess.Popen[str], str]]:
+    with tempfile.TemporaryDirectory() as cache:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "mcspectra", "app", "--no-browser"],
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "MCSPECTRA_CACHE": cache},
+        )
+        assert process.stdout is not None
+        try:
+            yield process, process.stdout.readline().split(" at ")[1].split(";")[0]
+        finally:
+            process.terminate()
+            process.wait(30)
+
+
+def _processor_time(pid: int) -> float:
+    """Seconds of user and system time of a process; Linux only."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+if __name__ == "__main__":
+    main()
