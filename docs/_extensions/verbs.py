@@ -1,0 +1,46 @@
+"""The directive ``verbs``: the help of every verb of the command line, from its own parser."""
+
+import contextlib
+import io
+import os
+from unittest.mock import patch
+
+from docutils import nodes
+from docutils.parsers.rst import Directive
+from sphinx.application import Sphinx
+
+from mcspectra.cli.main import _VERBS as VERBS
+from mcspectra.cli.main import main
+
+__all__ = ["VERBS", "help_of", "setup"]
+
+
+def help_of(*arguments: str) -> str:
+    """What ``mcspectra …`` with --help prints, 90 columns wide and without colours."""
+    printed = io.StringIO()
+    plain = {"COLUMNS": "90", "NO_COLOR": "1", "TERM": "dumb"}
+    with patch.dict(os.environ, plain), contextlib.redirect_stdout(printed):
+        code = main([*arguments, "--help"])
+    if code:
+        message = f"mcspectra {' '.join(arguments)} --help ended with {code}"
+        raise RuntimeError(message)
+    return printed.getvalue().rstrip() + "\n"
+
+
+class _Verbs(Directive):
+    def run(self) -> list[nodes.Node]:
+        """Return a section for each verb, in the order of ``mcspectra --help``."""
+        return [self._section(verb) for verb in VERBS]
+
+    def _section(self, verb: str) -> nodes.section:
+        section = nodes.section(ids=[f"mcspectra-{verb}"], names=[f"mcspectra {verb}"])
+        section += nodes.title("", f"mcspectra {verb}")
+        section += nodes.literal_block("", help_of(verb), language="text")
+        self.state.document.note_explicit_target(section)
+        return section
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Register the directive."""
+    app.add_directive("verbs", _Verbs)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,70 @@
+"""Sphinx configuration: every page is one file of text, notebooks are run at each build, nothing is
+loaded from outside (mathematics is MathML, the theme has no fonts of its own)."""
+
+import os
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
+
+from sphinx.application import Sphinx
+
+from mcspectra.version import __version__
+
+project = "mcspectra"
+author = "The mcspectra authors"
+copyright = author  # Sphinx reads this name
+release = version = __version__
+
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "bibliography",
+    "docstrings",
+    "mathml",
+    "verbs",
+]
+exclude_patterns = ["_extensions", "_build", "**/.ipynb_checkpoints"]
+# ref.python: a parameter's name such as `dims` is an attribute of several classes.
+suppress_warnings = ["myst.header", "ref.python"]
+
+myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence"]
+myst_heading_anchors = 3
+myst_links_external_new_tab = False
+nb_execution_mode = "force"
+nb_execution_in_temp = True
+nb_execution_timeout = 120
+nb_execution_raise_on_error = True
+nb_execution_show_tb = True
+nb_ipywidgets_js = {}  # the default comes from a content network
+nb_merge_streams = True
+
+autodoc_typehints = "none"  # the signature has them; descriptions are the docstrings'
+autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
+napoleon_google_docstring = False
+napoleon_use_rtype = False
+napoleon_use_ivar = True
+default_role = "py:obj"
+add_module_names = False
+python_use_unqualified_type_names = True
+python_maximum_signature_line_length = 90
+highlight_language = "default"
+
+html_math_renderer = "mathml"
+html_theme = "furo"
+html_title = "mcspectra"
+html_copy_source = False
+html_show_sphinx = False
+html_theme_options = {"navigation_with_keys": True}
+html_static_path = ["_static"]
+html_css_files = ["mcspectra.css"]
+
+
+def setup(_app: Sphinx) -> None:
+    """Cells of notebooks inherit it: the commands of this environment, their output as plain text."""
+    commands = str(Path(sys.executable).parent)
+    os.environ["PATH"] = os.pathsep.join([commands, os.environ.get("PATH", "")])
+    os.environ.update(COLUMNS="90", NO_COLOR="1", TERM="dumb")
+    os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"

@@ -1,0 +1,188 @@
+"""The pages as a whole: links, citations, all names and verbs, code that is the README's."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+import mcspectra as mcs
+from mcspectra.cli.main import _VERBS
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+PAGES = sorted(path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md"))
+NOTEBOOKS = [page for page in PAGES if "file_format: mystnb" in (DOCS / page).read_text("utf-8")]
+PACKAGES = sorted(name for name in mcs.__all__ if inspect.ismodule(getattr(mcs, name)))
+_FENCE = re.compile(r"^( *)(```+).*?^\1\2$", re.MULTILINE | re.DOTALL)
+_LINK = re.compile(r"\]\(([^)\s]+)\)")
+_CITED = re.compile(r"\{cite\}`(\w+)`")
+_DOCUMENTED = re.compile(r"^\.\. auto(?:class|function):: (\w+)$", re.MULTILINE)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _extensions():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(DOCS / "_extensions")
+        yield
+        for name in ("bibliography", "docstrings", "mathml", "verbs"):
+            sys.modules.pop(name, None)
+
+
+def _text(page):
+    return (DOCS / page).read_text(encoding="utf-8")
+
+
+def _keys():
+    return importlib.import_module("bibliography").entries(_text("references.bib"))
+
+
+def _anchors(page):
+    """Anchors of headings, as GitHub and MyST make them."""
+    titles = re.findall(r"^#+ (.+)$", _FENCE.sub("", _text(page)), re.MULTILINE)
+    plain = (re.sub(r"[^\w\- ]", "", title.lower()) for title in titles)
+    return {title.strip().replace(" ", "-") for title in plain}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_relative_links_resolve(page):
+    for target in _LINK.findall(_FENCE.sub("", _text(page))):
+        path, _, anchor = target.partition("#")
+        if "://" in target:
+            continue
+        linked = (DOCS / page).parent / path if path else DOCS / page
+        assert linked.exists(), target
+        if anchor:
+            assert anchor in _anchors(linked.resolve().relative_to(DOCS.resolve()).as_posix()), (
+                target
+            )
+
+
+def test_an_anchor_that_is_missing_is_seen():
+    assert "the-three-terms" in _anchors("theory.md")
+    assert "the-four-terms" not in _anchors("theory.md")
+
+
+def test_links_of_the_readme_resolve():
+    for target in _LINK.findall((ROOT / "README.md").read_text(encoding="utf-8")):
+        assert "://" in target or (ROOT / target.partition("#")[0]).exists(), target
+
+
+def test_the_api_has_every_public_name_once():
+    names = [name for name in mcs.__all__ if name not in PACKAGES and name != "__version__"]
+    assert sorted(_DOCUMENTED.findall(_text("api/mcspectra.md"))) == sorted(names)
+
+
+def test_classes_and_functions_are_documented_as_what_they_are():
+    for kind, name in re.findall(
+        r"^\.\. auto(\w+):: (\w+)$", _text("api/mcspectra.md"), re.MULTILINE
+    ):
+        assert (kind == "class") == inspect.isclass(getattr(mcs, name)), name
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_public_package_has_a_page(package):
+    page = _text(f"api/{package}.md")
+    assert f".. automodule:: mcspectra.{package}" in page
+    left_out = re.findall(r":exclude-members: (.*)", page)
+    left_out = set(left_out[0].split(", ")) if left_out else set()
+    assert left_out <= set(_DOCUMENTED.findall(_text("api/mcspectra.md")))
+    assert left_out == set(getattr(getattr(mcs, package), "__all__", ())) & set(mcs.__all__)
+
+
+def test_the_reference_has_the_help_of_every_verb():
+    verbs = importlib.import_module("verbs")
+    assert verbs.VERBS is _VERBS
+    section = verbs.help_of("points")
+    assert section.startswith("usage: mcspectra points")
+    assert "--seed S" in section
+    assert "\x1b" not in section
+
+
+@pytest.mark.parametrize("verb", sorted(_VERBS))
+def test_the_help_of_a_verb_can_be_had(verb):
+    text = importlib.import_module("verbs").help_of(verb)
+    assert text.startswith(f"usage: mcspectra {verb}")
+    assert max(map(len, text.splitlines())) <= 200
+
+
+def test_help_that_fails_is_an_error():
+    with pytest.raises(RuntimeError, match="ended with 2"):
+        importlib.import_module("verbs").help_of("no-such-verb")
+
+
+def test_pages_cite_works_that_exist():
+    cited = {key for page in PAGES for key in _CITED.findall(_text(page))}
+    assert len(cited) > 10
+    assert cited <= set(_keys())
+
+
+def test_docstrings_cite_works_that_exist():
+    sources = [path.read_text(encoding="utf-8") for path in (ROOT / "src").rglob("*.py")]
+    cited = {key for source in sources for key in re.findall(r"\[([A-Z]\w+\d{4}\w?)\]_", source)}
+    assert len(cited) > 30
+    assert cited <= set(_keys())
+
+
+def test_every_entry_of_the_bibliography_is_read():
+    source = _text("references.bib")
+    keys = re.findall(r"^@\w+\{([^,]+),", source, re.MULTILINE)
+    works = _keys()
+    assert sorted(works) == sorted(keys)
+    assert len(set(keys)) == len(keys)
+    for key, fields in works.items():
+        assert fields["title"], key
+        assert fields["author"], key
+        assert not re.search(r"[{}\\]", fields["title"] + fields["author"]), key
+
+
+def test_accents_of_the_bibliography_are_letters():
+    entries = importlib.import_module("bibliography").entries
+    source = r"""@article{A2000,
+  title = {{\"U}ber {PCM} -- two},
+  author = {Sk{\v r}ivan, Ond{\v{r}}ej and M{\o}ller, J{\'i}},
+}
+"""
+    plain = {"title": "Über PCM – two", "author": "Skřivan, Ondřej and Møller, Jí"}
+    assert entries(source) == {"A2000": plain}
+
+
+@pytest.mark.parametrize(
+    ("line", "read"),
+    [
+        ("power |f_m|² at m_ and f*g", r"power \|f_m\|² at m\_ and f\*g"),
+        (
+            "*Integer* m, ``|m|``, `f`_ and [Owen1997]_",
+            "*Integer* m, ``|m|``, `f`_ and [Owen1997]_",
+        ),
+        ("* an item, |m|", r"* an item, \|m\|"),
+        (":param half_width: |m| up to K", r":param half_width: \|m\| up to K"),
+    ],
+)
+def test_mathematics_of_docstrings_is_no_markup(line, read):
+    assert importlib.import_module("docstrings").escaped(line) == read
+
+
+def test_there_is_a_notebook_for_the_start_and_for_each_user():
+    pages = {"quick-start.md", *(f"how-to/{path.name}" for path in (DOCS / "how-to").glob("*.md"))}
+    assert set(NOTEBOOKS) == pages
+    assert len(pages) == 5
+
+
+@pytest.mark.parametrize("page", NOTEBOOKS)
+def test_notebooks_are_text_without_outputs(page):
+    cells = re.findall(r"```\{code-cell\}\n(.*?)```", _text(page), re.DOTALL)
+    assert len(cells) >= 3
+    assert max(len(line) for line in _text(page).splitlines()) <= 120
+
+
+def test_the_quick_start_is_the_readme_word_for_word():
+    readme, page = (ROOT / "README.md").read_text(encoding="utf-8"), _text("quick-start.md")
+    for block in re.findall(r"```python\n(.*?)```", readme, re.DOTALL):
+        assert block.strip() in page
+    for command in re.findall(r"^    make .*$", readme, re.MULTILINE)[:2]:
+        assert command in page
