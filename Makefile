@@ -11,7 +11,7 @@ help:
 	@echo "make test   set up, then run the tests"
 	@echo "make check  lint, types, import contract"
 	@echo "make bench  benchmarks: ratios against a reference in the same run"
-	@echo "make docs   check the documentation's examples"
+	@echo "make docs   check the documentation's examples, then build it: build/docs/index.html"
 	@echo "make clean  remove everything that was built, the environment too"
 
 setup: $(STAMP)
@@ -20,11 +20,11 @@ setup: $(STAMP)
 $(STAMP): pyproject.toml
 	@if command -v uv >/dev/null 2>&1; then \
 		uv venv --quiet --allow-existing --python $(PYTHON) $(VENV) && \
-		uv pip install --quiet --compile-bytecode --python $(BIN)/python -e '.[render,app,qmcpy,parquet,vegas,cluster,dev]'; \
+		uv pip install --quiet --compile-bytecode --python $(BIN)/python -e '.[render,app,qmcpy,parquet,vegas,cluster,docs,dev]'; \
 	else \
 		{ [ -x $(BIN)/python ] || $(PYTHON) -m venv $(VENV); } && \
 		$(BIN)/python -m pip install --quiet --upgrade pip && \
-		$(BIN)/python -m pip install --quiet -e '.[render,app,qmcpy,parquet,vegas,cluster,dev]'; \
+		$(BIN)/python -m pip install --quiet -e '.[render,app,qmcpy,parquet,vegas,cluster,docs,dev]'; \
 	fi
 	@$(BIN)/python -m compileall -q src
 	@touch $@
@@ -52,6 +52,7 @@ bench: setup
 
 docs: setup
 	$(BIN)/python -m pytest --doctest-modules --doctest-glob='*.md' src docs README.md
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/docs
 
 clean:
 	rm -rf $(VENV) out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
