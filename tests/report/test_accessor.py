@@ -97,7 +97,7 @@ def test_rates_are_said():
 
 
 def test_terms_are_said():
-    data = mcs.variance_terms("disk", "random", 16, half_width=1, realizations=200)
+    data = mcs.variance_terms("disk", "random", 16, half_width=1, realizations=1000)
     assert "is captured at half width 1" in data.mcspectra.summary()
 
 

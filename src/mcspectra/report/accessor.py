@@ -207,7 +207,8 @@ def _numbers(data: xr.Dataset) -> Iterator[str]:
                 yield f"{meaning}: over {', '.join(map(str, data[key].dims)) or 'nothing'}"
             continue
         limits = data.get(f"{key}_ci")
-        ends = "" if limits is None else f" ({interval(*map(float, limits.values))})"
+        low, high = (None, None) if limits is None else map(float, limits.values)
+        ends = "" if low is None else f" ({interval(low, high)})"
         if not key.endswith("_se"):
             yield f"{meaning}: {number(float(data[key]))}{ends}"
 

@@ -1,4 +1,4 @@
-"""Checks for samplers of your own: what the library promises of every one of its own."""
+"""The contract of samplers: range, shape, type, realisations, counts, a uniform expectation."""
 
 from __future__ import annotations
 
@@ -7,18 +7,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.errors import McspectraError
 from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.testing.contract import demand
 
-__all__ = ["BrokenContract", "check_sampler"]
+__all__ = ["check_sampler"]
 
 _REALIZATIONS = 640
 _CELLS = 35
 _FALSE_ALARM = 1e-6
-
-
-class BrokenContract(McspectraError, AssertionError):
-    """A sampler does not do what it promises; the message says what and for which count."""
 
 
 def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64)) -> None:
@@ -116,5 +112,4 @@ def _deviations(cells: Array, n: int) -> Array:
 
 
 def _demand(holds: bool, source: Sampler, n: int, sentence: str) -> None:
-    if not holds:
-        raise BrokenContract(f"{source.spec} with n = {n} {sentence}.")
+    demand(holds, f"{source.spec} with n = {n}", sentence)

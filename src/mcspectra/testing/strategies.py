@@ -1,0 +1,197 @@
+"""Hypothesis strategies: random samplers, densities, integrands, counts and point sets.
+
+Samplers are of all names that registries know, those of other packages too, unless they are costly
+or need parameters; densities and integrands have random parameters. Importing this module needs
+hypothesis: ``pip install mcspectra[testing]``.
+"""
+
+from __future__ import annotations
+
+import functools
+import warnings
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mcspectra.core.checks import as_choice, as_integer
+from mcspectra.core.errors import McspectraError, MissingDependency, ParameterError
+from mcspectra.core.registry import Registry
+from mcspectra.densities import Density, density
+from mcspectra.integrands import Integrand, integrand
+from mcspectra.samplers import RANDOMIZATIONS, SAMPLERS, Sampler, as_sampler, sampler
+
+try:
+    from hypothesis import strategies as st
+    from hypothesis.extra import numpy as hnp
+except ImportError:
+    raise MissingDependency(
+        "mcspectra.testing.strategies needs hypothesis, which is not installed: "
+        "pip install mcspectra[testing]."
+    ) from None
+
+if TYPE_CHECKING:
+    from hypothesis.strategies import SearchStrategy
+
+__all__ = ["counts", "densities", "integrands", "point_sets", "samplers", "spec_strings"]
+
+KINDS = ("sampler", "density", "integrand")
+MAX_DIMS = 16
+_MOST_STEPS = 2
+_FOREIGN = ("mitsuba", "points", "qmcpy", "scipy")  # load other packages, or need a file
+_POINTWISE = ("shift", "digital-shift", "owen", "mirror")
+
+
+def spec_strings(kind: str = "sampler", *, dims: int = 2) -> SearchStrategy[str]:
+    """Spec strings that `mcspectra.sampler`, `density` or `integrand` accept in `dims` dims.
+
+    Parameters
+    ----------
+    kind
+        ``"sampler"`` (with randomisations), ``"density"`` or ``"integrand"``.
+    dims
+        1 to 16.
+
+    Raises
+    ------
+    ParameterError
+        Another kind, or dims out of range.
+    """
+    make = {"sampler": _sampler_specs, "density": _density_specs, "integrand": _integrand_specs}
+    name = as_choice("kind", kind, KINDS)
+    return make[name](as_integer("dims", dims, least=1, most=MAX_DIMS))
+
+
+def samplers(*, dims: int = 2) -> SearchStrategy[Sampler]:
+    """Samplers in `dims` dims, often randomised; none that take seconds for a set."""
+    return spec_strings("sampler", dims=dims).map(lambda spec: sampler(spec, dims))
+
+
+def densities(*, dims: int = 1) -> SearchStrategy[Density]:
+    """Densities in `dims` dims with random parameters."""
+    return spec_strings("density", dims=dims).map(lambda spec: density(spec, dims))
+
+
+def integrands(*, dims: int = 2) -> SearchStrategy[Integrand]:
+    """Integrands in `dims` dims with random parameters, smooth ones and such with jumps."""
+    return spec_strings("integrand", dims=dims).map(lambda spec: integrand(spec, dims))
+
+
+def counts(given: Sampler | str, *, most: int = 256) -> SearchStrategy[int]:
+    """Numbers of points that a sampler can make without a warning, at most `most`.
+
+    Raises
+    ------
+    ParameterError
+        It can make no set that small.
+    """
+    source = as_sampler(given)
+    largest = as_integer("most", most, least=1, most=2**20)
+    near = {source.nearest_count(k) for k in _tried(largest)}
+    possible = sorted(n for n in near if n <= largest and _is_good(source, n))
+    if not possible:
+        raise ParameterError(
+            f"{source.spec} makes no set of {largest} points or fewer; give most="
+            f"{source.nearest_count(1)}."
+        )
+    return st.sampled_from(possible)
+
+
+def point_sets(*, dims: int = 2, most: int = 64, stacked: bool = False) -> SearchStrategy[Any]:
+    """Point sets in [0,1)^dims: float64 arrays (n, dims), or (R, n, dims) where `stacked`.
+
+    Coordinates repeat, and lie on 0 and next to 1, more often than those of random points do.
+    """
+    d = as_integer("dims", dims, least=1, most=MAX_DIMS)
+    largest = as_integer("most", most, least=1, most=2**16)
+    coordinate = st.floats(0.0, 1.0, exclude_max=True, allow_subnormal=False)
+    sizes = st.tuples(st.integers(1, 4), st.integers(1, largest))
+    shapes = sizes.map(lambda size: (*size, d) if stacked else (size[1], d))
+    return shapes.flatmap(lambda shape: hnp.arrays(np.float64, shape, elements=coordinate))
+
+
+def _is_good(source: Sampler, n: int) -> bool:
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        source.check_count(n)
+    return not heard
+
+
+def _tried(largest: int) -> range:
+    """Counts to look near; of very many a part."""
+    return range(1, largest + 1, max(1, largest // 4096))
+
+
+@functools.cache
+def _names(dims: int) -> tuple[str, ...]:
+    """Samplers that need no parameters, are not costly and can do `dims` dims."""
+    return tuple(n for n in SAMPLERS if n not in _FOREIGN and _quick(SAMPLERS, n, sampler, dims))
+
+
+def _quick(registry: Registry, name: str, build: Callable[..., Any], dims: int) -> bool:
+    try:
+        return not registry.load(name).costly and bool(build(name, dims))
+    except McspectraError:
+        return False
+
+
+@st.composite
+def _sampler_specs(draw: Any, dims: int) -> str:
+    """A name and up to two randomisations that fit what is there; others are left out."""
+    made = sampler(draw(st.sampled_from(_names(dims))), dims)
+    steps = st.lists(st.sampled_from(_POINTWISE), max_size=_MOST_STEPS, unique=True)
+    for step in draw(steps):
+        try:
+            made = made.then(RANDOMIZATIONS.load(step)())
+        except McspectraError:
+            continue
+    return made.spec
+
+
+def _number(low: float, high: float) -> SearchStrategy[float]:
+    """Floats with few digits: specs stay short, failures legible."""
+    return st.integers(0, 64).map(lambda k: low + (high - low) * k / 64)
+
+
+def _calls(name: str, **parameters: SearchStrategy[Any]) -> SearchStrategy[str]:
+    """``name(key=value, …)`` with random values."""
+
+    def spec(values: dict[str, Any]) -> str:
+        return f"{name}({', '.join(f'{key}={value!r}' for key, value in values.items())})"
+
+    return st.fixed_dictionaries(parameters).map(spec)
+
+
+def _each(number: SearchStrategy[Any], dims: int) -> SearchStrategy[list[Any]]:
+    return st.lists(number, min_size=dims, max_size=dims)
+
+
+def _density_specs(dims: int) -> SearchStrategy[str]:
+    specs = [
+        st.just("uniform"),
+        _calls("linear", slope=_each(_number(-2.0, 2.0), dims)),
+        _calls("power", exponent=_each(_number(-0.5, 4.0), dims)),
+        _calls("exponential", rate=_each(_number(-16.0, 16.0), dims)),
+        _calls("tent", peak=_each(_number(0.0, 1.0), dims)),
+        _calls(
+            "truncated-normal",
+            mean=_each(_number(-0.5, 1.5), dims),
+            sigma=_each(_number(0.125, 2.125), dims),
+        ),
+    ]
+    if dims == 1:
+        specs.append(_calls("piecewise-constant", values=_each(st.integers(1, 9), 5)))
+    return st.one_of(specs)
+
+
+def _integrand_specs(dims: int) -> SearchStrategy[str]:
+    specs = [
+        _calls("linear", gradient=_each(_number(-2.0, 2.0), dims), offset=_number(-1.0, 1.0)),
+        _calls("gaussian", center=_each(_number(0.0, 1.0), dims), width=_number(0.125, 2.125)),
+        _calls("cosine", frequency=_each(st.integers(-4, 4), dims), phase=_number(0.0, 6.0)),
+        _calls("step", at=_number(0.125, 0.875), axis=st.integers(0, dims - 1)),
+    ]
+    if dims <= 3:
+        center = _each(_number(0.25, 0.75), dims)
+        specs.append(_calls("disk", center=center, radius=_number(0.125, 0.5)))
+    return st.one_of(specs)
