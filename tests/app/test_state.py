@@ -140,3 +140,12 @@ def test_what_is_no_set_up_is_refused() -> None:
 def test_the_strata_shift_is_a_step_of_the_sampler() -> None:
     assert Setup(strata_shift=0.25).displaced_sampler == "jittered | strata-shift(offset=0.25)"
     assert Setup().displaced_sampler == "jittered"
+
+
+def test_formulas_have_slashes_and_dots() -> None:
+    spec = "formula(expression='exp(-x/2.5)*y.real')"
+    assert State.from_query(State(a=Setup(integrand=spec)).query()).a.integrand == spec
+    with pytest.raises(ParameterError, match="looks like a file"):
+        Setup(integrand="formula(expression='x', other='/etc/passwd')")
+    with pytest.raises(ParameterError, match="looks like a file"):
+        Setup(integrand="gaussian(expression='x/2')")

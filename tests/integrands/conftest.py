@@ -43,6 +43,7 @@ SPECS = [
     ("half-space(normal=[1, -1, 0.5], offset=0.2)", 3),
     ("image(values=[[1, 2, 3], [4, 5, 6.5]])", 2),
     ("image(values=[[[1, -1], [2, 0]], [[4, 1], [5, 7]], [[0, 1], [2, 2]]])", 2),
+    ("formula(expression='sin(pi*x2)/(1 + x0*y)')", 3),
     ("christensen-disk", 2),
     ("christensen-triangle", 2),
     ("christensen-step", 2),

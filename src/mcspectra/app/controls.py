@@ -8,7 +8,7 @@ from typing import Any, final
 import panel as pn
 
 from mcspectra.app.parameters import DENSITY_SLIDERS, base_and_steps, chain, changed, moved
-from mcspectra.app.specs import UPLOAD
+from mcspectra.app.specs import FORMULA, UPLOAD
 from mcspectra.app.state import BASES, MIRRORS, MOST_HALF_WIDTH, MOST_POINTS, Setup
 from mcspectra.app.uploads import keep_upload
 from mcspectra.core.errors import McspectraError
@@ -19,7 +19,7 @@ __all__ = ["Controls"]
 _STEPS = ["shift", "owen", "digital-shift", "random-rotation", "mirror", "shuffle"]
 _NEEDS_MORE = {
     # Components that mean nothing without parameters, or with files
-    "points", "digital-net", "aligned-strata", "bilinear", "defensive", "environment", "grid",
+    "points", "digital-net", "aligned-strata", "bilinear", "defensive", "environment", "formula", "grid",
     "image", "mixture", "piecewise-constant", "piecewise-linear", "pixel", "product", "vegas",
 }  # fmt: skip
 _OTHER = "as written below"
@@ -28,6 +28,7 @@ _REAL_STEP = 0.25
 _FREQUENCIES = {"integer": 1.0, "real, every ¼": _REAL_STEP}
 _REALIZATIONS = (64, 256, 1024, 4096)
 _HALF_WIDTHS = (16, 32, 64, 128)
+_EXAMPLE = "exp(-x**2 - y**2)"
 _PICTURES = ".png,.jpg,.jpeg,.exr,.npy"
 
 
@@ -64,7 +65,9 @@ class Controls:
         w = self._widgets
         sampler = [w[k] for k in ("base", "sampler", "count", "n", "strata_shift")]
         density = [w["density_name"], self._density_sliders, w["density"]]
-        integrand = [w[k] for k in ("integrand_name", "integrand", "dims", "smoothing", "mirror")]
+        integrand = [
+            w[k] for k in ("integrand_name", "formula", "integrand", "dims", "smoothing", "mirror")
+        ]
         analysis = [w[k] for k in ("basis", "frequencies", "half_width", "realizations", "seed")]
         self.layout = pn.Column(
             *_section("Sampler", sampler[:1]),
@@ -110,6 +113,7 @@ class Controls:
             "density_name": w.Select(name=label("Density"), options=_offered(DENSITIES)),
             "density": w.TextInput(name=label("Density spec")),
             "integrand_name": w.Select(name=label("Integrand"), options=_offered(INTEGRANDS)),
+            "formula": w.TextInput(name=label("Formula"), placeholder=_EXAMPLE),
             "integrand": w.TextInput(name=label("Integrand spec")),
             "upload": w.FileInput(accept=_PICTURES, multiple=False),
             "dims": w.Select(name=label("Dims"), options=[1, 2]),
@@ -139,6 +143,7 @@ class Controls:
         self._on(w["steps"], "value", self._choose_sampler)
         self._on(w["density_name"], "value", lambda name: self._choose("density", name))
         self._on(w["integrand_name"], "value", lambda name: self._choose("integrand", name))
+        self._on(w["formula"], "value", self._choose_formula)
         self._on(w["dims"], "value", self._choose_dims)
         self._on(w["upload"], "value", self._take_upload)
 
@@ -172,6 +177,10 @@ class Controls:
     def _choose(self, kind: str, name: str) -> None:
         if name != _OTHER:
             self.change(**{kind: name})
+
+    def _choose_formula(self, text: str) -> None:
+        if text.strip():
+            self.change(integrand=f"{FORMULA}(expression={text.strip()!r})")
 
     def _choose_dims(self, dims: int) -> None:
         half_width = min(self.setup.half_width, MOST_HALF_WIDTH[dims])
@@ -213,6 +222,9 @@ class Controls:
             name = parse(text).name
             w[kind].value = text
             w[f"{kind}_name"].value = name if name in w[f"{kind}_name"].options else _OTHER
+        call = parse(setup.integrand)
+        written = call.arguments.get("expression", "") if call.name == FORMULA else ""
+        w["formula"].value = str(written)
         for name in ("half_width", "realizations"):
             value = getattr(setup, name)
             w[name].options = sorted({*w[name].options, value})

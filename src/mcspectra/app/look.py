@@ -118,7 +118,7 @@ def diverging(look: Look) -> list[str]:
     ]
 
 
-def text_block(css: str = "", margin: tuple[int, ...] = (0, 10)) -> Any:
+def text_block(css: str = "", margin: tuple[int, int] | tuple[int, int, int, int] = (0, 10)) -> Any:
     """Return an empty block for HTML, its ``text``.
 
     A model of bokeh: to change it takes a tenth of the time that a pane of Panel needs.

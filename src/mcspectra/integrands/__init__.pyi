@@ -12,6 +12,7 @@ from .christensen import ChristensenStep as ChristensenStep
 from .christensen import ChristensenTriangle as ChristensenTriangle
 from .environment import Environment as Environment
 from .environment import synthetic_sky as synthetic_sky
+from .formula import Formula as Formula
 from .functions import FunctionIntegrand as FunctionIntegrand
 from .image import Image as Image
 from .indicators import Disk as Disk
@@ -43,6 +44,7 @@ __all__ = [
     "Disk",
     "EdgeSmoothed",
     "Environment",
+    "Formula",
     "FunctionIntegrand",
     "Gaussian",
     "HalfSpace",

@@ -25,6 +25,7 @@ INTEGRANDS = Registry(
         "cosine": "mcspectra.integrands.analytic:Cosine",
         "disk": "mcspectra.integrands.indicators:Disk",
         "environment": "mcspectra.integrands.environment:Environment",
+        "formula": "mcspectra.integrands.formula:Formula",
         "gaussian": "mcspectra.integrands.analytic:Gaussian",
         "half-space": "mcspectra.integrands.indicators:HalfSpace",
         "image": "mcspectra.integrands.image:Image",

@@ -1,0 +1,231 @@
+"""Formulas such as ``exp(-x**2 - y**2)`` read as data: a tree of NumPy's functions, nothing else.
+
+Python's parser reads the text; what it gives is walked once, and everything that is not in the lists
+below is refused. No name is looked up anywhere else, and nothing is evaluated as Python: numbers
+become floats before anything is done with them, so that ``9**9**9`` is infinite instead of endless.
+"""
+
+from __future__ import annotations
+
+import ast
+import itertools
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, TypeAlias, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import ParameterError, close_match_hint
+
+__all__ = ["FUNCTIONS", "MOST_CHARACTERS", "MOST_PARTS", "Expression", "compiled"]
+
+MOST_CHARACTERS = 1000
+"""Longest formula."""
+
+MOST_PARTS = 300
+"""Most numbers, names, operators and calls of a formula."""
+
+_MOST_DEPTH = 100  # levels of a tree: reading and evaluating recurse, three frames a level
+
+Evaluation: TypeAlias = Callable[[Array], Any]
+"""From points (..., d) to values, an array (...) or a number."""
+
+FUNCTIONS: Mapping[str, tuple[Callable[..., Any], int]] = {
+    **{name: (getattr(np, name), 1) for name in (
+        "sin", "cos", "tan", "arcsin", "arccos", "arctan", "sinh", "cosh", "tanh", "exp", "log",
+        "log2", "log10", "sqrt", "floor", "ceil", "sign", "sinc",
+    )},
+    **{name: (getattr(np, name), 2) for name in ("hypot", "arctan2")},
+    "abs": (np.abs, 1),
+    "min": (np.minimum, 2),
+    "max": (np.maximum, 2),
+    "where": (np.where, 3),
+}  # fmt: skip
+"""Functions by their names, with the number of arguments."""
+
+_CONSTANTS = {"pi": math.pi, "e": math.e}
+_AXES = "xyz"
+_OPERATORS: Mapping[type, Callable[..., Any]] = {
+    ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide,
+    ast.Pow: np.power, ast.Mod: np.mod, ast.UAdd: np.positive, ast.USub: np.negative,
+    ast.Lt: np.less, ast.LtE: np.less_equal, ast.Gt: np.greater, ast.GtE: np.greater_equal,
+}  # fmt: skip
+
+
+@final
+@dataclass(frozen=True)
+class Expression:
+    """A formula that was read.
+
+    Attributes
+    ----------
+    evaluate
+        From points (..., d) to its values.
+    breaks
+        For each axis the places where a coordinate is compared to a number.
+    """
+
+    evaluate: Evaluation
+    breaks: tuple[tuple[float, ...], ...]
+
+
+@lru_cache(64)
+def compiled(text: str, dims: int) -> Expression:
+    """Read a formula.
+
+    Raises
+    ------
+    ParameterError
+        It is too long, no formula, or holds what formulas do not have.
+    """
+    reader = _Reader(dims)
+    evaluate = reader.read(_parsed(text).body)
+    return Expression(evaluate, tuple(tuple(sorted(places)) for places in reader.breaks))
+
+
+def _parsed(text: str) -> ast.Expression:
+    if len(text) > MOST_CHARACTERS:
+        raise ParameterError(
+            f"The formula has {len(text)} characters; {MOST_CHARACTERS} at most are read."
+        )
+    try:
+        tree = ast.parse(text.strip(), mode="eval")
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        raise ParameterError(
+            f"The formula {_shown(text)} cannot be read; write it as in Python, "
+            "such as 'exp(-x**2 - y**2)', with * for products."
+        ) from None
+    _check_size(tree)
+    return tree
+
+
+def _check_size(tree: ast.Expression) -> None:
+    """Count parts and levels, without recursion."""
+    level: list[ast.AST] = [tree.body]
+    parts = depth = 0
+    while level:
+        parts, depth = parts + len(level), depth + 1
+        level = [child for node in level for child in ast.iter_child_nodes(node) if _counts(child)]
+    if parts > MOST_PARTS or depth > _MOST_DEPTH:
+        raise ParameterError(
+            f"The formula has {parts} parts on {depth} levels; {MOST_PARTS} parts on {_MOST_DEPTH} "
+            "levels at most are read."
+        )
+
+
+def _counts(node: ast.AST) -> bool:
+    """Whether a node is a part: not an operator, nor the mark of a name that is read."""
+    return isinstance(node, ast.expr | ast.comprehension | ast.keyword)
+
+
+def _shown(text: str) -> str:
+    return repr(text if len(text) <= 60 else f"{text[:60]}…")
+
+
+@final
+@dataclass
+class _Reader:
+    """Turns a syntax tree into an evaluation; collects `breaks` on its way."""
+
+    dims: int
+    breaks: list[set[float]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.breaks = [set() for _ in range(self.dims)]
+
+    def read(self, node: ast.expr) -> Evaluation:
+        match node:
+            case ast.Constant():
+                return _number(node.value)
+            case ast.Name():
+                return self._name(node.id)
+            case ast.UnaryOp():
+                return _applied(_operator(node.op), self.read(node.operand))
+            case ast.BinOp():
+                return _applied(_operator(node.op), self.read(node.left), self.read(node.right))
+            case ast.Compare():
+                return self._comparison(node)
+            case ast.Call():
+                return self._call(node)
+        raise ParameterError(
+            f"A formula holds {ast.unparse(node)[:40]!r}; it takes numbers, coordinates, "
+            "+ - * / ** %, comparisons and functions, nothing else."
+        )
+
+    def _name(self, name: str) -> Evaluation:
+        if name in _CONSTANTS:
+            return _number(_CONSTANTS[name])
+        axis = self._axis(name)
+        return lambda x: x[..., axis]
+
+    def _axis(self, name: str) -> int:
+        known = {f"x{i}": i for i in range(self.dims)}
+        known |= {letter: i for i, letter in enumerate(_AXES[: self.dims])}
+        if name in known:
+            return known[name]
+        hint, close = close_match_hint(name, [*known, *_CONSTANTS])
+        raise ParameterError(
+            f"A formula in {self.dims} dims has no {name[:40]!r}."
+            + (hint if close else f" Its coordinates are {', '.join(_coordinates(self.dims))}.")
+        )
+
+    def _comparison(self, node: ast.Compare) -> Evaluation:
+        """1 where all of ``a < b < c`` hold, else 0."""
+        sides = [node.left, *node.comparators]
+        for a, b in itertools.pairwise(sides):
+            self._note_break(a, b)
+            self._note_break(b, a)
+        values = [self.read(side) for side in sides]
+        pairs = zip(node.ops, values, values[1:], strict=False)
+        tests = [_applied(_operator(op), a, b) for op, a, b in pairs]
+        return lambda x: np.multiply.reduce([np.asarray(test(x), np.float64) for test in tests])
+
+    def _note_break(self, side: ast.expr, other: ast.expr) -> None:
+        if isinstance(side, ast.Name) and isinstance(other, ast.Constant):
+            place = float(_number(other.value)(np.empty(0)))
+            if side.id not in _CONSTANTS and 0.0 < place < 1.0:
+                self.breaks[self._axis(side.id)].add(place)
+
+    def _call(self, node: ast.Call) -> Evaluation:
+        name = node.func.id if isinstance(node.func, ast.Name) else ""
+        if name not in FUNCTIONS:
+            called = ast.unparse(node.func)[:40]
+            hint, close = close_match_hint(called, FUNCTIONS)
+            known = hint if close else f" There are {', '.join(FUNCTIONS)}."
+            raise ParameterError(f"A formula has no function {called!r}.{known}")
+        function, arity = FUNCTIONS[name]
+        starred = any(isinstance(each, ast.Starred) for each in node.args)
+        if len(node.args) != arity or node.keywords or starred:
+            raise ParameterError(f"{name} in a formula takes {arity} argument(s) without names.")
+        return _applied(function, *(self.read(each) for each in node.args))
+
+
+def _coordinates(dims: int) -> list[str]:
+    return list(_AXES[:dims]) if dims <= len(_AXES) else ["x0", "…", f"x{dims - 1}"]
+
+
+def _number(value: object) -> Evaluation:
+    """A constant as a float: whole numbers of Python have no limit, floats have."""
+    try:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise TypeError
+        number = np.float64(value)
+    except (TypeError, OverflowError):
+        shown = repr(value) if not isinstance(value, int) else "a number that is too large"
+        raise ParameterError(f"A formula holds {shown[:40]}; it takes real numbers.") from None
+    return lambda _: number
+
+
+def _operator(node: ast.AST) -> Callable[..., Any]:
+    if type(node) not in _OPERATORS:
+        raise ParameterError(
+            f"A formula holds the operator {type(node).__name__}; it takes + - * / ** % < <= > >=."
+        )
+    return _OPERATORS[type(node)]
+
+
+def _applied(function: Callable[..., Any], *arguments: Evaluation) -> Evaluation:
+    return lambda x: function(*(each(x) for each in arguments))
