@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mcspectra.integrands.registry import integrand
+from mcspectra.report.reproduction import _phase_variances as variances
 from mcspectra.report.reproduction import phase as module
 from mcspectra.report.reproduction.base import Exhibit
 from mcspectra.variance.exact import exact_variance
@@ -24,10 +26,10 @@ def test_all_findings_agree(made: Exhibit) -> None:
 @pytest.mark.parametrize("offset", [0.0, 0.125, 0.5])
 def test_exact_variances_are_those_of_quadrature(offset: float) -> None:
     """Of the package's own bar and cosine, where no stratum is cut."""
-    bar = exact_variance(module.integrand(module._BAR, 1), module._sampler(offset), 16)
-    assert bar == pytest.approx(module.exact_bar(offset, 16), rel=1e-6, abs=1e-18)
-    cosine = module.integrand("cosine(frequency=1)", 1)
-    both = module.exact_curve(0.0)[0]
+    bar = exact_variance(integrand(variances.BAR, 1), variances.displaced(offset), 16)
+    assert bar == pytest.approx(variances.exact_bar(offset, 16), rel=1e-6, abs=1e-18)
+    cosine = integrand("cosine(frequency=1)", 1)
+    both = variances.exact_curve(0.0)[0]
     assert both == pytest.approx(exact_variance(cosine, "jittered", 16), rel=1e-9)
 
 
@@ -35,19 +37,19 @@ def test_exact_variances_of_cut_strata_are_sums_over_cells() -> None:
     """By 4000 midpoints a stratum; a cut is off by half a cell at most."""
     n, offset, cells = 16, 0.125, 4000
     x = ((np.arange(n)[:, None] + (np.arange(cells) + 0.5) / cells + offset) / n) % 1.0
-    variance = module._smooth()(x[..., None]).var(axis=1).sum() / n**2
-    assert module.exact_curve(offset)[0] == pytest.approx(variance, rel=1e-3)
+    variance = variances._smooth()(x[..., None]).var(axis=1).sum() / n**2
+    assert variances.exact_curve(offset)[0] == pytest.approx(variance, rel=1e-3)
 
 
 def test_displaced_strata_are_not_those_at_borders() -> None:
-    moved = module._terms(0.5, 400, 1)
+    moved = variances.displaced_terms(0.5, 400, 1)
     assert module._variance(0.125, moved).agrees is False
     assert module._signs(moved, negative=True).agrees is False
-    curve = module._curve(0.125, 400, 1)
+    curve = variances.displaced_curve(0.125, 400, 1)
     assert module._rate(0.125, curve).agrees is True
     assert module._rate(0.0, curve).agrees is False
 
 
 def test_another_sampler_has_another_second_term() -> None:
-    scan = [module._terms(0.0, 50, seed) for seed in (1, 2)]
+    scan = [variances.displaced_terms(0.0, 50, seed) for seed in (1, 2)]
     assert module._same_second(scan).agrees is False

@@ -8,7 +8,8 @@ from typing import final
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.report.reproduction.base import GALLERY_FINDINGS, Interval, normal_interval
+from mcspectra.report.reproduction._limits import normal_limit
+from mcspectra.report.reproduction.base import Interval, normal_interval
 
 __all__ = [
     "PAIRS",
@@ -89,15 +90,12 @@ def _sums(x: Array, m: Array) -> Array:
 
 def farthest_correlation(c: Coefficients) -> tuple[float, float]:
     """Return the largest covariance in standard errors, and the limit of as many normal errors."""
-    from scipy.special import ndtri
-
     products, value = c.products(), c.covariance()
     parts = [
         np.abs(value.real) / _errors(products.real),
         np.abs(value.imag) / _errors(products.imag),
     ]
-    level = 0.95 ** (1 / (GALLERY_FINDINGS * 2 * value.size))
-    return float(np.max(parts)), float(ndtri((1 + level) / 2))
+    return float(np.max(parts)), normal_limit(2 * value.size)
 
 
 def mean_at(

@@ -6,12 +6,22 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from mcspectra.core.checks import Array
-from mcspectra.integrands.registry import integrand
 from mcspectra.report.axes import log_axis
 from mcspectra.report.figures.maps import band_covariances, contributions
 from mcspectra.report.formatting import number
 from mcspectra.report.gallery import Picture
+from mcspectra.report.reproduction._dimension_terms import (
+    RUNS,
+    SMALL,
+    bell_terms,
+    components,
+    entries,
+    labelled_subsets,
+    main_share,
+    run_terms,
+    subsets,
+    with_matrix,
+)
 from mcspectra.report.reproduction.base import GALLERY_FINDINGS, Exhibit, Finding, identity
 from mcspectra.report.style import ACCENT, PALETTE, WIDE, legend_below, new_figure, quiet
 
@@ -20,9 +30,6 @@ if TYPE_CHECKING:
 
 __all__ = ["exhibit"]
 
-_BELL = "gaussian(center=0.35, width=0.25)"
-_SMALL = {1: (64, 24), 2: (64, 7)}  # by dims: points, and a half width whose matrix can be had
-_RUNS = {1: (64, 256), 2: (64, 48), 3: (64, 8), 4: (81, 4)}  # by dims: points, half width
 _SAMPLERS = ("random", "jittered", "latin-hypercube")
 _DIMS = (1, 2, 3, 4, 5, 6)
 _HALF_WIDTHS = (8, 64, 256)
@@ -34,9 +41,9 @@ Terms: TypeAlias = "dict[str, xr.Dataset]"
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Compare maps and bands with the matrix where it can be had, and use them where it cannot."""
     realizations = 200 if quick else 4000
-    whole = {d: _with_matrix(d, realizations, seed) for d in _SMALL}
-    runs = {d: _terms("jittered", d, realizations, seed) for d in _RUNS}
-    bands = {name: _terms(name, 3, 2 * realizations, seed) for name in _SAMPLERS}
+    whole = {d: with_matrix(d, realizations, seed) for d in SMALL}
+    runs = {d: run_terms("jittered", d, realizations, seed) for d in RUNS}
+    bands = {name: run_terms(name, 3, 2 * realizations, seed) for name in _SAMPLERS}
     findings = (
         _growth(whole),
         _refused(),
@@ -60,41 +67,9 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
 
 
-def entries(dims: int, half_width: int) -> int:
-    """Number of entries of the matrix; that of a map is its square root."""
-    return int((2 * half_width + 1) ** (2 * dims))
-
-
-def _variance_terms(
-    name: str,
-    dims: int,
-    size: tuple[int, int],
-    realizations: int,
-    seed: int,
-    *,
-    matrix: bool = False,
-) -> xr.Dataset:
-    """Terms of the bell for (number of points, half width), with ANOVA bands."""
-    from mcspectra.variance.terms import variance_terms
-
-    n, half_width = size
-    return variance_terms(
-        integrand(_BELL, dims), name, n, half_width=half_width, realizations=realizations,
-        rng=seed, bands="anova", cross_matrix=matrix,
-    )  # fmt: skip
-
-
-def _with_matrix(dims: int, realizations: int, seed: int) -> xr.Dataset:
-    return _variance_terms("jittered", dims, _SMALL[dims], realizations, seed, matrix=True)
-
-
-def _terms(name: str, dims: int, realizations: int, seed: int) -> xr.Dataset:
-    return _variance_terms(name, dims, _RUNS[dims], realizations, seed)
-
-
 def _caption(bands: Terms) -> str:
     two, three = (entries(d, 64) for d in (2, 3))
-    shares = ", ".join(f"{number(_main_share(data))} ({name})" for name, data in bands.items())
+    shares = ", ".join(f"{number(main_share(data))} ({name})" for name, data in bands.items())
     return (
         f"At |m| ≤ 64 the matrix has {number(entries(1, 64))} entries in one dim, {number(two)} in two "
         f"({number(two * _BYTES / 2**30)} GiB), {number(three)} in three. Its row sums, one number for each frequency, "
@@ -105,7 +80,7 @@ def _caption(bands: Terms) -> str:
 
 
 def _growth(whole: dict[int, xr.Dataset]) -> Finding:
-    wrong = [d for d, x in whole.items() if x["cross_matrix"].size != entries(d, _SMALL[d][1])]
+    wrong = [d for d, x in whole.items() if x["cross_matrix"].size != entries(d, SMALL[d][1])]
     ratio = entries(2, 64) / entries(1, 64)
     return Finding(
         statement="The third term's matrix has (2K + 1)^(2d) entries: from one to two dims at K = 64 it grows by the "
@@ -124,7 +99,7 @@ def _refused() -> Finding:
 
     answer = "a matrix"
     try:
-        _variance_terms("jittered", 2, (64, 64), 2, 0, matrix=True)
+        bell_terms("jittered", 2, (64, 64), 2, 0, matrix=True)
     except ParameterError as error:
         answer = str(error)
     return Finding(
@@ -151,16 +126,9 @@ def _dims(dims: int) -> str:
     return {1: "one dim", 2: "two dims", 3: "three dims", 4: "four dims"}[dims]
 
 
-def _subsets(dims: int, half_width: int) -> Array:
-    """For each frequency, as a number in base 2, along which axes it is not 0."""
-    side = np.arange(-half_width, half_width + 1)
-    grids = np.meshgrid(*[side] * dims, indexing="ij")
-    return np.asarray(sum(2**i * (m != 0) for i, m in enumerate(grids))).ravel()
-
-
 def _bands_are_blocks(dims: int, data: xr.Dataset) -> Finding:
     """Sets of entries are compared: the order of bands is that of their labels, not of the numbers."""
-    of = _subsets(dims, _SMALL[dims][1])
+    of = subsets(dims, SMALL[dims][1])
     matrix = data["cross_matrix"].values
     blocks = [matrix[np.ix_(of == a, of == b)].sum().real for a in set(of) for b in set(of)]
     found = np.sort(data["band_covariance"].values.ravel())
@@ -199,24 +167,11 @@ def _map_holds_the_third(runs: dict[int, xr.Dataset]) -> Finding:
     )
 
 
-def _components(dims: int, half_width: int) -> dict[int, float]:
-    """Σ |f_m|² over the frequencies of each subset of axes: the truncated ANOVA components."""
-    power = np.abs(integrand(_BELL, dims).fourier_grid(half_width)).ravel() ** 2
-    of = _subsets(dims, half_width)
-    return {int(a): float(power[of == a].sum()) for a in set(of.tolist()) if a}
-
-
-def _labelled_subsets(data: xr.Dataset) -> list[int]:
-    """The subset of axes of each band, of labels such as ``constant`` and ``x0x2``."""
-    names = str(data["band"].attrs["labels"]).split(", ")
-    return [sum(2 ** int(axis) for axis in name.split("x")[1:]) for name in names]
-
-
 def _anova(data: xr.Dataset) -> Finding:
     """Random points: every band's variance is its ANOVA component over N."""
-    n, half_width = _RUNS[3]
-    known = _components(3, half_width)
-    order = _labelled_subsets(data)
+    n, half_width = RUNS[3]
+    known = components(3, half_width)
+    order = labelled_subsets(data)
     kept = [k for k, subset in enumerate(order) if subset]
     found, se = (
         np.diag(data[name].values)[kept] for name in ("band_covariance", "band_covariance_se")
@@ -242,17 +197,9 @@ def _student_limit(degrees: int, count: int) -> float:
     return float(stdtrit(degrees, (1 + level) / 2))
 
 
-def _main_share(data: xr.Dataset) -> float:
-    """Share of the functions of one coordinate in the variance, with all they share with others."""
-    order = _labelled_subsets(data)
-    alone = [k for k, subset in enumerate(order) if subset in (1, 2, 4)]
-    matrix = data["band_covariance"].values
-    return float(matrix[alone].sum() / matrix.sum())
-
-
 def _main_effects(bands: Terms) -> Finding:
     """Stein (1987): a Latin hypercube integrates additive functions with o(1/N)."""
-    share = {name: _main_share(data) for name, data in bands.items()}
+    share = {name: main_share(data) for name, data in bands.items()}
     return Finding(
         statement="The bands show what a sampler is for: a Latin hypercube takes away the functions of one coordinate, "
         "whose share of the variance is less than a tenth of what random points leave of it.",
@@ -293,7 +240,7 @@ def _map(seed: int, *, quick: bool) -> Picture:
     half_width = 24
     names = ("jittered", "jittered | shift")
     data = {
-        name: _variance_terms(name, 2, (64, half_width), 600 if quick else 20_000, seed)
+        name: bell_terms(name, 2, (64, half_width), 600 if quick else 20_000, seed)
         for name in names
     }
     return Picture(

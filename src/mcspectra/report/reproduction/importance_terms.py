@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from mcspectra.core.checks import Array
-from mcspectra.integrands.registry import integrand
 from mcspectra.report.formatting import number
 from mcspectra.report.gallery import Picture
+from mcspectra.report.reproduction._importance_cases import (
+    BAD,
+    BAR,
+    CASES,
+    FLAT,
+    GOOD,
+    LINE,
+    MANY,
+    STRATIFIED,
+    Case,
+    N,
+    exact_bar,
+    exact_random,
+    terms,
+    terms_of_own,
+)
 from mcspectra.report.reproduction._terms import interval_of, term_bars, term_finding
 from mcspectra.report.reproduction.base import Exhibit, Finding, agreement, identity
 from mcspectra.report.style import WIDE, new_figure
@@ -18,40 +29,14 @@ from mcspectra.report.style import WIDE, new_figure
 if TYPE_CHECKING:
     import xarray as xr
 
-    from mcspectra.densities import Density
-    from mcspectra.estimators import Estimator
-    from mcspectra.integrands import Integrand
-
 __all__ = ["exhibit"]
-
-_N = 16
-_FEW, _MANY = 4, 64  # half widths: f with one cycle needs no more than 1
-
-
-@dataclass(frozen=True)
-class Case:
-    """An estimator and a sampler; `amplitude` is that of the density 1 + a cos(2πx), 0 a constant."""
-
-    title: str
-    function: str
-    amplitude: float
-    sampler: str
-
-
-LINE = Case("f = x, p = 1, jittered", "line", 0.0, "jittered")
-BAR = Case("bar, p = 1, jittered", "bar", 0.0, "jittered")
-GOOD = Case("cosine, p as f, random", "cosine", -0.8, "random")
-STRATIFIED = Case("cosine, p as f, jittered", "cosine", -0.8, "jittered")
-BAD = Case("cosine, p against f, random", "cosine", 0.8, "random")
-FLAT = Case("f = 1, p as the cosine, random", "one", -0.8, "random")
-CASES = (LINE, BAR, GOOD, STRATIFIED, BAD, FLAT)
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Measure terms in cases that confirm the statements of the slides, and in some that do not."""
     realizations = 1000 if quick else 20_000
-    of = {case: _terms(case, realizations, seed) for case in CASES}
-    shifted = _terms(Case("", "line", 0.0, "jittered | shift"), realizations, seed)
+    of = {case: terms(case, realizations, seed) for case in CASES}
+    shifted = terms(Case("", "line", 0.0, "jittered | shift"), realizations, seed)
     findings = (
         _second_positive([*of.values(), shifted]),
         _no_first([of[LINE], of[BAR], shifted]),
@@ -70,6 +55,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             of[BAD],
             "cross_term",
         ),
+        *(_crucial(case, of[case]) for case in (LINE, GOOD)),
         _first_adds(of[GOOD]),
         _all_first(of[FLAT]),
         _perfect(seed),
@@ -86,65 +72,6 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         pictures=(_bars(of),),
         findings=findings,
     )
-
-
-def _function(name: str) -> Integrand:
-    from mcspectra.integrands.base import Integrand
-
-    if name == "line":
-        return integrand("linear", 1)
-    if name == "bar":  # edges in the middle of strata 4 and 10 of 16
-        return integrand(f"disk(center={7.5 / _N}, radius={3 / _N})", 1)
-    height = 0.0 if name == "one" else 1.0
-
-    def f(x: Array) -> Array:
-        return np.asarray(1.0 - height * np.cos(2 * np.pi * x[..., 0]))
-
-    return Integrand.from_function(f, dims=1, integral=1.0)
-
-
-def _density(amplitude: float) -> Density | None:
-    from mcspectra.densities.base import Density
-
-    if amplitude == 0.0:
-        return None
-    return Density.from_functions(
-        pdf=lambda x: 1.0 + amplitude * np.cos(2 * np.pi * x[..., 0]), dims=1
-    )
-
-
-def _estimator(case: Case) -> Estimator:
-    from mcspectra.estimators import Estimator
-
-    return Estimator(_function(case.function), _density(case.amplitude))
-
-
-def _terms(case: Case, realizations: int, seed: int) -> xr.Dataset:
-    from mcspectra.variance.terms import variance_terms
-
-    half_width = _MANY if case.function in ("line", "bar") else _FEW
-    return variance_terms(
-        _estimator(case),
-        case.sampler,
-        _N,
-        half_width=half_width,
-        realizations=realizations,
-        rng=seed,
-    )
-
-
-def exact_random(case: Case) -> tuple[float, float, float]:
-    """The three terms of random points: means over the domain, periodic, so that midpoints are exact.
-
-    N times the terms are I² (∫1/p − 1), ∫1/p (∫f² − I²), and Cov(f², 1/p) of x uniform.
-    """
-    x = (np.arange(4096) + 0.5)[:, None] / 4096
-    f, p = _function(case.function)(x), 1.0 + case.amplitude * np.cos(2 * np.pi * x[:, 0])
-    integral, square, inverse = f.mean(), (f**2).mean(), (1 / p).mean()
-    first = integral**2 * (inverse - 1.0)
-    second = inverse * (square - integral**2)
-    third = (f**2 / p).mean() - square * inverse
-    return float(first) / _N, float(second) / _N, float(third) / _N
 
 
 def _caption(of: dict[Case, xr.Dataset]) -> str:
@@ -194,16 +121,6 @@ def _positive(statement: str, data: xr.Dataset, name: str) -> Finding:
     )
 
 
-def exact_bar(half_width: int) -> float:
-    """The third term of the bar up to a half width, by the closed form of C_ml; 1/(6N²) in all."""
-    from mcspectra.spectra.closed_forms import closed_form_covariance
-
-    m = np.arange(-half_width, half_width + 1)[:, None]
-    f = _function("bar").fourier(m)
-    matrix = f.conj()[:, None] * f * closed_form_covariance("jittered", _N, m[:, None], m[None])
-    return float((matrix.sum() - np.trace(matrix)).real)
-
-
 def _counter_bar(data: xr.Dataset) -> Finding:
     """Variance: ¼ of both strata over N²; after a shift 1/6 of each: the third term is the difference."""
     return term_finding(
@@ -211,8 +128,8 @@ def _counter_bar(data: xr.Dataset) -> Finding:
         "strata, 1/(6N²) in all, here over |m| ≤ 64.",
         data,
         "cross_term",
-        exact_bar(_MANY),
-        note=f"1/(6N²) is {number(1 / (6 * _N**2))}.",
+        exact_bar(MANY),
+        note=f"1/(6N²) is {number(1 / (6 * N**2))}.",
     )
 
 
@@ -237,6 +154,20 @@ def _predictions(of: dict[Case, xr.Dataset]) -> list[Finding]:
     ]
 
 
+def _crucial(case: Case, data: xr.Dataset) -> Finding:
+    """First and second term over the measured variance, whose interval it takes."""
+    both = float(data["dc_term"] + data["power_term"])
+    low, high = (both / end for end in reversed(interval_of(data, "measured_variance")))
+    return agreement(
+        f"Third term is crucial, {case.title}: without it the first two predict more than twice the variance: their "
+        "ratio.",
+        measured=both / float(data["measured_variance"]),
+        interval=(low, high),
+        above=2.0,
+        scale="log",
+    )
+
+
 def _first_adds(data: xr.Dataset) -> Finding:
     return term_finding(
         "The first term does not reduce the variance: it is I² Var(S₀), which is never negative; with IS that follows "
@@ -259,29 +190,13 @@ def _all_first(data: xr.Dataset) -> Finding:
 
 def _perfect(seed: int) -> Finding:
     """With p = f every estimate is I: the third term is minus the other two."""
-    case = Case("", "own", -0.8, "jittered")
-    p = _density(case.amplitude)
-    data = _terms_of_own(p, seed)
+    data = terms_of_own(seed)
     rest = float(data["dc_term"] + data["power_term"])
     return identity(
         "With IS by f itself (1 − 0.8 cos 2πx) the third term takes away all of the first two: their sum, relative to "
         "these.",
         error=float(data["predicted_variance"]) / rest,
         at_most=1e-9,
-    )
-
-
-def _terms_of_own(p: Density | None, seed: int) -> xr.Dataset:
-    from mcspectra.estimators import Estimator
-    from mcspectra.integrands.base import Integrand
-    from mcspectra.variance.terms import variance_terms
-
-    def f(x: Array) -> Array:
-        return np.asarray(1.0 - 0.8 * np.cos(2 * np.pi * x[..., 0]))
-
-    own = Integrand.from_function(f, dims=1, integral=1.0)
-    return variance_terms(
-        Estimator(own, p), "jittered", _N, half_width=_FEW, realizations=100, rng=seed
     )
 
 
@@ -294,7 +209,7 @@ def _bars(of: dict[Case, xr.Dataset]) -> Picture:
         axes.set_ylabel("terms · 10³")
     return Picture(
         kind="importance-terms",
-        caption=f"The three terms and their sum, {_N} points, with 95 % intervals. The bar is 1 from 4.5/16 to "
+        caption=f"The three terms and their sum, {N} points, with 95 % intervals. The bar is 1 from 4.5/16 to "
         "10.5/16, the cosine 1 − cos 2πx; p is 1 ∓ 0.8 cos 2πx.",
         alt="Six panels of four bars. The third bar is below zero for f = x and where the density follows f, above "
         "zero for the bar and where the density is against f; for f = 1 only the first bar is not zero.",

@@ -12,6 +12,22 @@ from mcspectra.integrands.registry import integrand
 from mcspectra.report.formatting import number, rate
 from mcspectra.report.gallery import Picture
 from mcspectra.report.reproduction._curves import convergence_panel, known_rate
+from mcspectra.report.reproduction._phase_variances import (
+    BAR,
+    HALF_WIDTH,
+    HIGHEST,
+    N,
+    closed_matrix,
+    displaced,
+    displaced_curve,
+    displaced_terms,
+    equal_power,
+    exact_bar,
+    exact_curve,
+    series,
+    stratified,
+    third_term,
+)
 from mcspectra.report.reproduction._terms import interval_of
 from mcspectra.report.reproduction.base import Exhibit, Finding, agreement, comparison, identity
 from mcspectra.report.style import INK, PALETTE, WIDE, entitle, legend_below, new_figure, quiet
@@ -20,17 +36,10 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
 
-    from mcspectra.integrands import Integrand
-
 __all__ = ["exhibit"]
 
-COUNTS = (16, 64, 256, 1024)
 OFFSETS = (0.0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875)
 CURVES = (0.0, 0.125, 0.5)
-_N = 16
-_HALF_WIDTH = 48
-_BAR = "disk(center=0.5, radius=0.25)"  # edges at 1/4 and 3/4, borders of strata of 4^k points
-_HIGHEST = 12  # frequency of the two functions of equal power
 
 Scan: TypeAlias = "list[xr.Dataset]"
 
@@ -38,8 +47,8 @@ Scan: TypeAlias = "list[xr.Dataset]"
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Displace strata against edges, and edges against strata."""
     realizations = 1000 if quick else 10_000
-    scan = [_terms(o, realizations, seed) for o in OFFSETS]
-    curves = {_label(o): _curve(o, realizations, seed) for o in CURVES}
+    scan = [displaced_terms(o, realizations, seed) for o in OFFSETS]
+    curves = {_label(o): displaced_curve(o, realizations, seed) for o in CURVES}
     findings = (
         _same_second(scan),
         _turned(),
@@ -48,7 +57,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         _signs(scan[OFFSETS.index(0.5)], negative=False),
         _mean_of_third(),
         *(_rate(o, curves[_label(o)]) for o in CURVES),
-        *_equal_power(),
+        *_equal_power_findings(),
     )
     return Exhibit(
         name="phase",
@@ -71,61 +80,6 @@ def _label(offset: float) -> str:
     }[offset]
 
 
-def _sampler(offset: float) -> str:
-    return f"jittered | strata-shift(offset={offset})"
-
-
-def _terms(offset: float, realizations: int, seed: int) -> xr.Dataset:
-    from mcspectra.variance.terms import variance_terms
-
-    return variance_terms(
-        integrand(_BAR, 1), _sampler(offset), _N,
-        half_width=_HALF_WIDTH, realizations=realizations, rng=seed,
-    )  # fmt: skip
-
-
-def _smooth() -> Integrand:
-    """The bar, and a cosine that gives what is left of the variance when edges cost nothing."""
-    from mcspectra.integrands.base import Integrand
-
-    def f(x: Array) -> Array:
-        return np.asarray((np.abs(x[..., 0] - 0.5) < 0.25) + np.cos(2 * np.pi * x[..., 0]))
-
-    return Integrand.from_function(f, dims=1, integral=0.5)
-
-
-def _curve(offset: float, realizations: int, seed: int) -> xr.Dataset:
-    from mcspectra.variance.convergence import convergence
-
-    return convergence(
-        _smooth(), _sampler(offset), list(COUNTS), realizations=realizations, rng=seed
-    )
-
-
-def exact_bar(offset: float, n: int) -> float:
-    """Both edges cut a stratum into shares s = offset and 1 − s: 2 s(1 − s)/N²."""
-    return 2 * offset * (1 - offset) / n**2
-
-
-def exact_curve(offset: float) -> Array:
-    """Variances of the bar and the cosine: of each stratum, by quadrature on both sides of its cut."""
-    return np.array([_strata_variance(offset, n) for n in COUNTS])
-
-
-def _strata_variance(offset: float, n: int) -> float:
-    node, weight = np.polynomial.legendre.leggauss(8)
-    node, weight = (node + 1) / 2, weight / 2
-    left, right = (
-        node * (1 - offset),
-        1 - offset + node * offset,
-    )  # cuts are 1 − offset from the left
-    t, w = np.concatenate([left, right]), np.concatenate([weight * (1 - offset), weight * offset])
-    x = ((np.arange(n)[:, None] + t + offset) / n) % 1.0
-    f = _smooth()(x[..., None])
-    mean = f @ w
-    return float((((f - mean[:, None]) ** 2) @ w).sum()) / n**2
-
-
 def _caption(scan: Scan, curves: dict[str, xr.Dataset]) -> str:
     third = [float(d["cross_term"]) for d in scan]
     second = number(float(scan[0]["power_term"]))
@@ -134,7 +88,7 @@ def _caption(scan: Scan, curves: dict[str, xr.Dataset]) -> str:
         for label, c in curves.items()
     )
     return (
-        f"Strata moved by a part of their side keep all |S_m|, and with them the second term, {second} for {_N} "
+        f"Strata moved by a part of their side keep all |S_m|, and with them the second term, {second} for {N} "
         f"jittered points and a bar; the third follows the phase, from {number(min(third))} to {number(max(third))}. "
         f"Displacement affects convergence: rates of a bar and a cosine are {rates}. Two functions of equal power "
         "spectra differ in the third term alone."
@@ -151,35 +105,22 @@ def _same_second(scan: Scan) -> Finding:
     )
 
 
-def _matrix(sampler: str, half_width: int = _HALF_WIDTH) -> tuple[Array, Array]:
-    """Frequencies (M, 1) and C_ml in closed form."""
-    from mcspectra.spectra.closed_forms import closed_form_covariance
-
-    m = np.arange(-half_width, half_width + 1)[:, None]
-    return m, closed_form_covariance(sampler, _N, m[:, None], m[None])
-
-
-def _third(f: Array, c: Array) -> float:
-    matrix = f.conj()[:, None] * f[None] * c
-    return float((matrix.sum() - np.trace(matrix)).real)
-
-
 def _turned() -> Finding:
     """The third term of points displaced by Δ is that of f displaced by −Δ: a phase of its coefficients."""
     offset = 0.3
-    m, moved = _matrix(_sampler(offset))
-    _, c = _matrix("jittered")
-    f = integrand(_BAR, 1).fourier(m)
-    turned = f * np.exp(2j * np.pi * m[:, 0] * offset / _N)
+    m, moved = closed_matrix(displaced(offset))
+    _, c = closed_matrix("jittered")
+    f = integrand(BAR, 1).fourier(m)
+    turned = f * np.exp(2j * np.pi * m[:, 0] * offset / N)
     return identity(
         "Moving the strata by Δ is the same as turning the phases of f_m by 2πmΔ: difference of the third terms.",
-        error=_third(f, moved) - _third(turned, c),
+        error=third_term(f, moved) - third_term(turned, c),
         at_most=1e-14,
     )
 
 
 def _variance(offset: float, data: xr.Dataset) -> Finding:
-    expected = exact_bar(offset, _N)
+    expected = exact_bar(offset, N)
     low, high = interval_of(data, "measured_variance")
     return comparison(
         f"Bar, strata {_label(offset)}: the variance is 2 s(1 − s)/N², with s = {number(offset)}.",
@@ -205,8 +146,8 @@ def _signs(data: xr.Dataset, *, negative: bool) -> Finding:
 
 def _mean_of_third() -> Finding:
     """The mean over equally spaced offsets is exact for all m − l but multiples of 64 strata."""
-    f = integrand(_BAR, 1).fourier(_matrix("jittered")[0])
-    values = [_third(f, _matrix(_sampler(k / 64))[1]) for k in range(64)]
+    f = integrand(BAR, 1).fourier(closed_matrix("jittered")[0])
+    values = [third_term(f, closed_matrix(displaced(k / 64))[1]) for k in range(64)]
     return identity(
         "Averaged over all offsets, which is homogenisation, the third term is 0: over its largest size.",
         error=float(np.mean(values) / np.abs(values).max()),
@@ -224,23 +165,12 @@ def _rate(offset: float, curve: xr.Dataset) -> Finding:
     )
 
 
-def _pair() -> tuple[Array, Array, Array]:
-    """Frequencies, and coefficients of two real functions of equal |f_m|: a peak and a spread-out one.
-
-    Phases of the second are those of a chirp, π m²/K.
-    """
-    m = np.arange(-_HIGHEST, _HIGHEST + 1)[:, None]
-    size = 1.0 / (1.0 + np.abs(m[:, 0]))
-    return m, size + 0j, size * np.exp(1j * np.pi * np.sign(m[:, 0]) * m[:, 0] ** 2 / _HIGHEST)
-
-
-def _equal_power() -> list[Finding]:
-    _, c = _matrix("jittered", _HIGHEST)
-    m, peak, chirp = _pair()
+def _equal_power_findings() -> list[Finding]:
+    _, c = closed_matrix("jittered", HIGHEST)
+    m, peak, chirp = equal_power()
     second = [float(np.abs(f) ** 2 @ np.diag(c).real) for f in (peak, chirp)]
-    total = [second[k] + _third(f, c) for k, f in enumerate((peak, chirp))]
-    x = _grid_strata()
-    direct = [_stratified(x, m, f) for f in (peak, chirp)]
+    total = [second[k] + third_term(f, c) for k, f in enumerate((peak, chirp))]
+    direct = [stratified(m, f) for f in (peak, chirp)]
     ratio = total[0] / total[1]
     return [
         identity(
@@ -258,23 +188,6 @@ def _equal_power() -> list[Finding]:
     ]
 
 
-def _grid_strata() -> Array:
-    """Nodes in each of N strata, (N, nodes), of Gauss's rule, and their weights below."""
-    node, weight = np.polynomial.legendre.leggauss(16)
-    return np.stack([(np.arange(_N)[:, None] + (node + 1) / 2) / _N, np.tile(weight / 2, (_N, 1))])
-
-
-def _stratified(nodes: Array, m: Array, f: Array) -> float:
-    x, weight = nodes
-    values = _series(x, m, f)
-    mean = (values * weight).sum(axis=1)
-    return float(((values - mean[:, None]) ** 2 * weight).sum()) / _N**2
-
-
-def _series(x: Array, m: Array, f: Array) -> Array:
-    return np.asarray((np.exp(2j * np.pi * x[..., None] * m[:, 0]) @ f).real)
-
-
 def _offsets(scan: Scan) -> Picture:
     figure = new_figure(WIDE, 3.2)
     axes = figure.subplots()
@@ -289,15 +202,15 @@ def _offsets(scan: Scan) -> Picture:
             OFFSETS, values, np.abs(ends.T - values), fmt="o-", ms=4, lw=1.2, color=color, label=label
         )  # fmt: skip
     s = np.linspace(0.0, 1.0, 100)
-    exact = 1e3 * np.array([exact_bar(t, _N) for t in s])
+    exact = 1e3 * np.array([exact_bar(t, N) for t in s])
     axes.plot(s, exact, "--", color=INK, lw=1, label="exact variance, all frequencies")
     axes.axhline(0.0, color=INK, lw=0.7)
     axes.set(xlabel="offset of the strata (sides)", ylabel="terms · 10³", xlim=(-0.02, 1.02))
     legend_below(figure, axes, columns=4)
     return Picture(
         kind="phase-offsets",
-        caption=f"Terms of the variance of a bar with {_N} jittered points against the offset of the strata, over "
-        f"|m| ≤ {_HALF_WIDTH}, with 95 % intervals.",
+        caption=f"Terms of the variance of a bar with {N} jittered points against the offset of the strata, over "
+        f"|m| ≤ {HALF_WIDTH}, with 95 % intervals.",
         alt="Curves over the offset. The second term is level; the third is negative at 0 and positive at a half; "
         "their sum follows the arch of the exact variance.",
         figure=figure,
@@ -323,20 +236,20 @@ def _convergence(curves: dict[str, xr.Dataset]) -> Picture:
 
 
 def _functions() -> Picture:
-    m, peak, chirp = _pair()
+    m, peak, chirp = equal_power()
     x = np.linspace(0.0, 1.0, 600)
     figure = new_figure(WIDE, 2.7)
     panels = figure.subplots(1, 2)
-    _, c = _matrix("jittered", _HIGHEST)
+    _, c = closed_matrix("jittered", HIGHEST)
     for axes, f, title in zip(
         panels, (peak, chirp), ("equal phases", "phases πm²/12"), strict=True
     ):
         second = float(np.abs(f) ** 2 @ np.diag(c).real)
-        _draw(axes, x, _series(x, m, f), f"{title}: variance {number(second + _third(f, c))}")
+        _draw(axes, x, series(x, m, f), f"{title}: variance {number(second + third_term(f, c))}")
     panels[0].set_ylabel("f(x)")
     return Picture(
         kind="phase-functions",
-        caption=f"Two functions with the same power spectrum, and their exact variances with {_N} jittered points.",
+        caption=f"Two functions with the same power spectrum, and their exact variances with {N} jittered points.",
         alt="On the left a function with one peak at the border of the domain, on the right one whose waves are spread "
         "over the domain.",
         figure=figure,
