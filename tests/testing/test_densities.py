@@ -10,6 +10,7 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
+from mcspectra.densities import DENSITIES
 from mcspectra.testing import BrokenContract, check_density
 
 
@@ -146,14 +147,21 @@ SPECS = [
     ("mixture(parts=['uniform', 'tent(peak=0.1)', 'linear'], selection='extra')", 1),
     ("defensive(density='power(exponent=3)', share=0.2)", 1),
     ("product(parts=['tent', 'linear(dims=2, slope=[1, 0.5])', 'power'])", 4),
-    ("hemisphere", 2),
-    ("disk", 2),
 ]
 
 
 @pytest.mark.parametrize(("spec", "dims"), SPECS)
 def test_densities_of_the_library_pass(spec, dims):
     check_density(spec, dims=dims)
+
+
+@pytest.mark.parametrize("name", DENSITIES)
+def test_registered_densities_pass(name):
+    try:
+        made = mcs.density(name)
+    except ParameterError:  # needs parameters, which SPECS has
+        return
+    check_density(made)
 
 
 @pytest.mark.parametrize("bad", [3, object(), [1.0]])
