@@ -1,0 +1,53 @@
+"""Smoothed lights: findings, and what would contradict them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.report.reproduction import light_smoothing as smoothing
+from mcspectra.report.reproduction.base import Exhibit
+from mcspectra.variance import exact
+
+pytestmark = pytest.mark.render
+
+
+@pytest.fixture(scope="module")
+def made() -> Exhibit:
+    return smoothing.exhibit(quick=True, seed=1)
+
+
+def test_all_findings_agree(made: Exhibit) -> None:
+    assert made.name == "light-smoothing"
+    assert [f.statement for f in made.findings if f.agrees is not True] == []
+    assert all(len(p.alt) > 40 for p in made.pictures)
+
+
+def test_a_ramp_of_another_width_disagrees(monkeypatch: pytest.MonkeyPatch) -> None:
+    right = exact.exact_variance
+    monkeypatch.setattr(exact, "exact_variance", lambda *a: 1.1 * right(*a))
+    assert smoothing._ramp(0.2).agrees is False
+
+
+def test_the_bias_of_the_disk_by_counting() -> None:
+    """The area of the smoothed disk, on a fine grid."""
+    width = 0.2
+    disk = mcs.smoothed(mcs.integrand(smoothing._DISK), width)
+    u = (np.arange(2000) + 0.5) / 2000
+    area = float(np.mean(disk(np.stack(np.meshgrid(u, u), axis=-1))))
+    expected = np.pi * smoothing._RADIUS**2 + np.pi * width**2 / 12
+    assert area == pytest.approx(expected, rel=1e-5)
+
+
+def test_scans_without_a_gain_disagree() -> None:
+    scan = mcs.smoothing_scan(
+        smoothing._DISK, "jittered", smoothing._BUDGETS, [0.0, 0.2], realizations=100, rng=1
+    )
+    assert smoothing._bias(scan).agrees is True
+    assert smoothing._best(scan, 1024).agrees is False  # the width is too large for that budget
+    assert (
+        smoothing._bias(scan.assign(smoothing_bias=1.01 * scan["smoothing_bias"])).agrees is False
+    )
+    level = scan.assign(best_width=0.0 * scan["best_width"] + 0.2)
+    assert smoothing._narrower(level).agrees is False
