@@ -26,11 +26,11 @@ from mcspectra.studies.tables import (
     TechniquesConfig,
     TermsConfig,
 )
-from mcspectra.variance.anova import anova_variances
+from mcspectra.variance.anova import staged_anova
 from mcspectra.variance.convergence import staged_convergence
 from mcspectra.variance.exact import exact_variance
 from mcspectra.variance.remedies import remedies
-from mcspectra.variance.techniques import technique_terms
+from mcspectra.variance.techniques import staged_techniques
 from mcspectra.variance.terms import staged_terms
 
 if TYPE_CHECKING:
@@ -132,8 +132,8 @@ def _density(estimator: AbstractEstimator) -> Any:
     return estimator.density if isinstance(estimator, Estimator) else None
 
 
-def _techniques(cell: Cell, settings: TechniquesConfig, seed: int) -> xr.Dataset:
-    return technique_terms(
+def _techniques(cell: Cell, settings: TechniquesConfig, seed: int) -> Staged[Any]:
+    return staged_techniques(
         _estimator(cell),
         cell.sampler,
         settings.counts,
@@ -143,7 +143,6 @@ def _techniques(cell: Cell, settings: TechniquesConfig, seed: int) -> xr.Dataset
         basis=settings.basis,
         space=settings.space,
         fit_last=settings.fit_last,
-        workers=1,
     )
 
 
@@ -159,15 +158,14 @@ def _pcf(cell: Cell, settings: PcfConfig, seed: int) -> Staged[Any]:
     )
 
 
-def _anova(cell: Cell, settings: AnovaConfig, seed: int) -> xr.Dataset:
-    return anova_variances(
+def _anova(cell: Cell, settings: AnovaConfig, seed: int) -> Staged[Any]:
+    return staged_anova(
         _estimator(cell),
         cell.sampler,
         settings.n,
         order=settings.order,
         realizations=settings.realizations,
         rng=seed,
-        workers=1,
     )
 
 
@@ -234,15 +232,15 @@ def _map(cell: Cell, settings: MapConfig, seed: int) -> xr.Dataset:
 _STAGED: dict[str, Callable[[Cell, Any, int], Staged[Any]]] = {
     "convergence": _convergence,
     "terms": _terms,
+    "techniques": _techniques,
     "spectrum": _spectrum,
     "pcf": _pcf,
+    "anova": _anova,
 }
 """Analyses that are sums over realisations, and can be cut."""
 
 _COMPUTE: dict[str, Callable[[Cell, Any, int], xr.Dataset]] = {
-    "techniques": _techniques,
     "points": _points,
-    "anova": _anova,
     "exact": _exact,
     "remedies": _remedies,
     "map": _map,

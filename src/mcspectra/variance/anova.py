@@ -29,19 +29,20 @@ from mcspectra.core.parallel import (
     MAX_REALIZATIONS,
     Block,
     available_workers,
-    map_in_order,
     realization_blocks,
 )
 from mcspectra.core.results import dataset
+from mcspectra.core.staged import compute
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.variance.staged_anova import StagedAnova
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["EFFECTIVE_SHARE", "anova_variances"]
+__all__ = ["EFFECTIVE_SHARE", "anova_variances", "staged_anova"]
 
 EFFECTIVE_SHARE = 0.99
 """Share of the variance that effective dimensions hold."""
@@ -106,6 +107,24 @@ def anova_variances(
     >>> [round(float(share), 6) for share in parts["anova_share"][:3]]
     [1.0, 0.0, 0.0]
     """
+    threads = available_workers(workers)
+    return compute(
+        staged_anova(estimator, sampler, n, order=order, realizations=realizations, rng=rng),
+        threads,
+        "anova_variances",
+    )
+
+
+def staged_anova(
+    estimator: Any,
+    sampler: Sampler | str = "random",
+    n: int = 1,
+    *,
+    order: int = 2,
+    realizations: int = 10_000,
+    rng: RngLike = 0,
+) -> StagedAnova:
+    """Return `anova_variances` as a staged analysis, its arguments checked."""
     estimator = as_estimator(estimator, getattr(sampler, "dims", None))
     source = as_sampler(sampler, estimator.dims)
     n = source.check_count(n)
@@ -120,22 +139,24 @@ def anova_variances(
     def block_estimates(block: Block) -> Array:
         return pairs.estimates(subsets.masks, block)
 
+    def result(estimates: Array) -> xr.Dataset:
+        return _labelled(
+            subsets,
+            estimates,
+            scalar=estimator.channels == 0,
+            estimator=estimator.spec,
+            sampler=source.spec,
+            n=n,
+            realizations=realizations,
+            order=order,
+            effective_share=EFFECTIVE_SHARE,
+            stream_key=f"{stream.key:#x}",
+            seed=rng if isinstance(rng, int) else None,
+        )
+
     numbers = 4 * n * estimator.dims * sum(estimator.counts)
-    blocks = realization_blocks(realizations, numbers)
-    found = list(map_in_order(block_estimates, blocks, available_workers(workers)))
-    return _labelled(
-        subsets,
-        np.concatenate(found, axis=1),
-        scalar=estimator.channels == 0,
-        estimator=estimator.spec,
-        sampler=source.spec,
-        n=n,
-        realizations=realizations,
-        order=order,
-        effective_share=EFFECTIVE_SHARE,
-        stream_key=f"{stream.key:#x}",
-        seed=rng if isinstance(rng, int) else None,
-    )
+    cost = float(len(subsets.masks) * realizations * n * sum(estimator.counts))
+    return StagedAnova(block_estimates, realization_blocks(realizations, numbers), cost, result)
 
 
 @dataclass(frozen=True)
