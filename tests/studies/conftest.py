@@ -8,6 +8,7 @@ import pytest
 from mcspectra.studies import open_results
 
 MODULE = '''
+import asyncio
 import multiprocessing
 import os
 import pathlib
@@ -38,6 +39,35 @@ def leaves(x):
     return x[..., 0]
 
 
+def interrupts(x):
+    if sampled(x):
+        raise KeyboardInterrupt
+    return x[..., 0]
+
+
+def cancels(x):
+    if sampled(x):
+        raise asyncio.CancelledError
+    return x[..., 0]
+
+
+class Wordless(BaseException):
+    def __str__(self):
+        raise RuntimeError("no words")
+
+
+def wordless(x):
+    if sampled(x):
+        raise Wordless
+    return x[..., 0]
+
+
+def verbose(x):
+    if sampled(x):
+        raise ValueError("\\x1b[31m" + "much " * 10**6)
+    return x[..., 0]
+
+
 def nan(x):
     return x[..., 0] * (float("nan") if sampled(x) else 1.0)
 
@@ -47,6 +77,8 @@ def infinite(x):
 
 
 def hangs(x):
+    if sampled(x):
+        (FOLDER / "begun").touch()
     while sampled(x) and (FOLDER / "hang").exists():
         time.sleep(0.01)
     return x[..., 0]

@@ -94,6 +94,10 @@ def test_cancelled_tasks_do_not_begin():
     [
         ("raises", "It raised ZeroDivisionError: no such light."),
         ("leaves", "It raised SystemExit: 3."),
+        ("interrupts", "It raised KeyboardInterrupt."),
+        ("cancels", "It raised CancelledError."),
+        ("wordless", "It raised Wordless."),
+        ("verbose", "It raised ValueError: [31mmuch much"),
         ("nan", "NaN or infinite"),
         ("infinite", "NaN or infinite"),
     ],
@@ -102,6 +106,8 @@ def test_whatever_an_integrand_does_becomes_a_sentence(misbehaving, name, senten
     outcome = attempt(_text(name), _task())
     assert outcome.payload is None
     assert sentence in outcome.error
+    assert len(outcome.error) < 1000
+    assert outcome.error.isprintable()
     assert outcome.host
     assert outcome.seconds > 0
     assert misbehaving.exists()

@@ -212,6 +212,23 @@ def test_failures_stay_in_their_cells(misbehaving, tmp_path, stored_values):
     )
 
 
+@pytest.mark.parametrize("limit", [None, 120.0])
+def test_integrands_that_interrupt_cancel_or_leave_do_not_hold_up_the_run(
+    misbehaving, tmp_path, capfd, limit
+):
+    """Threads and processes alike: an interrupt that is not the user's is a failure like others."""
+    text, trust = _functions("interrupts", "cancels", "leaves", "good")
+    with pytest.raises(CellFailed) as caught:
+        run_study(decode_study(text), tmp_path / "out", trust=trust, workers=2, time_limit=limit)
+    assert caught.value.failures == {
+        _path("interrupts"): "It raised KeyboardInterrupt.",
+        _path("cancels"): "It raised CancelledError.",
+        _path("leaves"): "It raised SystemExit: 3.",
+    }
+    assert set(open_results(tmp_path / "out").children) == {"good"}
+    assert "Traceback" not in capfd.readouterr().err
+
+
 def _no_engine(text):
     raise AssertionError(f"nothing is left to compute of {text}")
 

@@ -70,7 +70,8 @@ def attempt(text: StudyText, task: Task) -> Outcome:
     payload, error = None, None
     try:
         payload = compute_task(text, task)
-    except (Exception, SystemExit) as raised:  # noqa: BLE001 - whatever the code of others does
+    # An interrupt of the run reaches the main thread alone: here it is the integrand's own.
+    except BaseException as raised:  # noqa: BLE001 - whatever the code of others does
         error = explain(raised)
     seconds = time.perf_counter() - start
     return Outcome(

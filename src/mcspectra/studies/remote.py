@@ -6,6 +6,7 @@ without having been told about the study.
 
 from __future__ import annotations
 
+import concurrent.futures
 import functools
 import socket
 import threading
@@ -73,8 +74,14 @@ def compute_remotely(
 
 def _within(seconds: float, job: Callable[[], Outcome]) -> Outcome | None:
     """Outcome of a job in a thread of its own, which is left behind when the time is over."""
-    outcomes: list[Outcome] = []
-    thread = threading.Thread(target=lambda: outcomes.append(job()), daemon=True)
-    thread.start()
-    thread.join(seconds)
-    return outcomes[0] if outcomes else None
+    outcome: concurrent.futures.Future[Outcome] = concurrent.futures.Future()
+
+    def run() -> None:
+        try:
+            outcome.set_result(job())
+        except BaseException as error:  # noqa: BLE001 - raised again where it is waited for
+            outcome.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    done, _ = concurrent.futures.wait([outcome], seconds)
+    return outcome.result() if done else None

@@ -229,13 +229,21 @@ def compute_task(text: StudyText, task: Task) -> bytes:
 
 def explain(error: BaseException) -> str:
     """One sentence about why a task failed, which names exceptions that are not this package's."""
-    text = " ".join(str(error).split())
-    if len(text) > _LONGEST:
-        text = f"{text[:_LONGEST]} …"
+    text = _text_of(error)
     if isinstance(error, McspectraError) and text:
         return text
     reason = f": {text.rstrip('.')}" if text else ""
     return f"It raised {type(error).__name__}{reason}."
+
+
+def _text_of(error: BaseException) -> str:
+    """An exception's own words as one line that a terminal can show; whoever wrote it, it is short."""
+    try:
+        words = str(error)
+    except BaseException:  # noqa: BLE001 - whatever the code of others does
+        return ""
+    text = " ".join("".join(c if c.isprintable() else " " for c in words[: 2 * _LONGEST]).split())
+    return f"{text[:_LONGEST]} …" if len(words) > 2 * _LONGEST or len(text) > _LONGEST else text
 
 
 def pack_payload(arrays: Mapping[str, Array]) -> bytes:
