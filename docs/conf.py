@@ -1,5 +1,5 @@
 """Sphinx configuration: every page is one file of text, notebooks are run at each build, nothing is
-loaded from outside (mathematics is MathML, the theme has no fonts of its own)."""
+loaded from outside (mathematics is MathML, fonts are the system's or beside the pages)."""
 
 import os
 import sys
@@ -39,6 +39,7 @@ nb_execution_raise_on_error = True
 nb_execution_show_tb = True
 nb_ipywidgets_js = {}  # the default comes from a content network
 nb_merge_streams = True
+nb_output_stderr = "remove"  # bars of progress
 
 autodoc_typehints = "none"  # the signature has them; descriptions are the docstrings'
 autodoc_member_order = "bysource"

@@ -151,6 +151,29 @@ def test_accents_of_the_bibliography_are_letters():
     assert entries(source) == {"A2000": plain}
 
 
+_FORMULA = re.compile(r"\$\$(.+?)\$\$|(?<![$`])\$([^$]+)\$", re.DOTALL)
+
+
+def test_every_formula_of_the_theory_can_be_drawn():
+    mathml = importlib.import_module("mathml").mathml
+    formulas = _FORMULA.findall(_text("theory.md"))
+    assert len(formulas) > 250
+    for display, inline in formulas:
+        assert mathml(display or inline).startswith("<math xmlns=")
+
+
+def test_a_command_that_has_no_mathml_is_an_error():
+    mathml = importlib.import_module("mathml").mathml
+    with pytest.raises(ValueError, match="nosuch"):
+        mathml(r"\nosuch{x}")
+
+
+def test_bars_are_as_wide_as_what_they_are_over():
+    formula = importlib.import_module("mathml").mathml(r"\overline{S_m}")
+    assert formula.count('<mrow class="overline"><mrow><msub>') == 1
+    assert "mover" not in formula
+
+
 @pytest.mark.parametrize(
     ("line", "read"),
     [
