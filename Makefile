@@ -4,11 +4,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
 
-.PHONY: run test setup check bench docs clean help
+.PHONY: run test test-slow setup check bench docs clean help
 
 help:
 	@echo "make run    set up, then measure, predict and explain the tour (report in out/tour)"
 	@echo "make test   set up, then run the tests"
+	@echo "make test-slow  set up, then run the tests that take minutes"
 	@echo "make check  lint, types, import contract"
 	@echo "make bench  benchmarks: ratios against a reference in the same run"
 	@echo "make docs   check the documentation's examples, then build it: build/docs/index.html"
@@ -35,6 +36,10 @@ run: setup
 
 test: setup
 	$(BIN)/python -m pytest -n auto $(PYTEST_ARGS)
+
+# Minutes: hundreds of kills, and what is marked slow anyway.
+test-slow: setup
+	$(BIN)/python -m pytest -n auto -m "slow or endurance" $(PYTEST_ARGS)
 
 check: setup
 	$(BIN)/ruff check .

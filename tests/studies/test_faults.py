@@ -1,0 +1,463 @@
+"""Runs that are killed, run out of disk, are damaged or doubled: resumed, they end as if nothing was.
+
+Stores are compared file by file: names, metadata, attributes and chunks, byte for byte.
+"""
+
+import json
+import os
+import random
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from mcspectra.core.errors import DamagedResultsWarning, StoreError
+from mcspectra.studies import Store, decode_study, run_study, study_status
+from mcspectra.studies import journal as journal_module
+from mcspectra.studies import lock as lock_module
+from mcspectra.studies import manifest as manifest_module
+from mcspectra.studies import run as run_module
+from mcspectra.studies.engines import LocalEngine
+from mcspectra.studies.journal import read_journal
+from mcspectra.studies.lock import is_held
+
+STUDY = """
+title = "killed"
+seed = 11
+samplers = ["random", "jittered"]
+[convergence]
+counts = [16, 64]
+realizations = 100000
+[exact]
+counts = [4]
+[[estimators]]
+name = "smooth"
+integrand = "gaussian"
+dims = 2
+"""
+CONFIG = decode_study(STUDY)
+CELLS = 4
+ONE_THREAD = {**os.environ, "OMP_NUM_THREADS": "1"}
+
+
+def stored(folder):
+    """Every file of a store."""
+    tree = folder / "results.zarr"
+    files = (path for path in tree.rglob("*") if path.is_file())
+    return {str(path.relative_to(tree)): path.read_bytes() for path in files}
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    file = tmp_path_factory.mktemp("study") / "study.toml"
+    file.write_text(STUDY)
+    return file
+
+
+@pytest.fixture(scope="module")
+def straight(tmp_path_factory):
+    """The store of a run that nothing stopped."""
+    out = tmp_path_factory.mktemp("straight")
+    run_study(CONFIG, out, workers=1)
+    return stored(out)
+
+
+def command(study, out, *more):
+    return [
+        *(sys.executable, "-m", "mcspectra", "run", str(study), "--out", str(out)),
+        *("--workers", "1", "--quiet", *more),
+    ]
+
+
+def assert_finished(out, straight):
+    """Everything is there, is as it should be, and nothing else is left."""
+    found = stored(out)
+    assert found.keys() == straight.keys()
+    assert [name for name in found if found[name] != straight[name]] == []
+    status = study_status(out, verify=True)
+    assert status.state == "finished"
+    assert len(status.done) == CELLS
+    for lacking in (status.failed, status.missing, status.damaged, status.holder):
+        assert not lacking
+    leftover = {path.name for path in out.iterdir()}
+    assert leftover <= {"results.zarr", "manifest.jsonl", "journal", "report.html", "figures"}
+
+
+def killed_at_steps(study, folder, straight, kills, seed):
+    """Kill forks between calls to the file system: see killed_runs.py."""
+    script = str(Path(__file__).with_name("killed_runs.py"))
+    done = subprocess.run(
+        [sys.executable, script, str(study), str(folder), str(kills), str(seed)],
+        env=ONE_THREAD,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    counted, *trials = map(json.loads, done.stdout.splitlines())
+    assert counted["steps"] > 200
+    assert len(trials) == kills
+    ends = [end for trial in trials for end in trial["ends"]]
+    assert ends.count(-signal.SIGKILL) >= kills
+    # A resumed run takes fewer steps, so that it may have ended before the chosen one.
+    assert set(ends) <= {-signal.SIGKILL, 0}
+    for trial in (counted, *trials):
+        assert trial["last"] == 0
+        assert_finished(Path(trial["out"]), straight)
+
+
+def killed_at_moments(study, folder, straight, kills, seed):
+    """Kill the command at moments spread over its duration; begin anew when it has ended before."""
+    chosen = random.Random(seed)
+    start = time.monotonic()
+    subprocess.run(command(study, folder / "first"), check=True, env=ONE_THREAD)
+    duration = time.monotonic() - start
+    killed, out = 0, folder / "0"
+    while killed < kills:
+        # The first third is the start of Python, which writes nothing.
+        moment = duration * (1 + 2 * (killed + chosen.random()) / kills) / 3
+        process = subprocess.Popen(
+            command(study, out, "--resume"), env=ONE_THREAD, stderr=subprocess.DEVNULL
+        )
+        try:
+            process.wait(moment)
+        except subprocess.TimeoutExpired:
+            process.kill()
+        if process.wait() == -signal.SIGKILL:
+            killed += 1
+        else:
+            assert process.returncode == 0
+            assert_finished(out, straight)
+            out = folder / str(killed)
+    subprocess.run(
+        command(study, out, "--resume"), check=True, env=ONE_THREAD, stderr=subprocess.DEVNULL
+    )
+    assert_finished(out, straight)
+
+
+def test_killed_between_any_two_steps_and_resumed(study, tmp_path, straight):
+    killed_at_steps(study, tmp_path, straight, 5, 1)
+
+
+def test_killed_at_any_moment_and_resumed(study, tmp_path, straight):
+    killed_at_moments(study, tmp_path, straight, 2, 2)
+
+
+@pytest.mark.endurance
+def test_killed_between_any_two_steps_and_resumed_often(study, tmp_path, straight):
+    killed_at_steps(study, tmp_path, straight, 120, 3)
+
+
+@pytest.mark.endurance
+def test_killed_at_twenty_moments_and_resumed(study, tmp_path, straight):
+    killed_at_moments(study, tmp_path, straight, 20, 4)
+
+
+class Interrupted:
+    """An engine that is interrupted after some outcomes."""
+
+    def __init__(self, text, outcomes):
+        self._inner = LocalEngine(text, 1)
+        self._outcomes = outcomes
+        self.workers = 1
+        self.submit = self._inner.submit
+        self.close = self._inner.close
+
+    def outcomes(self):
+        for count, outcome in enumerate(self._inner.outcomes()):
+            if count == self._outcomes:
+                raise KeyboardInterrupt
+            yield outcome
+
+
+def interrupted_run(out, outcomes=22, **options):
+    """Compute some tasks of one block each, and stop."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run_module, "_TARGET", 1e-9)
+        with pytest.raises(KeyboardInterrupt):
+            run_study(CONFIG, out, engine=lambda text: Interrupted(text, outcomes), **options)
+
+
+@pytest.fixture(scope="module")
+def half(tmp_path_factory):
+    """A run that was interrupted with one cell stored and some tasks recorded."""
+    out = tmp_path_factory.mktemp("half")
+    interrupted_run(out)
+    status = study_status(out, verify=True)
+    assert 0 < len(status.done) < CELLS
+    assert status.recorded > 0
+    return out
+
+
+def flipped(file, at):
+    content = bytearray(file.read_bytes())
+    content[at] ^= 1
+    file.write_bytes(content)
+
+
+def cut(file, at):
+    os.truncate(file, at)
+
+
+@pytest.mark.parametrize("damage", [flipped, cut])
+@pytest.mark.parametrize("part", [0.01, 0.5, 0.99])
+def test_a_damaged_chunk_is_named_and_computed_again(half, tmp_path, straight, damage, part):
+    out = shutil.copytree(half, tmp_path / "out")
+    (path, *_) = study_status(out).done
+    file = out / "results.zarr" / path / "variance/c/0"
+    damage(file, int(part * file.stat().st_size))
+    with pytest.warns(DamagedResultsWarning, match=f"1 stored analyses .*{path} .variance/c/0 has"):
+        run_study(CONFIG, out, resume=True, workers=1)
+    assert_finished(out, straight)
+
+
+def test_a_damaged_record_is_named_and_computed_again(half, tmp_path, straight):
+    out = shutil.copytree(half, tmp_path / "out")
+    log = out / "journal" / "log"
+    key = read_journal(out).done[0]
+    flipped(log, log.read_bytes().index(key.encode()) + 700)  # beyond the head: in the payload
+    assert list(read_journal(out, verify=True).damaged) == [key]
+    with pytest.warns(DamagedResultsWarning) as caught:
+        run_study(CONFIG, out, resume=True, workers=1)
+    assert key in str(caught[0].message)
+    assert "1 records of the journal" in str(caught[0].message)
+    assert_finished(out, straight)
+
+
+def test_a_torn_journal_goes_on_from_what_is_whole(half, tmp_path, straight):
+    """As when the process is killed while it writes: no damage, and nothing to warn of."""
+    out = shutil.copytree(half, tmp_path / "out")
+    log = out / "journal" / "log"
+    cut(log, log.stat().st_size - 5)
+    run_study(CONFIG, out, resume=True, workers=1)
+    assert_finished(out, straight)
+
+
+def test_damage_of_much_is_named_in_part(half, tmp_path, straight, monkeypatch):
+    monkeypatch.setattr(run_module, "_NAMED", 1)
+    out = shutil.copytree(half, tmp_path / "out")
+    run_study(CONFIG, out, resume=True, workers=1)
+    for path in study_status(out).done:
+        cut(out / "results.zarr" / path / "zarr.json", 30)
+    with pytest.warns(DamagedResultsWarning, match=r"4 stored analyses.* and 3 more\."):
+        run_study(CONFIG, out, resume=True, workers=1)
+    assert_finished(out, straight)
+
+
+def test_clocks_and_names_of_hosts_do_not_matter(tmp_path, straight, monkeypatch):
+    """Begun on host a in 2091, continued on b in 1999, each with a clock that runs backwards."""
+    clock = {"now": 3.8e9}
+
+    def backwards():
+        clock["now"] -= 1000.0
+        return clock["now"]
+
+    monkeypatch.setattr(time, "time", backwards)
+    for host, now in (("a", 3.8e9), ("b", 9.4e8)):
+        clock["now"] = now
+        monkeypatch.setattr(socket, "gethostname", lambda host=host: host)
+        stamp = time.strftime("%Y-%m-%dT%H:%M:%S+00:00", time.gmtime(now))
+        monkeypatch.setattr(manifest_module, "now", lambda stamp=stamp: stamp)
+        if host == "a":
+            interrupted_run(tmp_path)
+    run_study(CONFIG, tmp_path, resume=True, workers=1)
+    assert_finished(tmp_path, straight)
+    states = manifest_module.read_manifest(tmp_path).states
+    assert {state.host for state in states} == {"b"}
+    assert {state.at[:4] for state in states} == {"1999"}
+    assert study_status(tmp_path).started.startswith("2090")
+
+
+def test_the_folder_is_locked_from_the_first_change_to_the_last(tmp_path, straight, monkeypatch):
+    """Two runs that start at once cannot both look at the store before one of them has the lock."""
+    seen = []
+
+    def noted(name, function):
+        def call(*arguments, **options):
+            seen.append((name, is_held(tmp_path)))
+            return function(*arguments, **options)
+
+        return call
+
+    monkeypatch.setattr(Store, "_begin", noted("begin", Store._begin))
+    monkeypatch.setattr(Store, "write", noted("write", Store.write))
+    monkeypatch.setattr(Store, "finish", noted("finish", Store.finish))
+    monkeypatch.setattr(
+        journal_module.Journal, "close", noted("close", journal_module.Journal.close)
+    )
+    run_study(CONFIG, tmp_path, workers=1)
+    assert {name for name, _ in seen} == {"begin", "write", "finish", "close"}
+    assert all(held for _, held in seen)
+    assert not is_held(tmp_path)
+    assert_finished(tmp_path, straight)
+
+
+def test_a_refused_run_gives_the_folder_free(half, tmp_path):
+    out = shutil.copytree(half, tmp_path / "out")
+    with pytest.raises(StoreError, match="holds results already"):
+        run_study(CONFIG, out)
+    assert not (out / lock_module.LOCK_NAME).exists()
+
+
+FUNCTION = """
+title = "waits"
+samplers = ["random"]
+time_limit = LIMIT
+[convergence]
+counts = [4, 16]
+realizations = 10
+[[estimators]]
+name = "waits"
+integrand = "python(function='misbehaving:hangs')"
+dims = 1
+"""
+
+
+def waiting_run(misbehaving, folder, limit="1000"):
+    """A command whose integrand hangs while a file is there, and its study."""
+    study = folder / "study.toml"
+    study.write_text(FUNCTION.replace("LIMIT", limit))
+    (misbehaving / "hang").touch()
+    arguments = command(study, folder / "out", "--allow-code", "misbehaving:hangs")
+    environment = {**ONE_THREAD, "PYTHONPATH": str(misbehaving)}
+    return subprocess.Popen(arguments, env=environment, stderr=subprocess.PIPE), arguments
+
+
+def wait_for(condition, process, seconds=60):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert process.poll() is None, process.stderr.read()
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def test_a_second_run_is_refused_and_the_first_goes_on(misbehaving, tmp_path):
+    process, arguments = waiting_run(misbehaving, tmp_path)
+    try:
+        wait_for((tmp_path / "out/journal/log").exists, process)
+        second = subprocess.run(
+            [*arguments, "--resume"],
+            capture_output=True,
+            text=True,
+            check=False,
+            env=process_env(misbehaving),
+        )
+        assert second.returncode == 2
+        assert f"is being written by process {process.pid}" in second.stderr
+        assert second.stderr.count("\n") == 1
+        (misbehaving / "hang").unlink()
+        assert process.wait(60) == 0
+    finally:
+        process.kill()
+        process.wait()
+        process.stderr.close()
+    status = study_status(tmp_path / "out", verify=True)
+    assert status.state == "finished"
+    assert len(status.done) == 1
+
+
+def process_env(misbehaving):
+    return {**ONE_THREAD, "PYTHONPATH": str(misbehaving)}
+
+
+def children(pid):
+    """Processes that a process began, from /proc."""
+    found = []
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            # The second field is the name in brackets, which may hold blanks.
+            fields = file.read_text().rpartition(")")[2].split()
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        if int(fields[1]) == pid and fields[0] != "Z":
+            found.append(int(file.parent.name))
+    return found
+
+
+def test_no_worker_outlives_a_run_that_is_killed(misbehaving, tmp_path):
+    """Even one whose task hangs; the store can be resumed at once."""
+    process, arguments = waiting_run(misbehaving, tmp_path)
+    try:
+        wait_for((misbehaving / "begun").exists, process)
+        workers = children(process.pid)
+        assert workers
+        process.kill()
+        process.wait()
+        end = time.monotonic() + 30
+        while any(Path(f"/proc/{pid}").exists() for pid in workers):
+            assert time.monotonic() < end, "a worker is left"
+            time.sleep(0.05)
+    finally:
+        process.kill()
+        process.wait()
+        process.stderr.close()
+    (misbehaving / "hang").unlink()
+    resumed = subprocess.run(
+        [*arguments, "--resume"],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=process_env(misbehaving),
+    )
+    assert resumed.returncode == 0
+    assert study_status(tmp_path / "out").state == "finished"
+
+
+MOUNTED = """
+set -e
+mount -t tmpfs -o size="$1" tmpfs "$2"
+shift 2
+status=0
+"$@" || status=$?
+mkdir -p "$KEPT"
+cp -a "$OUT/." "$KEPT"
+mount -o remount,size=64m "$OUT"
+again=0
+"$@" --resume || again=$?
+cp -a "$OUT/." "$KEPT-after"
+echo "$status $again"
+"""
+NAMESPACE = ["unshare", "--user", "--map-root-user", "--mount"]
+
+
+def _can_mount():
+    try:
+        made = subprocess.run(
+            [*NAMESPACE, "mount", "-t", "tmpfs", "none", "/tmp"], capture_output=True, check=False
+        )
+    except FileNotFoundError:
+        return False
+    return made.returncode == 0
+
+
+def on_small_disk(study, size, folder):
+    """Run on a file system of `size` bytes, resume on a larger one: exit codes and what was said."""
+    out, kept = folder / "disk", folder / "kept"
+    out.mkdir()
+    (folder / "kept-after").mkdir()
+    done = subprocess.run(
+        [*NAMESPACE, "sh", "-c", MOUNTED, "sh", str(size), str(out), *command(study, out)],
+        env={**ONE_THREAD, "OUT": str(out), "KEPT": str(kept)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout.split(), done.stderr, kept
+
+
+SIZES = ["40k", "200k"] if _can_mount() else []
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_a_full_disk_is_one_sentence_and_loses_nothing(study, tmp_path, straight, size):
+    codes, said, kept = on_small_disk(study, size, tmp_path)
+    assert codes == ["1", "0"]
+    assert "cannot be written: No space left on device" in said
+    assert said.count("\n") == 1
+    if (kept / "results.zarr").exists():  # what it says is there is there, unharmed
+        assert study_status(kept, verify=True).damaged == {}
+    assert_finished(tmp_path / "kept-after", straight)
