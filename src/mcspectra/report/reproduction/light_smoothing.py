@@ -211,8 +211,8 @@ def _convergence(curves: dict[str, xr.Dataset]) -> Picture:
     return Picture(
         kind="light-smoothing",
         caption="Variance over the squared mean with 95 % intervals; dashed, the rates of theory, −1.5 and −2.",
-        alt="Logarithmic plot against N: the curve of the smooth edge falls with slope −2, that of the sharp one with "
-        "−1.5 above it.",
+        alt="Logarithmic plot against N: the smooth edge starts with more variance, relative to its smaller mean, falls "
+        "with slope −2 and crosses the sharp one, which falls with −1.5.",
         figure=figure,
     )
 

@@ -90,7 +90,7 @@ def _toy(realizations: int, seed: int) -> xr.Dataset:
 
     return technique_terms(
         TechniqueSum(["linear", f"step(at={_AT})"], dims=1), "jittered", _COUNTS,
-        half_width=4, realizations=realizations, rng=seed,
+        half_width=1, realizations=realizations, rng=seed,
     )  # fmt: skip
 
 
