@@ -4,6 +4,7 @@ import json
 import os
 from pathlib import Path
 
+import fsspec
 import numpy as np
 import pytest
 import xarray as xr
@@ -161,3 +162,31 @@ def test_export(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert capsys.readouterr().out.startswith(f"{tmp_path / 'out.zarr.zip'}: ")
     assert main(["export", str(folder), "--to", "x.txt"]) == 2
     assert "has none of the ends" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", [3, 0, None, "2"])
+def test_status_of_another_format_is_refused(
+    folder: Path, capsys: pytest.CaptureFixture[str], number: object
+) -> None:
+    root = folder / "results.zarr" / "zarr.json"
+    document = json.loads(root.read_text())
+    document["attributes"]["format"] = number
+    root.write_text(json.dumps(document))
+    assert main(["status", str(folder)]) == 2
+    words = f"has store format {number!r}; this version reads 1 and 2"
+    assert words in capsys.readouterr().err
+
+
+def test_export_of_a_store_to_a_folder_and_to_a_url(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = folder / "x.zarr"
+    assert main(["export", str(folder), "--to", str(target), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    sizes = [path.stat().st_size for path in target.rglob("*") if path.is_file()]
+    assert found == {"file": str(target), "bytes": sum(sizes)}
+    url = "memory://status-test/x.zarr"
+    assert main(["export", str(target), "--to", url]) == 0
+    assert capsys.readouterr().out == f"{url}\n"
+    assert main(["export", "memory://status-test/x.zarr", "--to", str(folder / "x.csv")]) == 0
+    fsspec.filesystem("memory").rm("/status-test", recursive=True)

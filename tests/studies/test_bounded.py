@@ -15,6 +15,7 @@ from mcspectra.core.errors import StoreError
 from mcspectra.studies import Store, decode_study, export_results, open_results
 from mcspectra.studies import _bounded as bounded
 from mcspectra.studies._bounded import content_size
+from mcspectra.studies.copying import copy_to_zip
 
 CONFIG = decode_study(
     'title = "bombs"\nsamplers = ["random"]\n[convergence]\ncounts = [4]\n'
@@ -67,7 +68,9 @@ def test_a_chunk_that_decompresses_to_more_than_its_array_is_not_read(
     folder: Path, tmp_path: Path, chunk: bytes, words: str, zipped: bool
 ) -> None:
     (folder / "results.zarr" / CELL / "x/c/0").write_bytes(chunk)
-    source = export_results(folder, tmp_path / "x.zarr.zip") if zipped else folder
+    source = tmp_path / "x.zarr.zip" if zipped else folder
+    if zipped:
+        copy_to_zip(folder, source)  # an export refuses what is not as its checksum says
     assert len(BOMB) < 20_000
     tree = open_results(source)
     tracemalloc.start()

@@ -2,10 +2,13 @@
 
 import csv
 import json
+import shutil
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import fsspec
 import numpy as np
 import pandas as pd
 import pyarrow.parquet
@@ -14,6 +17,7 @@ import xarray as xr
 
 from mcspectra.core.errors import MissingDependency, ParameterError, StorageError, StoreError
 from mcspectra.studies import Store, decode_study, export, open_results
+from mcspectra.studies.copying import copy_to_zip
 from mcspectra.studies.export import export_results
 
 STUDY = (
@@ -58,6 +62,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     store.write(PATHS[1], terms())
     store.finish()
     return out
+
+
+@pytest.fixture
+def memory() -> Iterator[str]:
+    """A URL of memory, empty again afterwards."""
+    yield "memory://export-test"
+    files = fsspec.filesystem("memory")
+    if files.exists("memory://export-test"):
+        files.rm("memory://export-test", recursive=True)
 
 
 def check_table(table: pd.DataFrame) -> None:
@@ -214,3 +227,121 @@ def test_links_are_not_followed_into_a_zip(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="is a link"):
         export_results(tmp_path / "out", tmp_path / "x.zarr.zip")
     assert not (tmp_path / "x.zarr.zip").exists()
+
+
+@pytest.fixture
+def copy(folder: Path, tmp_path: Path) -> Path:
+    """The study's folder, to be damaged."""
+    return Path(shutil.copytree(folder, tmp_path / "out"))
+
+
+def same_results(found: str | Path, expected: str | Path) -> None:
+    one, two = open_results(found), open_results(expected)
+    assert one.attrs == two.attrs
+    for path in PATHS:
+        xr.testing.assert_identical(one[path].to_dataset(), two[path].to_dataset())
+
+
+def test_a_store_goes_to_a_folder_and_to_a_url_and_back(
+    folder: Path, tmp_path: Path, memory: str
+) -> None:
+    local = export_results(folder, tmp_path / "copy.zarr")
+    assert local == tmp_path / "copy.zarr"
+    same_results(local, folder)
+    url = f"{memory}/deep/copy.zarr"
+    assert export_results(folder, url) == url
+    same_results(url, folder)
+    for source in (url, f"{memory}/deep/copy.zarr/", local):
+        back = export_results(source, tmp_path / "back.zarr.zip")
+        same_results(back, folder)
+        again = export_results(back, f"{memory}/from-zip.zarr")
+        same_results(again, folder)
+        fsspec.filesystem("memory").rm(f"{memory}/from-zip.zarr", recursive=True)
+    table = export_results(url, tmp_path / "x.csv")
+    assert Path(table).read_bytes() == export_results(folder, tmp_path / "y.csv").read_bytes()
+
+
+def test_a_store_that_is_there_is_not_written_over(
+    folder: Path, tmp_path: Path, memory: str
+) -> None:
+    (tmp_path / "x.zarr").mkdir()
+    with pytest.raises(StorageError, match="exists already"):
+        export_results(folder, tmp_path / "x.zarr")
+    export_results(folder, f"{memory}/x.zarr")
+    with pytest.raises(StoreError, match="something at .* already"):
+        export_results(folder, f"{memory}/x.zarr")
+    same_results(f"{memory}/x.zarr", folder)
+
+
+def test_urls_take_stores_only(folder: Path, tmp_path: Path) -> None:
+    for name in ("memory://x.csv", "s3://bucket/x.zarr.zip"):
+        with pytest.raises(ParameterError, match="is a URL, where only a store can be written"):
+            export_results(folder, name)
+    with pytest.raises(StoreError, match="cannot be opened"):
+        export_results(folder, "strange://x.zarr")
+    with pytest.raises(ParameterError, match="A .zarr holds all cells"):
+        export_results(folder, tmp_path / "b.zarr", "b/*")
+
+
+def test_a_url_that_fails_has_no_half_of_a_store(
+    folder: Path, memory: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = fsspec.filesystem("memory")
+    opened, written = type(files).open, []
+
+    def failing(self: Any, path: str, mode: str = "rb", **given: Any) -> Any:
+        written.append(path)
+        if len(written) > 3:
+            raise RuntimeError("no space\nleft.")
+        return opened(self, path, mode, **given)
+
+    monkeypatch.setattr(type(files), "open", failing)
+    with pytest.raises(StorageError, match=r"x.zarr' cannot be written: no space left\.$"):
+        export_results(folder, f"{memory}/x.zarr")
+    monkeypatch.undo()
+    assert not files.exists(f"{memory}/x.zarr")
+
+
+@pytest.mark.parametrize("end", [".csv", ".json", ".nc", ".parquet", ".zarr.zip", ".zarr"])
+def test_what_has_changed_since_it_was_written_is_not_exported(copy: Path, end: str) -> None:
+    cell = copy / "results.zarr" / PATHS[0]
+    target = copy.parent / f"x{end}"
+    chunk = cell / "variance" / "c" / "0" / "0"
+    content = chunk.read_bytes()
+    chunk.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    words = f"{PATHS[0]} is damaged: variance/c/0/0 has changed; .* --resume"
+    with pytest.raises(StoreError, match=words):
+        export_results(copy, target)
+    chunk.write_bytes(content)
+    document = cell / "variance" / "zarr.json"
+    document.write_text(document.read_text().replace('"units": "f', '"units": "g'))
+    with pytest.raises(StoreError, match="damaged: variance/zarr.json has changed"):
+        export_results(copy / "results.zarr", target)
+    assert not target.exists()
+    if end not in (".zarr.zip", ".zarr"):
+        assert Path(export_results(copy, target, "b/*")).stat().st_size > 0
+
+
+def test_a_damaged_chunk_of_a_zip_is_a_sentence_that_names_its_cell(copy: Path) -> None:
+    chunk = copy / "results.zarr" / PATHS[0] / "variance" / "c" / "0" / "0"
+    chunk.write_bytes(chunk.read_bytes()[:-6])
+    source = copy.parent / "x.zarr.zip"
+    copy_to_zip(copy, source)
+    for end in (".csv", ".json", ".nc", ".parquet"):
+        with pytest.raises(StoreError, match=f"The cell {PATHS[0]} is damaged"):
+            export_results(source, copy.parent / f"x{end}")
+
+
+@pytest.mark.parametrize("name", ["../evil", "/evil", "a//b", "c:/evil", "a\\..\\evil"])
+def test_names_that_lead_out_of_a_zip_are_not_followed(
+    folder: Path, tmp_path: Path, name: str
+) -> None:
+    source = tmp_path / "deep" / "x.zarr.zip"
+    source.parent.mkdir()
+    copy_to_zip(folder, source)
+    with zipfile.ZipFile(source, "a") as archive:
+        archive.writestr(name, "evil")
+    with pytest.raises(StoreError, match="no path in a store"):
+        export_results(source, tmp_path / "deep" / "x.zarr")
+    assert not (tmp_path / "evil").exists()
+    assert [path.name for path in (tmp_path / "deep").iterdir()] == ["x.zarr.zip"]

@@ -16,10 +16,10 @@ import zarr
 
 from mcspectra.core.errors import StorageError, StoreError
 from mcspectra.core.results import dataset
-from mcspectra.studies import Store, decode_study, open_results, opening, result_paths
+from mcspectra.studies import Store, decode_study, open_results, places, result_paths
 from mcspectra.studies._zarr_cell import write_cell
 from mcspectra.studies.checksums import checksum, damage_of
-from mcspectra.studies.export import write_zip
+from mcspectra.studies.copying import copy_to_zip
 from mcspectra.studies.lock import FolderLock
 from mcspectra.studies.manifest import MANIFEST_NAME, read_manifest
 
@@ -298,7 +298,8 @@ def test_a_part_of_the_tree_can_be_opened(filled: Path) -> None:
 def test_zip_files_and_urls_are_read(filled: Path, tmp_path: Path) -> None:
     import fsspec
 
-    packed = write_zip(filled, tmp_path / "packed.zarr.zip")
+    packed = tmp_path / "packed.zarr.zip"
+    copy_to_zip(filled, packed)
     memory = fsspec.filesystem("memory")
     memory.put(str(filled / "results.zarr"), "/study/results.zarr", recursive=True)
     try:
@@ -329,7 +330,7 @@ def test_what_is_no_store_is_a_sentence(tmp_path: Path, monkeypatch: pytest.Monk
     }.items():
         with pytest.raises(StoreError, match=sentence):
             open_results(source)
-    monkeypatch.setattr(opening.importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setattr(places.importlib.util, "find_spec", lambda _: None)
     with pytest.raises(ImportError, match="needs fsspec, which is not installed"):
         open_results("memory://x")
 

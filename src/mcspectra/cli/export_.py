@@ -1,8 +1,9 @@
-"""Write the results of a study to one file: .csv, .parquet, .nc, .json or .zarr.zip."""
+"""Write the results of a study to one file (.csv, .parquet, .nc, .json, .zarr.zip) or as a .zarr store."""
 
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from mcspectra.cli.common import print_json
 
@@ -12,7 +13,12 @@ __all__ = ["add_arguments", "run"]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options."""
     parser.add_argument("source", metavar="DIR", help="output folder, .zarr.zip file or URL")
-    parser.add_argument("--to", required=True, metavar="FILE", help="its end chooses the format")
+    parser.add_argument(
+        "--to",
+        required=True,
+        metavar="FILE",
+        help="its end chooses the format; a store, .zarr, may go to a URL",
+    )
     parser.add_argument(
         "--select", metavar="PATTERN", help="cells to export, e.g. 'estimator/*' (default: all)"
     )
@@ -24,9 +30,15 @@ def run(options: argparse.Namespace) -> int:
     from mcspectra.studies.sizes import shown_bytes
 
     file = export_results(options.source, options.to, options.select)
-    size = file.stat().st_size
+    size = _size(file) if isinstance(file, Path) else None
     if options.json:
         print_json({"file": str(file), "bytes": size})
     elif not options.quiet:
-        print(f"{file}: {shown_bytes(size)}")
+        print(file if size is None else f"{file}: {shown_bytes(size)}")
     return 0
+
+
+def _size(place: Path) -> int:
+    """Bytes of a file, or of all files in a folder."""
+    files = place.rglob("*") if place.is_dir() else [place]
+    return sum(file.stat().st_size for file in files if file.is_file())

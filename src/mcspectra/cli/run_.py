@@ -77,10 +77,11 @@ def run(options: argparse.Namespace) -> int:
     import msgspec
 
     from mcspectra.studies import Trust, read_study, run_study
+    from mcspectra.studies.places import output_folder
     from mcspectra.studies.run import CellFailed
 
     study = Path(options.study)
-    out = Path(options.out) if options.out else Path("out") / study.stem
+    out = output_folder(options.out or Path("out") / study.stem)
     workers = None if options.workers is None else whole_number("--workers", options.workers)
     limit = None if options.time_limit is None else real_number("--time-limit", options.time_limit)
     config = read_study(study, options.set)

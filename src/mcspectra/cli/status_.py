@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mcspectra.cli.common import print_json, text_table
@@ -34,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
 
     from mcspectra.studies.status import study_status
 
-    status = study_status(Path(options.folder), verify=options.verify)
+    status = study_status(options.folder, verify=options.verify)
     if options.json:
         print_json(msgspec.to_builtins(status) | {"analyses": msgspec.to_builtins(status.analyses)})
     elif not options.quiet:

@@ -1,4 +1,6 @@
-"""Results in other formats: tables (CSV, Parquet), JSON, netCDF, and the store in a zip file.
+"""Results in other formats: tables (CSV, Parquet), JSON, netCDF, and the store itself elsewhere.
+
+What is exported is checked against its checksums first, where there is a manifest.
 
 Numbers are written exactly: floats with all their digits. Attributes are kept: as a first line that
 is a comment in CSV, as metadata in Parquet, as members in JSON, as attributes in netCDF.
@@ -6,12 +8,14 @@ is a comment in CSV, as metadata in Parquet, as members in JSON, as attributes i
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import fnmatch
 import importlib
 import importlib.util
 import itertools
 import json
-import zipfile
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,100 +24,155 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import MissingDependency, ParameterError, StorageError, StoreError
+from mcspectra.studies.checksums import Checksum, damage_of
+from mcspectra.studies.copying import copy_to_folder, copy_to_url, copy_to_zip
+from mcspectra.studies.links import check_tree_links
+from mcspectra.studies.manifest import in_place, read_manifest
 from mcspectra.studies.opening import open_results
+from mcspectra.studies.places import first_line, is_url
 from mcspectra.studies.sizes import check_memory
-from mcspectra.studies.store import STORE_NAME, root_document
+from mcspectra.studies.store import STORE_NAME
 from mcspectra.studies.tidy import FIXED, VALUES, cells_of, coordinate_columns, tidy
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["FORMATS", "export_results", "write_zip"]
+__all__ = ["FORMATS", "export_results"]
 
-FORMATS = (".csv", ".parquet", ".nc", ".json", ".zarr.zip")
+FORMATS = (".csv", ".parquet", ".nc", ".json", ".zarr.zip", ".zarr")
 """Ends of names of files that results are exported to."""
 
-_EPOCH = (1980, 1, 1, 0, 0, 0)  # the first that a zip file can hold: same results, same bytes
 _KEY = "mcspectra"
 
 
-def export_results(source: str | Path, file: str | Path, select: str | None = None) -> Path:
+def export_results(source: str | Path, file: str | Path, select: str | None = None) -> Path | str:
     """Write results to a file whose format its name's end tells.
 
     ``.csv`` and ``.parquet`` are one long table, a row for each number; ``.json`` has a list of cells
     with their arrays; ``.nc`` is netCDF 3 with variables ``<path of the cell>.<variable>``, slashes
-    as dots; ``.zarr.zip`` is the store itself.
+    as dots; ``.zarr.zip`` and ``.zarr`` are the store itself, in a zip file, in a folder, or at a URL
+    that fsspec writes to.
 
     Parameters
     ----------
     source
-        What `open_results` takes; for ``.zarr.zip`` a folder.
+        What `open_results` takes.
     file
-        It is replaced if it is there, as a whole or not at all.
+        A file is replaced if it is there, as a whole or not at all; a ``.zarr`` must not be there.
     select
-        Pattern of the paths of cells; all by default, and always all of ``.zarr.zip``.
+        Pattern of the paths of cells; all by default, and always all of a store.
+
+    Returns
+    -------
+    Path or str
+        What was written; a str if it is a URL.
 
     Raises
     ------
     ParameterError
-        The name has another end, or ``select`` is given for ``.zarr.zip``.
+        The name has another end, a URL is given for something else than ``.zarr``, or ``select``
+        for a store.
     StoreError
-        The results cannot be read, or a netCDF file cannot hold them.
+        The results cannot be read, are damaged, or a netCDF file cannot hold them.
     StorageError
         The file cannot be written.
     MissingDependency
-        Parquet without pyarrow.
+        Parquet without pyarrow, URLs without fsspec.
     """
+    end = _end_of(file)
+    if end in _STORES and select is not None:
+        raise ParameterError(f"A {end} holds all cells; leave the selection out.")
+    _check_cells(source, select)
+    if is_url(file):
+        copy_to_url(source, str(file))
+        return str(file)
     target = Path(file)
-    end = next((end for end in FORMATS if target.name.lower().endswith(end)), None)
-    if end is None:
-        raise ParameterError(
-            f"{str(file)!r} has none of the ends {', '.join(FORMATS)}; the end chooses the format."
-        )
+    if end == ".zarr":
+        if target.exists():
+            raise StorageError(f"{str(target)!r} exists already; give another name.")
+        return _replaced(target, lambda partial: copy_to_folder(source, partial))
     if end == ".zarr.zip":
-        if select is not None:
-            raise ParameterError("A .zarr.zip holds all cells; leave the selection out.")
-        return _replaced(target, lambda partial: write_zip(Path(source), partial))
+        return _replaced(target, lambda partial: copy_to_zip(source, partial))
     tree = open_results(source, select)
     return _replaced(target, lambda partial: _WRITERS[end](tree, partial))
 
 
-def write_zip(folder: Path, file: Path) -> Path:
-    """Put the store of a folder into a zip file that zarr and `open_results` read.
-
-    Raises
-    ------
-    StoreError
-        There is no store, or a file of it leads elsewhere.
-    """
-    tree = folder if folder.suffix == ".zarr" else folder / STORE_NAME
-    root_document(tree)
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
-        for path in sorted(tree.rglob("*")):
-            if path.is_symlink():
-                raise StoreError(f"{str(path)!r} is a link; results hold files only.")
-            if path.is_file():
-                _add(archive, path, path.relative_to(tree).as_posix())
-    return file
+_STORES = (".zarr.zip", ".zarr")
 
 
-def _add(archive: zipfile.ZipFile, path: Path, name: str) -> None:
-    with path.open("rb") as source, archive.open(zipfile.ZipInfo(name, _EPOCH), "w") as out:
-        while piece := source.read(2**20):
-            out.write(piece)
+def _end_of(file: str | Path) -> str:
+    """The one of `FORMATS` that a name ends with."""
+    name = str(file).lower()
+    end = next((end for end in FORMATS if name.endswith(end)), None)
+    if end is None:
+        raise ParameterError(
+            f"{str(file)!r} has none of the ends {', '.join(FORMATS)}; the end chooses the format."
+        )
+    if is_url(file) and end != ".zarr":
+        raise ParameterError(
+            f"{str(file)!r} is a URL, where only a store can be written, with the end .zarr; export "
+            "to a file of this machine, and copy it."
+        )
+    return end
+
+
+def _check_cells(source: str | Path, select: str | None) -> None:
+    """Refuse cells of a folder that are not those that its manifest tells of."""
+    place = Path() if is_url(source) else Path(source)
+    folder = place.parent if place.name == STORE_NAME else place
+    if is_url(source) or not folder.is_dir():
+        return
+    manifest = read_manifest(folder)
+    if manifest is None:
+        return
+    tree = folder / STORE_NAME
+    chosen = manifest.cells if select is None else fnmatch.filter(manifest.cells, select)
+    for path in in_place(tree, manifest, chosen):
+        check_tree_links(tree, path)
+        line = manifest.cells[path]
+        reason = damage_of(tree / path, Checksum(line.sha256, line.parts, line.bytes))
+        if reason is not None:
+            raise _damaged(path, reason)
+
+
+def _damaged(path: str, reason: str) -> StoreError:
+    return StoreError(
+        f"The cell {path} is damaged: {reason}; `mcspectra run` with --resume computes it again."
+    )
 
 
 def _replaced(target: Path, write: Callable[[Path], Any]) -> Path:
-    """Write a file beside its place and put it there when it is whole."""
+    """Write a file, or a folder, beside its place and put it there when it is whole."""
     partial = target.with_name(f".{target.name}.partial")
     try:
+        _remove(partial)
         write(partial)
         partial.replace(target)
     except OSError as error:
         raise StorageError(f"{str(target)!r} cannot be written: {error.strerror}.") from None
     finally:
-        partial.unlink(missing_ok=True)
+        _remove(partial)
     return target
+
+
+def _remove(partial: Path) -> None:
+    with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+        if partial.is_dir() and not partial.is_symlink():
+            shutil.rmtree(partial)
+        else:
+            partial.unlink()
+
+
+def _loaded(tree: xr.DataTree) -> Iterator[tuple[str, xr.Dataset]]:
+    """Paths and datasets of the cells, each read as a whole, and held only by who asked."""
+    for path, cell in cells_of(tree):
+        try:
+            whole = cell.compute()
+        except StoreError:
+            raise
+        except (OSError, ValueError, RuntimeError) as error:  # zarr's codecs raise any of them
+            raise _damaged(path, first_line(error)) from None
+        yield path, whole
 
 
 def _write_csv(tree: xr.DataTree, file: Path) -> None:
@@ -156,7 +215,7 @@ def _column(values: Any, text: bool, length: int) -> Any:
 def _write_json(tree: xr.DataTree, file: Path) -> None:
     with file.open("w", encoding="utf-8") as stream:
         stream.write(f'{{"attributes": {_json(dict(tree.attrs))}, "cells": [')
-        for i, (path, cell) in enumerate(cells_of(tree)):
+        for i, (path, cell) in enumerate(_loaded(tree)):
             variables = {
                 str(name): {
                     "dims": list(map(str, variable.dims)),
@@ -187,7 +246,7 @@ def _write_netcdf(tree: xr.DataTree, file: Path) -> None:
     check_memory(2 * sum(cell.nbytes for _, cell in cells_of(tree)), "The netCDF file")
     attributes = {key: _netcdf_attribute(value) for key, value in tree.attrs.items()}
     variables: dict[str, Any] = {}
-    for path, cell in cells_of(tree):
+    for path, cell in _loaded(tree):
         prefix = path.replace("/", ".")
         attributes[prefix] = _json(dict(cell.attrs))
         for name, variable in cell.variables.items():
@@ -232,7 +291,7 @@ def _attributes(tree: xr.DataTree) -> dict[str, Any]:
 
 
 def _tables(tree: xr.DataTree) -> Iterator[dict[str, Any]]:
-    return itertools.chain.from_iterable(tidy(tree, cell) for _, cell in cells_of(tree))
+    return itertools.chain.from_iterable(tidy(tree, cell) for _, cell in _loaded(tree))
 
 
 def _json(value: Any) -> str:

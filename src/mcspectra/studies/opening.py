@@ -7,16 +7,18 @@ zarr could name one that unpickles. Sizes are checked against memory before anyt
 from __future__ import annotations
 
 import fnmatch
-import importlib.util
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcspectra.core.display import register_accessor
 from mcspectra.core.errors import MissingDependency, StoreError
+from mcspectra.studies._consolidated import check_consolidated
 from mcspectra.studies.links import check_tree_links
-from mcspectra.studies.manifest import in_place, read_manifest
+from mcspectra.studies.manifest import FORMAT, in_place, read_manifest
+from mcspectra.studies.places import first_line, is_url, url_files
 from mcspectra.studies.sizes import available_memory, shown_bytes
 from mcspectra.studies.store import STORE_NAME, root_document
 
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
 
     from mcspectra.studies._bounded import BoundedStore
 
-__all__ = ["open_results", "result_paths"]
+__all__ = ["check_format", "check_store", "open_results", "result_paths", "store_url"]
 
 _FORMATS = (1, 2)
 # Those whose output is bounded before they run: gzip has no size in its header, shards have codecs inside.
@@ -58,6 +60,8 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
     store, root = _opened(source)
     name = str(source)
     paths = None if select is None else _selected(source, root, select)
+    if store.folder is not None and root.attrs.get("format") == FORMAT:  # zarr wrote those before
+        check_consolidated(store.folder, root_document(store.folder), paths)
     for path in [""] if paths is None else paths:
         _check_group(root, path, name, store)
     whole = root.metadata.consolidated_metadata is not None
@@ -65,8 +69,8 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
         if paths is None:
             opened: Any = store  # the stubs of xarray know no stores of zarr
             return xr.open_datatree(opened, engine="zarr", consolidated=whole, zarr_format=3)
-        cells: dict[str, Any] = {path: _dataset(store, path, whole) for path in paths}
-    except (ValueError, KeyError, TypeError, OSError) as error:
+        cells: dict[str, Any] = {path: _dataset(root, path) for path in paths}
+    except (ValueError, KeyError, TypeError, OSError, RuntimeError) as error:
         raise _damaged(name, error) from None
     return xr.DataTree.from_dict({"/": xr.Dataset(attrs=dict(root.attrs)), **cells})
 
@@ -83,10 +87,37 @@ def result_paths(source: str | Path) -> tuple[str, ...]:
     return tuple(_paths(source, root))
 
 
+def check_store(source: str | Path) -> None:
+    """Refuse what `open_results` would refuse of a source, before its arrays are looked at.
+
+    Raises
+    ------
+    StoreError, MissingDependency
+        As of `open_results`.
+    """
+    _opened(source)
+
+
+def check_format(attributes: Mapping[str, Any], source: str | Path) -> None:
+    """Refuse a store of a format that this version does not read, by the attributes of its root.
+
+    Raises
+    ------
+    StoreError
+        It names the formats that are read.
+    """
+    found = attributes.get("format")
+    if found not in _FORMATS:
+        raise StoreError(
+            f"{str(source)!r} has store format {found!r}; this version reads "
+            f"{' and '.join(map(str, _FORMATS))}: open it with the version that wrote it."
+        )
+
+
 def _paths(source: str | Path, root: Any, select: str | None = None) -> list[str]:
     """Paths of cells, of those that match."""
     folder = Path(source)
-    manifest = None if _is_url(source) or not folder.is_dir() else read_manifest(folder)
+    manifest = None if is_url(source) or not folder.is_dir() else read_manifest(folder)
     if manifest is None or not manifest.cells:
         paths = _leaves(root, str(source))
         return paths if select is None else fnmatch.filter(paths, select)
@@ -123,22 +154,18 @@ def _opened(source: str | Path) -> tuple[BoundedStore, Any]:
     try:
         root = zarr.open_group(store, mode="r", zarr_format=3)
     except FileNotFoundError:
-        raise StoreError(f"There are no results in {str(source)!r}.") from None
+        message = f"{str(source)!r} is damaged: its metadata name groups that are not there."
+        raise StoreError(message) from None
     except (ValueError, KeyError, TypeError, OSError, RecursionError) as error:
         raise _damaged(str(source), error) from None
-    found = root.attrs.get("format")
-    if found not in _FORMATS:
-        raise StoreError(
-            f"{str(source)!r} has store format {found!r}; this version reads "
-            f"{' and '.join(map(str, _FORMATS))}: open it with the version that wrote it."
-        )
+    check_format(root.attrs, source)
     return store, root
 
 
 def _store_of(source: str | Path) -> Any:
     from zarr.storage import LocalStore
 
-    if _is_url(source):
+    if is_url(source):
         return _remote(str(source))
     path = Path(source)
     if path.suffix == ".zip":
@@ -146,10 +173,6 @@ def _store_of(source: str | Path) -> Any:
     folder = path if path.suffix == ".zarr" else path / STORE_NAME
     root_document(folder)
     return LocalStore(folder, read_only=True)
-
-
-def _is_url(source: str | Path) -> bool:
-    return isinstance(source, str) and ("://" in source or "::" in source)
 
 
 def _zip(path: Path) -> Any:
@@ -164,44 +187,47 @@ def _zip(path: Path) -> Any:
     if not zipfile.is_zipfile(path):
         raise StoreError(f"{str(path)!r} is damaged: it is not a zip file.")
     check_zip(path)
+    with zipfile.ZipFile(path) as archive:
+        if "zarr.json" not in archive.namelist():
+            raise StoreError(f"There are no results in {str(path)!r}.")
     return ZipStore(path, mode="r")
 
 
 def _remote(url: str) -> Any:
-    """A store that fsspec opens: at the URL, or ``results.zarr`` below it."""
-    if importlib.util.find_spec("fsspec") is None:
-        raise MissingDependency(
-            f"Opening {url!r} needs fsspec, which is not installed: pip install 'mcspectra[remote]'."
-        )
     from zarr.storage import FsspecStore
 
-    try:
-        if _has_root(url):
-            return FsspecStore.from_url(url, read_only=True)
-        inner = f"{url.rstrip('/')}/{STORE_NAME}"
-        found = _has_root(inner)
-    except ImportError as error:
-        raise MissingDependency(f"Opening {url!r} needs more: {_line(error)}.") from None
-    except (OSError, ValueError) as error:
-        raise StoreError(f"{url!r} cannot be opened: {_line(error)}.") from None
-    if not found:
-        raise StoreError(f"There are no results in {url!r}.")
-    return FsspecStore.from_url(inner, read_only=True)
+    return FsspecStore.from_url(store_url(url), read_only=True)
 
 
-def _has_root(url: str) -> bool:
-    import fsspec  # type: ignore[import-untyped]
+def store_url(url: str) -> str:
+    """The URL of a store that fsspec opens: the one given, or ``results.zarr`` below it.
 
-    files, path = fsspec.core.url_to_fs(url)
-    return bool(files.exists(f"{path.rstrip('/')}/zarr.json"))
+    Raises
+    ------
+    StoreError
+        There is none, or it cannot be reached.
+    MissingDependency
+        As of `url_files`.
+    """
+    files, path = url_files(url)
+    for end in ("", f"/{STORE_NAME}"):
+        try:
+            found = files.exists(f"{path}{end}/zarr.json")
+        except ImportError as error:
+            raise MissingDependency(f"Opening {url!r} needs more: {first_line(error)}.") from None
+        except (OSError, ValueError) as error:
+            raise StoreError(f"{url!r} cannot be opened: {first_line(error)}.") from None
+        if found:
+            return f"{url.rstrip('/')}{end}" if end else url
+    raise StoreError(f"There are no results in {url!r}.")
 
 
-def _dataset(store: Any, path: str, consolidated: bool) -> xr.Dataset:
+def _dataset(root: Any, path: str) -> xr.Dataset:
+    """A cell, opened from a root whose metadata, perhaps those of all cells, are read once."""
     import xarray as xr
+    from xarray.backends import ZarrStore
 
-    return xr.open_dataset(
-        store, engine="zarr", group=path, consolidated=consolidated, zarr_format=3
-    )
+    return xr.open_dataset(ZarrStore(root[path], mode="r"))
 
 
 def _check_group(root: Any, path: str, name: str, store: BoundedStore) -> None:
@@ -241,11 +267,6 @@ def _check_array(array: Any, what: str) -> int:
 
 
 def _damaged(name: str, error: Exception) -> StoreError:
-    return StoreError(f"{name!r} is damaged: {_line(error)}.")
-
-
-def _line(error: Exception) -> str:
-    """What an error says, in one line without its full stop."""
-    if isinstance(error, json.JSONDecodeError):
-        return "metadata that are not JSON"
-    return " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__
+    json_error = isinstance(error, json.JSONDecodeError)
+    reason = "metadata that are not JSON" if json_error else first_line(error)
+    return StoreError(f"{name!r} is damaged: {reason}.")

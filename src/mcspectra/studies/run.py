@@ -18,6 +18,7 @@ from mcspectra.studies.config import StudyConfig
 from mcspectra.studies.engines import Engine, LocalEngine, Outcome
 from mcspectra.studies.journal import Journal
 from mcspectra.studies.lock import FolderLock
+from mcspectra.studies.places import output_folder
 from mcspectra.studies.plan import Cell, Plan, make_plan
 from mcspectra.studies.processes import ProcessEngine, check_time_limit
 from mcspectra.studies.scheduling import Pace, Recorded, Schedule, Settled
@@ -121,6 +122,7 @@ def run_study(
     StaleLockWarning
         An earlier run ended without a word, as when it was killed.
     """
+    out = output_folder(out)
     limit = check_time_limit(config.time_limit if time_limit is None else time_limit)
     count = available_workers(workers)
     plan = make_plan(config, Path(folder), trust, force=force)

@@ -8,11 +8,13 @@ from typing import Any
 
 import msgspec
 
+from mcspectra.core.errors import StoreError
 from mcspectra.studies.checksums import Checksum, damage_of
 from mcspectra.studies.journal import JOURNAL_NAME, JournalState, read_journal
 from mcspectra.studies.lock import LockHolder, is_held, lock_holder
 from mcspectra.studies.manifest import CellLine, Manifest, in_place, read_manifest
-from mcspectra.studies.opening import result_paths
+from mcspectra.studies.opening import check_format, result_paths
+from mcspectra.studies.places import is_url
 from mcspectra.studies.store import STORE_NAME, root_attributes
 
 __all__ = ["AnalysisCount", "StudyStatus", "study_status"]
@@ -96,10 +98,16 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
     Raises
     ------
     StoreError
-        There are no results, or the store or its journal cannot be read.
+        There are no results, the store is of a format that this version cannot read, or it or its
+        journal are damaged.
     """
     root = Path(folder)
+    if is_url(folder) or root.is_file():
+        raise StoreError(
+            f"{str(folder)!r} is not the output folder of a run; only such a folder has a status."
+        )
     attributes = root_attributes(root / STORE_NAME)
+    check_format(attributes, folder)
     manifest = read_manifest(root) or _of_tree(root)
     journal = read_journal(root, verify=verify) or JournalState((), {}, (), 0)
     tree = root / STORE_NAME
