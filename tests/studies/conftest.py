@@ -90,6 +90,28 @@ def slow(x):
     return x[..., 0]
 
 
+def raises_at_once(x):
+    raise ZeroDivisionError("no light at all")
+
+
+def nan_at_once(x):
+    return x[..., 0] * float("nan")
+
+
+def leaves_at_once(x):
+    raise SystemExit(3)
+
+
+def interrupts_at_once(x):
+    raise KeyboardInterrupt
+
+
+def hangs_at_once(x):
+    while (FOLDER / "hang").exists():
+        time.sleep(0.01)
+    return x[..., 0]
+
+
 def dies(x):
     if sampled(x) and multiprocessing.parent_process() is not None:
         os.kill(os.getpid(), signal.SIGKILL)

@@ -1,11 +1,13 @@
 """What a study would take: checked against what it does take, refused where it is too much."""
 
+import math
 import tracemalloc
 
 import pytest
 
+from mcspectra.cli.run_ import estimate_text
 from mcspectra.core.errors import ConfigError
-from mcspectra.studies import estimate_study, make_plan, run_study, sizes
+from mcspectra.studies import Trust, estimate, estimate_study, make_plan, run_study, sizes
 from mcspectra.studies.config import decode_study
 from mcspectra.studies.estimate import CellEstimate, wall_time
 
@@ -56,6 +58,49 @@ def test_tries_are_few_and_can_be_left_out(tmp_path):
     none = estimate_study(plan, probe_seconds=0)
     assert not any(each.tried for each in none)
     assert all(each.seconds > 0 and each.storage > 0 and each.memory > 0 for each in none)
+
+
+@pytest.mark.parametrize("name", ["raises", "leaves", "interrupts", "hangs"])
+def test_a_try_that_fails_or_hangs_is_no_try(misbehaving, tmp_path, monkeypatch, name):
+    (misbehaving / "hang").touch()
+    monkeypatch.setattr(estimate, "_PATIENCE", 0.1)
+    text = f"\"python(function='misbehaving:{name}')\""
+    config = decode_study(
+        STUDY.replace('"gaussian"', text).replace(
+            'samplers = ["random", "jittered"]', 'samplers = ["random"]'
+        )
+    )
+    trust = Trust((f"misbehaving:{name}",))
+    estimates = estimate_study(make_plan(config, tmp_path, trust), probe_seconds=0.3)
+    (misbehaving / "hang").unlink()
+    assert [each.tried for each in estimates] == [False] * 3
+    assert [each.error for each in estimates] == [None] * 3
+
+
+def test_what_will_fail_is_said_and_not_tried(misbehaving, tmp_path):
+    text = "\"python(function='misbehaving:nan_at_once')\""
+    config = decode_study(STUDY.replace('"gaussian"', text) + "[spectrum]\nn = 4\n")
+    estimates = estimate_study(make_plan(config, tmp_path, Trust(("misbehaving:nan_at_once",))))
+    names = ["convergence", "terms", "spectrum", "points", "exact"]
+    assert [each.analysis for each in estimates] == 2 * names
+    assert all("NaN" in each.error and not each.tried for each in estimates)
+    text = estimate_text(estimates, 0.0, 1)
+    assert text.count("estimator 'a' will fail: The function is NaN or infinite") == 1
+    assert misbehaving.exists()
+
+
+def test_tasks_are_about_a_second_each_where_they_can_be_cut(tmp_path):
+    """10⁹ realisations in tasks of a second; with a time limit of 1 s, in tasks of a fifth of it."""
+    text = STUDY.replace("= 2000", "= 1000000000")
+    counted = {}
+    for limit in ("", "time_limit = 1.0\n"):
+        estimates = estimate_study(_plan(tmp_path, limit + text), probe_seconds=0.2)
+        target = 0.2 if limit else 1.0
+        for each in estimates:
+            expected = 1 if each.analysis == "exact" else math.ceil(each.seconds / target)
+            assert each.tasks == expected, each
+        counted[limit] = sum(each.tasks for each in estimates)
+    assert min(counted.values()) > 1000
 
 
 def test_wall_time():

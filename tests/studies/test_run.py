@@ -13,7 +13,7 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.staged import Run
-from mcspectra.studies import Trust, make_plan, open_results, run_study
+from mcspectra.studies import Trust, foreign_code, make_plan, open_results, run_study
 from mcspectra.studies import run as run_module
 from mcspectra.studies.config import decode_study
 from mcspectra.studies.engines import LocalEngine, Outcome
@@ -227,6 +227,37 @@ def test_integrands_that_interrupt_cancel_or_leave_do_not_hold_up_the_run(
     }
     assert set(open_results(tmp_path / "out").children) == {"good"}
     assert "Traceback" not in capfd.readouterr().err
+
+
+AT_ONCE = {
+    "raises_at_once": "It raised ZeroDivisionError: no light at all.",
+    "nan_at_once": "The function is NaN or infinite at 28 of 28 points",
+    "leaves_at_once": "It raised SystemExit: 3.",
+    "interrupts_at_once": "It raised KeyboardInterrupt.",
+    "hangs_at_once": "The function gave no values at its first few points within 0.3 s.",
+}
+
+
+def test_integrands_that_fail_while_the_study_is_planned_fail_their_cells_only(
+    misbehaving, tmp_path, monkeypatch
+):
+    (misbehaving / "hang").touch()
+    monkeypatch.setattr(foreign_code, "_PATIENCE", 0.3)
+    text, trust = _functions("good", *AT_ONCE)
+    study = decode_study(text)
+    with pytest.raises(CellFailed, match="5 of 6 cells failed") as caught:
+        run_study(study, tmp_path / "out", trust=trust, workers=2)
+    assert list(caught.value.failures) == [_path(name) for name in AT_ONCE]
+    for name, sentence in AT_ONCE.items():
+        assert caught.value.failures[_path(name)].startswith(sentence)
+    assert set(open_results(tmp_path / "out").children) == {"good"}
+    with pytest.raises(CellFailed) as again:
+        run_study(study, tmp_path / "out", trust=trust, resume=True, engine=_no_engine)
+    assert again.value.failures == caught.value.failures
+    (misbehaving / "hang").unlink()  # nothing else has changed: now it answers
+    with pytest.raises(CellFailed, match="4 of 6 cells failed"):
+        run_study(study, tmp_path / "out", trust=trust, resume=True, retry=True, workers=1)
+    assert set(open_results(tmp_path / "out").children) == {"good", "hangs-at-once"}
 
 
 def _no_engine(text):

@@ -13,11 +13,11 @@ import mcspectra as mcs
 from mcspectra.core.errors import ConfigError, FileFormatError, ParameterError, StoreError
 from mcspectra.core.staged import Run
 from mcspectra.studies.config import decode_study
+from mcspectra.studies.foreign_code import explain
 from mcspectra.studies.tasks import (
     StudyText,
     analysis_of,
     compute_task,
-    explain,
     pack_payload,
     task_of,
     unpack_payload,

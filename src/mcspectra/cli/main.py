@@ -137,6 +137,9 @@ _FAILED_RUNS = ("CellFailed", "ClusterLost", "EngineFailed", "StorageError")
 """Errors that are nobody's input."""
 
 
+_LONGEST = 1000  # characters of an unexpected error's own text
+
+
 def _explain(error: Exception) -> int:
     """Print one sentence; 2 for what the user can mend, 1 for the rest."""
     from mcspectra.core.errors import McspectraError
@@ -153,7 +156,7 @@ def _explain(error: Exception) -> int:
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
         print(f"mcspectra: The output cannot be written: {error.strerror}.", file=sys.stderr)
         return 1
-    text = " ".join(str(error).split()) or "no message"
+    text = " ".join(str(error)[:_LONGEST].split()) or "no message"
     print(
         f"mcspectra: Unexpected {type(error).__name__}: {text}; run again with --debug for details.",
         file=sys.stderr,

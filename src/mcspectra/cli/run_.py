@@ -186,8 +186,10 @@ def estimate_text(estimates: Sequence[CellEstimate], wall: float, workers: int) 
     memory = shown_bytes(sum(sorted((each.memory for each in estimates), reverse=True)[:workers]))
     tasks = sum(each.tasks for each in estimates)
     storage = shown_bytes(sum(each.storage for each in estimates))
+    failing = {each.estimator: each.error for each in estimates if each.error is not None}
+    known = "".join(f"estimator {name!r} will fail: {error}\n" for name, error in failing.items())
     return (
-        f"{table}\n\nabout {wall:.3g} s with {workers} workers; {tasks} tasks, {memory} of memory "
+        f"{table}\n\n{known}about {wall:.3g} s with {workers} workers; {tasks} tasks, {memory} of memory "
         f"at most, {storage} of storage"
     )
 

@@ -35,7 +35,7 @@ from mcspectra.variance.fit import check_window
 from mcspectra.variance.stopping import check_relative_error
 from mcspectra.variance.views import check_terms
 
-__all__ = ["Asked", "asked_analyses", "asked_map"]
+__all__ = ["Asked", "asked_analyses", "asked_map", "asked_names"]
 
 _REMEDY_STEPS = 5
 _REMEDIES = 20  # changes that are tried, about
@@ -73,11 +73,16 @@ def asked_analyses(
         An analysis needs more memory than there is.
     """
     pair = _Pair(entry.name, estimator, sampler)
-    for name in ANALYSIS_TABLES:
-        own = getattr(entry, name)
-        settings = own if own is not None else getattr(config, name)
-        if settings is not None:
-            yield from _CHECKS[name](pair, settings)
+    for name, settings in _settings(config, entry):
+        yield from _CHECKS[name](pair, settings)
+
+
+def asked_names(config: StudyConfig, entry: EstimatorConfig) -> Iterator[tuple[str, Settings]]:
+    """Yield the names of an estimator's analyses, in the order of `asked_analyses`: unchecked."""
+    for name, settings in _settings(config, entry):
+        yield name, settings
+        if name == "spectrum":
+            yield "points", settings
 
 
 def asked_map(entry: MapConfig, sampler: Sampler) -> Asked:
@@ -89,6 +94,15 @@ def asked_map(entry: MapConfig, sampler: Sampler) -> Asked:
     width, height = (entry.crop[2:] if entry.crop else entry.size) or (256, 256)
     cost = float(width * height * sum(entry.counts) * entry.realizations * 4)
     return Asked("map", entry, cost, memory_of(max(entry.counts), entry.dims, 2, width * height))
+
+
+def _settings(config: StudyConfig, entry: EstimatorConfig) -> Iterator[tuple[str, Settings]]:
+    """Tables of an estimator's analyses: its own, or the study's."""
+    for name in ANALYSIS_TABLES:
+        own = getattr(entry, name)
+        settings = own if own is not None else getattr(config, name)
+        if settings is not None:
+            yield name, settings
 
 
 @final

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 from mcspectra.densities import DENSITIES
@@ -16,6 +17,7 @@ from mcspectra.estimators import (
 )
 from mcspectra.integrands import INTEGRANDS, Integrand
 from mcspectra.integrands.smoothing import smoothed
+from mcspectra.studies.foreign_code import probed
 from mcspectra.studies.tables import EstimatorConfig
 from mcspectra.studies.trust import Site
 
@@ -27,6 +29,8 @@ def build_estimator(entry: EstimatorConfig, site: Site) -> AbstractEstimator:
 
     Raises
     ------
+    FunctionFailed
+        A Python function fails at its first points.
     McspectraError
         A spec cannot be read or a component cannot be made of it.
     """
@@ -73,7 +77,8 @@ def _several(entry: EstimatorConfig, f: Integrand, densities: list[Any]) -> Abst
 
 
 def _integrand(text: str, entry: EstimatorConfig, site: Site) -> Integrand:
-    f: Integrand = site.component(INTEGRANDS, text, entry.dims, Integrand.from_function)
+    wrap = functools.partial(probed, limit=site.limit)
+    f: Integrand = site.component(INTEGRANDS, text, entry.dims, wrap)
     return f
 
 

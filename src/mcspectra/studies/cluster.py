@@ -26,8 +26,9 @@ from mcspectra.studies.connection import (
     killed_worker,
 )
 from mcspectra.studies.engines import Outcome, attempt
+from mcspectra.studies.foreign_code import explain
 from mcspectra.studies.remote import Compute, WorkerRefused, compute_remotely
-from mcspectra.studies.tasks import StudyText, Task, explain
+from mcspectra.studies.tasks import StudyText, Task
 
 __all__ = ["ClusterError", "ClusterLost", "ClusterOptions", "DaskEngine"]
 

@@ -16,7 +16,8 @@ from typing import Protocol, final
 
 import msgspec
 
-from mcspectra.studies.tasks import StudyText, Task, compute_task, explain
+from mcspectra.studies.foreign_code import explain
+from mcspectra.studies.tasks import StudyText, Task, compute_task
 
 __all__ = ["Engine", "LocalEngine", "Outcome", "attempt"]
 

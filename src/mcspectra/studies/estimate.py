@@ -7,6 +7,8 @@ realisations, are scaled by their cost from those that were.
 
 from __future__ import annotations
 
+import contextlib
+import math
 import statistics
 import time
 from collections.abc import Sequence
@@ -15,9 +17,11 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from mcspectra.core.errors import McspectraError
-from mcspectra.studies.cells import compute_cell
+from mcspectra.core.staged import Whole
+from mcspectra.studies.cells import compute_cell, staged_cell
+from mcspectra.studies.foreign_code import TookTooLong, within
 from mcspectra.studies.plan import Cell, Plan
+from mcspectra.studies.scheduling import task_seconds
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -26,13 +30,22 @@ __all__ = ["CellEstimate", "estimate_study", "wall_time"]
 
 _FEW, _MORE = 4, 36
 _TRIED = ("convergence", "terms", "techniques", "spectrum", "pcf", "anova")
+_PATIENCE = 20.0  # seconds that a try may take beyond its time, as for the compilation of a kernel
 _NOMINAL = 1e-7  # seconds for a unit of cost, where nothing was tried
 _ARRAY_BYTES = 1500  # of metadata for every stored array
 _CELL_BYTES = 30_000  # of a cell whose size is not known from a try
 
 
 class CellEstimate(msgspec.Struct, frozen=True, kw_only=True):
-    """Estimated seconds, bytes of memory and of storage of a cell; whether it was tried."""
+    """Estimated seconds, bytes of memory and of storage of a cell; whether it was tried.
+
+    Attributes
+    ----------
+    tasks
+        Into how many tasks it will be cut, about: chunks of about a second, of the shortest cells one.
+    error
+        Why it will fail, if that is known already.
+    """
 
     path: str
     estimator: str
@@ -43,6 +56,7 @@ class CellEstimate(msgspec.Struct, frozen=True, kw_only=True):
     storage: int
     tried: bool
     tasks: int = 1
+    error: str | None = None
 
 
 def estimate_study(plan: Plan, *, probe_seconds: float = 10.0) -> list[CellEstimate]:
@@ -72,7 +86,8 @@ def estimate_study(plan: Plan, *, probe_seconds: float = 10.0) -> list[CellEstim
     known = [(cell, *measured[cell.path]) for cell in plan.cells if cell.path in measured]
     paces = _medians([(cell.analysis, seconds / cell.cost) for cell, seconds, _ in known])
     sizes = _medians([(cell.analysis, size) for cell, _, size in known])
-    return [_estimate(cell, measured.get(cell.path), paces, sizes) for cell in plan.cells]
+    estimates = [_estimate(cell, measured.get(cell.path), paces, sizes) for cell in plan.cells]
+    return _with_tasks(plan, estimates)
 
 
 def wall_time(estimates: Sequence[CellEstimate], workers: int) -> float:
@@ -87,7 +102,7 @@ def _spread(cells: Sequence[Cell]) -> list[Cell]:
     first: list[Cell] = []
     later: list[Cell] = []
     for cell in cells:
-        if cell.analysis in _TRIED:
+        if cell.analysis in _TRIED and cell.error is None:
             kind = (cell.estimator_name, cell.analysis)
             (later if kind in seen else first).append(cell)
             seen.add(kind)
@@ -100,13 +115,20 @@ def _tried(cell: Cell, seed: int, left: float) -> tuple[float, int] | None:
     realizations = settings.realizations
     if cell.cost / realizations * _FEW * _NOMINAL > left:
         return None
+    with contextlib.suppress(TookTooLong):
+        return within(left + _PATIENCE, lambda: _measured(cell, realizations, seed, left))
+    return None
+
+
+def _measured(cell: Cell, realizations: int, seed: int, left: float) -> tuple[float, int] | None:
+    """Seconds of all realisations and bytes of storage; None if the estimator fails."""
     try:
         first, result = _timed(cell, min(_FEW, realizations), seed)  # pays what is paid once
         few, _ = _timed(cell, min(_FEW, realizations), seed)
         if few * _MORE / _FEW > 0.1 * left:
             return first + few * realizations / _FEW, _storage(result)
         more, _ = _timed(cell, min(_MORE, realizations), seed)
-    except (McspectraError, MemoryError):
+    except BaseException:  # noqa: BLE001 - whatever the code of others does
         return None
     each = max(0.0, more - few) / (_MORE - _FEW)
     return more + each * max(0, realizations - _MORE), _storage(result)
@@ -152,4 +174,27 @@ def _estimate(
         memory=cell.memory,
         storage=int(storage) if found is None else found[1],
         tried=found is not None,
+        error=cell.error,
     )
+
+
+def _with_tasks(plan: Plan, estimates: Sequence[CellEstimate]) -> list[CellEstimate]:
+    """Estimates with numbers of tasks, where an analysis can be cut and takes longer than a task."""
+    target = task_seconds(plan.config.time_limit)
+    cut: dict[str, bool] = {}
+    found = []
+    for cell, each in zip(plan.cells, estimates, strict=True):
+        if each.seconds > target and cell.error is None:
+            if cell.analysis not in cut:
+                cut[cell.analysis] = _can_be_cut(cell, plan.config.seed)
+            tasks = math.ceil(each.seconds / target) if cut[cell.analysis] else 1
+            each = msgspec.structs.replace(each, tasks=tasks)
+        found.append(each)
+    return found
+
+
+def _can_be_cut(cell: Cell, seed: int) -> bool:
+    try:
+        return not isinstance(staged_cell(cell, seed), Whole)
+    except Exception:  # noqa: BLE001 - then it fails in the run too, as one task
+        return False

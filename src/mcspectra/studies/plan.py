@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,8 +13,9 @@ import msgspec
 from mcspectra.core.errors import ConfigError, McspectraError
 from mcspectra.estimators import AbstractEstimator
 from mcspectra.samplers import Sampler, sampler_from_calls
-from mcspectra.studies.analyses import Asked, asked_analyses, asked_map
+from mcspectra.studies.analyses import Asked, asked_analyses, asked_map, asked_names
 from mcspectra.studies.building import build_estimator
+from mcspectra.studies.foreign_code import FunctionFailed
 from mcspectra.studies.sizes import MOST_EVALUATIONS
 from mcspectra.studies.tables import (
     EstimatorConfig,
@@ -45,6 +47,9 @@ class Cell:
         Work in arbitrary units, about proportional to time; for scheduling and progress.
     memory
         Bytes it takes at most, estimated.
+    error
+        Why it fails before it has begun, as when its integrand raises at the first points; None if
+        it can be tried.
     """
 
     path: str
@@ -56,6 +61,7 @@ class Cell:
     settings: Settings
     cost: float
     memory: int = 0
+    error: str | None = None
 
 
 @dataclass(frozen=True)
@@ -88,7 +94,7 @@ def make_plan(
         A component cannot be built, a sampler cannot do a count, a file or a function is not one
         that the study may reach, or the study is too large; names the estimator.
     """
-    site = Site(folder, trust or Trust())
+    site = Site(folder, trust or Trust(), config.time_limit)
     _check_number(config)
     cells: list[Cell] = []
     slugs = _Slugs()
@@ -117,7 +123,11 @@ def _cells(
         entry = msgspec.structs.replace(entry, scene=site.scene(entry.scene))
         dims = entry.dims
     else:
-        estimator = build_estimator(entry, site)
+        try:
+            estimator = build_estimator(entry, site)
+        except FunctionFailed as failure:
+            yield from _failed_cells(config, entry, site, parent, str(failure))
+            return
         dims = estimator.dims
     inner = _Slugs()
     specs: dict[str, str] = {}
@@ -127,6 +137,20 @@ def _cells(
         path = f"{parent}/{inner(text)}"
         for asked in _asked(config, entry, estimator, sampler):
             yield _cell(asked, path, entry.name, text, estimator, sampler)
+
+
+def _failed_cells(
+    config: StudyConfig, entry: EstimatorConfig, site: Site, parent: str, error: str
+) -> Iterator[Cell]:
+    """Cells of an estimator whose integrand fails at its first points: they fail, and no others."""
+    inner = _Slugs()
+    for text in samplers_of(config, entry):
+        sampler = sampler_from_calls(site.calls(text), 2 if entry.dims is None else entry.dims)
+        path = f"{parent}/{inner(text)}"
+        for name, settings in asked_names(config, entry):
+            asked = Asked(name, settings, 0.0, 0)
+            cell = _cell(asked, path, entry.name, text, None, sampler)
+            yield dataclasses.replace(cell, error=error)
 
 
 def _asked(

@@ -23,7 +23,8 @@ import msgspec
 from mcspectra.core.checks import as_real
 from mcspectra.core.errors import McspectraError
 from mcspectra.studies.engines import Outcome, attempt
-from mcspectra.studies.tasks import StudyText, Task, explain, prepare
+from mcspectra.studies.foreign_code import explain
+from mcspectra.studies.tasks import StudyText, Task, prepare
 
 __all__ = ["EngineFailed", "ProcessEngine", "check_time_limit"]
 
@@ -224,7 +225,7 @@ def _serve(pipe: Connection, encoded: bytes) -> None:
         text = msgspec.json.decode(encoded, type=StudyText)
         prepare(text)
         _warm_up()
-    except Exception as error:  # noqa: BLE001 - whatever the code of others does
+    except BaseException as error:  # noqa: BLE001 - whatever the code of others does
         pipe.send_bytes(explain(error).encode())
         return
     pipe.send_bytes(b"")

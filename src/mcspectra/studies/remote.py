@@ -6,16 +6,16 @@ without having been told about the study.
 
 from __future__ import annotations
 
-import concurrent.futures
+import contextlib
 import functools
 import socket
-import threading
 import time
 from collections.abc import Callable
 from typing import TypeAlias
 
 from mcspectra.core.errors import McspectraError
 from mcspectra.studies.engines import Outcome
+from mcspectra.studies.foreign_code import TookTooLong, within
 from mcspectra.studies.tasks import StudyText, Task
 from mcspectra.version import __version__
 
@@ -64,24 +64,8 @@ def compute_remotely(
     if time_limit is None:
         return compute(text, task), False
     start = time.perf_counter()
-    outcome = _within(time_limit, functools.partial(compute, text, task))
-    if outcome is not None:
-        return outcome, False
+    with contextlib.suppress(TookTooLong):
+        return within(time_limit, functools.partial(compute, text, task)), False
     error = f"It was stopped after {time_limit:g} s, the time limit of a task."
     seconds = time.perf_counter() - start
     return Outcome(key=task.key, error=error, seconds=seconds, host=socket.gethostname()), True
-
-
-def _within(seconds: float, job: Callable[[], Outcome]) -> Outcome | None:
-    """Outcome of a job in a thread of its own, which is left behind when the time is over."""
-    outcome: concurrent.futures.Future[Outcome] = concurrent.futures.Future()
-
-    def run() -> None:
-        try:
-            outcome.set_result(job())
-        except BaseException as error:  # noqa: BLE001 - raised again where it is waited for
-            outcome.set_exception(error)
-
-    threading.Thread(target=run, daemon=True).start()
-    done, _ = concurrent.futures.wait([outcome], seconds)
-    return outcome.result() if done else None

@@ -21,7 +21,7 @@ from mcspectra.studies.lock import FolderLock
 from mcspectra.studies.places import output_folder
 from mcspectra.studies.plan import Cell, Plan, make_plan
 from mcspectra.studies.processes import ProcessEngine, check_time_limit
-from mcspectra.studies.scheduling import Pace, Recorded, Schedule, Settled
+from mcspectra.studies.scheduling import Pace, Recorded, Schedule, Settled, task_seconds
 from mcspectra.studies.store import Store, config_hash
 from mcspectra.studies.tasks import StudyText, analysis_of, keep_plan, unpack_payload
 from mcspectra.studies.trust import Trust
@@ -35,7 +35,6 @@ MakeEngine = Callable[[StudyText], Engine]
 _AHEAD = 2  # tasks under way for each worker: one that it computes, one that waits
 _NAMED = 5  # in a warning
 _TARGET = 1.0  # seconds of a task
-_OF_LIMIT = 0.2  # and at most this part of the time limit
 
 
 @dataclass(frozen=True)
@@ -136,7 +135,7 @@ def run_study(
             run = _StudyRun(plan, text, store, journal, report)
             run.begin(retry=retry)
             _warn_of_damage(store, journal)
-            pace = Pace(_TARGET if limit is None else min(_TARGET, _OF_LIMIT * limit))
+            pace = Pace(task_seconds(limit, _TARGET))
             try:
                 run.compute(make, pace)
             finally:

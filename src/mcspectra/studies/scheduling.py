@@ -18,18 +18,25 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar, final
 from mcspectra.core.checks import Array
 from mcspectra.core.staged import Chunk, MergeTree, Run, Staged, Whole
 from mcspectra.studies.engines import Outcome
+from mcspectra.studies.foreign_code import explain
 from mcspectra.studies.plan import Cell
-from mcspectra.studies.tasks import WHOLE, Task, explain, task_of, unpack_payload
+from mcspectra.studies.tasks import WHOLE, Task, task_of, unpack_payload
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Pace", "PartialRun", "Recorded", "Schedule", "Settled"]
+__all__ = ["Pace", "PartialRun", "Recorded", "Schedule", "Settled", "task_seconds"]
 
 State = TypeVar("State")
 _TARGET = 1.0  # seconds of a chunk
+_OF_LIMIT = 0.2  # and at most this part of the time limit
 _SAMPLES = 9  # latest measurements that the pace of an analysis is the median of
 _INSTANT = 1e-9  # seconds: what takes less counts as this
+
+
+def task_seconds(limit: float | None, target: float = _TARGET) -> float:
+    """Seconds that a task should take, with a time limit in seconds or without."""
+    return target if limit is None else min(target, _OF_LIMIT * limit)
 
 
 @final
@@ -352,6 +359,9 @@ class Schedule:
             yield self._settled.popleft()
 
     def _begin(self, cell: Cell) -> None:
+        if cell.error is not None:
+            self._settle(cell, error=cell.error)
+            return
         try:
             active = _Active(cell, self._source, self._recorded.get(cell.path, ()), self._pace)
         except Exception as error:  # noqa: BLE001 - of the estimator, in what comes before the first realisation

@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import FileFormatError, McspectraError, StoreError
+from mcspectra.core.errors import FileFormatError, StoreError
 from mcspectra.core.staged import Chunk, Run, Staged, Whole, compute, compute_chunk
 from mcspectra.studies.cells import staged_cell
 from mcspectra.studies.plan import Cell, Plan, make_plan
@@ -33,7 +33,6 @@ __all__ = [
     "Task",
     "analysis_of",
     "compute_task",
-    "explain",
     "keep_plan",
     "pack_payload",
     "prepare",
@@ -46,7 +45,6 @@ WHOLE = -1
 
 _PLANS = 2  # kept in a process: the one that runs, and one that has just ended
 _ANALYSES = 32  # kept in a process; those under way are few
-_LONGEST = 500  # characters of an exception's own text in a message
 
 
 class Task(msgspec.Struct, frozen=True, kw_only=True):
@@ -219,31 +217,12 @@ def compute_task(text: StudyText, task: Task) -> bytes:
     Raises
     ------
     Exception
-        Whatever the estimator raises: `explain` makes a sentence of it.
+        Whatever the estimator raises: `mcspectra.studies.foreign_code.explain` makes a sentence of it.
     """
     analysis = analysis_of(text, task.path)
     if task.run_part == WHOLE:
         analysis = Whole(functools.partial(compute, analysis, 1))
     return pack_payload(analysis.pack(compute_chunk(analysis, task.run, task.chunk)))
-
-
-def explain(error: BaseException) -> str:
-    """One sentence about why a task failed, which names exceptions that are not this package's."""
-    text = _text_of(error)
-    if isinstance(error, McspectraError) and text:
-        return text
-    reason = f": {text.rstrip('.')}" if text else ""
-    return f"It raised {type(error).__name__}{reason}."
-
-
-def _text_of(error: BaseException) -> str:
-    """An exception's own words as one line that a terminal can show; whoever wrote it, it is short."""
-    try:
-        words = str(error)
-    except BaseException:  # noqa: BLE001 - whatever the code of others does
-        return ""
-    text = " ".join("".join(c if c.isprintable() else " " for c in words[: 2 * _LONGEST]).split())
-    return f"{text[:_LONGEST]} …" if len(words) > 2 * _LONGEST or len(text) > _LONGEST else text
 
 
 def pack_payload(arrays: Mapping[str, Array]) -> bytes:

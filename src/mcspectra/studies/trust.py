@@ -16,6 +16,7 @@ from typing import Any, final
 from mcspectra.core.errors import ConfigError, McspectraError
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import Call, parse_chain
+from mcspectra.studies.foreign_code import explain
 
 __all__ = ["Site", "Trust"]
 
@@ -55,10 +56,17 @@ class Trust:
 @final
 @dataclass(frozen=True)
 class Site:
-    """The folder that a study's relative paths start from, and how far it is trusted."""
+    """The folder that a study's relative paths start from, and how far it is trusted.
+
+    Attributes
+    ----------
+    limit
+        Seconds that the study gives a task, if it does: a function's first values take no longer.
+    """
 
     folder: Path
     trust: Trust = Trust()
+    limit: float | None = None
 
     def calls(self, text: str) -> list[Call]:
         """Parse a spec; paths in it start at the folder, in specs inside specs too.
@@ -117,9 +125,12 @@ class Site:
         module, _, attribute = name.partition(":")
         try:
             found = getattr(importlib.import_module(module), attribute)
-        except Exception as error:  # whatever the code of others does
-            reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-            raise ConfigError(f"The function {name!r} cannot be imported: {reason}.") from error
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # whatever the code of others does
+            raise ConfigError(
+                f"The function {name!r} cannot be imported: {explain(error)}"
+            ) from error
         if not callable(found):
             raise ConfigError(f"{name!r} is {found!r}, not a function.")
         return found  # type: ignore[no-any-return]
