@@ -71,7 +71,7 @@ class _Renders:
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Render the scene by each strategy at 4 samples a pixel, several times, against a reference."""
-    renders = _render(168, 128, 8, seed) if quick else _render(384, 1024, 24, seed)
+    renders = _render(168, 128, 8, seed) if quick else _render(288, 1024, 12, seed)
     findings = (
         *(_region(renders, *case) for case in _CASES),
         _whole(renders),
