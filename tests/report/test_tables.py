@@ -110,6 +110,14 @@ def test_terms__only_where_analysed_and_channels_named() -> None:
     assert terms_table([channel]).rows[0][0].text == "s, channel 2"
 
 
+def test_summary__a_term_that_takes_away_is_no_bottleneck() -> None:
+    row = msgspec.structs.replace(FULL, dc=1e-6, power=2e-6, cross=-9e-6, largest_term="cross")
+    assert summary_table([row], bottlenecks=[""]).rows[0][5].text == "power 2.00×10⁻⁶"
+    assert summary_table([row]).rows[0][5].text == "cross −9.00×10⁻⁶"
+    negative = msgspec.structs.replace(row, dc=0.0, power=0.0)
+    assert summary_table([negative], bottlenecks=[""]).rows[0][5].text == "cross −9.00×10⁻⁶"
+
+
 def test_summary__links_orders_and_bottlenecks() -> None:
     table = summary_table([FULL, FULL], links=["#a", "#b"], bottlenecks=["light", ""])
     assert table.columns[5] == "Bottleneck"

@@ -113,7 +113,7 @@ def write_comparison(first: str | Path, second: str | Path, out: str | Path | No
     curves = [_curves(tree) for tree in trees]
     page = Path(second) / COMPARISON_NAME if out is None else Path(out)
     with writing(page):
-        replace_page(page, _page([str(first), str(second)], trees, curves))
+        replace_page(page, _page([Path(first), Path(second)], trees, curves))
     return page
 
 
@@ -126,16 +126,16 @@ def _curves(tree: xr.DataTree) -> Curves:
     }
 
 
-def _page(names: list[str], trees: list[xr.DataTree], curves: list[Curves]) -> str:
+def _page(folders: list[Path], trees: list[xr.DataTree], curves: list[Curves]) -> str:
     both = [pair for pair in curves[0] if pair in curves[1]]
     titles = [str((tree.attrs.get("study") or {}).get("title", "Results")) for tree in trees]
     return page_template("compare.html.j2").render(
         titles=titles,
-        folders=names,
+        folders=[str(folder) for folder in folders],
         table=_table(both, *curves) if both else None,
         pictures=list(_pictures(both, *curves)),
         only=[[pair for pair in mine if pair not in both] for mine in curves],
-        origins=[provenance(tree) for tree in trees],
+        origins=[provenance(*each) for each in zip(trees, folders, strict=True)],
         bokeh=bokeh_script() if both else "",
     )
 

@@ -1,4 +1,4 @@
-"""Plots as text inside a page: bokeh's script once, each plot as packed JSON."""
+"""Plots as text inside a page: bokeh's script once, each plot as JSON, all of it packed."""
 
 from __future__ import annotations
 
@@ -10,20 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from bokeh.models import LayoutDOM
-    from markupsafe import Markup
 
 __all__ = ["bokeh_script", "packed_plot"]
 
 
 @cache
-def bokeh_script() -> Markup:
-    """Return bokeh's own script, without widgets, tables and WebGL, for a page to hold once."""
+def bokeh_script() -> str:
+    """Return bokeh's own script, without widgets, tables and WebGL, gzipped, in base 64."""
     from bokeh.resources import Resources
-    from markupsafe import Markup
 
     script = Resources(mode="inline", components=["bokeh"], log_level="error").js_raw
-    # A script element ends at the first such mark, even inside a string.
-    return Markup("\n".join(script).replace("</script", r"<\/script"))
+    return _packed("\n".join(script))
 
 
 def packed_plot(plot: LayoutDOM) -> str:
@@ -40,6 +37,10 @@ def packed_plot(plot: LayoutDOM) -> str:
     document = _renumbered(item["doc"], numbers)
     kept = {"root_id": numbers[item["root_id"]], "doc": document, "version": item["version"]}
     text = json.dumps({"target_id": None, **kept}, ensure_ascii=False, separators=(",", ":"))
+    return _packed(text)
+
+
+def _packed(text: str) -> str:
     return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode("ascii")
 
 

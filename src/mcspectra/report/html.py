@@ -17,6 +17,7 @@ from mcspectra.report.style import sampler_styles
 from mcspectra.report.tables import Table, summary_table
 from mcspectra.studies import SummaryRow, open_results
 from mcspectra.studies.links import check_folder_links
+from mcspectra.studies.manifest import read_manifest
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -74,7 +75,7 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
             section_of(group, anchor, styles, figures)
             for group, anchor in zip(groups, _anchors(groups), strict=True)
         ]
-        replace_page(page, _page(tree, groups, sections))
+        replace_page(page, _page(tree, root, groups, sections))
     return page
 
 
@@ -114,7 +115,12 @@ def _anchors(groups: Sequence[EstimatorGroup]) -> list[str]:
     return anchors
 
 
-def _page(tree: xr.DataTree, groups: Sequence[EstimatorGroup], sections: Sequence[Section]) -> str:
+def _page(
+    tree: xr.DataTree,
+    root: Path,
+    groups: Sequence[EstimatorGroup],
+    sections: Sequence[Section],
+) -> str:
     study = tree.attrs.get("study") or {}
     live = any(image.plot for section in sections for image in section.images)
     return page_template("template.html.j2").render(
@@ -124,7 +130,7 @@ def _page(tree: xr.DataTree, groups: Sequence[EstimatorGroup], sections: Sequenc
         sections=sections,
         bokeh=bokeh_script() if live else "",
         study=study_toml(study),
-        **provenance(tree),
+        **provenance(tree, root),
     )
 
 
@@ -147,18 +153,27 @@ def _bottleneck(pair: Pair) -> str:
     return "" if found is None else str(found.attrs.get("bottleneck") or "")
 
 
-def provenance(tree: xr.DataTree) -> dict[str, Any]:
-    """Where results come from: seed, hash of the study, machine and versions."""
+def provenance(tree: xr.DataTree, root: Path) -> dict[str, Any]:
+    """Where the results in `root` come from: seed, hash of the study, machines and versions."""
     return {
         "seed": (tree.attrs.get("study") or {}).get("seed", "unknown"),
         "study_hash": tree.attrs.get("study_hash", "unknown"),
-        "host": tree.attrs.get("host", ""),
+        "hosts": ", ".join(_hosts(root)),
         "versions": {
             str(key).removeprefix("version_"): value
             for key, value in sorted(tree.attrs.items())
             if str(key).startswith("version_")
         },
     }
+
+
+def _hosts(root: Path) -> list[str]:
+    """Machines that began the study or went on with it, as the manifest has them."""
+    manifest = read_manifest(root)
+    if manifest is None:
+        return []
+    study = [] if manifest.study is None else [manifest.study.host]
+    return list(dict.fromkeys([*study, *(state.host for state in manifest.states)]))
 
 
 def page_template(name: str) -> Template:

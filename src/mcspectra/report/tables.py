@@ -23,7 +23,7 @@ _NO_TERMS = "the terms were not analysed"
 _NO_RATE = "fewer than two counts have a variance above rounding noise"
 _BOTTLENECK = (
     " The bottleneck is the technique with the slowest rate where techniques were analysed, else the "
-    "largest of the three terms."
+    "term that adds most."
 )
 _NO_NUMBER = "there is no finite number"
 
@@ -71,7 +71,8 @@ def summary_table(
     bottlenecks
         The technique that sets each row's rate; where it is empty, the largest term stands for it.
     """
-    extra = zip(links or [""] * len(rows), bottlenecks or [""] * len(rows), strict=True)
+    limits: Sequence[str | None] = [None] * len(rows) if bottlenecks is None else bottlenecks
+    extra = zip(links or [""] * len(rows), limits, strict=True)
     return Table(
         caption="Rates are exponents of variance in n (random sampling: −1), ± half their 95 % "
         "interval. Predicted / measured is the share of the variance that the truncated spectrum "
@@ -111,7 +112,8 @@ def terms_table(rows: Sequence[SummaryRow]) -> Table:
     )
 
 
-def _summary_cells(row: SummaryRow, link: str, bottleneck: str) -> tuple[Cell, ...]:
+def _summary_cells(row: SummaryRow, link: str, bottleneck: str | None) -> tuple[Cell, ...]:
+    term = _largest(row) if bottleneck is None else bottleneck or _costliest(row)
     no_rate = _NO_CURVE if row.n is None else _NO_RATE
     variance = number(row.variance)
     at = f" (n = {row.n})" if row.n is not None and variance != MISSING else ""
@@ -122,7 +124,7 @@ def _summary_cells(row: SummaryRow, link: str, bottleneck: str) -> tuple[Cell, .
         _cell(slope, no_rate, row.rate),
         _cell(variance + at, _NO_CURVE if row.n is None else _NO_NUMBER, row.variance),
         _cell(_captured(row), _no_term(row), row.captured),
-        _cell(bottleneck or _largest(row), _no_term(row)),
+        _cell(term, _no_term(row)),
         Cell(text=row.note or "", numeric=False),
     )
 
@@ -166,6 +168,16 @@ def _largest(row: SummaryRow) -> str:
         return MISSING
     values = {"dc": row.dc, "power": row.power, "cross": row.cross}
     return f"{row.largest_term} {number(values[row.largest_term])}"
+
+
+def _costliest(row: SummaryRow) -> str:
+    """The term that adds most to the variance: the cross term often takes from it."""
+    values = {"dc": row.dc, "power": row.power, "cross": row.cross}
+    adding = {name: v for name, v in values.items() if v is not None and v > 0}
+    if not adding:
+        return _largest(row)
+    name = max(adding, key=lambda each: adding[each])
+    return f"{name} {number(adding[name])}"
 
 
 def _no_term(row: SummaryRow) -> str:

@@ -17,6 +17,8 @@ from mcspectra.report.interactive.images import (
     PANEL,
     color_bar,
     image,
+    shade_ticks,
+    shades,
     signed_mapper,
 )
 from mcspectra.report.interactive.signed import SignedScale, signed_scale
@@ -68,15 +70,15 @@ def _band_map(name: str, data: xr.Dataset, matrix: Array, scale: SignedScale) ->
     for axis in (plot.xaxis, plot.yaxis):
         set_ticks(axis, {float(b): names[b] for b in bands[::stride]})
     own, through = band_shares(matrix)
-    mapper = signed_mapper(scale)
-    columns = {"covariance": matrix, "shade": scale.place(matrix)}
+    mapper = signed_mapper()
+    columns = {"covariance": matrix, "shade": shades(scale, matrix)}
     texts = {
         "share of a by itself": [_share(s) for s in own],
         "share of a through others": [_share(s) for s in through],
     }
     image(plot, columns, "shade", [bands, bands], mapper, ("band a", "band b"))
     _band_shares(plot, texts)
-    color_bar(plot, mapper, f"Cov(I_a, I_b){scale.note}", scale.ticks(5))
+    color_bar(plot, mapper, f"Cov(I_a, I_b){scale.note}", shade_ticks(scale, 5))
     return plot
 
 

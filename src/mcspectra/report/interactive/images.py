@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from bokeh.models import ColorMapper
     from bokeh.plotting import figure
 
-__all__ = ["MAP_DECADES", "PANEL", "color_bar", "image", "signed_mapper"]
+__all__ = ["MAP_DECADES", "PANEL", "color_bar", "image", "shade_ticks", "shades", "signed_mapper"]
 
 PANEL = 284
 """Width of a panel in pixels."""
 MAP_DECADES = 3
 """Decades below its largest value that a signed map tells apart."""
 _KEPT_BITS = 10  # of a value's mantissa: it is good to 0.1 %, three digits
-_SHADE_STEP = 2.0**-5  # decades: as many shades as the palette has over seven of them
+_TOP, _NOWHERE = 127, -128  # shades of the largest value, and of what is not finite
 
 
 def image(
@@ -41,7 +41,7 @@ def image(
         title: [np.ascontiguousarray(values.T, dtype=np.float32)]
         for title, values in zip(names, grids, strict=True)
     } | {
-        title: [_stepped(values.T) if title == "shade" else _compact(values.T)]
+        title: [np.ascontiguousarray(values.T) if title == "shade" else _compact(values.T)]
         for title, values in columns.items()
     }
     (x, width), (y, height) = (_edges(each) for each in axes)
@@ -66,24 +66,33 @@ def _compact(values: Array) -> Array:
     return np.asarray(rounded, dtype=np.float32)
 
 
-def _stepped(shades: Array) -> Array:
-    """Places on a signed scale, no finer than the palette; few distinct values take few bytes."""
-    span = float(np.max(np.abs(shades), where=np.isfinite(shades), initial=0.0))
-    # A linear scale has no decades: as many steps for whatever its unit is.
-    step = _SHADE_STEP * 2.0 ** np.ceil(np.log2(span or 1.0) - 2.0)
-    return np.asarray(np.round(shades / step) * step, dtype=np.float32)
+def shades(scale: SignedScale, values: Array) -> Array:
+    """Colours of values, int8: −127 … 127 as `signed_mapper` has them, −128 for no colour."""
+    places = np.rint(_TOP / _end(scale) * scale.place(values))
+    return np.where(np.isfinite(places), places, _NOWHERE).astype(np.int8)
 
 
-def signed_mapper(scale: SignedScale) -> ColorMapper:
-    """Red above zero, blue below, white at zero."""
+def shade_ticks(scale: SignedScale, most: int) -> dict[float, str]:
+    """Texts of the ticks of a colour bar by their shades."""
+    return {_TOP / _end(scale) * place: text for place, text in scale.ticks(most).items()}
+
+
+def signed_mapper() -> ColorMapper:
+    """Red above zero, blue below, white at zero; of `shades`, one colour each."""
     from bokeh.models import LinearColorMapper
     from bokeh.palettes import RdBu11, interp_palette
 
-    top = max(scale.high, -scale.low) or 1.0
-    end = float(scale.place(np.array(top)))
     return LinearColorMapper(
-        palette=interp_palette(RdBu11, 255), low=-end, high=end, nan_color="#808080"
+        palette=interp_palette(RdBu11, 2 * _TOP + 1),
+        low=-_TOP - 0.5,
+        high=_TOP + 0.5,
+        low_color="#808080",
     )
+
+
+def _end(scale: SignedScale) -> float:
+    """Place of the largest size."""
+    return float(scale.place(np.array(max(scale.high, -scale.low) or 1.0)))
 
 
 def color_bar(

@@ -30,6 +30,8 @@ from mcspectra.report.interactive.images import (
     PANEL,
     color_bar,
     image,
+    shade_ticks,
+    shades,
     signed_mapper,
 )
 from mcspectra.report.interactive.signed import SignedScale, signed_scale
@@ -133,15 +135,15 @@ def _power_maps(group: Mapping[str, xr.Dataset]) -> LayoutDOM:
 def _contribution_maps(group: Mapping[str, xr.Dataset]) -> LayoutDOM:
     images = {n: d["contribution"].transpose("m0", "m1").values for n, d in group.items()}
     scale = signed_scale(list(images.values()), MAP_DECADES)
-    mapper = signed_mapper(scale)
+    mapper = signed_mapper()
     plots = []
     for name, values in images.items():
         plot = _square_map(name, group[name])
         axes = [group[name][m].values for m in ("m0", "m1")]
         power = group[name]["power_contribution"].transpose("m0", "m1").values
-        columns = {"contribution": values, "power part": power, "shade": scale.place(values)}
+        columns = {"contribution": values, "power part": power, "shade": shades(scale, values)}
         image(plot, columns, "shade", axes, mapper)
-        color_bar(plot, mapper, f"contribution cₘ{scale.note}", scale.ticks(5))
+        color_bar(plot, mapper, f"contribution cₘ{scale.note}", shade_ticks(scale, 5))
         plots.append(plot)
     return panel_row(plots)
 
