@@ -1,8 +1,8 @@
 """What an exhibit is: figures, a caption and findings, each with a verdict that is computed.
 
 A finding shows its 95 % interval. Its verdict takes a wider one: of `GALLERY_FINDINGS` true statements
-with 95 % intervals five would be taken for wrong by chance, so each is judged at the level of
-Šidák [Sidak1967]_, 0.95^(1/100), 99.95 %, at which all of them hold together with 95 %.
+with 95 % intervals a dozen would be taken for wrong by chance, so each is judged at the level of
+Šidák [Sidak1967]_, 0.95^(1/250), 99.98 %, at which all of them hold together with 95 %.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ __all__ = [
     "verdict_interval",
 ]
 
-GALLERY_FINDINGS = 100
+GALLERY_FINDINGS = 250
 """Number of findings for which the verdicts are made to hold together."""
 
-_VERDICT_Z = 3.4739788691540388  # normal quantile of (1 + 0.95^(1/100)) / 2
+_VERDICT_Z = 3.7125862298839247  # normal quantile of (1 + 0.95^(1/250)) / 2
 
 VERDICT_WIDENING = _VERDICT_Z / CONFIDENCE_Z
 """By what the distance of a 95 % interval's ends is multiplied for a verdict."""
