@@ -5,7 +5,9 @@ import itertools
 import pytest
 
 from mcspectra.core.errors import ConfigError
+from mcspectra.studies.config import decode_study
 from mcspectra.studies.grids import MOST_ENTRIES, expand_grids
+from mcspectra.studies.plan import make_plan
 
 
 def _study(**estimator):
@@ -39,6 +41,72 @@ def test_a_placeholder_alone_is_the_value_itself():
         _study(terms={"n": "{n}", "space": "{s}"}, grid={"n": [4], "s": ["domain"]})
     )
     assert made["estimators"][0]["terms"] == {"n": 4, "space": "domain"}
+
+
+def test_tables_at_the_top_are_repeated_in_the_estimators_that_take_them():
+    table = _study(integrand="f")
+    table["estimators"].append({"name": "b {n}", "terms": {"n": 3}, "integrand": "g(n={n})"})
+    table |= {"terms": {"n": "{n}", "bands": "radial"}, "exact": {"counts": [4]}}
+    made = expand_grids({**table, "grid": {"n": [4, 8]}})
+    assert made["estimators"] == [
+        {"name": "a (n=4)", "integrand": "f", "terms": {"n": 4, "bands": "radial"}},
+        {"name": "a (n=8)", "integrand": "f", "terms": {"n": 8, "bands": "radial"}},
+        {"name": "b 4", "integrand": "g(n=4)", "terms": {"n": 3}},
+        {"name": "b 8", "integrand": "g(n=8)", "terms": {"n": 3}},
+    ]
+    assert "terms" not in made
+    assert made["exact"] == {"counts": [4]}
+    own = _study(integrand="f", grid={"n": [1]}) | {"terms": {"n": "{n}"}}
+    assert [each["terms"] for each in expand_grids(own)["estimators"]] == [{"n": 1}]
+
+
+def test_values_may_be_lists():
+    grid = {"c": [[4, 8, 16], [4, 64]], "k": [[0.1, 0.2]]}
+    table = _study(integrand="f(k={k})", convergence={"counts": "{c}"}, samplers=["x(k={k})"])
+    made = expand_grids({**table, "grid": grid})["estimators"]
+    assert [each["convergence"]["counts"] for each in made] == grid["c"]
+    assert {each["integrand"] for each in made} == {"f(k=[0.1, 0.2])"}
+    assert [each["samplers"] for each in made] == [["x(k=[0.1, 0.2])"]] * 2
+    assert made[0]["name"] == "a (c=[4, 8, 16], k=[0.1, 0.2])"
+
+
+def test_the_list_of_samplers_may_be_a_value():
+    table = _study(integrand="f", samplers="{s}", grid={"s": [["x"], ["x", "y"]]})
+    made = expand_grids(table)["estimators"]
+    assert [each["samplers"] for each in made] == [["x"], ["x", "y"]]
+    top = {**_study(integrand="f"), "samplers": "{s}", "grid": {"s": [["x"], ["x", "y"]]}}
+    top["maps"] = [{"name": "m"}, {"name": "own", "samplers": ["z"]}]
+    made = expand_grids(top)
+    assert [each["samplers"] for each in made["estimators"]] == [["x"], ["x", "y"]]
+    assert [each["samplers"] for each in made["maps"]] == [["x"], ["x", "y"], ["z"]]
+    assert "samplers" not in made
+
+
+def test_what_nobody_takes_stays_for_the_types_of_a_study_to_report():
+    for table in ({"terms": {"n": "{n}"}}, {"samplers": "{s}"}, {"samplers": "{s}", "maps": 3}):
+        assert expand_grids(table) == table
+
+
+def test_a_grid_of_counts_is_a_study_of_as_many_estimators(tmp_path):
+    study = """
+title = "x"
+samplers = ["random"]
+grid = { n = [4, 8], c = [[4, 8], [16]] }
+[terms]
+n = "{n}"
+half_width = 2
+[exact]
+counts = "{c}"
+[[estimators]]
+name = "a"
+integrand = "linear"
+dims = 1
+"""
+    cells = make_plan(decode_study(study), tmp_path).cells
+    found = [(c.estimator_name, getattr(c.settings, "n", None) or c.settings.counts) for c in cells]
+    assert found == [
+        (f"a (n={n}, c={c})", value) for n in (4, 8) for c in ([4, 8], [16]) for value in (n, (*c,))
+    ]
 
 
 def test_samplers_are_repeated_without_estimators():
@@ -92,7 +160,27 @@ def test_the_given_table_is_left_alone():
         (_study(integrand="f(s={s})", grid=3), "give a table of lists"),
         (_study(integrand="f(s={s})", grid={"s": 3}), "give a list of one or more"),
         (_study(integrand="f(s={s})", grid={"s": []}), "give a list of one or more"),
-        (_study(integrand="f(s={s})", grid={"s": [[1]]}), "give numbers or strings"),
+        (_study(integrand="f(s={s})", grid={"s": [{"a": 1}]}), "give numbers, strings, or lists"),
+        (_study(integrand="f(s={s})", grid={"s": [[{}]]}), "give numbers, strings, or lists"),
+        (
+            _study(integrand="f(s={s})", grid={"s": [float("nan")]}),
+            "holds nan; give finite numbers",
+        ),
+        (_study(integrand="f(s={s})", grid={"s": [[1, float("inf")]]}), "holds inf; give finite"),
+        (
+            _study(integrand="f(width={width})", grid={"width": [1], "wdth": [2]}),
+            "nothing uses grid.wdth; .* Did you mean 'width'",
+        ),
+        (
+            {**_study(integrand="f(w={width})"), "grid": {"width": [1], "wdth": [2]}},
+            "nothing uses grid.wdth; .* Did you mean 'width'",
+        ),
+        (
+            {**_study(integrand="f"), "seed": "{s}", "grid": {"s": [1]}},
+            "seed is '{s}', and a study",
+        ),
+        ({**_study(integrand="f"), "terms": {"n": "{n}"}}, "needs a grid"),
+        ({"terms": {"n": "{n}"}, "grid": {"n": [1]}}, "nothing uses grid.n"),
         (_study(integrand="f(s={s})", grid={"s.t": [1]}), "not a name"),
         (_study(integrand="f(s={withd})", grid={"width": [1]}), "Did you mean 'width'"),
         (_study(integrand="f(s={s})"), "needs a grid"),

@@ -122,6 +122,20 @@ def test_placeholders_may_stand_for_numbers():
     assert _complaints(text.replace('"{d}"', '"d"'))
 
 
+def test_placeholders_may_stand_for_lists_and_not_for_what_a_study_has_once():
+    text = STUDY.replace("n = 4", 'n = "{n}"\n[exact]\ncounts = "{c}"')
+    text = text.replace('["random"]', '"{s}"')
+    text += 'grid = { n = [4, 8], c = [[4, 8], [16]], s = [["random"], ["jittered"]] }\n'
+    assert _complaints(text) == []
+    assert len(decode_study(text).estimators) == 8
+    for key in ("seed", "time_limit"):
+        varied = f'{key} = "{{n}}"\n{text}'
+        assert _complaints(varied)
+        with pytest.raises(ConfigError, match=f"{key} is '{{n}}', and a study has one"):
+            decode_study(varied)
+    assert _complaints(f'maps = "{{n}}"\n{text}')
+
+
 def test_schema_says_what_it_is_and_what_keys_mean():
     schema = study_schema()
     assert schema["$id"] == SCHEMA_ID

@@ -1,7 +1,8 @@
 """Grids: ``{placeholders}`` in a study stand for lists of values, and every combination is made.
 
-Estimators, maps and samplers are repeated for each combination of the placeholders in them; a text
-that is nothing but a placeholder becomes the value itself, a number for a number.
+Estimators, maps and samplers are repeated for each combination of the placeholders in them, and in
+the study's tables of analyses that they take; a text that is nothing but a placeholder becomes the
+value itself, a number for a number, a list for a list.
 """
 
 from __future__ import annotations
@@ -9,10 +10,11 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 from mcspectra.core.errors import ConfigError, close_match_hint
+from mcspectra.studies.tables import ANALYSIS_TABLES
 
 __all__ = ["MOST_ENTRIES", "expand_grids"]
 
@@ -21,6 +23,8 @@ MOST_ENTRIES = 100_000
 
 _PLACEHOLDER = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+
+_SINGLE = ("seed", "time_limit")
 
 Values = Mapping[str, list[Any]]
 Choice = Mapping[str, Any]
@@ -33,32 +37,73 @@ def expand_grids(table: dict[str, Any], source: str = "study") -> dict[str, Any]
     ----------
     table
         The study as TOML gives it. A table ``grid`` at the top serves the whole study, one in an
-        estimator that estimator, before the one at the top.
+        estimator that estimator, before the one at the top. A table of an analysis with placeholders
+        at the top goes into each estimator that has none of its own.
     source
         What messages call the study.
 
     Raises
     ------
     ConfigError
-        A grid is no table of lists, a placeholder is not in it or it has one that nothing uses, or
-        there would be more than `MOST_ENTRIES` entries.
+        A grid is no table of lists, a placeholder is not in it, or where there can be one value only,
+        or the grid has one that nothing uses, or there would be more than `MOST_ENTRIES` entries.
     """
     shared = _values(table.get("grid"), f"{source}: grid")
     used: set[str] = set()
-    made = {key: value for key, value in table.items() if key != "grid"}
+    made = _inherited({key: value for key, value in table.items() if key != "grid"})
+    _check_single(made, source)
     for key in ("estimators", "maps"):
         entries = made.get(key)
         if isinstance(entries, list):
             made[key] = _entries(entries, shared, used, f"{source}: {key}")
     if isinstance(made.get("samplers"), list):
         made["samplers"] = _listed(made["samplers"], shared, used, f"{source}: samplers")
-    unused = sorted(set(shared) - used)
-    if unused:
-        raise ConfigError(
-            f"{source}: nothing uses grid.{unused[0]}; write {{{unused[0]}}} where its values go, or "
-            "leave it out."
-        )
+    _check_used(shared, used, source)
     return made
+
+
+def _inherited(table: dict[str, Any]) -> dict[str, Any]:
+    """Move tables of analyses with placeholders into the estimators that have none of their own.
+
+    So too a placeholder in place of the list of samplers, which maps take as well.
+    """
+    asked = {k: v for k, v in table.items() if k in ANALYSIS_TABLES and isinstance(v, dict)}
+    takers = [each for each in _list(table.get("estimators")) if isinstance(each, dict)]
+    moved = {key: value for key, value in asked.items() if takers and any(_placeholders(value))}
+    takers += [each for each in _list(table.get("maps")) if isinstance(each, dict)]
+    samplers = table.get("samplers") if takers else None
+    listed = {"samplers": samplers} if isinstance(samplers, str) and _whole(samplers) else {}
+    kept = {key: value for key, value in table.items() if key not in {**moved, **listed}}
+    for key, given in (("estimators", {**moved, **listed}), ("maps", listed)):
+        if entries := _list(kept.get(key)):
+            kept[key] = [{**given, **each} if isinstance(each, dict) else each for each in entries]
+    return kept
+
+
+def _list(value: Any) -> list[Any]:
+    """A list as it is; nothing of what is none, which the types of a study report."""
+    return value if isinstance(value, list) else []
+
+
+def _check_single(table: dict[str, Any], source: str) -> None:
+    """Refuse placeholders where a study has one value for all of its estimators."""
+    for key in _SINGLE:
+        if any(_placeholders(table.get(key))):
+            raise ConfigError(
+                f"{source}: {key} is {table[key]!r}, and a study has one; take a study for each "
+                f"value, as with --set {key}=..."
+            )
+
+
+def _check_used(values: Values, used: Collection[str], source: str) -> None:
+    for key in values:
+        if key not in used:
+            _, close = close_match_hint(key, used)
+            offer = f" Did you mean {' or '.join(map(repr, close))}?" if close else ""
+            raise ConfigError(
+                f"{source}: nothing uses grid.{key}; write {{{key}}} where its values go, or leave it "
+                f"out.{offer}"
+            )
 
 
 def _entries(entries: list[Any], shared: Values, used: set[str], source: str) -> list[Any]:
@@ -76,24 +121,21 @@ def _entries(entries: list[Any], shared: Values, used: set[str], source: str) ->
 def _expanded(entry: dict[str, Any], shared: Values, used: set[str], source: str) -> Iterator[Any]:
     own = _values(entry.get("grid"), f"{source}.grid")
     values = {**shared, **own}
-    body = {key: value for key, value in entry.items() if key not in ("grid", "samplers")}
+    listed = isinstance(entry.get("samplers"), list)
+    samplers = entry["samplers"] if listed else []
+    apart = ("grid", "samplers") if listed else ("grid",)
+    body = {key: value for key, value in entry.items() if key not in apart}
     keys = _keys_in(body, values, source)
-    samplers = entry.get("samplers")
     sampler_keys = _keys_in(samplers, values, source)
-    for key in own:
-        if key not in keys and key not in sampler_keys:
-            raise ConfigError(f"{source}: nothing uses grid.{key}; leave it out.")
+    _check_used(own, {*keys, *sampler_keys}, source)
     used |= {key for key in (*keys, *sampler_keys) if key not in own}
     for choice in _choices(keys, values, source):
         made = _filled(body, choice)
         if isinstance(body.get("name"), str):
             made["name"] = _name(body["name"], choice)
-        if isinstance(samplers, list):
-            rest = {key: choice.get(key, value) for key, value in values.items()}
-            chosen = {k: v if isinstance(v, list) else [v] for k, v in rest.items()}
+        if listed:
+            chosen = {**values, **{key: [value] for key, value in choice.items()}}
             made["samplers"] = _listed(samplers, chosen, set(), source)
-        elif samplers is not None:
-            made["samplers"] = samplers
         yield made
 
 
@@ -152,10 +194,15 @@ def _filled(value: Any, choice: Choice) -> Any:
         return [_filled(item, choice) for item in value]
     if not isinstance(value, str):
         return value
-    whole = _PLACEHOLDER.fullmatch(value)
+    whole = _whole(value)
     if whole is not None and whole[1] in choice:
         return choice[whole[1]]
     return _PLACEHOLDER.sub(lambda match: str(choice[match[1]]), value)
+
+
+def _whole(text: str) -> re.Match[str] | None:
+    """The placeholder that a text is, and nothing else."""
+    return _PLACEHOLDER.fullmatch(text)
 
 
 def _name(name: str, choice: Choice) -> str:
@@ -178,6 +225,15 @@ def _values(grid: Any, source: str) -> dict[str, list[Any]]:
         if not isinstance(values, list) or not values:
             raise ConfigError(f"{source}.{key} is {values!r}; give a list of one or more values.")
         for value in values:
-            if not isinstance(value, str | int | float | bool):
-                raise ConfigError(f"{source}.{key} holds {value!r}; give numbers or strings.")
+            _check_value(value, f"{source}.{key}")
     return grid
+
+
+def _check_value(value: Any, source: str) -> None:
+    if isinstance(value, list):
+        for item in value:
+            _check_value(item, source)
+    elif not isinstance(value, str | int | float | bool):
+        raise ConfigError(f"{source} holds {value!r}; give numbers, strings, or lists of them.")
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise ConfigError(f"{source} holds {value!r}; give finite numbers.")

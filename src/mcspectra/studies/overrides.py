@@ -73,8 +73,7 @@ def _put(table: dict[str, Any], steps: list[str | int], value: Any, text: str) -
         last = following is None
         if isinstance(step, int):
             if not isinstance(place, list) or step >= len(place):
-                there = f"{len(place)} entries" if isinstance(place, list) else "no list"
-                raise ConfigError(f"--set {text!r}: there is {there} at [{step}]; count from 0.")
+                raise ConfigError(f"--set {text!r}: {_lack(place, step)}; count from 0.")
         elif not isinstance(place, dict):
             raise ConfigError(f"--set {text!r}: there is no table that could hold {step!r}.")
         elif not last and step not in place:
@@ -83,3 +82,11 @@ def _put(table: dict[str, Any], steps: list[str | int], value: Any, text: str) -
             place[step] = value
         else:
             place = place[step]
+
+
+def _lack(place: Any, index: int) -> str:
+    """Why a place has nothing at an index."""
+    if not isinstance(place, list):
+        return f"there is no list that could hold [{index}]"
+    entries = "1 entry" if len(place) == 1 else f"{len(place)} entries"
+    return f"there is no [{index}], the list has {entries}"

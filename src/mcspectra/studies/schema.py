@@ -23,12 +23,13 @@ SCHEMA_ID = "urn:mcspectra:study:1"
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _PLACEHOLDER = {"type": "string", "pattern": r"^\{[A-Za-z_][A-Za-z0-9_]*\}$"}
 _NO_TEXT = ("integer", "number", "boolean")
+_NO_PLACEHOLDER = ("grid", "seed", "time_limit")  # a study has one
 
 
 def study_schema() -> dict[str, Any]:
     """Return the JSON Schema (2020-12) of study files.
 
-    Where a number, a choice, true or false stands, so may a grid's ``"{placeholder}"``.
+    Where a number, a list, a choice, true or false stands, so may a grid's ``"{placeholder}"``.
     """
     (root,), components = msgspec.json.schema_components(
         [StudyConfig], ref_template="#/$defs/{name}"
@@ -48,7 +49,7 @@ def study_schema() -> dict[str, Any]:
 def _with_placeholders(table: dict[str, Any]) -> dict[str, Any]:
     """A table's schema in which a placeholder may stand where text could not."""
     properties = {
-        key: value if key == "grid" else _or_placeholder(value)
+        key: value if key in _NO_PLACEHOLDER else _or_placeholder(value)
         for key, value in table.get("properties", {}).items()
     }
     return {**table, "properties": properties}
@@ -57,12 +58,23 @@ def _with_placeholders(table: dict[str, Any]) -> dict[str, Any]:
 def _or_placeholder(value: dict[str, Any]) -> dict[str, Any]:
     found = {k: v for k, v in value.items() if k not in ("description", "default")}
     about = {k: v for k, v in value.items() if k in ("description", "default")}
-    choices = found.get("anyOf", [found])
-    if any(each.get("type") in _NO_TEXT or "enum" in each for each in choices):
+    choices = [_of_values(each) for each in found.get("anyOf", [found])]
+    if any(_is_value(each) for each in choices):
         return {**about, "anyOf": [*choices, _PLACEHOLDER]}
-    if "items" in found:
-        return {**value, "items": _or_placeholder(found["items"])}
     return value
+
+
+def _is_value(found: dict[str, Any]) -> bool:
+    """Whether it is a number, a choice, true or false, or a list of values."""
+    items = found.get("items")
+    tables = isinstance(items, dict) and "$ref" in items
+    return (found.get("type") in (*_NO_TEXT, "array") and not tables) or "enum" in found
+
+
+def _of_values(found: dict[str, Any]) -> dict[str, Any]:
+    """A list's schema with placeholders for its items, any other as it is."""
+    items = found.get("items")
+    return {**found, "items": _or_placeholder(items)} if isinstance(items, dict) else found
 
 
 def key_tables() -> str:

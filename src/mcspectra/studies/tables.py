@@ -35,7 +35,7 @@ Text = Annotated[str, Meta(min_length=1, max_length=20_000)]
 Counts = Annotated[tuple[Positive, ...], Meta(min_length=1, max_length=10_000)]
 HalfWidth = Annotated[int, Meta(ge=0, le=2**31)]
 Window = Annotated[int, Meta(ge=2)] | Literal["auto"] | None
-Grid = dict[str, list[str | int | float | bool]]
+Grid = dict[str, list[str | int | float | bool | list[Any]]]
 
 _REALIZATIONS = Meta(description="Independent realisations, at each count.")
 _N = Meta(description="Points of each technique.")
