@@ -22,6 +22,13 @@ RESULTS = {
     "spectrum": lambda: mcs.power_spectrum("jittered", 16, half_width=4, **FAST),
     "lines": lambda: mcs.power_spectrum(mcs.sampler("jittered", dims=1), 16, half_width=4, **FAST),
     "pair_correlation": lambda: mcs.pair_correlation("jittered", 16, **FAST),
+    "remedies": lambda: mcs.remedies(
+        mcs.Estimator("linear", dims=1),
+        "jittered | shift",
+        1024,
+        realizations=100,
+        kinds=["unshifted"],
+    ),
     "warp": lambda: mcs.warp_quality("linear"),
     "primary": lambda: mcs.primary_picture(mcs.Estimator("disk", "linear")),
 }
@@ -89,6 +96,29 @@ def test_several_estimators_are_drawn_by_name():
         f"{f}, {s}" for f in ("disk", "gaussian") for s in ("jittered", "random")
     ]
     assert "gaussian, random: " in data.mcspectra.summary()
+
+
+def test_variants_of_a_sampler_have_a_curve_and_a_sentence_each():
+    data = mcs.mirror_study("disk", "jittered", [16, 64], realizations=40)
+    shown = [t.get_text() for t in data.mcspectra.plot().figure.legends[0].get_texts()]
+    said = data.mcspectra.summary()
+    for mirroring in ("original", "integrand", "random", "uniform"):
+        for homogenized in ("homogenized", "not homogenized"):
+            name = f"{mirroring}, {homogenized}"
+            assert f"disk, jittered, {name}: " in said
+            assert sum(text.startswith(f"{name}  ") for text in shown) == 1
+
+
+def test_remedies_are_drawn_in_their_order_and_said():
+    data = RESULTS["remedies"]()
+    axes = data.mcspectra.plot()
+    names = [label.get_text() for label in axes.get_yticklabels()]
+    assert names == list(data["remedy"].values)
+    drawn = [line.get_xdata()[0] for line in axes.lines if line.get_marker() == "o"]
+    np.testing.assert_array_equal(drawn, data["error_ratio"].values)
+    said = data.mcspectra.summary()
+    assert data.attrs["recommendation"] in said
+    assert data.attrs["diagnosis"] in said
 
 
 def test_rates_are_said():

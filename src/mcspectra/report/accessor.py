@@ -6,6 +6,7 @@ for datasets that were read in another way.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, final
@@ -62,9 +63,12 @@ _KINDS: Mapping[str, _Kind] = {
     "radial": _Kind("radial_power", ("power", "radial_power")),
     "pair_correlation": _Kind("pair_correlations", ("pair_correlation", "pair_correlation_se")),
     "points": _Kind("point_sets", ("points", "axis")),
+    "remedies": _Kind("remedy_ratios", ("remedy", "error_ratio", "error_ratio_ci", "verdict")),
     "warp": _Kind("warp_maps", ("warped", "stretch", "jump")),
     "primary": _Kind("primary_pictures", ("primary_value", "primary_jump", "face_jump")),
 }  # fmt: skip
+
+_SENTENCES = ("diagnosis", "recommendation", "note")  # attributes that results have
 
 
 @final
@@ -127,7 +131,8 @@ class Result:
 
     def summary(self) -> str:
         """What the result says in sentences: rates, terms, or its numbers with their intervals."""
-        parts = [*_sentences(self._data), self._data.attrs.get("note", "")]
+        attributes = (self._data.attrs.get(key, "") for key in _SENTENCES)
+        parts = [*_sentences(self._data), *attributes]
         return " ".join(part for part in parts if part) or "; ".join(_numbers(self._data)) + "."
 
     def _chosen(self, kind: str | None) -> str:
@@ -144,10 +149,14 @@ class Result:
 
 
 def _by_name(data: xr.Dataset) -> Any:
-    """The result, with several estimators by the names of both: figures know samplers only."""
-    if "estimator" not in data.dims:
+    """The result, with several estimators or variants by their names: figures know samplers only."""
+    if "estimator" not in data.dims and not _variant_dims(data):
         return data
-    return {f"{row.estimator}, {row.sampler}": each for row, each in _pairs(data)}
+    single = not {"estimator", "sampler"} & set(data.dims)
+    return {
+        names.variant if single else f"{names.estimator}, {names.points}": each
+        for names, each in _pairs(data)
+    }
 
 
 @final
@@ -155,13 +164,20 @@ def _by_name(data: xr.Dataset) -> Any:
 class _Names:
     estimator: str
     sampler: str
+    variant: str = ""
+
+    @property
+    def points(self) -> str:
+        """The sampler and the variant."""
+        return f"{self.sampler}, {self.variant}" if self.variant else self.sampler
 
 
 def _pairs(data: xr.Dataset) -> Iterator[tuple[_Names, xr.Dataset]]:
-    """Every estimator with every sampler of a result."""
+    """Every estimator with every sampler, and every variant of them, of a result."""
     for of_estimator, estimator in _split(data, "estimator"):
-        for each, sampler in _split(of_estimator, "sampler"):
-            yield _Names(estimator, sampler), each
+        for of_sampler, sampler in _split(of_estimator, "sampler"):
+            for each, variant in _variants(of_sampler):
+                yield _Names(estimator, sampler, variant), each
 
 
 def _split(data: xr.Dataset, dim: str) -> Iterator[tuple[xr.Dataset, str]]:
@@ -173,12 +189,35 @@ def _split(data: xr.Dataset, dim: str) -> Iterator[tuple[xr.Dataset, str]]:
         yield each, str(each[dim].values) if dim in each.coords else f"{dim} {k}"
 
 
+def _variant_dims(data: xr.Dataset) -> list[str]:
+    """Dims along which one sampler has several curves, as those of `mirror_study`."""
+    if not _KINDS["convergence"].fits(data):
+        return []
+    known = ("estimator", "sampler", "channel")
+    return [str(dim) for dim in data["rate"].dims if dim not in known]
+
+
+def _variants(data: xr.Dataset) -> Iterator[tuple[xr.Dataset, str]]:
+    """Every curve of a sampler, with what tells it from the others."""
+    dims = _variant_dims(data)
+    for place in itertools.product(*(range(data.sizes[dim]) for dim in dims)):
+        at = dict(zip(dims, place, strict=True))
+        yield data.isel(at), ", ".join(_label(dim, data[dim].values[k]) for dim, k in at.items())
+
+
+def _label(dim: str, value: Any) -> str:
+    """A place on a dim in few words: ``uniform``, ``not homogenized``, ``width 0.1``."""
+    if value.dtype.kind == "b":
+        return dim if value else f"not {dim}"
+    return str(value) if value.dtype.kind == "U" else f"{dim} {value}"
+
+
 def _sentences(data: xr.Dataset) -> Iterator[str]:
     """`explain` of every estimator, sampler and channel; nothing for other results."""
     analysis = next((k for k in ("convergence", "terms") if _KINDS[k].fits(data)), None)
     if analysis is None:
         return
-    several = {"estimator", "sampler", "channel"} & set(data.dims)
+    several = {"estimator", "sampler", "channel", *_variant_dims(data)} & set(data.dims)
     for names, each in _pairs(data):
         for k, row in enumerate(_rows(each, analysis, names)):
             said = explain(row, _channel(each, k) if analysis == "terms" else None)
@@ -189,7 +228,7 @@ def _rows(data: xr.Dataset, analysis: str, names: _Names) -> list[SummaryRow]:
     """The summary of one result as that of a study with nothing else."""
     import xarray as xr
 
-    attributes = {"estimator_name": names.estimator, "sampler_spec": names.sampler}
+    attributes = {"estimator_name": names.estimator, "sampler_spec": names.points}
     one = data.drop_vars(["estimator", "sampler"], errors="ignore").assign_attrs(attributes)
     return summarize(xr.DataTree.from_dict({f"/e/s/{analysis}": one}))
 

@@ -2,6 +2,7 @@ from .maps import band_covariances as band_covariances
 from .maps import contributions as contributions
 from .maps import cross_matrices as cross_matrices
 from .pairs import pair_correlations as pair_correlations
+from .pixel import remedy_ratios as remedy_ratios
 from .points import point_sets as point_sets
 from .scene_maps import map_figures as map_figures
 from .spectra import power_images as power_images
@@ -27,6 +28,7 @@ __all__ = [
     "power_lines",
     "primary_pictures",
     "radial_power",
+    "remedy_ratios",
     "strategy_images",
     "three_terms",
     "warp_maps",

@@ -9,6 +9,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.report.axes import count_axis, log_axis
+from mcspectra.report.figures.panels import GivenAxes, rows_of
 from mcspectra.report.figures.variance import usable_counts
 from mcspectra.report.formatting import MISSING, rate, shorten
 from mcspectra.report.style import (
@@ -150,32 +151,32 @@ def _write_rates(axes: Axes, notes: list[tuple[str, LineStyle]]) -> None:
         )  # fmt: skip
 
 
-def remedy_ratios(data: xr.Dataset) -> Figure:
+def remedy_ratios(data: xr.Dataset, *, axes: GivenAxes = None) -> Figure:
     """Draw the error of every change relative to the set-up as given, with intervals.
 
     Parameters
     ----------
     data
         Results of `mcspectra.remedies`.
+    axes
+        One matplotlib axes to draw into; new ones by default.
     """
     names = [str(name) for name in data["remedy"].values]
-    figure = new_figure(NARROW, 0.8 + 0.2 * len(names))
-    axes = figure.subplots()
-    quiet(axes)
+    figure, [panel] = rows_of(axes, 1, NARROW, 0.8 + 0.2 * len(names))
     ratio, interval = data["error_ratio"].values, data["error_ratio_ci"].values
     colors = {"better": _BETTER, "worse": _WORSE, "given": INK}
     for row, verdict in enumerate(data["verdict"].values):
         if not ratio[row] > 0:
             continue
         color = colors.get(str(verdict), GRAY)
-        axes.hlines(row, *_clipped(interval[row]), color=color, lw=1.4)
-        axes.plot(ratio[row], row, "o", ms=4, color=color)
-    axes.axvline(1.0, color=GRAY, lw=0.7)
-    axes.set_yticks(range(len(names)), [plain(shorten(name, 44)) for name in names])
-    axes.set_ylim(len(names) - 0.4, -0.6)
+        panel.hlines(row, *_clipped(interval[row]), color=color, lw=1.4)
+        panel.plot(ratio[row], row, "o", ms=4, color=color)
+    panel.axvline(1.0, color=GRAY, lw=0.7)
+    panel.set_yticks(range(len(names)), [plain(shorten(name, 44)) for name in names])
+    panel.set_ylim(len(names) - 0.4, -0.6)
     known = interval[np.isfinite(interval) & (interval > 0)]
-    log_axis(axes, "x", float(known.min(initial=0.5)), float(known.max(initial=2.0)))
-    axes.set_xlabel("error at the budget / that of the set-up as given")
+    log_axis(panel, "x", float(known.min(initial=0.5)), float(known.max(initial=2.0)))
+    panel.set_xlabel("error at the budget / that of the set-up as given")
     return figure
 
 
