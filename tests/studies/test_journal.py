@@ -272,6 +272,42 @@ def test_forgotten_records_leave_the_file_when_they_are_most_of_it(tmp_path: Pat
     assert [path.name for path in file.parent.iterdir()] == ["log"]
 
 
+def test_a_compact_journal_holds_what_is_not_forgotten_and_nothing_else(tmp_path: Path) -> None:
+    file = tmp_path / "journal" / "log"
+    with Journal.create(tmp_path, HEADER) as journal:
+        empty = file.stat().st_size
+        for key in ("a", "b"):
+            journal.append(key, b"result", None, {})
+        journal.append("c", None, "It failed.", {})
+        journal.forget(["a", "b"])
+        assert file.stat().st_size > empty
+        journal.compact()
+        state = read_journal(tmp_path, HEADER, verify=True)
+        assert state is not None
+        assert (state.done, state.failures, state.damaged) == ((), {"c": "It failed."}, ())
+        journal.forget(["c"])
+        journal.compact()
+        assert file.stat().st_size == empty
+        journal.append("d", b"more", None, {})
+    with Journal.resume(tmp_path, HEADER) as journal:
+        assert found(journal) == {"d": b"more"}
+
+
+def test_a_journal_of_another_study_is_replaced_only_if_that_is_asked_for(tmp_path: Path) -> None:
+    with Journal.create(tmp_path, HEADER) as journal:
+        journal.append("a", b"x", None, {})
+    other = {**HEADER, "seed": 4}
+    with pytest.raises(StoreError, match="belongs to another run"):
+        Journal.resume(tmp_path, other)
+    with Journal.resume(tmp_path, HEADER, renew=True) as journal:
+        assert found(journal) == {"a": b"x"}
+    with Journal.resume(tmp_path, other, renew=True) as journal:
+        assert found(journal) == {}
+        journal.append("b", b"y", None, {})
+    with Journal.resume(tmp_path, other) as journal:
+        assert found(journal) == {"b": b"y"}
+
+
 @pytest.mark.parametrize(
     ("payload", "error"), [(None, None), (b"result", "sentence")], ids=["neither", "both"]
 )

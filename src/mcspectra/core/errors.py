@@ -26,6 +26,7 @@ __all__ = [
     "MissingDependency",
     "NoClosedForm",
     "NotPowerOfTwoWarning",
+    "OtherVersionsWarning",
     "ParameterError",
     "SpecError",
     "StaleLockWarning",
@@ -135,6 +136,10 @@ class StaleLockWarning(UserWarning):
 
 class DamagedResultsWarning(UserWarning):
     """Stored results of an earlier run are damaged: they are named, and computed again."""
+
+
+class OtherVersionsWarning(UserWarning):
+    """Results of an earlier run go on with other versions of packages that numbers depend on."""
 
 
 class IncompleteImageWarning(UserWarning):

@@ -15,12 +15,16 @@ import msgspec
 from mcspectra.core.errors import StoreError
 from mcspectra.studies._records import Damage, Found, Record, scan
 
-__all__ = ["MAGIC", "Survey", "study_digest", "survey"]
+__all__ = ["MAGIC", "OtherRun", "Survey", "study_digest", "survey"]
 
 MAGIC = b"mcspectra journal 1\n"
 """First line of the file."""
 
 _PIECE = 2**20
+
+
+class OtherRun(StoreError):
+    """A journal has another header than the one that is asked for."""
 
 
 def study_digest(header: dict[str, Any]) -> bytes:
@@ -78,7 +82,7 @@ def _checked_study(first: Found | None, header: dict[str, Any] | None, path: Pat
         return given
     if given is not None and first.study != given:
         other = ", ".join(_differing(first.head.info, header or {}))
-        raise StoreError(
+        raise OtherRun(
             f"The journal {str(path)!r} belongs to another run ({other} differ); give another --out."
         )
     return first.study

@@ -22,7 +22,7 @@ import msgspec
 
 from mcspectra.core.errors import StorageError, StoreError
 from mcspectra.studies._records import MOST_PAYLOAD, Head, Record, encode_record
-from mcspectra.studies._survey import MAGIC, study_digest, survey
+from mcspectra.studies._survey import MAGIC, OtherRun, study_digest, survey
 from mcspectra.studies.lock import FolderLock
 
 __all__ = ["JOURNAL_NAME", "Journal", "JournalState", "read_journal"]
@@ -105,9 +105,20 @@ class Journal:
 
     @staticmethod
     def resume(
-        folder: str | Path, header: dict[str, Any], *, lock: FolderLock | None = None
+        folder: str | Path,
+        header: dict[str, Any],
+        *,
+        lock: FolderLock | None = None,
+        renew: bool = False,
     ) -> Journal:
         """Go on with the journal of a folder; all of it is verified. Without one, begin it.
+
+        Parameters
+        ----------
+        folder, header, lock
+            As of `create`.
+        renew
+            Replace a journal with another header by an empty one.
 
         Raises
         ------
@@ -115,7 +126,8 @@ class Journal:
             It belongs to another study or format, another process writes into the folder, or it
             cannot be read or written.
         """
-        return _opened(Path(folder), header, lock, Journal._continue)
+        begin = Journal._renew if renew else Journal._continue
+        return _opened(Path(folder), header, lock, begin)
 
     def append(
         self, key: str, payload: bytes | None, error: str | None, info: dict[str, Any]
@@ -200,6 +212,11 @@ class Journal:
         if self._end - self._live > max(self._live, _WORTH_REWRITING):
             self._rewrite()
 
+    def compact(self) -> None:
+        """Cut out of the file what is forgotten; where that cannot be written, it stays."""
+        with contextlib.suppress(StorageError):
+            self._rewrite()
+
     def close(self) -> None:
         """Make sure that all is on the disk, and give the folder free; a second call does nothing."""
         if self._file is not None:
@@ -240,6 +257,12 @@ class Journal:
             self._rewrite()
         elif found.torn is not None:
             self._cut(found.torn)
+
+    def _renew(self) -> None:
+        try:
+            self._continue()
+        except OtherRun:
+            self._rewrite()
 
     def _write(self, head: Head, data: bytes) -> Record:
         """Add a record at the end; a part of one is taken back."""

@@ -13,6 +13,7 @@ import errno
 import importlib
 import os
 import socket
+import time
 import warnings
 from pathlib import Path
 from typing import Any, final
@@ -25,6 +26,8 @@ __all__ = ["LOCK_NAME", "FolderLock", "LockHolder", "check_unlocked", "is_held",
 
 LOCK_NAME = "run.lock"
 _MOST_BYTES = 4096
+_LOOKING = 5.0  # seconds for which others may look at a lock, one after another
+_PAUSE = 0.005
 _fcntl: Any
 try:
     _fcntl = importlib.import_module("fcntl")
@@ -145,16 +148,19 @@ def check_unlocked(folder: Path) -> None:
 
 
 def is_held(folder: Path) -> bool:
-    """Whether the lock of a folder is held; that of another machine counts as held."""
+    """Whether the lock of a folder is held; that of another machine counts as held.
+
+    It only looks: a shared lock for a moment, which those who take the folder wait for.
+    """
     holder = lock_holder(folder)
     if holder is None or not holder.on(LockHolder.this_process()):
         return holder is not None
     try:
-        descriptor = os.open(folder / LOCK_NAME, os.O_RDWR)
+        descriptor = os.open(folder / LOCK_NAME, os.O_RDONLY)
     except OSError:
         return False
     try:
-        return not _flock(descriptor)
+        return not _flock(descriptor, shared=True)
     finally:
         os.close(descriptor)
 
@@ -163,7 +169,7 @@ def _locked_descriptor(file: Path) -> int:
     """Open the lock file and lock it."""
     while True:
         descriptor = os.open(file, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o644)
-        if not _flock(descriptor):
+        if not _flock_patiently(descriptor):
             holder = _decoded(os.pread(descriptor, _MOST_BYTES, 0))
             os.close(descriptor)
             raise _refusal(file, holder)
@@ -182,12 +188,24 @@ def _unlockable(file: Path, error: OSError) -> StoreError:
     return StoreError(f"{str(file.parent)!r} cannot be written: {error.strerror}.")
 
 
-def _flock(descriptor: int) -> bool:
+def _flock_patiently(descriptor: int) -> bool:
+    """Lock an open file that others may look at for a moment; False at once if another writes."""
+    end = time.monotonic() + _LOOKING
+    while not _flock(descriptor):
+        if not _flock(descriptor, shared=True) or time.monotonic() > end:
+            return False
+        _fcntl.flock(descriptor, _fcntl.LOCK_UN)
+        time.sleep(_PAUSE)
+    return True
+
+
+def _flock(descriptor: int, *, shared: bool = False) -> bool:
     """Lock an open file; False if another has it. Without flock a file with words is another's."""
     if _fcntl is None:
         return os.fstat(descriptor).st_size == 0
+    kind = _fcntl.LOCK_SH if shared else _fcntl.LOCK_EX
     try:
-        _fcntl.flock(descriptor, _fcntl.LOCK_EX | _fcntl.LOCK_NB)
+        _fcntl.flock(descriptor, kind | _fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     except OSError:  # a file system without flock

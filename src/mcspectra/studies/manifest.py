@@ -13,7 +13,7 @@ import os
 import re
 import socket
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import BinaryIO, Literal, TypeAlias, TypeVar
 
@@ -49,7 +49,13 @@ _PATH = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*(/[A-Za-z0-9][A-Za-z0-9._-]*)*")
 
 
 class StudyLine(msgspec.Struct, frozen=True, tag="study"):
-    """The first line: which study the store holds, and what began it, when and where."""
+    """The first line: which study the store holds, and what began it, when and where.
+
+    Attributes
+    ----------
+    inputs
+        SHA-256 of the files that its results depend on, by their names; None if they were not noted.
+    """
 
     format: int
     study_hash: str
@@ -57,6 +63,7 @@ class StudyLine(msgspec.Struct, frozen=True, tag="study"):
     versions: dict[str, str]
     host: str
     at: str
+    inputs: dict[str, str] | None = None
 
 
 class PlanLine(msgspec.Struct, frozen=True, tag="plan"):
@@ -150,9 +157,12 @@ def now() -> str:
     return dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
 
 
-def study_line(study_hash: str, seed: int, versions: dict[str, str]) -> StudyLine:
+def study_line(
+    study_hash: str, seed: int, versions: dict[str, str], inputs: Mapping[str, str] | None = None
+) -> StudyLine:
     """The first line of a store that this process begins now."""
-    return StudyLine(FORMAT, study_hash, seed, versions, socket.gethostname(), now())
+    files = None if inputs is None else dict(inputs)
+    return StudyLine(FORMAT, study_hash, seed, versions, socket.gethostname(), now(), files)
 
 
 def state_line(state: Literal["resumed", "finished"]) -> StateLine:

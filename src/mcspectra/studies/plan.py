@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import msgspec
@@ -16,6 +16,7 @@ from mcspectra.samplers import Sampler, sampler_from_calls
 from mcspectra.studies.analyses import Asked, asked_analyses, asked_map, asked_names
 from mcspectra.studies.building import build_estimator
 from mcspectra.studies.foreign_code import FunctionFailed
+from mcspectra.studies.inputs import Digests
 from mcspectra.studies.sizes import MOST_EVALUATIONS
 from mcspectra.studies.tables import (
     EstimatorConfig,
@@ -50,6 +51,8 @@ class Cell:
     error
         Why it fails before it has begun, as when its integrand raises at the first points; None if
         it can be tried.
+    inputs
+        Names of the files that it depends on: keys of the plan's.
     """
 
     path: str
@@ -62,14 +65,23 @@ class Cell:
     cost: float
     memory: int = 0
     error: str | None = None
+    inputs: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Plan:
-    """All cells of a study, in the order of the file."""
+    """All cells of a study, in the order of the file.
+
+    Attributes
+    ----------
+    inputs
+        SHA-256 of the files that they depend on, by names for people: the path from the study's
+        folder, if it is below that.
+    """
 
     config: StudyConfig
     cells: tuple[Cell, ...]
+    inputs: Mapping[str, str] = field(default_factory=dict)
 
 
 def make_plan(
@@ -94,13 +106,15 @@ def make_plan(
         A component cannot be built, a sampler cannot do a count, a file or a function is not one
         that the study may reach, or the study is too large; names the estimator.
     """
-    site = Site(folder, trust or Trust(), config.time_limit)
+    digests = Digests(folder)
     _check_number(config)
     cells: list[Cell] = []
     slugs = _Slugs()
     for entry in entries_of(config):
+        site = Site(folder, trust or Trust(), config.time_limit)
         try:
-            cells += _cells(config, entry, site, slugs(entry.name))
+            found = list(_cells(config, entry, site, slugs(entry.name)))
+            cells += _with_inputs(found, digests.add(site.files))
         except ConfigError:
             raise
         except McspectraError as error:
@@ -111,7 +125,7 @@ def make_plan(
             "The study asks for no analysis; give a table convergence, terms or spectrum."
         )
     _check_work(cells, force)
-    return Plan(config, tuple(cells))
+    return Plan(config, tuple(cells), digests.by_name)
 
 
 def _cells(
@@ -184,6 +198,10 @@ def _cell(
         cost=asked.cost,
         memory=asked.memory,
     )
+
+
+def _with_inputs(cells: list[Cell], inputs: tuple[str, ...]) -> Iterable[Cell]:
+    return (dataclasses.replace(cell, inputs=inputs) for cell in cells) if inputs else cells
 
 
 def _check_number(config: StudyConfig) -> None:

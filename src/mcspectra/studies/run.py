@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
+import msgspec
+
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import DamagedResultsWarning, McspectraError
 from mcspectra.core.parallel import available_workers
@@ -16,13 +18,14 @@ from mcspectra.core.staged import Chunk, Staged
 from mcspectra.studies.cells import finished_cell
 from mcspectra.studies.config import StudyConfig
 from mcspectra.studies.engines import Engine, LocalEngine, Outcome
+from mcspectra.studies.inputs import changed_inputs
 from mcspectra.studies.journal import Journal
 from mcspectra.studies.lock import FolderLock
 from mcspectra.studies.places import output_folder
 from mcspectra.studies.plan import Cell, Plan, make_plan
 from mcspectra.studies.processes import ProcessEngine, check_time_limit
 from mcspectra.studies.scheduling import Pace, Recorded, Schedule, Settled, task_seconds
-from mcspectra.studies.store import Store, config_hash
+from mcspectra.studies.store import Store, config_hash, noted_inputs
 from mcspectra.studies.tasks import StudyText, analysis_of, keep_plan, unpack_payload
 from mcspectra.studies.trust import Trust
 from mcspectra.version import __version__
@@ -84,7 +87,8 @@ def run_study(
     resume
         Continue an existing store. Cells that failed stay so.
     retry
-        With `resume`: try cells that failed again.
+        With `resume`: try cells that failed again, and compute again those that depend on files
+        (images, point sets, scenes, sources of functions) that have changed.
     workers
         Threads, or processes with a time limit; all processors by default. Results do not depend
         on it, bit for bit.
@@ -120,18 +124,31 @@ def run_study(
         Results of an earlier run are damaged: they are computed again.
     StaleLockWarning
         An earlier run ended without a word, as when it was killed.
+    OtherVersionsWarning
+        An earlier run had other versions of packages that numbers depend on.
     """
     out = output_folder(out)
     limit = check_time_limit(config.time_limit if time_limit is None else time_limit)
     count = available_workers(workers)
+    config = msgspec.structs.replace(config, time_limit=limit)
     plan = make_plan(config, Path(folder), trust, force=force)
-    text = StudyText.of(config, Path(folder), trust, force=force)
+    text = StudyText.of(config, Path(folder), trust, force=force, inputs=plan.inputs)
     keep_plan(text, plan)
     make = engine or _own_engine(count, limit)
     paths = [cell.path for cell in plan.cells]
     with FolderLock.take(Path(out)) as lock:
-        store = Store.create(Path(out), config, resume=resume, paths=paths, lock=lock)
-        with contextlib.closing(_journal(Path(out), config, lock, resume=resume)) as journal:
+        outdated = _outdated(plan, Path(out)) if retry else None
+        store = Store.create(
+            Path(out),
+            config,
+            resume=resume,
+            paths=paths,
+            lock=lock,
+            inputs=plan.inputs,
+            outdated=outdated,
+        )
+        begun = _journal(Path(out), plan, lock, resume=resume, retry=retry)
+        with contextlib.closing(begun) as journal:
             run = _StudyRun(plan, text, store, journal, report)
             run.begin(retry=retry)
             _warn_of_damage(store, journal)
@@ -140,6 +157,7 @@ def run_study(
                 run.compute(make, pace)
             finally:
                 store.finish()
+            journal.compact()
             failures = journal.failures()
     if failures:
         raise _failure(failures, plan)
@@ -178,14 +196,28 @@ def _own_engine(workers: int, limit: float | None) -> MakeEngine:
     return lambda text: ProcessEngine(text, workers, limit)
 
 
-def _journal(out: Path, config: StudyConfig, lock: FolderLock, *, resume: bool) -> Journal:
+def _journal(out: Path, plan: Plan, lock: FolderLock, *, resume: bool, retry: bool) -> Journal:
     header = {
-        "study_hash": config_hash(config),
-        "seed": config.seed,
+        "study_hash": config_hash(plan.config),
+        "seed": plan.config.seed,
         "version_mcspectra": __version__,
+        "inputs": dict(plan.inputs),
     }
-    begin = Journal.resume if resume else Journal.create
-    return begin(out, header, lock=lock)
+    if not resume:
+        return Journal.create(out, header, lock=lock)
+    # The store, which is of this study, has refused changed files, unless they are to be retried.
+    return Journal.resume(out, header, lock=lock, renew=retry)
+
+
+def _outdated(plan: Plan, out: Path) -> frozenset[str]:
+    """Paths of cells that depend on files that have changed since the folder's results were begun."""
+    changed = set(changed_inputs(noted_inputs(out), plan.inputs))
+    gone = changed - plan.inputs.keys()  # no cell names these any more: a scene did
+    return frozenset(
+        cell.path
+        for cell in plan.cells
+        if cell.inputs and (gone or not changed.isdisjoint(cell.inputs))
+    )
 
 
 def _warn_of_damage(store: Store, journal: Journal) -> None:

@@ -12,17 +12,19 @@ import contextlib
 import hashlib
 import json
 import shutil
-from collections.abc import Sequence
+import warnings
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from mcspectra.core.errors import StorageError, StoreError
+from mcspectra.core.errors import OtherVersionsWarning, StorageError, StoreError
 from mcspectra.core.results import package_versions
 from mcspectra.studies._zarr_cell import array_documents, write_cell
 from mcspectra.studies.checksums import Checksum, checksum, damage_of
 from mcspectra.studies.config import StudyConfig
+from mcspectra.studies.inputs import check_inputs
 from mcspectra.studies.links import check_folder_links
 from mcspectra.studies.lock import FolderLock, check_unlocked
 from mcspectra.studies.manifest import (
@@ -30,6 +32,7 @@ from mcspectra.studies.manifest import (
     CellLine,
     Line,
     Manifest,
+    StudyLine,
     append_line,
     now,
     read_manifest,
@@ -41,10 +44,13 @@ from mcspectra.studies.manifest import (
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["STORE_NAME", "Store", "config_hash", "root_attributes", "root_document"]
+__all__ = ["STORE_NAME", "Store", "config_hash", "noted_inputs", "root_attributes", "root_document"]
 
 STORE_NAME = "results.zarr"
 _BOUND = ["low", "high"]
+_RENEW = (
+    "put back what was, give another --out, or --resume --retry to compute what depends on it again"
+)
 _MOST_CONSOLIDATED = 2000  # cells: readers take the metadata of all of them at once
 _GROUP = {"attributes": {}, "zarr_format": 3, "node_type": "group"}
 
@@ -70,6 +76,7 @@ class Store:
         self._paths: tuple[str, ...] = ()
         self._cells: dict[str, CellLine] = {}
         self._parents: set[str] = set()
+        self._inputs: Mapping[str, str] | None = None
 
     @staticmethod
     def create(
@@ -79,6 +86,8 @@ class Store:
         resume: bool = False,
         paths: Sequence[str] = (),
         lock: FolderLock | None = None,
+        inputs: Mapping[str, str] | None = None,
+        outdated: Collection[str] | None = None,
     ) -> Store:
         """Make a new store, or with `resume` open the one that is there.
 
@@ -94,12 +103,24 @@ class Store:
             Of all cells of the study, so that it can be said which are missing.
         lock
             The lock of the folder, if the caller holds it; else nobody may.
+        inputs
+            SHA-256 of the files that the study depends on (`mcspectra.studies.plan.Plan`); None if
+            they do not matter.
+        outdated
+            With `resume`: paths of cells to remove first, as files that they depend on have changed;
+            without it a changed file is refused.
 
         Raises
         ------
         StoreError
-            A store exists and `resume` is not asked for, it belongs to another study or format, or
-            another process writes into it; the folder cannot be written, or has symbolic links.
+            A store exists and `resume` is not asked for, it belongs to another study, format or
+            version of this package, files have changed, or another process writes into it; the
+            folder cannot be written, or has symbolic links.
+
+        Warns
+        -----
+        OtherVersionsWarning
+            The store was begun with other versions of packages that numbers depend on.
         """
         check_folder_links(folder)
         store = Store(folder)
@@ -113,6 +134,13 @@ class Store:
             if lock is None:
                 check_unlocked(folder)
             store._check_same(config)
+            if inputs is not None and outdated is None:
+                check_inputs(
+                    noted_inputs(folder), inputs, f"The results in {str(folder)!r} are", _RENEW
+                )
+            for path in outdated or ():
+                shutil.rmtree(store.path / path, ignore_errors=True)
+        store._inputs = inputs
         begin = store._continue if exists else store._begin
         try:
             begin(config, paths)
@@ -130,6 +158,7 @@ class Store:
         if group.exists():
             self.damaged[path] = reason
             shutil.rmtree(group, ignore_errors=True)
+        self._cells.pop(path, None)
         return False
 
     def write(self, path: str, result: xr.Dataset) -> None:
@@ -175,8 +204,7 @@ class Store:
     def _begin(self, config: StudyConfig, paths: Sequence[str]) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
         self._paths = tuple(paths)
-        study = study_line(config_hash(config), config.seed, package_versions())
-        write_manifest(self.folder, study, paths)
+        write_manifest(self.folder, self._study_line(config), paths)
         partial = self.folder / f".{STORE_NAME}.partial"
         shutil.rmtree(partial, ignore_errors=True)
         partial.mkdir()
@@ -190,7 +218,9 @@ class Store:
         manifest = read_manifest(self.folder) or Manifest(None, (), {}, (), (), 0)
         self._cells = manifest.cells
         self._paths = tuple(paths) or manifest.paths
-        study = manifest.study or study_line(config_hash(config), config.seed, package_versions())
+        study = manifest.study or self._study_line(config)
+        if self._inputs is not None:
+            study = msgspec.structs.replace(study, inputs=dict(self._inputs))
         further: list[Line] = [*manifest.cells.values(), *manifest.states, state_line("resumed")]
         write_manifest(self.folder, study, self._paths, further)
         document = root_document(self.path)
@@ -198,6 +228,9 @@ class Store:
             self._replace(
                 self.path / "zarr.json", document
             )  # readers would not see cells that are added
+
+    def _study_line(self, config: StudyConfig) -> StudyLine:
+        return study_line(config_hash(config), config.seed, package_versions(), self._inputs)
 
     def _make_parents(self, path: str) -> None:
         *parents, _ = path.split("/")
@@ -244,11 +277,19 @@ class Store:
                 f"{str(self.path)!r} belongs to another study or another version of this one; "
                 "give another --out."
             )
+        _check_versions(self.folder, attributes)
 
 
 def config_hash(config: StudyConfig) -> str:
-    """SHA-256 of the study's canonical JSON."""
-    return hashlib.sha256(msgspec.json.encode(config, order="sorted")).hexdigest()
+    """SHA-256 of the study's canonical JSON, without the time limit: results do not depend on it."""
+    study = msgspec.structs.replace(config, time_limit=None)
+    return hashlib.sha256(msgspec.json.encode(study, order="sorted")).hexdigest()
+
+
+def noted_inputs(folder: Path) -> dict[str, str] | None:
+    """SHA-256 of the files that the results in a folder depend on; None if they were not noted."""
+    manifest = read_manifest(folder)
+    return None if manifest is None or manifest.study is None else manifest.study.inputs
 
 
 def root_attributes(path: Path) -> dict[str, Any]:
@@ -290,6 +331,29 @@ def _root_attributes(config: StudyConfig) -> dict[str, Any]:
         "bound": _BOUND,
         **package_versions(),
     }
+
+
+def _check_versions(folder: Path, attributes: dict[str, Any]) -> None:
+    """Refuse results of another version of this package, warn of other versions of those it uses."""
+    others = {
+        name.removeprefix("version_"): (attributes[name], version)
+        for name, version in package_versions().items()
+        if attributes.get(name, version) != version
+    }
+    if "mcspectra" in others:
+        before, now = others["mcspectra"]
+        raise StoreError(
+            f"The results in {str(folder)!r} are of mcspectra {before}, and this is {now}, whose numbers "
+            "may differ: resume them with the version that began them, or give another --out."
+        )
+    if others:
+        changes = ", ".join(f"{name} {old} (now {new})" for name, (old, new) in others.items())
+        warnings.warn(
+            f"The results in {str(folder)!r} were begun with {changes}: the last bits of those to come "
+            "may differ from an uninterrupted run's.",
+            OtherVersionsWarning,
+            stacklevel=5,
+        )
 
 
 def _expected(line: CellLine) -> Checksum:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import io
 import math
+import socket
 import threading
 import zipfile
 from collections.abc import Mapping
@@ -22,6 +23,7 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import FileFormatError, StoreError
 from mcspectra.core.staged import Chunk, Run, Staged, Whole, compute, compute_chunk
 from mcspectra.studies.cells import staged_cell
+from mcspectra.studies.inputs import check_inputs
 from mcspectra.studies.plan import Cell, Plan, make_plan
 from mcspectra.studies.tables import StudyConfig
 from mcspectra.studies.trust import Trust
@@ -123,6 +125,8 @@ class StudyText(msgspec.Struct, frozen=True, kw_only=True):
         What the study may name and read: see `mcspectra.studies.trust.Trust`.
     force
         Whether its size was allowed.
+    inputs
+        Names and SHA-256 of the files that it depends on; None if any will do.
     """
 
     config_json: str
@@ -132,10 +136,16 @@ class StudyText(msgspec.Struct, frozen=True, kw_only=True):
     code: tuple[str, ...] = ()
     paths: tuple[str, ...] = ()
     force: bool = False
+    inputs: tuple[tuple[str, str], ...] | None = None
 
     @staticmethod
     def of(
-        config: StudyConfig, folder: Path, trust: Trust | None = None, *, force: bool = False
+        config: StudyConfig,
+        folder: Path,
+        trust: Trust | None = None,
+        *,
+        force: bool = False,
+        inputs: Mapping[str, str] | None = None,
     ) -> StudyText:
         """The text of a study; folders become absolute, as a worker may run elsewhere."""
         reach = trust or Trust()
@@ -147,6 +157,7 @@ class StudyText(msgspec.Struct, frozen=True, kw_only=True):
             code=tuple(reach.code),
             paths=tuple(str(path.absolute()) for path in reach.folders),
             force=force,
+            inputs=None if inputs is None else tuple(inputs.items()),
         )
 
     def plan(self) -> Plan:
@@ -155,7 +166,7 @@ class StudyText(msgspec.Struct, frozen=True, kw_only=True):
         Raises
         ------
         StoreError
-            The text is of another version of this package.
+            The text is of another version of this package, or files differ here.
         ConfigError
             The study cannot be built here: see `mcspectra.studies.plan.make_plan`.
         """
@@ -166,7 +177,12 @@ class StudyText(msgspec.Struct, frozen=True, kw_only=True):
             )
         config = msgspec.json.decode(self.config_json, type=StudyConfig)
         trust = Trust(self.code, tuple(map(Path, self.paths)))
-        return make_plan(config, Path(self.folder), trust, force=self.force)
+        plan = make_plan(config, Path(self.folder), trust, force=self.force)
+        if self.inputs is not None:
+            host = socket.gethostname()
+            remedy = f"bring those on host {host!r} in line, and resume"
+            check_inputs(dict(self.inputs), plan.inputs, "The study that is run is", remedy)
+        return plan
 
 
 _plans: dict[StudyText, dict[str, Cell]] = {}

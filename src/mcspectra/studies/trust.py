@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, final
 
@@ -17,6 +17,7 @@ from mcspectra.core.errors import ConfigError, McspectraError
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import Call, parse_chain
 from mcspectra.studies.foreign_code import explain
+from mcspectra.studies.inputs import function_sources, with_references
 
 __all__ = ["Site", "Trust"]
 
@@ -62,11 +63,14 @@ class Site:
     ----------
     limit
         Seconds that the study gives a task, if it does: a function's first values take no longer.
+    files
+        What has been named so far: files of specs, what scenes refer to, sources of functions.
     """
 
     folder: Path
     trust: Trust = Trust()
     limit: float | None = None
+    files: set[Path] = field(default_factory=set, compare=False)
 
     def calls(self, text: str) -> list[Call]:
         """Parse a spec; paths in it start at the folder, in specs inside specs too.
@@ -133,6 +137,7 @@ class Site:
             ) from error
         if not callable(found):
             raise ConfigError(f"{name!r} is {found!r}, not a function.")
+        self.files.update(function_sources(found, module))
         return found  # type: ignore[no-any-return]
 
     def _argument(self, key: str, value: Any) -> Any:
@@ -174,6 +179,7 @@ class Site:
                 f"The file {path!r} is outside the study's folder; move it there, or allow its folder "
                 f"by --allow-path {file.parent}."
             )
+        self.files.update(with_references(file))
         return file
 
 

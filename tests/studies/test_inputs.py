@@ -1,0 +1,271 @@
+"""Results of two different inputs are never mixed: files that change are named, and refused or renewed."""
+
+import hashlib
+import os
+import sys
+from importlib import metadata
+
+import numpy as np
+import pytest
+
+from mcspectra.core import results
+from mcspectra.core.errors import OtherVersionsWarning, StoreError
+from mcspectra.studies import Trust, make_plan, open_results, run_study
+from mcspectra.studies import store as store_module
+from mcspectra.studies.config import decode_study
+from mcspectra.studies.inputs import Digests, changed_inputs, check_inputs, with_references
+from mcspectra.studies.manifest import read_manifest
+from mcspectra.studies.run import CellFailed
+from mcspectra.studies.status import study_status
+from mcspectra.studies.tasks import StudyText
+
+STUDY = """
+title = "inputs"
+samplers = ["random", "jittered"]
+[convergence]
+counts = [4, 16]
+realizations = 10
+[[estimators]]
+name = "a"
+integrand = "image(path='data/a.npy')"
+[[estimators]]
+name = "b"
+integrand = "image(path='data/b.npy')"
+[[estimators]]
+name = "c"
+integrand = "linear"
+dims = 1
+"""
+CELLS = {f"{e}/{s}/convergence" for e in "abc" for s in ("random", "jittered")}
+
+
+class _Stop(Exception):
+    pass
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A study's folder with two images."""
+    (tmp_path / "data").mkdir()
+    for seed, name in enumerate("ab"):
+        _image(tmp_path, name, seed)
+    return tmp_path
+
+
+def _image(folder, name, seed):
+    values = np.random.default_rng(seed).random((4, 4))
+    np.save(folder / "data" / f"{name}.npy", values)
+
+
+def _run(folder, out="out", text=STUDY, **options):
+    return run_study(decode_study(text), folder / out, folder=folder, workers=1, **options)
+
+
+def _stopped(folder, cells):
+    """A run that ended after some cells."""
+
+    def report(progress):
+        if progress.done == cells:
+            raise _Stop
+
+    with pytest.raises(_Stop):
+        _run(folder, report=report)
+
+
+def test_files_are_named_from_the_studys_folder_with_the_cells_that_use_them(folder):
+    plan = make_plan(decode_study(STUDY), folder)
+    expected = {
+        f"data/{name}.npy": hashlib.sha256((folder / f"data/{name}.npy").read_bytes()).hexdigest()
+        for name in "ab"
+    }
+    assert plan.inputs == expected
+    found = {cell.path[0]: cell.inputs for cell in plan.cells}
+    assert found == {"a": ("data/a.npy",), "b": ("data/b.npy",), "c": ()}
+
+
+def test_a_changed_file_is_refused_by_name_and_nothing_is_touched(folder):
+    _stopped(folder, 3)
+    before = _files(folder / "out")
+    _image(folder, "b", 7)
+    with pytest.raises(StoreError, match=r"not of the file 'data/b\.npy' as found now.*--retry"):
+        _run(folder, resume=True)
+    assert _files(folder / "out") == before
+    _image(folder, "b", 1)  # put back, at another time
+    _run(folder, resume=True)
+    status = study_status(folder / "out")
+    assert (status.state, status.recorded) == ("finished", 0)
+    assert status.journal_bytes < 1000  # the header
+
+
+def test_retry_computes_again_what_depends_on_a_changed_file_and_nothing_else(
+    folder, stored_values
+):
+    _stopped(folder, 5)
+    kept = {path for path in CELLS if path[0] != "b"}
+    times = {
+        path: (folder / "out/results.zarr" / path).stat().st_mtime_ns
+        for path in kept
+        if (folder / "out/results.zarr" / path).exists()
+    }
+    assert times
+    _image(folder, "b", 7)
+    seen = []
+    _run(folder, resume=True, retry=True, report=lambda progress: seen.append(progress.cell.path))
+    assert {path for path in CELLS if path[0] == "b"} <= set(seen)
+    for path, time in times.items():
+        assert (folder / "out/results.zarr" / path).stat().st_mtime_ns == time
+        assert path not in seen
+    _run(folder, "straight")
+    found, straight = stored_values(folder / "out"), stored_values(folder / "straight")
+    assert found.keys() == straight.keys()
+    assert all(found[name].tobytes() == straight[name].tobytes() for name in straight)
+    _run(folder, resume=True)  # the new file is the one that is known now
+    assert study_status(folder / "out", verify=True).state == "finished"
+
+
+def test_a_finished_study_with_a_changed_file_is_refused_too(folder):
+    _run(folder)
+    _image(folder, "a", 9)
+    _image(folder, "b", 9)
+    with pytest.raises(StoreError, match=r"the files 'data/a\.npy', 'data/b\.npy' as found now"):
+        _run(folder, resume=True)
+
+
+def test_a_changed_source_of_a_function_is_refused(misbehaving, tmp_path):
+    text = STUDY.split("[[estimators]]")[0] + (
+        "[[estimators]]\nname = 'a'\ndims = 1\nintegrand = \"python(function='misbehaving:good')\"\n"
+    )
+    trust = Trust(("misbehaving:good",))
+    _run(tmp_path, text=text, trust=trust)
+    assert [*read_manifest(tmp_path / "out").study.inputs] == ["modules/misbehaving.py"]
+    with (misbehaving / "misbehaving.py").open("a") as stream:
+        stream.write("\n# changed\n")
+    sys.modules.pop("misbehaving")
+    with pytest.raises(StoreError, match=r"'modules/misbehaving\.py' as found now"):
+        _run(tmp_path, text=text, trust=trust, resume=True)
+
+
+def test_a_journal_of_other_files_is_not_used(folder):
+    """As when a run ended between the store's line and the journal's: --retry begins it anew."""
+    _stopped(folder, 2)
+    plan = make_plan(decode_study(STUDY), folder)
+    other = dict.fromkeys(plan.inputs, "0" * 64)
+    (folder / "out/journal/log").unlink()
+    from mcspectra.studies.journal import Journal
+
+    header = {"study_hash": "x", "inputs": other}
+    with Journal.create(folder / "out", header) as journal:
+        journal.append("c/random/convergence", None, "It is of another run.", {})
+    with pytest.raises(StoreError, match="belongs to another run"):
+        _run(folder, resume=True)
+    _run(folder, resume=True, retry=True)
+    assert study_status(folder / "out").state == "finished"
+
+
+def test_what_a_scene_refers_to_belongs_to_it(tmp_path):
+    (tmp_path / "scene.xml").write_text(
+        '<scene version="3.0.0"><bsdf type="diffuse"><texture type="bitmap" name="reflectance">'
+        '<string name="filename" value="wood.png"/></texture></bsdf></scene>'
+    )
+    (tmp_path / "wood.png").write_bytes(b"wood")
+    (tmp_path / "other.png").write_bytes(b"other")
+    scene = tmp_path / "scene.xml"
+    assert with_references(scene) == {scene, (tmp_path / "wood.png").resolve()}
+    assert with_references(tmp_path / "wood.png") == {tmp_path / "wood.png"}
+
+
+def test_digests_are_of_files_that_can_be_read(tmp_path):
+    inside, outside = tmp_path / "in" / "x", tmp_path / "y"
+    inside.parent.mkdir()
+    inside.write_bytes(b"1")
+    outside.write_bytes(b"2")
+    (tmp_path / "in" / "link").symlink_to(inside)
+    os.mkfifo(tmp_path / "pipe")
+    digests = Digests(tmp_path / "in")
+    named = digests.add(
+        {inside, tmp_path / "in" / "link", outside, tmp_path, tmp_path / "none", tmp_path / "pipe"}
+    )
+    assert named == (str(outside), "x")
+    assert digests.by_name == {
+        "x": hashlib.sha256(b"1").hexdigest(),
+        str(outside): hashlib.sha256(b"2").hexdigest(),
+    }
+
+
+def test_files_that_changed_came_or_went():
+    before, now = {"a": "1", "b": "2", "c": "3"}, {"a": "1", "b": "0", "d": "4"}
+    assert changed_inputs(before, now) == ("b", "c", "d")
+    assert changed_inputs(None, now) == ()
+    assert changed_inputs(now, now) == ()
+    check_inputs(now, dict(now), "It is", "do")
+    with pytest.raises(
+        StoreError, match="It is not of the files '0', '1', '2' and 7 more as found"
+    ):
+        check_inputs({}, {str(i): "" for i in range(10)}, "It is", "do")
+
+
+def test_a_worker_with_another_file_refuses(folder):
+    config = decode_study(STUDY)
+    plan = make_plan(config, folder)
+    text = StudyText.of(config, folder, inputs=plan.inputs)
+    assert text.plan().inputs == plan.inputs
+    _image(folder, "a", 5)
+    with pytest.raises(StoreError, match=r"not of the file 'data/a\.npy' as found now.*on host"):
+        text.plan()
+    assert StudyText.of(config, folder).plan().cells
+
+
+def test_another_time_limit_is_the_same_study(folder):
+    text = STUDY.split("[[estimators]]")[0] + "[[estimators]]" + STUDY.split("[[estimators]]")[3]
+    limited = "time_limit = {}\n" + text
+    run_study(decode_study(text), folder / "out", workers=1)
+    for change in (limited.format(60), limited.format(61)):
+        config = decode_study(change)
+        run_study(config, folder / "out", resume=True, workers=1, engine=_no_engine)
+    with pytest.raises(StoreError, match="another study"):
+        run_study(decode_study("seed = 2\n" + text), folder / "out", resume=True, workers=1)
+
+
+def _no_engine(text):
+    raise AssertionError(f"nothing is left to compute of {text}")
+
+
+def test_another_version_of_the_package_is_refused_and_of_others_is_said(folder, monkeypatch):
+    _stopped(folder, 2)
+    ours = results.package_versions()
+    for name, expected in (("mcspectra", StoreError), ("scipy", OtherVersionsWarning)):
+        other = ours | {f"version_{name}": "0.0.1"}
+        monkeypatch.setattr(store_module, "package_versions", lambda other=other: other)
+        context = pytest.raises if expected is StoreError else pytest.warns
+        with context(expected, match=rf"{name} {metadata.version(name)}.*0\.0\.1"):
+            _run(folder, resume=True)
+    assert study_status(folder / "out").state == "finished"
+
+
+def test_a_study_is_not_finished_when_a_changed_function_fails(misbehaving, tmp_path):
+    """Its cell was there once, and has a line in the manifest: it is removed, and fails now."""
+    text = STUDY.split("[[estimators]]")[0] + (
+        "[[estimators]]\nname = 'a'\ndims = 1\nintegrand = \"python(function='misbehaving:good')\"\n"
+    )
+    trust = Trust(("misbehaving:good",))
+    _run(tmp_path, text=text, trust=trust)
+    source = (misbehaving / "misbehaving.py").read_text()
+    (misbehaving / "misbehaving.py").write_text(
+        source.replace("def good(", "def good(x):\n    1 / 0\n\n\ndef _(")
+    )
+    sys.modules.pop("misbehaving")
+    with pytest.raises(CellFailed, match="2 of 2 cells failed"):
+        _run(tmp_path, text=text, trust=trust, resume=True, retry=True)
+    status = study_status(tmp_path / "out", verify=True)
+    assert (status.state, status.done, status.missing, status.damaged) == ("unfinished", (), (), {})
+    assert set(status.failed.values()) == {"It raised ZeroDivisionError: division by zero."}
+    assert not read_manifest(tmp_path / "out").finished
+    assert not open_results(tmp_path / "out").children
+
+
+def _files(folder):
+    return {
+        path.relative_to(folder): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and path.name != "run.lock"
+    }
