@@ -25,6 +25,7 @@ NAMES = (
     "images",
     "findings",
     "studies",
+    "scaling",
     "app",
 )
 
