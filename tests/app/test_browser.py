@@ -20,7 +20,7 @@ from mcspectra.app.state import State
 
 _ARGUMENTS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking")
 _PATIENCE = 90_000  # milliseconds: what is waited for comes within one on a quiet machine
-_SMALL = "half_width=8&realizations=16&n=64"
+_SMALL = "half_width=4&realizations=16&n=16"
 
 
 @pytest.fixture(scope="module")
@@ -126,6 +126,18 @@ def test_another_sampler_and_a_randomisation(page: Page, address: str) -> None:
     wait_for(page, "sampler", "sobol | owen")
     done(page)
     expect(page.get_by_role("img", name="A: Convergence. Fitted rate")).to_be_visible()
+
+
+def test_a_formula(page: Page, address: str) -> None:
+    open_state(page, address, _SMALL)
+    field = page.get_by_label("Formula, A", exact=True)
+    field.fill("exp(-x/2)*(y < 0.5)")
+    field.press("Enter")
+    wait_for(page, "integrand", "formula(expression='exp(-x/2)*(y < 0.5)')")
+    done(page)
+    field.fill("__import__('os')")
+    field.press("Enter")
+    expect(page.get_by_role("alert")).to_contain_text("no function '__import__'")
 
 
 def test_python_that_is_copied_gives_the_figures_shown(page: Page, address: str) -> None:

@@ -127,10 +127,6 @@ class Board:
 
     def _read(self) -> None:
         """Take what has come in, in its order, which the page's callbacks do not keep."""
-        with pn.io.hold():  # one message to the browser for all changes
-            self._take()
-
-    def _take(self) -> None:
         while not self._inbox.empty():
             job, news = self._inbox.get()
             if job is not self._job:  # what a job of the past still sends

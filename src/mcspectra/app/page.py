@@ -7,6 +7,7 @@ from html import escape
 from typing import Any, final
 
 import panel as pn
+from tornado.ioloop import IOLoop
 
 from mcspectra.app.accessible import name_widgets
 from mcspectra.app.board import Board
@@ -50,6 +51,7 @@ class Explorer:
         except McspectraError as error:
             self.state, refused = State(), f"{error} The defaults are shown."
         self._document = pn.state.curdoc
+        self._loop = IOLoop.current(instance=False)
         self._location: Any = pn.state.location
         self._boards: dict[str, Board] = {}
         self._controls: dict[str, Controls] = {}
@@ -140,7 +142,16 @@ class Explorer:
         )
 
     def _later(self, act: Any) -> None:
-        """Have `act` called in the session's thread, unless the session has ended."""
+        """Have `act` called in the session's thread; may be called from any thread.
+
+        The document is told in its own thread: while Panel holds changes back there, it may lose
+        what another thread adds.
+        """
+        if self._loop is not None:
+            self._loop.add_callback(self._add, act)
+
+    def _add(self, act: Any) -> None:
+        """Add `act` to the document, unless the session has ended."""
         if self._document is not None and self._document.session_context is not None:
             self._document.add_next_tick_callback(act)
 
