@@ -24,10 +24,10 @@ _PROBES = 4
 class Formula(Integrand):
     """A formula of the coordinates, read as data.
 
-    Such as ``exp(-x**2 - y**2)``: numbers, the coordinates x, y, z (or x0, x1, …), pi, e, the operators + - * / ** %,
-    comparisons, which are 1 where they hold and 0 elsewhere, and sin, cos, tan, arcsin, arccos,
-    arctan, arctan2, sinh, cosh, tanh, exp, log, log2, log10, sqrt, hypot, abs, sign, sinc, floor,
-    ceil, min, max and where. It is read as data: no other name is known, and nothing is run as Python.
+    Such as ``exp(-x**2 - y**2)``: numbers, the coordinates x, y, z (or x0, x1, …), pi, e, the
+    operators + - * / ** %, comparisons, which are 1 where they hold and 0 elsewhere, and sin, cos,
+    tan, arcsin, arccos, arctan, arctan2, sinh, cosh, tanh, exp, log, log2, log10, sqrt, hypot, abs,
+    sign, sinc, floor, ceil, min, max and where. No other name is known, and nothing is run as Python.
 
     Parameters
     ----------
