@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice, as_integer
+from mcspectra.core.checks import as_choice, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.parallel import MAX_REALIZATIONS
 from mcspectra.core.progress import report
@@ -41,13 +41,14 @@ from mcspectra.rendering.backend import LOCK, load_mitsuba
 from mcspectra.rendering.draws import check_channel
 from mcspectra.rendering.scene_checks import check_lights, check_scene, warn_lens
 from mcspectra.rendering.scenes import Scene, as_scene, film_size, scene_name, sensor_of
+from mcspectra.rendering.staged_map import Maps, StagedMap
 from mcspectra.rendering.techniques import POWERS
 from mcspectra.samplers import as_sampler
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["variance_map"]
+__all__ = ["staged_map", "variance_map"]
 
 
 def variance_map(
@@ -153,6 +154,44 @@ def variance_map(
     pixel, of techniques with points of their own, at 95 %: where both rates are equal a pixel in 20 is
     decided all the same.
     """
+    staged = staged_map(
+        *(scene, strategies, sampler, counts, realizations),
+        crop=crop,
+        size=size,
+        light=light,
+        heuristic=heuristic,
+        channel=channel,
+        dims=dims,
+        points=points,
+        smoothing=smoothing,
+        predict_every=predict_every,
+        rng=rng,
+    )
+    settings = {} if out is None else _settings(staged.measurement, staged.window)
+    store = None if out is None else TileStore(out, settings, resume=resume)
+    with _threads(workers):
+        return staged.result(_measured(staged, store))
+
+
+def staged_map(
+    scene: Scene,
+    strategies: Sequence[str] = MAP_STRATEGIES,
+    sampler: Any = "jittered",
+    counts: Sequence[int] = (4, 9, 16, 36, 64),
+    realizations: int = 64,
+    *,
+    crop: Sequence[int] | None = None,
+    size: Sequence[int] | None = None,
+    light: int | str | None = None,
+    heuristic: str = "balance",
+    channel: str | int = "luminance",
+    dims: int = 2,
+    points: str = "shared",
+    smoothing: int = 1,
+    predict_every: int = 1,
+    rng: RngLike = 0,
+) -> StagedMap:
+    """Return `variance_map` as a staged analysis, its arguments checked: a block is a tile."""
     measurement = _measurement(
         *(scene, strategies, sampler, counts, realizations, size, light, heuristic, channel),
         *(dims, points, predict_every, Stream.from_rng(rng)),
@@ -160,16 +199,17 @@ def variance_map(
     smoothing = check_smoothing(smoothing)
     window = check_crop(crop, measurement.lighting.size)
     check_memory(window, len(measurement.strategies), len(measurement.counts))
-    store = None if out is None else TileStore(out, _settings(measurement, window), resume=resume)
-    with _threads(workers):
-        maps = _measured(measurement, window, store)
-    if not (maps["status"] == RECEIVER).any():
-        nothing = (
-            f"No pixel of the crop {list(window)} of {scene_name(scene)} sees a surface that scatters "
-            "light; choose another crop."
-        )
-        raise ParameterError(" ".join([nothing, *check_scene(scene, light=light)]))
-    return labelled(measurement, window, maps, smoothing, rng)
+
+    def result(maps: Maps) -> xr.Dataset:
+        if not (maps["status"] == RECEIVER).any():
+            nothing = (
+                f"No pixel of the crop {list(window)} of {scene_name(scene)} sees a surface that "
+                "scatters light; choose another crop."
+            )
+            raise ParameterError(" ".join([nothing, *check_scene(scene, light=light)]))
+        return labelled(measurement, window, maps, smoothing, rng)
+
+    return StagedMap(measurement, window, result)
 
 
 def _measurement(
@@ -213,28 +253,22 @@ def _measurement(
     )
 
 
-def _measured(
-    measurement: Measurement, window: Window, store: TileStore | None
-) -> dict[str, Array]:
+def _measured(staged: StagedMap, store: TileStore | None) -> Maps:
     """Measure all tiles, or read them; arrays (…, y, x)."""
-    x0, y0, width, height = window
-    total, step = width * height, measurement.tile_pixels
-    prediction = measurement.prediction()
-    maps: dict[str, Array] = {}
-    for tile, start in enumerate(range(0, total, step)):
-        place = np.arange(start, min(start + step, total))
+    maps: Maps = {}
+    for tile in range(staged.tiles):
+        place = staged.places(tile)
         found = None if store is None else store.load(tile)
         if found is None:
-            pixels = np.stack([x0 + place % width, y0 + place // width], axis=-1)
-            found = measurement.tile(pixels, prediction)
+            found = staged.tile(tile)
             if store is not None:
                 store.save(tile, found)
         for name, values in found.items():
             if name not in maps:
-                maps[name] = np.empty((*values.shape[:-1], total), values.dtype)
+                maps[name] = np.empty((*values.shape[:-1], staged.pixels), values.dtype)
             maps[name][..., place] = values
-        report("map", (start + len(place)) / total)
-    return {name: each.reshape(*each.shape[:-1], height, width) for name, each in maps.items()}
+        report("map", (int(place[-1]) + 1) / staged.pixels)
+    return staged.image(maps)
 
 
 def _settings(measurement: Measurement, window: Window) -> dict[str, Any]:

@@ -203,14 +203,14 @@ def _remedies(cell: Cell, settings: RemediesConfig, seed: int) -> xr.Dataset:
     )
 
 
-def _map(cell: Cell, settings: MapConfig, seed: int) -> xr.Dataset:
-    from mcspectra.rendering.maps import variance_map
+def _map(cell: Cell, settings: MapConfig, seed: int) -> Staged[Any]:
+    from mcspectra.rendering.maps import staged_map
 
     given: dict[str, Any] = (
         {} if settings.strategies is None else {"strategies": settings.strategies}
     )
 
-    return variance_map(
+    return staged_map(
         settings.scene,
         sampler=cell.sampler,
         counts=settings.counts,
@@ -236,14 +236,14 @@ _STAGED: dict[str, Callable[[Cell, Any, int], Staged[Any]]] = {
     "spectrum": _spectrum,
     "pcf": _pcf,
     "anova": _anova,
+    "map": _map,
 }
-"""Analyses that are sums over realisations, and can be cut."""
+"""Analyses that are sums over realisations, or sets of pixels, and can be cut."""
 
 _COMPUTE: dict[str, Callable[[Cell, Any, int], xr.Dataset]] = {
     "points": _points,
     "exact": _exact,
     "remedies": _remedies,
-    "map": _map,
 }
 
 
