@@ -68,6 +68,18 @@ def test_a_writer_is_not_waited_for(tmp_path, monkeypatch):
         FolderLock.take(tmp_path)
 
 
+def test_a_writer_that_has_just_come_is_named(tmp_path):
+    """It has locked the file, and writes its name a moment later."""
+    with FolderLock.take(tmp_path):
+        words = (tmp_path / LOCK_NAME).read_bytes()
+        (tmp_path / LOCK_NAME).write_bytes(b"")
+        writing = threading.Timer(0.1, (tmp_path / LOCK_NAME).write_bytes, [words])
+        writing.start()
+        with pytest.raises(StoreError, match=f"written by process {os.getpid()} on host"):
+            FolderLock.take(tmp_path)
+        writing.join()
+
+
 def test_who_looks_is_not_seen_by_others_who_look(left):
     assert not is_held(left)
     with _looking(left):

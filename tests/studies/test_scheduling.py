@@ -11,6 +11,7 @@ import xarray as xr
 from mcspectra.core.staged import MergeTree, Run, Whole, chunks
 from mcspectra.studies.engines import Outcome
 from mcspectra.studies.plan import Cell
+from mcspectra.studies.run import drive
 from mcspectra.studies.scheduling import Pace, PartialRun, Schedule
 from mcspectra.studies.tables import ConvergenceConfig
 from mcspectra.studies.tasks import pack_payload
@@ -218,8 +219,13 @@ def test_what_fails_outside_of_tasks_fails_its_cell_too():
             raise ArithmeticError("before the first run")
             yield []
 
-    words = {"a": Broken((1,)), "b": Stillborn(), "c": Words((1,))}
-    schedule = Schedule([_cell(name) for name in "abc"], Source(words), {}, Pace())
+    class Leaving(Words):
+        def stages(self):
+            raise SystemExit(3)
+            yield []
+
+    words = {"a": Broken((1,)), "b": Stillborn(), "d": Leaving(), "c": Words((1,))}
+    schedule = Schedule([_cell(name) for name in "abdc"], Source(words), {}, Pace())
     first, last = schedule.next_task(), schedule.next_task()
     assert schedule.next_task() is None
     schedule.take(_outcome(words["a"], first))
@@ -228,6 +234,7 @@ def test_what_fails_outside_of_tasks_fails_its_cell_too():
     assert errors["a"] == "It raised ZeroDivisionError: in the fit."
     assert errors["b"] == "It raised ArithmeticError: before the first run."
     assert "cannot be read" in errors["c"]
+    assert errors["d"] == "It raised SystemExit: 3."
 
 
 def test_what_is_recorded_is_not_computed_again():
@@ -281,6 +288,42 @@ def test_cells_like_short_ones_are_not_even_built():
     schedule.take(_outcome(words["a"], first, seconds=0.5))
     assert schedule.next_task().key == "b/s/kind/-1-0-1/0+1"
     assert [settled.error for settled in schedule.settled()] == [None]
+
+
+def test_of_cells_that_are_all_recorded_one_result_at_a_time_is_held():
+    """A resumed run may find thousands; a cell that has tasks and one that fails come between."""
+    words = {name: Words((4,)) for name in "abcd"}
+    known = {name: words[name].runs[0] for name in "abd"}
+    keys = {f"{name}/s/kind/{run.key}/0+4": name for name, run in known.items()}
+    loaded = []
+
+    class Watched(Source):
+        def load(self, key):
+            loaded.append(keys[key])
+            return words[keys[key]].pack(words[keys[key]].chunk(known[keys[key]], (0, 4)))
+
+    found = {f"{name}/s/kind": [(run.key, (0, 4))] for name, run in known.items()}
+    broken = dataclasses.replace(_cell("e", 2.5), error="It cannot be planned.")
+    cells = [broken, *(_cell(name, cost) for name, cost in zip("abcd", (4, 3, 2, 1), strict=True))]
+    schedule = Schedule(cells, Watched(words), found, Pace())
+    held = []
+
+    class Engine:
+        workers = 8
+
+        def submit(self, task):
+            held.append(task)
+
+        def outcomes(self):
+            while held:
+                yield _outcome(words["c"], held.pop(0))
+
+    order = []
+    for settled in drive(schedule, Engine(), lambda outcome: None):
+        order.append(settled.cell.estimator_name)
+        if settled.result is not None and settled.cell.estimator_name != "c":
+            assert loaded == [name for name in order if name in "abd"]
+    assert order == ["a", "b", "e", "d", "c"]
 
 
 def test_a_cell_that_is_all_recorded_is_done_at_once():

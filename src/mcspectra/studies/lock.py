@@ -27,6 +27,7 @@ __all__ = ["LOCK_NAME", "FolderLock", "LockHolder", "check_unlocked", "is_held",
 LOCK_NAME = "run.lock"
 _MOST_BYTES = 4096
 _LOOKING = 5.0  # seconds for which others may look at a lock, one after another
+_WORDS = 0.5  # seconds from a lock to the words of its holder, at most
 _PAUSE = 0.005
 _fcntl: Any
 try:
@@ -170,7 +171,7 @@ def _locked_descriptor(file: Path) -> int:
     while True:
         descriptor = os.open(file, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o644)
         if not _flock_patiently(descriptor):
-            holder = _decoded(os.pread(descriptor, _MOST_BYTES, 0))
+            holder = _new_holder(descriptor)
             os.close(descriptor)
             raise _refusal(file, holder)
         # The holder may have removed the file between the two calls: then ours is no one's.
@@ -178,6 +179,16 @@ def _locked_descriptor(file: Path) -> int:
             if os.path.samestat(os.fstat(descriptor), file.stat()):
                 return descriptor
         os.close(descriptor)
+
+
+def _new_holder(descriptor: int) -> LockHolder | None:
+    """Who has just locked a file: they may be about to write their words."""
+    end = time.monotonic() + _WORDS
+    while (holder := _decoded(os.pread(descriptor, _MOST_BYTES, 0))) is None:
+        if time.monotonic() > end:
+            break
+        time.sleep(_PAUSE)
+    return holder
 
 
 def _unlockable(file: Path, error: OSError) -> StoreError:

@@ -178,10 +178,12 @@ def drive(
     while True:
         while schedule.under_way < _AHEAD * engine.workers:
             task = schedule.next_task()
-            yield from schedule.settled()
-            if task is None:
+            settled = list(schedule.settled())
+            yield from settled
+            if task is not None:
+                engine.submit(task)
+            elif not settled:
                 break
-            engine.submit(task)
         if not schedule.under_way:
             return
         outcome = next(outcomes)

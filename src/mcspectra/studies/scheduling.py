@@ -8,6 +8,7 @@ the result is the same bits for all of them, and for chunks of an earlier run th
 
 from __future__ import annotations
 
+import asyncio
 import math
 import statistics
 from collections import deque
@@ -31,6 +32,8 @@ State = TypeVar("State")
 _TARGET = 1.0  # seconds of a chunk
 _OF_LIMIT = 0.2  # and at most this part of the time limit
 _SAMPLES = 9  # latest measurements that the pace of an analysis is the median of
+# An interrupt in this thread is the user's; what else ends a thread is of the code of others.
+_FAILURES = (Exception, SystemExit, asyncio.CancelledError)
 _INSTANT = 1e-9  # seconds: what takes less counts as this
 
 
@@ -316,7 +319,11 @@ class Schedule:
         return len(self._under_way)
 
     def next_task(self) -> Task | None:
-        """The next task; None if all have been handed out, or others must come back first."""
+        """The next task; None if all have been handed out, or others must come back first.
+
+        None too as soon as a cell is done that an earlier run recorded as a whole, so that of many
+        such cells one result at a time is held: take `settled`, then ask again.
+        """
         while True:
             for active in self._active.values():
                 task = active.next_task(self._pace)
@@ -325,7 +332,8 @@ class Schedule:
                     return task
             if not self._waiting:
                 return None
-            self._begin(self._waiting.popleft())
+            if self._begin(self._waiting.popleft()):
+                return None
 
     def take(self, outcome: Outcome) -> Task | None:
         """Take in an outcome; returns its task if its cell is still under way and wants more."""
@@ -339,7 +347,7 @@ class Schedule:
         self._learn(active, task, outcome.seconds)
         try:
             active.add(task, outcome.payload)
-        except Exception as error:  # noqa: BLE001 - of the estimator, or of a payload that cannot be read
+        except _FAILURES as error:  # of the estimator, or of a payload that cannot be read
             self._settle(active.cell, error=explain(error))
             return None
         if active.result is None:
@@ -358,19 +366,21 @@ class Schedule:
         while self._settled:
             yield self._settled.popleft()
 
-    def _begin(self, cell: Cell) -> None:
+    def _begin(self, cell: Cell) -> bool:
+        """Begin a cell; whether that was all, as everything of it was recorded."""
         if cell.error is not None:
             self._settle(cell, error=cell.error)
-            return
+            return False
         try:
             active = _Active(cell, self._source, self._recorded.get(cell.path, ()), self._pace)
-        except Exception as error:  # noqa: BLE001 - of the estimator, in what comes before the first realisation
+        except _FAILURES as error:  # of the estimator, in what comes before the first realisation
             self._settle(cell, error=explain(error))
-            return
+            return False
         if active.result is None:
             self._active[cell.path] = active
-        else:
-            self._settle(cell, active.result)
+            return False
+        self._settle(cell, active.result)
+        return True
 
     def _settle(
         self, cell: Cell, result: xr.Dataset | None = None, error: str | None = None
