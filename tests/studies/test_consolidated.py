@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from mcspectra.core.errors import StoreError
-from mcspectra.studies import Store, decode_study, open_results
+from mcspectra.studies import Store, decode_study, export_results, open_results
 from mcspectra.studies.status import study_status
 
 STUDY = (
@@ -63,8 +63,12 @@ def test_metadata_that_disagree_are_named(
             open_results(folder, select)
     if not of_root:
         assert open_results(folder, "*/terms")[PATHS[1]]["x"].values.tolist() == [1.0, 2.0]
-    # What open refuses is what status finds, where a file has changed.
-    assert bool(study_status(folder, verify=True).damaged) != of_root
+    found = study_status(folder, verify=True).damaged
+    assert "metadata of the root" in found
+    assert (PATHS[0] in found) != of_root
+    for end in (".csv", ".zarr.zip"):
+        with pytest.raises(StoreError, match="is damaged"):
+            export_results(folder, folder.parent / f"x{end}")
 
 
 def test_a_resumed_store_is_sound_again(folder: Path) -> None:
@@ -74,6 +78,7 @@ def test_a_resumed_store_is_sound_again(folder: Path) -> None:
     assert all(map(store.done, PATHS))
     store.finish()
     assert open_results(folder)[PATHS[0]]["x"].values.tolist() == [1.0, 2.0]
+    assert study_status(folder, verify=True).damaged == {}
 
 
 @pytest.mark.parametrize(

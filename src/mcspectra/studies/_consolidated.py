@@ -13,7 +13,7 @@ from typing import Any
 
 from mcspectra.core.errors import StoreError
 
-__all__ = ["check_consolidated"]
+__all__ = ["check_consolidated", "disagreement"]
 
 _KEY = "consolidated_metadata"
 
@@ -21,6 +21,28 @@ _KEY = "consolidated_metadata"
 def check_consolidated(
     tree: Path, root: dict[str, Any], paths: Collection[str] | None = None
 ) -> None:
+    """Refuse a store whose root says other things of its cells than their files do.
+
+    Parameters
+    ----------
+    tree, root, paths
+        As of `disagreement`.
+
+    Raises
+    ------
+    StoreError
+        They disagree.
+    """
+    reason = disagreement(tree, root, paths)
+    if reason is not None:
+        raise StoreError(
+            f"{str(tree)!r} is damaged or not ours: {reason}; --resume writes them again."
+        )
+
+
+def disagreement(
+    tree: Path, root: dict[str, Any], paths: Collection[str] | None = None
+) -> str | None:
     """Compare the consolidated metadata of a store, or of some of its cells, with its files.
 
     Parameters
@@ -28,28 +50,29 @@ def check_consolidated(
     tree
         The store's folder.
     root
-        Metadata of its root group; nothing is checked if they hold no others.
+        Metadata of its root group; nothing is compared if they hold no others.
     paths
         Of the cells; all by default.
 
-    Raises
-    ------
-    StoreError
-        They disagree, or name what cannot be in a store.
+    Returns
+    -------
+    str or None
+        What disagrees first, in words.
     """
     inline = root.get(_KEY)
     if inline is None:
-        return
+        return None
     documents = inline.get("metadata") if isinstance(inline, dict) else None
     if not isinstance(documents, dict):
-        raise _damaged(tree, "its consolidated metadata cannot be read")
+        return "its consolidated metadata cannot be read"
     chosen = frozenset(paths or ())
     for name, document in documents.items():
         if not _is_inside(name):
-            raise _damaged(tree, f"its metadata name {name[:100]!r}, which is no path in a store")
+            return f"its metadata name {name[:100]!r}, which is no path in a store"
         asked = paths is None or name in chosen or name.rpartition("/")[0] in chosen
         if asked and _without(document) != _read(tree / name / "zarr.json"):
-            raise _damaged(tree, f"the metadata of {name} are others in the root's zarr.json")
+            return f"the metadata of {name} are others in the root's zarr.json"
+    return None
 
 
 def _is_inside(name: str) -> bool:
@@ -70,9 +93,3 @@ def _without(document: Any) -> Any:
     if not isinstance(document, dict):
         return document
     return {key: value for key, value in document.items() if key != _KEY}
-
-
-def _damaged(tree: Path, reason: str) -> StoreError:
-    return StoreError(
-        f"{str(tree)!r} is damaged or not ours: {reason}; --resume writes them again."
-    )

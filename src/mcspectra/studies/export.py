@@ -24,6 +24,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import MissingDependency, ParameterError, StorageError, StoreError
+from mcspectra.studies._consolidated import check_consolidated
 from mcspectra.studies.checksums import Checksum, damage_of
 from mcspectra.studies.copying import copy_to_folder, copy_to_url, copy_to_zip
 from mcspectra.studies.links import check_tree_links
@@ -31,7 +32,7 @@ from mcspectra.studies.manifest import in_place, read_manifest
 from mcspectra.studies.opening import open_results
 from mcspectra.studies.places import first_line, is_url
 from mcspectra.studies.sizes import check_memory
-from mcspectra.studies.store import STORE_NAME
+from mcspectra.studies.store import STORE_NAME, root_document
 from mcspectra.studies.tidy import FIXED, VALUES, cells_of, coordinate_columns, tidy
 
 if TYPE_CHECKING:
@@ -133,6 +134,7 @@ def _check_cells(source: str | Path, select: str | None) -> None:
         reason = damage_of(tree / path, Checksum(line.sha256, line.parts, line.bytes))
         if reason is not None:
             raise _damaged(path, reason)
+    check_consolidated(tree, root_document(tree), None if select is None else chosen)
 
 
 def _damaged(path: str, reason: str) -> StoreError:

@@ -9,13 +9,14 @@ from typing import Any
 import msgspec
 
 from mcspectra.core.errors import StoreError
+from mcspectra.studies._consolidated import disagreement
 from mcspectra.studies.checksums import Checksum, damage_of
 from mcspectra.studies.journal import JOURNAL_NAME, JournalState, read_journal
 from mcspectra.studies.lock import LockHolder, is_held, lock_holder
-from mcspectra.studies.manifest import CellLine, Manifest, in_place, read_manifest
+from mcspectra.studies.manifest import FORMAT, CellLine, Manifest, in_place, read_manifest
 from mcspectra.studies.opening import check_format, result_paths
 from mcspectra.studies.places import is_url
-from mcspectra.studies.store import STORE_NAME, root_attributes
+from mcspectra.studies.store import STORE_NAME, root_attributes, root_document
 
 __all__ = ["AnalysisCount", "StudyStatus", "study_status"]
 
@@ -112,6 +113,7 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
     journal = read_journal(root, verify=verify) or JournalState((), {}, (), 0)
     tree = root / STORE_NAME
     damaged = _damaged_cells(tree, manifest, verify) | _damaged_records(manifest, journal)
+    damaged |= _damaged_root(tree) if verify and attributes["format"] == FORMAT else {}
     done = tuple(path for path in in_place(tree, manifest) if path not in damaged)
     known = {*done, *damaged}
     failed = {path: error for path, error in journal.failures.items() if path not in known}
@@ -167,6 +169,11 @@ def _damaged_cells(tree: Path, manifest: Manifest, verify: bool) -> dict[str, st
         if reason is not None:
             found[path] = reason
     return found
+
+
+def _damaged_root(tree: Path) -> dict[str, str]:
+    reason = disagreement(tree, root_document(tree))
+    return {} if reason is None else {"metadata of the root": reason}
 
 
 def _damaged_records(manifest: Manifest, journal: JournalState) -> dict[str, str]:
