@@ -302,6 +302,18 @@ def test_a_url_that_fails_has_no_half_of_a_store(
     assert not files.exists(f"{memory}/x.zarr")
 
 
+def test_the_roots_metadata_come_last(folder: Path, tmp_path: Path) -> None:
+    """What is cut off before them is no store."""
+    one = export_results(folder, tmp_path / "one.zarr.zip")
+    two = tmp_path / "two.zarr.zip"
+    copy_to_zip(one, two)
+    for file in (one, two):
+        with zipfile.ZipFile(file) as archive:
+            names = archive.namelist()
+        assert names[-1] == "zarr.json"
+        assert names[:-1] == sorted(names[:-1])
+
+
 @pytest.mark.parametrize("end", [".csv", ".json", ".nc", ".parquet", ".zarr.zip", ".zarr"])
 def test_what_has_changed_since_it_was_written_is_not_exported(copy: Path, end: str) -> None:
     cell = copy / "results.zarr" / PATHS[0]
