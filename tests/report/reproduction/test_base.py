@@ -85,6 +85,15 @@ def test_identities_have_an_error_and_no_interval() -> None:
     assert identity("s", error=2e-12, at_most=1e-12).agrees is False
 
 
+@pytest.mark.parametrize(
+    ("at_most", "shown"),
+    [(1e-15, "1e-15"), (0.01, "1e-2"), (1 / 256, "4e-3"), (1.2207e-3, "1.3e-3"), (9.96e-3, "1e-2")],
+)
+def test_limits_are_not_shown_smaller_than_they_are(at_most: float, shown: str) -> None:
+    assert identity("s", error=at_most, at_most=at_most).expected == f"≤ {shown}"
+    assert float(shown) >= at_most
+
+
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_what_is_no_number_agrees_with_nothing(value: float) -> None:
     assert comparison("s", expected=1.0, measured=value, interval=(value, value)).agrees is False

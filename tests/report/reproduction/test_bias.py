@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 
 from mcspectra.report.reproduction import _limits, bias
-from mcspectra.report.reproduction.base import Exhibit
+from mcspectra.report.reproduction.base import GALLERY_FINDINGS, Exhibit
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,7 @@ def test_another_width_disagrees(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_limit_of_many_normal_errors() -> None:
     from scipy.stats import norm
 
-    level = (1 - 2 * norm.sf(_limits.normal_limit(65))) ** (65 * 100)
+    level = (1 - 2 * norm.sf(_limits.normal_limit(65))) ** (65 * GALLERY_FINDINGS)
     assert level == pytest.approx(0.95, rel=1e-9)
 
 

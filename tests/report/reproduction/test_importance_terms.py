@@ -57,8 +57,13 @@ def test_other_cases_disagree() -> None:
     assert module._crucial(cases.BAD, of[cases.BAD]).agrees is False
 
 
-def test_a_negative_second_term_disagrees() -> None:
-    data = cases.terms(cases.GOOD, 20, 1)
-    assert module._second_positive([data]).agrees is True
-    wrong = data.assign(power_contribution=data["power_contribution"] - np.float64(1.0))
-    assert module._second_positive([wrong]).agrees is False
+def test_a_second_term_that_may_be_zero_disagrees() -> None:
+    good, line = (cases.terms(case, 100, 1) for case in (cases.GOOD, cases.LINE))
+    assert module._second_positive([good, line]).agrees is True
+    low = -0.01 * float(line["power_term"])
+    wrong = line.assign(power_term_ci=("bound", [low, 3 * float(line["power_term"])]))
+    assert module._second_positive([good, wrong]).agrees is False
+    assert module._second_positive([wrong, good]).interval == (
+        low,
+        wrong["power_term_ci"].values[1],
+    )

@@ -172,6 +172,30 @@ def test_captions_in_the_pdf_lie_below_legends() -> None:
     add_pages(Page(), entry, [picture])  # type: ignore[arg-type]
 
 
+def test_an_interrupt_ends_all_and_leaves_no_part_of_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(name: str) -> Callable[..., Exhibit]:
+        if name == "bad":
+            raise KeyboardInterrupt
+        return _good
+
+    monkeypatch.setattr(entries, "load_exhibit", interrupted)
+    assert main(["reproduce", "--out", str(tmp_path)]) == 130
+    assert [path.name for path in tmp_path.iterdir()] == ["figures"]
+
+
+def test_a_folder_that_cannot_be_written_has_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "figures").write_text("a file")
+    with pytest.raises(StoreError, match="cannot be written"):
+        reproduce(tmp_path, ["good"])
+    (tmp_path / "figures").unlink()
+    (tmp_path / "index.html").mkdir()
+    with pytest.raises(StoreError, match="cannot be written"):
+        reproduce(tmp_path, ["good"])
+    assert not list(tmp_path.glob(".*partial"))
+
+
 def test_what_is_not_ours_stays(tmp_path: Path) -> None:
     (tmp_path / "figures").mkdir()
     kept = [tmp_path / "notes.txt", tmp_path / "figures" / "mine.png"]
@@ -192,6 +216,8 @@ def test_bad_input_is_refused_before_anything_is_made(tmp_path: Path) -> None:
         with pytest.raises(ParameterError, match="seed"):
             reproduce(out, ["good"], seed=seed)  # type: ignore[arg-type]
     assert not out.exists()
+    with pytest.raises(ParameterError, match="no name"):
+        reproduce("", ["good"])
     (tmp_path / "file").write_text("")
     with pytest.raises(StoreError, match="cannot be written"):
         reproduce(tmp_path / "file", ["good"])

@@ -300,7 +300,7 @@ def _signed_bar(figure: Figure, drawn: AxesImage, norm: SymLogNorm, label: str) 
     images = [axes for axes in figure.axes if axes.images]
     bar = figure.colorbar(drawn, ax=images, shrink=0.85, aspect=24, pad=0.02)
     signed_bar_ticks(bar, norm)
-    quiet_colorbar(bar, f"{label}   ({threshold_note(float(norm.linthresh))})")
+    quiet_colorbar(bar, f"{label}\n({threshold_note(float(norm.linthresh))})")
 
 
 def _mark_dc(axes: Axes) -> None:

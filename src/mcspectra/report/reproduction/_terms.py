@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 __all__ = ["TERMS", "interval_of", "quotient", "term_bars", "term_finding"]
 
+_ROUNDING = 1e-12  # terms that small beside the largest are rounding errors
+
 TERMS = {"dc_term": "first", "power_term": "second", "cross_term": "third"}
 
 
@@ -50,11 +52,13 @@ def term_bars(axes: Axes, data: xr.Dataset, scale: float, title: str) -> None:
     """Draw the three terms and their sum over `scale`, with 95 % intervals."""
     quiet(axes)
     names: Mapping[str, str] = {**TERMS, "predicted_variance": "sum"}
-    for place, name in enumerate(names):
-        value, (low, high) = quotient(data, name, scale)
+    drawn = {name: quotient(data, name, scale) for name in names}
+    rounding = _ROUNDING * max(abs(value) for value, _ in drawn.values())
+    for place, (value, (low, high)) in enumerate(drawn.values()):
         axes.bar(place, value, color=PALETTE[place], width=0.72)
         axes.vlines(place, low, high, color="#262626", lw=1)
-        axes.text(place, max(high, 0.0), number(value, 2), ha="center", va="bottom", fontsize=7)
+        label = number(value, 2) if abs(value) > rounding else "0"
+        axes.text(place, max(high, 0.0), label, ha="center", va="bottom", fontsize=7)
     axes.axhline(0.0, color="#262626", lw=0.7)
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.12 * (high - low))

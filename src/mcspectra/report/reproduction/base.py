@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from decimal import ROUND_CEILING, Decimal
 from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, final
 
 from mcspectra.estimators.moments import CONFIDENCE_Z
@@ -227,9 +228,17 @@ def identity(statement: str, *, error: float, at_most: float, note: str = "") ->
     """Judge an identity by the size of its error, which is one of rounding or quadrature."""
     return Finding(
         statement=statement,
-        expected=f"≤ {at_most:.0e}".replace("e-0", "e-"),
+        expected=f"≤ {_limit(at_most)}",
         measured=error,
         interval=None,
         agrees=bool(abs(error) <= at_most),
         note=note,
     )
+
+
+def _limit(at_most: float) -> str:
+    """A limit as ``1e-10`` or ``1.3e-3``: of two digits, never less than it is."""
+    exact = Decimal(f"{at_most:.12e}")
+    step = Decimal(1).scaleb(exact.adjusted() - 1)
+    digits, exponent = f"{exact.quantize(step, ROUND_CEILING):.1e}".replace(".0e", "e").split("e")
+    return f"{digits}e{int(exponent)}"

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import final
+from typing import TYPE_CHECKING, final
 
 from mcspectra.core.checks import as_integer
-from mcspectra.core.errors import StoreError
+from mcspectra.core.errors import ParameterError, StoreError
 from mcspectra.core.progress import report
 from mcspectra.report.reproduction.entries import Entry, make_entry
 from mcspectra.report.reproduction.files import (
@@ -19,6 +19,9 @@ from mcspectra.report.reproduction.files import (
 )
 from mcspectra.report.reproduction.page import Provenance, gallery_page
 from mcspectra.report.reproduction.registry import exhibit_names
+
+if TYPE_CHECKING:
+    from matplotlib.backends.backend_pdf import PdfPages
 
 __all__ = ["FINDINGS_NAME", "PAGE_NAME", "PDF_NAME", "Reproduction", "reproduce"]
 
@@ -84,11 +87,15 @@ def reproduce(
     ------
     UnknownName
         There is no such exhibit.
+    ParameterError
+        The folder has no name, or the seed is out of range.
     StoreError
         The folder cannot be written.
     """
     chosen = exhibit_names(names)
     seed = as_integer("seed", seed, least=0)
+    if not str(folder).strip():
+        raise ParameterError("The output folder has no name; give one, such as out/reproduce.")
     root = Path(folder)
     try:
         (root / _FIGURES).mkdir(parents=True, exist_ok=True)
@@ -111,23 +118,39 @@ def _make_all(
     done: Callable[[Entry], object] | None,
 ) -> list[Entry]:
     """Make the entries and write what needs their figures, so that these need not stay."""
-    entries: list[Entry] = []
     partial = root / f".{PDF_NAME}.partial"
-    with open_pdf(partial) as pdf:
-        for i, name in enumerate(names):
-            report("reproduce", i / len(names))
-            entry, pictures = make_entry(name, quick=quick, seed=seed)
-            write_images(root / _FIGURES, entry)
-            add_pages(pdf, entry, pictures)
-            entries.append(entry)
-            if done is not None:
-                done(entry)
+    try:
+        with open_pdf(partial) as pdf:
+            entries = list(_entries(root, pdf, names, quick, seed, done))
+        partial.replace(root / PDF_NAME)
+    finally:
+        partial.unlink(missing_ok=True)  # where it was interrupted
     report("reproduce", 1.0)
-    partial.replace(root / PDF_NAME)
     return entries
+
+
+def _entries(
+    root: Path,
+    pdf: PdfPages,
+    names: Sequence[str],
+    quick: bool,
+    seed: int,
+    done: Callable[[Entry], object] | None,
+) -> Iterator[Entry]:
+    for i, name in enumerate(names):
+        report("reproduce", i / len(names))
+        entry, pictures = make_entry(name, quick=quick, seed=seed)
+        write_images(root / _FIGURES, entry)
+        add_pages(pdf, entry, pictures)
+        if done is not None:
+            done(entry)
+        yield entry
 
 
 def _write(path: Path, text: str) -> None:
     partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)
+    try:
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)

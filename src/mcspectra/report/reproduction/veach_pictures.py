@@ -45,6 +45,7 @@ _WHERE = {
     "plate-0": "around the reflection of the widest light in the smoothest plate",
     "wall": "on the diffuse wall",
 }
+_LABELS = {"plate-0": "smoothest plate", "wall": "wall"}
 
 
 @final
@@ -250,7 +251,9 @@ def _frame(axes: Axes, renders: _Renders, name: str) -> None:
     rows, columns = _window(renders, name)
     corner = (columns.start - 0.5, rows.start - 0.5)
     size = columns.stop - columns.start
+    axes.add_patch(Rectangle(corner, size, size, fill=False, ec="white", lw=3.2))
     axes.add_patch(Rectangle(corner, size, size, fill=False, ec="black", lw=1.6))
     axes.annotate(
-        name, corner, (0, 3), textcoords="offset points", fontsize=8, color="black",
+        _LABELS[name], corner, (0, 4), textcoords="offset points", fontsize=8, color="black",
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
     )  # fmt: skip
