@@ -65,7 +65,7 @@ class Explorer:
         self._compare = pn.widgets.Checkbox(
             name="Compare with a second set-up, B", value=self.state.b is not None
         )
-        self._compare.param.watch(lambda event: self._choose_comparison(event.new), "value")
+        self._compare.param.watch(lambda _: self._later(self._choose_comparison), "value")
         self._scene = SceneView(self.state.theme, self._choose_pixel, self._later)
         self._arrange()
         if refused:
@@ -137,15 +137,15 @@ class Explorer:
         return Controls(
             setup,
             side,
-            lambda new: self._change(side, new),
-            lambda sentence: self._boards[side].refuse(sentence),
+            lambda _: self._later(lambda: self._change(side)),
+            lambda sentence: self._later(lambda: self._refuse(side, sentence)),
         )
 
     def _later(self, act: Any) -> None:
-        """Have `act` called in the session's thread; may be called from any thread.
+        """Have `act` called in the session's thread, holding the document's lock, from any thread.
 
-        The document is told in its own thread: while Panel holds changes back there, it may lose
-        what another thread adds.
+        Widgets of Panel call back without that lock, without which bokeh refuses changes of its own
+        models as often as the lock is free.
         """
         if self._loop is not None:
             self._loop.add_callback(self._add, act)
@@ -155,16 +155,24 @@ class Explorer:
         if self._document is not None and self._document.session_context is not None:
             self._document.add_next_tick_callback(act)
 
-    def _change(self, side: str, setup: Setup) -> None:
-        if side == "A":
-            self.state = replace(self.state, a=setup)
-        else:
-            self.state = replace(self.state, b=setup)
+    def _change(self, side: str) -> None:
+        """Show the set-up of a side's controls; later calls may overtake earlier ones."""
+        if side not in self._controls:  # the comparison has ended
+            return
+        setup = self._controls[side].setup
+        if setup == dict(self.state.setups())[side]:
+            return
+        self.state = replace(self.state, **{side.lower(): setup})
         self._tell_address()
         if self._boards[side].run(setup):
             self._lay_out()
 
-    def _choose_comparison(self, wanted: bool) -> None:
+    def _refuse(self, side: str, sentence: str) -> None:
+        if side in self._boards:
+            self._boards[side].refuse(sentence)
+
+    def _choose_comparison(self) -> None:
+        wanted = bool(self._compare.value)
         if wanted == (self.state.b is not None):
             return
         other = replace(self.state.a, sampler="random") if wanted else None
@@ -179,7 +187,8 @@ class Explorer:
         try:
             spec = pixel_spec(x, y, strategy)
         except McspectraError as error:
-            self._boards[side].refuse(str(error))
+            sentence = str(error)
+            self._later(lambda: self._refuse(side, sentence))
             return
         self._controls[side].change(integrand=spec, dims=2, density="uniform", smoothing=0.0)
 
