@@ -24,7 +24,7 @@ _VERBS = {
     "export": "write results as .csv, .parquet, .nc, .json or .zarr.zip",
     "init": "write a study file to begin with",
     "schema": "print the JSON Schema of study files",
-    "list": "list samplers, randomizations, densities or integrands",
+    "list": "list samplers, randomizations, densities, integrands or scenes",
     "points": "draw point sets and write them as text or files",
     "gallery": "measure samplers and show them side by side",
     "spectrum": "expected power spectrum of a sampler",
