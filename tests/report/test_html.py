@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from mcspectra.core.errors import StoreError
-from mcspectra.report import write_report
+from mcspectra.report import html, write_report
 from mcspectra.report.embed import bokeh_script
 from mcspectra.report.html import study_toml
 from mcspectra.studies import open_results
@@ -159,6 +159,22 @@ def test_provenance(folder: Path, page: Page) -> None:
     assert "mcspectra run study.toml" in page.text
     assert f"numpy {tree.attrs['version_numpy']}" in page.text
     assert f"Machine{socket.gethostname()}" in page.text.replace("\n", "")
+
+
+@pytest.mark.parametrize(
+    ("study", "options"),
+    [
+        ('integrand = "gaussian"', ""),
+        ("integrand = \"python(function='a.b:f')\"", " --allow-code a.b:f"),
+        (
+            'a = "python(function=\\"m:g\\", dims=2)"\nb = "python( function = \'m:f\')"\nc = "python(function=\'m:g\')"',
+            " --allow-code m:g --allow-code m:f",
+        ),
+        ("integrand = \"python(function='m:f; rm')\"", " --allow-code m:f"),
+    ],
+)
+def test_python_functions_are_allowed_by_the_command(study: str, options: str) -> None:
+    assert html._allowed(study) == options
 
 
 def test_the_study_in_the_page_is_the_study(folder: Path) -> None:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias, final
+from typing import TYPE_CHECKING, TypeAlias
 
 from mcspectra.report import figures
 from mcspectra.report.collect import EstimatorGroup
 from mcspectra.report.figures.groups import channel_note, frequency_dims
 from mcspectra.report.figures.variance import usable_counts
-from mcspectra.report.style import NARROW, LineStyle
+from mcspectra.report.further_pictures import map_pictures, pair_pictures, remedy_pictures
+from mcspectra.report.picture import Picture
+from mcspectra.report.style import LineStyle
 from mcspectra.report.words import (
     band_words,
     captured_words,
@@ -24,28 +25,11 @@ from mcspectra.report.words import (
 
 if TYPE_CHECKING:
     import xarray as xr
-    from matplotlib.figure import Figure
 
 __all__ = ["Picture", "pictures"]
 
 Datasets: TypeAlias = "Mapping[str, xr.Dataset]"
 Styles: TypeAlias = Mapping[str, LineStyle]
-
-
-@final
-@dataclass(frozen=True, kw_only=True)
-class Picture:
-    """A figure with its kebab-case kind, a caption, and an alternative text of what it shows."""
-
-    kind: str
-    caption: str
-    alt: str
-    figure: Figure
-
-    @property
-    def wide(self) -> bool:
-        """Whether it takes the whole width of a page."""
-        return bool(self.figure.get_figwidth() > NARROW)
 
 
 def pictures(group: EstimatorGroup, styles: Styles) -> Iterator[Picture]:
@@ -108,8 +92,8 @@ def _maps(data: Datasets, styles: Styles) -> Iterator[Picture]:
     yield Picture(
         kind="bands",
         caption=_join(
-            f"Above, the covariance between bands of frequencies ({_bands_of(data)}); below, each "
-            "band's share of the predicted variance by itself and through the other bands.",
+            f"Covariance between bands of frequencies ({_bands_of(data)}) and, where bars stand below, "
+            "each band's share of the predicted variance by itself and through the other bands.",
             channel,
         ),
         alt="Matrix of covariances between frequency bands. " + for_each(data, band_words),
@@ -178,6 +162,9 @@ _DRAWERS: tuple[tuple[str, Callable[[Datasets, Styles], Iterator[Picture]]], ...
     ("terms", _maps),
     ("spectrum", _spectrum),
     ("points", _points),
+    ("pcf", pair_pictures),
+    ("remedies", remedy_pictures),
+    ("map", map_pictures),
 )
 
 

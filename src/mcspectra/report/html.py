@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +13,7 @@ from mcspectra.core.errors import StorageError
 from mcspectra.report.collect import EstimatorGroup, Pair, collect
 from mcspectra.report.embed import bokeh_script
 from mcspectra.report.formatting import slug
+from mcspectra.report.gaps import gaps_of
 from mcspectra.report.sections import Section, section_of
 from mcspectra.report.style import sampler_styles
 from mcspectra.report.tables import Table, summary_table
@@ -35,6 +37,7 @@ __all__ = [
 
 REPORT_NAME = "report.html"
 _FIGURES = "figures"
+_FUNCTION = re.compile(r"""python\(\s*function\s*=\s*\\?['"]([A-Za-z_][\w.]*:[A-Za-z_]\w*)""")
 
 
 def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
@@ -127,11 +130,19 @@ def _page(
         title=study.get("title", "Results"),
         samplers=len({pair.sampler for group in groups for pair in group.pairs}),
         summary=_overview(groups, sections),
+        gaps=gaps_of(root),
         sections=sections,
         bokeh=bokeh_script() if live else "",
-        study=study_toml(study),
+        study=(text := study_toml(study)),
+        allowed=_allowed(text),
         **provenance(tree, root),
     )
+
+
+def _allowed(study: str) -> str:
+    """Options that a study with Python functions needs on the command line, with a blank before."""
+    names = dict.fromkeys(_FUNCTION.findall(study))
+    return "".join(f" --allow-code {name}" for name in names)
 
 
 def _overview(groups: Sequence[EstimatorGroup], sections: Sequence[Section]) -> Table | None:

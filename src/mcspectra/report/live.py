@@ -25,7 +25,7 @@ def live_plot(kind: str, group: EstimatorGroup, styles: Styles) -> LayoutDOM | N
     Parameters
     ----------
     kind
-        Kind of the static figure, as `gallery.Picture` has it.
+        Kind of the static figure, as `picture.Picture` has it.
     group, styles
         Results of an estimator, and how each sampler is drawn.
     """

@@ -14,7 +14,7 @@ from mcspectra.report.encode import encode
 from mcspectra.report.gallery import pictures
 from mcspectra.report.interactive import alt_text
 from mcspectra.report.live import live_plot
-from mcspectra.report.sentences import explain
+from mcspectra.report.sentences import explain, further_sentences
 from mcspectra.report.settings import missing_analyses, settings
 from mcspectra.report.study_tables import further_tables
 from mcspectra.report.style import LineStyle
@@ -110,3 +110,6 @@ def _sentences(pair: Pair) -> Iterator[tuple[str, str]]:
         text = explain(row, picked)
         if text:
             yield (f"{pair.sampler}, channel {channel}" if several else pair.sampler), text
+    further = further_sentences(pair.analyses)
+    if further:
+        yield pair.sampler, further

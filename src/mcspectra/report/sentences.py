@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from mcspectra.report.formatting import NEGLIGIBLE, number, percent, rate
@@ -11,11 +12,12 @@ from mcspectra.studies import SummaryRow
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["explain"]
+__all__ = ["explain", "further_sentences"]
 
 _DOMINANT = 0.9
 _CLOSE = 0.1  # prediction and measurement are said to agree
 _RATE_MARGIN = 1.5
+_REMEDY_WORDS = ("diagnosis", "recommendation")
 
 
 def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
@@ -43,6 +45,15 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
     if terms is not None:
         sentences += _term_sentences(row, terms)
     return " ".join(sentence for sentence in sentences if sentence)
+
+
+def further_sentences(analyses: Mapping[str, xr.Dataset]) -> str:
+    """Say what other analyses of a pair found in words: the best remedy, why nothing is exact."""
+    remedies, exact = analyses.get("remedies"), analyses.get("exact")
+    found = [] if remedies is None else [remedies.attrs.get(k) for k in _REMEDY_WORDS]
+    if exact is not None and exact.attrs.get("note"):
+        found.append(f"No exact variance at every n: {exact.attrs['note']}")
+    return " ".join(str(sentence) for sentence in found if sentence)
 
 
 def _rate_sentence(row: SummaryRow) -> str:

@@ -13,15 +13,21 @@ if TYPE_CHECKING:
 
 __all__ = ["missing_analyses", "settings"]
 
+_WITHOUT_SETTINGS = ("points", "exact")  # the caption and the table have their n
+_TITLES = {"pcf": "pair correlation", "anova": "axes"}
+
 
 def settings(group: EstimatorGroup) -> Iterator[tuple[str, str]]:
     """How each analysis was done, once for every distinct setting."""
-    for analysis in ANALYSES[:3]:
+    for analysis in (each for each in ANALYSES if each not in _WITHOUT_SETTINGS):
         samplers: dict[str, list[str]] = {}
         for sampler, each in group.having(analysis).items():
             samplers.setdefault(_setting(analysis, each), []).append(sampler)
         for text, names in samplers.items():
-            yield analysis, text if len(samplers) == 1 else f"{text} ({', '.join(names)})"
+            yield (
+                _TITLES.get(analysis, analysis),
+                text if len(samplers) == 1 else f"{text} ({', '.join(names)})",
+            )
 
 
 def missing_analyses(group: EstimatorGroup) -> Iterator[str]:
@@ -35,7 +41,9 @@ def missing_analyses(group: EstimatorGroup) -> Iterator[str]:
 
 def _setting(analysis: str, data: xr.Dataset) -> str:
     known = data.attrs
-    if "n" in known:
+    if "budget" in known:
+        counts = f"{known['budget']} evaluations"
+    elif "n" in known:
         counts = f"n = {known['n']}"
     else:
         n = data["n"].values

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 __all__ = ["further_tables"]
 
+_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+
 Rows = Iterator[tuple[Cell, ...]]
 
 
@@ -74,7 +76,7 @@ def _anova(sampler: str, data: xr.Dataset) -> Rows:
     shares = data["anova_share"]
     mean = shares.mean("channel") if "channel" in shares.dims else shares
     for i in np.argsort(-mean.values)[:10]:
-        yield _text(sampler), _text(labels[i]), Cell(text=percent(float(mean.values[i])))
+        yield _text(sampler), _text(_axes(labels[i])), Cell(text=percent(float(mean.values[i])))
 
 
 def _exact(sampler: str, data: xr.Dataset) -> Rows:
@@ -116,20 +118,24 @@ _TABLES: Mapping[str, tuple[str, str, tuple[str, ...], Callable[[str, Any], Rows
         (
             "Variance of each technique's part at the largest n, its share of the measured variance (sums "
             "differ from 100 % where techniques are correlated) and its rate. The bottleneck is the "
-            "technique whose rate is slower than all others'."
+            "technique whose rate is slower than all others'. Techniques are numbered in the estimator's "
+            "order, from 0."
         ),
         ("Sampler", "Technique", "Variance", "Share", "Rate", "Bottleneck"),
         _techniques,
     ),
     "anova": (
         "Axes",
-        "Shares of the variance by axes of primary space, the ten largest; channels are averaged.",
+        (
+            "Shares of the variance by axes of primary space, the ten largest; channels are averaged. An "
+            "estimate of a small share can be negative."
+        ),
         ("Sampler", "Axes", "Share"),
         _anova,
     ),
     "exact": (
         "Exact variance",
-        "Without sampling; a tooltip says why there is none.",
+        "Without sampling.",
         ("Sampler", "n", "Variance"),
         _exact,
     ),
@@ -143,6 +149,11 @@ _TABLES: Mapping[str, tuple[str, str, tuple[str, ...], Callable[[str, Any], Rows
         _map,
     ),
 }
+
+
+def _axes(label: str) -> str:
+    """``x₀x₁`` for the x0x1 of a store, as figures write it."""
+    return label.translate(_SUBSCRIPTS)
 
 
 def _text(text: str) -> Cell:

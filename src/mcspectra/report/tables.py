@@ -22,8 +22,8 @@ _NO_CURVE = "convergence was not analysed"
 _NO_TERMS = "the terms were not analysed"
 _NO_RATE = "fewer than two counts have a variance above rounding noise"
 _BOTTLENECK = (
-    " The bottleneck is the technique with the slowest rate where techniques were analysed, else the "
-    "term that adds most."
+    " The bottleneck is the technique with the slowest rate where techniques were analysed (undecided: "
+    "their intervals overlap), else the term that adds most."
 )
 _NO_NUMBER = "there is no finite number"
 
