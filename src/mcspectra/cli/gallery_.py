@@ -17,7 +17,10 @@ __all__ = ["add_arguments", "run"]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options."""
     parser.add_argument(
-        "specs", nargs="*", metavar="SPEC", help="samplers, e.g. pmj02 \"points(path='mine.dat')\""
+        "specs",
+        nargs="*",
+        metavar="SPEC",
+        help="samplers, e.g. pmj02 \"points(path='mine.dat') | shift\"",
     )
     parser.add_argument("--out", default="out/gallery", metavar="DIR", help="output folder")
     parser.add_argument("--quick", action="store_true", help="fewer points and realisations")
