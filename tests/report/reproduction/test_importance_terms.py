@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from scipy.integrate import quad
 
 from mcspectra.report.reproduction import _importance_cases as cases
 from mcspectra.report.reproduction import importance_terms as module
+from mcspectra.report.reproduction._terms import term_bars
 from mcspectra.report.reproduction.base import Exhibit
 from mcspectra.variance.exact import exact_variance
 
@@ -67,3 +69,12 @@ def test_a_second_term_that_may_be_zero_disagrees() -> None:
         low,
         wrong["power_term_ci"].values[1],
     )
+
+
+def test_bars_of_rounding_errors_have_the_label_0() -> None:
+    axes = Figure().subplots()
+    data = cases.terms(cases.FLAT, 100, 1)
+    term_bars(axes, data.assign(cross_term=1e-14 * data["dc_term"]), 1e-3, "f = 1")
+    labels = [text.get_text() for text in axes.texts]
+    assert labels[1:3] == ["0", "0"]
+    assert labels[0] == labels[3] != "0"
