@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from mcspectra.app import compute as module
-from mcspectra.app.compute import KINDS, Job, Update, compute, ladder, make_parts, rounds
+from mcspectra.app.compute import KINDS, Job, Update, compute, rounds
+from mcspectra.app.parts import ladder, make_parts
 from mcspectra.app.state import Setup
-from mcspectra.core.errors import McspectraError
 from mcspectra.core.progress import report
 
 SMALL = Setup(n=16, half_width=4, realizations=64)
@@ -158,11 +158,6 @@ def test_the_ladder_has_counts_that_the_sampler_can_do() -> None:
         counts = ladder(setup)
         assert counts == sorted(set(counts))
         assert all(source.nearest_count(n) == n and n <= 2**16 for n in counts)
-
-
-def test_several_channels_are_refused_before_any_work() -> None:
-    with pytest.raises(McspectraError, match="channels"):
-        make_parts(replace(SMALL, integrand="environment(values=[[[1, 2, 3]]])"))
 
 
 def test_warnings_of_counts_are_notes() -> None:

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mcspectra.app.compute import compute, ladder
+from mcspectra.app.compute import compute
 from mcspectra.app.export import as_python, as_toml
+from mcspectra.app.parts import integrand_specs, ladder
 from mcspectra.app.state import Setup, State
 from mcspectra.app.uploads import keep_upload
 from mcspectra.studies.config import read_study
@@ -23,6 +24,8 @@ SETUPS = [
     Setup(integrand="disk", smoothing=0.125, basis="cosine", seed=5, **SMALL),
     Setup(dims=1, mirror="integrand", density="power(exponent=1)", integrand="polynomial", **SMALL),
     Setup(sampler="sobol | owen", frequency_step=0.25, **SMALL),
+    Setup(integrand="technique-sum(integrands=['gaussian', 'disk'])", **SMALL),
+    Setup(integrand="environment(values=[[[1, 2, 3], [0, 5, 1]]])", channel="1", **SMALL),
 ]
 
 
@@ -59,7 +62,8 @@ def test_toml_is_a_study_of_the_same(setup: Setup, tmp_path: Path) -> None:
     first, second = study.estimators
     assert (first.name, second.name) == ("A", "B")
     assert first.samplers == (setup.displaced_sampler,)
-    assert first.integrand == setup.integrand
+    specs = integrand_specs(setup)
+    assert (first.integrands or (first.integrand,)) == specs
     assert first.smoothed == (setup.smoothing or None)
     assert first.terms is not None
     assert first.convergence is not None

@@ -90,6 +90,7 @@ def test_any_text_is_a_state_or_an_error_of_ours(query: str) -> None:
         ("theme=pink", "light, dark"),
         ("basis=wavelet", "fourier"),
         ("mirror=yes", "none"),
+        ("channel=alpha", "luminance"),
         ("n", "cannot be read"),
         ("n=%ff", "cannot be read"),
         ("integrand=upload(digest='12')", "digest"),

@@ -9,8 +9,9 @@ from typing import Any, final
 
 import panel as pn
 
-from mcspectra.app.compute import Job, Update, make_parts
+from mcspectra.app.compute import Job, Update
 from mcspectra.app.look import text_block
+from mcspectra.app.parts import make_parts
 from mcspectra.app.state import Setup
 from mcspectra.app.views import View, make_views
 
@@ -28,7 +29,7 @@ class Board:
     setup, side, theme
         What is shown, ``"A"`` or ``"B"``, and the name of the look.
     later
-        Has a function of no arguments called in the page's own thread.
+        Has a function of no arguments called in the page's own thread, holding its lock.
     on_update
         Called in the job's thread before a part is shown.
     on_shown
@@ -55,7 +56,7 @@ class Board:
             value=0, max=100, sizing_mode="stretch_width", margin=(4, 10)
         )
         self._cancel = pn.widgets.Button(name=f"Cancel, {side}", button_type="default", width=110)
-        self._cancel.on_click(lambda _: self.cancel())
+        self._cancel.on_click(self._ask_to_cancel)
         self.header = pn.Column(
             pn.Row(self._progress, self._cancel, sizing_mode="stretch_width"),
             self._status,
@@ -88,6 +89,9 @@ class Board:
             self._job = None
             if not quiet:
                 self._end("Cancelled; the figures show what was done by then.")
+
+    def _ask_to_cancel(self, _: Any) -> None:
+        self._later(self.cancel)
 
     def refuse(self, sentence: str) -> None:
         """Say why what was entered is not computed."""

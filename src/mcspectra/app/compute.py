@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import threading
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -16,18 +15,11 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from mcspectra.app.specs import UPLOAD
-from mcspectra.app.state import MOST_POINTS, Setup
-from mcspectra.app.uploads import upload_path
+from mcspectra.app.parts import ladder, make_parts
+from mcspectra.app.state import Setup
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import McspectraError, ParameterError
+from mcspectra.core.errors import McspectraError
 from mcspectra.core.progress import listening
-from mcspectra.core.spec import parse
-from mcspectra.densities import Density, density
-from mcspectra.estimators import AbstractEstimator, Estimator, Mirrored
-from mcspectra.integrands import Integrand, integrand
-from mcspectra.integrands.smoothing import smoothed
-from mcspectra.samplers import Sampler, sampler
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -35,34 +27,15 @@ if TYPE_CHECKING:
 __all__ = [
     "KINDS",
     "Job",
-    "Parts",
     "PointSet",
     "Update",
     "compute",
-    "integrand_spec",
-    "ladder",
-    "make_parts",
     "rounds",
 ]
 
 _FIRST_ROUND, _GROWTH = 16, 4
 _LONGEST_ROUND = 30.0  # seconds that a round may be expected to take; longer ones are not begun
-_SHORTEST_LADDER = 4
 _KEPT = 64  # datasets of about 1 MB each
-_FILTERS = threading.Lock()  # warning filters are the process's, not a thread's
-
-
-@final
-@dataclass(frozen=True)
-class Parts:
-    """What a set-up describes, made; `notes` are what it was warned of."""
-
-    integrand: Integrand
-    density: Density | None
-    estimator: AbstractEstimator
-    sampler: Sampler
-    space: str
-    notes: tuple[str, ...]
 
 
 @final
@@ -93,59 +66,6 @@ class Update:
     value: Any
     realizations: int
     fraction: float
-
-
-def integrand_spec(setup: Setup) -> str:
-    """The integrand's spec with the file of an upload in the place of its digest."""
-    call = parse(setup.integrand)
-    if call.name != UPLOAD:
-        return setup.integrand
-    return f"image(path={str(upload_path(call.arguments['digest']))!r}, channel='luminance')"
-
-
-@lru_cache(_KEPT)
-def make_parts(setup: Setup) -> Parts:
-    """Make integrand, density, estimator and sampler.
-
-    Raises
-    ------
-    McspectraError
-        A spec cannot be made, or the parts do not fit one another.
-    """
-    f = _shown_integrand(integrand_spec(setup), setup.dims, setup.smoothing)
-    p = None if setup.density == "uniform" else density(setup.density, setup.dims)
-    estimator: AbstractEstimator = Estimator(f, p)
-    if setup.mirror != "none":
-        estimator = Mirrored(estimator, setup.mirror)
-    source = sampler(setup.displaced_sampler, setup.dims)
-    with _FILTERS, warnings.catch_warnings(record=True) as heard:
-        warnings.simplefilter("always")
-        estimator.check_sampler(source, source.check_count(setup.n))
-    notes = tuple(dict.fromkeys(str(each.message) for each in heard))
-    infinite = estimator.domain_integrand is None or estimator.infinite_weights
-    return Parts(f, p, estimator, source, "primary" if infinite else "domain", notes)
-
-
-@lru_cache(_KEPT)
-def _shown_integrand(spec: str, dims: int, smoothing: float) -> Integrand:
-    """An integrand, kept because it remembers its coefficients."""
-    f = integrand(spec, dims)
-    if f.channels:
-        raise ParameterError(
-            f"{f.spec} has {f.channels} channels; the explorer shows one: choose it with channel=."
-        )
-    return smoothed(f, smoothing) if smoothing else f
-
-
-def ladder(setup: Setup) -> list[int]:
-    """Numbers of points of the convergence plot: ones that the sampler can do, about 4n at most."""
-    source = make_parts(setup).sampler
-    top = min(4 * setup.n, MOST_POINTS, source.max_count)
-    asked = [round(top / 4**k) for k in range(6) if top >= 4 ** (k + 1)]
-    with _FILTERS, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        possible = {source.nearest_count(count) for count in asked}
-    return sorted(count for count in possible if count <= MOST_POINTS) or [setup.n]
 
 
 def rounds(setup: Setup) -> Iterator[int]:

@@ -9,7 +9,7 @@ import panel as pn
 
 from mcspectra.app.parameters import DENSITY_SLIDERS, base_and_steps, chain, changed, moved
 from mcspectra.app.specs import FORMULA, UPLOAD
-from mcspectra.app.state import BASES, MIRRORS, MOST_HALF_WIDTH, MOST_POINTS, Setup
+from mcspectra.app.state import BASES, CHANNELS, MIRRORS, MOST_HALF_WIDTH, MOST_POINTS, Setup
 from mcspectra.app.uploads import keep_upload
 from mcspectra.core.errors import McspectraError
 from mcspectra.core.spec import parse
@@ -26,6 +26,7 @@ _OTHER = "as written below"
 _EXPONENTS = range(2, 13)  # of 2: the counts on the slider
 _REAL_STEP = 0.25
 _FREQUENCIES = {"integer": 1.0, "real, every ¼": _REAL_STEP}
+_CHANNELS = dict(zip(("luminance", "red", "green", "blue"), CHANNELS, strict=True))
 _REALIZATIONS = (64, 256, 1024, 4096)
 _HALF_WIDTHS = (16, 32, 64, 128)
 _EXAMPLE = "exp(-x**2 - y**2)"
@@ -66,7 +67,16 @@ class Controls:
         sampler = [w[k] for k in ("base", "sampler", "count", "n", "strata_shift")]
         density = [w["density_name"], self._density_sliders, w["density"]]
         integrand = [
-            w[k] for k in ("integrand_name", "formula", "integrand", "dims", "smoothing", "mirror")
+            w[k]
+            for k in (
+                "integrand_name",
+                "formula",
+                "integrand",
+                "channel",
+                "dims",
+                "smoothing",
+                "mirror",
+            )
         ]
         analysis = [w[k] for k in ("basis", "frequencies", "half_width", "realizations", "seed")]
         self.layout = pn.Column(
@@ -115,6 +125,7 @@ class Controls:
             "integrand_name": w.Select(name=label("Integrand"), options=_offered(INTEGRANDS)),
             "formula": w.TextInput(name=label("Formula"), placeholder=_EXAMPLE),
             "integrand": w.TextInput(name=label("Integrand spec")),
+            "channel": w.Select(name=label("Channel"), options=_CHANNELS),
             "upload": w.FileInput(accept=_PICTURES, multiple=False),
             "dims": w.Select(name=label("Dims"), options=[1, 2]),
             "smoothing": _slider(label("Smoothing width"), 0.0, 0.5, 0.01),
@@ -131,7 +142,7 @@ class Controls:
 
     def _watch(self) -> None:
         w = self._widgets
-        for name in ("sampler", "n", "density", "integrand", "mirror", "basis", "seed"):
+        for name in ("sampler", "n", "density", "integrand", "channel", "mirror", "basis", "seed"):
             self._bind(w[name], "value", name)
         for name in ("half_width", "realizations"):
             self._bind(w[name], "value", name)
@@ -234,7 +245,7 @@ class Controls:
             {} if step in _FREQUENCIES.values() else {f"every {step:g}": step}
         )
         w["frequencies"].value = step
-        for name in ("dims", "mirror", "basis", "seed", "strata_shift", "smoothing"):
+        for name in ("dims", "channel", "mirror", "basis", "seed", "strata_shift", "smoothing"):
             w[name].value = getattr(setup, name)
 
     def _fill_density(self) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 
-from mcspectra.app.compute import integrand_spec, ladder, make_parts
-from mcspectra.app.specs import UPLOAD
+from mcspectra.app.parts import integrand_specs, ladder, make_parts
+from mcspectra.app.specs import UPLOAD, techniques
 from mcspectra.app.state import Setup, State
 from mcspectra.core.spec import parse
 
@@ -31,14 +31,7 @@ def as_python(state: State) -> str:
 
 def _program(setup: Setup, head: str) -> str:
     made = make_parts(setup)
-    given = None if setup.density == "uniform" else setup.density
-    lines = [f"integrand = mcs.integrand({integrand_spec(setup)!r}, dims={setup.dims})"]
-    if setup.smoothing:
-        lines.append(f"integrand = mcs.smoothed(integrand, {setup.smoothing!r})")
-    density = "None" if given is None else f"mcs.density({given!r}, dims={setup.dims})"
-    lines += [f"density = {density}", "estimator = mcs.Estimator(integrand, density)"]
-    if setup.mirror != "none":
-        lines.append(f"estimator = mcs.Mirrored(estimator, {setup.mirror!r})")
+    lines = _estimator_lines(setup)
     common = f"realizations={setup.realizations}, rng={setup.seed}"
     lines += [
         f"sampler = mcs.sampler({setup.displaced_sampler!r}, dims={setup.dims})",
@@ -59,6 +52,27 @@ def _program(setup: Setup, head: str) -> str:
     return head + "\n".join(lines) + "\n"
 
 
+def _estimator_lines(setup: Setup) -> list[str]:
+    """Lines that make ``density`` and ``estimator``."""
+    specs, lines = integrand_specs(setup), []
+    density = "None"
+    if setup.density != "uniform":
+        density = f"mcs.density({setup.density!r}, dims={setup.dims})"
+    if len(specs) == 1:
+        lines.append(f"integrand = mcs.integrand({specs[0]!r}, dims={setup.dims})")
+    if setup.smoothing:
+        lines.append(f"integrand = mcs.smoothed(integrand, {setup.smoothing!r})")
+    lines.append(f"density = {density}")
+    if len(specs) == 1:
+        lines.append("estimator = mcs.Estimator(integrand, density)")
+    else:
+        inside = [f"    {spec!r}," for spec in specs]
+        lines += ["estimator = mcs.TechniqueSum([", *inside, f"], dims={setup.dims})"]
+    if setup.mirror != "none":
+        lines.append(f"estimator = mcs.Mirrored(estimator, {setup.mirror!r})")
+    return lines
+
+
 def as_toml(state: State) -> str:
     """Return a study file of the same analyses, for ``mcspectra run``.
 
@@ -75,7 +89,8 @@ def as_toml(state: State) -> str:
 
 def _upload_advice(state: State) -> list[str]:
     """A study reads files from its own folder only, unless it is told of another."""
-    if all(parse(setup.integrand).name != UPLOAD for _, setup in state.setups()):
+    specs = [spec for _, setup in state.setups() for spec in techniques(setup.integrand)]
+    if all(parse(spec).name != UPLOAD for spec in specs):
         return []
     return ["# Run with --allow-path and the folder of the picture below."]
 
@@ -88,7 +103,7 @@ def _tables(name: str, setup: Setup) -> list[str]:
         "[[estimators]]",
         f"name = {_text(name)}",
         f"dims = {setup.dims}",
-        f"integrand = {_text(integrand_spec(setup))}",
+        _integrand_line(integrand_specs(setup)),
         f"samplers = [{_text(setup.displaced_sampler)}]",
     ]
     if setup.density != "uniform":
@@ -114,6 +129,12 @@ def _tables(name: str, setup: Setup) -> list[str]:
         f"counts = {ladder(setup)}",
         common,
     ]
+
+
+def _integrand_line(specs: tuple[str, ...]) -> str:
+    if len(specs) == 1:
+        return f"integrand = {_text(specs[0])}"
+    return f"integrands = [{', '.join(map(_text, specs))}]"
 
 
 def _text(text: str) -> str:

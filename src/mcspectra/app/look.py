@@ -14,6 +14,8 @@ from mcspectra.report.style import PALETTE
 __all__ = [
     "LOOKS",
     "Look",
+    "add_color_bar",
+    "add_whiskers",
     "diverging",
     "legend_outside",
     "new_figure",
@@ -88,6 +90,38 @@ def new_figure(title: str, x_label: str, y_label: str, look: Look, **options: An
         axis.axis_label_text_font_style = "normal"
     made.grid.grid_line_color = look.faint
     return made
+
+
+def add_color_bar(made: Any, mapper: Any, title: str, look: Look, **options: Any) -> Any:
+    """Put the scale of a colour mapper at the right of a figure and return it."""
+    from bokeh.models.annotations import ColorBar
+
+    bar = ColorBar(
+        color_mapper=mapper,
+        title=title,
+        width=12,
+        padding=4,
+        background_fill_color=look.paper,
+        title_text_color=look.ink,
+        title_text_font_size="9pt",
+        title_text_font_style="normal",
+        major_label_text_color=look.ink,
+        major_tick_line_color=look.ink,
+        bar_line_color=None,
+        **options,
+    )
+    made.add_layout(bar, "right")
+    return bar
+
+
+def add_whiskers(made: Any, source: Any, x: str, look: Look) -> None:
+    """Draw the columns low and high of a source as intervals at the column x.
+
+    Glyphs, not bokeh's annotation, which axes do not reach out for.
+    """
+    made.segment(x, "low", x, "high", source=source, line_color=look.ink)
+    for end in ("low", "high"):
+        made.scatter(x, end, source=source, marker="dash", size=9, line_color=look.ink)
 
 
 def legend_outside(made: Any, look: Look) -> None:

@@ -162,7 +162,8 @@ class Explorer:
         setup = self._controls[side].setup
         if setup == dict(self.state.setups())[side]:
             return
-        self.state = replace(self.state, **{side.lower(): setup})
+        here = self.state
+        self.state = replace(here, a=setup) if side == "A" else replace(here, b=setup)
         self._tell_address()
         if self._boards[side].run(setup):
             self._lay_out()

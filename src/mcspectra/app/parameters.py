@@ -54,7 +54,7 @@ def moved(text: str, ranges: Sequence[Range]) -> dict[str, float]:
     return found
 
 
-def changed(text: str, key: str, value: float) -> str:
+def changed(text: str, key: str, value: float | str) -> str:
     """Return the spec with one parameter changed."""
     call = parse(text)
     return _format(Call(call.name, {**call.arguments, key: value}))

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 
+from mcspectra.app.specs import TECHNIQUES
 from mcspectra.core.cache import cached_array
 from mcspectra.core.checks import Array, as_choice, as_integer
 
 __all__ = ["HEIGHT", "STRATEGIES", "WIDTH", "pixel_spec", "veach_picture"]
 
 WIDTH, HEIGHT = 192, 128
-STRATEGIES = ("light", "bsdf", "mis-light", "mis-bsdf")
+STRATEGIES = ("light", "bsdf", "balance", "power", "mis-light", "mis-bsdf")
+_HEURISTICS = ("balance", "power")  # of the sum of light and BSDF sampling
 _SCENE = f"veach(width={WIDTH}, height={HEIGHT})"
 _SPP = 64
 
 
 def pixel_spec(x: int, y: int, strategy: str = "light") -> str:
     """Return the spec of the integrand of a pixel, counted from the left and from the top.
+
+    With ``"balance"`` or ``"power"`` it is the sum of light and BSDF sampling, weighted by that
+    heuristic; ``"mis-light"`` and ``"mis-bsdf"`` are its terms for the balance heuristic.
 
     Raises
     ------
@@ -26,7 +31,14 @@ def pixel_spec(x: int, y: int, strategy: str = "light") -> str:
     x = as_integer("x of the pixel", x, least=0, most=WIDTH - 1)
     y = as_integer("y of the pixel", y, least=0, most=HEIGHT - 1)
     as_choice("strategy", strategy, STRATEGIES)
-    return f"pixel(scene='{_SCENE}', x={x}, y={y}, strategy='{strategy}')"
+    where = f"scene='{_SCENE}', x={x}, y={y}"
+    if strategy not in _HEURISTICS:
+        return f"pixel({where}, strategy='{strategy}')"
+    parts = [
+        f"pixel({where}, strategy='mis-{name}', heuristic='{strategy}')"
+        for name in ("light", "bsdf")
+    ]
+    return f"{TECHNIQUES}(integrands={parts!r})"
 
 
 def veach_picture() -> Array:

@@ -16,6 +16,8 @@ from mcspectra.core.errors import McspectraError
 
 __all__ = ["SceneView"]
 
+_LABELS = {"balance": "light + bsdf, balance", "power": "light + bsdf, power"}
+_OPTIONS = {_LABELS.get(name, name): name for name in STRATEGIES}
 _ADVICE = "Click a point of the picture, or give its pixel, to analyse what is seen there."
 
 
@@ -43,7 +45,7 @@ class SceneView:
         w = pn.widgets
         self._x = w.IntInput(name="Pixel x", value=96, start=0, end=WIDTH - 1, width=90)
         self._y = w.IntInput(name="Pixel y", value=100, start=0, end=HEIGHT - 1, width=90)
-        self._strategy = w.Select(name="Sampling of", options=list(STRATEGIES), width=130)
+        self._strategy = w.Select(name="Sampling of", options=_OPTIONS, width=190)
         self._analyse = w.Button(name="Analyse pixel", width=130, align="end")
         self._analyse.on_click(lambda _: self._choose(self._x.value or 0, self._y.value or 0))
         self._open = w.Button(name="Show Veach's scene", width=180)

@@ -13,7 +13,15 @@ from typing import Any
 from mcspectra.core.errors import SpecError
 from mcspectra.core.spec import Call, parse, parse_chain
 
-__all__ = ["FORMULA", "UPLOAD", "check_chain", "check_integrand", "check_single"]
+__all__ = [
+    "FORMULA",
+    "TECHNIQUES",
+    "UPLOAD",
+    "check_chain",
+    "check_integrand",
+    "check_single",
+    "techniques",
+]
 
 UPLOAD = "upload"
 """Name of the integrand ``upload(digest='…')``: a picture that the user gave to the explorer."""
@@ -21,6 +29,10 @@ UPLOAD = "upload"
 FORMULA = "formula"
 """Name of the integrand that is a formula."""
 
+TECHNIQUES = "technique-sum"
+"""Name of ``technique-sum(integrands=['…', '…'])``: a `mcspectra.TechniqueSum` of these specs."""
+
+_MOST_TECHNIQUES = 8
 _MOST_TEXT = 2000  # characters of a spec: browsers and servers cut URLs off at about 8000
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 _FILE = re.compile(r"[/\\]|\.[A-Za-z]\w*\Z")
@@ -46,11 +58,40 @@ def check_single(name: str, text: object) -> None:
 
 
 def check_integrand(name: str, text: object) -> None:
-    """Check the spec of an integrand, which may be ``upload(digest='…')`` with a SHA-256 digest."""
-    call = parse(_plain(name, text))
-    if call.name != UPLOAD:
-        _check_call(call)
-        return
+    """Check the spec of an integrand, which may be an upload or a sum of techniques.
+
+    An upload is ``upload(digest='…')`` with a SHA-256 digest, a sum `TECHNIQUES` of 2 to 8 specs.
+    """
+    for spec in techniques(_plain(name, text)):
+        call = parse(_plain(name, spec))
+        if call.name == UPLOAD:
+            _check_upload(call)
+        else:
+            _check_call(call)
+
+
+def techniques(text: str) -> list[str]:
+    """Return the specs of the integrands that a spec sums, most often itself alone.
+
+    Raises
+    ------
+    SpecError
+        A sum of something else than 2 to 8 specs.
+    """
+    call = parse(text)
+    if call.name != TECHNIQUES:
+        return [text]
+    specs: Any = call.arguments.get("integrands")
+    fits = isinstance(specs, list) and 2 <= len(specs) <= _MOST_TECHNIQUES
+    texts = fits and all(isinstance(spec, str) for spec in specs)
+    if list(call.arguments) != ["integrands"] or not texts:
+        raise SpecError(
+            f"{TECHNIQUES} takes integrands=['…', '…'], a list of 2 to {_MOST_TECHNIQUES} specs."
+        )
+    return list(specs)
+
+
+def _check_upload(call: Call) -> None:
     digest = call.arguments.get("digest")
     known = isinstance(digest, str) and _DIGEST.fullmatch(digest)
     if list(call.arguments) != ["digest"] or not known:

@@ -19,6 +19,7 @@ from mcspectra.core.errors import ParameterError, close_match_hint
 
 __all__ = [
     "BASES",
+    "CHANNELS",
     "MIRRORS",
     "MOST_HALF_WIDTH",
     "MOST_POINTS",
@@ -29,6 +30,7 @@ __all__ = [
 
 BASES = ("fourier", "cosine", "walsh", "haar", "auto")
 MIRRORS = ("none", "integrand", "random", "uniform")
+CHANNELS = ("luminance", "0", "1", "2")
 THEMES = ("light", "dark")
 
 MOST_POINTS = 2**16
@@ -51,7 +53,8 @@ class Setup:
     Parameters
     ----------
     sampler, density, integrand
-        Specs; they name no files. The integrand may be ``upload(digest='…')``.
+        Specs; they name no files. The integrand may be ``upload(digest='…')``, or a sum of
+        techniques, ``technique-sum(integrands=['…', '…'])``.
     n
         Points of a set.
     dims
@@ -60,6 +63,8 @@ class Setup:
         Part of a stratum by which all points are moved, in [0, 1); 0 moves nothing.
     mirror
         ``"none"`` or a mode of `mcspectra.Mirrored`.
+    channel
+        The one that is shown of an integrand with several: ``"luminance"`` or a number as text.
     smoothing
         Width of the ramps that edges are made, 0 for none.
     basis
@@ -86,6 +91,7 @@ class Setup:
     dims: int = 2
     strata_shift: float = 0.0
     mirror: str = "none"
+    channel: str = "luminance"
     smoothing: float = 0.0
     basis: str = "fourier"
     half_width: int = 64
@@ -99,6 +105,7 @@ class Setup:
         check_integrand("integrand", self.integrand)
         as_choice("mirror", self.mirror, MIRRORS)
         as_choice("basis", self.basis, BASES)
+        as_choice("channel", self.channel, CHANNELS)
         for name, value in self._numbers().items():
             object.__setattr__(self, name, value)
 

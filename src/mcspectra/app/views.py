@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 
-from mcspectra.app.look import LOOKS, Look, diverging, legend_outside, new_figure, sequential
+from mcspectra.app.look import (
+    LOOKS,
+    Look,
+    add_color_bar,
+    add_whiskers,
+    diverging,
+    legend_outside,
+    new_figure,
+    sequential,
+)
 from mcspectra.app.state import Setup
 from mcspectra.core.checks import Array
 
@@ -22,6 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["VIEWS", "View", "make_views", "signed_log"]
 
 _DECADES = 4.0  # of magnitude on either side of 0 that signed maps show
+_MARKS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # on the scale of signed maps
 _MOST_BANDS = 48
 _TERMS = ("dc_term", "power_term", "cross_term", "predicted_variance", "measured_variance")
 
@@ -43,6 +53,21 @@ def signed_log(values: Array) -> Array:
         return np.zeros(values.shape)
     scaled = 1.0 + np.log10(np.abs(values) / largest + 10.0**-_DECADES) / _DECADES
     return np.asarray(np.sign(values) * np.clip(np.nan_to_num(scaled), 0.0, 1.0))
+
+
+def _signed_labels(values: Array) -> dict[float, str]:
+    """What the marks of the scale of `signed_log` mean for these values."""
+    largest = float(np.nanmax(np.abs(values), initial=0.0))
+    if not largest or not np.isfinite(largest):
+        return {0.0: "0"}
+    size = {mark: largest * 10.0 ** (_DECADES * (abs(mark) - 1.0)) for mark in _MARKS}
+    return {mark: f"{np.sign(mark) * size[mark]:.1e}" if mark else "0" for mark in _MARKS}
+
+
+def _signed_bar(figure: Any, mapper: Any, title: str, look: Look) -> Any:
+    from bokeh.models import FixedTicker
+
+    return add_color_bar(figure, mapper, title, look, ticker=FixedTicker(ticks=list(_MARKS)))
 
 
 class PointsView:
@@ -67,6 +92,7 @@ class PointsView:
             "x", "y", source=self._source, size=6, line_color=look.ink, line_width=0.3,
             fill_color={"field": "w", "transform": self._mapper},
         )  # fmt: skip
+        self._bar = add_color_bar(self.figure, self._mapper, "1/p", look, visible=False)
 
     def show(self, value: PointSet) -> str:
         """Show one set."""
@@ -75,6 +101,7 @@ class PointsView:
         low, high = float(w.min()), float(w.max())
         ends = (low, high) if high > low else self._equal
         self._mapper.update(low=ends[0], high=ends[1])
+        self._bar.visible = high > low
         self._source.data = {"x": x[:, 0], "y": y, "w": w}
         spread = "all weights 1" if low == high == 1 else f"weights {low:.3g} to {high:.3g}"
         return f"{len(x)} points, {spread}."
@@ -102,6 +129,7 @@ class SpectrumView:
             return
         self._source = _image_source()
         self.figure = _map_figure(title, self._source, self._mapper, look, "n⟨|S|²⟩")
+        add_color_bar(self.figure, self._mapper, "n⟨|S|²⟩", look)
 
     def show(self, value: xr.Dataset) -> str:
         """Show a spectrum; the power at 0 belongs to the constant and is left out."""
@@ -173,6 +201,7 @@ class ContributionView:
         mapper = LinearColorMapper(palette=diverging(look), low=-1, high=1)
         self._source = _image_source()
         self.figure = _map_figure(title, self._source, mapper, look, "c_m / variance")
+        self._bar = _signed_bar(self.figure, mapper, "c / variance", look)
 
     def show(self, value: xr.Dataset) -> str:
         """Show the map, colours on a signed logarithm over four decades."""
@@ -182,6 +211,7 @@ class ContributionView:
             self._source.data = {"m": m, "c": np.nan_to_num(c)}
         else:
             self._source.data = _image_data(signed_log(c).T, m, c.T)
+            self._bar.major_label_overrides = _signed_labels(c)
         if not np.isfinite(c).any():
             return "The contributions are not finite here."
         where = np.unravel_index(int(np.nanargmax(np.abs(c))), c.shape)
@@ -206,11 +236,13 @@ class BandsView:
             "Covariance of bands", self._source, mapper, look,
             "Cov(I_a, I_b) / variance", axes=("band a, |m|", "band b, |m|"),
         )  # fmt: skip
+        self._bar = _signed_bar(self.figure, mapper, "Cov / variance", look)
 
     def show(self, value: xr.Dataset) -> str:
         """Show the lowest bands."""
         c = value["band_covariance"].to_numpy()[:_MOST_BANDS, :_MOST_BANDS] / _measured(value)
         self._source.data = _image_data(signed_log(c), np.arange(len(c)), c)
+        self._bar.major_label_overrides = _signed_labels(c)
         own = float(np.trace(c))
         if not np.isfinite(own):
             return "The covariances are not finite here."
@@ -224,7 +256,6 @@ class TermsView:
 
     def __init__(self, setup: Setup, look: Look) -> None:
         from bokeh.models import ColumnDataSource
-        from bokeh.models.annotations import Whisker
 
         names = ["dc", "power", "cross", "sum", "measured"]
         columns = ("name", "value", "low", "high", "color")
@@ -234,17 +265,12 @@ class TermsView:
             f"Terms at n = {setup.n}", "", "variance", look, x_range=names,
             tooltips=[("@name", "@value"), ("95 %", "@low … @high")],
         )  # fmt: skip
-        self.figure.vbar(
+        bars = self.figure.vbar(
             x="name", top="value", width=0.7, source=self._source, fill_color="color",
             line_color=None,
         )  # fmt: skip
-        whisker = Whisker(
-            base="name", upper="high", lower="low", source=self._source, line_color=look.ink
-        )
-        for head in (whisker.upper_head, whisker.lower_head):
-            if head is not None:
-                head.update(line_color=look.ink)
-        self.figure.add_layout(whisker)
+        self.figure.hover.renderers = [bars]
+        add_whiskers(self.figure, self._source, "name", look)
 
     def show(self, value: xr.Dataset) -> str:
         """Show terms with 95 % intervals; what is not finite has no bar."""
@@ -267,7 +293,6 @@ class ConvergenceView:
 
     def __init__(self, setup: Setup, look: Look) -> None:
         from bokeh.models import ColumnDataSource, FixedTicker
-        from bokeh.models.annotations import Whisker
 
         del setup
         self._source = ColumnDataSource({"n": [], "v": [], "low": [], "high": []})
@@ -284,11 +309,9 @@ class ConvergenceView:
                 "n", name, source=self._lines, color=color, line_dash=dash,
                 legend_label="fit" if name == "fit" else "slope −1",
             )  # fmt: skip
-        self.figure.scatter("n", "v", source=self._source, size=8, color=blue)
-        whisker = Whisker(
-            base="n", upper="high", lower="low", source=self._source, line_color=look.ink
-        )
-        self.figure.add_layout(whisker)
+        measured = self.figure.scatter("n", "v", source=self._source, size=8, color=blue)
+        self.figure.hover.renderers = [measured]
+        add_whiskers(self.figure, self._source, "n", look)
         self.figure.xaxis.ticker = self._ticker
         legend_outside(self.figure, look)
 

@@ -57,6 +57,12 @@ class Estimator(DomainEstimator):
         self.density = as_density(density, self.integrand.dims)
         if self.density is not None:
             check_support(self.integrand, [self.density])
+        # Kept, because it keeps what was computed for it
+        self._primary = (
+            self.integrand
+            if self.density is None
+            else PrimaryIntegrand(self, 0, self.integrand, self.density)
+        )
 
     def __repr__(self) -> str:
         return f"Estimator({self.spec})"
@@ -77,10 +83,9 @@ class Estimator(DomainEstimator):
         return self.density is not None and not np.isfinite(self.density.reciprocal_integral())
 
     def primary_integrand(self, technique: int = 0) -> Integrand:
-        """g(u) = f(T(u))/p(T(u)); f itself where p is uniform."""
-        if self.density is None:
-            return self.integrand
-        return PrimaryIntegrand(self, technique, self.integrand, self.density)
+        """g(u) = f(T(u))/p(T(u)), the same object each time; f itself where p is uniform."""
+        del technique  # there is one
+        return self._primary
 
     def primary_values(self, technique: int, u: Array) -> Array:
         """g(u)."""
