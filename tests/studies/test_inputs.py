@@ -137,11 +137,11 @@ def test_a_changed_source_of_a_function_is_refused(misbehaving, tmp_path):
     )
     trust = Trust(("misbehaving:good",))
     _run(tmp_path, text=text, trust=trust)
-    assert [*read_manifest(tmp_path / "out").study.inputs] == ["modules/misbehaving.py"]
+    assert [*read_manifest(tmp_path / "out").study.inputs] == ["module misbehaving"]
     with (misbehaving / "misbehaving.py").open("a") as stream:
         stream.write("\n# changed\n")
     sys.modules.pop("misbehaving")
-    with pytest.raises(StoreError, match=r"'modules/misbehaving\.py' as found now"):
+    with pytest.raises(StoreError, match="'module misbehaving' as found now"):
         _run(tmp_path, text=text, trust=trust, resume=True)
 
 
@@ -182,12 +182,13 @@ def test_digests_are_of_files_that_can_be_read(tmp_path):
     (tmp_path / "in" / "link").symlink_to(inside)
     os.mkfifo(tmp_path / "pipe")
     digests = Digests(tmp_path / "in")
-    named = digests.add(
-        {inside, tmp_path / "in" / "link", outside, tmp_path, tmp_path / "none", tmp_path / "pipe"}
-    )
+    none = {tmp_path, tmp_path / "none", tmp_path / "pipe"}
+    named = digests.add(dict.fromkeys({inside, tmp_path / "in" / "link", outside, *none}, ""))
     assert named == (str(outside), "x")
+    assert digests.add({inside: "module y", tmp_path / "none": "module z"}) == ("module y",)
     assert digests.by_name == {
         "x": hashlib.sha256(b"1").hexdigest(),
+        "module y": hashlib.sha256(b"1").hexdigest(),
         str(outside): hashlib.sha256(b"2").hexdigest(),
     }
 

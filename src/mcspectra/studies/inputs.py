@@ -23,7 +23,8 @@ class Digests:
     Parameters
     ----------
     folder
-        Files below it are named from there, others by their whole path.
+        Files below it are named from there, others by their whole path; modules by their names, since
+        they lie elsewhere on every machine.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -31,13 +32,20 @@ class Digests:
         self._by_path: dict[Path, str] = {}
         self.by_name: dict[str, str] = {}
 
-    def add(self, files: set[Path]) -> tuple[str, ...]:
-        """Names of those files that exist, in order; what is none is for its reader to refuse."""
-        return tuple(sorted(self._add(path) for path in _resolved(files)))
+    def add(self, files: Mapping[Path, str]) -> tuple[str, ...]:
+        """Names of those files that exist, in order; what is none is for its reader to refuse.
 
-    def _add(self, path: Path) -> str:
-        inside = path.is_relative_to(self._folder)
-        name = path.relative_to(self._folder).as_posix() if inside else str(path)
+        Parameters
+        ----------
+        files
+            Their own names, empty for those that are named by their paths.
+        """
+        return tuple(sorted({self._add(path, name) for path, name in _resolved(files)}))
+
+    def _add(self, path: Path, name: str) -> str:
+        if not name:
+            inside = path.is_relative_to(self._folder)
+            name = path.relative_to(self._folder).as_posix() if inside else str(path)
         if path not in self._by_path:
             with path.open("rb") as stream:
                 self._by_path[path] = hashlib.file_digest(stream, "sha256").hexdigest()
@@ -54,14 +62,14 @@ def with_references(file: Path) -> set[Path]:
     return {file, *referenced_files(file)}
 
 
-def function_sources(function: Callable[..., Any], module: str) -> set[Path]:
-    """Files of the module that a function was named in, and of the one that it is defined in.
+def function_sources(function: Callable[..., Any], module: str) -> dict[Path, str]:
+    """Files of the module that a function was named in and of the one that defines it, with names.
 
     What these import is not followed.
     """
-    names = {module, str(getattr(function, "__module__", module))}
-    found = (getattr(sys.modules.get(name), "__file__", None) for name in names)
-    return {Path(file) for file in found if file is not None}
+    names = sorted({module, str(getattr(function, "__module__", module))})
+    found = {name: getattr(sys.modules.get(name), "__file__", None) for name in names}
+    return {Path(file): f"module {name}" for name, file in found.items() if file is not None}
 
 
 def changed_inputs(before: Mapping[str, str] | None, now: Mapping[str, str]) -> tuple[str, ...]:
@@ -96,8 +104,9 @@ def check_inputs(
         raise StoreError(f"{whose} not of {what} {names} as found now: {remedy}.")
 
 
-def _resolved(files: set[Path]) -> Iterator[Path]:
-    """Files that can be read, by their paths without links, once each; pipes and devices are none."""
-    for path in {file.resolve() for file in files}:
+def _resolved(files: Mapping[Path, str]) -> Iterator[tuple[Path, str]]:
+    """Files that can be read, by their paths without links, and names; pipes and devices are none."""
+    for file, name in files.items():
+        path = file.resolve()
         if path.is_file() and os.access(path, os.R_OK):
-            yield path
+            yield path, name

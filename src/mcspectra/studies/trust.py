@@ -64,13 +64,14 @@ class Site:
     limit
         Seconds that the study gives a task, if it does: a function's first values take no longer.
     files
-        What has been named so far: files of specs, what scenes refer to, sources of functions.
+        What has been named so far: files of specs, what scenes refer to, sources of functions; with
+        the names that they have elsewhere too, if they have any.
     """
 
     folder: Path
     trust: Trust = Trust()
     limit: float | None = None
-    files: set[Path] = field(default_factory=set, compare=False)
+    files: dict[Path, str] = field(default_factory=dict, compare=False)
 
     def calls(self, text: str) -> list[Call]:
         """Parse a spec; paths in it start at the folder, in specs inside specs too.
@@ -179,7 +180,7 @@ class Site:
                 f"The file {path!r} is outside the study's folder; move it there, or allow its folder "
                 f"by --allow-path {file.parent}."
             )
-        self.files.update(with_references(file))
+        self.files.update(dict.fromkeys(with_references(file), ""))
         return file
 
 
