@@ -42,6 +42,38 @@ def test_everything_registered_is_shown(component):
     assert rows["dims"].startswith(str(component.dims))
 
 
+@pytest.mark.parametrize("component", ALL, ids=lambda c: f"{type(c).__name__}")
+def test_to_look_takes_little_time(component):
+    component_html(component)  # loads and compiles what it needs
+    start = time.process_time()
+    component_html(component)
+    assert time.process_time() - start <= 0.3
+
+
+@pytest.mark.parametrize("dims", [1, 5])
+def test_what_is_registered_is_shown_in_other_dims(dims):
+    made_so = [
+        component
+        for names, make in FAMILIES
+        for name in names
+        if (component := made(lambda spec, make=make: make(spec, dims=dims), name)) is not None
+    ]
+    assert len(made_so) > 40
+    for component in made_so:
+        assert parsed(component)[0]["dims"].startswith(str(dims))
+
+
+@pytest.mark.parametrize("integrand", ["disk", "gaussian", "cosine"])
+def test_estimators_of_every_density_are_shown(integrand):
+    shown = 0
+    for name in DENSITIES:
+        estimator = made(lambda p: mcs.Estimator(integrand, p), name)
+        if estimator is not None:
+            assert parsed(estimator)[0]["techniques"] == "1"
+            shown += 1
+    assert shown > 8
+
+
 @pytest.mark.parametrize("dims", [1, 2, 3, 40])
 def test_all_dims_are_shown(dims):
     for component in (
