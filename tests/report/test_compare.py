@@ -1,5 +1,6 @@
 """Comparison of two studies: exact ratios and differences, what only one has, bad input."""
 
+import html
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -108,6 +109,13 @@ def test_nothing_in_common(make: Make, tmp_path: Path) -> None:
     )
     text = write_comparison(a, b, tmp_path / "c.html").read_text(encoding="utf-8")
     assert "No estimator and sampler has a convergence in both." in text
+
+
+def test_the_command_quotes_folders(make: Make, tmp_path: Path) -> None:
+    cells = {("e", "random"): {"points": make["points"](n=4)}}
+    a, b = (make["study"](tmp_path / name, cells) for name in ("a b", "c;d"))
+    text = html.unescape(write_comparison(a, b).read_text(encoding="utf-8"))
+    assert f"mcspectra report '{a}' --compare '{b}'" in text
 
 
 def test_bad_input(folders: list[Path], tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
+import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -136,6 +137,7 @@ def _page(folders: list[Path], trees: list[xr.DataTree], curves: list[Curves]) -
         pictures=list(_pictures(both, *curves)),
         only=[[pair for pair in mine if pair not in both] for mine in curves],
         origins=[provenance(*each) for each in zip(trees, folders, strict=True)],
+        command=shlex.join(["mcspectra", "report", str(folders[0]), "--compare", str(folders[1])]),
         bokeh=bokeh_script() if both else "",
     )
 

@@ -89,6 +89,13 @@ def test_convergence__holds_the_results(make: Make) -> None:
     assert list(plot.xaxis.ticker.ticks) == [16, 64, 256, 1024]
 
 
+def test_convergence__a_single_count_has_ticks_of_variance(make: Make) -> None:
+    plot = interactive.convergence_plot({"a": make["curve"]("jittered", counts=(64,))})
+    low, high = make["curve"]("jittered", counts=(64,))["variance_ci"].values[0]
+    assert len(plot.yaxis.ticker.ticks) >= 1
+    assert all(low <= tick <= high for tick in plot.yaxis.ticker.ticks)
+
+
 def test_convergence__reference_has_slope_minus_one_and_passes_the_noisiest_start(
     make: Make,
 ) -> None:

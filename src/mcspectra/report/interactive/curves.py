@@ -211,8 +211,11 @@ def _curve_ticks(plot: figure, group: Mapping[str, xr.Dataset]) -> None:
     """Put ticks at the counts themselves, as far as their labels do not touch."""
     counts = sorted({int(n) for each in group.values() for n in each["n"].values})
     set_ticks(plot.xaxis, {n: str(n) for n in far_apart(counts, 8)})
-    values = [each["variance"].values[usable_counts(each)] for each in group.values()]
+    # With the ends of intervals: a single variance has no range to put ticks into.
+    names = ("variance", "variance_ci")
+    values = [d[name].values[usable_counts(d)].ravel() for d in group.values() for name in names]
     every = np.concatenate(values)
+    every = every[np.isfinite(every) & (every > 0.0)]
     set_log_ticks(plot.yaxis, float(every.min(initial=np.inf)), float(every.max(initial=0.0)))
 
 
