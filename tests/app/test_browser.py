@@ -77,9 +77,17 @@ def page(address: str, seen: dict[str, list[str]]) -> Iterator[Page]:
 
 
 def open_state(page: Page, address: str, query: str) -> None:
-    """Load a state and wait for its job to end."""
-    page.goto(f"{address}?{query}")
+    """Load a state, unless it is on the page and done, and wait for its job to end."""
+    here = parse_qs(urlsplit(page.url).query) == parse_qs(query)
+    if not (here and page.get_by_text("A Done.").is_visible()):
+        page.goto(f"{address}?{query}")
     done(page)
+
+
+def any_state(page: Page, address: str) -> None:
+    """Have some state on the page; a page costs seconds to load."""
+    if not (page.url.startswith(address) and page.get_by_text("A Done.").is_visible()):
+        open_state(page, address, _SMALL)
 
 
 def done(page: Page, side: str = "A") -> None:
@@ -97,16 +105,6 @@ def state_of(page: Page) -> State:
     return State.from_query(urlsplit(page.url).query)
 
 
-def test_a_slider_by_keyboard(page: Page, address: str) -> None:
-    open_state(page, address, f"{_SMALL}&density=linear(slope=0.5)")
-    page.get_by_role("slider", name="Strata shift, A").press("ArrowRight")
-    wait_for(page, "strata_shift", "0.05")
-    page.get_by_role("slider", name="Density slope, A").press("ArrowRight")
-    wait_for(page, "density", "linear(slope=0.55)")
-    done(page)
-    expect(page.get_by_role("cell", name="strata-shift(offset=0.05)")).to_be_visible()
-
-
 def test_all_that_can_be_operated_has_a_name(page: Page, address: str) -> None:
     open_state(page, address, _SMALL)
     expect(page.get_by_role("slider", name="Points n, A", exact=True)).to_be_visible()
@@ -118,28 +116,6 @@ def test_all_that_can_be_operated_has_a_name(page: Page, address: str) -> None:
         assert all('"' in line for line in own), own
 
 
-def test_another_sampler_and_a_randomisation(page: Page, address: str) -> None:
-    open_state(page, address, _SMALL)
-    page.get_by_label("Sampler, A").first.select_option("sobol")
-    wait_for(page, "sampler", "sobol")
-    page.get_by_role("checkbox", name="owen").check()
-    wait_for(page, "sampler", "sobol | owen")
-    done(page)
-    expect(page.get_by_role("img", name="A: Convergence. Fitted rate")).to_be_visible()
-
-
-def test_a_formula(page: Page, address: str) -> None:
-    open_state(page, address, _SMALL)
-    field = page.get_by_label("Formula, A", exact=True)
-    field.fill("exp(-x/2)*(y < 0.5)")
-    field.press("Enter")
-    wait_for(page, "integrand", "formula(expression='exp(-x/2)*(y < 0.5)')")
-    done(page)
-    field.fill("__import__('os')")
-    field.press("Enter")
-    expect(page.get_by_role("alert")).to_contain_text("no function '__import__'")
-
-
 def test_python_that_is_copied_gives_the_figures_shown(page: Page, address: str) -> None:
     open_state(page, address, _SMALL)
     program = page.get_by_role("textbox", name="As Python").input_value()
@@ -149,6 +125,37 @@ def test_python_that_is_copied_gives_the_figures_shown(page: Page, address: str)
     cells = page.get_by_role("row", name="A jittered").get_by_role("cell").all_inner_texts()
     assert float(cells[2]) == pytest.approx(float(found["measured_variance"]), rel=1e-3)
     assert float(cells[4]) == pytest.approx(float(found["rate"]), abs=1e-3)
+
+
+def test_a_slider_by_keyboard(page: Page, address: str) -> None:
+    open_state(page, address, f"{_SMALL}&density=linear(slope=0.5)")
+    page.get_by_role("slider", name="Strata shift, A").press("ArrowRight")
+    wait_for(page, "strata_shift", "0.05")
+    page.get_by_role("slider", name="Density slope, A").press("ArrowRight")
+    wait_for(page, "density", "linear(slope=0.55)")
+    done(page)
+    expect(page.get_by_role("cell", name="strata-shift(offset=0.05)")).to_be_visible()
+
+
+def test_another_sampler_and_a_randomisation(page: Page, address: str) -> None:
+    any_state(page, address)
+    page.get_by_label("Sampler, A").first.select_option("sobol")
+    wait_for(page, "sampler", "sobol")
+    page.get_by_role("checkbox", name="owen").check()
+    wait_for(page, "sampler", "sobol | owen")
+    done(page)
+    expect(page.get_by_role("img", name="A: Convergence. Fitted rate")).to_be_visible()
+
+
+def test_a_formula(page: Page, address: str) -> None:
+    any_state(page, address)
+    field = page.get_by_label("Formula, A", exact=True)
+    field.fill("exp(-x/2)*(y < 0.5)")
+    field.press("Enter")
+    wait_for(page, "integrand", "formula(expression='exp(-x/2)*(y < 0.5)')")
+    field.fill("__import__('os')")
+    field.press("Enter")
+    expect(page.get_by_role("alert")).to_contain_text("no function '__import__'")
 
 
 def test_two_set_ups_and_the_address_restores_them(page: Page, address: str) -> None:
@@ -174,7 +181,7 @@ def test_odd_addresses_get_a_sentence(page: Page, address: str) -> None:
 
 
 def test_a_broken_picture_gets_a_sentence(page: Page, address: str, tmp_path: Path) -> None:
-    open_state(page, address, _SMALL)
+    any_state(page, address)
     file = tmp_path / "broken.png"
     file.write_bytes(b"\x89PNG\r\n\x1a\nnothing")
     page.locator("input[type=file]").set_input_files(file)
