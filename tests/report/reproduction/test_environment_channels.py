@@ -56,3 +56,12 @@ def test_rates_of_one_way_are_not_those_of_another() -> None:
         assert channels._rate(other, 1, curves[way], exact).agrees is False
     swapped = {"one": curves["own"], "own": curves["one"]}
     assert channels._gain(0, swapped).agrees is False
+
+
+def test_no_curve_of_the_map_is_cut_off(made: Exhibit) -> None:
+    figure = next(p.figure for p in made.pictures if p.kind == "environment-map")
+    for axes in figure.axes[1:]:
+        low, high = axes.get_ylim()
+        values = np.concatenate([np.asarray(line.get_ydata()) for line in axes.lines])
+        assert low == 0.0 <= np.nanmin(values)
+        assert np.nanmax(values) <= high

@@ -203,7 +203,7 @@ def _draw_map(axes: Axes) -> None:
     for channel in range(3):
         axes.stairs(_PIXELS[:, channel], np.arange(9) / 8, color=_color(channel), lw=1.4)
     axes.stairs(_PIXELS @ _LUMINANCE, np.arange(9) / 8, color=INK, lw=1.2, ls="--")
-    axes.text(0.03, 13.0, "dashed: gray", fontsize=7.5, color=INK)
+    axes.text(0.97, 13.0, "dashed: gray", fontsize=7.5, color=INK, ha="right")
     axes.set(xlabel="x (place in the map)", ylabel="radiance", ylim=(0, None), xlim=(0, 1))
     entitle(axes, "map")
 
@@ -228,7 +228,8 @@ def _draw_weighted(axes: Axes, way: str, channel: int) -> None:
         np.hstack([u, gap]).ravel(), np.hstack([values, gap]).ravel() / mean,
         color=_color(channel), lw=1.4, label=_COLORS[channel],
     )  # fmt: skip
-    axes.set(xlabel="u (primary space)", xlim=(0, 1), ylim=(0, None))
+    axes.set(xlabel="u (primary space)", xlim=(0, 1))
+    axes.set_ylim(0, auto=True)  # the next channel may be higher
 
 
 def _convergence(curves: Curves, exact: dict[str, Array]) -> Picture:
