@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mcspectra.core.errors import StorageError
+from mcspectra.core.errors import StorageError, StoreError
 from mcspectra.report.collect import EstimatorGroup, Pair, collect
 from mcspectra.report.embed import bokeh_script
 from mcspectra.report.formatting import slug
@@ -37,6 +37,13 @@ __all__ = [
 
 REPORT_NAME = "report.html"
 _FIGURES = "figures"
+_WRONG_PLACE = (
+    FileNotFoundError,
+    NotADirectoryError,
+    IsADirectoryError,
+    FileExistsError,
+    PermissionError,
+)
 _FUNCTION = re.compile(r"""python\(\s*function\s*=\s*\\?['"]([A-Za-z_][\w.]*:[A-Za-z_]\w*)""")
 
 
@@ -88,13 +95,15 @@ def writing(page: Path) -> Iterator[None]:
 
     Raises
     ------
+    StoreError
+        It is no place for a file: the folder is not there, or not open to the user.
     StorageError
-        The operating system refused.
+        The disk is full, or fails.
     """
     try:
         yield
     except OSError as error:
-        raise StorageError(
+        raise (StoreError if isinstance(error, _WRONG_PLACE) else StorageError)(
             f"The report cannot be written to {str(page)!r}: {error.strerror}."
         ) from None
 
