@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.errors import ParameterError
 from mcspectra.report.axes import count_axis, log_axis
 from mcspectra.report.figures.panels import GivenAxes, rows_of
 from mcspectra.report.figures.variance import usable_counts
@@ -160,7 +161,16 @@ def remedy_ratios(data: xr.Dataset, *, axes: GivenAxes = None) -> Figure:
         Results of `mcspectra.remedies`.
     axes
         One matplotlib axes to draw into; new ones by default.
+
+    Raises
+    ------
+    ParameterError
+        The data are another analysis.
     """
+    if "error_ratio" not in getattr(data, "variables", ()):
+        raise ParameterError(
+            "What is to be drawn has no ratios of errors; give what mcspectra.remedies returns."
+        )
     names = [str(name) for name in data["remedy"].values]
     figure, [panel] = rows_of(axes, 1, NARROW, 0.8 + 0.2 * len(names))
     ratio, interval = data["error_ratio"].values, data["error_ratio_ci"].values
