@@ -82,7 +82,7 @@ def test_status_as_text(folder: Path, capsys: pytest.CaptureFixture[str]) -> Non
 def test_verify_finds_damage_and_names_the_file(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    chunk = folder / "results.zarr" / PATHS[1] / "x" / "c" / "0"
+    chunk = folder / "results.zarr" / PATHS[1] / "x" / "c.0"
     chunk.write_bytes(chunk.read_bytes()[:-1] + b"!")
     log = folder / "journal" / "log"
     log.write_bytes(log.read_bytes()[:-1] + b"!")
@@ -92,7 +92,7 @@ def test_verify_finds_damage_and_names_the_file(
     assert code == 1
     assert found["verified"]
     assert found["damaged"] == {
-        PATHS[1]: "x/c/0 has changed",
+        PATHS[1]: "x/c.0 has changed",
         "journal: c/random/convergence/0-0-10/0+1": "it cannot be read",
     }
     assert found["analyses"]["terms"] == {"done": 1, "failed": 1, "missing": 0, "damaged": 1}

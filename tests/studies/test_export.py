@@ -319,10 +319,10 @@ def test_the_roots_metadata_come_last(tmp_path: Path) -> None:
 def test_what_has_changed_since_it_was_written_is_not_exported(copy: Path, end: str) -> None:
     cell = copy / "results.zarr" / PATHS[0]
     target = copy.parent / f"x{end}"
-    chunk = cell / "variance" / "c" / "0" / "0"
+    chunk = cell / "variance" / "c.0.0"
     content = chunk.read_bytes()
     chunk.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
-    words = f"{PATHS[0]} is damaged: variance/c/0/0 has changed; .* --resume"
+    words = f"{PATHS[0]} is damaged: variance/c.0.0 has changed; .* --resume"
     with pytest.raises(StoreError, match=words):
         export_results(copy, target)
     chunk.write_bytes(content)
@@ -336,7 +336,7 @@ def test_what_has_changed_since_it_was_written_is_not_exported(copy: Path, end: 
 
 
 def test_a_damaged_chunk_of_a_zip_is_a_sentence_that_names_its_cell(copy: Path) -> None:
-    chunk = copy / "results.zarr" / PATHS[0] / "variance" / "c" / "0" / "0"
+    chunk = copy / "results.zarr" / PATHS[0] / "variance" / "c.0.0"
     chunk.write_bytes(chunk.read_bytes()[:-6])
     source = copy.parent / "x.zarr.zip"
     copy_to_zip(copy, source)

@@ -208,9 +208,9 @@ def cut(file, at):
 def test_a_damaged_chunk_is_named_and_computed_again(half, tmp_path, straight, damage, part):
     out = shutil.copytree(half, tmp_path / "out")
     (path, *_) = study_status(out).done
-    file = out / "results.zarr" / path / "variance/c/0"
+    file = out / "results.zarr" / path / "variance/c.0"
     damage(file, int(part * file.stat().st_size))
-    with pytest.warns(DamagedResultsWarning, match=f"1 stored analyses .*{path} .variance/c/0 has"):
+    with pytest.warns(DamagedResultsWarning, match=f"1 stored analyses .*{path} .variance/c.0 has"):
         run_study(CONFIG, out, resume=True, workers=1)
     assert_finished(out, straight)
 

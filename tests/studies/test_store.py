@@ -159,11 +159,11 @@ def test_every_flipped_byte_of_a_cell_is_noticed_and_its_file_named(filled: Path
 
 def test_damaged_cells_are_removed_and_written_again(filled: Path) -> None:
     tree = filled / "results.zarr"
-    flip(tree / PATHS[0] / "variance" / "c" / "0")
-    (tree / PATHS[1] / "counts" / "c" / "0").unlink()
+    flip(tree / PATHS[0] / "variance" / "c.0")
+    (tree / PATHS[1] / "counts" / "c.0").unlink()
     store = Store.create(filled, CONFIG, resume=True, paths=PATHS)
     assert [store.done(path) for path in PATHS] == [False, False, True]
-    assert store.damaged[PATHS[0]] == "variance/c/0 has changed"
+    assert store.damaged[PATHS[0]] == "variance/c.0 has changed"
     assert "files are there" in store.damaged[PATHS[1]]
     assert not (tree / PATHS[0]).exists()
     store.write(PATHS[0], cell(0))
@@ -173,7 +173,7 @@ def test_damaged_cells_are_removed_and_written_again(filled: Path) -> None:
 
 
 def test_a_damaged_chunk_is_noticed_by_plain_readers(filled: Path) -> None:
-    flip(filled / "results.zarr" / PATHS[0] / "variance" / "c" / "0")
+    flip(filled / "results.zarr" / PATHS[0] / "variance" / "c.0")
     with pytest.raises(RuntimeError):
         open_results(filled)[PATHS[0]]["variance"].load()
 

@@ -116,10 +116,10 @@ def test_resume_mends_damaged_cells(finished, tmp_path):
 
     shutil.copytree(finished, tmp_path / "copy")
     store = tmp_path / "copy/results.zarr"
-    (store / "mis/random/terms/contribution/c/0/0").write_bytes(b"garbage")
-    (store / "sum/random/convergence/variance/c/0").unlink()
+    (store / "mis/random/terms/contribution/c.0.0").write_bytes(b"garbage")
+    (store / "sum/random/convergence/variance/c.0").unlink()
     seen = []
-    with pytest.warns(DamagedResultsWarning, match="2 stored analyses.*contribution/c/0/0 has"):
+    with pytest.warns(DamagedResultsWarning, match="2 stored analyses.*contribution/c.0.0 has"):
         run_study(
             decode_study(STUDY),
             tmp_path / "copy",

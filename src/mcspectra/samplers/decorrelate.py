@@ -13,6 +13,7 @@ from mcspectra.core.checks import Array, as_choice, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import _kernels
+from mcspectra.samplers._repeated import repeated
 from mcspectra.samplers.base import Randomization, Sampler, Structure
 from mcspectra.samplers.randomizations import Shift
 
@@ -102,7 +103,7 @@ class Decorrelate(Randomization):
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
         """Draw realisation 0 of `sampler` once and move it in each pixel."""
-        shared = np.tile(sampler.draw_stream(n, stream, 0, 1), (count, 1, 1))
+        shared = repeated(sampler.draw_stream(n, stream, 0, 1)[0], count)
         return self._moved(self._step().fit(sampler), shared, own, first)
 
     def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:

@@ -14,6 +14,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import _digital_kernels
+from mcspectra.samplers._repeated import repeated
 from mcspectra.samplers.base import MAX_COUNT, Sampler, Structure, check_dims
 
 __all__ = ["LarcherPillichshammer", "Niederreiter", "Sobol"]
@@ -158,7 +159,7 @@ def _net_points(directions: Array, n: int, count: int) -> Array:
     """The first `n` points, `count` times: float64 (count, n, d)."""
     points = np.empty((n, len(directions)))
     _digital_kernels.fill_binary(directions, points)
-    return points[None] if count == 1 else np.tile(points, (count, 1, 1))
+    return repeated(points, count)
 
 
 def _not_balanced(n: int, name: str) -> str | None:

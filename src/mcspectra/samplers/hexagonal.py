@@ -11,6 +11,7 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
+from mcspectra.samplers._repeated import repeated
 from mcspectra.samplers.base import Sampler, Structure, check_dims
 
 __all__ = ["Hexagonal"]
@@ -59,7 +60,7 @@ class Hexagonal(Sampler):
         row, step = np.divmod(np.arange(n), across)
         x = (4 * step + 1 + 2 * (row % 2)) / (4 * across)
         y = (2 * row + 1) / (2 * rows)
-        return np.tile(np.stack([x, y], axis=-1), (count, 1, 1))
+        return repeated(np.stack([x, y], axis=-1), count)
 
     def _counts_near(self, n: int) -> tuple[int | None, int]:
         across = _largest_across(n)

@@ -14,6 +14,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
+from mcspectra.samplers._repeated import repeated
 from mcspectra.samplers.base import MAX_COUNT, Sampler, Structure, check_dims
 
 __all__ = ["Fibonacci", "Korobov", "Rank1Lattice"]
@@ -196,7 +197,7 @@ def _lattices(vector: Array, n: int, count: int) -> Array:
     """The lattice of a generating vector, `count` times: float64 (count, n, d)."""
     points = np.empty((n, len(vector)))
     _fill_multiples(vector % n, points)
-    return points[None] if count == 1 else np.tile(points, (count, 1, 1))
+    return repeated(points, count)
 
 
 def _checked_vector(vector: object, dims: int) -> tuple[int, ...]:

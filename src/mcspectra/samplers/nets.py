@@ -21,6 +21,7 @@ from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import _digital_kernels
 from mcspectra.samplers._primes import LARGEST_BASE, is_prime, power_from, prime_from
+from mcspectra.samplers._repeated import repeated
 from mcspectra.samplers.base import MAX_COUNT, Sampler, Structure, check_dims
 from mcspectra.samplers.net_quality import elementary_intervals, net_t_value, t_value
 
@@ -187,7 +188,7 @@ def _net_points(columns: Array, base: int, n: int, count: int) -> Array:
     """The net of columns (d, m, rows), `count` times: float64 (count, n, d)."""
     points = np.empty((n, len(columns)))
     _digital_kernels.fill_base(np.ascontiguousarray(columns), base, points)
-    return points[None] if count == 1 else np.tile(points, (count, 1, 1))
+    return repeated(points, count)
 
 
 def _not_a_power(n: int, base: int, name: str) -> str | None:

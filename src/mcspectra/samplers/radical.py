@@ -13,6 +13,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import _radical_kernels
+from mcspectra.samplers._repeated import repeated
 from mcspectra.samplers.base import MAX_COUNT, Sampler, Structure, check_dims
 
 __all__ = ["Halton", "Hammersley", "VanDerCorput"]
@@ -220,7 +221,7 @@ def _inverses(bases: tuple[int, ...], scramble: str, start: int, n: int, keys: A
         return out
     digits = np.array([_digits_needed(start + n, base) for base in bases])
     _radical_kernels.fill_permuted(keys, not fixed, start, radices, digits, out)
-    return out if len(out) == len(keys) else np.tile(out, (len(keys), 1, 1))
+    return repeated(out[0], len(keys)) if fixed else out
 
 
 @lru_cache

@@ -23,6 +23,7 @@ from mcspectra.samplers._grid import (
     grid_counts_near,
     grid_sides,
 )
+from mcspectra.samplers._repeated import repeated
 from mcspectra.samplers.base import Sampler, Structure, check_dims
 
 __all__ = ["Jittered", "Random", "Regular", "UniformJitter"]
@@ -92,7 +93,7 @@ class Regular(Sampler):
         del stream, first  # the same points every time
         sides = grid_sides(n, self.dims, self.sides_)
         offset = 0.5 / np.array(sides) if self.position == "center" else 0.0
-        return np.tile(corners(sides) + offset, (count, 1, 1))
+        return repeated(corners(sides) + offset, count)
 
     def _counts_near(self, n: int) -> tuple[int | None, int]:
         return grid_counts_near(n, self.dims, self.sides_)

@@ -2,8 +2,9 @@
 
 A cell is some ten small arrays. xarray's own writer takes tens of milliseconds for them, most of it
 for appending, chunking and other engines, so that short cells would wait for it; here an array is its
-metadata (zarr.json) and one chunk. Chunks hold a checksum of their own (zstd's), so that any reader
-notices damage. Large or unusual arrays go through xarray.
+metadata (zarr.json) and one chunk, side by side: new folders are what a file system is slowest at.
+Chunks hold a checksum of their own (zstd's), so that any reader notices damage. Large or unusual arrays
+go through xarray.
 """
 
 from __future__ import annotations
@@ -16,18 +17,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.studies.checksums import Checksum, checksum, checksum_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = ["array_documents", "write_cell"]
 
+_METADATA = "zarr.json"
 _LEVEL = 0  # zstd's own default
 _MOST_BYTES = 2**26  # of an array in one chunk
 
 
-def write_cell(group: Path, dataset: xr.Dataset) -> None:
+def write_cell(group: Path, dataset: xr.Dataset) -> Checksum:
     """Write a dataset as a zarr group that ``xarray.open_dataset`` reads; `group` must be new.
+
+    Returns
+    -------
+    Checksum
+        Of what is meant to be there.
 
     Raises
     ------
@@ -36,22 +44,20 @@ def write_cell(group: Path, dataset: xr.Dataset) -> None:
     """
     if not all(_is_simple(variable.dtype, variable.shape) for variable in _variables(dataset)):
         _write_by_xarray(group, dataset)
-        return
-    from xarray.conventions import encode_dataset_coordinates
-
-    variables, attributes = encode_dataset_coordinates(dataset)
+        return checksum(group)
+    files = _cell_files(dataset)
     group.mkdir(parents=True)
-    for name, variable in variables.items():
-        _write_array(group / str(name), variable)
-    _write_json(
-        group / "zarr.json",
-        {"attributes": _plain(attributes), "zarr_format": 3, "node_type": "group"},
-    )
+    for name, content in files.items():
+        folder, slash, _ = name.partition("/")
+        if slash and name.endswith(_METADATA):
+            (group / folder).mkdir()
+        (group / name).write_bytes(content)
+    return checksum_of(files)
 
 
 def array_documents(group: Path) -> dict[str, dict[str, Any]]:
     """Metadata of a group and of its arrays, by their names; that of the group under ``""``."""
-    files = [group / "zarr.json", *sorted(group.glob("*/zarr.json"))]
+    files = [group / _METADATA, *sorted(group.glob(f"*/{_METADATA}"))]
     return {
         "" if file.parent == group else file.parent.name: json.loads(file.read_bytes())
         for file in files
@@ -68,15 +74,28 @@ def _is_simple(dtype: np.dtype[Any], shape: tuple[int, ...]) -> bool:
     return dtype.kind in "biufc" and 0 < size * dtype.itemsize <= _MOST_BYTES
 
 
-def _write_array(folder: Path, variable: Any) -> None:
+def _cell_files(dataset: xr.Dataset) -> dict[str, bytes]:
+    """Files of a group: metadata before the chunk of each array, the group's own at the end."""
+    from xarray.conventions import encode_dataset_coordinates
+
+    variables, attributes = encode_dataset_coordinates(dataset)
+    files: dict[str, bytes] = {}
+    for name, variable in variables.items():
+        files |= {f"{name}/{file}": content for file, content in _array_files(variable).items()}
+    document = {"attributes": _plain(attributes), "zarr_format": 3, "node_type": "group"}
+    return files | {_METADATA: _json(document)}
+
+
+def _array_files(variable: Any) -> dict[str, bytes]:
     from numcodecs.zstd import Zstd  # type: ignore[import-untyped]
 
     values: Array = np.asarray(variable.values)
     values = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).reshape(values.shape)
-    chunk = folder.joinpath("c", *("0" for _ in values.shape))
-    chunk.parent.mkdir(parents=True)
-    chunk.write_bytes(Zstd(level=_LEVEL, checksum=True).encode(values.tobytes()))
-    _write_json(folder / "zarr.json", _document(values, variable.dims, variable.attrs))
+    chunk = ".".join(["c", *("0" for _ in values.shape)])
+    return {
+        _METADATA: _json(_document(values, variable.dims, variable.attrs)),
+        chunk: Zstd(level=_LEVEL, checksum=True).encode(values.tobytes()),
+    }
 
 
 def _document(
@@ -89,7 +108,7 @@ def _document(
         "shape": list(values.shape),
         "data_type": values.dtype.name,
         "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": list(values.shape)}},
-        "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
+        "chunk_key_encoding": {"name": "default", "configuration": {"separator": "."}},
         "fill_value": zero,
         "codecs": [
             {"name": "bytes", **order},
@@ -111,8 +130,8 @@ def _plain(attributes: Mapping[Any, Any]) -> dict[str, Any]:
     }
 
 
-def _write_json(file: Path, document: dict[str, Any]) -> None:
-    file.write_text(json.dumps(document), encoding="utf-8")
+def _json(document: dict[str, Any]) -> bytes:
+    return json.dumps(document).encode()
 
 
 def _write_by_xarray(group: Path, dataset: xr.Dataset) -> None:

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import TypeAlias
 
 import msgspec
 
-__all__ = ["Checksum", "checksum", "damage_of"]
+__all__ = ["Checksum", "checksum", "checksum_of", "damage_of"]
 
 _PIECE = 2**20
+
+_Digest: TypeAlias = tuple[int, str, int]
+"""Bytes, SHA-256 and CRC-32 of a file."""
 
 
 class Checksum(msgspec.Struct, frozen=True):
@@ -30,13 +34,14 @@ def checksum(group: Path) -> Checksum:
     OSError
         A file cannot be read.
     """
-    whole, parts, total = hashlib.sha256(), [], 0
-    for file in _files(group):
-        size, sha256, crc = _digest(file)
-        whole.update(f"{file.relative_to(group).as_posix()}\0{size}\0{sha256}\n".encode())
-        parts.append(f"{crc:08x}")
-        total += size
-    return Checksum(whole.hexdigest(), "".join(parts), total)
+    return _together(
+        (file.relative_to(group).as_posix(), _digest(_pieces(file))) for file in _files(group)
+    )
+
+
+def checksum_of(files: Mapping[str, bytes]) -> Checksum:
+    """Checksum of a cell of these files, by their paths inside, before they are written."""
+    return _together((name, _digest([files[name]])) for name in sorted(files))
 
 
 def damage_of(group: Path, expected: Checksum) -> str | None:
@@ -67,12 +72,26 @@ def _regular(group: Path) -> Iterator[Path]:
     return (file for file in group.rglob("*") if file.is_file())
 
 
-def _digest(file: Path) -> tuple[int, str, int]:
-    """Bytes, SHA-256 and CRC-32 of a file, read piece by piece."""
-    size, sha256, crc = 0, hashlib.sha256(), 0
+def _together(digests: Iterable[tuple[str, _Digest]]) -> Checksum:
+    whole, parts, total = hashlib.sha256(), [], 0
+    for name, (size, sha256, crc) in digests:
+        whole.update(f"{name}\0{size}\0{sha256}\n".encode())
+        parts.append(f"{crc:08x}")
+        total += size
+    return Checksum(whole.hexdigest(), "".join(parts), total)
+
+
+def _pieces(file: Path) -> Iterator[bytes]:
     with file.open("rb") as stream:
         while piece := stream.read(_PIECE):
-            size += len(piece)
-            sha256.update(piece)
-            crc = zlib.crc32(piece, crc)
+            yield piece
+
+
+def _digest(pieces: Iterable[bytes]) -> _Digest:
+    """Digest of a file, piece by piece."""
+    size, sha256, crc = 0, hashlib.sha256(), 0
+    for piece in pieces:
+        size += len(piece)
+        sha256.update(piece)
+        crc = zlib.crc32(piece, crc)
     return size, sha256.hexdigest(), crc

@@ -22,7 +22,7 @@ import msgspec
 from mcspectra.core.errors import OtherVersionsWarning, StorageError, StoreError
 from mcspectra.core.results import package_versions
 from mcspectra.studies._zarr_cell import array_documents, write_cell
-from mcspectra.studies.checksums import Checksum, checksum, damage_of
+from mcspectra.studies.checksums import Checksum, damage_of
 from mcspectra.studies.config import StudyConfig
 from mcspectra.studies.inputs import check_inputs
 from mcspectra.studies.links import check_folder_links
@@ -173,8 +173,7 @@ class Store:
         shutil.rmtree(partial, ignore_errors=True)
         try:
             # Zarr v3 has no stable type for fixed-width text; the root's attribute `bound` names them.
-            write_cell(partial, result.drop_vars("bound", errors="ignore"))
-            found = checksum(partial)
+            found = write_cell(partial, result.drop_vars("bound", errors="ignore"))
             self._make_parents(path)
             line = CellLine(path, found.sha256, found.parts, found.bytes, now())
             append_line(self.folder, line)

@@ -15,7 +15,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.packing import pack_record, unpack_record
-from mcspectra.core.parallel import Block, RealizationBlocks, cache_blocks, realization_blocks
+from mcspectra.core.parallel import Block, RealizationBlocks, realization_blocks, slices
 from mcspectra.core.staged import Run, Stages, in_step
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator, Moments
@@ -66,7 +66,7 @@ class MomentsCell:
 
     def moments(self, block: Block) -> list[Moments]:
         """Moments of the estimates of a block, of each estimator."""
-        inner = cache_blocks(block, self.numbers)
+        inner = slices(block, self.numbers)
         parts = zip(*map(self._estimates, inner), strict=True)
         return [Moments.of(np.concatenate(part)) for part in parts]
 
