@@ -180,6 +180,8 @@ def test_realizations_and_seeds_differ_unless_the_set_is_fixed(case, make):
     eight = source.draw(case.n, realizations=4, rng=8)
     same = len(np.unique(seven.reshape(4, -1), axis=0)) == 1
     assert same == case.fixed
+    # That a subset of all points is no choice is not known before the count is.
+    assert source.fixed == (case.fixed and case.chain != " | subset")
     given = case.row.spec.startswith("points") and case.chain in FIXED
     assert np.array_equal(seven, eight) == (case.fixed or given)
 

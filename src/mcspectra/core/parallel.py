@@ -35,7 +35,7 @@ MAX_REALIZATIONS = 10**9
 """Most realisations of one analysis."""
 
 _BLOCK_NUMBERS = 2**21  # about 16 MiB of float64 a block: larger than any cache, far below memory
-_SLICE_NUMBERS = 2**19  # 4 MiB, a few ms of work
+_SLICE_NUMBERS = 2**18  # 2 MiB, one or two ms of work
 
 
 def available_workers(workers: int | None = None) -> int:

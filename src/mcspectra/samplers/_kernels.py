@@ -75,15 +75,15 @@ def random_offsets(keys: Array, out: Array) -> None:
 
 @kernel
 def translate(points: Array, offsets: Array, out: Array) -> None:
-    """Toroidal translation by offsets (R or 1, d) in [0,1).
+    """Toroidal translation of sets (R or 1, n, d) by offsets (R or 1, d) in [0,1).
 
     x + δ is at most 2 − 2^-52, which is a float64, and for 1 ≤ x + δ < 2 the subtraction is exact:
     the result cannot be 1.
     """
     count, n, dims = out.shape
     for r in range(count):
-        offset = offsets[r % offsets.shape[0]]
+        offset, one = offsets[r % offsets.shape[0]], points[r % points.shape[0]]
         for i in range(n):
             for j in range(dims):
-                x = points[r, i, j] + offset[j]
+                x = one[i, j] + offset[j]
                 out[r, i, j] = x - 1.0 if x >= 1.0 else x

@@ -50,6 +50,8 @@ class Sampler(Component, ABC):
         Number of dimensions d.
     unbiased
         Whether a point picked at random is uniform on [0,1)^d, so that means are unbiased.
+    fixed
+        Whether all realisations are the same set.
     structure
         What randomisations of this sampler have to keep: `Structure`.
     sequence
@@ -64,6 +66,7 @@ class Sampler(Component, ABC):
 
     dims: int
     unbiased: ClassVar[bool] = True
+    fixed: ClassVar[bool] = False
     structure: ClassVar[Structure] = Structure.UNKNOWN
     sequence: ClassVar[bool] = False
     antithetic: ClassVar[bool] = False
@@ -232,6 +235,8 @@ class Randomization(Component, ABC):
     """Whether the result is statistically the same after any toroidal translation."""
     debiases: ClassVar[bool] = False
     """Whether every point is uniform afterwards, whatever it was before."""
+    fixed: ClassVar[bool] = False
+    """Whether realisations that are the same set remain so."""
     pointwise: ClassVar[bool] = False
     """Whether each point moves by itself, so that sequences stay sequences."""
     independent: ClassVar[bool] = True
@@ -315,6 +320,11 @@ class Randomized(Sampler):
     def unbiased(self) -> bool:  # type: ignore[override]
         """Whether every point is uniform after the last step."""
         return self.base.unbiased or any(step.debiases for step in self.steps)
+
+    @property
+    def fixed(self) -> bool:  # type: ignore[override]
+        """Whether all steps leave a fixed set one."""
+        return self.base.fixed and all(step.fixed for step in self.steps)
 
     @property
     def structure(self) -> Structure:  # type: ignore[override]

@@ -42,6 +42,7 @@ class Sobol(Sampler):
 
     name: ClassVar[str] = "sobol"
     unbiased: ClassVar[bool] = False
+    fixed: ClassVar[bool] = True
     structure: ClassVar[Structure] = Structure.DIGITS
     sequence: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 1111
@@ -87,6 +88,7 @@ class Niederreiter(Sampler):
 
     name: ClassVar[str] = "niederreiter"
     unbiased: ClassVar[bool] = False
+    fixed: ClassVar[bool] = True
     structure: ClassVar[Structure] = Structure.DIGITS
     sequence: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 1377
@@ -125,6 +127,7 @@ class LarcherPillichshammer(Sampler):
 
     name: ClassVar[str] = "larcher-pillichshammer"
     unbiased: ClassVar[bool] = False
+    fixed: ClassVar[bool] = True
     structure: ClassVar[Structure] = Structure.DIGITS
     max_dims: ClassVar[int | None] = 2
     dims: int = 2

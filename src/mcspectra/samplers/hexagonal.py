@@ -42,6 +42,7 @@ class Hexagonal(Sampler):
     name: ClassVar[str] = "hexagonal"
     structure: ClassVar[Structure] = Structure.TORUS
     unbiased: ClassVar[bool] = False
+    fixed: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 2
     dims: int = 2
 

@@ -15,6 +15,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
+from mcspectra.samplers._repeated import repeated
 from mcspectra.samplers.base import Sampler, Structure, check_dims
 
 __all__ = ["Kronecker", "golden_steps"]
@@ -53,6 +54,7 @@ class Kronecker(Sampler):
     structure: ClassVar[Structure] = Structure.TORUS
     sequence: ClassVar[bool] = True
     unbiased: ClassVar[bool] = False
+    fixed: ClassVar[bool] = True
     dims: int = DEFAULT_DIMS
     alpha: Sequence[float] | None = None
 
@@ -71,7 +73,7 @@ class Kronecker(Sampler):
         del stream, first  # the same points every time
         points = np.empty((n, self.dims))
         _fill_multiples(self.steps(), points)
-        return points[None] if count == 1 else np.tile(points, (count, 1, 1))
+        return repeated(points, count)
 
 
 @lru_cache(maxsize=64)

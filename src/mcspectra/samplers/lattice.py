@@ -55,6 +55,7 @@ class Rank1Lattice(Sampler):
     name: ClassVar[str] = "rank1-lattice"
     structure: ClassVar[Structure] = Structure.TORUS
     unbiased: ClassVar[bool] = False
+    fixed: ClassVar[bool] = True
     dims: int = DEFAULT_DIMS
     vector: Sequence[int] | None = None
 
@@ -107,6 +108,7 @@ class Korobov(Sampler):
     name: ClassVar[str] = "korobov"
     structure: ClassVar[Structure] = Structure.TORUS
     unbiased: ClassVar[bool] = False
+    fixed: ClassVar[bool] = True
     dims: int = DEFAULT_DIMS
     a: int | None = None
 
@@ -143,6 +145,7 @@ class Fibonacci(Sampler):
     name: ClassVar[str] = "fibonacci"
     structure: ClassVar[Structure] = Structure.TORUS
     unbiased: ClassVar[bool] = False
+    fixed: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 2
     dims: int = 2
 

@@ -69,6 +69,7 @@ class DigitalNet(Sampler):
     name: ClassVar[str] = "digital-net"
     structure: ClassVar[Structure] = Structure.DIGITS
     unbiased: ClassVar[bool] = False
+    fixed: ClassVar[bool] = True
     matrices: str | Sequence[Any]
     base: int = 2
     digits: int | None = None
@@ -149,6 +150,7 @@ class Faure(Sampler):
     structure: ClassVar[Structure] = Structure.DIGITS
     sequence: ClassVar[bool] = True
     unbiased: ClassVar[bool] = False
+    fixed: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 1000
     dims: int = DEFAULT_DIMS
     base: int | None = None

@@ -73,6 +73,11 @@ class Halton(Sampler):
         return self.scramble != "none"
 
     @property
+    def fixed(self) -> bool:  # type: ignore[override]
+        """Unless digits are scrambled."""
+        return self.scramble == "none"
+
+    @property
     def digit_bases(self) -> tuple[int, ...]:
         """The first primes."""
         return _primes(self.dims)
@@ -127,6 +132,11 @@ class VanDerCorput(Sampler):
         return self.scramble != "none"
 
     @property
+    def fixed(self) -> bool:  # type: ignore[override]
+        """Unless digits are scrambled."""
+        return self.scramble == "none"
+
+    @property
     def digit_bases(self) -> tuple[int, ...]:
         """The base."""
         return (self.base,)
@@ -177,6 +187,11 @@ class Hammersley(Sampler):
     def unbiased(self) -> bool:  # type: ignore[override]
         """Only scrambled digits make every point uniform."""
         return self.scramble != "none"
+
+    @property
+    def fixed(self) -> bool:  # type: ignore[override]
+        """Unless digits are scrambled."""
+        return self.scramble == "none"
 
     @property
     def digit_bases(self) -> tuple[int, ...]:

@@ -40,8 +40,18 @@ class Shift(Randomization):
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
         """Translate each realisation by its own vector."""
-        offsets = np.empty((points.shape[0], points.shape[2]))
-        _kernels.random_offsets(stream.keys(first, len(points)), offsets)
+        return self._moved(points, stream, first, len(points))
+
+    def draw(
+        self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
+    ) -> Array:
+        """Draw realisations of `sampler`, a fixed set once, and translate them."""
+        points = sampler.draw_stream(n, stream, first, 1 if sampler.fixed else count)
+        return self._moved(points, own, first, count)
+
+    def _moved(self, points: Array, stream: Stream, first: int, count: int) -> Array:
+        offsets = np.empty((count, points.shape[2]))
+        _kernels.random_offsets(stream.keys(first, count), offsets)
         return _translated(points, offsets)
 
 
@@ -61,6 +71,7 @@ class StrataShift(Randomization):
     """
 
     name: ClassVar[str] = "strata-shift"
+    fixed: ClassVar[bool] = True
     fits: ClassVar[Mapping[Structure, Structure]] = _TRANSLATED
     offset: float | Sequence[float] = 0.5
 
@@ -85,6 +96,7 @@ class StrataShift(Randomization):
 
 
 def _translated(points: Array, offsets: Array) -> Array:
-    out = np.empty(points.shape)
+    """Sets (R or 1, n, d) moved by offsets (R or 1, d)."""
+    out = np.empty((max(len(points), len(offsets)), *points.shape[1:]))
     _kernels.translate(points, offsets, out)
     return out

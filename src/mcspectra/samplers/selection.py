@@ -125,6 +125,7 @@ class Skip(Randomization):
     """
 
     name: ClassVar[str] = "skip"
+    fixed: ClassVar[bool] = True
     pointwise: ClassVar[bool] = True
     count: int = 0
 

@@ -76,6 +76,7 @@ class Regular(Sampler):
     name: ClassVar[str] = "regular"
     structure: ClassVar[Structure] = Structure.STRATA
     unbiased: ClassVar[bool] = False
+    fixed: ClassVar[bool] = True
     dims: int = DEFAULT_DIMS
     position: str = "center"
     sides_: Sequence[int] | None = None

@@ -6,6 +6,7 @@ Tasks and outcomes cross as MessagePack, arrays in them as plain numbers.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import math
 import multiprocessing
@@ -26,12 +27,15 @@ from mcspectra.studies.engines import Outcome, attempt
 from mcspectra.studies.foreign_code import explain
 from mcspectra.studies.tasks import StudyText, Task, prepare
 
-__all__ = ["EngineFailed", "ProcessEngine", "check_time_limit"]
+__all__ = ["ATTEMPTS", "EngineFailed", "ProcessEngine", "Worker", "check_time_limit", "ended"]
 
-_ATTEMPTS = 3  # of a task whose worker dies; the first and two more
+ATTEMPTS = 3
+"""Of a task whose worker dies: the first and two more."""
+
 _STARTS = 3  # workers in succession that may die before they are ready
 _STARTING = 600.0  # seconds that a worker may take until it is ready
 _DYING = 1.0  # seconds from the end of a worker's pipe to its exit code
+_MASKS = hasattr(signal, "pthread_sigmask")  # not on Windows
 _LONGEST_LIMIT = 1e9  # seconds, 30 years: clocks and waits take no more
 
 
@@ -67,7 +71,7 @@ class ProcessEngine:
         self._waiting: deque[Task] = deque()
         self._lost: dict[str, int] = {}  # how often the worker of a task has died
         self._failed_starts = 0
-        self._workers = [_Worker(self._text) for _ in range(workers)]
+        self._workers = [Worker(self._text) for _ in range(workers)]
 
     @property
     def workers(self) -> int:
@@ -123,22 +127,15 @@ class ProcessEngine:
         worker = self._workers[place]
         if not worker.pipe.poll():
             return self._stop(place)
-        try:
-            message = worker.pipe.recv_bytes()
-        except (EOFError, OSError):
+        if worker.task is not None:
+            return worker.take() or self._bury(place)
+        refusal = worker.hear_start()
+        if refusal == "":
             return self._bury(place)
-        if worker.task is None:
-            self._started(worker, message)
-            return None
-        worker.task = None
-        return msgspec.msgpack.decode(message, type=Outcome)
-
-    def _started(self, worker: _Worker, message: bytes) -> None:
-        """A worker says that it is ready, or why it cannot be."""
-        if message:
-            raise EngineFailed(f"The workers cannot build the study: {message.decode()}")
-        worker.ready = True
+        if refusal is not None:
+            raise EngineFailed(f"The workers cannot build the study: {refusal}")
         self._failed_starts = 0
+        return None
 
     def _stop(self, place: int) -> Outcome | None:
         """Stop a worker that takes too long."""
@@ -157,14 +154,14 @@ class ProcessEngine:
         code = self._replace(place, _DYING)
         if task is None:
             if not worker.ready:
-                self._fail_start(f"end with {_end(code)}")
+                self._fail_start(f"end with {ended(code)}")
             return None
         self._lost[task.key] = lost = self._lost.get(task.key, 0) + 1
-        if lost < _ATTEMPTS:
+        if lost < ATTEMPTS:
             self._waiting.appendleft(task)
             return None
         return Outcome(
-            key=task.key, error=f"Its worker process ended {lost} times ({_end(code)}); gave up."
+            key=task.key, error=f"Its worker process ended {lost} times ({ended(code)}); gave up."
         )
 
     def _fail_start(self, what: str) -> None:
@@ -175,13 +172,28 @@ class ProcessEngine:
 
     def _replace(self, place: int, patience: float = 0.0) -> int | None:
         code = self._workers[place].end(patience)
-        self._workers[place] = _Worker(self._text)
+        self._workers[place] = Worker(self._text)
         return code
 
 
 @final
-class _Worker:
-    """A process and what it does."""
+class Worker:
+    """A process and what it does, for one thread to talk to.
+
+    Parameters
+    ----------
+    text
+        The study, `StudyText` as JSON.
+
+    Attributes
+    ----------
+    pipe
+        To the process; the other end closes when the process ends.
+    ready
+        Whether it has said that it can compute.
+    task
+        What it computes.
+    """
 
     def __init__(self, text: bytes) -> None:
         context = multiprocessing.get_context("spawn")
@@ -190,7 +202,8 @@ class _Worker:
         self.task: Task | None = None
         self.since = time.monotonic()
         self._process = context.Process(target=_serve, args=(inner, text), daemon=True)
-        self._process.start()
+        with _interrupts_blocked():
+            self._process.start()
         inner.close()  # only the worker's copy is left, so that its end is the pipe's end
 
     def begin(self, task: Task) -> bool:
@@ -202,11 +215,33 @@ class _Worker:
         self.task, self.since = task, time.monotonic()
         return True
 
+    def hear_start(self) -> str | None:
+        """Wait for word of its start: None if it is ready, why not, or nothing ("") if it has died."""
+        try:
+            message = self.pipe.recv_bytes()
+        except (EOFError, OSError):
+            return ""
+        self.ready = not message
+        return message.decode() or None
+
+    def take(self) -> Outcome | None:
+        """Wait for what became of its task; None if the process has died."""
+        try:
+            message = self.pipe.recv_bytes()
+        except (EOFError, OSError):
+            return None
+        self.task = None
+        return msgspec.msgpack.decode(message, type=Outcome)
+
     def deadline(self, limit: float | None) -> float:
         """When its start or its task must be done, on the monotonic clock; else never."""
         if not self.ready:
             return self.since + _STARTING
         return math.inf if limit is None or self.task is None else self.since + limit
+
+    def kill(self) -> None:
+        """End the process now; whoever waits for it hears of it."""
+        self._process.kill()
 
     def end(self, patience: float = 0.0) -> int | None:
         """End the process, if it has not by itself; returns its exit code, or minus its signal."""
@@ -220,6 +255,8 @@ class _Worker:
 def _serve(pipe: Connection, encoded: bytes) -> None:
     """What a worker process does: build the study, then a task after another."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that began it
+    if _MASKS:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         text = msgspec.json.decode(encoded, type=StudyText)
@@ -237,6 +274,19 @@ def _serve(pipe: Connection, encoded: bytes) -> None:
         return
 
 
+@contextlib.contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Have a process that is started here begin with Ctrl-C blocked, until it ignores it."""
+    if not _MASKS:
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _warm_up() -> None:
     """Import what every task needs, so that it does not count as the time of the first one."""
     for name in ("numba", "scipy.stats", "xarray"):
@@ -250,8 +300,8 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-def _end(code: int | None) -> str:
-    """How a process ended, in words."""
+def ended(code: int | None) -> str:
+    """Say how a process ended, in words."""
     if code is None or code >= 0:
         return f"exit code {code}"
     known = -code in list(map(int, signal.Signals))

@@ -31,8 +31,9 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
     ------
     BrokenContract
         Points are not float64 of shape (R, n, dims) in [0,1); a realisation depends on the call
-        that draws it; a count that `nearest_count` names cannot be drawn; or the sampler says that
-        it is unbiased and the points of all realisations say otherwise (false alarm: 1e-6).
+        that draws it; a fixed set is not the same each time; a count that `nearest_count` names
+        cannot be drawn; or the sampler says that it is unbiased and the points of all realisations
+        say otherwise (false alarm: 1e-6).
 
     Examples
     --------
@@ -69,6 +70,8 @@ def _check_repeats(source: Sampler, n: int) -> None:
             n,
             f"gives other points for realisation {first} when it is drawn by another call",
         )
+    same = not source.fixed or bool((whole == whole[0]).all())
+    _demand(same, source, n, "says it is fixed, but its realisations are different sets")
 
 
 def _check_uniform(source: Sampler, n: int) -> None:
