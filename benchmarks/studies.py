@@ -26,7 +26,7 @@ from mcspectra.studies.processes import ProcessEngine
 from mcspectra.studies.tasks import StudyText, Task
 
 SECONDS = 0.5
-LONG = 2.0  # seconds of a cell of a study for which it is worth starting processes
+LONG = 1.5  # seconds of a cell of a study for which it is worth starting processes
 ROUNDS = 3
 CELLS = 16
 STUDY = """
@@ -79,11 +79,11 @@ def main() -> None:
     one = _run(naps, _napping_threads(1))
     for workers in (2, 4, 8):
         _print_efficiency("sleeping, threads", one, _run(naps, _napping_threads(workers)), workers)
-    _print_real(real)
-    _print_real(calibrated(LONG))
+    _print_real(real, ROUNDS)
+    _print_real(calibrated(LONG), 2)
 
 
-def _print_real(config: StudyConfig) -> None:
+def _print_real(config: StudyConfig, rounds: int) -> None:
     """Efficiencies of two workers on real cells, and of the machine."""
     works: dict[str, Callable[[], float]] = {
         "bare": lambda: _loop(config),
@@ -92,9 +92,9 @@ def _print_real(config: StudyConfig) -> None:
         "threads": lambda: _run(config, _threads(2)),
         "processes": lambda: _run(config, _processes(2)),
     }
-    times = [{name: work() for name, work in works.items()} for _ in range(ROUNDS)]
+    times = [{name: work() for name, work in works.items()} for _ in range(rounds)]
     best = {name: min(each[name] for each in times) for name in works}
-    print(f"cells of {best['bare'] / CELLS:.2f} s, best of {ROUNDS} rounds:")
+    print(f"cells of {best['bare'] / CELLS:.2f} s, best of {rounds} rounds:")
     _print_efficiency("  loops in two processes, no study", best["bare"], best["two"], 2)
     _print_efficiency("  threads", best["thread"], best["threads"], 2)
     _print_efficiency("  processes, their start included", best["thread"], best["processes"], 2)
