@@ -80,7 +80,7 @@ ROWS = (
     Row("ldbn", {2: 16}, unbiased=False),
     Row("scipy(engine='LatinHypercube')", ANY),
     Row("perturbed-lattice", GRIDS),
-    Row("perturbed-lattice(correlation=1.0)", GRIDS),
+    Row("perturbed-lattice(correlation=1.0)", {1: 16, 2: 16, 3: 64, 6: 64}),
     Row("stealthy-hyperuniform(stealthiness=0.2)", {2: 8}),
     Row("stealthy-hyperuniform(sets=4)", {1: 16, 2: 16, 3: 16, 10: 16}),
     Row("determinantal", ANY),

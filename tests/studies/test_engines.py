@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from mcspectra.core.errors import ParameterError
-from mcspectra.studies import processes
+from mcspectra.studies import growing, processes
 from mcspectra.studies.config import decode_study
 from mcspectra.studies.engines import LocalEngine, Outcome, attempt
 from mcspectra.studies.growing import GrowingEngine
@@ -258,4 +258,18 @@ def test_a_process_that_cannot_start_leaves_its_thread_to_work(misbehaving):
     assert engine._helpers._all == [worker]
     assert not worker.ready
     assert first.payload == second.payload is not None
+    assert misbehaving.exists()
+
+
+def test_a_machine_that_has_no_more_processes_leaves_threads_to_work(misbehaving, monkeypatch):
+    def full(_):
+        raise OSError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(growing, "Worker", full)
+    engine = GrowingEngine(_misbehaving_text("good"), 2, after=0.0)
+    for i in range(3):
+        engine.submit(_task(str(i)))
+    found = list(engine.outcomes())
+    engine.close(cancel=False)
+    assert [outcome.error for outcome in found] == [None] * 3
     assert misbehaving.exists()

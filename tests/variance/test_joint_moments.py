@@ -32,7 +32,7 @@ def test_the_size_of_a_cache_changes_no_bit(monkeypatch):
         return mcs.convergence(ESTIMATORS[:2], "jittered | shift", [16, 256], realizations=300)
 
     before = curve()
-    monkeypatch.setattr(parallel, "_CACHED_NUMBERS", 1000)
+    monkeypatch.setattr(parallel, "_SLICE_NUMBERS", 1000)
     after = curve()
     assert np.array_equal(before["variance"], after["variance"])
     assert np.array_equal(before["mean"], after["mean"])

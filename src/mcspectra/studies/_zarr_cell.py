@@ -47,10 +47,9 @@ def write_cell(group: Path, dataset: xr.Dataset) -> Checksum:
         return checksum(group)
     files = _cell_files(dataset)
     group.mkdir(parents=True)
+    for folder in sorted({name.partition("/")[0] for name in files if "/" in name}):
+        (group / folder).mkdir()
     for name, content in files.items():
-        folder, slash, _ = name.partition("/")
-        if slash and name.endswith(_METADATA):
-            (group / folder).mkdir()
         (group / name).write_bytes(content)
     return checksum_of(files)
 

@@ -7,6 +7,7 @@ a process, starts it beside its own work, and hands its tasks over as soon as it
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Iterator
@@ -108,9 +109,11 @@ class _Helpers:
         with self._lock:
             if self._stopped:
                 return None
-            worker = Worker(self._text)
-            self._all.append(worker)
-            return worker
+            with contextlib.suppress(OSError):  # no more processes, files or memory: threads go on
+                worker = Worker(self._text)
+                self._all.append(worker)
+                return worker
+            return None
 
     def _ask(self, task: Task) -> Outcome:
         """Send a task to this thread's process; to another one if that dies."""

@@ -11,7 +11,7 @@ from typing import Any, final
 
 import msgspec
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import Array, as_real
 from mcspectra.core.errors import DamagedResultsWarning, McspectraError
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.staged import Chunk, Staged
@@ -140,7 +140,10 @@ def run_study(
     plan = make_plan(config, Path(folder), trust, force=force)
     text = StudyText.of(config, Path(folder), trust, force=force, inputs=plan.inputs)
     keep_plan(text, plan)
-    make = engine or _own_engine(count, limit, processes_after)
+    after = processes_after
+    if after is not None:
+        after = as_real("processes_after", after, least=0.0)
+    make = engine or _own_engine(count, limit, after)
     paths = [cell.path for cell in plan.cells]
     with FolderLock.take(Path(out)) as lock:
         outdated = _outdated(plan, Path(out)) if retry else None
