@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -31,6 +32,8 @@ name = "smooth"
 integrand = "gaussian"
 dims = 2
 """
+
+SAMPLERS = ["random", "jittered", "jittered | shift", "n-rooks", "halton | shift", "sobol | owen"]
 
 
 def values(folder):
@@ -131,6 +134,46 @@ def test_the_command_runs_on_a_cluster(expected, cluster, tmp_path, capsys):
     assert main(arguments) == 0
     assert f"dask: {cluster.scheduler_address}, dashboard: http://127" in capsys.readouterr().err
     assert values(tmp_path / "out") == expected
+
+
+MANY = STUDY.replace('"random", "jittered | shift"', ", ".join(f'"{s}"' for s in SAMPLERS)).replace(
+    "realizations = 3000", "realizations = 200_000"
+)
+
+
+def test_ctrl_c_leaves_a_resumable_store_and_no_cluster(tmp_path, hear_interrupts):
+    (tmp_path / "many.toml").write_text(MANY)
+    command = [sys.executable, "-m", "mcspectra", "run", "many.toml", "--out", "out"]
+    process = subprocess.Popen(
+        [*command, "--cluster", "local", "--workers", "2"],
+        cwd=tmp_path,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    end = time.monotonic() + 120
+    while not list(tmp_path.glob("out/results.zarr/*/*/*")) and time.monotonic() < end:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: the command and its workers
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 130, err
+    assert "Interrupted" in err
+    assert "Traceback" not in err
+    with pytest.raises(ProcessLookupError):
+        _wait_for_group(process.pid)
+    stored = values(tmp_path / "out")
+    run_study(decode_study(MANY), tmp_path / "out", resume=True, workers=1)
+    run_study(decode_study(MANY), tmp_path / "straight", workers=1)
+    assert values(tmp_path / "out") == values(tmp_path / "straight")
+    assert 0 < len(stored) < len(values(tmp_path / "straight"))
+
+
+def _wait_for_group(group):
+    """Raise ProcessLookupError as soon as no process of a group is left, within 10 s."""
+    for _ in range(100):
+        os.killpg(group, 0)
+        time.sleep(0.1)
 
 
 @pytest.mark.parametrize(

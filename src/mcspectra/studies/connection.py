@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, final
 from mcspectra.core.checks import as_integer, as_real
 from mcspectra.core.errors import McspectraError, MissingDependency, ParameterError
 from mcspectra.core.parallel import available_workers
+from mcspectra.studies import interrupts
 
 if TYPE_CHECKING:
     from distributed import LocalCluster, Security
@@ -301,16 +302,17 @@ def _local_cluster(options: ClusterOptions, security: Security | None) -> LocalC
     import distributed
 
     make: Any = distributed.LocalCluster
-    cluster: LocalCluster = make(
-        n_workers=available_workers(options.workers),
-        threads_per_worker=1,
-        processes=True,
-        host=options.host,
-        protocol="tls://" if options.tls else "tcp://",
-        dashboard_address=f"{options.host}:{options.dashboard}",
-        security=security,
-        silence_logs=logging.CRITICAL,
-    )
+    with interrupts.blocked():  # the cluster's thread too, which starts workers that replace others
+        cluster: LocalCluster = make(
+            n_workers=available_workers(options.workers),
+            threads_per_worker=1,
+            processes=True,
+            host=options.host,
+            protocol="tls://" if options.tls else "tcp://",
+            dashboard_address=f"{options.host}:{options.dashboard}",
+            security=security,
+            silence_logs=logging.CRITICAL,
+        )
     return cluster
 
 

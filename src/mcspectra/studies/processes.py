@@ -6,7 +6,6 @@ Tasks and outcomes cross as MessagePack, arrays in them as plain numbers.
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import math
 import multiprocessing
@@ -23,6 +22,7 @@ import msgspec
 
 from mcspectra.core.checks import as_real
 from mcspectra.core.errors import McspectraError
+from mcspectra.studies import interrupts
 from mcspectra.studies.engines import Outcome, attempt
 from mcspectra.studies.foreign_code import explain
 from mcspectra.studies.tasks import StudyText, Task, prepare
@@ -35,7 +35,6 @@ ATTEMPTS = 3
 _STARTS = 3  # workers in succession that may die before they are ready
 _STARTING = 600.0  # seconds that a worker may take until it is ready
 _DYING = 1.0  # seconds from the end of a worker's pipe to its exit code
-_MASKS = hasattr(signal, "pthread_sigmask")  # not on Windows
 _LONGEST_LIMIT = 1e9  # seconds, 30 years: clocks and waits take no more
 
 
@@ -202,7 +201,7 @@ class Worker:
         self.task: Task | None = None
         self.since = time.monotonic()
         self._process = context.Process(target=_serve, args=(inner, text), daemon=True)
-        with _interrupts_blocked():
+        with interrupts.blocked():
             self._process.start()
         inner.close()  # only the worker's copy is left, so that its end is the pipe's end
 
@@ -254,9 +253,7 @@ class Worker:
 
 def _serve(pipe: Connection, encoded: bytes) -> None:
     """What a worker process does: build the study, then a task after another."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that began it
-    if _MASKS:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    interrupts.ignore()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         text = msgspec.json.decode(encoded, type=StudyText)
@@ -272,19 +269,6 @@ def _serve(pipe: Connection, encoded: bytes) -> None:
             pipe.send_bytes(msgspec.msgpack.encode(attempt(text, task)))
     except (EOFError, OSError):
         return
-
-
-@contextlib.contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    """Have a process that is started here begin with Ctrl-C blocked, until it ignores it."""
-    if not _MASKS:
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _warm_up() -> None:
