@@ -112,11 +112,14 @@ TYPICAL = (
     "random",
     "jittered",
     "sobol",
+    "faure",
+    "halton",
     "rank1-lattice",
     "latin-hypercube",
     "points(path='{path}')",
 )
-"""Samplers of every structure: the randomisations follow these in many dims too, the others in 2-D."""
+"""Samplers of every structure, with digits in several bases: the randomisations follow these in many
+dims too, the others in 2-D."""
 
 
 def dims_of(row, chain):

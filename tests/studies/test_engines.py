@@ -1,5 +1,7 @@
 """Engines hand back every task once, hold few, and survive what tasks do."""
 
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -8,10 +10,9 @@ import msgspec
 import pytest
 
 from mcspectra.core.errors import ParameterError
-from mcspectra.studies import growing, processes
+from mcspectra.studies import processes
 from mcspectra.studies.config import decode_study
 from mcspectra.studies.engines import LocalEngine, Outcome, attempt
-from mcspectra.studies.growing import GrowingEngine
 from mcspectra.studies.processes import EngineFailed, ProcessEngine, check_time_limit
 from mcspectra.studies.tasks import StudyText, Task
 from mcspectra.studies.trust import Trust
@@ -137,6 +138,38 @@ def test_workers_that_cannot_build_the_study_are_an_error(misbehaving):
     assert misbehaving.exists()
 
 
+MASKS = """
+import multiprocessing, signal, sys
+from mcspectra.studies import interrupts
+
+def masked():
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+def tell(pipe):
+    before = masked()
+    interrupts.ignore()
+    pipe.send((before, masked(), signal.getsignal(signal.SIGINT) is signal.SIG_IGN))
+
+if __name__ == "__main__":
+    context = multiprocessing.get_context("spawn")
+    for _ in range(2):
+        ours, theirs = context.Pipe()
+        with interrupts.blocked():
+            context.Process(target=tell, args=(theirs,), daemon=True).start()
+        print(ours.recv())
+    print(masked())
+"""
+
+
+def test_processes_begin_deaf_to_ctrl_c_and_then_ignore_it(tmp_path):
+    """The first one too: before it, multiprocessing starts a process, and then unblocks Ctrl-C."""
+    (tmp_path / "masks.py").write_text(MASKS)
+    found = subprocess.run(
+        [sys.executable, "masks.py"], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert found.stdout.splitlines() == ["(True, False, True)"] * 2 + ["False"]
+
+
 def test_a_process_that_is_stopped_or_dies_is_replaced(misbehaving, monkeypatch):
     """One worker: a task that hangs, one whose worker dies once, and one that just works."""
     study = decode_study(
@@ -154,7 +187,7 @@ def test_a_process_that_is_stopped_or_dies_is_replaced(misbehaving, monkeypatch)
         msgspec.structs.replace(_task(name), path=f"{name.replace('_', '-')}/random/convergence")
         for name in names[1:]
     ]
-    monkeypatch.setattr(processes, "ATTEMPTS", 2)
+    monkeypatch.setattr(processes, "_ATTEMPTS", 2)
     engine = ProcessEngine(text, 1, 5.0)
     engine.submit(_task("hangs"))
     for task in tasks:
@@ -169,107 +202,3 @@ def test_a_process_that_is_stopped_or_dies_is_replaced(misbehaving, monkeypatch)
     assert found["dies_once"].error is found["good"].error is None
     local = attempt(text, tasks[1])
     assert found["good"].payload == local.payload
-
-
-def _misbehaving_text(*names):
-    """A study of an estimator for each name."""
-    more = "".join(
-        f"[[estimators]]\nname = '{name}'\ndims = 1\n"
-        f"integrand = \"python(function='misbehaving:{name}')\"\n"
-        for name in names[1:]
-    )
-    study = decode_study(STUDY.format(name=names[0]) + more)
-    return StudyText.of(study, Path(), Trust(tuple(f"misbehaving:{name}" for name in names)))
-
-
-def _until_ready(engine, task, limit=60.0):
-    """Have a task computed again and again until the thread's process does it."""
-    end = time.monotonic() + limit
-    while time.monotonic() < end:
-        engine.submit(task)
-        (outcome,) = engine.outcomes()
-        if engine._helpers._all and engine._helpers._all[-1].ready:
-            return outcome
-        time.sleep(0.05)
-    raise AssertionError("the process is not ready")
-
-
-def test_a_thread_hands_over_to_a_process_with_the_same_bits(misbehaving):
-    text = _misbehaving_text("good")
-    engine = GrowingEngine(text, 1, after=0.3)
-    engine.submit(_task("early"))
-    (early,) = engine.outcomes()
-    assert engine._helpers._all == []
-    time.sleep(0.3)
-    _until_ready(engine, _task("between"))
-    engine.submit(_task("late"))
-    (late,) = engine.outcomes()
-    (worker,) = engine._helpers._all
-    engine.close(cancel=False)
-    assert not worker._process.is_alive()
-    assert late.error is early.error is None
-    assert late.payload == early.payload
-    assert misbehaving.exists()
-
-
-def test_a_process_that_dies_is_replaced_and_its_task_tried_again(misbehaving):
-    text = _misbehaving_text("good", "dies_once", "dies")
-    engine = GrowingEngine(text, 1, after=0.0)
-    _until_ready(engine, _task("good"))
-    for name in ("dies_once", "dies"):
-        path = f"{name.replace('_', '-')}/random/convergence"
-        engine.submit(msgspec.structs.replace(_task(name), path=path))
-    found = {outcome.key: outcome for outcome in engine.outcomes()}
-    workers = engine._helpers._all
-    engine.close(cancel=False)
-    assert found["dies_once"].payload is not None
-    assert found["dies"].error == "Its worker process ended (signal SIGKILL); gave up."
-    assert len(workers) == 5  # one died once, three in succession
-    assert not any(worker._process.is_alive() for worker in workers)
-    assert (misbehaving / "died").exists()
-
-
-def test_a_cancelled_process_is_killed_at_once(misbehaving):
-    text = _misbehaving_text("good", "hangs")
-    engine = GrowingEngine(text, 1, after=0.0)
-    _until_ready(engine, _task("good"))
-    (misbehaving / "hang").touch()
-    engine.submit(msgspec.structs.replace(_task("hangs"), path="hangs/random/convergence"))
-    (worker,) = engine._helpers._all
-    while worker.task is None:
-        time.sleep(0.01)
-    start = time.monotonic()
-    engine.close(cancel=True)
-    assert time.monotonic() - start < 4.0  # threads are waited for 5 s
-    assert not worker._process.is_alive()
-
-
-def test_a_process_that_cannot_start_leaves_its_thread_to_work(misbehaving):
-    text = msgspec.structs.replace(_misbehaving_text("good"), code=())
-    engine = GrowingEngine(text, 1, after=0.0)
-    engine._threads._text = _misbehaving_text("good")
-    engine.submit(_task())
-    (first,) = engine.outcomes()
-    (worker,) = engine._helpers._all
-    assert worker.pipe.poll(60)
-    engine.submit(_task())
-    (second,) = engine.outcomes()
-    engine.close(cancel=False)
-    assert engine._helpers._all == [worker]
-    assert not worker.ready
-    assert first.payload == second.payload is not None
-    assert misbehaving.exists()
-
-
-def test_a_machine_that_has_no_more_processes_leaves_threads_to_work(misbehaving, monkeypatch):
-    def full(_):
-        raise OSError(11, "Resource temporarily unavailable")
-
-    monkeypatch.setattr(growing, "Worker", full)
-    engine = GrowingEngine(_misbehaving_text("good"), 2, after=0.0)
-    for i in range(3):
-        engine.submit(_task(str(i)))
-    found = list(engine.outcomes())
-    engine.close(cancel=False)
-    assert [outcome.error for outcome in found] == [None] * 3
-    assert misbehaving.exists()

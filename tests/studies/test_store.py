@@ -21,7 +21,7 @@ from mcspectra.studies._zarr_cell import write_cell
 from mcspectra.studies.checksums import checksum, damage_of
 from mcspectra.studies.copying import copy_to_zip
 from mcspectra.studies.lock import FolderLock
-from mcspectra.studies.manifest import MANIFEST_NAME, read_manifest
+from mcspectra.studies.manifest import MANIFEST_NAME, CellLine, append_line, now, read_manifest
 
 STUDY = (
     'title = "t"\nsamplers = ["random"]\n[convergence]\ncounts = [4]\n'
@@ -170,6 +170,26 @@ def test_damaged_cells_are_removed_and_written_again(filled: Path) -> None:
     store.write(PATHS[1], cell(1))
     store.finish()
     identical(open_results(filled)[PATHS[0]].to_dataset(inherit=False), cell(0))
+
+
+def test_cells_with_chunks_in_folders_are_read_and_resumed(filled: Path) -> None:
+    """As earlier versions, and xarray, write them."""
+    group = filled / "results.zarr" / PATHS[0]
+    for file in group.glob("*/c.0*"):
+        metadata = json.loads((file.parent / "zarr.json").read_text())
+        metadata["chunk_key_encoding"]["configuration"]["separator"] = "/"
+        (file.parent / "zarr.json").write_text(json.dumps(metadata))
+        chunk = file.parent.joinpath(*file.name.split("."))
+        chunk.parent.mkdir(parents=True)
+        file.rename(chunk)
+    found = checksum(group)
+    append_line(filled, CellLine(PATHS[0], found.sha256, found.parts, found.bytes, now()))
+    assert list(group.glob("*/c/0"))
+    store = Store.create(filled, CONFIG, resume=True, paths=PATHS)
+    assert all(store.done(path) for path in PATHS)
+    store.finish()
+    for i, path in enumerate(PATHS):
+        identical(open_results(filled)[path].to_dataset(inherit=False), cell(i))
 
 
 def test_a_damaged_chunk_is_noticed_by_plain_readers(filled: Path) -> None:

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 __all__ = ["add_arguments", "run"]
 
 _FAR = 0.5
-_LONG = 15.0  # seconds of a run after which it is worth some 4 s of processor to start a process
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,11 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--resume", action="store_true", help="continue what is in the folder")
     parser.add_argument("--retry", action="store_true", help="continue, and try what failed again")
-    parser.add_argument(
-        "--workers",
-        metavar="N",
-        help="threads, of long runs processes (default: all processors)",
-    )
+    parser.add_argument("--workers", metavar="N", help="threads (default: all processors)")
     parser.add_argument(
         "--time-limit",
         metavar="SECONDS",
@@ -108,7 +103,6 @@ def run(options: argparse.Namespace) -> int:
                 retry=options.retry,
                 workers=workers,
                 time_limit=limit,
-                processes_after=_LONG,
                 engine=engine,
                 trust=trust,
                 force=options.force,

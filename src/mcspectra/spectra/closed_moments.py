@@ -26,23 +26,17 @@ from mcspectra.samplers._grid import root
 from mcspectra.spectra import closed_pairs
 from mcspectra.spectra.closed_terms import Moments, comb, interval, product
 
-__all__ = ["is_fixed", "known_moments"]
+__all__ = ["known_moments"]
 
 _MAX_WORK = 2**32  # points times frequencies summed directly: about half a minute
 
 
 def known_moments(sampler: Sampler, n: int) -> Moments | None:
     """Return the moments of a sampler without randomisations, None where they are not known."""
-    if is_fixed(sampler):
+    if sampler.fixed:
         return _fixed(sampler, n)
     build = _BUILDERS.get(sampler.name)
     return None if build is None else build(sampler, n)
-
-
-def is_fixed(sampler: Sampler) -> bool:
-    """Whether all realisations are the same set."""
-    unscrambled = getattr(sampler, "scramble", "none") == "none"
-    return sampler.name in _FIXED and unscrambled
 
 
 def _motifs(
@@ -250,24 +244,6 @@ def _is_zero(m: Array) -> Array:
 
 
 # By name, so that the modules of samplers that nobody uses are not loaded.
-_FIXED = frozenset(
-    {
-        "digital-net",
-        "faure",
-        "fibonacci",
-        "halton",
-        "hammersley",
-        "hexagonal",
-        "korobov",
-        "kronecker",
-        "larcher-pillichshammer",
-        "niederreiter",
-        "rank1-lattice",
-        "regular",
-        "sobol",
-        "van-der-corput",
-    }
-)
 _BUILDERS: dict[str, Callable[[Any, int], Moments | None]] = {
     "antithetic-jittered": _antithetic,
     "box-jitter": _box_jitter,

@@ -26,7 +26,6 @@ from mcspectra.core.streams import Stream
 from mcspectra.integrands import Integrand, as_integrand
 from mcspectra.samplers import Randomized, Sampler, as_sampler
 from mcspectra.spectra.bases import Walsh
-from mcspectra.spectra.closed_moments import is_fixed
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -175,7 +174,7 @@ def _net_inside(sampler: Sampler) -> Sampler:
     """Return the net inside randomisations of its digits, which keep which digits agree."""
     base = sampler.base if isinstance(sampler, Randomized) else sampler
     steps = sampler.steps if isinstance(sampler, Randomized) else ()
-    if not is_fixed(base) or not all(step.name in _NESTED for step in steps):
+    if not base.fixed or not all(step.name in _NESTED for step in steps):
         raise NoClosedForm(
             f"No gain coefficients are known for {sampler.spec}; give a net that is the same every "
             "time, such as sobol, alone or with owen."

@@ -13,6 +13,7 @@ import os
 import signal
 import threading
 import time
+import warnings
 from collections import deque
 from collections.abc import Iterator
 from multiprocessing.connection import Connection, wait
@@ -27,11 +28,9 @@ from mcspectra.studies.engines import Outcome, attempt
 from mcspectra.studies.foreign_code import explain
 from mcspectra.studies.tasks import StudyText, Task, prepare
 
-__all__ = ["ATTEMPTS", "EngineFailed", "ProcessEngine", "Worker", "check_time_limit", "ended"]
+__all__ = ["EngineFailed", "ProcessEngine", "check_time_limit"]
 
-ATTEMPTS = 3
-"""Of a task whose worker dies: the first and two more."""
-
+_ATTEMPTS = 3  # of a task whose worker dies; the first and two more
 _STARTS = 3  # workers in succession that may die before they are ready
 _STARTING = 600.0  # seconds that a worker may take until it is ready
 _DYING = 1.0  # seconds from the end of a worker's pipe to its exit code
@@ -70,7 +69,7 @@ class ProcessEngine:
         self._waiting: deque[Task] = deque()
         self._lost: dict[str, int] = {}  # how often the worker of a task has died
         self._failed_starts = 0
-        self._workers = [Worker(self._text) for _ in range(workers)]
+        self._workers = [_Worker(self._text) for _ in range(workers)]
 
     @property
     def workers(self) -> int:
@@ -126,15 +125,22 @@ class ProcessEngine:
         worker = self._workers[place]
         if not worker.pipe.poll():
             return self._stop(place)
-        if worker.task is not None:
-            return worker.take() or self._bury(place)
-        refusal = worker.hear_start()
-        if refusal == "":
+        try:
+            message = worker.pipe.recv_bytes()
+        except (EOFError, OSError):
             return self._bury(place)
-        if refusal is not None:
-            raise EngineFailed(f"The workers cannot build the study: {refusal}")
+        if worker.task is None:
+            self._started(worker, message)
+            return None
+        worker.task = None
+        return msgspec.msgpack.decode(message, type=Outcome)
+
+    def _started(self, worker: _Worker, message: bytes) -> None:
+        """A worker says that it is ready, or why it cannot be."""
+        if message:
+            raise EngineFailed(f"The workers cannot build the study: {message.decode()}")
+        worker.ready = True
         self._failed_starts = 0
-        return None
 
     def _stop(self, place: int) -> Outcome | None:
         """Stop a worker that takes too long."""
@@ -153,14 +159,14 @@ class ProcessEngine:
         code = self._replace(place, _DYING)
         if task is None:
             if not worker.ready:
-                self._fail_start(f"end with {ended(code)}")
+                self._fail_start(f"end with {_end(code)}")
             return None
         self._lost[task.key] = lost = self._lost.get(task.key, 0) + 1
-        if lost < ATTEMPTS:
+        if lost < _ATTEMPTS:
             self._waiting.appendleft(task)
             return None
         return Outcome(
-            key=task.key, error=f"Its worker process ended {lost} times ({ended(code)}); gave up."
+            key=task.key, error=f"Its worker process ended {lost} times ({_end(code)}); gave up."
         )
 
     def _fail_start(self, what: str) -> None:
@@ -171,28 +177,13 @@ class ProcessEngine:
 
     def _replace(self, place: int, patience: float = 0.0) -> int | None:
         code = self._workers[place].end(patience)
-        self._workers[place] = Worker(self._text)
+        self._workers[place] = _Worker(self._text)
         return code
 
 
 @final
-class Worker:
-    """A process and what it does, for one thread to talk to.
-
-    Parameters
-    ----------
-    text
-        The study, `StudyText` as JSON.
-
-    Attributes
-    ----------
-    pipe
-        To the process; the other end closes when the process ends.
-    ready
-        Whether it has said that it can compute.
-    task
-        What it computes.
-    """
+class _Worker:
+    """A process and what it does."""
 
     def __init__(self, text: bytes) -> None:
         context = multiprocessing.get_context("spawn")
@@ -214,33 +205,11 @@ class Worker:
         self.task, self.since = task, time.monotonic()
         return True
 
-    def hear_start(self) -> str | None:
-        """Wait for word of its start: None if it is ready, why not, or nothing ("") if it has died."""
-        try:
-            message = self.pipe.recv_bytes()
-        except (EOFError, OSError):
-            return ""
-        self.ready = not message
-        return message.decode() or None
-
-    def take(self) -> Outcome | None:
-        """Wait for what became of its task; None if the process has died."""
-        try:
-            message = self.pipe.recv_bytes()
-        except (EOFError, OSError):
-            return None
-        self.task = None
-        return msgspec.msgpack.decode(message, type=Outcome)
-
     def deadline(self, limit: float | None) -> float:
         """When its start or its task must be done, on the monotonic clock; else never."""
         if not self.ready:
             return self.since + _STARTING
         return math.inf if limit is None or self.task is None else self.since + limit
-
-    def kill(self) -> None:
-        """End the process now; whoever waits for it hears of it."""
-        self._process.kill()
 
     def end(self, patience: float = 0.0) -> int | None:
         """End the process, if it has not by itself; returns its exit code, or minus its signal."""
@@ -257,7 +226,9 @@ def _serve(pipe: Connection, encoded: bytes) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         text = msgspec.json.decode(encoded, type=StudyText)
-        prepare(text)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the command has planned, and warned, already
+            prepare(text)
         _warm_up()
     except BaseException as error:  # noqa: BLE001 - whatever the code of others does
         pipe.send_bytes(explain(error).encode())
@@ -284,8 +255,8 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-def ended(code: int | None) -> str:
-    """Say how a process ended, in words."""
+def _end(code: int | None) -> str:
+    """How a process ended, in words."""
     if code is None or code >= 0:
         return f"exit code {code}"
     known = -code in list(map(int, signal.Signals))

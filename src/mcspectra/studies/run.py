@@ -11,14 +11,13 @@ from typing import Any, final
 
 import msgspec
 
-from mcspectra.core.checks import Array, as_real
+from mcspectra.core.checks import Array
 from mcspectra.core.errors import DamagedResultsWarning, McspectraError
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.staged import Chunk, Staged
 from mcspectra.studies.cells import finished_cell
 from mcspectra.studies.config import StudyConfig
 from mcspectra.studies.engines import Engine, LocalEngine, Outcome
-from mcspectra.studies.growing import GrowingEngine
 from mcspectra.studies.inputs import changed_inputs
 from mcspectra.studies.journal import Journal
 from mcspectra.studies.lock import FolderLock
@@ -69,7 +68,6 @@ def run_study(
     retry: bool = False,
     workers: int | None = None,
     time_limit: float | None = None,
-    processes_after: float | None = None,
     engine: MakeEngine | None = None,
     trust: Trust | None = None,
     force: bool = False,
@@ -97,10 +95,6 @@ def run_study(
     time_limit
         Seconds that a task may take, by default the study's own; tasks then run in processes of their
         own, and one that takes longer is stopped and fails its cell.
-    processes_after
-        Seconds after which each thread starts a process that takes over its tasks; None is never. For
-        programs that may be imported by other processes: a script needs
-        ``if __name__ == "__main__":``.
     engine
         Makes what computes the tasks instead, such as a cluster's.
     trust
@@ -140,10 +134,7 @@ def run_study(
     plan = make_plan(config, Path(folder), trust, force=force)
     text = StudyText.of(config, Path(folder), trust, force=force, inputs=plan.inputs)
     keep_plan(text, plan)
-    after = processes_after
-    if after is not None:
-        after = as_real("processes_after", after, least=0.0)
-    make = engine or _own_engine(count, limit, after)
+    make = engine or _own_engine(count, limit)
     paths = [cell.path for cell in plan.cells]
     with FolderLock.take(Path(out)) as lock:
         outdated = _outdated(plan, Path(out)) if retry else None
@@ -201,12 +192,10 @@ def drive(
         yield from schedule.settled()
 
 
-def _own_engine(workers: int, limit: float | None, after: float | None) -> MakeEngine:
-    if limit is not None:
-        return lambda text: ProcessEngine(text, workers, limit)
-    if after is not None and workers > 1:  # one thread has nobody to wait for
-        return lambda text: GrowingEngine(text, workers, after)
-    return lambda text: LocalEngine(text, workers)
+def _own_engine(workers: int, limit: float | None) -> MakeEngine:
+    if limit is None:
+        return lambda text: LocalEngine(text, workers)
+    return lambda text: ProcessEngine(text, workers, limit)
 
 
 def _journal(out: Path, plan: Plan, lock: FolderLock, *, resume: bool, retry: bool) -> Journal:

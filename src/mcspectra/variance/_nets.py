@@ -32,7 +32,6 @@ from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Randomized, Sampler
-from mcspectra.spectra.closed_moments import is_fixed
 from mcspectra.spectra.gain import gain_coefficients
 from mcspectra.variance._strata import (
     MAX_EVALUATIONS,
@@ -56,7 +55,7 @@ def scrambling(sampler: Sampler) -> str | None:
         steps = {step.name for step in sampler.steps} if isinstance(sampler, Randomized) else set()
         shifted = "latin-shift" if "shift" in steps else "latin"
         return shifted if steps <= _SHIFTS else None
-    if not isinstance(sampler, Randomized) or not is_fixed(sampler.base):
+    if not isinstance(sampler, Randomized) or not sampler.base.fixed:
         return None
     names = {step.name for step in sampler.steps}  # in the base of the net: others do not fit it
     if "owen" in names and names <= _KEEP_LAW | {"owen"}:

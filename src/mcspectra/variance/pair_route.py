@@ -32,7 +32,6 @@ from mcspectra.estimators.sets import check_independent_techniques
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Randomized, Sampler, as_sampler
 from mcspectra.samplers.base import Structure
-from mcspectra.spectra.closed_moments import is_fixed
 from mcspectra.spectra.pair_correlation import mean_of_realizations
 from mcspectra.variance._pair_kernels import pair_sum_1d, pair_sum_2d
 from mcspectra.variance._squares import mean_square, square_integral
@@ -139,7 +138,7 @@ def _check_stationary(sampler: Sampler) -> None:
     alone = sampler.structure is Structure.TORUS and sampler.unbiased and not steps
     stationary = alone or (bool(steps) and steps[-1].stationary)
     moved_only = all(step.name in _MOVES for step in steps)
-    lattice = moved_only and (is_fixed(base) or base.name == "uniform-jitter")
+    lattice = moved_only and (base.fixed or base.name == "uniform-jitter")
     if sampler.dims > 2 or not stationary or lattice:
         raise NoClosedForm(
             f"The variance of {sampler.spec} in {sampler.dims} dims is not found from pairs "
