@@ -110,7 +110,7 @@ def _print_efficiency(what: str, one: float, several: float, workers: int) -> No
 def _side_by_side(config: StudyConfig) -> float:
     """Seconds of two processes that compute half of the cells each, without their start."""
     context = multiprocessing.get_context("spawn")
-    gate = context.Barrier(3)
+    gate = context.Barrier(3, timeout=600)  # a half that fails is not waited for
     halves = [context.Process(target=_half, args=(config, i, gate)) for i in range(2)]
     for half in halves:
         half.start()
