@@ -9,10 +9,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import NotPowerOfTwoWarning, ParameterError
 from mcspectra.studies import processes
 from mcspectra.studies.config import decode_study
 from mcspectra.studies.engines import LocalEngine, Outcome, attempt
+from mcspectra.studies.plan import make_plan
 from mcspectra.studies.processes import EngineFailed, ProcessEngine, check_time_limit
 from mcspectra.studies.tasks import StudyText, Task
 from mcspectra.studies.trust import Trust
@@ -168,6 +169,18 @@ def test_processes_begin_deaf_to_ctrl_c_and_then_ignore_it(tmp_path):
         [sys.executable, "masks.py"], cwd=tmp_path, capture_output=True, text=True, check=True
     )
     assert found.stdout.splitlines() == ["(True, False, True)"] * 2 + ["False"]
+
+
+def test_processes_do_not_repeat_the_warnings_of_planning(capfd):
+    study = STUDY.replace("python(function='misbehaving:{name}')", "gaussian")
+    study = decode_study(study.replace('"random"', '"sobol | owen"').replace("[4]", "[100]"))
+    with pytest.warns(NotPowerOfTwoWarning):
+        make_plan(study, Path())
+    engine = ProcessEngine(StudyText.of(study, Path()), 1)
+    engine.submit(_task("a/sobol-owen/convergence/0-0-10/0+1"))
+    next(engine.outcomes())
+    engine.close(cancel=False)
+    assert capfd.readouterr().err == ""
 
 
 def test_a_process_that_is_stopped_or_dies_is_replaced(misbehaving, monkeypatch):
