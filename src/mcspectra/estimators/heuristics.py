@@ -28,7 +28,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import Component, parse
 from mcspectra.densities import Density
-from mcspectra.densities.numeric import mean_or_infinity
+from mcspectra.densities.adaptive import mean_or_infinity
 
 if TYPE_CHECKING:
     from mcspectra.estimators.pilots import Pilot
