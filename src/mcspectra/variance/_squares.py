@@ -11,7 +11,7 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.densities.adaptive import positive_integral
 from mcspectra.integrands import Integrand
-from mcspectra.integrands.numeric import integral_accuracy, numeric_integral
+from mcspectra.integrands.base import integral_accuracy, numeric_integral
 
 __all__ = ["SquaredIntegrand", "mean_square", "square_integral"]
 
