@@ -18,7 +18,12 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.display import html_of
-from mcspectra.core.errors import CountError, DependentRealizationsWarning, ParameterError
+from mcspectra.core.errors import (
+    CountError,
+    DependentRealizationsWarning,
+    NoClosedForm,
+    ParameterError,
+)
 from mcspectra.core.streams import Stream
 from mcspectra.estimators.moments import Moments
 from mcspectra.estimators.sets import draw_sets, set_sizes
@@ -157,6 +162,14 @@ class AbstractEstimator(ABC):
                 who = "The joint set has" if joint else f"Technique {technique} draws"
                 where = f"{who} {size // n} · {n} points: "
                 raise CountError(where + str(error), error.nearest) from None
+
+    def check_independent(self) -> None:
+        """Raise NoClosedForm where the variance is not the sum of those of the techniques."""
+        if self.sets != "independent" and len(self.counts) > 1:
+            raise NoClosedForm(
+                f"The techniques of {self.spec} are correlated, and only the variances of "
+                "independent ones are known; use convergence or technique_terms."
+            )
 
     def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:
         """Draw realisations first … first+count−1 for each technique: arrays (count, n_t, d).

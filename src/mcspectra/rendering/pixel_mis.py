@@ -18,9 +18,8 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.densities import Density
 from mcspectra.estimators.base import AbstractEstimator, check_counts
-from mcspectra.estimators.heuristics import Heuristic, as_heuristic
+from mcspectra.estimators.heuristics import Heuristic, Pilot, as_heuristic
 from mcspectra.estimators.importance import Estimator, scale
-from mcspectra.estimators.pilots import Pilot
 from mcspectra.estimators.sets import check_sets
 from mcspectra.integrands import Integrand
 from mcspectra.integrands.base import Estimate
