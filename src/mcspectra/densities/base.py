@@ -9,7 +9,6 @@ arguments, `Density.check`, ∫1/p by quadrature, and `Density.from_functions`.
 from __future__ import annotations
 
 import math
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from mcspectra.core.errors import (
     DomainError,
     UndefinedRatioWarning,
     point_in_words,
+    warn,
 )
 from mcspectra.core.spec import Component
 from mcspectra.densities.adaptive import (
@@ -455,11 +455,10 @@ def divide_by_density(
             "randomise the sampler (such as '| shift') if that is so on a line or a face only, else "
             "choose a density that is positive wherever f is not 0."
         )
-    warnings.warn(
+    warn(
         f"f and the density of {spec} are both 0 at the sample {point_in_words(x[zero][0])}: f/p "
         "counts as 0 there, whatever its limit; randomise the sampler (such as '| shift').",
         UndefinedRatioWarning,
-        stacklevel=3,
     )
     return np.asarray(values / np.where(scaled > 0, scaled, 1.0))
 

@@ -10,7 +10,6 @@ and returns I = Σ_t (1/n_t) Σ_k g_t(u_tk). Two views of it are analysed:
 
 from __future__ import annotations
 
-import warnings
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -23,6 +22,7 @@ from mcspectra.core.errors import (
     DependentRealizationsWarning,
     NoClosedForm,
     ParameterError,
+    warn,
 )
 from mcspectra.core.streams import Stream
 from mcspectra.estimators.moments import Moments
@@ -146,11 +146,10 @@ class AbstractEstimator(ABC):
                 f"{sampler.spec} has {sampler.dims}."
             )
         if not sampler.independent:
-            warnings.warn(
+            warn(
                 f"The realisations of {sampler.spec} are the pixels of one image, not independent: "
                 "variances over them are those within it, and their intervals too narrow or wide.",
                 DependentRealizationsWarning,
-                stacklevel=3,
             )
         for technique, size in enumerate(set_sizes(self.sets, self.counts, n)):
             try:

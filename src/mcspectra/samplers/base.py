@@ -10,7 +10,6 @@ generators of QMCPy.
 from __future__ import annotations
 
 import hashlib
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -22,7 +21,7 @@ from typing import Any, ClassVar, TypeAlias, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer, as_unit_points
-from mcspectra.core.errors import CountError, NotPowerOfTwoWarning, ParameterError
+from mcspectra.core.errors import CountError, NotPowerOfTwoWarning, ParameterError, warn
 from mcspectra.core.pointfiles import read_points
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.spec import Component, format_call
@@ -166,7 +165,7 @@ class Sampler(Component, ABC):
         below, above = self._counts_near(count)
         if count in (below, above):
             if sentence := self._count_warning(count):
-                warnings.warn(sentence, NotPowerOfTwoWarning, stacklevel=3)
+                warn(sentence, NotPowerOfTwoWarning)
             return count
         options = tuple(c for c in (below, above) if c is not None and c <= MAX_COUNT)
         verb = "count is" if len(options) == 1 else "counts are"
