@@ -27,11 +27,10 @@ _MOST_BYTES = 2**31
 _MOST_RATIO = 64  # bytes of memory for each byte of a file
 _ALWAYS_READ = 2**28  # bytes, whatever the ratio: a flat picture of 3840 x 2160 pixels
 _NPY_HEADER = 2**14  # bytes: NumPy itself refuses headers of more than 10,000 characters
-_ZIP_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # Python decodes the others unbounded
 
 
-def known_path(path: object, extensions: Sequence[str], what: str) -> Path:
-    """Return the path of a file that ends in one of the extensions; `what` is such a file.
+def known_path(path: object, what: str, extensions: Sequence[str] = ()) -> Path:
+    """Return the path of a file that ends in one of the extensions, if given; `what` is such a file.
 
     Raises
     ------
@@ -41,7 +40,7 @@ def known_path(path: object, extensions: Sequence[str], what: str) -> Path:
     if not isinstance(path, str | PathLike) or not str(path) or "\0" in str(path):
         raise FileFormatError(f"{path!r:.80} is not a path; give the path of {what}.")
     file = Path(path)
-    if file.suffix.lower() not in extensions:
+    if extensions and file.suffix.lower() not in extensions:
         raise FileFormatError(
             f"{file} does not end in one of {', '.join(extensions)}; give {what}."
         )
@@ -49,21 +48,24 @@ def known_path(path: object, extensions: Sequence[str], what: str) -> Path:
 
 
 @contextmanager
-def opened(file: Path, what: str) -> Iterator[tuple[IO[bytes], int, str]]:
-    """Open a file for a parser: its stream, its bytes, and what messages call it.
+def opened(
+    path: object, what: str, extensions: Sequence[str] = ()
+) -> Iterator[tuple[IO[bytes], int, str, str]]:
+    """Open a file for a parser: its stream, its bytes, what messages call it, and its extension.
 
     Raises
     ------
     FileFormatError
-        There is no such file, it is a folder or a device, or the parser raised whatever error.
+        As of `known_path`; no such file, a folder or a device, or whatever error of the parser.
     """
+    file = known_path(path, what, extensions)
     try:
         status = file.stat()
         if not stat.S_ISREG(status.st_mode):
             kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a device or a pipe"
             raise FileFormatError(f"{file} is {kind}; give the path of {what}.")
         with file.open("rb") as stream:
-            yield stream, status.st_size, str(file)
+            yield stream, status.st_size, str(file), file.suffix.lower()
     except McspectraError:
         raise
     except FileNotFoundError:
@@ -77,16 +79,7 @@ def opened(file: Path, what: str) -> Iterator[tuple[IO[bytes], int, str]]:
 
 
 def check_decoded_size(name: object, size: int, decoded: float) -> None:
-    """Refuse a file that takes too much memory to decode.
-
-    Parameters
-    ----------
-    name
-        What messages call the file.
-    size
-        Its bytes.
-    decoded
-        Bytes of memory that decoding and converting to float64 take at their peak.
+    """Refuse a file of `size` bytes that takes `decoded` bytes of memory at the peak of reading it.
 
     Raises
     ------
@@ -121,9 +114,8 @@ def read_npy(stream: IO[bytes], size: int, name: str, held: int | None = None) -
             f"{name} announces an array of shape {shape}, {count * dtype.itemsize} bytes, but has "
             f"{held}."
         )
-    # The array, its float64 values, and two masks of them
-    converted = 0 if dtype == np.float64 else 8
-    check_decoded_size(name, size, count * (dtype.itemsize + converted + 2))
+    # The array, its float64 values if it has others, and two masks of them
+    check_decoded_size(name, size, count * (dtype.itemsize + 8 * (dtype != np.float64) + 2))
     stream.seek(0)
     return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
 
@@ -148,7 +140,7 @@ def read_npz(
                 f"{name} has no array {array!r}; it holds {found}: call the one to read {array!r}."
             )
         member = archive.getinfo(f"{array}.npy")
-        if member.compress_type not in _ZIP_METHODS:
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # unbounded
             raise FileFormatError(f"{name} is not compressed as NumPy does; use savez_compressed.")
         with archive.open(member) as content:
             return read_npy(content, size, name, member.file_size)

@@ -18,7 +18,6 @@ from mcspectra.core.errors import DomainError, ParameterError
 __all__ = ["directions", "environment_pixels", "row_solid_angles", "synthetic_sky"]
 
 _MOST_VALUES = 2**28  # 2 GiB, as of picture files
-_DEFAULT_SIZE = (32, 64)
 _SUN = (0.62, 0.31, 14.0, 400.0)  # x_0, x_1, sharpness as of a von Mises-Fisher lobe, radiance
 _PATCHES = (  # x_0, x_1, half sizes, color
     (0.15, 0.30, 0.04, 0.06, (9.0, 1.0, 0.5)),
@@ -89,7 +88,7 @@ def environment_pixels(path: object, values: object) -> Array:
         The file is missing or cannot be read.
     """
     if path is None and values is None:
-        return synthetic_sky(*_DEFAULT_SIZE)
+        return synthetic_sky()
     if path is not None and values is not None:
         raise ParameterError("environment needs path, of a picture file, or values, not both.")
     if values is None:
@@ -105,8 +104,8 @@ def environment_pixels(path: object, values: object) -> Array:
             ) from None
         if given.ndim not in (2, 3) or not 0 < given.size <= _MOST_VALUES:
             raise ParameterError(
-                f"values have shape {given.shape}; give pixels of shape (h, w) or (h, w, channels), "
-                f"{_MOST_VALUES:.3g} numbers at most."
+                f"values have shape {given.shape}; give pixels of shape (h, w) or (h, w, channels); "
+                f"{_MOST_VALUES:.3g} numbers are read at most."
             )
         pixels = np.array(given).reshape(*given.shape[:2], -1)
     if not np.isfinite(pixels).all() or pixels.min() < 0:

@@ -20,7 +20,7 @@ from typing import IO
 import numpy as np
 
 from mcspectra.core.checks import Array, as_real_array
-from mcspectra.core.decoding import check_decoded_size, known_path, opened, read_npy, read_npz
+from mcspectra.core.decoding import check_decoded_size, opened, read_npy, read_npz
 from mcspectra.core.errors import FileFormatError, ParameterError
 
 __all__ = ["IMAGE_EXTENSIONS", "REC709", "luminance", "read_image"]
@@ -60,17 +60,16 @@ def read_image(path: str | PathLike[str], *, linear: bool = False) -> Array:
     -----
     The image file is opened with parsers for these formats only, and NumPy files without pickle.
     """
-    file = known_path(path, IMAGE_EXTENSIONS, "an image")
-    with opened(file, "an image") as (stream, size, name):
-        match file.suffix.lower():
+    with opened(path, "an image", IMAGE_EXTENSIONS) as (stream, size, file, extension):
+        match extension:
             case ".exr":
-                pixels = _read_exr(name, size)
+                pixels = _read_exr(file, size)
             case ".npy":
-                pixels = read_npy(stream, size, name)
+                pixels = read_npy(stream, size, file)
             case ".npz":
-                pixels = read_npz(stream, size, name, "image", or_only=True)
+                pixels = read_npz(stream, size, file, "image", or_only=True)
             case _:
-                pixels = _read_pillow(stream, size, name, linear)
+                pixels = _read_pillow(stream, size, file, linear)
     if pixels.dtype.kind not in "fiub":
         raise FileFormatError(f"{file} holds {pixels.dtype} values; real numbers are needed.")
     if pixels.ndim not in (2, 3) or pixels.size == 0:
@@ -152,18 +151,16 @@ def _read_exr(name: str, size: int) -> Array:
         pixels = math.prod(b - a + 1 for a, b in zip(low, high, strict=True))
         tiles = part.header.get("tiles")
         tile = tiles.xSize * tiles.ySize if tiles else 0
-        channels = [channel.name for channel in part.header["channels"]]
-        listed.update(channels)
-        stored += 4 * len(channels) * (pixels + tile)  # values have 2 or 4 bytes
+        listed |= {channel.name for channel in part.header["channels"]}
+        stored += 4 * len(part.header["channels"]) * (pixels + tile)  # values of 2 or 4 bytes
         largest = max(largest, pixels)
     names = _exr_channels(listed, name)
     check_decoded_size(name, size, stored + 9 * len(names) * largest)  # float64, and a mask
     parts = OpenEXR.File(name, separate_channels=True).parts
     planes = {name: c.pixels for part in reversed(parts) for name, c in part.channels.items()}
-    found = [planes.get(name) for name in names]
-    if any(plane is None for plane in found):
+    if any(planes.get(name) is None for name in names):
         raise EOFError
-    return np.stack(found, axis=-1, dtype=np.float64)  # type: ignore[arg-type]
+    return np.stack([planes[name] for name in names], axis=-1, dtype=np.float64)
 
 
 def _exr_channels(names: set[str], file: str) -> tuple[str, ...]:

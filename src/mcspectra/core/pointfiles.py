@@ -22,13 +22,14 @@ The sets of a file may differ in size; whether coordinates lie in [0,1) is for s
 
 from __future__ import annotations
 
-import importlib
 import importlib.util
 import io
 import itertools
 import json
+import math
 import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from os import PathLike
 from typing import IO, Any
 
@@ -43,9 +44,6 @@ __all__ = ["EXTENSIONS", "format_dat", "parse_dat", "read_points", "write_points
 EXTENSIONS = (".dat", ".bin", ".npz", ".csv", ".parquet")
 """The file name extensions that `read_points` and `write_points` know."""
 
-Row = tuple[int, list[str] | None]
-"""Number of a line of text, from 1, and its fields; None where the next set begins."""
-
 _SET_BYTES = 4096  # that count for a set besides its coordinates: many tiny ones take long, too
 
 # UTK text and comma-separated values
@@ -57,11 +55,6 @@ _VALUE_BYTES = 24  # of a number in text: in its block, in its set, and in the o
 _MAGIC = 0x214B5455
 _HEADER_BYTES = 20
 _TYPES = ("i4", "i8", "u4", "u8", "f4", "f8")
-_DOUBLE = _TYPES.index("f8")
-
-# Parquet
-_META = b"mcspectra"
-_PANDAS_INDEX = "__index_level_"  # columns in which pandas keeps an index
 
 
 def read_points(path: str | PathLike[str]) -> list[Array]:
@@ -74,9 +67,8 @@ def read_points(path: str | PathLike[str]) -> list[Array]:
         memory (see `mcspectra.core.decoding`), or holds something else than finite numbers; the
         message names the line or the byte.
     """
-    file = known_path(path, EXTENSIONS, "a point set")
-    with opened(file, "a point set") as (stream, size, name):
-        return _FORMATS[file.suffix.lower()][0](stream, size, name)
+    with opened(path, "a point set", EXTENSIONS) as (stream, size, name, extension):
+        return _FORMATS[extension][0](stream, size, name)
 
 
 def write_points(
@@ -99,9 +91,9 @@ def write_points(
     FileFormatError
         Unknown extension, sets that do not fit the format, or a file that cannot be written.
     """
-    file = known_path(path, EXTENSIONS, "a point set")
+    file = known_path(path, "a point set", EXTENSIONS)
     name = str(file)
-    content = _FORMATS[file.suffix.lower()][1](_clean_sets(sets, name), _json(meta, name), name)
+    content = _FORMATS[file.suffix.lower()][1](*_clean(sets, meta, name), name)
     try:
         file.write_bytes(content)
     except OSError as error:
@@ -109,13 +101,7 @@ def write_points(
 
 
 def parse_dat(text: str, name: str) -> list[Array]:
-    """Read UTK text; `name` is what messages call its source.
-
-    Raises
-    ------
-    FileFormatError
-        As of `read_points`.
-    """
+    """Read UTK text, as `read_points` does; `name` is what messages call its source."""
     if not isinstance(text, str):
         raise FileFormatError(f"{name} is {type(text).__name__}, not text; give lines of numbers.")
     data = text.encode(errors="surrogatepass")  # refused where it is decoded
@@ -123,23 +109,20 @@ def parse_dat(text: str, name: str) -> list[Array]:
 
 
 def format_dat(sets: Iterable[object], meta: Mapping[str, Any] | None = None) -> str:
-    """Write UTK text; every float64 is read back to the same bits.
-
-    Raises
-    ------
-    FileFormatError
-        As of `write_points`.
-    """
-    return _dat(_clean_sets(sets, "UTK text"), _json(meta, "UTK text"), "UTK text").decode()
+    """Write UTK text, as `write_points` does; every float64 is read back to the same bits."""
+    return _dat(*_clean(sets, meta, "UTK text"), "UTK text").decode()
 
 
-def _clean_sets(sets: Iterable[object], name: str) -> list[Array]:
-    """Return the sets as float64 arrays (n, d)."""
+def _clean(
+    sets: Iterable[object], meta: Mapping[str, Any] | None, name: str
+) -> tuple[list[Array], str]:
+    """Return the sets as float64 arrays (n, d), and what is said about them as JSON."""
     try:
-        numbered = enumerate(sets)
-    except TypeError:
+        numbered, text = enumerate(sets), json.dumps(dict(meta or {}), default=str)
+    except (TypeError, ValueError):
         raise FileFormatError(
-            f"The sets for {name} are {sets!r:.80}; give a list of arrays (n, d)."
+            f"What is given for {name} is {sets!r:.80} and {meta!r:.80}; give a list of arrays "
+            "(n, d), and names with values that JSON can hold."
         ) from None
     clean = []
     for k, points in numbered:
@@ -154,16 +137,7 @@ def _clean_sets(sets: Iterable[object], name: str) -> list[Array]:
         clean.append(array)
     if not clean:
         raise FileFormatError(f"There are no sets to write to {name}; give at least one.")
-    return clean
-
-
-def _json(meta: Mapping[str, Any] | None, name: str) -> str:
-    try:
-        return json.dumps(dict(meta or {}), default=str)
-    except (TypeError, ValueError):
-        raise FileFormatError(
-            f"The meta for {name} is {meta!r:.80}; give names with values that JSON can hold."
-        ) from None
+    return clean, text
 
 
 # ---- Text: UTK's, and comma- or semicolon-separated values
@@ -179,7 +153,7 @@ def _read_csv(stream: IO[bytes], size: int, name: str) -> list[Array]:
     labels: dict[str, int] = {}
     set_of_row: list[int] = []
 
-    def rows() -> Iterator[Row]:
+    def rows() -> Iterator[tuple[int, list[str] | None]]:
         lines = _lines(stream, size, name)
         lines = ((number, line) for number, line in lines if not line.lstrip().startswith("#"))
         semicolons, at_top, column = False, True, None
@@ -222,11 +196,10 @@ def _lines(stream: IO[bytes], size: int, name: str) -> Iterator[tuple[int, str]]
     while raw := stream.readline(_LONGEST_LINE + 1):
         if len(raw) > _LONGEST_LINE:
             raise FileFormatError(
-                f"{name}, line {number + 1}, is longer than {_LONGEST_LINE} bytes; give a point a "
-                "line."
+                f"{name}, line {number + 1}, is longer than {_LONGEST_LINE} bytes; split it."
             )
         try:
-            text = raw.decode() if at else raw.decode("utf-8-sig")
+            text = raw.decode("utf-8" if at else "utf-8-sig")
         except UnicodeDecodeError as error:
             raise FileFormatError(
                 f"{name} is not text: byte {at + error.start} is no character."
@@ -237,8 +210,10 @@ def _lines(stream: IO[bytes], size: int, name: str) -> Iterator[tuple[int, str]]
             yield number, line
 
 
-def _sets_of_rows(rows: Iterable[Row], size: int, name: str) -> list[Array]:
-    """Make an array of each set of rows, by way of arrays of blocks of them."""
+def _sets_of_rows(
+    rows: Iterable[tuple[int, list[str] | None]], size: int, name: str
+) -> list[Array]:
+    """Make an array of each set of rows: numbers of lines, and fields or, before a set, None."""
     sets: list[Array] = []
     blocks: list[Array] = []
     block: list[tuple[int, list[str]]] = []
@@ -247,6 +222,8 @@ def _sets_of_rows(rows: Iterable[Row], size: int, name: str) -> list[Array]:
         if fields is not None:
             if not (blocks or block):
                 start, width = number, len(fields)
+            if not width:
+                raise FileFormatError(f"{name} has no coordinates; give a column for each axis.")
             if len(fields) != width:
                 raise FileFormatError(
                     f"{name}, line {number}, has {len(fields)} numbers, but the set began with "
@@ -266,21 +243,18 @@ def _sets_of_rows(rows: Iterable[Row], size: int, name: str) -> list[Array]:
 
 
 def _numbers(rows: list[tuple[int, list[str]]], name: str) -> Array:
-    if not rows[0][1]:
-        raise FileFormatError(f"{name} has no coordinates; give a column of numbers for each axis.")
-    try:
+    with suppress(ValueError):
         points = np.array([fields for _, fields in rows], dtype=np.float64)
-    except ValueError:
-        points = np.full(1, np.nan)
-    # Python reads 1_0 as 10, nobody else does.
-    underscores = any("_" in field for _, fields in rows for field in fields)
-    if underscores or not np.isfinite(points).all():
-        for number, field in ((number, field) for number, fields in rows for field in fields):
-            if "_" in field or not _is_number(field) or not np.isfinite(float(field)):
-                raise FileFormatError(
-                    f"{name}, line {number}: {field[:40]!r} is not a finite number."
-                )
-    return points
+        # Python reads 1_0 as 10, nobody else does.
+        if np.isfinite(points).all() and not any("_" in x for _, fields in rows for x in fields):
+            return points
+    number, text = next(
+        (number, x)
+        for number, fields in rows
+        for x in fields
+        if "_" in x or not _is_number(x) or not math.isfinite(float(x))
+    )
+    raise FileFormatError(f"{name}, line {number}: {text[:40]!r} is not a finite number.")
 
 
 def _is_number(text: str) -> bool:
@@ -320,8 +294,8 @@ def _csv(sets: list[Array], _meta: str, name: str) -> bytes:
     header = ",".join(f"x{i}" for i in range(_same_dims(sets, name)))
     if len(sets) == 1:
         return f"{header}\n{_text(sets[0], ',')}".encode()
-    rows = [_text(points, ",", f"{k},") for k, points in enumerate(sets)]
-    return f"set,{header}\n{''.join(rows)}".encode()
+    rows = "".join(_text(points, ",", f"{k},") for k, points in enumerate(sets))
+    return f"set,{header}\n{rows}".encode()
 
 
 def _text(points: Array, blank: str, start: str = "") -> str:
@@ -340,9 +314,7 @@ def _same_dims(sets: list[Array], name: str) -> int:
 def _read_bin(stream: IO[bytes], size: int, name: str) -> list[Array]:
     data = stream.read(_HEADER_BYTES)
     if len(data) < _HEADER_BYTES:
-        raise FileFormatError(
-            f"{name} ends at byte {len(data)}, within the header of {_HEADER_BYTES} bytes."
-        )
+        raise FileFormatError(f"{name} ends at byte {len(data)}, within the header of 20 bytes.")
     order = next((o for o in "<>" if struct.unpack_from(o + "I", data)[0] == _MAGIC), None)
     if order is None:
         raise FileFormatError(
@@ -351,9 +323,7 @@ def _read_bin(stream: IO[bytes], size: int, name: str) -> list[Array]:
         )
     code, shape = data[4], struct.unpack_from(order + "3I", data, 8)
     if code >= len(_TYPES):
-        raise FileFormatError(
-            f"{name}, byte 4: {code} is no type code; UTK has 0 to {len(_TYPES) - 1}."
-        )
+        raise FileFormatError(f"{name}, byte 4: {code} is no type code; UTK has 0 to 5.")
     announced = f"{name} announces {shape[0]} sets of {shape[1]} points in {shape[2]} dims"
     if 0 in shape:
         raise FileFormatError(f"{announced}; each must be at least 1.")
@@ -364,16 +334,15 @@ def _read_bin(stream: IO[bytes], size: int, name: str) -> list[Array]:
             f"{announced}, that is {count * dtype.itemsize} bytes after the header, but has "
             f"{size - _HEADER_BYTES}."
         )
-    # As they are, in this machine's order, shifted, and as two arrays of doubles
-    check_decoded_size(name, size, count * (3 * dtype.itemsize + 16) + shape[0] * _SET_BYTES)
+    copies = 1 if dtype.kind == "f" else 3  # of integers in this machine's order, and shifted
+    check_decoded_size(name, size, count * (copies * dtype.itemsize + 17) + shape[0] * _SET_BYTES)
     values = np.fromfile(stream, dtype, count).reshape(shape)
-    if dtype.kind == "f":
-        return _finite_sets(values.astype(np.float64, copy=False), name)
-    # Integers are fractions of their range (UTK's integer nets fill it)
-    bits = 8 * dtype.itemsize - (dtype.kind == "i")
-    spare = max(0, bits - 53)  # drop what a double cannot hold, lest 2^64 - 1 becomes 1.0
-    shifted = values.astype(dtype.newbyteorder("=")) >> spare
-    return _finite_sets(np.ldexp(shifted.astype(np.float64), spare - bits), name)
+    if dtype.kind != "f":  # integers are fractions of their range (UTK's integer nets fill it)
+        bits = 8 * dtype.itemsize - (dtype.kind == "i")
+        spare = max(0, bits - 53)  # drop what a double cannot hold, lest 2^64 - 1 becomes 1.0
+        shifted = values.astype(dtype.newbyteorder("=")) >> spare
+        values = np.ldexp(shifted.astype(np.float64), spare - bits)
+    return _finite_sets(values, name)
 
 
 def _read_npz(stream: IO[bytes], size: int, name: str) -> list[Array]:
@@ -385,11 +354,12 @@ def _read_npz(stream: IO[bytes], size: int, name: str) -> list[Array]:
         )
     points = points if points.ndim == 3 else points[None]
     check_decoded_size(name, size, len(points) * _SET_BYTES)
-    return _finite_sets(points.astype(np.float64, copy=False), name)
+    return _finite_sets(points, name)
 
 
 def _finite_sets(points: Array, name: str) -> list[Array]:
-    """Split (R, n, d) into sets after a check for NaN and infinity."""
+    """Split (R, n, d) into sets of float64 after a check for NaN and infinity."""
+    points = points.astype(np.float64, copy=False)
     good = np.isfinite(points)
     if not good.all():
         where = [int(i) for i in np.argwhere(~good)[0]]
@@ -402,7 +372,10 @@ def _finite_sets(points: Array, name: str) -> list[Array]:
 
 def _bin(sets: list[Array], _meta: str, name: str) -> bytes:
     points = _stacked(sets, name)
-    return struct.pack("<5I", _MAGIC, _DOUBLE, *points.shape) + points.astype("<f8").tobytes()
+    return (
+        struct.pack("<5I", _MAGIC, _TYPES.index("f8"), *points.shape)
+        + points.astype("<f8").tobytes()
+    )
 
 
 def _npz(sets: list[Array], meta: str, name: str) -> bytes:
@@ -426,11 +399,10 @@ def _read_parquet(stream: IO[bytes], size: int, file: str) -> list[Array]:
     """Read all columns but ``set`` as coordinates, one array (n, d) for each value of that one."""
     pyarrow = _pyarrow()
     types, table = pyarrow.types, pyarrow.parquet.ParquetFile(stream)
-    schema, groups = table.schema_arrow, range(table.metadata.num_row_groups)
-    rows = sum(table.metadata.row_group(k).num_rows for k in groups)
+    schema, rows = table.schema_arrow, table.metadata.num_rows
 
-    # Tell coordinates and sets by the schema
-    names = [name for name in schema.names if not name.startswith(_PANDAS_INDEX)]
+    # Tell coordinates and sets by the schema; pandas keeps an index in columns of its own
+    names = [name for name in schema.names if not name.startswith("__index_level_")]
     tells = [name for name in names if name.lower() == "set"]
     if len(set(names)) < len(names) or len(tells) > 1:
         raise FileFormatError(f"{file} has two columns of one name; name each differently.")
@@ -444,18 +416,18 @@ def _read_parquet(stream: IO[bytes], size: int, file: str) -> list[Array]:
                 f"{file}: column {name!r} holds {kind}; all columns but 'set' must be numbers."
             )
 
-    # Coordinates in a batch, in their array, and in the order of sets; the text of sets once each
-    decoded = rows * (24 * len(names) + 40)
-    if tells:
-        kind = schema.field(tells[0]).type
-        chunks = [table.metadata.row_group(k).column(schema.names.index(tells[0])) for k in groups]
-        odd = any("DELTA_BYTE_ARRAY" in chunk.encodings for chunk in chunks)  # of unknown length
-        if odd or types.is_nested(kind) or types.is_binary(kind) or types.is_large_binary(kind):
-            raise FileFormatError(
-                f"{file}: column {tells[0]!r} holds {'deltas' if odd else kind}; give text or numbers."
-            )
-        decoded += 3 * sum(chunk.total_uncompressed_size for chunk in chunks)
-    check_decoded_size(file, size, decoded)
+    # Coordinates in a batch, in their array, and in the order of sets; pages, and text of sets once
+    groups = [table.metadata.row_group(k) for k in range(table.metadata.num_row_groups)]
+    chunks = [group.column(i) for group in groups for i in range(group.num_columns)]
+    pages = sum(chunk.total_uncompressed_size for chunk in chunks)
+    check_decoded_size(file, size, rows * (24 * len(names) + 40) + pages * (3 if tells else 1))
+    for name in tells:
+        kind, texts = schema.field(name).type, [c for c in chunks if c.path_in_schema == name]
+        if any("DELTA_BYTE_ARRAY" in chunk.encodings for chunk in texts):
+            kind = "texts as differences, of unknown length"
+        elif not (types.is_nested(kind) or types.is_binary(kind) or types.is_large_binary(kind)):
+            continue
+        raise FileFormatError(f"{file}: column {name!r} holds {kind}; give text or numbers.")
 
     points, at = np.empty((rows, len(names))), 0
     for batch in table.iter_batches(columns=names, use_threads=False):
@@ -482,8 +454,8 @@ def _read_parquet(stream: IO[bytes], size: int, file: str) -> list[Array]:
             f"{file}: column {tells[0]!r} is empty in a row; give the set of each."
         )
     labels = labels.dictionary_encode().unify_dictionaries().combine_chunks()
-    numbers = labels.dictionary.dictionary_encode().indices.take(labels.indices)
-    numbers = numbers.dictionary_encode()
+    texts = labels.dictionary.dictionary_encode()  # may name one twice
+    numbers = texts.indices.take(labels.indices).dictionary_encode()
     check_decoded_size(file, size, _SET_BYTES * len(numbers.dictionary))
     return _split(points, numbers.indices.to_numpy())
 
@@ -496,7 +468,7 @@ def _parquet(sets: list[Array], meta: str, name: str) -> bytes:
     columns = {f"x{i}": points[:, i] for i in range(dims)}
     if len(sets) > 1:
         columns = {"set": np.repeat(np.arange(len(sets)), [len(x) for x in sets]), **columns}
-    table = pyarrow.table(columns).replace_schema_metadata({_META: meta})
+    table = pyarrow.table(columns).replace_schema_metadata({"mcspectra": meta})
     buffer = pyarrow.BufferOutputStream()
     pyarrow.parquet.write_table(table, buffer)
     return bytes(buffer.getvalue())

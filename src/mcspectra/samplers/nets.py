@@ -10,7 +10,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -264,7 +263,7 @@ def _matrix(j: int, matrix: tuple[Any, ...], base: int, digits: int | None) -> A
 @lru_cache(maxsize=16)
 def _net_of_file(path: str) -> tuple[int, Array]:
     """Base and columns (d, m, rows) of a text file of generator matrices."""
-    with opened(Path(path), "generator matrices") as (stream, size, name):
+    with opened(path, "generator matrices") as (stream, size, name, _):
         check_decoded_size(name, size, 128 * size)  # words of a digit, and their integers
         lines = stream.read().decode().splitlines()
     kept = [line.partition("#")[0].split() for line in lines]
