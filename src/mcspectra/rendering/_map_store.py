@@ -19,6 +19,7 @@ from typing import Any, final
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.decoding import check_decoded_size
 from mcspectra.core.errors import CacheWarning, StoreError, warn
 
 __all__ = ["TileStore"]
@@ -68,6 +69,8 @@ class TileStore:
             return None
         try:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+                unpacked = sum(member.file_size for member in stored.zip.infolist())
+                check_decoded_size(path, path.stat().st_size, unpacked)
                 if str(stored["hash"]) == self._hash:
                     return {name: stored[name] for name in stored.files if name != "hash"}
         except _DAMAGE:
