@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -217,7 +217,15 @@ _VARIABLES: Mapping[str, tuple[str, str]] = {
 
 _DIMS: Mapping[str, tuple[str, ...]] = {}
 """Dims of variables of analyses."""
-_KINDS: Mapping[str, str] = {}
+_KINDS: Mapping[str, str] = {
+    "bottleneck": "if",
+    "coefficient_covariance": "fc",
+    "cross_matrix": "fc",
+    "mode_vector": "fc",
+    "rank_by_rate": "i",
+    "reached": "i",
+    "realizations_used": "i",
+}
 """Kinds of numbers of those that are not floats."""
 
 VARIABLES: Mapping[str, Variable] = {
@@ -229,16 +237,23 @@ VARIABLES: Mapping[str, Variable] = {
 def dataset(
     variables: Mapping[str, tuple[tuple[str, ...], Any]],
     coords: Mapping[str, Any] | None = None,
+    *,
+    drop: Collection[str] = (),
     **provenance: Any,
 ) -> xr.Dataset:
-    """Make a dataset of registered variables, name -> (dims, values), with provenance attributes."""
+    """Make a dataset of registered variables, name -> (dims, values), with provenance attributes.
+
+    Dims to `drop` have one value, such as the channel of a scalar; they are left out.
+    """
     import xarray as xr
 
     register_accessor()
-    arrays = {
-        name: (dims, values, {"long_name": VARIABLES[name].meaning, "units": VARIABLES[name].units})
-        for name, (dims, values) in variables.items()
-    }
+    arrays = {}
+    for name, (dims, values) in variables.items():
+        if any(dim in drop for dim in dims):
+            values = values[tuple(0 if dim in drop else slice(None) for dim in dims)]
+        about = {"long_name": VARIABLES[name].meaning, "units": VARIABLES[name].units}
+        arrays[name] = (tuple(dim for dim in dims if dim not in drop), values, about)
     attributes = {key: _plain(value) for key, value in provenance.items() if value is not None}
     return xr.Dataset(arrays, coords=coords, attrs={**attributes, **package_versions()})
 
