@@ -16,7 +16,7 @@ import numpy as np
 from mcspectra.core.checks import Array, as_integer, as_real
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.results import dataset
-from mcspectra.spectra._polar import wedge_labels
+from mcspectra.spectra.power import wedge_labels
 from mcspectra.spectra.shapes import HalfSpectrum
 
 if TYPE_CHECKING:

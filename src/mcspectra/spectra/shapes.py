@@ -21,9 +21,8 @@ from mcspectra.core.errors import (
 )
 from mcspectra.core.results import dataset
 from mcspectra.samplers import as_sampler
-from mcspectra.spectra._polar import wedge_labels
 from mcspectra.spectra.bases import fitting_basis
-from mcspectra.spectra.power import MAX_WEDGES, wedge_angles
+from mcspectra.spectra.power import MAX_WEDGES, wedge_angles, wedge_labels
 from mcspectra.spectra.transforms import FrequencyGrid
 
 if TYPE_CHECKING:
