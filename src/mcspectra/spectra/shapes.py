@@ -7,7 +7,6 @@ over rings and wedges of each of them.
 from __future__ import annotations
 
 import itertools
-import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +17,7 @@ from mcspectra.core.errors import (
     CorrelatedFrequenciesWarning,
     FileFormatError,
     ParameterError,
+    warn,
 )
 from mcspectra.core.results import dataset
 from mcspectra.samplers import as_sampler
@@ -301,9 +301,8 @@ def _check_homogenized(spectrum: xr.Dataset) -> None:
         return
     if fitting_basis(source, 1) == "fourier":
         return
-    warnings.warn(
+    warn(
         f"Frequencies of {spec} are correlated: the variance has a cross term that the sum over powers "
         "lacks; add shift, or use variance_terms.",
         CorrelatedFrequenciesWarning,
-        stacklevel=3,
     )
