@@ -316,9 +316,7 @@ def subset_frequencies(
     return _product(dims, axes, half_width, step, keep_zero=False)
 
 
-def _product(
-    dims: int, axes: Sequence[int], half_width: int, step: float, *, keep_zero: bool
-) -> Array:
+def _product(dims: int, axes: Any, half_width: int, step: float, *, keep_zero: bool) -> Array:
     dims, half_width, step = _checked(dims, half_width, step)
     if not isinstance(axes, Sequence | np.ndarray) or isinstance(axes, str) or not len(axes):
         raise ParameterError(f"axes is {axes!r}; give a list of axes from 0 to {dims - 1}.")

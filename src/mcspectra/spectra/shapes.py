@@ -82,10 +82,10 @@ class _HalfSpectrum:
         axis = power["m0"].to_numpy()
         half_width = len(axis) // 2
         grid = FrequencyGrid(power.ndim, half_width, float(axis[-1] / half_width))
-        half = [grid.half(spectrum[name].to_numpy())[:-1] for name in ("power", "power_se")]
+        half, se = (grid.half(spectrum[name].to_numpy())[:-1] for name in ("power", "power_se"))
         kept = ("sampler", "density", "n", "realizations", "seed", "convention")
         attrs = {key: spectrum.attrs[key] for key in kept if key in spectrum.attrs}
-        return _HalfSpectrum(grid.half_indices()[:-1], *half, grid, attrs)
+        return _HalfSpectrum(grid.half_indices()[:-1], half, se, grid, attrs)
 
     @property
     def length(self) -> Array:
