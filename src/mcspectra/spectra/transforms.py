@@ -192,15 +192,16 @@ class Transform:
         weights
             Real weights (R, n); None means 1/n each.
         """
-        sets, n, _ = points.shape
         if weights is None:
-            weights = np.broadcast_to(1.0 / n, (sets, n))
-        out = np.empty((sets, self.grid.half_size), np.complex128)
-        paired = sets - sets % 2 if self._packs else 0
-        for k, packed in enumerate(self._pairs(points[:paired], weights[:paired])):
-            split_pair(packed, out[2 * k], out[2 * k + 1])
-        for r in range(paired, sets):
-            out[r] = self._single(points[r], weights[r])[: out.shape[1]]
+            weights = np.broadcast_to(1.0 / points.shape[1], points.shape[:2])
+        out = np.empty((len(points), self.grid.half_size), np.complex128)
+        r = 0
+        for packed, pair in self._packed(points, weights):
+            if pair:
+                split_pair(packed, out[r], out[r + 1])
+            else:
+                out[r] = packed[: out.shape[1]]
+            r += 1 + pair
         # S_0 is the sum of the weights: exactly, so that equal weights have no dc term.
         out[:, -1] = weights.sum(axis=1)
         return out
@@ -218,42 +219,38 @@ class Transform:
 
         `groups` takes every transform over the full grid, and whether it is of a pair: S1 + i S2.
         """
-        sets, n, _ = points.shape
+        for packed, pair in self._packed(points, weights):
+            power_sums(packed, pair, total, squares)
+            if mean is not None and pair:
+                pair_mean(packed, mean)
+            elif mean is not None:
+                mean += packed[: mean.size]
+            if groups is not None:
+                groups(packed, pair)
+
+    def _packed(self, points: Array, weights: Array | None) -> Iterator[tuple[Array, bool]]:
+        """Transforms of pairs of sets, S1 + i S2 over the full grid, flat, and of a single set.
+
+        Each is valid until the next is asked for; of a single set at least the half grid is there.
+        """
+        sets, n, dims = points.shape
         if weights is None:
             weights = np.broadcast_to(1.0 / n, (sets, n))
         paired = sets - sets % 2 if self._packs else 0
-        for packed in self._pairs(points[:paired], weights[:paired]):
-            power_sums(packed, True, total, squares)
-            if mean is not None:
-                pair_mean(packed, mean)
-            if groups is not None:
-                groups(packed, True)
-        for r in range(paired, sets):
-            single = self._single(points[r], weights[r])
-            power_sums(single, False, total, squares)
-            if mean is not None:
-                mean += single[: mean.size]
-            if groups is not None:
-                groups(single, False)
-
-    def _single(self, points: Array, weights: Array) -> Array:
-        """Transform of one set, of which at least the half grid is there."""
-        if self.engine == "direct":
-            return self._direct(points, weights)
-        strengths = weights.astype(np.complex128)
-        if not self._packs:
-            return self._slabs(points, strengths)
-        return next(self._transforms(points[None], strengths[None]))
-
-    def _pairs(self, points: Array, weights: Array) -> Iterator[Array]:
-        """Transforms of sets 2k plus i times sets 2k + 1, full grid, flat."""
-        sets, n, dims = points.shape
-        strengths = weights.reshape(sets // 2, 2 * n).astype(np.complex128)
+        strengths = weights[:paired].reshape(paired // 2, 2 * n).astype(np.complex128)
         strengths[:, n:] *= 1j
-        return self._transforms(points.reshape(sets // 2, 2 * n, dims), strengths)
+        both = points[:paired].reshape(paired // 2, 2 * n, dims)
+        yield from ((packed, True) for packed in self._transforms(both, strengths))
+        for x, w in zip(points[paired:], weights[paired:], strict=True):
+            if self.engine == "direct":
+                yield self._direct(x, w), False
+            elif self._packs:
+                yield next(self._transforms(x[None], w.astype(np.complex128)[None])), False
+            else:
+                yield self._slabs(x, w.astype(np.complex128)), False
 
     def _transforms(self, points: Array, strengths: Array) -> Iterator[Array]:
-        """Transforms of sets (T, n, d), full grid, flat: each is valid until the next is asked for."""
+        """Transforms of sets (T, n, d), full grid, flat."""
         if self._gpu is not None:
             return self._gpu.transforms(points, strengths)
         return map(self._nufft, points, strengths)
