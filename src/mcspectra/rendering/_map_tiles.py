@@ -185,9 +185,7 @@ class Measurement:
     def _draw(self, n: int, block: Block) -> list[Array]:
         return draw_sets("independent", (1, 1), self.sampler, n, self.stream.child(n), *block)
 
-    def _predict(
-        self, prediction: Prediction, pixels: Array, columns: Array, found: Maps
-    ) -> None:
+    def _predict(self, prediction: Prediction, pixels: Array, columns: Array, found: Maps) -> None:
         """Fill in predictions at every so many pixels, a chunk at a time."""
         chosen = np.flatnonzero((pixels % self.predict_every == 0).all(axis=1))
         step = max(1, _PREDICTED_VALUES // len(prediction.samples))

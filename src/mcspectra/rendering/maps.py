@@ -76,9 +76,9 @@ class Map(Analysis, frozen=True, kw_only=True):
     heuristic: Annotated[Literal["balance", "power"], Meta(description="balance or power.")] = (
         "balance"
     )
-    channel: Annotated[int | str, Meta(description="luminance, 0, 1 or 2.", extra={"python": True})] = (
-        "luminance"
-    )
+    channel: Annotated[
+        int | str, Meta(description="luminance, 0, 1 or 2.", extra={"python": True})
+    ] = "luminance"
     dims: Annotated[
         int, Meta(ge=2, le=3, description="2, or 3 to choose lights and lobes by a third.")
     ] = 2

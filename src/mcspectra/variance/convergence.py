@@ -103,7 +103,9 @@ class Convergence(Analysis, frozen=True, kw_only=True):
 
     counts: Annotated[Counts, COUNTS]
     realizations: Annotated[
-        int, REALIZATIONS, Meta(description="Realisations at each count; with relative_error the most.")
+        int,
+        REALIZATIONS,
+        Meta(description="Realisations at each count; with relative_error the most."),
     ] = 1000
     relative_error: Annotated[
         Precision | None,

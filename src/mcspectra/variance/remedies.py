@@ -135,7 +135,9 @@ class Remedies(Analysis, frozen=True, kw_only=True):
         # What two kinds make alike was tried twice and counts once
         tried = list({trial.setup: trial for trial in reversed(found.tried)}.values())[::-1]
         z = simultaneous_z(2 * (len(tried) - 1))  # of the errors and of the rates
-        ordered = sorted(tried, key=lambda t: np.nan_to_num(t.errors.at(self.budget)[0], nan=np.inf))
+        ordered = sorted(
+            tried, key=lambda t: np.nan_to_num(t.errors.at(self.budget)[0], nan=np.inf)
+        )
         columns = [
             _columns(t, compare(t.errors, start.errors, self.budget), self.budget, z)
             for t in ordered

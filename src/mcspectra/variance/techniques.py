@@ -64,7 +64,12 @@ __all__ = ["UNDECIDED", "Techniques", "technique_rates", "technique_terms"]
 UNDECIDED = -1
 """What ``bottleneck`` says where the intervals of the slowest rates overlap."""
 
-_PARTS = ("technique_dc_term", "technique_power_term", "technique_cross_term", "technique_covariance")
+_PARTS = (
+    "technique_dc_term",
+    "technique_power_term",
+    "technique_cross_term",
+    "technique_covariance",
+)
 _FINITE = ("technique_covariance", "technique_variance", "measured_variance", "mean")
 _MOST = 2**25  # complex numbers of Σ_r S^t conj(S^s): 512 MiB
 
@@ -78,7 +83,12 @@ class Techniques(Analysis, frozen=True, kw_only=True):
         *_PARTS,
         *(f"{name}_se" for name in _PARTS),
         *("dc_term", "power_term", "cross_term", "predicted_variance", "captured", "mean"),
-        *("measured_variance", "measured_variance_ci", "technique_variance", "technique_variance_ci"),
+        *(
+            "measured_variance",
+            "measured_variance_ci",
+            "technique_variance",
+            "technique_variance_ci",
+        ),
         *("technique_rate", "technique_rate_ci", "rate", "rate_ci", "bottleneck"),
     )
 
@@ -116,7 +126,9 @@ class Techniques(Analysis, frozen=True, kw_only=True):
         frequencies = Frequencies.of(subject, self.space, self.basis, self.half_width)
         views = [_View.of(frequencies, n, self.engine, self.eps) for n in counts]
         totals = yield [
-            self._of_count(str(part), subject, view, n, count_stream(stream, n) if self._several else stream)
+            self._of_count(
+                str(part), subject, view, n, count_stream(stream, n) if self._several else stream
+            )
             for part, (n, view) in enumerate(zip(counts, views, strict=True))
         ]
 
@@ -189,7 +201,9 @@ class Techniques(Analysis, frozen=True, kw_only=True):
         blocks = realization_blocks(self.realizations, numbers, multiple=2, least=BATCHES)
 
         def block(index: int) -> _Total:
-            sums = TechniqueSums.of(view, estimator.draw(subject.sampler, n, stream, *blocks[index]))
+            sums = TechniqueSums.of(
+                view, estimator.draw(subject.sampler, n, stream, *blocks[index])
+            )
             # A block of one realisation has no covariance and says nothing
             some = slice(0, int(sums.count > 1))
             values = sums.covariances(view)[None]
