@@ -31,6 +31,7 @@ __all__ = [
     "FIT_LAST",
     "HALF_WIDTH",
     "REALIZATIONS",
+    "SETS",
     "SPACE",
     "Counts",
     "Option",
@@ -61,6 +62,12 @@ REALIZATIONS = Meta(
     ge=2,
     le=MAX_REALIZATIONS,
     description="Independent realisations, at each count.",
+    extra={"flag": "-m", "metavar": "R"},
+)
+SETS = Meta(
+    ge=1,
+    le=MAX_REALIZATIONS,
+    description="Independent point sets; 2 or more for standard errors.",
     extra={"flag": "-m", "metavar": "R"},
 )
 HALF_WIDTH = Meta(
@@ -152,7 +159,8 @@ class Option:
         clean = _clean(label, self.kind, value)
         if self.extra.get("choices") and isinstance(clean, str):
             return as_choice(label, clean, self.choices)
-        if self.extra.get("ascending") and any(b <= a for a, b in itertools.pairwise(clean)):
+        several = self.extra.get("ascending") and isinstance(clean, tuple)
+        if several and any(b <= a for a, b in itertools.pairwise(clean)):
             raise ParameterError(f"{label} is {list(clean)}; give ascending numbers of points.")
         return clean
 

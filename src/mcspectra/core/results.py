@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -36,7 +36,7 @@ class Variable(NamedTuple):
     kind
         Kinds of numbers, as NumPy's letters: ``f`` floats, ``i`` integers, ``c`` complex, ``b`` booleans.
     name
-        Of a variable that is not in `VARIABLES`, as of analyses of other packages.
+        Of a variable that is not in `VARIABLES`, such as those of other packages.
     """
 
     meaning: str
@@ -48,197 +48,316 @@ class Variable(NamedTuple):
 
 _FREE_DIMS = frozenset({"estimator", "sampler", "channel"})
 
-_VARIABLES: Mapping[str, tuple[str, str]] = {
-    # name: (long_name, units)
-    "anisotropy": ("variance of power over direction / (mean power)²", "1"),
-    "anova_share": ("c_u / variance", "1"),
-    "anova_variance": ("c_u, part of the variance that subset u of the axes makes", "f²"),
-    "anova_variance_se": ("standard error of c_u", "f²"),
-    "anisotropy_db": ("variance of power over direction / (mean power)²", "dB"),
-    "anisotropy_noise_db": ("anisotropy that noise alone makes", "dB"),
-    "band_covariance": ("covariance of band-limited estimates", "f²"),
-    "band_covariance_se": ("standard error of the covariance of band-limited estimates", "f²"),
-    "band_trace": ("sum of all eigenvalues of the covariance within the band", "f²"),
-    "best_width": ("width of smoothed edges with the least mean squared error", "1"),
-    "best_width_range": ("widths that may have the least mean squared error", "1"),
-    "bias_squared": ("(integral of the smoothed integrand minus the original)²", "f²"),
-    "bias_squared_ci": ("bounds of the squared bias, from those of the integrals", "f²"),
-    "bias": ("mean estimate minus the integral", "f"),
-    "bias_se": ("standard error of the bias, that of the integral in it", "f"),
-    "bottleneck": ("technique of the slowest rate; −1: undecided", "1"),
-    "captured": ("predicted / measured variance", "1"),
-    "captured_ci": ("95 % interval of predicted / measured variance", "1"),
-    "captured_by_half_width": ("predicted / measured variance, truncated at each half width", "1"),
-    "centered_discrepancy": ("centred L2 discrepancy", "1"),
-    "coefficient_covariance": ("C_ml, covariance of S_m and S_l", "1"),
-    "coefficient_covariance_se": ("standard error of C_ml, root of the mean |error|²", "1"),
-    "contribution": ("c_m, contribution of frequency m to the variance", "f²"),
-    "contribution_se": ("standard error of c_m", "f²"),
-    "cross_matrix": ("conj(f_m) f_l C_ml", "f²"),
-    "cross_matrix_se": ("standard error of conj(f_m) f_l C_ml", "f²"),
-    "cross_term": ("cross term Σ_{m≠l} conj(f_m) f_l C_ml", "f²"),
-    "cross_term_se": ("standard error of the cross term", "f²"),
-    "cross_term_ci": ("95 % interval of the cross term", "f²"),
-    "dc_term_se": ("standard error of the dc term", "f²"),
-    "dc_term_ci": ("95 % interval of the dc term", "f²"),
-    "dc_term": ("dc term |f_0|² C_00", "f²"),
-    "cost": ("evaluations of the integrand in an estimate", "1"),
-    "error": ("variance at the budget, mean squared error where biased", "f²"),
-    "error_at_cost": ("variance at each cost, mean squared error where biased", "f²"),
-    "error_ci": ("95 % interval of the error", "f²"),
-    "error_ratio": ("error / that of the set-up as given", "1"),
-    "error_ratio_ci": ("simultaneous 95 % interval of the ratio of errors", "1"),
-    "rank_by_rate": ("rank by rate, 1: steepest", "1"),
-    "rate_difference": ("rate minus that of the set-up as given", "1"),
-    "rate_difference_ci": ("simultaneous 95 % interval of the difference of rates", "1"),
-    "eigenvalue": ("eigenvalue of the covariance, variance of a mode", "f²"),
-    "eigenvalue_se": ("standard error of the variance along the mode", "f²"),
-    "eigenvalue_residual": ("bound of the distance to an eigenvalue", "f²"),
-    "eigenvalue_share": ("eigenvalue / trace", "1"),
-    "diaphony": ("diaphony, spectrum weighted by 1/Π max(1, m²)", "1"),
-    "effective_dimension_superposition": ("least size of subsets with 99 % of the variance", "1"),
-    "effective_dimension_truncation": ("least number of first axes with 99 % of the variance", "1"),
-    "elementary_intervals": ("whether all elementary intervals hold their share (1: yes)", "1"),
-    "energy_share": ("part of ∫f² within the half width", "1"),
-    "exact_variance": ("exact variance", "f²"),
-    "exponent_fit_chi2": ("lack of fit of the exponent, χ² per degree of freedom", "1"),
-    "fit_chi2": ("lack of fit of the rate, χ² per degree of freedom", "1"),
-    "fit_first_n": ("smallest number of points of the fit", "1"),
-    "gain": ("gain coefficient Γ of nested scrambling, random points: 1", "1"),
-    "generalized_l2_discrepancy": ("generalised L2 discrepancy, over all projections", "1"),
-    "higher_order_variance": ("part of the variance of all larger subsets", "f²"),
-    "higher_order_variance_se": ("standard error of that part", "f²"),
-    "image": ("mean radiance of each pixel", "W/(m² sr)"),
-    "image_se": ("standard error of the mean radiance", "W/(m² sr)"),
-    "improvement": ("variance less than as given (1), more (−1), undecided (0)", "1"),
-    "incident_radiance": ("radiance of the lights that count, from each direction", "W/(m² sr)"),
-    "kurtosis": ("kurtosis of the estimates; normal: 3", "1"),
-    "l2_star_discrepancy": ("L2 star discrepancy", "1"),
-    "low_frequency_exponent": ("b of power ∝ |m|^b at low frequencies", "1"),
-    "low_frequency_exponent_ci": ("95 % interval of b", "1"),
-    "mean": ("mean estimate", "f"),
-    "mean_dimension": ("mean size of subsets, weighted by c_u", "1"),
-    "mean_coefficient": ("mean coefficient ⟨S_m⟩; 0 at integer m ≠ 0 for unbiased sets", "1"),
-    "mean_coefficient_se": ("standard error of ⟨S_m⟩, root of the mean |error|²", "1"),
-    "mean_nearest_distance": ("mean toroidal distance to the nearest point", "1"),
-    "mean_projected_diaphony": ("mean diaphony of the 2-D projections", "1"),
-    "mean_projected_discrepancy": ("mean star discrepancy of the 2-D projections", "1"),
-    "mean_projected_distance": ("mean minimum distance of the 2-D projections", "1"),
-    "mean_se": ("standard error of the mean estimate", "f"),
-    "measured_variance": ("measured variance of the estimate (ddof = 1)", "f²"),
-    "measured_variance_ci": ("95 % interval of the measured variance", "f²"),
-    "minimum_distance": ("smallest toroidal distance of two points", "1"),
-    "mixture_discrepancy": ("mixture L2 discrepancy", "1"),
-    "mode_contribution": ("part of the variance of the estimate along the mode", "f²"),
-    "mode_vector": ("pattern of the mode over the frequencies, of norm 1", "1"),
-    "mse": ("mean squared error against the integral", "f²"),
-    "mse_ci": ("95 % interval of the mean squared error", "f²"),
-    "noise_edge": ("largest sample eigenvalue of a flat spectrum of the same trace", "f²"),
-    "pair_correlation": ("pair correlation g(r), 1 for random points", "1"),
-    "pair_correlation_se": ("standard error of g(r) over realisations", "1"),
-    "points": ("points of one realisation", "1"),
-    "power": ("expected power ⟨|S_m|²⟩; random points: ∫1/p / n", "1"),
-    "power_se": ("standard error of the expected power over realisations", "1"),
-    "power_contribution": ("|f_m|² C_mm, the diagonal part of the contribution", "f²"),
-    "power_term_se": ("standard error of the power term", "f²"),
-    "power_term_ci": ("95 % interval of the power term", "f²"),
-    "power_term": ("power term Σ_{m≠0} |f_m|² C_mm", "f²"),
-    "predicted_variance": ("predicted variance, dc + power + cross", "f²"),
-    "predicted_variance_ci": ("95 % interval of the predicted variance", "f²"),
-    "radial_power": ("expected power, mean over directions", "1"),
-    "radial_power_se": ("standard error of the radial power over realisations", "1"),
-    "rate": ("fitted exponent of variance in n; random sampling: −1", "1"),
-    "rate_ci": ("95 % interval of the rate", "1"),
-    "reached": ("whether the wanted precision was reached (1: yes)", "1"),
-    "realizations_used": ("realisations used", "1"),
-    "relative_minimum_distance": ("minimum distance / that of the densest packing", "1"),
-    "slice_power": ("expected power along a direction", "1"),
-    "slice_power_se": ("standard error of the expected power over realisations", "1"),
-    "route_variance": ("variance by this route", "f²"),
-    "route_variance_ci": ("95 % interval of the variance by this route", "f²"),
-    "skewness": ("skewness of the estimates; normal: 0", "1"),
-    "smoothing_bias": ("integral of the smoothed integrand minus the original", "f"),
-    "star_discrepancy": ("star discrepancy", "1"),
-    "strata_offset": ("offset of strata in sides of a stratum", "1"),
-    "t_value": ("quality parameter t of the (t, m, d)-net", "1"),
-    "technique_covariance": ("covariance of the parts of the estimate of two techniques", "f²"),
-    "technique_covariance_se": ("standard error of that covariance", "f²"),
-    "technique_cross_term": ("cross term of two techniques", "f²"),
-    "technique_cross_term_se": ("standard error of the cross term of two techniques", "f²"),
-    "technique_dc_term": ("dc term of two techniques", "f²"),
-    "technique_dc_term_se": ("standard error of the dc term of two techniques", "f²"),
-    "technique_power_term": ("power term of two techniques", "f²"),
-    "technique_power_term_se": ("standard error of the power term of two techniques", "f²"),
-    "technique_rate": ("fitted exponent of the technique's own variance in n", "1"),
-    "technique_rate_ci": ("95 % interval of the technique's rate", "1"),
-    "technique_variance": ("variance of the technique's part of the estimate", "f²"),
-    "technique_variance_ci": ("95 % interval of the technique's variance", "f²"),
-    "total_variance": ("part of the variance of all subsets that hold the axis", "f²"),
-    "total_variance_se": ("standard error of that part", "f²"),
-    "transport_cost": ("mean squared distance of moving uniform mass to the points", "1"),
-    "truncation_share": ("share of the variance of the first axes", "1"),
-    "truncated_variance": ("variance of the estimate truncated at each half width", "f²"),
-    "variance": ("variance of the estimate (ddof = 1)", "f²"),
-    "variance_ci": ("95 % interval of the variance", "f²"),
-    "variance_ratio": ("variance / variance of the estimate as given", "1"),
-    "variance_ratio_ci": ("interval of that ratio", "1"),
-    "variance_relative_se": ("standard error of the variance / variance", "1"),
-    "wedge_power": ("expected power, mean over a wedge of directions", "1"),
-    "wedge_power_se": ("standard error of the wedge power over realisations", "1"),
-    "variance_se": ("standard error of the variance", "f²"),
-    "distortion": ("diameter of a small square's image / that of a square of its area", "1"),
-    "face_jump": ("jump of g from a side of the square to the opposite one", "f"),
-    "jump": ("jump of the warp to the next cell", "1"),
-    "jump_length": ("length of the curves where the warp jumps", "1"),
-    "max_stretch": ("largest ratio of singular values of the warp's derivative", "1"),
-    "mean_jump": ("mean jump of the warp", "1"),
-    "mean_stretch": ("geometric mean of the stretch", "1"),
-    "neighbor_expansion": ("distance of neighbouring cells' images, root mean square", "cells"),
-    "primary_jump": ("jump of g to the next cell", "f"),
-    "primary_jump_height": ("mean jump of g", "f"),
-    "primary_jump_length": ("length of the jumps of g", "1"),
-    "primary_pole": ("whether g is unbounded (1: yes)", "1"),
-    "primary_value": ("primary-space integrand g(u) = f(T(u)) / p(T(u))", "f"),
-    "reciprocal_unbounded": ("whether 1/p is unbounded (1: yes)", "1"),
-    "reflected_radiance": ("radiance reflected to the camera, per solid angle", "W/(m² sr²)"),
-    "stretch": ("ratio of singular values of the warp's derivative", "1"),
-    "warped": ("warp T at the centres of cells", "1"),
-    "worst_projected_diaphony": ("largest diaphony of the 2-D projections", "1"),
-    "worst_projected_discrepancy": ("largest star discrepancy of the 2-D projections", "1"),
-    "worst_projected_distance": ("smallest minimum distance of the 2-D projections", "1"),
-    "dominant_technique": ("technique of the larger variance; −1: undecided", "1"),
-    "mis_gain": ("variance of the better single strategy / variance of MIS", "1"),
-    "mis_gain_ci": ("95 % interval of that ratio", "1"),
-    "predicted_ratio": ("predicted / measured variance at the largest n", "1"),
-    "predicted_ratio_ci": ("95 % interval of predicted / measured variance", "1"),
-    "rate_se": ("standard error of the rate", "1"),
-    "wraparound_discrepancy": ("wrap-around L2 discrepancy", "1"),
-}
-
-_DIMS: Mapping[str, tuple[str, ...]] = {}
-"""Dims of variables of analyses."""
-_KINDS: Mapping[str, str] = {}
-"""Kinds of numbers of those that are not floats."""
-
 VARIABLES: Mapping[str, Variable] = {
-    name: Variable(*about, _DIMS.get(name), _KINDS.get(name, "f"), name)
-    for name, about in _VARIABLES.items()
+    # name: meaning, unit, dims, kind
+    "anisotropy": Variable("variance of power over direction / (mean power)²", "1", ("radius",)),
+    "anova_share": Variable("c_u / variance", "1", ("subset",)),
+    "anova_variance": Variable(
+        "c_u, part of the variance that subset u of the axes makes", "f²", ("subset",)
+    ),
+    "anova_variance_se": Variable("standard error of c_u", "f²", ("subset",)),
+    "anisotropy_db": Variable(
+        "variance of power over direction / (mean power)²", "dB", ("radius",)
+    ),
+    "anisotropy_noise_db": Variable("anisotropy that noise alone makes", "dB", ("radius",)),
+    "band_covariance": Variable(
+        "covariance of band-limited estimates", "f²", ("band", "band_other")
+    ),
+    "band_covariance_se": Variable(
+        "standard error of the covariance of band-limited estimates", "f²", ("band", "band_other")
+    ),
+    "band_trace": Variable("sum of all eigenvalues of the covariance within the band", "f²", ()),
+    "best_width": Variable("width of smoothed edges with the least mean squared error", "1"),
+    "best_width_range": Variable("widths that may have the least mean squared error", "1"),
+    "bias_squared": Variable("(integral of the smoothed integrand minus the original)²", "f²"),
+    "bias_squared_ci": Variable("bounds of the squared bias, from those of the integrals", "f²"),
+    "bias": Variable("mean estimate minus the integral", "f", ("n",)),
+    "bias_se": Variable("standard error of the bias, that of the integral in it", "f", ("n",)),
+    "bottleneck": Variable("technique of the slowest rate; −1: undecided", "1", ("y?", "x?"), "if"),
+    "captured": Variable("predicted / measured variance", "1", ("n?",)),
+    "captured_ci": Variable("95 % interval of predicted / measured variance", "1", ("bound",)),
+    "captured_by_half_width": Variable(
+        "predicted / measured variance, truncated at each half width", "1", ("half_width",)
+    ),
+    "centered_discrepancy": Variable("centred L2 discrepancy", "1"),
+    "coefficient_covariance": Variable("C_ml, covariance of S_m and S_l", "1", ("m", "l"), "fc"),
+    "coefficient_covariance_se": Variable(
+        "standard error of C_ml, root of the mean |error|²", "1", ("m", "l")
+    ),
+    "contribution": Variable(
+        "c_m, contribution of frequency m to the variance", "f²", ("technique?", "m")
+    ),
+    "contribution_se": Variable("standard error of c_m", "f²", ("technique?", "m")),
+    "cross_matrix": Variable("conj(f_m) f_l C_ml", "f²", ("m", "l"), "fc"),
+    "cross_matrix_se": Variable("standard error of conj(f_m) f_l C_ml", "f²", ("m", "l")),
+    "cross_term": Variable("cross term Σ_{m≠l} conj(f_m) f_l C_ml", "f²", ("n?",)),
+    "cross_term_se": Variable("standard error of the cross term", "f²", ()),
+    "cross_term_ci": Variable("95 % interval of the cross term", "f²", ("bound",)),
+    "dc_term_se": Variable("standard error of the dc term", "f²", ()),
+    "dc_term_ci": Variable("95 % interval of the dc term", "f²", ("bound",)),
+    "dc_term": Variable("dc term |f_0|² C_00", "f²", ("n?",)),
+    "cost": Variable("evaluations of the integrand in an estimate", "1", ("remedy", "step")),
+    "error": Variable("variance at the budget, mean squared error where biased", "f²", ("remedy",)),
+    "error_at_cost": Variable(
+        "variance at each cost, mean squared error where biased", "f²", ("remedy", "step")
+    ),
+    "error_ci": Variable("95 % interval of the error", "f²", ("remedy", "bound")),
+    "error_ratio": Variable("error / that of the set-up as given", "1", ("remedy",)),
+    "error_ratio_ci": Variable(
+        "simultaneous 95 % interval of the ratio of errors", "1", ("remedy", "bound")
+    ),
+    "rank_by_rate": Variable("rank by rate, 1: steepest", "1", ("remedy",), "i"),
+    "rate_difference": Variable("rate minus that of the set-up as given", "1", ("remedy",)),
+    "rate_difference_ci": Variable(
+        "simultaneous 95 % interval of the difference of rates", "1", ("remedy", "bound")
+    ),
+    "eigenvalue": Variable("eigenvalue of the covariance, variance of a mode", "f²", ("mode",)),
+    "eigenvalue_se": Variable("standard error of the variance along the mode", "f²", ("mode",)),
+    "eigenvalue_residual": Variable("bound of the distance to an eigenvalue", "f²", ("mode",)),
+    "eigenvalue_share": Variable("eigenvalue / trace", "1", ("mode",)),
+    "diaphony": Variable("diaphony, spectrum weighted by 1/Π max(1, m²)", "1"),
+    "effective_dimension_superposition": Variable(
+        "least size of subsets with 99 % of the variance", "1", ()
+    ),
+    "effective_dimension_truncation": Variable(
+        "least number of first axes with 99 % of the variance", "1", ()
+    ),
+    "elementary_intervals": Variable(
+        "whether all elementary intervals hold their share (1: yes)", "1"
+    ),
+    "energy_share": Variable("part of ∫f² within the half width", "1", ("route",)),
+    "exact_variance": Variable("exact variance", "f²", ("n",)),
+    "exponent_fit_chi2": Variable("lack of fit of the exponent, χ² per degree of freedom", "1", ()),
+    "fit_chi2": Variable(
+        "lack of fit of the rate, χ² per degree of freedom", "1", ("strategy?", "y?", "x?")
+    ),
+    "fit_first_n": Variable("smallest number of points of the fit", "1", ()),
+    "gain": Variable("gain coefficient Γ of nested scrambling, random points: 1", "1"),
+    "generalized_l2_discrepancy": Variable("generalised L2 discrepancy, over all projections", "1"),
+    "higher_order_variance": Variable("part of the variance of all larger subsets", "f²", ()),
+    "higher_order_variance_se": Variable("standard error of that part", "f²", ()),
+    "image": Variable("mean radiance of each pixel", "W/(m² sr)"),
+    "image_se": Variable("standard error of the mean radiance", "W/(m² sr)"),
+    "improvement": Variable("variance less than as given (1), more (−1), undecided (0)", "1"),
+    "incident_radiance": Variable(
+        "radiance of the lights that count, from each direction", "W/(m² sr)"
+    ),
+    "kurtosis": Variable("kurtosis of the estimates; normal: 3", "1", ()),
+    "l2_star_discrepancy": Variable("L2 star discrepancy", "1"),
+    "low_frequency_exponent": Variable("b of power ∝ |m|^b at low frequencies", "1", ()),
+    "low_frequency_exponent_ci": Variable("95 % interval of b", "1", ("bound",)),
+    "mean": Variable("mean estimate", "f", ("strategy?", "n?", "y?", "x?")),
+    "mean_dimension": Variable("mean size of subsets, weighted by c_u", "1", ()),
+    "mean_coefficient": Variable(
+        "mean coefficient ⟨S_m⟩; 0 at integer m ≠ 0 for unbiased sets",
+        "1",
+        ("m", "frequency?"),
+        "c",
+    ),
+    "mean_coefficient_se": Variable(
+        "standard error of ⟨S_m⟩, root of the mean |error|²", "1", ("m", "frequency?")
+    ),
+    "mean_nearest_distance": Variable("mean toroidal distance to the nearest point", "1"),
+    "mean_projected_diaphony": Variable("mean diaphony of the 2-D projections", "1"),
+    "mean_projected_discrepancy": Variable("mean star discrepancy of the 2-D projections", "1"),
+    "mean_projected_distance": Variable("mean minimum distance of the 2-D projections", "1"),
+    "mean_se": Variable(
+        "standard error of the mean estimate", "f", ("strategy?", "n?", "y?", "x?")
+    ),
+    "measured_variance": Variable("measured variance of the estimate (ddof = 1)", "f²", ("n?",)),
+    "measured_variance_ci": Variable(
+        "95 % interval of the measured variance", "f²", ("n?", "bound")
+    ),
+    "minimum_distance": Variable("smallest toroidal distance of two points", "1"),
+    "mixture_discrepancy": Variable("mixture L2 discrepancy", "1"),
+    "mode_contribution": Variable(
+        "part of the variance of the estimate along the mode", "f²", ("mode",)
+    ),
+    "mode_vector": Variable(
+        "pattern of the mode over the frequencies, of norm 1",
+        "1",
+        ("mode", "technique?", "m"),
+        "fc",
+    ),
+    "mse": Variable("mean squared error against the integral", "f²", ("n",)),
+    "mse_ci": Variable("95 % interval of the mean squared error", "f²"),
+    "noise_edge": Variable(
+        "largest sample eigenvalue of a flat spectrum of the same trace", "f²", ()
+    ),
+    "pair_correlation": Variable("pair correlation g(r), 1 for random points", "1", ("r",)),
+    "pair_correlation_se": Variable("standard error of g(r) over realisations", "1", ("r",)),
+    "points": Variable("points of one realisation", "1", ("point", "axis")),
+    "power": Variable("expected power ⟨|S_m|²⟩; random points: ∫1/p / n", "1", ("m", "frequency?")),
+    "power_se": Variable(
+        "standard error of the expected power over realisations", "1", ("m", "frequency?")
+    ),
+    "power_contribution": Variable(
+        "|f_m|² C_mm, the diagonal part of the contribution", "f²", ("technique?", "m")
+    ),
+    "power_term_se": Variable("standard error of the power term", "f²", ()),
+    "power_term_ci": Variable("95 % interval of the power term", "f²", ("bound",)),
+    "power_term": Variable("power term Σ_{m≠0} |f_m|² C_mm", "f²", ("n?",)),
+    "predicted_variance": Variable("predicted variance, dc + power + cross", "f²", ("n?",)),
+    "predicted_variance_ci": Variable("95 % interval of the predicted variance", "f²", ("bound",)),
+    "radial_power": Variable("expected power, mean over directions", "1", ("radius",)),
+    "radial_power_se": Variable(
+        "standard error of the radial power over realisations", "1", ("radius",)
+    ),
+    "rate": Variable(
+        "fitted exponent of variance in n; random sampling: −1",
+        "1",
+        ("remedy?", "strategy?", "y?", "x?"),
+    ),
+    "rate_ci": Variable(
+        "95 % interval of the rate", "1", ("remedy?", "strategy?", "y?", "x?", "bound")
+    ),
+    "reached": Variable("whether the wanted precision was reached (1: yes)", "1", ("n?",), "i"),
+    "realizations_used": Variable("realisations used", "1", ("n?",), "i"),
+    "relative_minimum_distance": Variable("minimum distance / that of the densest packing", "1"),
+    "slice_power": Variable("expected power along a direction", "1", ("slice", "multiple")),
+    "slice_power_se": Variable(
+        "standard error of the expected power over realisations", "1", ("slice", "multiple")
+    ),
+    "route_variance": Variable("variance by this route", "f²", ("route",)),
+    "route_variance_ci": Variable(
+        "95 % interval of the variance by this route", "f²", ("route", "bound")
+    ),
+    "skewness": Variable("skewness of the estimates; normal: 0", "1", ()),
+    "smoothing_bias": Variable("integral of the smoothed integrand minus the original", "f"),
+    "star_discrepancy": Variable("star discrepancy", "1"),
+    "strata_offset": Variable("offset of strata in sides of a stratum", "1"),
+    "t_value": Variable("quality parameter t of the (t, m, d)-net", "1"),
+    "technique_covariance": Variable(
+        "covariance of the parts of the estimate of two techniques",
+        "f²",
+        ("n?", "technique", "technique_other"),
+    ),
+    "technique_covariance_se": Variable(
+        "standard error of that covariance", "f²", ("n?", "technique", "technique_other")
+    ),
+    "technique_cross_term": Variable(
+        "cross term of two techniques", "f²", ("n?", "technique", "technique_other")
+    ),
+    "technique_cross_term_se": Variable(
+        "standard error of the cross term of two techniques",
+        "f²",
+        ("n?", "technique", "technique_other"),
+    ),
+    "technique_dc_term": Variable(
+        "dc term of two techniques", "f²", ("n?", "technique", "technique_other")
+    ),
+    "technique_dc_term_se": Variable(
+        "standard error of the dc term of two techniques",
+        "f²",
+        ("n?", "technique", "technique_other"),
+    ),
+    "technique_power_term": Variable(
+        "power term of two techniques", "f²", ("n?", "technique", "technique_other")
+    ),
+    "technique_power_term_se": Variable(
+        "standard error of the power term of two techniques",
+        "f²",
+        ("n?", "technique", "technique_other"),
+    ),
+    "technique_rate": Variable(
+        "fitted exponent of the technique's own variance in n", "1", ("technique",)
+    ),
+    "technique_rate_ci": Variable(
+        "95 % interval of the technique's rate", "1", ("technique", "bound")
+    ),
+    "technique_variance": Variable(
+        "variance of the technique's part of the estimate", "f²", ("n?", "technique")
+    ),
+    "technique_variance_ci": Variable(
+        "95 % interval of the technique's variance", "f²", ("n?", "technique", "bound")
+    ),
+    "total_variance": Variable(
+        "part of the variance of all subsets that hold the axis", "f²", ("axis",)
+    ),
+    "total_variance_se": Variable("standard error of that part", "f²", ("axis",)),
+    "transport_cost": Variable("mean squared distance of moving uniform mass to the points", "1"),
+    "truncation_share": Variable("share of the variance of the first axes", "1", ("axes",)),
+    "truncated_variance": Variable(
+        "variance of the estimate truncated at each half width", "f²", ("half_width",)
+    ),
+    "variance": Variable(
+        "variance of the estimate (ddof = 1)", "f²", ("strategy?", "n?", "y?", "x?")
+    ),
+    "variance_ci": Variable("95 % interval of the variance", "f²", ("n?", "bound")),
+    "variance_ratio": Variable("variance / variance of the estimate as given", "1"),
+    "variance_ratio_ci": Variable("interval of that ratio", "1"),
+    "variance_relative_se": Variable(
+        "standard error of the variance / variance", "1", ("strategy?", "n?", "y?", "x?")
+    ),
+    "wedge_power": Variable("expected power, mean over a wedge of directions", "1", ("angle",)),
+    "wedge_power_se": Variable(
+        "standard error of the wedge power over realisations", "1", ("angle",)
+    ),
+    "variance_se": Variable("standard error of the variance", "f²"),
+    "distortion": Variable(
+        "diameter of a small square's image / that of a square of its area", "1"
+    ),
+    "face_jump": Variable("jump of g from a side of the square to the opposite one", "f"),
+    "jump": Variable("jump of the warp to the next cell", "1"),
+    "jump_length": Variable("length of the curves where the warp jumps", "1"),
+    "max_stretch": Variable("largest ratio of singular values of the warp's derivative", "1"),
+    "mean_jump": Variable("mean jump of the warp", "1"),
+    "mean_stretch": Variable("geometric mean of the stretch", "1"),
+    "neighbor_expansion": Variable(
+        "distance of neighbouring cells' images, root mean square", "cells"
+    ),
+    "primary_jump": Variable("jump of g to the next cell", "f"),
+    "primary_jump_height": Variable("mean jump of g", "f"),
+    "primary_jump_length": Variable("length of the jumps of g", "1"),
+    "primary_pole": Variable("whether g is unbounded (1: yes)", "1"),
+    "primary_value": Variable("primary-space integrand g(u) = f(T(u)) / p(T(u))", "f"),
+    "reciprocal_unbounded": Variable("whether 1/p is unbounded (1: yes)", "1"),
+    "reflected_radiance": Variable(
+        "radiance reflected to the camera, per solid angle", "W/(m² sr²)"
+    ),
+    "stretch": Variable("ratio of singular values of the warp's derivative", "1"),
+    "warped": Variable("warp T at the centres of cells", "1"),
+    "worst_projected_diaphony": Variable("largest diaphony of the 2-D projections", "1"),
+    "worst_projected_discrepancy": Variable("largest star discrepancy of the 2-D projections", "1"),
+    "worst_projected_distance": Variable("smallest minimum distance of the 2-D projections", "1"),
+    "dominant_technique": Variable(
+        "technique of the larger variance; −1: undecided", "1", ("y", "x")
+    ),
+    "mis_gain": Variable(
+        "variance of the better single strategy / variance of MIS", "1", ("y", "x")
+    ),
+    "mis_gain_ci": Variable("95 % interval of that ratio", "1", ("y", "x", "bound")),
+    "predicted_ratio": Variable(
+        "predicted / measured variance at the largest n", "1", ("strategy", "y", "x")
+    ),
+    "predicted_ratio_ci": Variable(
+        "95 % interval of predicted / measured variance", "1", ("strategy", "y", "x", "bound")
+    ),
+    "rate_se": Variable("standard error of the rate", "1", ("strategy", "y", "x")),
+    "wraparound_discrepancy": Variable("wrap-around L2 discrepancy", "1"),
 }
 
 
 def dataset(
     variables: Mapping[str, tuple[tuple[str, ...], Any]],
     coords: Mapping[str, Any] | None = None,
+    *,
+    drop: Collection[str] = (),
     **provenance: Any,
 ) -> xr.Dataset:
-    """Make a dataset of registered variables, name -> (dims, values), with provenance attributes."""
+    """Make a dataset of registered variables, name -> (dims, values), with provenance attributes.
+
+    Dims to `drop` have one value, such as the channel of a scalar; they are left out.
+    """
     import xarray as xr
 
     register_accessor()
-    arrays = {
-        name: (dims, values, {"long_name": VARIABLES[name].meaning, "units": VARIABLES[name].units})
-        for name, (dims, values) in variables.items()
-    }
+    arrays = {}
+    for name, (dims, values) in variables.items():
+        if any(dim in drop for dim in dims):
+            values = values[tuple(0 if dim in drop else slice(None) for dim in dims)]
+        about = {"long_name": VARIABLES[name].meaning, "units": VARIABLES[name].units}
+        arrays[name] = (tuple(dim for dim in dims if dim not in drop), values, about)
     attributes = {key: _plain(value) for key, value in provenance.items() if value is not None}
     return xr.Dataset(arrays, coords=coords, attrs={**attributes, **package_versions()})
 
@@ -270,7 +389,7 @@ def _dims_fit(found: list[str], declared: Sequence[str]) -> bool:
     for dim in declared:
         name = dim.removesuffix("?")
         if name == "m":
-            while rest and rest[0][:1] == "m" and rest[0][1:].isdecimal():
+            while rest and rest[0].rstrip("0123456789") == "m":
                 rest.pop(0)
         elif rest and rest[0] == name:
             rest.pop(0)

@@ -259,12 +259,12 @@ def analyse_pixel(
         "realizations": options["realizations"],
         "rng": options["rng"],
     }
-    for strategy, estimator in strategies.items():
+    for strategy in strategies:
         diagnosis = Diagnosis(
-            estimator=estimator,
             wraps=wraps,
             unbounded=False,
             slow=None,
+            slow_name="",
             boundary=_jumps(strategy, "boundary", parts),
             inside=_jumps(strategy, "interior", parts),
         )
