@@ -275,7 +275,8 @@ class Dask:
         self._sent: dict[int, tuple[Any, _Pending]] = {}
         self._finished: queue.SimpleQueue[int] = queue.SimpleQueue()
         self._threads = (0, -_FRESH)
-        self._closing = contextlib.ExitStack()
+        import distributed  # noqa: F401 - before its log is muted
+
         with contextlib.ExitStack() as opened:
             opened.enter_context(_muted())
             self._client = _connected(cluster, opened)
