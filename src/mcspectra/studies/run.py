@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from mcspectra.core.errors import DamagedResultsWarning, McspectraError, StoreError
+from mcspectra.core.errors import DamagedResultsWarning, McspectraError, StoreError, warn
 from mcspectra.core.parallel import available_workers
 from mcspectra.studies.executors import Executor, Threads, check_time_limit, processes
 from mcspectra.studies.files import StudyConfig
@@ -129,12 +128,14 @@ def run_study(
             told = _teller(plan, missing, report)
             schedule = Schedule(missing, config.seed, ledger, task_seconds(limit))
             make = engine or functools.partial(_executor, workers=count, limit=limit)
-            for settled in _computed(schedule, make(text)):
-                if settled.payload is None:
-                    ledger.fail(settled.cell.path, settled.error or "It failed without a reason.")
-                else:
-                    ledger.finish(settled.cell.path, settled.payload)
-                told(settled.cell)
+            with contextlib.closing(_computed(schedule, make(text))) as cells:
+                for settled in cells:
+                    if settled.payload is None:
+                        reason = settled.error or "It failed without a reason."
+                        ledger.fail(settled.cell.path, reason)
+                    else:
+                        ledger.finish(settled.cell.path, settled.payload)
+                    told(settled.cell)
         failed = ledger.failures()
         ledger.commit()
         write_zarr(out)
@@ -165,7 +166,7 @@ def drive(schedule: Schedule, executor: Executor) -> Iterator[Settled]:
         yield from schedule.settled()
 
 
-def _computed(schedule: Schedule, executor: Executor) -> Iterator[Settled]:
+def _computed(schedule: Schedule, executor: Executor) -> Generator[Settled]:
     """`drive`, and whatever ends it: what was computed is recorded, the workers are stopped."""
     finished = False
     try:
@@ -213,11 +214,10 @@ def _warn_of_damage(ledger: Ledger) -> None:
     names = [f"{name} ({reason})" for name, reason in ledger.damaged.items()]
     if names:
         more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-        warnings.warn(
+        warn(
             f"{len(names)} parts of the results in {str(ledger.folder)!r} are damaged and are computed "
             f"again: {', '.join(names[:_NAMED])}{more}.",
             DamagedResultsWarning,
-            stacklevel=3,
         )
 
 
