@@ -1,21 +1,27 @@
-"""The JSON Schema of study files, and their keys as Markdown tables, both made of the structs."""
+"""What a study file may say, for readers: JSON Schema, tables of all keys, a study to begin with.
+
+All are made of the structs of `mcspectra.studies.files` and of the analyses that are installed.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from mcspectra.studies.tables import (
-    ANALYSIS_TABLES,
+from mcspectra.core.errors import ConfigError
+from mcspectra.core.options import options_of
+from mcspectra.studies.files import (
     EstimatorConfig,
-    MapConfig,
+    SceneConfig,
     StudyConfig,
+    analysis_tables,
 )
 
-__all__ = ["SCHEMA_ID", "key_tables", "study_schema"]
+__all__ = ["SCHEMA_ID", "key_tables", "study_schema", "template", "write_template"]
 
 SCHEMA_ID = "urn:mcspectra:study:1"
 """Identifier of the schema; the number changes when an older study would no longer be read."""
@@ -31,19 +37,47 @@ def study_schema() -> dict[str, Any]:
 
     Where a number, a list, a choice, true or false stands, so may a grid's ``"{placeholder}"``.
     """
-    (root,), components = msgspec.json.schema_components(
-        [StudyConfig], ref_template="#/$defs/{name}"
-    )
-    definitions = {name: _with_placeholders(each) for name, each in components.items()}
+    root, definitions = _definitions()
     schema = {
         "$schema": _DIALECT,
         "$id": SCHEMA_ID,
         "title": "mcspectra study",
         **root,
-        "$defs": definitions,
+        "$defs": {name: _with_placeholders(each) for name, each in definitions.items()},
     }
     plain: dict[str, Any] = json.loads(json.dumps(schema))  # lists where msgspec has tuples
     return plain
+
+
+def _definitions() -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    """Reference to the study's schema, and schemas of all tables by the names they are referred by."""
+    tables = analysis_tables()
+    kinds: list[Any] = [StudyConfig, EstimatorConfig, SceneConfig, *tables.values()]
+    references, components = msgspec.json.schema_components(kinds, ref_template="#/$defs/{name}")
+    of = dict(zip(kinds, references, strict=True))
+    names = {kind: str(each["$ref"]).rpartition("/")[2] for kind, each in of.items()}
+    definitions = {name: components[name] for name in names.values()}
+    for kind, name in names.items():
+        definitions[name]["description"] = (kind.__doc__ or "").strip().partition("\n")[0]
+    study, estimator, scene = (definitions[names[kind]] for kind in kinds[:3])
+    own = scene["properties"]
+    for table in (study, estimator, scene):
+        for key in ("analyses", "scenes", "kind", "analysis"):
+            table["properties"].pop(key, None)
+
+    # Tables of analyses at the top, in estimators, and as entries of lists
+    for key, kind in tables.items():
+        about = {"description": kind.summary()}
+        if kind.about == "scene":
+            analysis = definitions[names[kind]]
+            analysis["properties"] = {**own, **analysis["properties"]}
+            analysis["required"] = [*scene["required"], *analysis.get("required", ())]
+            study["properties"][key] = {"type": "array", "items": of[kind], **about}
+        else:
+            for table in (study, estimator):
+                table["properties"][key] = {**of[kind], **about}
+    del definitions[names[SceneConfig]]
+    return of[StudyConfig], definitions
 
 
 def _with_placeholders(table: dict[str, Any]) -> dict[str, Any]:
@@ -79,26 +113,12 @@ def _of_values(found: dict[str, Any]) -> dict[str, Any]:
 
 def key_tables() -> str:
     """Return all keys with types, defaults and meanings as Markdown, a table for each table."""
-    tables: dict[str, type[Any]] = {
-        "Top of the file": StudyConfig,
-        "`[[estimators]]`": EstimatorConfig,
-        **{f"`[{name}]`": table for name, table in ANALYSIS_TABLES.items()},
-        "`[[maps]]`": MapConfig,
-    }
-    return "\n".join(line for title, each in tables.items() for line in _key_table(title, each))
-
-
-def _key_table(title: str, table: type[Any]) -> Iterator[str]:
-    yield f"### {title}\n\n{(table.__doc__ or '').strip().splitlines()[0]}\n"
-    yield "| key | type | default | meaning |\n| --- | --- | --- | --- |"
-    (_,), components = msgspec.json.schema_components([table], ref_template="{name}")
-    own = components[table.__name__]
-    required = own.get("required", ())
-    for key, value in own["properties"].items():
-        default = "required" if key in required else _default(value.get("default"))
-        meaning = value.get("description", "").replace("|", "\\|")
-        yield f"| `{key}` | {_type(value)} | {default} | {meaning} |"
-    yield ""
+    root, definitions = _definitions()
+    names = [str(root["$ref"]).rpartition("/")[2], "EstimatorConfig"]
+    titles = ["Top of the file", "`[[estimators]]`"]
+    for key, kind in analysis_tables().items():
+        ...
+    return ""
 
 
 def _default(value: Any) -> str:
