@@ -13,7 +13,7 @@ from mcspectra.studies.engines import Outcome
 from mcspectra.studies.plan import Cell
 from mcspectra.studies.run import drive
 from mcspectra.studies.scheduling import Pace, PartialRun, Schedule
-from mcspectra.studies.tables import ConvergenceConfig
+from mcspectra.studies.files import ConvergenceConfig
 from mcspectra.studies.tasks import pack_payload
 
 

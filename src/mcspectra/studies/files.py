@@ -31,6 +31,7 @@ from mcspectra.core.options import Positive, Text, checked, options_of
 
 __all__ = [
     "MOST_ENTRIES",
+    "RESERVED",
     "EstimatorConfig",
     "SceneConfig",
     "StudyConfig",
@@ -47,9 +48,11 @@ __all__ = [
 MOST_ENTRIES = 100_000
 """Most estimators, maps or samplers of one table that grids may make."""
 
+RESERVED = ("analyses", "scenes", "kind", "analysis")
+"""Fields of a study's, an estimator's and a scene's structs that no key of a file gives."""
+
 _MOST_TEXT = 10**8  # characters of what a grid makes of a table
 _LARGEST_FILE = 4 * 2**20
-_RESERVED = ("analyses", "scenes", "kind", "analysis")  # fields that no key of a file gives
 _SINGLE = ("seed", "time_limit")  # a study has one
 _TABLE_NAME = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)*")
 _STEP = re.compile(r"([A-Za-z][A-Za-z0-9_-]*)((?:\[\d{1,6}\])*)")
@@ -191,7 +194,7 @@ def analysis_tables() -> dict[str, type[Analysis]]:
     Those of other packages that cannot be loaded are left out.
     """
     found = {}
-    for name in _names():
+    for name in sorted(_names()):
         with contextlib.suppress(MissingDependency):
             kind = ANALYSES.load(name)
             found[f"{name}s" if kind.about == "scene" else name] = kind
@@ -423,7 +426,7 @@ def _offer(kind: Any, name: str) -> str:
 
 def _own_keys(kind: type[msgspec.Struct]) -> tuple[str, ...]:
     """Keys of a table but for its tables of analyses."""
-    hidden = _RESERVED if issubclass(kind, _Table) else ()
+    hidden = RESERVED if issubclass(kind, _Table) else ()
     return tuple(key for key in kind.__struct_fields__ if key not in hidden)
 
 

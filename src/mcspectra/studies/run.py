@@ -15,9 +15,9 @@ from mcspectra.core.errors import DamagedResultsWarning, McspectraError, warn
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.staged import Chunk, Staged
 from mcspectra.studies.cells import finished_cell
-from mcspectra.studies.config import StudyConfig
+from mcspectra.studies.files import StudyConfig
 from mcspectra.studies.engines import Engine, LocalEngine, Outcome
-from mcspectra.studies.inputs import changed_inputs
+from mcspectra.studies.vetting import changed_inputs
 from mcspectra.studies.journal import Journal
 from mcspectra.studies.lock import FolderLock
 from mcspectra.studies.places import output_folder
@@ -26,7 +26,7 @@ from mcspectra.studies.processes import ProcessEngine, check_time_limit
 from mcspectra.studies.scheduling import Pace, Recorded, Schedule, Settled, task_seconds
 from mcspectra.studies.store import Store, config_hash, noted_inputs
 from mcspectra.studies.tasks import StudyText, analysis_of, keep_plan, unpack_payload
-from mcspectra.studies.trust import Trust
+from mcspectra.studies.vetting import Trust
 from mcspectra.version import __version__
 
 __all__ = ["CellFailed", "MakeEngine", "Progress", "drive", "run_study"]

@@ -23,10 +23,10 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import FileFormatError, StoreError
 from mcspectra.core.staged import Chunk, Run, Staged, Whole, compute, compute_chunk
 from mcspectra.studies.cells import staged_cell
-from mcspectra.studies.inputs import check_inputs
+from mcspectra.studies.vetting import check_inputs
 from mcspectra.studies.plan import Cell, Plan, make_plan
-from mcspectra.studies.tables import StudyConfig
-from mcspectra.studies.trust import Trust
+from mcspectra.studies.files import StudyConfig
+from mcspectra.studies.vetting import Trust
 from mcspectra.version import __version__
 
 __all__ = [
@@ -122,7 +122,7 @@ class StudyText(msgspec.Struct, frozen=True, kw_only=True):
     version
         Of this package; a worker of another refuses.
     code, paths
-        What the study may name and read: see `mcspectra.studies.trust.Trust`.
+        What the study may name and read: see `mcspectra.studies.vetting.Trust`.
     force
         Whether its size was allowed.
     inputs
