@@ -11,12 +11,12 @@ import pytest
 
 from mcspectra.core.errors import NotPowerOfTwoWarning, ParameterError
 from mcspectra.studies import processes
-from mcspectra.studies.config import decode_study
+from mcspectra.studies.files import decode_study
 from mcspectra.studies.engines import LocalEngine, Outcome, attempt
 from mcspectra.studies.plan import make_plan
 from mcspectra.studies.processes import EngineFailed, ProcessEngine, check_time_limit
 from mcspectra.studies.tasks import StudyText, Task
-from mcspectra.studies.trust import Trust
+from mcspectra.studies.vetting import Trust
 
 STUDY = """
 title = "t"

@@ -12,8 +12,8 @@ from mcspectra.core import results
 from mcspectra.core.errors import OtherVersionsWarning, StoreError
 from mcspectra.studies import Trust, make_plan, open_results, run_study
 from mcspectra.studies import store as store_module
-from mcspectra.studies.config import decode_study
-from mcspectra.studies.inputs import Digests, changed_inputs, check_inputs, with_references
+from mcspectra.studies.files import decode_study
+from mcspectra.studies.vetting import Digests, changed_inputs, check_inputs, with_references
 from mcspectra.studies.manifest import read_manifest
 from mcspectra.studies.run import CellFailed
 from mcspectra.studies.status import study_status

@@ -12,7 +12,7 @@ import xarray as xr
 import mcspectra as mcs
 from mcspectra.core.errors import ConfigError, FileFormatError, ParameterError, StoreError
 from mcspectra.core.staged import Run
-from mcspectra.studies.config import decode_study
+from mcspectra.studies.files import decode_study
 from mcspectra.studies.foreign_code import explain
 from mcspectra.studies.tasks import (
     StudyText,
@@ -22,7 +22,7 @@ from mcspectra.studies.tasks import (
     task_of,
     unpack_payload,
 )
-from mcspectra.studies.trust import Trust
+from mcspectra.studies.vetting import Trust
 
 STUDY = """
 title = "t"

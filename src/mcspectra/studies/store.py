@@ -22,8 +22,8 @@ from mcspectra.core.errors import OtherVersionsWarning, StorageError, StoreError
 from mcspectra.core.results import package_versions
 from mcspectra.studies._zarr_cell import array_documents, write_cell
 from mcspectra.studies.checksums import Checksum, damage_of
-from mcspectra.studies.config import StudyConfig
-from mcspectra.studies.inputs import check_inputs
+from mcspectra.studies.files import StudyConfig
+from mcspectra.studies.vetting import check_inputs
 from mcspectra.studies.links import check_folder_links
 from mcspectra.studies.lock import FolderLock, check_unlocked
 from mcspectra.studies.manifest import (
