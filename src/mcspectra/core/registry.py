@@ -36,12 +36,21 @@ class Registry(Mapping[str, str]):
         Name to ``"module:Class"``.
     functions
         Whether a name may also stand for a function that makes the component.
+    base
+        Class that what is registered derives from.
     """
 
     def __init__(
-        self, kind: str, group: str, builtin: Mapping[str, str], *, functions: bool = False
+        self,
+        kind: str,
+        group: str,
+        builtin: Mapping[str, str],
+        *,
+        functions: bool = False,
+        base: type = Component,
     ) -> None:
         self.functions = functions
+        self.base = base
         self.kind = kind
         self.group = group
         self._builtin = MappingProxyType(dict(sorted(builtin.items())))
@@ -80,7 +89,7 @@ class Registry(Mapping[str, str]):
             raise MissingDependency(
                 f"The {self.kind} {name!r} ({target}) cannot be loaded: {reason}."
             ) from error
-        component = isinstance(found, type) and issubclass(found, Component)
+        component = isinstance(found, type) and issubclass(found, self.base)
         if not (component or (self.functions and callable(found))):
             raise MissingDependency(
                 f"The {self.kind} {name!r} ({target}) is {found!r}, not a class of mcspectra's; "

@@ -1,16 +1,17 @@
 """Names of all result variables, and the one way to make a labelled dataset of them.
 
-Every variable an analysis returns is registered here once with its meaning and unit; `dataset`
-attaches both as attributes, and the provenance (seed, versions, spec strings) to the whole.
+Every variable an analysis returns is registered here once with its meaning, unit, dims and kind;
+`dataset` attaches meaning and unit as attributes, and the provenance (seed, versions, spec strings) to
+the whole; `check_variables` holds every result against what its analysis declares.
 """
 
 from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -19,9 +20,35 @@ from mcspectra.core.display import register_accessor
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["VARIABLES", "dataset", "package_versions"]
+__all__ = ["VARIABLES", "Variable", "check_variables", "dataset", "package_versions"]
 
-VARIABLES: Mapping[str, tuple[str, str]] = {
+
+class Variable(NamedTuple):
+    """A registered variable of results.
+
+    Attributes
+    ----------
+    meaning, units
+        Become the attributes ``long_name`` and ``units``.
+    dims
+        Its dims in order: ``m`` stands for m0, m1, …; one that ends in ``?`` may be missing. The dims
+        estimator, sampler and channel may come besides. None where they differ.
+    kind
+        Kinds of numbers, as NumPy's letters: ``f`` floats, ``i`` integers, ``c`` complex, ``b`` booleans.
+    name
+        Of a variable that is not in `VARIABLES`, as of analyses of other packages.
+    """
+
+    meaning: str
+    units: str
+    dims: tuple[str, ...] | None = None
+    kind: str = "f"
+    name: str = ""
+
+
+_FREE_DIMS = frozenset({"estimator", "sampler", "channel"})
+
+_VARIABLES: Mapping[str, tuple[str, str]] = {
     # name: (long_name, units)
     "anisotropy": ("variance of power over direction / (mean power)²", "1"),
     "anova_share": ("c_u / variance", "1"),
@@ -188,6 +215,16 @@ VARIABLES: Mapping[str, tuple[str, str]] = {
     "wraparound_discrepancy": ("wrap-around L2 discrepancy", "1"),
 }
 
+_DIMS: Mapping[str, tuple[str, ...]] = {}
+"""Dims of variables of analyses."""
+_KINDS: Mapping[str, str] = {}
+"""Kinds of numbers of those that are not floats."""
+
+VARIABLES: Mapping[str, Variable] = {
+    name: Variable(*about, _DIMS.get(name), _KINDS.get(name, "f"), name)
+    for name, about in _VARIABLES.items()
+}
+
 
 def dataset(
     variables: Mapping[str, tuple[tuple[str, ...], Any]],
@@ -199,11 +236,47 @@ def dataset(
 
     register_accessor()
     arrays = {
-        name: (dims, values, dict(zip(("long_name", "units"), VARIABLES[name], strict=True)))
+        name: (dims, values, {"long_name": VARIABLES[name].meaning, "units": VARIABLES[name].units})
         for name, (dims, values) in variables.items()
     }
     attributes = {key: _plain(value) for key, value in provenance.items() if value is not None}
     return xr.Dataset(arrays, coords=coords, attrs={**attributes, **package_versions()})
+
+
+def check_variables(result: xr.Dataset, declared: Sequence[str | Variable], analysis: str) -> None:
+    """Hold a result against the variables that its analysis declares.
+
+    Raises
+    ------
+    TypeError
+        A variable is not declared, or has other dims or another kind of numbers.
+    """
+    known = {v if isinstance(v, str) else v.name: v for v in declared}
+    for name, values in result.data_vars.items():
+        about = known.get(str(name))
+        if about is None:
+            raise TypeError(f"{analysis} gives the variable {name!r}, which it does not declare.")
+        about = VARIABLES[about] if isinstance(about, str) else about
+        if values.dtype.kind not in about.kind:
+            raise TypeError(f"{analysis}: {name} holds {values.dtype}, declared is {about.kind!r}.")
+        found = [str(d) for d in values.dims if d not in _FREE_DIMS or d in (about.dims or ())]
+        if about.dims is not None and not _dims_fit(found, about.dims):
+            raise TypeError(f"{analysis}: {name} has the dims {found}, declared are {about.dims}.")
+
+
+def _dims_fit(found: list[str], declared: Sequence[str]) -> bool:
+    """Whether dims are the declared ones: ``m`` any of m0, m1, …, those with ``?`` or not."""
+    rest = list(found)
+    for dim in declared:
+        name = dim.removesuffix("?")
+        if name == "m":
+            while rest and rest[0][:1] == "m" and rest[0][1:].isdecimal():
+                rest.pop(0)
+        elif rest and rest[0] == name:
+            rest.pop(0)
+        elif not dim.endswith("?"):
+            return False
+    return not rest
 
 
 @functools.cache

@@ -1,0 +1,355 @@
+"""The analysis: one question about an estimator with a sampler, declared once.
+
+An `Analysis` is a frozen struct whose fields are its options. It says what it needs (`need`) and how
+it is computed (`reduction`); Python's functions, study files, verbs, the explorer, the registered
+variables of results and the docs derive from it. `ANALYSES` finds analyses by name, those of other
+packages too (entry points ``mcspectra.analyses``).
+
+Computing is one contract. A `Reduction` cuts realisations into atomic blocks, whose number and limits
+depend on the size of the problem alone; each block gives a state, and states merge in a fixed binary
+tree over the blocks (`MergeTree`). The result is therefore the same bits whether one thread computes
+all blocks or many machines compute *chunks* of them: a chunk is an aligned run of 2^k blocks, which is
+a node of that tree. An analysis that decides later what to draw (stopping at a precision) is a
+generator: it yields lists of reductions, is sent their merged states, and returns its dataset.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeAlias, TypeVar, final
+
+import msgspec
+
+from mcspectra.core.memory import check_memory
+from mcspectra.core.options import checked
+from mcspectra.core.parallel import available_workers, map_in_order
+from mcspectra.core.progress import report
+from mcspectra.core.records import merged
+from mcspectra.core.registry import Registry
+from mcspectra.core.results import Variable, check_variables
+from mcspectra.core.streams import RngLike, Stream
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "ANALYSES",
+    "Analysis",
+    "Chunk",
+    "MergeTree",
+    "Need",
+    "Reduction",
+    "Steps",
+    "Subject",
+    "chunks",
+    "compute",
+    "compute_chunk",
+    "finished",
+    "in_step",
+    "steps_of",
+    "whole",
+]
+
+State = TypeVar("State")
+Result = TypeVar("Result")
+
+Chunk: TypeAlias = tuple[int, int]
+"""First atomic block and number of blocks: a power of two that divides the first, or the last ones."""
+
+
+@final
+@dataclass(frozen=True)
+class Subject:
+    """What is analysed.
+
+    Attributes
+    ----------
+    estimator
+        An estimator; None where an analysis is about point sets or a scene alone. `convergence` also
+        takes a list.
+    sampler
+        A sampler; `convergence` also takes a list.
+    density
+        Importance density of the points, for analyses of point sets; by default the estimator's,
+        if it has a single one.
+    """
+
+    estimator: Any
+    sampler: Any
+    density: Any = None
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Need:
+    """What an analysis takes.
+
+    Attributes
+    ----------
+    cost
+        Work in arbitrary units, about proportional to time: evaluations of the integrand.
+    memory
+        Bytes beyond those of the program itself, at most.
+    """
+
+    cost: float = 1.0
+    memory: int = 0
+
+
+class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A question about an estimator with a sampler; subclasses are final, their fields are options.
+
+    The first line of a subclass's docstring is its summary everywhere.
+
+    Attributes
+    ----------
+    function
+        Public function that is its door in Python, as a name of `mcspectra`; empty if it has none.
+    verb
+        Its verb on the command line; empty if it has none.
+    about
+        What it takes: an estimator with a sampler, a sampler with a density at most, or a scene.
+    variables
+        Names of its variables in `mcspectra.core.results.VARIABLES`, and `Variable`s of its own.
+    companions
+        Analyses that a study computes beside it with the same table, such as points of a spectrum.
+    """
+
+    function: ClassVar[str] = ""
+    verb: ClassVar[str] = ""
+    about: ClassVar[Literal["estimator", "sampler", "scene"]] = "estimator"
+    variables: ClassVar[tuple[str | Variable, ...]] = ()
+    companions: ClassVar[tuple[str, ...]] = ()
+
+    def need(self, subject: Subject) -> Need:  # noqa: ARG002
+        """Return the cost and memory of the analysis of a subject, after refusing what cannot be.
+
+        Options are clean (`mcspectra.core.options.checked`); here they are held against the
+        subject: counts that the sampler cannot do, dims that are too many.
+
+        Raises
+        ------
+        McspectraError
+            One sentence.
+        """
+        return Need()
+
+    def reduction(self, subject: Subject, stream: Stream) -> Reduction[Any] | Steps:
+        """Return how it is computed, or a generator that yields reductions step by step.
+
+        Parameters
+        ----------
+        subject
+            One that `need` has accepted.
+        stream
+            Random numbers of all realisations.
+        """
+        raise NotImplementedError
+
+    def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
+        """Return the reduction of a key, for a worker that has not seen the steps before it.
+
+        By default one of the first step; analyses whose later steps depend on states override it.
+        """
+        found = self.reduction(subject, stream)
+        first = [found] if isinstance(found, Reduction) else next(found)
+        return next(each for each in first if each.key == key)
+
+    @classmethod
+    def summary(cls) -> str:
+        """Return the first line of the docstring."""
+        return (cls.__doc__ or "").strip().partition("\n")[0]
+
+
+ANALYSES = Registry(
+    "analysis",
+    "mcspectra.analyses",
+    {
+        "convergence": "mcspectra.variance.convergence:Convergence",
+        "terms": "mcspectra.variance.terms:Terms",
+        "techniques": "mcspectra.variance.techniques:Techniques",
+        "spectrum": "mcspectra.spectra.power:Spectrum",
+        "points": "mcspectra.spectra.power:Points",
+        "pcf": "mcspectra.spectra.pair_correlation:PairCorrelation",
+        "anova": "mcspectra.variance.anova:Anova",
+        "anova-spectrum": "mcspectra.variance.anova_fourier:AnovaSpectrum",
+        "exact": "mcspectra.variance.exact:Exact",
+        "remedies": "mcspectra.variance.remedies:Remedies",
+        "modes": "mcspectra.variance.modes:Modes",
+        "routes": "mcspectra.variance.routes:Routes",
+        "map": "mcspectra.rendering.maps:Map",
+    },
+    base=Analysis,
+)
+"""Analyses by the names of their tables in study files."""
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Reduction(Generic[State]):
+    """A sum over blocks of realisations.
+
+    Attributes
+    ----------
+    kind
+        Type of the states: a record (`mcspectra.core.records`), a list of records, an array, a
+        dict of arrays, or a dataset.
+    block
+        State of one atomic block, by its number.
+    blocks
+        Number of atomic blocks.
+    cost
+        Work of all blocks in the units of `Need.cost`.
+    key
+        A name, unique within the analysis: stored states are found by it.
+    result
+        Makes the dataset of the state of all blocks; None for those of a generator.
+    """
+
+    kind: Any
+    block: Callable[[int], State]
+    blocks: int = 1
+    cost: float = 1.0
+    key: str = "0"
+    result: Callable[[State], xr.Dataset] | None = None
+
+
+Steps: TypeAlias = "Generator[list[Reduction[Any]], list[Any], xr.Dataset]"
+"""Yields the reductions of a step, is sent their merged states in that order, returns the result."""
+
+
+def whole(function: Callable[[], xr.Dataset], cost: float = 1.0) -> Reduction[xr.Dataset]:
+    """Return what cannot be cut as a reduction of one block, whose state is the dataset itself."""
+    import xarray as xr
+
+    return Reduction(
+        kind=xr.Dataset, block=lambda _: function(), cost=cost, result=lambda state: state
+    )
+
+
+def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
+    """Return the steps of an analysis, one where it is a single reduction."""
+    found = analysis.reduction(subject, stream)
+    if not isinstance(found, Reduction):
+        return (yield from found)
+    (state,) = yield [found]
+    assert found.result is not None
+    return found.result(state)
+
+
+def finished(analysis: Analysis, result: xr.Dataset) -> xr.Dataset:
+    """Check a result against the variables that its analysis declares, and return it.
+
+    Raises
+    ------
+    TypeError
+        A variable is not declared, or has other dims or another kind: a defect of the analysis.
+    """
+    check_variables(result, type(analysis).variables, type(analysis).__name__)
+    return result
+
+
+def compute(
+    analysis: Analysis, subject: Subject, rng: RngLike = 0, workers: int | None = None
+) -> xr.Dataset:
+    """Compute an analysis with `workers` threads: the body of Python's public functions.
+
+    The result does not depend on the number of threads. Progress is reported under the name of the
+    public function.
+
+    Raises
+    ------
+    ParameterError
+        An option is out of range.
+    ConfigError
+        It needs more memory than there is.
+    McspectraError
+        As of the analysis's `need`.
+    """
+    threads = available_workers(workers)
+    clean = checked(analysis)
+    name = clean.function or type(clean).__name__
+    check_memory(clean.need(subject).memory, name)
+    steps = steps_of(clean, subject, Stream.from_rng(rng))
+    states: list[Any] | None = None
+    try:
+        while True:
+            found = next(steps) if states is None else steps.send(states)
+            states = list(_computed(found, threads, name))
+    except StopIteration as end:
+        return finished(clean, end.value)
+
+
+def _computed(found: Sequence[Reduction[Any]], threads: int, name: str) -> Iterator[Any]:
+    """States of the reductions of a step; tells how much of the step's cost is done."""
+    total = max(sum(each.cost for each in found), 1e-300)
+    before = itertools.accumulate((each.cost for each in found), initial=0.0)
+    for each, start in zip(found, before, strict=False):
+        tree: MergeTree[Any] = MergeTree()
+        for done, state in enumerate(map_in_order(each.block, range(each.blocks), threads), 1):
+            tree.add(state)
+            share = (start + done / each.blocks * each.cost) / total
+            report(name, 1.0 if share > 1.0 - 1e-9 else share)
+        yield tree.total()
+
+
+def compute_chunk(reduction: Reduction[State], chunk: Chunk) -> State:
+    """State of a chunk of a reduction, computed in this thread."""
+    tree: MergeTree[State] = MergeTree()
+    first, count = chunk
+    for index in range(first, first + count):
+        tree.add(reduction.block(index))
+    return tree.total()
+
+
+class MergeTree(Generic[State]):
+    """Merges states of consecutive blocks as a binary counter does: neighbours of equal size first.
+
+    What remains at the end merges from the right. The tree depends on the number of blocks alone,
+    not on the chunks they came in; only log₂ of their number are held at once.
+    """
+
+    def __init__(self) -> None:
+        self._nodes: list[tuple[int, State]] = []
+
+    def add(self, state: State, blocks: int = 1) -> None:
+        """Take in the state of the next `blocks` blocks, which make a `Chunk`."""
+        while self._nodes and self._nodes[-1][0] == blocks:
+            _, left = self._nodes.pop()
+            state, blocks = merged(left, state), 2 * blocks
+        self._nodes.append((blocks, state))
+
+    def total(self) -> State:
+        """State of all blocks together; of at least one."""
+        _, total = self._nodes.pop()
+        while self._nodes:
+            _, left = self._nodes.pop()
+            total = merged(left, total)
+        return total
+
+
+def chunks(blocks: int, size: int) -> Iterator[Chunk]:
+    """Cut blocks into chunks of `size`, a power of two; the last may be shorter."""
+    return ((first, min(size, blocks - first)) for first in range(0, blocks, size))
+
+
+def in_step(
+    parts: Sequence[Generator[Reduction[Any], State, Result]],
+) -> Generator[list[Reduction[Any]], list[State], list[Result]]:
+    """Drive generators of one reduction at a time side by side: a step has the next of each.
+
+    Returns what each returned, in their order.
+    """
+    results: dict[int, Result] = {}
+    states: Mapping[int, Any] = dict.fromkeys(range(len(parts)))
+    while states:
+        found: dict[int, Reduction[Any]] = {}
+        for place, state in states.items():
+            try:
+                found[place] = parts[place].send(state)
+            except StopIteration as end:
+                results[place] = end.value
+        states = dict(zip(found, (yield list(found.values())), strict=True)) if found else {}
+    return [results[place] for place in range(len(parts))]

@@ -1,0 +1,286 @@
+"""Options of analyses: declared once, as annotations of a struct, and read, checked and described here.
+
+The meaning, the limits and the default of an option stand in the annotation of its field
+(`msgspec.Meta`). Python's functions, study files, the command line, the explorer and the docs all
+derive their doors from it: each hands a value to `Option.check` or a text to `Option.read`.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, final
+
+import msgspec
+import numpy as np
+from msgspec import Meta, inspect
+
+from mcspectra.core.checks import as_choice, as_integer, as_real
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.parallel import MAX_REALIZATIONS
+
+__all__ = [
+    "BANDS",
+    "BASIS",
+    "COUNT",
+    "COUNTS",
+    "ENGINE",
+    "EPS",
+    "FIT_LAST",
+    "HALF_WIDTH",
+    "REALIZATIONS",
+    "SPACE",
+    "Counts",
+    "Option",
+    "Positive",
+    "Text",
+    "Window",
+    "checked",
+    "options_of",
+]
+
+_NO_LIMIT = 2**31  # a larger limit only keeps numbers within 64 bits: no news to a reader
+
+Positive = Annotated[int, Meta(ge=1, le=2**62)]
+Text = Annotated[str, Meta(min_length=1, max_length=20_000)]
+Counts = Annotated[tuple[Positive, ...], Meta(min_length=1, max_length=10_000)]
+Window = Annotated[int, Meta(ge=2)] | Literal["auto"] | None
+
+# Options that several analyses have. `flag` and `metavar` in `extra` are of the command line;
+# `python`: in Python also what no text can say, such as an array, which the analysis checks itself.
+COUNT = Meta(
+    ge=1, le=2**62, description="Points of each technique.", extra={"flag": "-n", "metavar": "N"}
+)
+COUNTS = Meta(
+    description="Numbers of points n, ascending.",
+    extra={"metavar": "N,N,…", "ascending": True},
+)
+REALIZATIONS = Meta(
+    ge=2,
+    le=MAX_REALIZATIONS,
+    description="Independent realisations, at each count.",
+    extra={"flag": "-m", "metavar": "R"},
+)
+HALF_WIDTH = Meta(
+    ge=0,
+    le=2**31,
+    description="Frequencies run from −half_width to half_width along every axis.",
+    extra={"metavar": "K", "unit": "cycles per unit"},
+)
+BASIS = Meta(
+    description="fourier, cosine, walsh, haar, or auto: what fits the randomisation.",
+    extra={"choices": ("fourier", "cosine", "walsh", "haar", "auto")},
+)
+SPACE = Meta(description="domain or primary; by default the domain, where there is one.")
+BANDS = Meta(
+    description="radial, dyadic, anova or wedge.",
+    extra={"choices": ("radial", "dyadic", "anova", "wedge"), "python": True},
+)
+FIT_LAST = Meta(
+    description='Fit the rate to the last so many counts, all by default; "auto": as many as lie on a '
+    "line.",
+    extra={"metavar": "K"},
+)
+ENGINE = Meta(
+    description="How transforms are computed: auto, nufft, direct, or gpu (extra gpu).",
+    extra={"choices": ("auto", "nufft", "direct", "gpu")},
+)
+EPS = Meta(gt=0.0, lt=1.0, description="Wanted relative accuracy of the transforms.")
+
+
+@final
+@dataclass(frozen=True)
+class Option:
+    """One option of a struct.
+
+    Attributes
+    ----------
+    name
+        As in Python and in study files.
+    kind
+        Its type with its limits, in msgspec's words.
+    default
+        `msgspec.NODEFAULT` if it must be given.
+    meaning
+        One sentence.
+    extra
+        What else the annotation says: ``flag``, ``metavar``, ``choices``, ``unit``.
+    """
+
+    name: str
+    kind: inspect.Type
+    default: Any
+    meaning: str
+    extra: dict[str, Any]
+
+    @property
+    def required(self) -> bool:
+        """Whether it has no default."""
+        return self.default is msgspec.NODEFAULT
+
+    @property
+    def flag(self) -> str:
+        """The option on the command line, such as ``--half-width``."""
+        return "--" + self.name.replace("_", "-")
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """The texts that it can be; empty where any, or none, can."""
+        found = [v for kind in _kinds(self.kind) if isinstance(kind, inspect.LiteralType)
+                 for v in kind.values if isinstance(v, str)]  # fmt: skip
+        return tuple(found) or tuple(self.extra.get("choices", ()))
+
+    @property
+    def is_flag(self) -> bool:
+        """Whether it is true or false."""
+        return any(isinstance(kind, inspect.BoolType) for kind in _kinds(self.kind))
+
+    def check(self, value: Any, label: str | None = None) -> Any:
+        """Return the clean value.
+
+        Raises
+        ------
+        ParameterError
+            The type is wrong or a limit is broken; the sentence begins with `label`, by default
+            the option's name.
+        """
+        label = label or self.name
+        if self.extra.get("python") and not isinstance(value, str):
+            return value
+        clean = _clean(label, self.kind, value)
+        if self.extra.get("choices") and isinstance(clean, str):
+            return as_choice(label, clean, self.choices)
+        if self.extra.get("ascending") and any(b <= a for a, b in itertools.pairwise(clean)):
+            raise ParameterError(f"{label} is {list(clean)}; give ascending numbers of points.")
+        return clean
+
+    def read(self, text: str, label: str | None = None) -> Any:
+        """Return the clean value that a text of the command line, or of a form, stands for.
+
+        Raises
+        ------
+        ParameterError
+            As of `check`.
+        """
+        return self.check(_read(self.kind, text), label or self.flag)
+
+
+@functools.cache
+def options_of(struct: Any) -> tuple[Option, ...]:
+    """Return the options of a struct, in the order of its fields."""
+    kind = inspect.type_info(struct)
+    assert isinstance(kind, inspect.StructType)
+    found = []
+    for field in kind.fields:
+        about, extra = _annotation(field.type)
+        found.append(Option(field.name, field.type, field.default, about, extra))
+    return tuple(found)
+
+
+def checked(struct: Any) -> Any:
+    """Return a struct whose options are clean: the one guard of Python's public functions.
+
+    Raises
+    ------
+    ParameterError
+        An option has the wrong type or breaks its limits.
+    """
+    options = options_of(type(struct))  # type: ignore[arg-type]
+    clean = {each.name: each.check(getattr(struct, each.name)) for each in options}
+    return msgspec.structs.replace(struct, **clean)
+
+
+def _annotation(kind: inspect.Type) -> tuple[str, dict[str, Any]]:
+    """Meaning and extra of the outermost annotation."""
+    if not isinstance(kind, inspect.Metadata):
+        return "", {}
+    own = dict(kind.extra or {})
+    schema = kind.extra_json_schema or {}
+    inner, further = _annotation(kind.type)
+    return schema.get("description", inner), {**further, **own}
+
+
+def _kinds(kind: inspect.Type) -> list[inspect.Type]:
+    """The plain types that a type may be."""
+    if isinstance(kind, inspect.Metadata):
+        return _kinds(kind.type)
+    if isinstance(kind, inspect.UnionType):
+        return [each for part in kind.types for each in _kinds(part)]
+    return [kind]
+
+
+def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
+    kinds = _kinds(kind)
+    if value is None and any(isinstance(each, inspect.NoneType) for each in kinds):
+        return None
+    kinds = [each for each in kinds if not isinstance(each, inspect.NoneType)]
+    words = [v for each in kinds if isinstance(each, inspect.LiteralType) for v in each.values]
+    if len(kinds) > 1 and isinstance(value, str) and words and value not in words:
+        raise ParameterError(
+            f"{label} is {value!r}; give a number, or {' or '.join(map(str, words))}."
+        )
+    fitting = next((each for each in kinds if _fits(each, value)), kinds[0])
+    match fitting:
+        case inspect.IntType(ge=least, le=most):
+            limit = None if most is None or most >= _NO_LIMIT else most
+            number = as_integer(
+                label, value, least=-(2**63) if least is None else least, most=limit
+            )
+            return number if most is None else as_integer(label, number, least=-(2**63), most=most)
+        case inspect.FloatType(gt=above, ge=least, lt=below, le=most):
+            return as_real(label, value, above=above, least=least, below=below, most=most)
+        case inspect.BoolType():
+            if not isinstance(value, bool | np.bool_):
+                raise ParameterError(f"{label} is {value!r}; give True or False.")
+            return bool(value)
+        case inspect.LiteralType(values=allowed):
+            return as_choice(label, value, tuple(map(str, allowed)))
+        case inspect.StrType():
+            if not isinstance(value, str) or not value:
+                raise ParameterError(f"{label} is {value!r}; give a text.")
+            return value
+        case inspect.VarTupleType(item_type=item) | inspect.TupleType(item_types=(item, *_)):
+            return _clean_list(label, fitting, item, value)
+    return value
+
+
+def _clean_list(label: str, kind: inspect.Type, item: inspect.Type, value: Any) -> tuple[Any, ...]:
+    flat = isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)
+    if not flat or any(np.ndim(each) > 0 for each in value if not isinstance(each, str)):
+        raise ParameterError(f"{label} is {value!r}; give one flat list.")
+    wanted = len(kind.item_types) if isinstance(kind, inspect.TupleType) else None
+    if not len(value) or (wanted is not None and len(value) != wanted):
+        number = "one or more" if wanted is None else str(wanted)
+        raise ParameterError(f"{label} has {len(value)} values; give {number}.")
+    if isinstance(kind, inspect.VarTupleType) and len(value) > (kind.max_length or _NO_LIMIT):
+        raise ParameterError(f"{label} has {len(value)} values; {kind.max_length} are the most.")
+    return tuple(_clean(label, item, each) for each in value)
+
+
+def _fits(kind: inspect.Type, value: Any) -> bool:
+    """Whether a value is of the right sort, whatever its limits."""
+    match kind:
+        case inspect.IntType() | inspect.FloatType():
+            return isinstance(value, int | float | np.number)
+        case inspect.StrType() | inspect.LiteralType():
+            return isinstance(value, str)
+        case inspect.VarTupleType() | inspect.TupleType():
+            return isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)
+    return False
+
+
+def _read(kind: inspect.Type, text: str) -> Any:
+    """What a text says in the most special type that can read it, else the text itself."""
+    for each in _kinds(kind):
+        if isinstance(each, inspect.VarTupleType | inspect.TupleType):
+            item = each.item_type if isinstance(each, inspect.VarTupleType) else each.item_types[0]
+            return tuple(_read(item, part.strip()) for part in text.split(","))
+        reads = {inspect.IntType: int, inspect.FloatType: float}.get(type(each))
+        if reads is not None:
+            try:
+                return reads(text)
+            except ValueError:
+                continue
+    return text

@@ -1,0 +1,216 @@
+"""States of reductions: flat records of arrays that merge and become bytes by one rule for all.
+
+A state is a dataclass whose fields are arrays, numbers or further records. Two states merge field by
+field: records by their own `merge` where they have one (moments, whose fields depend on each other),
+arrays and numbers by the rule in their annotation, `SUM`, `JOIN` or `SAME`. Bytes are one buffer: a
+header in MessagePack with names, types and shapes, then the numbers; no pickle, no code.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from types import UnionType
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    TypeAlias,
+    Union,
+    final,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+import msgspec
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import FileFormatError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["JOIN", "SAME", "SUM", "Join", "merged", "pack", "unpack"]
+
+
+@final
+class Join:
+    """Arrays are put one after the other, along an axis."""
+
+    def __init__(self, axis: int = 0) -> None:
+        self.axis = axis
+
+
+SUM: TypeAlias = Annotated[Array, "sum"]
+"""Arrays are added, into the memory of the left one."""
+
+JOIN: TypeAlias = Annotated[Array, Join(0)]
+"""Arrays are put one after the other along their first axis."""
+
+SAME: TypeAlias = Annotated[Array, "same"]
+"""Arrays are the same in all blocks."""
+
+_MAGIC = b"mcs1"
+_UNIONS = (Union, UnionType)
+
+
+def merged(left: Any, right: Any) -> Any:
+    """State of two neighbours together; may reuse the memory of `left`."""
+    own = getattr(left, "merge", None)
+    if own is not None and not isinstance(left, dict):
+        return own(right)
+    if isinstance(left, list | tuple):
+        return type(left)(merged(a, b) for a, b in zip(left, right, strict=True))
+    rules = _rules(type(left))  # type: ignore[arg-type]
+    return type(left)(**{
+        name: _merge_field(rule, getattr(left, name), getattr(right, name))
+        for name, rule in rules.items()
+    })  # fmt: skip
+
+
+def _merge_field(rule: Any, left: Any, right: Any) -> Any:
+    if left is None or right is None:
+        return left if right is None else right
+    if rule == "sum":
+        if isinstance(left, np.ndarray):
+            return np.add(left, right, out=left)
+        return left + right
+    if isinstance(rule, Join):
+        return np.concatenate([left, right], axis=rule.axis)
+    return left if rule == "same" else merged(left, right)
+
+
+@functools.cache
+def _rules(kind: Any) -> dict[str, Any]:
+    """The rule of every field of a record; None for those that merge themselves."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {field.name: _rule(hints[field.name]) for field in fields(kind)}
+
+
+def _rule(hint: Any) -> Any:
+    if get_origin(hint) in _UNIONS:
+        return next((_rule(each) for each in get_args(hint) if each is not type(None)), None)
+    if get_origin(hint) is Annotated:
+        return get_args(hint)[1]
+    return "sum" if hint in (int, float) else None
+
+
+def pack(state: Any) -> bytes:
+    """Return a record, a list of records, an array, a dict of arrays or a dataset as bytes.
+
+    Raises
+    ------
+    TypeError
+        Something holds Python objects, or an attribute is no number, text or list of them.
+    """
+    arrays: list[Array] = []
+    tree = _described(state, arrays)
+    header = msgspec.msgpack.encode((tree, [(a.dtype.str, a.shape) for a in arrays]))
+    parts = [_MAGIC, len(header).to_bytes(8, "little"), header]
+    parts += [a.tobytes() for a in arrays]
+    return b"".join(parts)
+
+
+def unpack(kind: Any, payload: bytes) -> Any:
+    """Return what `pack` was given; `kind` is its type: a record, ``list[record]``, an array or dict.
+
+    Nothing larger than the payload is allocated.
+
+    Raises
+    ------
+    FileFormatError
+        The bytes are damaged, or of another kind.
+    """
+    try:
+        if payload[:4] != _MAGIC:
+            raise ValueError("not a state")
+        start = 12 + int.from_bytes(payload[4:12], "little")
+        tree, described = msgspec.msgpack.decode(payload[12:start])
+        arrays = []
+        for text, shape in described:
+            dtype = np.dtype(text)
+            if dtype.kind not in "biufcU" or min(shape, default=0) < 0:
+                raise ValueError(f"an array of {text} with shape {shape}")
+            count = int(np.prod(shape, dtype=object))
+            values = np.frombuffer(payload, dtype, count, start) if count else np.empty(0, dtype)
+            arrays.append(values.reshape(shape).copy())
+            start += count * dtype.itemsize
+        if start != len(payload):
+            raise ValueError("bytes are missing or left over")
+        return _restored(kind, tree, arrays)
+    except (ValueError, TypeError, KeyError, IndexError, msgspec.MsgspecError) as error:
+        raise FileFormatError(f"A stored result cannot be read: {error}.") from None
+
+
+def _described(state: Any, arrays: list[Array]) -> Any:
+    """A tree of plain values in which arrays are their places in `arrays`."""
+    if isinstance(state, np.ndarray):
+        if state.dtype.kind not in "biufcU":
+            raise TypeError(f"An array holds {state.dtype}, which has no numbers.")
+        arrays.append(state)
+        return len(arrays) - 1
+    if is_dataclass(state):
+        return {f.name: _described(getattr(state, f.name), arrays) for f in fields(state)}
+    if isinstance(state, Mapping) and not hasattr(state, "data_vars"):
+        return {str(name): _described(value, arrays) for name, value in state.items()}
+    if isinstance(state, list | tuple):
+        return [_described(each, arrays) for each in state]
+    if hasattr(state, "data_vars"):
+        return _described_dataset(state, arrays)
+    return state.item() if isinstance(state, np.generic) else state
+
+
+def _described_dataset(data: xr.Dataset, arrays: list[Array]) -> dict[str, Any]:
+    variables = []
+    for name, variable in data.variables.items():
+        values = _described(np.ascontiguousarray(variable.values).reshape(variable.shape), arrays)
+        coord = name in data.coords
+        variables.append((name, coord, variable.dims, values, _plain(variable.attrs)))
+    return {"attrs": _plain(data.attrs), "variables": variables}
+
+
+def _plain(attributes: Mapping[Any, Any]) -> dict[str, Any]:
+    """Attributes with NumPy's scalars as plain numbers."""
+    plain = {
+        str(name): value.item() if isinstance(value, np.generic) else value
+        for name, value in attributes.items()
+    }
+    for name, value in plain.items():
+        if not isinstance(value, str | int | float | list | tuple | dict):
+            raise TypeError(f"The attribute {name} is a {type(value).__name__}, which has no text.")
+    return plain
+
+
+def _restored(kind: Any, tree: Any, arrays: list[Array]) -> Any:
+    if get_origin(kind) in _UNIONS:
+        inner = [each for each in get_args(kind) if each is not type(None)]
+        return None if tree is None else _restored(inner[0], tree, arrays)
+    if get_origin(kind) is Annotated:
+        kind = get_args(kind)[0]
+    if get_origin(kind) in (list, tuple):
+        (item, *_), made = get_args(kind), get_origin(kind)
+        return made(_restored(item, each, arrays) for each in tree)
+    if is_dataclass(kind):
+        hints = get_type_hints(kind, include_extras=True)
+        return kind(
+            **{f.name: _restored(hints[f.name], tree[f.name], arrays) for f in fields(kind)}
+        )  # type: ignore[operator]
+    if get_origin(kind) is dict:
+        return {name: _restored(get_args(kind)[1], each, arrays) for name, each in tree.items()}
+    if getattr(kind, "__name__", "") == "Dataset":
+        return _dataset(tree, arrays)
+    return kind(tree) if kind in (int, float, bool, str) else arrays[tree]
+
+
+def _dataset(tree: Mapping[str, Any], arrays: list[Array]) -> xr.Dataset:
+    import xarray as xr
+
+    variables = {
+        name: (tuple(dims), arrays[place], attrs)
+        for name, _, dims, place, attrs in tree["variables"]
+    }
+    coords = [name for name, coord, *_ in tree["variables"] if coord]
+    return xr.Dataset(variables, attrs=tree["attrs"]).set_coords(coords)
