@@ -49,6 +49,7 @@ __all__ = [
     "Tally",
     "check_links",
     "is_held",
+    "linked",
 ]
 
 FORMAT = 3
@@ -153,7 +154,7 @@ class Tally(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes
     ----------
-    done, bytes, digest
+    done, size, digest
         Finished cells: how many, bytes of their results, exclusive or of their digests.
     started, finished
         When the study was begun, and when its last cell was finished: UTC, ISO 8601.
@@ -164,7 +165,7 @@ class Tally(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     done: int = 0
-    bytes: int = 0
+    size: int = 0
     digest: str = f"{0:064x}"
     started: str | None = None
     finished: str | None = None
@@ -175,7 +176,7 @@ class Tally(msgspec.Struct, frozen=True, kw_only=True):
         """With a finished cell more."""
         either = int(self.digest, 16) ^ int.from_bytes(digest, "big")
         return msgspec.structs.replace(
-            self, done=self.done + 1, bytes=self.bytes + size, digest=f"{either:064x}"
+            self, done=self.done + 1, size=self.size + size, digest=f"{either:064x}"
         )
 
 
@@ -534,7 +535,7 @@ class Ledger:
         """Write the ledger anew beside its place, with what is sound, and put it there."""
         partial = self.folder / f".{LEDGER_NAME}.partial"
         tally = msgspec.structs.replace(
-            self.tally, done=0, bytes=0, digest=Tally().digest, finished=None
+            self.tally, done=0, size=0, digest=Tally().digest, finished=None
         )
         digests: dict[str, bytes] = {}
         with _writing(self._file):
@@ -578,7 +579,7 @@ class Ledger:
         """Open the file, and read which study it holds."""
         for file in (self._file, self._file.with_name(f"{LEDGER_NAME}-journal")):
             if file.is_symlink():
-                raise _linked(str(file))
+                raise linked(str(file))
         if not self._file.is_file():
             raise StoreError(f"There are no results in {str(self.folder)!r}.")
         try:
@@ -780,7 +781,7 @@ def check_links(folder: Path) -> None:
             )
             for place in (entry.path, *inside):
                 if os.path.islink(place):  # noqa: PTH114
-                    raise _linked(place)
+                    raise linked(place)
 
 
 def _writer(
@@ -899,7 +900,8 @@ def _task_name(path: str, run: str, first: int, blocks: int) -> str:
     return f"{path}/{run}/{first}+{blocks}"
 
 
-def _linked(place: str) -> StoreError:
+def linked(place: str) -> StoreError:
+    """The error that refuses a symbolic link."""
     return StoreError(
         f"{place!r} is a symbolic link, and might lead to files of others; results hold files only: "
         "remove it, or take another folder."
