@@ -14,7 +14,7 @@ import pytest
 from mcspectra.cli.main import main
 from mcspectra.studies import open_results, run, run_study
 from mcspectra.studies.cluster import ClusterLost, ClusterOptions, DaskEngine
-from mcspectra.studies.config import decode_study
+from mcspectra.studies.files import decode_study
 
 STUDY = """
 title = "small"

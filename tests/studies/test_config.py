@@ -6,7 +6,7 @@ import pytest
 import mcspectra as mcs
 from mcspectra.core.errors import ConfigError
 from mcspectra.studies import make_plan
-from mcspectra.studies.config import decode_study
+from mcspectra.studies.files import decode_study
 
 HEAD = """
 title = "t"

@@ -8,7 +8,7 @@ import pytest
 from mcspectra.cli.run_ import estimate_text
 from mcspectra.core.errors import ConfigError
 from mcspectra.studies import Trust, estimate, estimate_study, make_plan, run_study, sizes
-from mcspectra.studies.config import decode_study
+from mcspectra.studies.files import decode_study
 from mcspectra.studies.estimate import CellEstimate, wall_time
 
 STUDY = """

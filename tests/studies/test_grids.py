@@ -5,8 +5,8 @@ import itertools
 import pytest
 
 from mcspectra.core.errors import ConfigError
-from mcspectra.studies.config import decode_study
-from mcspectra.studies.grids import MOST_ENTRIES, expand_grids
+from mcspectra.studies.files import decode_study
+from mcspectra.studies.files import MOST_ENTRIES, expand_grids
 from mcspectra.studies.plan import make_plan
 
 

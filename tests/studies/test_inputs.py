@@ -12,8 +12,8 @@ from mcspectra.core import results
 from mcspectra.core.errors import OtherVersionsWarning, StoreError
 from mcspectra.studies import Trust, make_plan, open_results, run_study
 from mcspectra.studies import store as store_module
-from mcspectra.studies.config import decode_study
-from mcspectra.studies.inputs import Digests, changed_inputs, check_inputs, with_references
+from mcspectra.studies.files import decode_study
+from mcspectra.studies.vetting import Digests, changed_inputs, check_inputs, with_references
 from mcspectra.studies.manifest import read_manifest
 from mcspectra.studies.run import CellFailed
 from mcspectra.studies.status import study_status
@@ -209,11 +209,11 @@ def test_a_worker_with_another_file_refuses(folder):
     config = decode_study(STUDY)
     plan = make_plan(config, folder)
     text = StudyText.of(config, folder, inputs=plan.inputs)
-    assert text.plan().inputs == plan.inputs
+    assert text.cells().keys() == {cell.path for cell in plan.cells}
     _image(folder, "a", 5)
     with pytest.raises(StoreError, match=r"not of the file 'data/a\.npy' as found now.*on host"):
-        text.plan()
-    assert StudyText.of(config, folder).plan().cells
+        text.cells()
+    assert StudyText.of(config, folder).cells()
 
 
 def test_another_time_limit_is_the_same_study(folder):

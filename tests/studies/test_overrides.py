@@ -3,8 +3,8 @@
 import pytest
 
 from mcspectra.core.errors import ConfigError
-from mcspectra.studies.config import decode_study
-from mcspectra.studies.overrides import apply_overrides
+from mcspectra.studies.files import decode_study
+from mcspectra.studies.files import apply_overrides
 
 STUDY = """
 title = "t"

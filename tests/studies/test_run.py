@@ -15,7 +15,7 @@ import mcspectra as mcs
 from mcspectra.core.staged import Run
 from mcspectra.studies import Trust, foreign_code, make_plan, open_results, run_study
 from mcspectra.studies import run as run_module
-from mcspectra.studies.config import decode_study
+from mcspectra.studies.files import decode_study
 from mcspectra.studies.engines import LocalEngine, Outcome
 from mcspectra.studies.plan import Cell
 from mcspectra.studies.processes import ProcessEngine

@@ -9,9 +9,9 @@ import pytest
 
 from mcspectra.core.errors import ConfigError
 from mcspectra.studies import make_plan, read_study, study_schema
-from mcspectra.studies.config import decode_study
+from mcspectra.studies.files import decode_study
 from mcspectra.studies.schema import SCHEMA_ID, key_tables
-from mcspectra.studies.tables import ANALYSIS_TABLES, EstimatorConfig, MapConfig, StudyConfig
+from mcspectra.studies.files import ANALYSIS_TABLES, EstimatorConfig, MapConfig, StudyConfig
 
 ROOT = Path(__file__).parents[2]
 STUDIES = sorted((ROOT / "studies").glob("*.toml"))

@@ -8,7 +8,7 @@ import pytest
 import mcspectra as mcs
 from mcspectra.core.errors import ConfigError, DamagedResultsWarning, StoreError
 from mcspectra.studies import make_plan, open_results, read_study, run_study, summarize
-from mcspectra.studies.config import decode_study
+from mcspectra.studies.files import decode_study
 from mcspectra.studies.run import CellFailed
 
 STUDY = """

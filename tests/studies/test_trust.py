@@ -8,8 +8,8 @@ import pytest
 from mcspectra.core.errors import ConfigError
 from mcspectra.core.spec import parse_chain
 from mcspectra.studies import Trust, make_plan, run_study
-from mcspectra.studies.config import decode_study
-from mcspectra.studies.trust import Site
+from mcspectra.studies.files import decode_study
+from mcspectra.studies.vetting import Site
 
 STUDY = """
 title = "t"

@@ -167,7 +167,7 @@ def _dry_run(
 
 def estimate_text(estimates: Sequence[CellEstimate], wall: float, workers: int) -> str:
     """A row for each analysis of each estimator, all samplers together, and the sums."""
-    from mcspectra.studies.sizes import shown_bytes
+    from mcspectra.core.memory import shown_bytes
 
     groups: dict[tuple[str, str], list[CellEstimate]] = {}
     for each in estimates:

@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _lines(status: StudyStatus) -> Iterator[str]:
     """The status as people read it."""
-    from mcspectra.studies.sizes import shown_bytes
+    from mcspectra.core.memory import shown_bytes
 
     yield f"{status.title}: {status.state}"
     yield from _when(status)

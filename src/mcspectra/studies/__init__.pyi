@@ -1,6 +1,6 @@
-from .config import StudyConfig as StudyConfig
-from .config import decode_study as decode_study
-from .config import read_study as read_study
+from .files import StudyConfig as StudyConfig
+from .files import decode_study as decode_study
+from .files import read_study as read_study
 from .estimate import CellEstimate as CellEstimate
 from .estimate import estimate_study as estimate_study
 from .export import export_results as export_results
@@ -15,7 +15,7 @@ from .status import study_status as study_status
 from .store import Store as Store
 from .summary import SummaryRow as SummaryRow
 from .summary import summarize as summarize
-from .trust import Trust as Trust
+from .vetting import Trust as Trust
 
 __all__ = [
     "CellEstimate",

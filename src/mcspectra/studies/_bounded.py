@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from zarr.storage import LocalStore, WrapperStore
 
 from mcspectra.core.errors import StoreError
-from mcspectra.studies.sizes import available_memory, shown_bytes
+from mcspectra.core.memory import available_memory, shown_bytes
 
 if TYPE_CHECKING:
     from zarr.abc.store import Store

@@ -31,7 +31,7 @@ from mcspectra.studies.links import check_tree_links
 from mcspectra.studies.manifest import in_place, read_manifest
 from mcspectra.studies.opening import open_results
 from mcspectra.studies.places import first_line, is_url
-from mcspectra.studies.sizes import check_memory
+from mcspectra.core.memory import check_memory
 from mcspectra.studies.store import STORE_NAME, root_document
 from mcspectra.studies.tidy import FIXED, VALUES, cells_of, coordinate_columns, tidy
 

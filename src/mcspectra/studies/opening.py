@@ -19,7 +19,7 @@ from mcspectra.studies._consolidated import check_consolidated
 from mcspectra.studies.links import check_tree_links
 from mcspectra.studies.manifest import FORMAT, in_place, read_manifest
 from mcspectra.studies.places import first_line, is_url, url_files
-from mcspectra.studies.sizes import available_memory, shown_bytes
+from mcspectra.core.memory import available_memory, shown_bytes
 from mcspectra.studies.store import STORE_NAME, root_document
 
 if TYPE_CHECKING:
