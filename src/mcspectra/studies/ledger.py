@@ -895,7 +895,7 @@ def _plan_digest(paths: Iterable[str]) -> str:
 
 
 def _task_name(path: str, run: str, first: int, blocks: int) -> str:
-    return f"{path}/{run}/{first}+{blocks}"
+    return f"task {path}/{run}/{first}+{blocks}"
 
 
 def linked(place: str) -> StoreError:
