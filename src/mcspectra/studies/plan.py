@@ -41,8 +41,10 @@ __all__ = ["MOST_EVALUATIONS", "Cell", "Plan", "make_plan"]
 MOST_EVALUATIONS = 10**15
 """Most evaluations of a study that is not forced: half a year of a hundred cores."""
 
-# Seconds for each, and seconds of planning that are not forced.
-_SPEC_SECONDS, _PAIR_SECONDS, _CELL_SECONDS = 1e-4, 1e-5, 3e-5
+# Seconds of planning: of a spec, of an estimator with densities and of each of these (1-D warps are
+# searched for gaps), of a pair of estimator and sampler, of a cell; and most that are not forced.
+_SPEC_SECONDS, _WEIGHTED_SECONDS, _DENSITY_SECONDS, _WARP_SECONDS = 1e-4, 6e-4, 3e-4, 2e-3
+_PAIR_SECONDS, _CELL_SECONDS = 5e-6, 3e-5
 _MOST_SECONDS = 5.0
 _RESERVED = frozenset({"zarr.json", "c"})
 
@@ -162,22 +164,25 @@ def make_plan(
 
 def _check_number(config: StudyConfig) -> None:
     """Refuse what would take long to plan alone, before anything is built."""
-    entries = (*config.estimators, *config.scenes)
-    pairs = sum(len(samplers_of(config, entry)) for entry in entries)
-    cells = sum(
-        len(samplers_of(config, each)) * len(config.analyses.keys() | each.analyses.keys())
-        for each in config.estimators
-    )
-    specs = sum(
-        1 + len(each.densities or ()) + len(each.integrands or ()) for each in config.estimators
-    )
-    specs += len({text for entry in entries for text in entry.samplers or ()} | {*config.samplers})
-    seconds = _SPEC_SECONDS * specs + _PAIR_SECONDS * pairs + _CELL_SECONDS * cells
+    texts = {*config.samplers}
+    pairs, seconds = 0, 0.0
+    for entry in (*config.estimators, *config.scenes):
+        own = samplers_of(config, entry)
+        texts.update(entry.samplers or ())
+        pairs += len(own)
+        seconds += _SPEC_SECONDS + _PAIR_SECONDS * len(own)
+        if isinstance(entry, EstimatorConfig):
+            asked = len(config.analyses.keys() | entry.analyses.keys())
+            seconds += _CELL_SECONDS * asked * len(own) + _SPEC_SECONDS * len(entry.integrands or ())
+            densities = len(entry.densities or ()) + (entry.density is not None)
+            each = _WARP_SECONDS if entry.dims == 1 else _DENSITY_SECONDS
+            seconds += densities * each + _WEIGHTED_SECONDS * (densities > 0)
+    seconds += _SPEC_SECONDS * len(texts)
     if seconds > _MOST_SECONDS:
+        entries = len(config.estimators) + len(config.scenes)
         raise ConfigError(
-            f"The study has {len(entries):,} estimators and {pairs:,} pairs of estimator and sampler, "
-            f"which would take about {seconds:.2g} s to plan alone; take several studies, or give "
-            "--force."
+            f"The study has {entries:,} estimators and {pairs:,} pairs of estimator and sampler, which "
+            f"would take about {seconds:.2g} s to plan alone; take several studies, or give --force."
         )
 
 
