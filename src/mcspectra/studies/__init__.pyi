@@ -1,9 +1,9 @@
-from .files import StudyConfig as StudyConfig
-from .files import decode_study as decode_study
-from .files import read_study as read_study
 from .estimate import CellEstimate as CellEstimate
 from .estimate import estimate_study as estimate_study
 from .export import export_results as export_results
+from .files import StudyConfig as StudyConfig
+from .files import decode_study as decode_study
+from .files import read_study as read_study
 from .opening import open_results as open_results
 from .opening import result_paths as result_paths
 from .pixel import analyse_pixel as analyse_pixel

@@ -21,7 +21,7 @@ from mcspectra.core.errors import ConfigError
 from mcspectra.core.streams import Stream
 from mcspectra.studies.foreign_code import TookTooLong, within
 from mcspectra.studies.plan import Cell, Plan
-from mcspectra.studies.scheduling import task_seconds
+from mcspectra.studies.schedule import task_seconds
 
 __all__ = ["CellEstimate", "estimate_study", "wall_time"]
 
