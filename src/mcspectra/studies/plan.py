@@ -12,10 +12,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
-from mcspectra.core.analysis import ANALYSES, Analysis, Need, Subject, compute
+from mcspectra.core.analysis import (
+    ANALYSES,
+    Analysis,
+    Need,
+    Subject,
+    compute_chunk,
+    finished,
+    steps_of,
+)
 from mcspectra.core.errors import ConfigError, McspectraError
 from mcspectra.core.memory import check_memory
 from mcspectra.core.registry import Registry
+from mcspectra.core.streams import Stream
 from mcspectra.densities import DENSITIES
 from mcspectra.estimators import (
     AbstractEstimator,
@@ -89,12 +98,22 @@ class Cell:
         return self.path.rpartition("/")[2]
 
     def compute(self, seed: int) -> xr.Dataset:
-        """Compute the cell in this thread: the same bits wherever and whenever it runs."""
-        return self.labelled(compute(self.analysis, self.subject, seed, 1))
+        """Compute the cell in this thread: the same bits wherever and whenever it runs.
 
-    def labelled(self, result: xr.Dataset) -> xr.Dataset:
-        """A result with attributes that say which cell it is of."""
-        return result.assign_attrs(
+        The plan has checked, and warned of, what `mcspectra.core.analysis.compute` would again.
+        """
+        steps = steps_of(self.analysis, self.subject, Stream.from_rng(seed))
+        states: list[Any] | None = None
+        try:
+            while True:
+                found = next(steps) if states is None else steps.send(states)
+                states = [compute_chunk(each, (0, each.blocks)) for each in found]
+        except StopIteration as end:
+            return self.finished(end.value, seed)
+
+    def finished(self, result: xr.Dataset, seed: int) -> xr.Dataset:
+        """What is kept of a result of the analysis: checked, with the seed and what cell it is of."""
+        return finished(self.analysis, result, seed).assign_attrs(
             estimator_name=self.estimator_name,
             sampler_spec=self.sampler_spec,
             analysis=self.analysis_name,
