@@ -1,8 +1,8 @@
+from .estimate import CellEstimate as CellEstimate
+from .estimate import estimate_study as estimate_study
 from .files import StudyConfig as StudyConfig
 from .files import decode_study as decode_study
 from .files import read_study as read_study
-from .estimate import CellEstimate as CellEstimate
-from .estimate import estimate_study as estimate_study
 from .pixel import analyse_pixel as analyse_pixel
 from .plan import make_plan as make_plan
 from .results import StudyStatus as StudyStatus
