@@ -6,22 +6,27 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from mcspectra.core.errors import OtherVersionsWarning, StorageError, StoreError
-from mcspectra.studies import decode_study
+from mcspectra.core.results import package_versions
 from mcspectra.studies import ledger as ledger_module
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote, check_links, is_held
 
-CONFIG = decode_study(
-    'title = "t"\nseed = 5\nsamplers = ["random"]\n[convergence]\ncounts = [4]\n'
-    '[[estimators]]\nname = "a"\nintegrand = "linear"\ndims = 1\n'
+NOTE = StudyNote(
+    title="t",
+    seed=5,
+    config='{"title":"t"}',
+    study_hash="ab" * 32,
+    versions=package_versions(),
+    inputs={"data/a.npy": "0" * 64},
 )
-NOTE = StudyNote.of(CONFIG, {"data/a.npy": "0" * 64})
 PATHS = tuple(f"{e}/{s}/{a}" for e in "abcd" for s in "xyz" for a in ("convergence", "terms"))
 RUN = "0-0-10"
 
@@ -140,8 +145,6 @@ def test_results_are_not_written_over(running: Path) -> None:
 
 
 def test_another_study_is_refused(running: Path) -> None:
-    import msgspec
-
     other = msgspec.structs.replace(NOTE, study_hash="0" * 64)
     for note, paths in ((other, PATHS), (NOTE, PATHS[1:])):
         with pytest.raises(StoreError, match="belongs to another study or another version"):
@@ -149,8 +152,6 @@ def test_another_study_is_refused(running: Path) -> None:
 
 
 def test_another_version_is_refused_and_of_other_packages_is_said(running: Path) -> None:
-    import msgspec
-
     for name, refused in (("mcspectra", True), ("scipy", False)):
         other = msgspec.structs.replace(NOTE, versions=NOTE.versions | {f"version_{name}": "0.0.1"})
         context = pytest.raises(StoreError, match=r"this is 0\.0\.1, whose numbers may differ")
@@ -161,8 +162,6 @@ def test_another_version_is_refused_and_of_other_packages_is_said(running: Path)
 
 
 def test_changed_inputs_are_refused_or_their_cells_forgotten(running: Path) -> None:
-    import msgspec
-
     other = msgspec.structs.replace(NOTE, inputs={"data/a.npy": "1" * 64})
     with pytest.raises(StoreError, match=r"not of the file 'data/a.npy' as found now: .*--retry"):
         Ledger.resume(running, other, PATHS)
@@ -386,3 +385,207 @@ def test_no_damage_of_many_gives_a_wrong_value(
     request: pytest.FixtureRequest, tmp_path: Path, kind: str
 ) -> None:
     print(kind, check_mutations(request.getfixturevalue(kind), tmp_path / "work", 500, 2))
+
+
+LIMITED = """
+import resource, sys
+from tests.studies.test_ledger import *
+import mcspectra.studies.ledger as module
+module._COMMIT_SECONDS = 0.001
+folder, limit = Path(sys.argv[1]), int(sys.argv[2])
+resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+try:
+    with Ledger.resume(folder, NOTE, PATHS) as ledger:
+        for path in PATHS:
+            if path not in ledger.done:
+                ledger.finish(path, payload(path))
+                time.sleep(0.005)
+except StorageError as error:
+    print(error)
+    sys.exit(1)
+"""
+
+
+def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path: Path) -> None:
+    out, done = tmp_path / "out", 0
+    for limit in (10_000, 80_000, 100_000, 10**6):
+        ended = subprocess.run(
+            [sys.executable, "-c", LIMITED, str(out), str(limit)],
+            capture_output=True,
+            text=True,
+            check=False,
+            cwd=Path(__file__).parents[2],
+        )
+        assert ended.stderr == ""
+        assert ended.returncode == (limit < 10**6)
+        assert (
+            ended.stdout.count("cannot be written") == ended.stdout.count("\n") == (limit < 10**6)
+        )
+        if (out / LEDGER_NAME).exists():
+            with Ledger.read(out) as ledger:
+                assert ledger.verify() == {}
+                assert len(ledger.done) >= done
+                done = len(ledger.done)
+                assert all(ledger.result(path) == payload(path) for path in ledger.done)
+        assert limit < 80_000 or done > 0
+    assert done == len(PATHS)
+
+
+def test_what_a_commit_of_the_thread_meets_ends_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ledger_module, "_COMMIT_SECONDS", 0.01)
+
+    def finish_all(ledger: Ledger) -> None:
+        monkeypatch.setattr(ledger_module, "_PUT_NOTE", "INSERT INTO none VALUES (?, ?, ?)")
+        for path in PATHS:
+            ledger.finish(path, payload(path))
+            time.sleep(0.02)
+
+    with (
+        pytest.raises(
+            StorageError, match=r"cannot be written: no such table.*is kept, and --resume"
+        ),
+        Ledger.create(tmp_path, NOTE, PATHS) as ledger,
+    ):
+        finish_all(ledger)
+    monkeypatch.undo()
+    assert not is_held(tmp_path)
+    Ledger.resume(tmp_path, NOTE, PATHS).close()
+
+
+def test_an_interrupted_commit_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C while it is being written: nothing of it is there, and closing writes it."""
+    monkeypatch.setattr(ledger_module, "_COMMIT_SECONDS", 1000.0)
+    write = Ledger._write
+
+    def interrupted(self: Ledger, steps: object, tally: object) -> None:
+        def steps_then_signal() -> object:
+            yield from steps
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(Ledger, "_write", write)
+        write(self, steps_then_signal(), tally)
+
+    def run() -> None:
+        with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
+            ledger.finish(PATHS[0], payload(PATHS[0]))
+            monkeypatch.setattr(Ledger, "_write", interrupted)
+            ledger.commit()
+
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    with Ledger.read(tmp_path) as ledger:
+        assert tuple(ledger.done) == PATHS[:1]
+        assert ledger.verify() == {}
+        assert ledger.tally.holder is None
+
+
+def test_folders_that_cannot_be_written_are_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="cannot be written: Not a directory"):
+        Ledger.create(tmp_path / "file" / "out", NOTE, PATHS)
+    with pytest.raises(StoreError, match="There are no results in"):
+        Ledger.read(tmp_path)
+
+
+SHUT = """
+import os, sys
+from tests.studies.test_ledger import *
+if os.getuid() == 0: os.setuid(65534)
+for look in (lambda: Ledger.create(Path(sys.argv[1]), NOTE, PATHS), lambda: check_links(Path(sys.argv[2]))):
+    try: look()
+    except StoreError as error: print(error)
+"""
+
+
+def test_folders_that_are_shut_are_a_sentence() -> None:
+    """Of a user without root's rights, who does not reach pytest's folders."""
+    with tempfile.TemporaryDirectory() as name:
+        for part, mode in (("", 0o755), ("closed", 0o000), ("read-only", 0o555)):
+            Path(name, part).mkdir(exist_ok=True)
+            Path(name, part).chmod(mode)
+        ended = subprocess.run(
+            [sys.executable, "-c", SHUT, f"{name}/read-only", f"{name}/closed"],
+            capture_output=True,
+            text=True,
+            check=False,
+            cwd=Path(__file__).parents[2],
+        )
+        Path(name, "closed").chmod(0o700)
+    assert "read-only' cannot be written: unable to open database file" in ended.stdout
+    assert "closed' cannot be read: Permission denied." in ended.stdout, ended.stderr
+
+
+def test_a_finished_ledger_is_read_without_the_right_to_write(
+    finished: Path, tmp_path: Path
+) -> None:
+    (finished / LEDGER_NAME).chmod(0o444)
+    with Ledger.read(finished) as ledger:
+        assert ledger.result(PATHS[0]) == payload(PATHS[0])
+
+
+@pytest.mark.parametrize(
+    ("link", "target"),
+    [
+        ("study.sqlite", "key"),
+        ("study.sqlite-journal", "key"),
+        (".study.sqlite.partial", "key"),
+        ("study.lock", "key"),
+        ("results.zarr", ""),
+        ("results.zarr/a/random", ""),
+        ("results.zarr/zarr.json", "key"),
+        (".results.zarr.partial", ""),
+        ("report.html", "key"),
+        ("figures", ""),
+        ("figures/x.svg", "key"),
+        ("figures", "nothing-there"),
+    ],
+)
+def test_a_folder_with_links_is_not_written(
+    running: Path, tmp_path_factory: pytest.TempPathFactory, link: str, target: str
+) -> None:
+    secret = tmp_path_factory.mktemp("secret")
+    (secret / "key").write_text("mine")
+    place = running / link
+    place.parent.mkdir(parents=True, exist_ok=True)
+    place.unlink(missing_ok=True)
+    place.symlink_to(secret / target)
+    with pytest.raises(StoreError, match=rf"{link}' is a symbolic link"):
+        Ledger.resume(running, NOTE, PATHS)
+    if link.startswith("study.sqlite"):
+        with pytest.raises(StoreError, match=rf"{link}' is a symbolic link"):
+            Ledger.read(running)
+    assert {file.name: file.read_text() for file in secret.iterdir()} == {"key": "mine"}
+
+
+def test_what_whoever_runs_it_has_linked_is_fine(running: Path, tmp_path: Path) -> None:
+    """The output folder itself, and other files in the folder."""
+    (tmp_path / "scratch").symlink_to(running)
+    (running / "notes").symlink_to(tmp_path)
+    with Ledger.resume(tmp_path / "scratch", NOTE, PATHS) as ledger:
+        assert PATHS[0] in ledger.done
+    check_links(tmp_path / "none")
+    check_links(running / LEDGER_NAME)
+
+
+def test_a_stranger_is_no_ledger(tmp_path: Path) -> None:
+    import sqlite3
+
+    (tmp_path / LEDGER_NAME).write_bytes(b"text")
+    with pytest.raises(StoreError, match="cannot be read: file is not a database"):
+        Ledger.read(tmp_path)
+    (tmp_path / LEDGER_NAME).unlink()
+    with sqlite3.connect(tmp_path / LEDGER_NAME) as connection:
+        connection.execute("CREATE VIEW cells AS SELECT 1 AS place, zeroblob(10) AS path")
+        connection.execute("PRAGMA user_version = 3")
+    connection.close()
+    with pytest.raises(StoreError, match="or it is no ledger: give another folder"):
+        Ledger.read(tmp_path)
+    connection = sqlite3.connect(tmp_path / LEDGER_NAME)
+    connection.execute("PRAGMA user_version = 4")
+    connection.close()
+    with pytest.raises(StoreError, match="has store format 4; this version reads 3"):
+        Ledger.read(tmp_path)

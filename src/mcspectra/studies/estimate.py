@@ -13,10 +13,11 @@ import math
 import statistics
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import msgspec
 
-from mcspectra.core.analysis import compute, steps_of
+from mcspectra.core.analysis import steps_of
 from mcspectra.core.errors import ConfigError
 from mcspectra.core.streams import Stream
 from mcspectra.studies.foreign_code import TookTooLong, within
@@ -156,7 +157,7 @@ def _timed(cell: Cell, realizations: int, seed: int) -> tuple[float, int]:
     """Seconds of so many realisations, and bytes of the result in storage."""
     analysis = msgspec.structs.replace(cell.analysis, realizations=realizations)
     start = time.perf_counter()
-    result = compute(analysis, cell.subject, seed, 1)
+    result = replace(cell, analysis=analysis).compute(seed)
     seconds = time.perf_counter() - start
     return seconds, int(result.nbytes) + _ARRAY_BYTES * len(result.variables)
 

@@ -361,10 +361,6 @@ class _Reader:
         key = (name, repr(table))
         if key not in self._known:
             made = _struct(table, kind, place)
-            for option in options_of(kind):
-                value = getattr(made, option.name)
-                if option.extra.get("python") and not isinstance(value, str):
-                    raise ConfigError(f"{_inside(place, option.name)}: expected str.")
             try:
                 self._known[key] = checked(made)
             except McspectraError as error:
@@ -635,7 +631,7 @@ class _Grids:
                 ]
         if isinstance(made.get("samplers"), list):
             made["samplers"] = self._listed(made["samplers"], self._shared, self._used, "samplers")
-        _check_used(self._shared, self._used, "grid")
+        _check_used(self._shared, self._used, "")
         return made
 
     def _inherited(
@@ -671,7 +667,7 @@ class _Grids:
         body = {name: value for name, value in entry.items() if name not in apart}
         keys = _keys_in(body, values, place)
         sampler_keys = _keys_in(samplers, values, place)
-        _check_used(own, {*keys, *sampler_keys}, f"{place}.grid")
+        _check_used(own, {*keys, *sampler_keys}, f"{place}: ")
         self._used |= {*keys, *sampler_keys} - own.keys()
         self._made[key] += _count(keys, values, entry, place)
         _check_number(self._made[key], key)
@@ -687,9 +683,7 @@ class _Grids:
                 made["samplers"] = self._listed(samplers, chosen, set(), place)
             yield made
 
-    def _listed(
-        self, texts: list[Any], values: Values, used: set[str], place: str
-    ) -> list[Any]:
+    def _listed(self, texts: list[Any], values: Values, used: set[str], place: str) -> list[Any]:
         """Samplers: each repeated over its own placeholders."""
         if not any(_placeholders(texts)):
             return texts
@@ -713,8 +707,8 @@ def _check_used(values: Values, used: Collection[str], place: str) -> None:
             _, close = close_match_hint(key, used)
             offer = f" Did you mean {' or '.join(map(repr, close))}?" if close else ""
             raise ConfigError(
-                f"nothing uses {place}.{key}; write {{{key}}} where its values go, or leave it out."
-                f"{offer}"
+                f"{place}nothing uses grid.{key}; write {{{key}}} where its values go, or leave it "
+                f"out.{offer}"
             )
 
 

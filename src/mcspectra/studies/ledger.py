@@ -24,7 +24,6 @@ import socket
 import sqlite3
 import threading
 import time
-import warnings
 from collections.abc import Collection, Iterable, Iterator, KeysView, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,11 +32,11 @@ from typing import Any, TypeAlias, TypeVar, final
 import msgspec
 import numpy as np
 
-from mcspectra.core.errors import OtherVersionsWarning, StorageError, StoreError
+from mcspectra.core.analysis import Chunk
+from mcspectra.core.errors import OtherVersionsWarning, StorageError, StoreError, warn
 from mcspectra.core.results import package_versions
-from mcspectra.core.staged import Chunk
-from mcspectra.studies.config import StudyConfig
-from mcspectra.studies.inputs import check_inputs
+from mcspectra.studies.files import StudyConfig, plain_study
+from mcspectra.studies.vetting import check_inputs
 
 __all__ = [
     "FORMAT",
@@ -49,6 +48,7 @@ __all__ = [
     "Tally",
     "check_links",
     "is_held",
+    "linked",
 ]
 
 FORMAT = 3
@@ -128,7 +128,7 @@ class StudyNote(msgspec.Struct, frozen=True, kw_only=True):
         return StudyNote(
             title=config.title,
             seed=config.seed,
-            config=msgspec.json.encode(config).decode(),
+            config=msgspec.json.encode(plain_study(config)).decode(),
             study_hash=hashlib.sha256(hashed).hexdigest(),
             versions=package_versions(),
             inputs=dict(inputs),
@@ -153,7 +153,7 @@ class Tally(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes
     ----------
-    done, bytes, digest
+    done, size, digest
         Finished cells: how many, bytes of their results, exclusive or of their digests.
     started, finished
         When the study was begun, and when its last cell was finished: UTC, ISO 8601.
@@ -164,7 +164,7 @@ class Tally(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     done: int = 0
-    bytes: int = 0
+    size: int = 0
     digest: str = f"{0:064x}"
     started: str | None = None
     finished: str | None = None
@@ -175,7 +175,7 @@ class Tally(msgspec.Struct, frozen=True, kw_only=True):
         """With a finished cell more."""
         either = int(self.digest, 16) ^ int.from_bytes(digest, "big")
         return msgspec.structs.replace(
-            self, done=self.done + 1, bytes=self.bytes + size, digest=f"{either:064x}"
+            self, done=self.done + 1, size=self.size + size, digest=f"{either:064x}"
         )
 
 
@@ -534,7 +534,7 @@ class Ledger:
         """Write the ledger anew beside its place, with what is sound, and put it there."""
         partial = self.folder / f".{LEDGER_NAME}.partial"
         tally = msgspec.structs.replace(
-            self.tally, done=0, bytes=0, digest=Tally().digest, finished=None
+            self.tally, done=0, size=0, digest=Tally().digest, finished=None
         )
         digests: dict[str, bytes] = {}
         with _writing(self._file):
@@ -578,7 +578,7 @@ class Ledger:
         """Open the file, and read which study it holds."""
         for file in (self._file, self._file.with_name(f"{LEDGER_NAME}-journal")):
             if file.is_symlink():
-                raise _linked(str(file))
+                raise linked(str(file))
         if not self._file.is_file():
             raise StoreError(f"There are no results in {str(self.folder)!r}.")
         try:
@@ -780,7 +780,7 @@ def check_links(folder: Path) -> None:
             )
             for place in (entry.path, *inside):
                 if os.path.islink(place):  # noqa: PTH114
-                    raise _linked(place)
+                    raise linked(place)
 
 
 def _writer(
@@ -883,11 +883,10 @@ def _check_versions(before: Mapping[str, str], now: Mapping[str, str], whose: st
         )
     if others:
         changes = ", ".join(f"{name} {old} (now {new})" for name, (old, new) in others.items())
-        warnings.warn(
+        warn(
             f"{whose} begun with {changes}: the last bits of those to come may differ from an "
             "uninterrupted run's.",
             OtherVersionsWarning,
-            stacklevel=5,
         )
 
 
@@ -896,10 +895,11 @@ def _plan_digest(paths: Iterable[str]) -> str:
 
 
 def _task_name(path: str, run: str, first: int, blocks: int) -> str:
-    return f"{path}/{run}/{first}+{blocks}"
+    return f"task {path}/{run}/{first}+{blocks}"
 
 
-def _linked(place: str) -> StoreError:
+def linked(place: str) -> StoreError:
+    """The error that refuses a symbolic link."""
     return StoreError(
         f"{place!r} is a symbolic link, and might lead to files of others; results hold files only: "
         "remove it, or take another folder."

@@ -50,8 +50,11 @@ __all__ = ["MOST_EVALUATIONS", "Cell", "Plan", "make_plan"]
 MOST_EVALUATIONS = 10**15
 """Most evaluations of a study that is not forced: half a year of a hundred cores."""
 
-# Seconds for each, and seconds of planning that are not forced.
-_SPEC_SECONDS, _PAIR_SECONDS, _CELL_SECONDS = 1e-4, 1e-5, 3e-5
+# Seconds of planning: of a spec, of an estimator with densities and of each of these (1-D warps are
+# searched for gaps), of a sampler of an estimator, of a cell, of a count (or another item of a list) of
+# its analysis; and most that are not forced.
+_SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 3e-4, 2e-3
+_PAIR, _CELL, _COUNT = 5e-6, 3e-5, 6e-6
 _MOST_SECONDS = 5.0
 _RESERVED = frozenset({"zarr.json", "c"})
 
@@ -160,6 +163,8 @@ def make_plan(
         raise ConfigError(f"{config!r} is not a study; give what read_study returns.")
     if not (trust is None or isinstance(trust, Trust)):
         raise ConfigError(f"trust is {trust!r}; give a Trust, or None.")
+    if not isinstance(folder, str | Path):
+        raise ConfigError(f"folder is {folder!r}; give the path of the study's folder.")
     if not force:
         _check_number(config)
     planner = _Planner(config, Vetting(Path(folder), trust or Trust()))
@@ -181,23 +186,33 @@ def make_plan(
 
 def _check_number(config: StudyConfig) -> None:
     """Refuse what would take long to plan alone, before anything is built."""
-    entries = (*config.estimators, *config.scenes)
-    pairs = sum(len(samplers_of(config, entry)) for entry in entries)
-    cells = sum(
-        len(samplers_of(config, each)) * len(config.analyses.keys() | each.analyses.keys())
-        for each in config.estimators
-    )
-    specs = sum(
-        1 + len(each.densities or ()) + len(each.integrands or ()) for each in config.estimators
-    )
-    specs += len({text for entry in entries for text in entry.samplers or ()} | {*config.samplers})
-    seconds = _SPEC_SECONDS * specs + _PAIR_SECONDS * pairs + _CELL_SECONDS * cells
+    texts = {*config.samplers}
+    pairs, seconds = 0, 0.0
+    shared = {name: _seconds(each) for name, each in config.analyses.items()}
+    for entry in (*config.estimators, *config.scenes):
+        own = samplers_of(config, entry)
+        texts.update(entry.samplers or ())
+        pairs += len(own)
+        seconds += _SPEC + _PAIR * len(own)
+        if isinstance(entry, EstimatorConfig):
+            asked = {**shared, **{name: _seconds(each) for name, each in entry.analyses.items()}}
+            seconds += sum(asked.values()) * len(own) + _SPEC * len(entry.integrands or ())
+            densities = len(entry.densities or ()) + (entry.density is not None)
+            one = _WARP if entry.dims == 1 else _DENSITY
+            seconds += densities * one + _WEIGHTED * (densities > 0)
+    seconds += _SPEC * len(texts)
     if seconds > _MOST_SECONDS:
+        entries = len(config.estimators) + len(config.scenes)
         raise ConfigError(
-            f"The study has {len(entries):,} estimators and {pairs:,} pairs of estimator and sampler, "
-            f"which would take about {seconds:.2g} s to plan alone; take several studies, or give "
-            "--force."
+            f"The study has {entries:,} estimators and {pairs:,} pairs of estimator and sampler, which "
+            f"would take about {seconds:.2g} s to plan alone; take several studies, or give --force."
         )
+
+
+def _seconds(analysis: Analysis) -> float:
+    """Seconds that it takes to ask an analysis what it needs."""
+    given = (getattr(analysis, key) for key in analysis.__struct_fields__)
+    return _CELL + _COUNT * sum(len(value) for value in given if isinstance(value, tuple))
 
 
 class _Sampler(NamedTuple):
@@ -279,9 +294,7 @@ class _Planner:
                 shared = {*kind.__struct_fields__} & {*analysis.__struct_fields__}
                 yield other, kind(**{key: getattr(analysis, key) for key in shared}), inputs
 
-    def _samplers(
-        self, entry: EstimatorConfig | SceneConfig, dims: int | None
-    ) -> list[_Sampler]:
+    def _samplers(self, entry: EstimatorConfig | SceneConfig, dims: int | None) -> list[_Sampler]:
         """Samplers of an entry; those that entries share are the same objects."""
         texts = samplers_of(self._config, entry)
         key = texts, dims

@@ -249,7 +249,7 @@ def template() -> str:
 
 def _example(option: Option) -> str:
     """A value that an option can have."""
-    for text in (option.choices[:1] or ("64", "16,64", "0.5", "name")):
+    for text in option.choices[:1] or ("16,64", "64", "0.5", "name"):
         with contextlib.suppress(McspectraError):
             value = option.read(text)
             return json.dumps(list(value) if isinstance(value, tuple) else value)

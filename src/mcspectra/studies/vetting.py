@@ -58,9 +58,10 @@ class Trust:
     folders: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in (self.code,) if isinstance(self.code, str) else self.code:
-            if not isinstance(name, str) or not _FUNCTION.fullmatch(name) or name is self.code:
-                raise ConfigError(f"--allow-code is {name!r}; write module:function.")
+        lists = isinstance(self.code, list | tuple) and isinstance(self.folders, list | tuple)
+        for name in self.code if lists else (self.code,):
+            if not (lists and isinstance(name, str) and _FUNCTION.fullmatch(name)):
+                raise ConfigError(f"--allow-code is {name!r}; write module:function, in a list.")
         for folder in self.folders:
             if not isinstance(folder, Path):
                 raise ConfigError(f"--allow-path is {folder!r}; give the path of a folder.")
