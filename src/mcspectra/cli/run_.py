@@ -77,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
     import msgspec
 
     from mcspectra.studies import Trust, read_study, run_study
-    from mcspectra.studies.places import output_folder
+    from mcspectra.studies.results import output_folder
     from mcspectra.studies.run import CellFailed
 
     study = Path(options.study)
@@ -167,7 +167,7 @@ def _dry_run(
 
 def estimate_text(estimates: Sequence[CellEstimate], wall: float, workers: int) -> str:
     """A row for each analysis of each estimator, all samplers together, and the sums."""
-    from mcspectra.studies.sizes import shown_bytes
+    from mcspectra.core.memory import shown_bytes
 
     groups: dict[tuple[str, str], list[CellEstimate]] = {}
     for each in estimates:
