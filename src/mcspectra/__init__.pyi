@@ -30,20 +30,20 @@ from .samplers.base import Sampler as Sampler
 from .samplers.registry import sampler as sampler
 from .spectra.closed_forms import closed_form_covariance as closed_form_covariance
 from .spectra.closed_forms import closed_form_power as closed_form_power
-from .spectra.exponent import low_frequency_exponent as low_frequency_exponent
-from .spectra.frequencies import axis_frequencies as axis_frequencies
-from .spectra.frequencies import diagonal_frequencies as diagonal_frequencies
-from .spectra.frequencies import plane_frequencies as plane_frequencies
-from .spectra.frequencies import subset_frequencies as subset_frequencies
 from .spectra.gain import closed_form_walsh_power as closed_form_walsh_power
 from .spectra.gain import gain_coefficients as gain_coefficients
 from .spectra.gain import nested_variances as nested_variances
+from .spectra.listed import axis_frequencies as axis_frequencies
+from .spectra.listed import diagonal_frequencies as diagonal_frequencies
+from .spectra.listed import plane_frequencies as plane_frequencies
 from .spectra.listed import power_at as power_at
+from .spectra.listed import subset_frequencies as subset_frequencies
 from .spectra.pair_correlation import (
     closed_form_pair_correlation as closed_form_pair_correlation,
 )
 from .spectra.pair_correlation import pair_correlation as pair_correlation
 from .spectra.power import power_spectrum as power_spectrum
+from .spectra.shapes import low_frequency_exponent as low_frequency_exponent
 from .spectra.shapes import radial_statistics as radial_statistics
 from .spectra.shapes import slices as slices
 from .spectra.shapes import variance_from_spectrum as variance_from_spectrum
@@ -51,7 +51,7 @@ from .spectra.shapes import wedge_means as wedge_means
 from .variance.alignment import aligned as aligned
 from .variance.alignment import strata_shift_scan as strata_shift_scan
 from .variance.anova import anova_variances as anova_variances
-from .variance.anova_fourier import anova_spectrum as anova_spectrum
+from .variance.anova import anova_spectrum as anova_spectrum
 from .variance.best_alignment import best_alignment as best_alignment
 from .variance.convergence import convergence as convergence
 from .variance.exact import exact_variance as exact_variance
@@ -66,7 +66,7 @@ from .variance.primary import primary_picture as primary_picture
 from .variance.remedies import remedies as remedies
 from .variance.routes import variance_routes as variance_routes
 from .variance.smoothing import smoothing_scan as smoothing_scan
-from .variance.stopping import realizations_needed as realizations_needed
+from .variance.convergence import realizations_needed as realizations_needed
 from .variance.techniques import technique_terms as technique_terms
 from .variance.terms import variance_terms as variance_terms
 from .version import __version__ as __version__

@@ -74,7 +74,7 @@ def _wedges(spectrum: xr.Dataset) -> tuple[str, dict[str, Any]]:
 
 
 def _exponent(spectrum: xr.Dataset) -> tuple[str, dict[str, Any]]:
-    from mcspectra.spectra.exponent import low_frequency_exponent
+    from mcspectra.spectra.shapes import low_frequency_exponent
 
     found = low_frequency_exponent(spectrum)
     names = ("low_frequency_exponent", "low_frequency_exponent_ci", "exponent_fit_chi2")
