@@ -11,18 +11,22 @@ import threading
 import time
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from mcspectra.core.errors import OtherVersionsWarning, StorageError, StoreError
-from mcspectra.studies import decode_study
+from mcspectra.core.results import package_versions
 from mcspectra.studies import ledger as ledger_module
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote, check_links, is_held
 
-CONFIG = decode_study(
-    'title = "t"\nseed = 5\nsamplers = ["random"]\n[convergence]\ncounts = [4]\n'
-    '[[estimators]]\nname = "a"\nintegrand = "linear"\ndims = 1\n'
+NOTE = StudyNote(
+    title="t",
+    seed=5,
+    config='{"title":"t"}',
+    study_hash="ab" * 32,
+    versions=package_versions(),
+    inputs={"data/a.npy": "0" * 64},
 )
-NOTE = StudyNote.of(CONFIG, {"data/a.npy": "0" * 64})
 PATHS = tuple(f"{e}/{s}/{a}" for e in "abcd" for s in "xyz" for a in ("convergence", "terms"))
 RUN = "0-0-10"
 
@@ -141,8 +145,6 @@ def test_results_are_not_written_over(running: Path) -> None:
 
 
 def test_another_study_is_refused(running: Path) -> None:
-    import msgspec
-
     other = msgspec.structs.replace(NOTE, study_hash="0" * 64)
     for note, paths in ((other, PATHS), (NOTE, PATHS[1:])):
         with pytest.raises(StoreError, match="belongs to another study or another version"):
@@ -150,8 +152,6 @@ def test_another_study_is_refused(running: Path) -> None:
 
 
 def test_another_version_is_refused_and_of_other_packages_is_said(running: Path) -> None:
-    import msgspec
-
     for name, refused in (("mcspectra", True), ("scipy", False)):
         other = msgspec.structs.replace(NOTE, versions=NOTE.versions | {f"version_{name}": "0.0.1"})
         context = pytest.raises(StoreError, match=r"this is 0\.0\.1, whose numbers may differ")
@@ -162,8 +162,6 @@ def test_another_version_is_refused_and_of_other_packages_is_said(running: Path)
 
 
 def test_changed_inputs_are_refused_or_their_cells_forgotten(running: Path) -> None:
-    import msgspec
-
     other = msgspec.structs.replace(NOTE, inputs={"data/a.npy": "1" * 64})
     with pytest.raises(StoreError, match=r"not of the file 'data/a.npy' as found now: .*--retry"):
         Ledger.resume(running, other, PATHS)

@@ -21,8 +21,8 @@ import zarr
 
 from mcspectra.core.errors import MissingDependency, ParameterError, StorageError, StoreError
 from mcspectra.core.records import pack
-from mcspectra.core.results import dataset
-from mcspectra.studies import decode_study, results
+from mcspectra.core.results import dataset, package_versions
+from mcspectra.studies import results
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote
 from mcspectra.studies.results import (
     export_results,
@@ -33,11 +33,14 @@ from mcspectra.studies.results import (
     write_zarr,
 )
 
-CONFIG = decode_study(
-    'title = "t ü"\nseed = 5\nsamplers = ["random"]\n[convergence]\ncounts = [4]\n'
-    '[[estimators]]\nname = "a"\nintegrand = "linear"\ndims = 1\n'
+NOTE = StudyNote(
+    title="t ü",
+    seed=5,
+    config=json.dumps({"title": "t ü", "samplers": ["random"]}),
+    study_hash="ab" * 32,
+    versions=package_versions(),
+    inputs={},
 )
-NOTE = StudyNote.of(CONFIG, {})
 VARIANCE = np.array([[0.1, 1 / 3, np.nan], [np.inf, -0.0, 1e-300]])
 PATHS = ("a/random/convergence", "b/random/terms", "b/jittered/terms")
 

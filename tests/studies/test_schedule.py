@@ -12,7 +12,6 @@ import xarray as xr
 from mcspectra.core.analysis import Analysis, Need, Reduction, chunks, compute_chunk
 from mcspectra.core.errors import StorageError
 from mcspectra.core.records import pack, unpack
-from mcspectra.core.results import Variable
 from mcspectra.studies import schedule as schedule_module
 from mcspectra.studies.run import drive
 from mcspectra.studies.schedule import PartialRun, Schedule, task_seconds
@@ -41,7 +40,6 @@ class Words(Analysis, frozen=True, kw_only=True):
     blocks: tuple[int, ...] = (5,)
     relative_error: float | None = None
     fails: str = ""
-    variables = (Variable("trees", "1", None, "U", "words"),)
 
     def reductions(self):
         return [reduction(f"r{step}", blocks) for step, blocks in enumerate(self.blocks)]
@@ -74,8 +72,8 @@ class Cell:
     error: str | None = None
     subject: None = None
 
-    def labelled(self, result):
-        return result.assign_attrs(of=self.path)
+    def finished(self, result, seed):
+        return result.assign_attrs(of=self.path, seed=seed)
 
     def compute(self, seed):
         raise AssertionError("nobody asked for it")

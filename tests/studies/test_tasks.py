@@ -9,9 +9,9 @@ import pytest
 import xarray as xr
 
 import mcspectra as mcs
-from mcspectra.core.analysis import chunks
+from mcspectra.core.analysis import MergeTree, chunks
 from mcspectra.core.errors import ConfigError, ParameterError, StoreError
-from mcspectra.core.records import merged, unpack
+from mcspectra.core.records import unpack
 from mcspectra.core.streams import Stream
 from mcspectra.studies.files import decode_study
 from mcspectra.studies.foreign_code import explain
@@ -72,11 +72,10 @@ def test_a_worker_needs_text_alone():
     cell = text.cells()[PATH]
     run = cell.analysis.reduction(cell.subject, Stream.from_rng(5))
     tasks = [Task(path=PATH, run=run.key, chunk=chunk) for chunk in chunks(run.blocks, 1)]
-    payloads = [attempt(text, task).payload for task in tasks]
-    total = unpack(run.kind, payloads[0])
-    for payload in payloads[1:]:
-        total = merged(total, unpack(run.kind, payload))
-    assert run.result(total)["pair_correlation"].identical(wanted["pair_correlation"])
+    tree = MergeTree()
+    for task in tasks:
+        tree.add(unpack(run.kind, attempt(text, task).payload))
+    assert run.result(tree.total())["pair_correlation"].identical(wanted["pair_correlation"])
 
 
 def test_unknown_cells_are_refused():

@@ -77,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
     import msgspec
 
     from mcspectra.studies import Trust, read_study, run_study
-    from mcspectra.studies.places import output_folder
+    from mcspectra.studies.results import output_folder
     from mcspectra.studies.run import CellFailed
 
     study = Path(options.study)

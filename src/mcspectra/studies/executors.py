@@ -163,7 +163,7 @@ class Cluster:
     host
         Where the scheduler of ``local`` listens: this machine alone can reach the default.
     dashboard
-        Port of dask's dashboard, for ``local``; 0 takes a free one, None is none.
+        Port of dask's dashboard, for ``local``; 0 takes a free one.
     time_limit
         Seconds after which a task has failed and its worker is restarted.
     patience
@@ -178,13 +178,12 @@ class Cluster:
     address: str = "local"
     workers: int | None = None
     host: str = _LOOPBACK
-    dashboard: int | None = 0
+    dashboard: int = 0
     time_limit: float | None = None
     patience: float = 30.0
 
     def __post_init__(self) -> None:
-        if self.dashboard is not None:
-            as_integer("dashboard", self.dashboard, least=0, most=65535)
+        as_integer("dashboard", self.dashboard, least=0, most=65535)
         as_real("patience", self.patience, above=0.0)
         check_time_limit(self.time_limit)
         available_workers(self.workers)
@@ -220,7 +219,7 @@ def processes(text: StudyText, workers: int | None, time_limit: float | None = N
         Seconds that a task may take; None is no limit. The compilation of a kernel that is used for
         the first time on a machine counts.
     """
-    return Dask(text, Cluster(workers=workers, dashboard=None, time_limit=time_limit))
+    return Dask(text, Cluster(workers=workers, time_limit=time_limit))
 
 
 class _Pending(NamedTuple):
@@ -476,14 +475,13 @@ def _local_cluster(options: Cluster) -> Any:
     import distributed
 
     make: Any = distributed.LocalCluster
-    dashboard = None if options.dashboard is None else f"{options.host}:{options.dashboard}"
     with deaf():  # the cluster's thread too, which starts workers that replace others
         return make(
             n_workers=available_workers(options.workers),
             threads_per_worker=1,
             processes=True,
             host=options.host,
-            dashboard_address=dashboard,
+            dashboard_address=f"{options.host}:{options.dashboard}",
             memory_limit=0,  # the plan has been held against the machine's
             silence_logs=logging.CRITICAL,
         )

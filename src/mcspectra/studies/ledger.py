@@ -24,7 +24,6 @@ import socket
 import sqlite3
 import threading
 import time
-import warnings
 from collections.abc import Collection, Iterable, Iterator, KeysView, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,11 +32,11 @@ from typing import Any, TypeAlias, TypeVar, final
 import msgspec
 import numpy as np
 
-from mcspectra.core.errors import OtherVersionsWarning, StorageError, StoreError
+from mcspectra.core.analysis import Chunk
+from mcspectra.core.errors import OtherVersionsWarning, StorageError, StoreError, warn
 from mcspectra.core.results import package_versions
-from mcspectra.core.staged import Chunk
-from mcspectra.studies.config import StudyConfig
-from mcspectra.studies.inputs import check_inputs
+from mcspectra.studies.files import StudyConfig, plain_study
+from mcspectra.studies.vetting import check_inputs
 
 __all__ = [
     "FORMAT",
@@ -129,7 +128,7 @@ class StudyNote(msgspec.Struct, frozen=True, kw_only=True):
         return StudyNote(
             title=config.title,
             seed=config.seed,
-            config=msgspec.json.encode(config).decode(),
+            config=msgspec.json.encode(plain_study(config)).decode(),
             study_hash=hashlib.sha256(hashed).hexdigest(),
             versions=package_versions(),
             inputs=dict(inputs),
@@ -884,11 +883,10 @@ def _check_versions(before: Mapping[str, str], now: Mapping[str, str], whose: st
         )
     if others:
         changes = ", ".join(f"{name} {old} (now {new})" for name, (old, new) in others.items())
-        warnings.warn(
+        warn(
             f"{whose} begun with {changes}: the last bits of those to come may differ from an "
             "uninterrupted run's.",
             OtherVersionsWarning,
-            stacklevel=5,
         )
 
 
@@ -897,7 +895,7 @@ def _plan_digest(paths: Iterable[str]) -> str:
 
 
 def _task_name(path: str, run: str, first: int, blocks: int) -> str:
-    return f"{path}/{run}/{first}+{blocks}"
+    return f"task {path}/{run}/{first}+{blocks}"
 
 
 def linked(place: str) -> StoreError:

@@ -18,7 +18,7 @@ from typing import Any, Generic, Protocol, TypeVar, final
 
 import xarray as xr
 
-from mcspectra.core.analysis import Chunk, MergeTree, Reduction, compute_chunk, finished, steps_of
+from mcspectra.core.analysis import Chunk, MergeTree, Reduction, compute_chunk, steps_of
 from mcspectra.core.errors import StoreError
 from mcspectra.core.records import merged, pack, unpack
 from mcspectra.core.streams import Stream
@@ -254,8 +254,7 @@ class _Active:
                 states = self.totals()
         except StopIteration as end:
             self._parts = {}
-            result = finished(self.cell.analysis, end.value, self._seed)
-            self.payload = pack(self.cell.labelled(result))
+            self.payload = pack(self.cell.finished(end.value, self._seed))
 
     def totals(self) -> list[Any]:
         """States of a complete step."""
