@@ -1,7 +1,8 @@
 """The command ``mcspectra``: one lazy module a verb, one sentence an error.
 
 Exit codes: 0 done; 1 the run failed; 2 bad input; 130 interrupted. Verbs are bound by name, so that
-``--help`` imports none of them (docs/decisions/0002).
+``--help`` imports none of them (docs/decisions/0002). A module has `add_arguments`, and `run`, whose
+`Answer` is printed here; analyses share `mcspectra.cli.analysis`.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ import io
 import os
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
+from contextlib import suppress
+from importlib.metadata import entry_points
+from typing import Any, NoReturn
 
 __all__ = ["main"]
 
@@ -24,17 +27,19 @@ _VERBS = {
     "export": "write results as .csv, .parquet, .nc, .json or .zarr.zip",
     "init": "write a study file to begin with",
     "schema": "print the JSON Schema of study files",
-    "list": "list samplers, randomizations, densities, integrands or scenes",
+    "list": "list samplers, randomizations, densities, integrands, scenes or analyses",
     "points": "draw point sets and write them as text or files",
     "gallery": "measure samplers and show them side by side",
     "spectrum": "expected power spectrum of a sampler",
     "pcf": "pair correlation of a sampler",
     "variance": "the three terms of an estimator's variance against its measurement",
     "converge": "variance against n and the fitted rate",
+    "techniques": "variance, terms and rate of each technique by itself, and the bottleneck",
     "remedies": "what would lower the noise at a budget, measured, ranked and explained",
     "exact": "exact variance, where there is a closed form",
     "anova": "which axes the variance comes from, effective dimension",
     "modes": "which patterns of frequencies vary together",
+    "routes": "variance by every route that is known, side by side",
     "render": "render a scene's direct illumination: image, variance, EXR and PNG",
     "pixel": "what one pixel sees, its rates, terms and bottleneck, and what would help",
     "map": "variance, rate and bottleneck at every pixel of a scene",
@@ -44,6 +49,20 @@ _VERBS = {
     "doctor": "what is installed and whether it works",
     "cite": "how to cite the package and its methods",
 }
+
+_ANALYSES = {
+    "spectrum": "spectrum",
+    "pcf": "pcf",
+    "variance": "terms",
+    "converge": "convergence",
+    "techniques": "techniques",
+    "remedies": "remedies",
+    "exact": "exact",
+    "anova": "anova",
+    "modes": "modes",
+    "routes": "routes",
+}
+"""Verbs of our analyses, which are not loaded to know them: to their names in the registry."""
 
 _EPILOG = """\
 Specs name samplers, densities and integrands: name(key=value, ...); samplers chain randomizations:
@@ -104,12 +123,12 @@ def _dispatch(given: list[str]) -> int:
             return 0
         top.print_help()
         return 0 if not given else 2
-    if known[0] not in _VERBS:
+    module = _verb(known[0])
+    if module is None:
         from mcspectra.core.errors import close_match_hint
 
         hint, _ = close_match_hint(known[0], _VERBS, "mcspectra --help")
         top.exit(2, f"mcspectra: There is no verb {known[0]!r}.{hint}\n")
-    module = importlib.import_module(f"mcspectra.cli.{known[0]}_")
     parser = _Parser(
         prog=f"mcspectra {known[0]}",
         description=(module.__doc__ or "").strip(),
@@ -117,20 +136,65 @@ def _dispatch(given: list[str]) -> int:
         allow_abbrev=False,
     )
     module.add_arguments(parser)
-    _add_common(parser)
-    return int(module.run(parser.parse_args(rest)))
+    return _run(module, parser, rest)
 
 
-def _add_common(parser: argparse.ArgumentParser) -> None:
+def _verb(name: str) -> Any:
+    """The module of a verb, or what stands for it; None if there is no such verb."""
+    if name in _VERBS and name not in _ANALYSES:
+        return importlib.import_module(f"mcspectra.cli.{name}_")
+    found = _ANALYSES.get(name) or _outside_verbs().get(name)
+    if found is None:
+        return None
+    from mcspectra.cli.analysis import AnalysisVerb
+
+    return AnalysisVerb(found)
+
+
+def _outside_verbs() -> dict[str, str]:
+    """Verbs of other packages' analyses, to the names of these; packages that are broken have none."""
+    names = {entry.name for entry in entry_points(group="mcspectra.analyses")}
+    if not names:
+        return {}
+    from mcspectra.core.analysis import ANALYSES
+    from mcspectra.core.errors import McspectraError
+
+    found = {}
+    for name in sorted(names):
+        with suppress(McspectraError):  # `mcspectra list analyses` says what is wrong
+            found[ANALYSES.load(name).verb] = name
+    return {verb: name for verb, name in found.items() if verb and verb not in _VERBS}
+
+
+def _run(module: Any, parser: argparse.ArgumentParser, rest: list[str]) -> int:
+    """Add the options that all verbs have, run the verb and print its answer."""
+    from mcspectra.cli.common import Read, one_sentence_warnings, print_json, whole
+    from mcspectra.cli.progress import progress_bars
+
     parser.add_argument("--json", action="store_true", help="print JSON instead of text")
-    parser.add_argument("--seed", default=None, metavar="S", help="seed, a whole number from 0")
+    parser.add_argument(
+        "--seed", action=Read, read=whole(0), metavar="S", help="seed, a whole number from 0"
+    )
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    options = parser.parse_args(rest)
+    with one_sentence_warnings(options.quiet), progress_bars(options.quiet):
+        text, data, code = module.run(options)
+    if options.json and data is not None:
+        print_json(data)
+    elif text and (data is None or not options.quiet):
+        print(text)
+    return int(code)
 
 
 def _verb_table() -> str:
-    width = max(map(len, _VERBS))
-    return "\n".join(f"  {name.ljust(width)}  {text}" for name, text in _VERBS.items())
+    verbs = dict(_VERBS)
+    for verb, name in _outside_verbs().items():
+        from mcspectra.core.analysis import ANALYSES
+
+        verbs[verb] = ANALYSES.load(name).summary()
+    width = max(map(len, verbs))
+    return "\n".join(f"  {name.ljust(width)}  {text}" for name, text in verbs.items())
 
 
 _FAILED_RUNS = ("CellFailed", "ClusterLost", "EngineFailed", "StorageError")

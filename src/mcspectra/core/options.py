@@ -137,6 +137,13 @@ class Option:
         """Whether it is true or false."""
         return any(isinstance(kind, inspect.BoolType) for kind in _kinds(self.kind))
 
+    @property
+    def lists_texts(self) -> bool:
+        """Whether it is a list of texts: these may hold commas, so that each is given by itself."""
+        items = [k.item_type for k in _kinds(self.kind) if isinstance(k, inspect.VarTupleType)]
+        texts = inspect.StrType | inspect.LiteralType
+        return any(isinstance(kind, texts) for item in items for kind in _kinds(item))
+
     def check(self, value: Any, label: str | None = None) -> Any:
         """Return the clean value.
 
