@@ -14,8 +14,8 @@ from mcspectra.app.scene import STRATEGIES, pixel_spec
 from mcspectra.app.specs import techniques
 from mcspectra.app.state import Setup
 from mcspectra.core.errors import McspectraError
-from mcspectra.integrands import numeric
-from mcspectra.integrands.numeric import Estimate
+from mcspectra.integrands import base
+from mcspectra.integrands.base import Estimate
 
 SMALL = Setup(n=16, half_width=4, realizations=64)
 SUM = "technique-sum(integrands=['gaussian', 'disk'])"
@@ -136,8 +136,8 @@ def test_coefficients_are_computed_once_for_all_rounds_and_samplers(
         calls.append(m)
         return Estimate(np.zeros([len(axis) for axis in m], complex), 0.0, "none")
 
-    monkeypatch.setattr(numeric, "refined_coefficients", counted)
-    monkeypatch.setattr(numeric, "adaptive_integral", lambda _: Estimate(np.zeros(1), 0.0, "none"))
+    monkeypatch.setattr(base, "refined_coefficients", counted)
+    monkeypatch.setattr(base, "adaptive_integral", lambda _: Estimate(np.zeros(1), 0.0, "none"))
     setup = replace(SMALL, half_width=3, **changes)  # type: ignore[arg-type]
     compute("terms", setup, 4)
     first = len(calls)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from bokeh.document import Document
 from bokeh.models import ColumnDataSource
 
 from mcspectra.app.compute import compute
+from mcspectra.app.look import LOOKS
 from mcspectra.app.state import Setup
-from mcspectra.app.views import make_views
+from mcspectra.app.views import ConvergenceView, make_views
 
 SETUPS = {
     "two dims": Setup(n=16, half_width=4),
@@ -45,3 +47,27 @@ def test_every_sentence_holds_what_was_measured() -> None:
     assert f"measured {float(terms['measured_variance']):.4g}" in said["TermsView"]
     assert f"Fitted rate {float(curve['rate']):.3f}" in said["ConvergenceView"]
     assert said["PointsView"] == "16 points, all weights 1."
+
+
+def test_rounding_noise_is_neither_shown_nor_fitted() -> None:
+    setup = SETUPS["two dims"]
+    curve = compute("curve", setup, 16).copy(deep=True)
+    view = ConvergenceView(setup, LOOKS["light"])
+    assert "rounding" not in view.show(curve)
+    shown, lines = [], []
+    for noise in (1e-40, 1e-36):
+        curve["variance"][-1] = noise
+        curve["variance_ci"][-1] = [0.5 * noise, 2.0 * noise]
+        assert f"1 of {curve.sizes['n']} counts are rounding noise" in view.show(curve)
+        points, line = (
+            next(each.data for each in view.figure.select(ColumnDataSource) if name in each.data)
+            for name in ("v", "fit")
+        )
+        shown.append(list(points["v"]))
+        lines.append(line["fit"].tolist())
+    assert shown[0] == shown[1] == curve["variance"].values[:-1].tolist()
+    assert lines[0] == lines[1]
+    # The line has the fitted rate
+    n = curve["n"].values
+    rate = np.log(lines[0][-1] / lines[0][0]) / np.log(n[-1] / n[0])
+    assert rate == pytest.approx(float(curve["rate"]))

@@ -21,7 +21,7 @@ ABORTING = "#include <stdlib.h>\n__attribute__((constructor)) static void stop(v
 
 @pytest.fixture(autouse=True)
 def own_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(backend, "_cache_folder", lambda: tmp_path / "cache")
+    monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path / "cache"))
 
 
 def only(monkeypatch: pytest.MonkeyPatch, library: Path) -> None:

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import builtins
+from pathlib import Path
 
 import pytest
 
 from mcspectra.core import errors
-from mcspectra.core.errors import CountError, McspectraError, UnknownName, close_match_hint
+from mcspectra.core.errors import (
+    CountError,
+    McspectraError,
+    NotPowerOfTwoWarning,
+    UnknownName,
+    close_match_hint,
+)
 
 CLASSES = [getattr(errors, name) for name in errors.__all__ if name[0].isupper()]
 ERRORS = [cls for cls in CLASSES if not issubclass(cls, Warning)]
@@ -44,6 +51,28 @@ def test_errors_carry_data():
 
 def test_everything_is_documented():
     assert all((cls.__doc__ or "").strip().endswith(".") for cls in CLASSES)
+
+
+@pytest.mark.parametrize("depth", [1, 2, 7])
+def test_warnings_point_at_the_line_that_called_the_package(depth):
+    source = """
+def inner(depth):
+    return inner(depth - 1) if depth > 1 else warn("As given.", NotPowerOfTwoWarning)
+"""
+    inside = {"warn": errors.warn, "NotPowerOfTwoWarning": NotPowerOfTwoWarning}
+    file = Path(errors.__file__).with_name("inner.py")
+    exec(compile(source, file, "exec"), inside)  # noqa: S102
+    with pytest.warns(NotPowerOfTwoWarning, match=r"^As given\.$") as caught:
+        inside["inner"](depth)
+    line = test_warnings_point_at_the_line_that_called_the_package.__code__.co_firstlineno
+    assert [w.filename for w in caught] == [__file__]
+    assert 0 < caught[0].lineno - line < 15
+
+
+def test_warnings_of_files_beside_the_package_are_their_own():
+    with pytest.warns(UserWarning, match="here") as caught:
+        errors.warn("here", UserWarning)
+    assert [w.filename for w in caught] == [__file__]
 
 
 NAMES = ["halton", "jittered", "multi-jittered", "sobol"]

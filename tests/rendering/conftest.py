@@ -1,14 +1,13 @@
-"""Scenes and a private cache folder for the tests of the renderer's bridge."""
+"""Scenes for the tests of the renderer's bridge."""
 
 from __future__ import annotations
 
 import gc
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
-from mcspectra.rendering import backend, scenes
+from mcspectra.rendering import scenes
 from mcspectra.rendering.receivers import hits_of
 from mcspectra.rendering.skies import _sky
 
@@ -54,15 +53,6 @@ _TEXTS = {
     "dark": _scene(_GRAY),
     "blind": _scene(_GRAY, _SCREEN, camera=""),
 }
-
-
-@pytest.fixture(scope="session", autouse=True)
-def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Keep verdicts out of the user's own cache."""
-    folder: Path = tmp_path_factory.mktemp("cache")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(backend, "_cache_folder", lambda: folder)
-        yield folder
 
 
 @pytest.fixture(scope="module", autouse=True)

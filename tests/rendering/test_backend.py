@@ -28,7 +28,7 @@ def not_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def own_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     folder = tmp_path / "cache"
-    monkeypatch.setattr(backend, "_cache_folder", lambda: folder)
+    monkeypatch.setenv("MCSPECTRA_CACHE", str(folder))
     return folder
 
 
@@ -86,6 +86,15 @@ def test_broken_cache_file_is_written_anew(own_cache: Path, tmp_path: Path, kept
     assert backend._read_verdict(file, library) is None
     backend._write_verdict(file, verdict)
     assert backend._read_verdict(file, library) == verdict
+
+
+def test_verdicts_are_kept_in_the_cache_that_is_chosen(
+    monkeypatch: pytest.MonkeyPatch, own_cache: Path, tmp_path: Path
+) -> None:
+    verdict = Verdict(_library(tmp_path), False, "no")
+    monkeypatch.setattr(backend, "_probe", lambda _: (verdict, True))
+    backend._verdict(verdict.library, fresh=False)
+    assert [file.name[:5] for file in own_cache.iterdir()] == ["llvm-"]
 
 
 def test_cache_that_cannot_be_written_is_no_error(own_cache: Path) -> None:

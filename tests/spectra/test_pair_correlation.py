@@ -1,11 +1,14 @@
-"""Pair correlation: counts, borders, exact forms, input."""
+"""Pair correlation: counts, borders, exact forms, chunks, input."""
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import mcspectra as mcs
+from mcspectra.core.analysis import Subject
 from mcspectra.core.errors import NoClosedForm, ParameterError
-from mcspectra.spectra.pair_correlation import count_pairs
+from mcspectra.spectra.pair_correlation import PairCorrelation, count_pairs, mean_of_realizations
+from mcspectra.testing import check_analysis
 
 
 def some_points(n, dims):
@@ -138,6 +141,7 @@ def test_an_axis_of_one_cell_is_always_shared(sides, n):
         ({"bins": 0}, "bins is 0"),
         ({"bins": 2.5}, "bins is 2.5"),
         ({"n": 2**20}, "give fewer points"),
+        ({"n": 10**7}, "give fewer points"),
         ({"realizations": 0}, "realizations is 0"),
     ],
 )
@@ -181,3 +185,35 @@ def test_jittered_points_in_1d_match_the_exact_pair_density():
 def test_one_point_has_no_pairs():
     with pytest.raises(ParameterError, match="at least 2"):
         mcs.pair_correlation("random", 1)
+
+
+@pytest.mark.parametrize("boundary", ["toroidal", "border"])
+def test_chunks_and_threads_change_nothing(boundary):
+    check_analysis(PairCorrelation(n=16, bins=7, realizations=11, boundary=boundary))
+    found = [
+        mcs.pair_correlation(
+            "jittered", 16, bins=7, realizations=11, rng=2, boundary=boundary, workers=workers
+        )
+        for workers in (1, 2)
+    ]
+    xr.testing.assert_identical(*found)
+    assert float(found[0]["pair_correlation_se"].max()) > 0
+
+
+def test_mean_and_error_are_those_of_numpy():
+    values = np.random.default_rng(1).random((9, 4))
+    mean, se = mean_of_realizations(lambda i: values[i], 9, 2)
+    np.testing.assert_allclose(mean, values.mean(axis=0), rtol=1e-14)
+    np.testing.assert_allclose(se, values.std(axis=0, ddof=1) / 3, rtol=1e-12)
+
+
+def test_one_realization_has_no_error():
+    mean, se = mean_of_realizations(lambda _: np.array([2.0]), 1, 1)
+    assert mean.tolist() == [2.0]
+    assert np.isnan(se).all()
+
+
+def test_cost_grows_with_the_pairs():
+    random = Subject(None, mcs.sampler("random", dims=2))
+    costs = [PairCorrelation(n=n, realizations=3).need(random).cost for n in (10, 1000)]
+    assert costs == [3 * (10 + 0.1 * 10**2), 3 * (1000 + 0.1 * 1000**2)]

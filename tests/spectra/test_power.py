@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import mcspectra as mcs
+from mcspectra.core.analysis import Subject, compute, compute_chunk
 from mcspectra.core.errors import (
     CountError,
     InfiniteWeightVarianceWarning,
@@ -11,6 +13,9 @@ from mcspectra.core.errors import (
     ParameterError,
 )
 from mcspectra.core.progress import listening
+from mcspectra.core.streams import Stream
+from mcspectra.spectra.power import Points, Spectrum
+from mcspectra.testing import check_analysis
 
 # Šidák: 5e-7 two-sided over a few thousand frequencies of one test is about 6 σ.
 SIGMAS = 6.0
@@ -162,13 +167,94 @@ def test_radial_mean_of_random_points_is_flat():
     ("arguments", "error", "words"),
     [
         (("jittered", 15), CountError, "9 and 16"),
-        (("jittered", 0), CountError, "from 1"),
+        (("jittered", 0), ParameterError, "at least 1"),
         (("no-such", 16), ParameterError, "no sampler"),
     ],
 )
 def test_bad_input(arguments, error, words):
     with pytest.raises(error, match=words):
         mcs.power_spectrum(*arguments)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"realizations": 0},
+        {"half_width": -1},
+        {"half_width": 2**31},
+        {"wedges": 0},
+        {"eps": 2.0},
+        {"eps": 0.5},
+        {"n": 2**40},
+        {"mean": "yes"},
+        {"frequency_step": 1e9},
+        {"engine": "fft"},
+    ],
+)
+def test_bad_options_are_refused_before_anything_runs(changes):
+    with pytest.raises(ParameterError):
+        mcs.power_spectrum("random", **{"n": 4, **changes})
+
+
+CASES = {
+    "plain": ("jittered", None, {}),
+    "mean": ("jittered", None, {"mean": True, "engine": "direct"}),
+    "density": ("jittered", "linear(slope=1)", {"mean": True}),
+    "odd": ("random", None, {"realizations": 33, "wedges": 5}),
+    "line": ("jittered(dims=1)", None, {"frequency_step": 0.5}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_chunks_and_threads_change_nothing(case):
+    sampler, density, options = CASES[case]
+    settings = {"half_width": 4, "realizations": 40, **options}
+    if density is None:
+        source = mcs.sampler(sampler)
+        estimator = mcs.integrand("gaussian", dims=source.dims)
+        check_analysis(Spectrum(n=16, **settings), estimator, source)
+    found = [
+        mcs.power_spectrum(sampler, 16, density=density, **settings, rng=3, workers=workers)
+        for workers in (1, 2)
+    ]
+    xr.testing.assert_identical(*found)
+    assert np.nanmax(found[0]["power_se"]) > 0
+    assert ("mean_coefficient" in found[0]) == options.get("mean", False)
+
+
+def test_the_points_beside_a_spectrum_are_those_of_its_first_realization():
+    subject = Subject(mcs.Estimator("gaussian", density="linear(slope=1)"), mcs.sampler("jittered"))
+    found = compute(Points(n=16), subject, 5)["points"]
+    u = subject.sampler.draw_stream(16, Stream.from_rng(5), 0, 1)[0]
+    np.testing.assert_array_equal(found, subject.estimator.density.sample(u))
+    assert found.dims == ("point", "axis")
+    spectra = [
+        compute(Spectrum(n=16, half_width=2), subject, 5),
+        mcs.power_spectrum("jittered", 16, density="linear(slope=1)", half_width=2, rng=5),
+    ]
+    xr.testing.assert_identical(*spectra)
+
+
+def test_sums_count_all_sets():
+    """Against |S|² of every point set, by definition."""
+    stream, subject = Stream.from_rng(1), Subject(None, mcs.sampler("jittered", dims=2))
+    reduction = Spectrum(n=16, half_width=2, realizations=21).reduction(subject, stream)
+    total = compute_chunk(reduction, (0, reduction.blocks))
+    assert total.frequencies.power.count == 21
+    points = subject.sampler.draw_stream(16, stream, 0, 21)
+    m = np.stack(np.unravel_index(np.arange(13), (5, 5)), axis=-1) - 2
+    s = np.exp(-2j * np.pi * np.einsum("rkd,hd->rkh", points, m)).mean(axis=1)
+    np.testing.assert_allclose(
+        total.frequencies.power.total, (np.abs(s) ** 2).sum(axis=0), atol=1e-7
+    )
+
+
+def test_progress_is_told_to_the_end():
+    told = []
+    with listening(lambda what, done: told.append((what, done))):
+        mcs.power_spectrum("random", 4, half_width=2, realizations=16, workers=2)
+    assert {what for what, _ in told} == {"power_spectrum"}
+    assert [done for _, done in told] == [i / 8 for i in range(1, 9)]
 
 
 def test_density_of_other_dims_is_refused():

@@ -22,6 +22,8 @@ from mcspectra.app.look import (
 )
 from mcspectra.app.state import Setup
 from mcspectra.core.checks import Array
+from mcspectra.core.fits import line_fit
+from mcspectra.estimators.moments import CONFIDENCE_Z, rounding_floor
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -316,22 +318,27 @@ class ConvergenceView:
         legend_outside(self.figure, look)
 
     def show(self, value: xr.Dataset) -> str:
-        """Show the counts whose variance is above 0, and the line of the fit."""
+        """Show the counts whose variance is above rounding, and the line of the fit."""
         n, v = value["n"].to_numpy().astype(float), value["variance"].to_numpy()
         low, high = value["variance_ci"].to_numpy().T
-        seen = v > 0
+        mean = value["mean"].to_numpy()
+        integral = mean - value["bias"].to_numpy()
+        seen = v > rounding_floor(np.maximum(np.abs(mean), np.abs(integral)))
         columns = {"n": n, "v": v, "low": np.maximum(low, v / 100), "high": high}
         self._source.data = {key: column[seen] for key, column in columns.items()}
         rate, bounds = float(value["rate"]), value["rate_ci"].to_numpy()
         if not np.isfinite(rate) or not seen.any():
             self._lines.data = {"n": [], "fit": [], "random": []}
             return "No rate: too few counts have a variance above rounding."
-        fit = np.exp(np.mean(np.log(v[seen]) - rate * np.log(n[seen]))) * n**rate
+        error = np.log(high[seen] / low[seen]) / (2 * CONFIDENCE_Z)
+        fit = line_fit(np.log(n[seen]), np.log(v[seen]), error**-2.0)
+        line = np.exp(fit.at(np.log(n), slope=rate))
         self._ticker.ticks = n.tolist()
-        self._lines.data = {"n": n, "fit": fit, "random": v[seen][0] * n[seen][0] / n}
+        self._lines.data = {"n": n, "fit": line, "random": v[seen][0] * n[seen][0] / n}
+        left = f"; {np.sum(~seen)} of {len(n)} counts are rounding noise" if not seen.all() else ""
         return (
             f"Fitted rate {rate:.3f}, 95 % interval {bounds[0]:.2f} to {bounds[1]:.2f}; "
-            f"{value.attrs['realizations']} realisations."
+            f"{value.attrs['realizations']} realisations{left}."
         )
 
 

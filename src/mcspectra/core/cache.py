@@ -12,7 +12,6 @@ import json
 import math
 import os
 import time
-import warnings
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
@@ -20,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import CacheWarning
+from mcspectra.core.errors import CacheWarning, warn
 
 __all__ = ["cache_folder", "cache_size", "cached_array"]
 
@@ -85,9 +84,7 @@ def _read(file: Path, key: str) -> Array | None:
         return None
     found = _decoded(content, key)
     if found is None:
-        warnings.warn(
-            f"The cache entry {file} is damaged; it is made again.", CacheWarning, stacklevel=2
-        )
+        warn(f"The cache entry {file} is damaged; it is made again.", CacheWarning)
     return found
 
 
@@ -140,7 +137,7 @@ def _drop_oldest(folder: Path) -> None:
 
 @lru_cache
 def _say_once(sentence: str) -> None:
-    warnings.warn(sentence, CacheWarning, stacklevel=4)
+    warn(sentence, CacheWarning)
 
 
 def _size(file: Path) -> int:

@@ -8,7 +8,11 @@ that code which knows nothing of this package can catch them.
 from __future__ import annotations
 
 import difflib
+import os
+import sys
+import warnings
 from collections.abc import Iterable
+from pathlib import Path
 
 __all__ = [
     "CacheWarning",
@@ -28,6 +32,7 @@ __all__ = [
     "NotPowerOfTwoWarning",
     "OtherVersionsWarning",
     "ParameterError",
+    "PreasymptoticWarning",
     "SpecError",
     "StaleLockWarning",
     "StorageError",
@@ -36,9 +41,10 @@ __all__ = [
     "UnknownName",
     "close_match_hint",
     "point_in_words",
+    "warn",
 ]
 
-
+_PACKAGE = str(Path(__file__).parents[1]) + os.sep
 _COORDINATES = 6  # of a point in a message
 
 
@@ -169,3 +175,21 @@ def point_in_words(point: Iterable[float]) -> str:
     more = len(coordinates) - _COORDINATES
     shown = ", ".join(coordinates[:_COORDINATES])
     return f"({shown}, … {more} more)" if more > 0 else f"({shown})"
+
+
+def warn(message: str, category: type[Warning]) -> None:
+    """Warn at the line that called the package: the first frame whose file is not in it.
+
+    Python 3.12 can do it by `skip_file_prefixes`; a number of frames would change with the code.
+    """
+    frame = sys._getframe(1)
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
+        frame = frame.f_back
+    warnings.warn_explicit(
+        message,
+        category,
+        frame.f_code.co_filename,
+        frame.f_lineno,
+        module=frame.f_globals.get("__name__", "<unknown>"),
+        registry=frame.f_globals.setdefault("__warningregistry__", {}),
+    )

@@ -31,6 +31,7 @@ __all__ = [
     "FIT_LAST",
     "HALF_WIDTH",
     "REALIZATIONS",
+    "SETS",
     "SPACE",
     "Counts",
     "Option",
@@ -61,6 +62,12 @@ REALIZATIONS = Meta(
     ge=2,
     le=MAX_REALIZATIONS,
     description="Independent realisations, at each count.",
+    extra={"flag": "-m", "metavar": "R"},
+)
+SETS = Meta(
+    ge=1,
+    le=MAX_REALIZATIONS,
+    description="Independent point sets; 2 or more for standard errors.",
     extra={"flag": "-m", "metavar": "R"},
 )
 HALF_WIDTH = Meta(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from types import UnionType
 from typing import (
     TYPE_CHECKING,
@@ -33,7 +33,17 @@ from mcspectra.core.errors import FileFormatError
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["JOIN", "SAME", "SUM", "Join", "merged", "pack", "unpack"]
+__all__ = [
+    "JOIN",
+    "SAME",
+    "SUM",
+    "Join",
+    "MeanSums",
+    "merged",
+    "pack",
+    "standard_error",
+    "unpack",
+]
 
 
 @final
@@ -52,6 +62,39 @@ JOIN: TypeAlias = Annotated[Array, Join(0)]
 
 SAME: TypeAlias = Annotated[Array, "same"]
 """Arrays are the same in all blocks."""
+
+
+@final
+@dataclass
+class MeanSums:
+    """Sums of arrays and of their squares over realisations: their mean with its standard error."""
+
+    total: SUM
+    squares: SUM
+    count: int = 1
+
+    @staticmethod
+    def of(values: Array) -> MeanSums:
+        """Sums of one realisation."""
+        return MeanSums(np.array(values), values * values)
+
+    @staticmethod
+    def zeros(size: int) -> MeanSums:
+        """Sums of no realisations, for arrays (size,)."""
+        return MeanSums(np.zeros(size), np.zeros(size), 0)
+
+    def mean_and_error(self) -> tuple[Array, Array]:
+        """Mean over realisations and its standard error, NaN for a single one."""
+        mean = self.total / self.count
+        return mean, standard_error(self.squares / self.count - mean * mean, self.count)
+
+
+def standard_error(spread: Array, count: int) -> Array:
+    """Standard error of a mean of `count` values: the mean square minus the squared mean is given."""
+    if count < 2:
+        return np.full_like(spread, np.nan)
+    return np.asarray(np.sqrt(np.maximum(spread, 0.0) / (count - 1)))
+
 
 _MAGIC = b"mcs1"
 _UNIONS = (Union, UnionType)

@@ -3,11 +3,14 @@ from .analytic import Linear as Linear
 from .analytic import TruncatedNormal as TruncatedNormal
 from .analytic import Uniform as Uniform
 from .base import Density as Density
+from .base import FunctionDensity as FunctionDensity
+from .base import NumericalDensity as NumericalDensity
+from .base import check_density as check_density
+from .base import reciprocal_integral as reciprocal_integral
 from .bilinear import Bilinear as Bilinear
 from .compensation import compensated as compensated
 from .disk import DiskDensity as DiskDensity
 from .environment import EnvironmentDensity as EnvironmentDensity
-from .functions import FunctionDensity as FunctionDensity
 from .hemisphere import HemisphereDensity as HemisphereDensity
 from .hemisphere import SphereDensity as SphereDensity
 from .lights import SphericalRectangle as SphericalRectangle
@@ -18,9 +21,6 @@ from .monotone import CosineWeighted as CosineWeighted
 from .monotone import Exponential as Exponential
 from .monotone import Power as Power
 from .monotone import Tent as Tent
-from .numeric import check_density as check_density
-from .numeric import reciprocal_integral as reciprocal_integral
-from .numerical import NumericalDensity as NumericalDensity
 from .piecewise_linear import PiecewiseLinear as PiecewiseLinear
 from .product import Product as Product
 from .registry import DENSITIES as DENSITIES

@@ -1,4 +1,4 @@
-"""Adaptive quadrature over the unit interval or square that keeps a record of how it converged.
+"""Integrals over the unit cube that may diverge: adaptive quadrature that keeps a record of itself.
 
 Method
 ------
@@ -7,19 +7,33 @@ the same rule on its 2^d halves; the others are split, level by level. What is l
 level L lies within about 2^-L of the singularities and jumps, so that its total U_L, a sum over
 dyadic shells of a sort, tells singularities apart: next to f ~ r^-a along a line U_L shrinks like
 2^{-(1-a)L}; it stays or grows where the integral diverges.
+
+Everything here is deterministic: fixed points, fixed offsets, no seed.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.streams import Stream
 
-__all__ = ["MOST_CELLS", "Quadrature", "integrate"]
+__all__ = [
+    "CELLS",
+    "MOST_CELLS",
+    "SETS",
+    "SET_SIZE",
+    "Quadrature",
+    "integrate",
+    "mean_or_infinity",
+    "positive_integral",
+    "recurrences",
+]
 
 # Even, so that no node is a cell center, and different, so that none lies on the diagonal: a density
 # that is 0 only there must not look as if it were 0 on an area.
@@ -31,6 +45,18 @@ MOST_CELLS = 2**16
 _RELATIVE = 1e-10
 _ABSOLUTE = 1e-13  # of the whole integral
 _FORCED_DEPTH = {1: 16, 2: 8}
+
+CELLS = {1: 64, 2: 16}
+"""Starting cells along each axis where nothing else is asked for, by dims."""
+SETS, SET_SIZE = 32, 4096
+"""Shifted low-discrepancy sets, whose spread is an error bar, and points of each."""
+_SLOWEST = 0.98  # a ratio of levels: p ~ r^a with a above 0.97 counts as divergent
+_NEGLIGIBLE = 1e-6
+_SHRINKING = 0.8  # a level; next to a line or a point the unresolved volume shrinks by ½ or ¼
+_FIRST_LEVELS = 4  # these also split cells that are merely near a zero
+_WINDOW = 8
+_TAIL = 256
+_LARGEST_TAIL_INDEX = 1.0 - 3.0 / math.sqrt(_TAIL)
 
 
 @dataclass(frozen=True)
@@ -46,6 +72,42 @@ class Quadrature:
     totals: tuple[float, ...]
     unresolved: tuple[float, ...]
     volumes: tuple[float, ...]
+
+    @property
+    def isolated(self) -> bool:
+        """Whether the record tells: infinite, resolved, or unresolved on a volume that shrinks."""
+        if not math.isfinite(self.totals[-1]) or self.unresolved[-1] == 0:
+            return True
+        volumes = self.volumes
+        return len(volumes) > _FIRST_LEVELS + 1 and volumes[-1] < _SHRINKING**3 * volumes[-4]
+
+    @property
+    def ratio(self) -> float:
+        """By what the unresolved part shrinks a level; 0 where nothing is left.
+
+        Sums over half of the last levels against the half before: where a zero lies within its cell
+        changes from level to level, and single ratios with it.
+        """
+        parts = self.unresolved
+        half = min(_WINDOW, (len(parts) - _FIRST_LEVELS) // 2)
+        if half < 1 or parts[-1] == 0:
+            return 0.0
+        return float((sum(parts[-half:]) / sum(parts[-2 * half : -half])) ** (1 / half))
+
+    @property
+    def limit(self) -> float:
+        """Infinite where the unresolved part does not shrink, else the limit of the totals."""
+        last = self.totals[-1]
+        if not math.isfinite(last):
+            return math.inf
+        if self.unresolved[-1] <= _NEGLIGIBLE * last:
+            return last
+        return math.inf if self.ratio >= _SLOWEST else _aitken(*self.totals[-3:])
+
+    @property
+    def bounds(self) -> Array:
+        """`errors` with what the levels below the last would still add, as a geometric series."""
+        return 2.0 * self.errors / (1.0 - min(self.ratio, _SLOWEST))
 
 
 def integrate(
@@ -108,6 +170,83 @@ def integrate(
         corners, values = halves[split].reshape(-1, dims), parts[split].ravel()
         owner = np.repeat(owner[split], 2**dims)
     return Quadrature(sums, errors, tuple(totals), tuple(unresolved), tuple(volumes))
+
+
+def mean_or_infinity(
+    function: Callable[[Array], Array], dims: int, *, most_cells: int = MOST_CELLS
+) -> float:
+    """Return ∫ of a function ≥ 0 of points (..., d), any d: infinite where it seems to diverge.
+
+    By the means of `mcspectra.densities.reciprocal_integral`, whose notes say what to expect of the value; `most_cells` is as
+    for `positive_integral`.
+    """
+    if dims <= 2:
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = integrate(function, dims, cells=CELLS[dims], most_cells=most_cells)
+        if found.isolated:
+            return found.limit
+    return _mean_with_tail(function(recurrences(dims).reshape(-1, dims)))
+
+
+def positive_integral(
+    function: Callable[[Array], Array], dims: int, *, most_cells: int = MOST_CELLS
+) -> tuple[float, float]:
+    """Return the integral of a non-negative function over [0,1)^d, and an estimate of its error.
+
+    Parameters
+    ----------
+    function
+        Points (..., d) to (...).
+    dims
+        d, 1 or 2.
+    most_cells
+        Cells of a level, beyond which no more are split.
+
+    Returns
+    -------
+    tuple of float
+        Infinite, with error 0, where the unresolved part does not shrink: poles r^-a with a > 0.97
+        count as that, see `mcspectra.densities.reciprocal_integral`. Else the error is that of the cells, or, where
+        the rest was added as a geometric series, what this changed from the last level to the one before.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = integrate(function, dims, cells=CELLS[dims], most_cells=most_cells)
+    if not found.isolated:
+        return found.totals[-1], found.unresolved[-1]
+    value = found.limit
+    if math.isinf(value):
+        return value, 0.0
+    if value == found.totals[-1]:
+        return value, float(found.errors.sum())
+    return value, abs(value - _aitken(*found.totals[-4:-1]))
+
+
+def recurrences(dims: int) -> Array:
+    """Shifted additive recurrences (32, 4096, d): steps are powers of the root of g^(d+1) = g + 1.
+
+    M. Roberts (2018), "The unreasonable effectiveness of quasirandom sequences".
+    """
+    g = 1.5
+    for _ in range(64):
+        g = (1.0 + g) ** (1.0 / (dims + 1))
+    steps = g ** -np.arange(1.0, dims + 1)
+    shifts = Stream(0).uniforms(0, SETS, dims)[:, None, :]
+    return np.asarray((shifts + np.arange(SET_SIZE)[:, None] * steps) % 1.0)
+
+
+def _aitken(a: float, b: float, c: float) -> float:
+    """Limit of a geometric series with these last sums; the last where it is none."""
+    steady = 0 < abs(c - b) < abs(b - a)
+    return c + (c - b) ** 2 / ((b - a) - (c - b)) if steady else c
+
+
+def _mean_with_tail(values: Array) -> float:
+    """Mean, infinite where Hill's estimate says that the tail is too heavy for one."""
+    if not np.isfinite(values).all():
+        return math.inf
+    tail = np.sort(values)[-_TAIL - 1 :]
+    index = float(np.log(tail[1:] / tail[0]).mean())
+    return math.inf if index > _LARGEST_TAIL_INDEX else float(values.mean())
 
 
 def _grid(cells: int, dims: int) -> Array:

@@ -1,4 +1,4 @@
-"""Densities of which only the pdf is known: the warp by numerical inversion, in one and two dims.
+"""The warp of a pdf that alone is known: numerical inversion, in one and two dims.
 
 1-D: the axis is cut into cells on which 12-point Chebyshev interpolants of the pdf are as accurate as
 rounding; jumps and kinks are closed in by ever smaller cells. The cdf is the integral of the
@@ -14,18 +14,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, final
+from typing import final
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.checks import Array
 from mcspectra.core.errors import DensityError
 from mcspectra.densities._chebyshev import Cells, integral_at, refine, solve
-from mcspectra.densities.base import Density, store_integer
-from mcspectra.densities.functions import call_function, function_spec
 
-__all__ = ["NumericalDensity", "numerical_density"]
+__all__ = ["NumericalWarp"]
 
 _START = {1: 256, 2: 16}
 _MOST = {1: 2**15, 2: 256}
@@ -34,7 +32,6 @@ _ROWS = 509
 _PROBES = {1: 2**18, 2: 2**10}  # along an axis
 _SAME = 1e-9
 _BLOCK = 2**20  # values of a row block, 8 MiB
-_PROBE = 5  # points of the first try; odd and small, so that no shape fits by accident
 _BEND = 1e-4
 _SHARP = 2.0**-18  # cells narrower than this close in a jump or a kink
 
@@ -92,56 +89,28 @@ class _Axis:
 
 
 @final
-@dataclass(frozen=True, kw_only=True, eq=False)
-class NumericalDensity(Density):
-    """Given by its pdf alone, in 1-D or 2-D; the warp is computed.
-
-    Make it by `Density.from_functions`. The pdf is called with read-only float64 arrays (..., d) of
-    points within the domain. In 2-D every sampled point costs a few hundred evaluations.
-
-    Details of the pdf, such as a peak, a gap or a box, are seen if they are wider than 2^-18 in 1-D,
-    in 2-D than 1/500 along both axes. What is narrower may be missed, and its mass with it: then
-    `normalize` divides by an integral that is too small. Tell it by ``normalize=False``, if the
-    integral is known, or give sample=.
+@dataclass(frozen=True, eq=False)
+class NumericalWarp:
+    """The warp of a pdf, with its inverse.
 
     Attributes
     ----------
+    pdf
+        Points (..., d) to (...); its integral, `total`, need not be 1.
     dims
-        1 or 2.
-    pdf_function
-        Density: points (..., d) to (...).
-    normalize
-        Divide the pdf by its integral.
-
-    Raises
-    ------
-    DensityError
-        The pdf does not integrate to 1 (to 1e-9) and is not to be normalised; is negative, not
-        finite within (0,1)^d, or too rough or steep: in 2-D with jumps or kinks along lines that
-        are not axis-parallel, in 1-D with poles anywhere but at 0, next to which floats are dense.
+        d, 1 or 2.
+    spec
+        What messages call the density.
     """
 
-    name: ClassVar[str] = "function"
-    dims: int = 1
-    pdf_function: Callable[[Any], Any]
-    normalize: bool = False
-
-    def __post_init__(self) -> None:
-        store_integer(self, "dims", least=1, most=2)
-        self._raw(np.linspace(0.2, 0.8, _PROBE * self.dims).reshape(_PROBE, self.dims))
-        if self.dims == 2:
-            self._check_rows()
-        total = self._last.total
-        if not self.normalize and not abs(total - 1.0) <= _SAME:
-            raise DensityError(
-                f"The pdf of {self.spec} integrates to {total:.12g} over the unit domain, not to 1; "
-                "divide by that, or give normalize=True."
-            )
+    pdf: Callable[[Array], Array]
+    dims: int
+    spec: str
 
     @property
-    def spec(self) -> str:
-        """``function``, with the name of the pdf; not a spec that can be read back."""
-        return function_spec(self.pdf_function)
+    def total(self) -> float:
+        """Integral of the pdf."""
+        return self._last.total
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
@@ -159,7 +128,7 @@ class NumericalDensity(Density):
     @cached_property
     def _last(self) -> _Axis:
         """The only axis, or the marginal of x_1."""
-        density = self._raw if self.dims == 1 else self._marginal
+        density = self.pdf if self.dims == 1 else self._marginal
         subject = f"The pdf of {self.spec}" if self.dims == 1 else f"The marginal of {self.spec}"
         cells = refine(
             lambda x: density(x[..., None])[..., None],
@@ -177,21 +146,15 @@ class NumericalDensity(Density):
 
         def values(x: Array) -> Array:
             points = np.broadcast_arrays(x[..., None], rows)
-            return self._raw(np.stack(points, axis=-1))
+            return self.pdf(np.stack(points, axis=-1))
 
         subject = f"The pdf of {self.spec}, along x_0,"
         return refine(values, start=_START[2], most=_MOST[2], subject=subject, probes=_PROBES[2])
 
-    def _raw(self, x: Array) -> Array:
-        with np.errstate(
-            divide="ignore", over="ignore", invalid="ignore"
-        ):  # poles; `refine` checks
-            return call_function("pdf", self.spec, self.pdf_function, x, x.shape[:-1])
-
     def _row_values(self, y: Array) -> Array:
         """Values (N, K, 12) of the rows at y (N,)."""
         points = np.broadcast_arrays(self._rows.nodes, y[:, None, None])
-        return self._raw(np.stack(points, axis=-1))
+        return self.pdf(np.stack(points, axis=-1))
 
     def _marginal(self, y: Array) -> Array:
         """Integrals over x_0 at y (..., 1)."""
@@ -206,14 +169,12 @@ class NumericalDensity(Density):
         step = max(1, _BLOCK // each)
         return [slice(start, start + step) for start in range(0, max(1, len(y)), step)]
 
-    def _pdf(self, x: Array) -> Array:
-        p = self._raw(x)
-        return np.asarray(p / self._last.total) if self.normalize else p
-
-    def _sample(self, u: Array) -> Array:
+    def sample(self, u: Array) -> Array:
+        """Domain points of primary points (..., d)."""
         return self._warped(u, _Axis.sample, self._row_sample)
 
-    def _invert(self, x: Array) -> Array:
+    def invert(self, x: Array) -> Array:
+        """Primary points of domain points (..., d)."""
         return self._warped(x, _Axis.invert, self._row_invert)
 
     def _warped(
@@ -262,41 +223,23 @@ class NumericalDensity(Density):
         density, integral = self._rows.series(values[each, cell], self._rows.width[cell])
         return density, integral, cdf[each, cell]
 
-    def _check_rows(self) -> None:
-        """Compare row integrals with those on halved cells, at rows that made no cells."""
+    def check_rows(self) -> None:
+        """Compare row integrals of 2-D with those on halved cells, at rows that made no cells.
+
+        Raises
+        ------
+        DensityError
+            They differ: there are jumps or kinks along other lines.
+        """
         y = (0.25 + np.arange(_ROWS) * 0.7548776662466927) % 1.0
         own, half = self._rows, 0.5 * self._rows.width
         low = np.stack([own.low, own.low + half], axis=1).ravel()
         finer = Cells(low, np.repeat(half, 2))
         points = np.broadcast_arrays(finer.nodes, y[:, None, None])
         found = self._marginal(y[:, None])
-        gap = finer.masses(self._raw(np.stack(points, axis=-1))).sum(axis=1) - found
+        gap = finer.masses(self.pdf(np.stack(points, axis=-1))).sum(axis=1) - found
         if not np.abs(gap).max() <= _SAME * found.mean():
             raise DensityError(
                 f"The pdf of {self.spec} has jumps or kinks along lines that are not parallel to the "
                 "axes; give sample=."
             )
-
-
-def numerical_density(
-    *, pdf: Callable[[Any], Any], invert: object, dims: int, normalize: bool
-) -> NumericalDensity:
-    """Check what `Density.from_functions` was given without sample, and make the density.
-
-    Raises
-    ------
-    DensityError
-        pdf is not callable, invert came without sample, or there are more than 2 dims.
-    """
-    if not callable(pdf):
-        raise DensityError(f"pdf is {pdf!r}; give a function of points (..., d).")
-    if invert is not None:
-        raise DensityError("invert was given without sample; give both, or neither.")
-    if not isinstance(normalize, bool):
-        raise DensityError(f"normalize is {normalize!r}; give True or False.")
-    if as_integer("dims", dims, least=1) > 2:
-        raise DensityError(
-            f"sample is None in {dims} dims; a pdf alone is enough in 1-D and 2-D only: give sample=, "
-            "or a product of densities."
-        )
-    return NumericalDensity(dims=int(dims), pdf_function=pdf, normalize=normalize)

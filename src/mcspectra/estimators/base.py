@@ -10,7 +10,6 @@ and returns I = Σ_t (1/n_t) Σ_k g_t(u_tk). Two views of it are analysed:
 
 from __future__ import annotations
 
-import warnings
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -18,7 +17,13 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.display import html_of
-from mcspectra.core.errors import CountError, DependentRealizationsWarning, ParameterError
+from mcspectra.core.errors import (
+    CountError,
+    DependentRealizationsWarning,
+    NoClosedForm,
+    ParameterError,
+    warn,
+)
 from mcspectra.core.streams import Stream
 from mcspectra.estimators.moments import Moments
 from mcspectra.estimators.sets import draw_sets, set_sizes
@@ -141,11 +146,10 @@ class AbstractEstimator(ABC):
                 f"{sampler.spec} has {sampler.dims}."
             )
         if not sampler.independent:
-            warnings.warn(
+            warn(
                 f"The realisations of {sampler.spec} are the pixels of one image, not independent: "
                 "variances over them are those within it, and their intervals too narrow or wide.",
                 DependentRealizationsWarning,
-                stacklevel=3,
             )
         for technique, size in enumerate(set_sizes(self.sets, self.counts, n)):
             try:
@@ -157,6 +161,14 @@ class AbstractEstimator(ABC):
                 who = "The joint set has" if joint else f"Technique {technique} draws"
                 where = f"{who} {size // n} · {n} points: "
                 raise CountError(where + str(error), error.nearest) from None
+
+    def check_independent(self) -> None:
+        """Raise NoClosedForm where the variance is not the sum of those of the techniques."""
+        if self.sets != "independent" and len(self.counts) > 1:
+            raise NoClosedForm(
+                f"The techniques of {self.spec} are correlated, and only the variances of "
+                "independent ones are known; use convergence or technique_terms."
+            )
 
     def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:
         """Draw realisations first … first+count−1 for each technique: arrays (count, n_t, d).

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, final
@@ -28,10 +28,9 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import Component, parse
 from mcspectra.densities import Density
-from mcspectra.densities.numeric import mean_or_infinity
+from mcspectra.densities.adaptive import mean_or_infinity
 
 if TYPE_CHECKING:
-    from mcspectra.estimators.pilots import Pilot
     from mcspectra.integrands import Integrand
 
 __all__ = [
@@ -41,6 +40,7 @@ __all__ = [
     "Cutoff",
     "Heuristic",
     "Maximum",
+    "Pilot",
     "Power",
     "as_heuristic",
     "density_breaks",
@@ -102,6 +102,63 @@ class Heuristic(Component, ABC):
     @abstractmethod
     def ratio(self, q: Array, technique: int) -> Array:
         """w_t/q_t for q (T, ...) of all techniques: (...), 0 where all q are."""
+
+
+class Pilot(ABC):
+    """What a heuristic that knows f may ask: f and all p_t at points that a technique samples.
+
+    Points are rows of an array that only the pilot itself reads: of a domain that the techniques
+    share, or records of what a renderer found along a path.
+
+    Attributes
+    ----------
+    shares
+        n_t up to a common factor, (T,).
+    channels
+        Channels of f, 0 if it is scalar.
+    """
+
+    shares: Array
+    channels: int
+
+    @abstractmethod
+    def points(self, technique: int, count: int, seed: int) -> Array:
+        """Random points of a technique: (count, …)."""
+
+    @abstractmethod
+    def pdfs(self, x: Array) -> Array:
+        """p_t at k points: (T, k)."""
+
+    @abstractmethod
+    def values(self, x: Array) -> Array:
+        """f at k points: (k, channels), with one channel for scalars."""
+
+    def system(self, x: Array) -> Array:
+        """p_s p_t/q and f p_s/q side by side: (k, T, T + C)."""
+        p = self.pdfs(x)
+        q = self.shares @ p
+        over = np.divide(p, q, out=np.zeros_like(p), where=q > 0)
+        right = np.concatenate([p.T, self.values(x)], axis=1)
+        return np.asarray(over.T[:, :, None] * right[:, None, :])
+
+    def moments(self, x: Array) -> Array:
+        """Integrands f and f²/p_t of the moments where p_t > 0, f the mean of the channels: (k, T, 2)."""
+        p = self.pdfs(x).T
+        f = np.broadcast_to(self.values(x).mean(axis=1)[:, None], p.shape)
+        square = np.divide(f * f, p, out=np.zeros_like(p), where=p > 0)
+        return np.stack([np.where(p > 0, f, 0.0), square], axis=-1)
+
+    def quadrature(self, function: Callable[[Array], Array]) -> Array:  # noqa: ARG002
+        """Integrals of `system` or `moments` over the domain that the techniques share.
+
+        Raises
+        ------
+        ParameterError
+            They share none.
+        """
+        raise ParameterError(
+            "These techniques share no domain to integrate over; give pilot='samples'."
+        )
 
 
 @final

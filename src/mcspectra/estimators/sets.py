@@ -18,14 +18,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mcspectra.core.checks import Array, as_choice
-from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 
 if TYPE_CHECKING:
-    from mcspectra.estimators.base import AbstractEstimator
     from mcspectra.samplers.base import Sampler
 
-__all__ = ["SETS", "check_independent_techniques", "check_sets", "draw_sets", "set_sizes"]
+__all__ = ["SETS", "check_sets", "draw_sets", "set_sizes"]
 
 SETS = ("independent", "shared", "joint")
 
@@ -42,15 +41,6 @@ def check_sets(sets: object, counts: tuple[int, ...]) -> str:
             "need equal counts."
         )
     return chosen
-
-
-def check_independent_techniques(estimator: AbstractEstimator) -> None:
-    """Raise NoClosedForm where the variance is not the sum of those of the techniques."""
-    if estimator.sets != "independent" and len(estimator.counts) > 1:
-        raise NoClosedForm(
-            f"The techniques of {estimator.spec} are correlated, and only the variances of "
-            "independent ones are known; use convergence or technique_terms."
-        )
 
 
 def set_sizes(sets: str, counts: tuple[int, ...], n: int) -> list[int]:

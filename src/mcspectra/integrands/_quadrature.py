@@ -1,4 +1,4 @@
-"""Quadrature behind `numeric`: Fourier coefficients on tensor grids, integrals by adaptive boxes.
+"""Quadrature behind integrands: Fourier coefficients on tensor grids, integrals by adaptive boxes.
 
 Method
 ------
@@ -18,16 +18,22 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import Protocol, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.integrands._axes import gauss_rule
-from mcspectra.integrands.base import Integrand
 
-__all__ = ["AxisRule", "Estimate", "adaptive_integral", "lattice_integral", "refined_coefficients"]
+__all__ = [
+    "AxisRule",
+    "Estimate",
+    "Function",
+    "adaptive_integral",
+    "lattice_integral",
+    "refined_coefficients",
+]
 
 _ORDER = 16  # nodes a cell: at 4 nodes a wavelength, 16 are good to 1e-10, at 8 to rounding
 _LEAST_NODES = {1: 256, 2: 256, 3: 64, 4: 32}
@@ -41,6 +47,30 @@ _CELL_ORDER = {1: 16, 2: 8, 3: 6, 4: 5, 5: 4}
 _INTEGRAL_BUDGET = 2**21
 _INTEGRAL_TOLERANCE = 1e-12
 _LATTICE_POINTS = 2**20
+
+
+class Function(Protocol):
+    """What quadrature asks of a function: values, and where they are not smooth.
+
+    Attributes
+    ----------
+    dims, channels
+        Points are (..., dims); values (...), or (..., channels) where channels is not 0.
+    breaks
+        For each axis, where the function jumps or kinks across a whole axis-normal plane.
+    spec
+        What messages call it.
+    """
+
+    @property
+    def dims(self) -> int: ...
+    @property
+    def channels(self) -> int: ...
+    @property
+    def breaks(self) -> tuple[tuple[float, ...], ...]: ...
+    @property
+    def spec(self) -> str: ...
+    def __call__(self, x: object) -> Array: ...
 
 
 @final
@@ -109,7 +139,7 @@ class AxisRule:
         return np.asarray(found)
 
 
-def refined_coefficients(integrand: Integrand, m: Sequence[Array]) -> Estimate:
+def refined_coefficients(function: Function, m: Sequence[Array]) -> Estimate:
     """Coefficients at the tensor product of the integers m[i] (U_i,): (U_0, …, U_{d−1}[, channels]).
 
     Starts with 16 nodes a wavelength of the highest frequency (8 from 3-D on, 4 where more would
@@ -121,10 +151,10 @@ def refined_coefficients(integrand: Integrand, m: Sequence[Array]) -> Estimate:
     ParameterError
         The first grid exceeds 2^24 evaluations.
     """
-    counts = _first_counts(integrand, [int(np.abs(axis).max()) for axis in m])
-    coarse = _coefficients(integrand, [c // 2 for c in counts], m)
+    counts = _first_counts(function, [int(np.abs(axis).max()) for axis in m])
+    coarse = _coefficients(function, [c // 2 for c in counts], m)
     while True:
-        fine = _coefficients(integrand, counts, m)
+        fine = _coefficients(function, counts, m)
         error = float(np.abs(fine - coarse).max())
         settled = error <= _FOURIER_TOLERANCE * float(np.abs(fine).max())
         if settled or math.prod(counts) * 2 ** len(counts) > _BUDGET:
@@ -133,7 +163,7 @@ def refined_coefficients(integrand: Integrand, m: Sequence[Array]) -> Estimate:
         coarse, counts = fine, [2 * c for c in counts]
 
 
-def _first_counts(integrand: Integrand, highest: list[int]) -> list[int]:
+def _first_counts(function: Function, highest: list[int]) -> list[int]:
     dims = len(highest)
     least = _LEAST_NODES.get(dims, 16)
     needed: list[int] = []
@@ -142,32 +172,32 @@ def _first_counts(integrand: Integrand, highest: list[int]) -> list[int]:
         if math.prod(needed) <= _LIMIT:
             return needed
     raise ParameterError(
-        f"The Fourier coefficients of {integrand.spec} up to |m| = {max(highest)} in {dims} dims "
+        f"The Fourier coefficients of {function.spec} up to |m| = {max(highest)} in {dims} dims "
         f"take {float(math.prod(needed)):.2g} evaluations, more than {_LIMIT:.2g}; ask for lower "
         "frequencies, or give exact coefficients (fourier=)."
     )
 
 
-def _coefficients(integrand: Integrand, counts: Sequence[int], m: Sequence[Array]) -> Array:
+def _coefficients(function: Function, counts: Sequence[int], m: Sequence[Array]) -> Array:
     """One tensor grid, evaluated in slabs along the first axis."""
     rules = [
         AxisRule.make(count, min(_ORDER, count), breaks)
-        for count, breaks in zip(counts, integrand.breaks, strict=True)
+        for count, breaks in zip(counts, function.breaks, strict=True)
     ]
     first, rest = rules[0], rules[1:]
     step = max(1, _BLOCK // math.prod(rule.nodes.size for rule in rest))
     slabs = []
     for start in range(0, first.nodes.size, step):
         points = _tensor([first.nodes[start : start + step], *(rule.nodes for rule in rest)])
-        values = integrand(points)
-        values = np.moveaxis(values, -1, 0) if integrand.channels else values[None]
+        values = function(points)
+        values = np.moveaxis(values, -1, 0) if function.channels else values[None]
         for axis in range(len(rest), 0, -1):
             turned = rules[axis].transform(np.moveaxis(values, axis + 1, -1), m[axis])
             values = np.moveaxis(turned, -1, axis + 1)
         slabs.append(values)
     whole = np.moveaxis(np.concatenate(slabs, axis=1), 1, -1)
     found = np.moveaxis(first.transform(whole, m[0]), -1, 1)
-    return np.moveaxis(found, 0, -1) if integrand.channels else found[0]
+    return np.moveaxis(found, 0, -1) if function.channels else found[0]
 
 
 def _tensor(axes: Sequence[Array]) -> Array:
@@ -175,24 +205,24 @@ def _tensor(axes: Sequence[Array]) -> Array:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
-def adaptive_integral(integrand: Integrand) -> Estimate:
+def adaptive_integral(function: Function) -> Estimate:
     """∫ f in up to 5 dims by boxes that split until their halves agree: value (C,), C ≥ 1 channels.
 
     Gauss-Legendre tensor rules on cells cut at the breaks; a cell whose 2^d parts differ from it by
     more than its share of 1e-12 of ∫|f| is replaced by them, while 2^21 evaluations last. The
     error is estimated by the sum of the last differences.
     """
-    dims = integrand.dims
+    dims = function.dims
     order = _CELL_ORDER[dims]
-    low, size = _first_cells(integrand)
-    coarse = _cell_integrals(integrand, low, size, order)
+    low, size = _first_cells(function)
+    coarse = _cell_integrals(function, low, size, order)
     total, error = np.zeros(coarse.shape[1]), np.zeros(coarse.shape[1])
     scale = np.abs(coarse).sum(axis=0)
     budget = _INTEGRAL_BUDGET
     while len(low):
         budget -= len(low) * (2 * order) ** dims
         low, size = _split(low, size)
-        fine = _cell_integrals(integrand, low, size, order).reshape(len(coarse), 2**dims, -1)
+        fine = _cell_integrals(function, low, size, order).reshape(len(coarse), 2**dims, -1)
         better = fine.sum(axis=1)
         scale = np.maximum(scale, np.abs(fine).sum(axis=(0, 1)))
         difference = np.abs(better - coarse)
@@ -206,12 +236,12 @@ def adaptive_integral(integrand: Integrand) -> Estimate:
     return Estimate(total, float(error.max()), "adaptive Gauss-Legendre quadrature")
 
 
-def _first_cells(integrand: Integrand) -> tuple[Array, Array]:
+def _first_cells(function: Function) -> tuple[Array, Array]:
     """Lower corners and sizes (N, d) of the first cells; breaks are edges."""
-    uniform = np.linspace(0.0, 1.0, _CELLS[integrand.dims] + 1)
-    edges = [np.union1d(uniform, [b for b in axis if 0 < b < 1]) for axis in integrand.breaks]
-    low = _tensor([e[:-1] for e in edges]).reshape(-1, integrand.dims)
-    return low, _tensor([np.diff(e) for e in edges]).reshape(-1, integrand.dims)
+    uniform = np.linspace(0.0, 1.0, _CELLS[function.dims] + 1)
+    edges = [np.union1d(uniform, [b for b in axis if 0 < b < 1]) for axis in function.breaks]
+    low = _tensor([e[:-1] for e in edges]).reshape(-1, function.dims)
+    return low, _tensor([np.diff(e) for e in edges]).reshape(-1, function.dims)
 
 
 def _split(low: Array, size: Array) -> tuple[Array, Array]:
@@ -222,7 +252,7 @@ def _split(low: Array, size: Array) -> tuple[Array, Array]:
     return parts, np.repeat(0.5 * size, 2**dims, axis=0)
 
 
-def _cell_integrals(integrand: Integrand, low: Array, size: Array, order: int) -> Array:
+def _cell_integrals(function: Function, low: Array, size: Array, order: int) -> Array:
     """∫ f over boxes (N, d): (N, channels) or (N, 1)."""
     dims = low.shape[1]
     node, weight = gauss_rule(order)
@@ -232,7 +262,7 @@ def _cell_integrals(integrand: Integrand, low: Array, size: Array, order: int) -
     means = [
         np.tensordot(
             weights,
-            _columns(integrand, low[i : i + step] + nodes[:, None] * size[i : i + step]),
+            _columns(function, low[i : i + step] + nodes[:, None] * size[i : i + step]),
             axes=1,
         )
         for i in range(0, len(low), step)
@@ -240,22 +270,22 @@ def _cell_integrals(integrand: Integrand, low: Array, size: Array, order: int) -
     return np.asarray(np.concatenate(means) * size.prod(axis=-1)[:, None])
 
 
-def _columns(integrand: Integrand, x: Array) -> Array:
-    values = integrand(x)
-    return values if integrand.channels else values[..., None]
+def _columns(function: Function, x: Array) -> Array:
+    values = function(x)
+    return values if function.channels else values[..., None]
 
 
-def lattice_integral(integrand: Integrand) -> Estimate:
+def lattice_integral(function: Function) -> Estimate:
     """∫ f in any number of dims by the mean over 2^20 points of a Kronecker sequence: value (C,).
 
     Points ½ + k (φ^-1, …, φ^-d) mod 1 with φ^{d+1} = φ + 1 (Roberts 2018, "The unreasonable
     effectiveness of quasirandom sequences"). The error is the difference from the first half.
     """
-    dims = integrand.dims
+    dims = function.dims
     ratio = 2.0
     for _ in range(64):  # a contraction: each step halves the error at least
         ratio = (1.0 + ratio) ** (1.0 / (dims + 1))
-    sums = [_columns(integrand, x).sum(axis=0) for x in _kronecker(ratio, dims)]
+    sums = [_columns(function, x).sum(axis=0) for x in _kronecker(ratio, dims)]
     half = np.sum(sums[: len(sums) // 2], axis=0) / (_LATTICE_POINTS // 2)
     value = np.sum(sums, axis=0) / _LATTICE_POINTS
     method = "mean over 2^20 points of a Kronecker sequence"

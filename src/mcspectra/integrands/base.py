@@ -1,27 +1,49 @@
-"""The interface of integrands, on one screen: values, integral, Fourier coefficients.
+"""The interface of integrands, values, integral, Fourier coefficients; integrands of callables.
 
 Conventions: f_m = ∫ f(x) exp(−2πi m·x) dx over [0,1)^d, integer m. Implementations write
 `_evaluate`, and `_integral` and `_fourier` where they are known exactly; otherwise composite
 Gauss-Legendre quadrature (with an FFT for the coefficients) stands in and `integral_source` and
-`fourier_source` say so.
+`fourier_source` say so. What quadrature found is kept in the integrand itself, the last few sets of
+frequencies each: an integrand must always give the same values.
 """
 
 from __future__ import annotations
 
+import contextlib
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, final
 
 import numpy as np
 
 from mcspectra.core.checks import MAX_DIMS, Array, as_frequencies, as_integer, as_real_array
-from mcspectra.core.errors import DomainError, ParameterError
+from mcspectra.core.errors import DomainError, ParameterError, point_in_words
 from mcspectra.core.spec import Component
+from mcspectra.integrands._quadrature import (
+    Estimate,
+    adaptive_integral,
+    lattice_integral,
+    refined_coefficients,
+)
 
-if TYPE_CHECKING:
-    from mcspectra.integrands._quadrature import Estimate
+__all__ = [
+    "Estimate",
+    "FunctionIntegrand",
+    "Integrand",
+    "check_dims",
+    "fourier_accuracy",
+    "fourier_grid",
+    "integral_accuracy",
+    "numeric_integral",
+]
 
-__all__ = ["Integrand", "check_dims"]
+_MOST_COEFFICIENTS = 2**26  # 1 GiB of complex numbers
+_EXACT_BLOCK = 2**20
+_KEPT = 4
+_ADAPTIVE_DIMS = 5
+_PROBE = (4, 7)  # two axes, so that functions of one list of points are found out
 
 
 class Integrand(Component, ABC):
@@ -65,11 +87,7 @@ class Integrand(Component, ABC):
     def integral(self) -> Any:
         """∫ f over [0,1]^d: a float, or an array (channels,). Exact or not: `integral_source`."""
         exact = self._integral()
-        if exact is not None:
-            return exact
-        from mcspectra.integrands.numeric import numeric_integral
-
-        return numeric_integral(self)
+        return numeric_integral(self) if exact is None else exact
 
     @property
     def integral_source(self) -> str:
@@ -93,11 +111,7 @@ class Integrand(Component, ABC):
         if not np.array_equal(frequencies, np.rint(frequencies)):
             raise ParameterError("Fourier coefficients exist at integer frequencies m only.")
         exact = self._fourier(frequencies)
-        if exact is not None:
-            return exact
-        from mcspectra.integrands.numeric import fourier_at
-
-        return fourier_at(self, frequencies)
+        return _fourier_at(self, frequencies) if exact is None else exact
 
     def fourier_grid(self, half_width: int) -> Array:
         """Coefficients at all m in {−half_width … half_width}^d.
@@ -107,10 +121,7 @@ class Integrand(Component, ABC):
         ndarray
             complex128 of shape (2 half_width + 1,) * d, or with (channels,) after that.
         """
-        width = as_integer("half_width", half_width, least=0)
-        from mcspectra.integrands.numeric import fourier_grid
-
-        return fourier_grid(self, width)
+        return fourier_grid(self, half_width)
 
     @property
     def fourier_source(self) -> str:
@@ -191,11 +202,60 @@ class Integrand(Component, ABC):
             The function is not callable, or a try on a few points gives another shape, complex
             numbers, NaN or infinity.
         """
-        from mcspectra.integrands.functions import FunctionIntegrand
-
-        return FunctionIntegrand.from_function(
-            function, dims=dims, integral=integral, fourier=fourier
+        if not callable(function):
+            raise ParameterError(
+                f"The function is {function!r}, not a callable; give f(points) -> values."
+            )
+        dims = as_integer("dims", dims, least=1)
+        channels = _probe(function, dims)
+        if fourier is not None:
+            _probe_fourier(fourier, dims, channels)
+        return FunctionIntegrand(
+            function=function,
+            dims=dims,
+            channels=channels,
+            known_integral=None if integral is None else _check_integral(integral, channels),
+            known_fourier=fourier,
         )
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FunctionIntegrand(Integrand):
+    """A vectorised callable; make it with `Integrand.from_function`, which probes it.
+
+    The callable must always give the same values: integrals and coefficients are remembered.
+    """
+
+    name: ClassVar[str] = "function"
+    function: Callable[[Any], Any]
+    dims: int
+    channels: int = 0
+    known_integral: Any = None
+    known_fourier: Callable[[Any], Any] | None = None
+
+    @property
+    def spec(self) -> str:
+        """``function(name)``: text for messages, not a spec to read again."""
+        return f"function({getattr(self.function, '__name__', type(self.function).__name__)})"
+
+    def _evaluate(self, x: Array) -> Array:
+        shape = (*x.shape[:-1], self.channels) if self.channels else x.shape[:-1]
+        values = _real(_called(self.function, x))
+        if values.shape != shape:
+            raise ParameterError(
+                f"{self.spec} gave values of shape {values.shape} at points of shape {x.shape}; "
+                f"it must give {shape}."
+            )
+        return _finite(values, x, self.spec)
+
+    def _integral(self) -> Any:
+        return self.known_integral
+
+    def _fourier(self, m: Array) -> Array | None:
+        if self.known_fourier is None:
+            return None
+        return _coefficients(self.known_fourier, m, self.channels)
 
 
 def check_dims(integrand: Integrand) -> int:
@@ -204,3 +264,246 @@ def check_dims(integrand: Integrand) -> int:
         return as_integer("dims", integrand.dims, least=1, most=integrand.max_dims or MAX_DIMS)
     except ParameterError as error:
         raise ParameterError(f"{integrand.name}: {error}") from None
+
+
+def fourier_grid(integrand: Integrand, half_width: int) -> Array:
+    """Coefficients at all m in {−half_width … half_width}^d.
+
+    Returns
+    -------
+    ndarray
+        complex128, (2 half_width + 1,) * d, then (channels,) where f has several.
+
+    Raises
+    ------
+    ParameterError
+        More than 2^26 coefficients, or a quadrature of more than 2^24 evaluations.
+    """
+    m = _all_frequencies(integrand, half_width)
+    if integrand._fourier(np.zeros((1, integrand.dims))) is None:
+        return _quadrature(integrand, m).value.copy()
+    points = np.stack(np.meshgrid(*m, indexing="ij"), axis=-1).reshape(-1, integrand.dims)
+    blocks = (points[i : i + _EXACT_BLOCK] for i in range(0, len(points), _EXACT_BLOCK))
+    found = np.concatenate([_exact(integrand, block) for block in blocks])
+    return found.reshape(*(axis.size for axis in m), *found.shape[1:])
+
+
+def _fourier_at(integrand: Integrand, m: Array) -> Array:
+    """Coefficients by quadrature at the integer frequencies m of shape (..., d).
+
+    One tensor grid serves all: its size is set by the highest |m_i| along each axis.
+    """
+    axes, places = [], []
+    for i in range(integrand.dims):
+        distinct, where = np.unique(m[..., i], return_inverse=True)
+        axes.append(distinct)
+        places.append(where.reshape(m.shape[:-1]))
+    _check_size(integrand, [axis.size for axis in axes])
+    return np.asarray(_quadrature(integrand, axes).value[tuple(places)])
+
+
+def fourier_accuracy(integrand: Integrand, half_width: int) -> tuple[str, float]:
+    """Say how `fourier_grid` finds its coefficients, and how well.
+
+    Returns
+    -------
+    tuple
+        Description, and an estimate of the largest absolute error: 0 where they are exact, else the
+        largest difference from a grid of half the nodes (for smooth f far above the true error).
+    """
+    if integrand._fourier(np.zeros((1, integrand.dims))) is not None:
+        return integrand.fourier_source, 0.0
+    found = _quadrature(integrand, _all_frequencies(integrand, half_width))
+    return f"{integrand.fourier_source}, {found.method}", found.error
+
+
+def numeric_integral(integrand: Integrand) -> Any:
+    """∫ f by quadrature: a float, or an array (channels,).
+
+    Up to 5 dims, Gauss-Legendre on boxes that are cut at the breaks and split adaptively to 1e-12 of
+    ∫|f| or 2^21 evaluations; beyond, the mean over 2^20 points of a Kronecker sequence, to be
+    trusted to three to six digits. An integrand that has a rule of its own, as pixels have, is
+    integrated by that. `integral_accuracy` estimates the error.
+    """
+    value = _integral_estimate(integrand).value
+    return value.copy() if integrand.channels else float(value[0])
+
+
+def integral_accuracy(integrand: Integrand) -> tuple[str, float]:
+    """Say how `integral` is found, and an estimate of its largest absolute error (0 if exact)."""
+    if integrand._integral() is not None:
+        return "exact", 0.0
+    found = _integral_estimate(integrand)
+    return found.method, found.error
+
+
+def _all_frequencies(integrand: Integrand, half_width: int) -> list[Array]:
+    width = as_integer("half_width", half_width, least=0)
+    _check_size(integrand, [2 * width + 1] * integrand.dims)
+    return [np.arange(-width, width + 1, dtype=np.float64)] * integrand.dims
+
+
+def _check_size(integrand: Integrand, sizes: list[int]) -> None:
+    count = math.prod(sizes) * max(1, integrand.channels)
+    if count > _MOST_COEFFICIENTS:
+        raise ParameterError(
+            f"{count:.3g} Fourier coefficients of {integrand.spec} are more than "
+            f"{_MOST_COEFFICIENTS:.3g}, 1 GiB; choose a smaller half_width or fewer frequencies."
+        )
+
+
+def _exact(integrand: Integrand, m: Array) -> Array:
+    found = integrand._fourier(m)
+    if found is None:
+        raise ParameterError(f"{integrand.spec} knows its coefficients at some frequencies only.")
+    return found
+
+
+def _quadrature(integrand: Integrand, m: Sequence[Array]) -> Estimate:
+    """Coefficients on a tensor product of frequencies, remembered by the integrand."""
+    kept = _memory(integrand)
+    key = tuple(axis.tobytes() for axis in m)
+    if key not in kept:
+        while len(kept) >= _KEPT:
+            kept.pop(next(iter(kept)), None)
+        kept[key] = _with_integral(integrand, m, refined_coefficients(integrand, m))
+    return kept[key]
+
+
+def _with_integral(integrand: Integrand, m: Sequence[Array], found: Estimate) -> Estimate:
+    """Put the integral, exact or from the better rule, in the place of the coefficient at 0.
+
+    Where two grids agree by chance (a border along their diagonals), it shows that they are off.
+    """
+    if not all((axis == 0).any() for axis in m):
+        return found
+    zero = tuple(int(np.flatnonzero(axis == 0)[0]) for axis in m)
+    value, integral = found.value.copy(), integrand.integral
+    error = max(found.error, float(np.abs(value[zero] - integral).max()))
+    value[zero] = integral
+    return replace(found, value=value, error=error)
+
+
+def _integral_estimate(integrand: Integrand) -> Estimate:
+    kept = _memory(integrand)
+    if "integral" not in kept:
+        rule = adaptive_integral if integrand.dims <= _ADAPTIVE_DIMS else lattice_integral
+        kept["integral"] = integrand._estimated_integral() or rule(integrand)
+    return kept["integral"]
+
+
+def _memory(integrand: Integrand) -> dict[Any, Estimate]:
+    """What was computed for an integrand: kept in it, so that it goes when the integrand goes."""
+    kept: dict[Any, Estimate] = integrand.__dict__.setdefault("_computed", {})
+    return kept
+
+
+def _probe(function: Callable[[Any], Any], dims: int) -> int:
+    """Return the number of channels, 0 for a scalar function, after a try on 28 points."""
+    x = _probe_points(dims)
+    try:
+        given = _called(function, x)
+    except ParameterError:
+        raise
+    except (TypeError, ValueError, IndexError) as error:
+        if _works_on_one_point(function, x[0, 0]):
+            raise ParameterError(
+                "The function takes one point at a time; write it for arrays of shape "
+                "(..., d), with x[..., 0] for the first coordinate and numpy's functions."
+            ) from error
+        raise
+    values = _real(given)
+    if values.shape[:2] != _PROBE or values.ndim > 3 or 0 in values.shape:
+        raise ParameterError(
+            f"The function gave shape {values.shape} at points of shape {x.shape}; it must give "
+            f"{_PROBE}, or {(*_PROBE, 'channels')}, one value for each point "
+            "(use x[..., 0] for the first coordinate)."
+        )
+    _finite(values, x, "The function")
+    return values.shape[2] if values.ndim == 3 else 0
+
+
+def _probe_points(dims: int) -> Array:
+    """Points of an additive recurrence, on no grid line."""
+    steps = np.sqrt(np.arange(2, 2 + dims) + 0.5)
+    return np.asarray((0.5 + np.arange(1, 29)[:, None] * steps) % 1.0).reshape(*_PROBE, dims)
+
+
+def _works_on_one_point(function: Callable[[Any], Any], point: Array) -> bool:
+    """Whether a function that failed on arrays takes a point, or a number in 1-D."""
+    for x in (point, float(point[0])):
+        with contextlib.suppress(Exception):  # the first failure is the one to report
+            if np.ndim(function(x)) <= 1:
+                return True
+    return False
+
+
+def _called(function: Callable[[Any], Any], x: Array) -> Any:
+    """Call `function` with a read-only view: the same points are weighted afterwards."""
+    view = x.view()
+    view.flags.writeable = False
+    try:
+        return function(view)
+    except ValueError as error:
+        if "read-only" not in str(error):
+            raise
+        raise ParameterError(
+            "The function changes its argument in place; work on a copy, x = x.copy()."
+        ) from error
+
+
+def _real(given: object) -> Array:
+    if np.ma.is_masked(given):
+        raise ParameterError("The function gave masked values; it must give a plain array.")
+    try:
+        values = np.asarray(given)
+    except ValueError:
+        raise ParameterError("The function gave a ragged list; it must give an array.") from None
+    if values.dtype.kind not in "biuf":
+        what = "complex numbers" if values.dtype.kind == "c" else f"values of type {values.dtype}"
+        raise ParameterError(f"The function gave {what}; it must give real numbers.")
+    return values.astype(np.float64, copy=False)
+
+
+def _finite(values: Array, x: Array, who: str) -> Array:
+    finite = np.isfinite(values)
+    if finite.all():
+        return values
+    bad = ~finite if values.ndim < x.ndim else ~finite.all(axis=-1)
+    where = point_in_words(x[bad][0])
+    raise ParameterError(
+        f"{who} is NaN or infinite at {np.count_nonzero(bad)} of {bad.size} points, the first "
+        f"{where}; it must be finite."
+    )
+
+
+def _check_integral(integral: object, channels: int) -> Any:
+    shape = (channels,) if channels else ()
+    try:
+        value = np.asarray(integral, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ParameterError(f"integral is {integral!r}; give a real number.") from None
+    if value.shape != shape or not np.isfinite(value).all():
+        wanted = f"{channels} finite numbers, one a channel" if channels else "one finite number"
+        raise ParameterError(f"integral is {integral!r}; give {wanted}.")
+    return value if channels else float(value)
+
+
+def _probe_fourier(fourier: Callable[[Any], Any], dims: int, channels: int) -> None:
+    if not callable(fourier):
+        raise ParameterError(f"fourier is {fourier!r}, not a callable; give m -> coefficients.")
+    _coefficients(fourier, np.zeros((2, 3, dims)), channels)
+
+
+def _coefficients(fourier: Callable[[Any], Any], m: Array, channels: int) -> Array:
+    """Coefficients of a user's callable, complex128, checked in shape and finite."""
+    shape = (*m.shape[:-1], channels) if channels else m.shape[:-1]
+    found = np.asarray(fourier(m))
+    if found.shape != shape or found.dtype.kind not in "biufc":
+        raise ParameterError(
+            f"fourier gave shape {found.shape} and type {found.dtype} at frequencies of shape "
+            f"{m.shape}; it must give numbers of shape {shape}."
+        )
+    if not np.isfinite(found).all():
+        raise ParameterError("fourier gave NaN or infinity; it must give finite numbers.")
+    return found.astype(np.complex128, copy=False)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import warnings
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -20,7 +19,7 @@ from typing import Any, final
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import CacheWarning, StoreError
+from mcspectra.core.errors import CacheWarning, StoreError, warn
 
 __all__ = ["TileStore"]
 
@@ -73,9 +72,7 @@ class TileStore:
                     return {name: stored[name] for name in stored.files if name != "hash"}
         except _DAMAGE:
             pass
-        warnings.warn(
-            f"The tile {path.name} is damaged; it is computed again.", CacheWarning, stacklevel=3
-        )
+        warn(f"The tile {path.name} is damaged; it is computed again.", CacheWarning)
         return None
 
     def save(self, tile: int, arrays: Mapping[str, Array]) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.streams import Stream
 from mcspectra.integrands import Integrand
-from mcspectra.integrands.numeric import Estimate
+from mcspectra.integrands.base import Estimate
 from mcspectra.samplers import as_sampler
 
 __all__ = ["SOURCE", "mean_of_points"]

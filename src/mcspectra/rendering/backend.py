@@ -3,8 +3,9 @@
 Dr.Jit compiles for the CPU through libLLVM, and some versions of it end the process with SIGABRT
 when the first kernel is compiled (measured: LLVM 15 and 16 on an AVX-512 machine). So every
 candidate is tried in a subprocess first: the user's ``DRJIT_LIBLLVM_PATH``, then the library of the
-wheel karellen-llvm-core, then the system's, version 19 or newer. The verdict is kept in the user's
-cache folder under everything it depends on, so that only the first start pays for the trial.
+wheel karellen-llvm-core, then the system's, version 19 or newer. The verdict is kept in the
+folder of the cache (`mcspectra.core.cache`) under everything it depends on, so that only the first
+start pays for the trial.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from importlib.metadata import PackageNotFoundError, files, version
 from pathlib import Path
 from typing import Any
 
+from mcspectra.core.cache import cache_folder
 from mcspectra.core.errors import MissingDependency
 
 __all__ = [
@@ -291,7 +293,7 @@ def _llvm_version(path: str) -> int | None:
 
 
 def _verdict(library: str, fresh: bool) -> Verdict:
-    file = _cache_folder() / f"llvm-{_fingerprint(library)}.json"
+    file = cache_folder() / f"llvm-{_fingerprint(library)}.json"
     cached = None if fresh else _read_verdict(file, library)
     if cached is not None:
         return cached
@@ -339,17 +341,6 @@ def _last_words(run: subprocess.CompletedProcess[str]) -> str:
     lines = [line.strip() for line in run.stderr.splitlines() if line.strip()]
     ending = f"signal {-run.returncode}" if run.returncode < 0 else f"status {run.returncode}"
     return f"the trial ended with {ending}" + (f" ({lines[-1][:160]})" if lines else "")
-
-
-def _cache_folder() -> Path:
-    """Return the folder that the platform sets aside for caches of this package."""
-    home = Path.home()
-    system = platform.system()
-    if system == "Windows":
-        return Path(os.environ.get("LOCALAPPDATA") or home / "AppData/Local") / "mcspectra/Cache"
-    if system == "Darwin":
-        return home / "Library/Caches/mcspectra"
-    return Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache") / "mcspectra"
 
 
 def _read_verdict(file: Path, library: str) -> Verdict | None:

@@ -34,8 +34,7 @@ from typing import Any, ClassVar, final
 from mcspectra.core.checks import Array, as_choice, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.densities import Density
-from mcspectra.integrands.base import Integrand
-from mcspectra.integrands.numeric import Estimate
+from mcspectra.integrands.base import Estimate, Integrand
 from mcspectra.rendering._pixel_integral import SOURCE, mean_of_points
 from mcspectra.rendering.backend import LOCK
 from mcspectra.rendering.draws import MOST_DIMS, Technique, View, check_channel

@@ -18,12 +18,11 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.densities import Density
 from mcspectra.estimators.base import AbstractEstimator, check_counts
-from mcspectra.estimators.heuristics import Heuristic, as_heuristic
+from mcspectra.estimators.heuristics import Heuristic, Pilot, as_heuristic
 from mcspectra.estimators.importance import Estimator, scale
-from mcspectra.estimators.pilots import Pilot
 from mcspectra.estimators.sets import check_sets
 from mcspectra.integrands import Integrand
-from mcspectra.integrands.numeric import Estimate
+from mcspectra.integrands.base import Estimate
 from mcspectra.rendering._pixel_integral import SOURCE, mean_of_points
 from mcspectra.rendering.draws import Draws, Technique, View
 from mcspectra.rendering.pixel import ENVIRONMENT, Pixel, check_view

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
-from mcspectra.core.errors import IncompleteImageWarning, ParameterError
+from mcspectra.core.errors import IncompleteImageWarning, ParameterError, warn
 from mcspectra.rendering.backend import LOCK, load_mitsuba
 from mcspectra.rendering.scenes import Scene, emitter_name, find_emitter, load_scene, scene_name
 from mcspectra.rendering.skies import rotation_of
@@ -97,7 +96,7 @@ def warn_lens(scene: Scene) -> None:
     with LOCK:
         sentences = _lens(scene, load_scene(scene))
     for sentence in sentences:
-        _warn(sentence)
+        warn(sentence, IncompleteImageWarning)
 
 
 def camera_rays(scene: Scene) -> str:
@@ -127,9 +126,10 @@ def warn_missed(scene: Scene, strategy: str, light: int | str | None = None) -> 
             return
     if missed:
         other = "light" if strategy == "bsdf" else "bsdf"
-        _warn(
+        warn(
             f"The strategy {strategy!r} leaves out {_listed(missed)} of {scene_name(scene)}, a "
-            f"delta function; choose 'mis' or {other!r}."
+            f"delta function; choose 'mis' or {other!r}.",
+            IncompleteImageWarning,
         )
 
 
@@ -151,10 +151,6 @@ def delta_bsdf(bsdf: Any, shape: str) -> str:
 def _raise_first(sentences: list[str]) -> None:
     if sentences:
         raise ParameterError(sentences[0])
-
-
-def _warn(sentence: str) -> None:
-    warnings.warn(sentence, IncompleteImageWarning, stacklevel=4)
 
 
 def _listed(names: list[str]) -> str:

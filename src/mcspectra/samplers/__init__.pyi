@@ -1,6 +1,10 @@
+from .base import FunctionSampler as FunctionSampler
+from .base import GivenPoints as GivenPoints
+from .base import QmcpySampler as QmcpySampler
 from .base import Randomization as Randomization
 from .base import Randomized as Randomized
 from .base import Sampler as Sampler
+from .base import ScipySampler as ScipySampler
 from .base import Structure as Structure
 from .candidates import BestCandidate as BestCandidate
 from .candidates import DartThrowing as DartThrowing
@@ -11,9 +15,6 @@ from .digital import LarcherPillichshammer as LarcherPillichshammer
 from .digital import Niederreiter as Niederreiter
 from .digital import Sobol as Sobol
 from .dither import VoidAndCluster as VoidAndCluster
-from .external import FunctionSampler as FunctionSampler
-from .external import GivenPoints as GivenPoints
-from .external import ScipySampler as ScipySampler
 from .gaussian_blue_noise import GaussianBlueNoise as GaussianBlueNoise
 from .hexagonal import Hexagonal as Hexagonal
 from .hyperuniform import PerturbedLattice as PerturbedLattice
@@ -39,7 +40,6 @@ from .progressive import PMJ as PMJ
 from .progressive import PMJ02 as PMJ02
 from .progressive import PMJ02BlueNoise as PMJ02BlueNoise
 from .projective import ProjectiveBlueNoise as ProjectiveBlueNoise
-from .qmcpy_ import QmcpySampler as QmcpySampler
 from .radical import Halton as Halton
 from .radical import Hammersley as Hammersley
 from .radical import VanDerCorput as VanDerCorput

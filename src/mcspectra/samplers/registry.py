@@ -12,6 +12,7 @@ from mcspectra.core.checks import as_integer
 from mcspectra.core.errors import ParameterError, SpecError, UnknownName
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import Call, parse_chain
+from mcspectra.samplers._qmcpy import is_qmcpy
 from mcspectra.samplers.base import Randomization, Sampler
 
 __all__ = ["RANDOMIZATIONS", "SAMPLERS", "as_sampler", "sampler", "sampler_from_calls"]
@@ -52,14 +53,14 @@ SAMPLERS = Registry(
         "pmj": "mcspectra.samplers.progressive:PMJ",
         "pmj02": "mcspectra.samplers.progressive:PMJ02",
         "pmj02-blue-noise": "mcspectra.samplers.progressive:PMJ02BlueNoise",
-        "points": "mcspectra.samplers.external:GivenPoints",
+        "points": "mcspectra.samplers.base:GivenPoints",
         "poisson-disk": "mcspectra.samplers.poisson:PoissonDisk",
         "projective-blue-noise": "mcspectra.samplers.projective:ProjectiveBlueNoise",
-        "qmcpy": "mcspectra.samplers.qmcpy_:QmcpySampler",
+        "qmcpy": "mcspectra.samplers.base:QmcpySampler",
         "random": "mcspectra.samplers.stratified:Random",
         "rank1-lattice": "mcspectra.samplers.lattice:Rank1Lattice",
         "regular": "mcspectra.samplers.stratified:Regular",
-        "scipy": "mcspectra.samplers.external:ScipySampler",
+        "scipy": "mcspectra.samplers.base:ScipySampler",
         "sliced-optimal-transport": "mcspectra.samplers.sliced:SlicedOptimalTransport",
         "sobol": "mcspectra.samplers.digital:Sobol",
         "stealthy-hyperuniform": "mcspectra.samplers.hyperuniform:StealthyHyperuniform",
@@ -163,7 +164,7 @@ def _from_object(source: Any, dims: int | None) -> Sampler:
     if _is_engine(source):
         sizes = {"d": dims} if isinstance(source, type) and dims is not None else {}
         return Sampler.from_scipy(source, **sizes)
-    if _is_generator(source):
+    if is_qmcpy(source):
         sizes = {"dims": dims} if isinstance(source, type) and dims is not None else {}
         return Sampler.from_qmcpy(source, **sizes)
     raise ParameterError(
@@ -178,14 +179,6 @@ def _is_engine(source: object) -> bool:
     if engine is None:
         return False
     return isinstance(source, engine) or (isinstance(source, type) and issubclass(source, engine))
-
-
-def _is_generator(source: object) -> bool:
-    if "qmcpy" not in sys.modules:
-        return False
-    from mcspectra.samplers.qmcpy_ import is_qmcpy
-
-    return is_qmcpy(source)
 
 
 def _build_sampler(call: Call, dims: int | None) -> Sampler:

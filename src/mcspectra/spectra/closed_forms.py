@@ -17,13 +17,12 @@ multiplies S_m by a random phase: it leaves the power as it is and makes C_ml di
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import numpy as np
 
 from mcspectra.core.checks import Array, as_frequencies
-from mcspectra.core.errors import InfiniteWeightVarianceWarning, NoClosedForm, ParameterError
+from mcspectra.core.errors import InfiniteWeightVarianceWarning, NoClosedForm, ParameterError, warn
 from mcspectra.densities import Density, Uniform, as_warp
 from mcspectra.samplers import Randomized, Sampler, Shift, StrataShift, as_sampler
 from mcspectra.spectra.closed_moments import known_moments
@@ -208,10 +207,9 @@ def _weighted_power(sampler: Sampler, n: int, nu: Array, density: Density) -> Ar
     """Random points of a density: (1/n) ∫1/p + (1 − 1/n) |χ|²; others at integers only."""
     reciprocal = density.reciprocal_integral()
     if not np.isfinite(reciprocal):
-        warnings.warn(
+        warn(
             f"∫1/p diverges for {density.spec}: the expected power is infinite.",
             InfiniteWeightVarianceWarning,
-            stacklevel=3,
         )
         return np.full(nu.shape[:-1], np.inf)
     base, moves = _translations(sampler)

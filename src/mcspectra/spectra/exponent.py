@@ -15,8 +15,9 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_integer, as_real
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.fits import line_fit
 from mcspectra.core.results import dataset
-from mcspectra.spectra._polar import wedge_labels
+from mcspectra.spectra.power import wedge_labels
 from mcspectra.spectra.shapes import HalfSpectrum
 
 if TYPE_CHECKING:
@@ -193,14 +194,19 @@ def _fit_class(
     half: HalfSpectrum, label: Array, lengths: Array, name: str, classes: int
 ) -> _Fit | None:
     """Fit the lengths of one class that have power; None where fewer than three have."""
+    from scipy.special import stdtrit
+
     power, se, count = half.mean_by(label, len(lengths))
     used = count > 0
     if np.count_nonzero(used) < 3 or not (power[used] > 0).all():
         return None
-    x = np.log(lengths[used] * half.grid.step)
-    lowest = math.log(lengths[0] * half.grid.step)
-    slope, level, interval, chi2 = _line(x - lowest, power[used], se[used], classes)
-    return _Fit(slope, level, interval, chi2, int(used.sum()), name)
+    x = np.log(lengths[used] * half.grid.step) - math.log(lengths[0] * half.grid.step)
+    error = np.maximum(se[used] / power[used], 1e-9)
+    fit = line_fit(x, np.log(power[used]), error**-2.0)
+    quantile = float(stdtrit(len(x) - 2, 1 - (1 - _LEVEL) / (2 * classes)))
+    wide = quantile * math.sqrt(max(fit.chi2, 1.0) / fit.spread)
+    interval = (fit.slope - wide, fit.slope + wide)
+    return _Fit(fit.slope, float(fit.at(0.0)), interval, fit.chi2, len(x), name)
 
 
 def _lengths(half: HalfSpectrum, axis: int | None) -> tuple[Array, Array]:
@@ -230,20 +236,3 @@ def _window(half: HalfSpectrum, up_to: float | None, lengths: Array) -> float:
         return float(min(max(quarter, lengths[2]), half.grid.half_width))
     most = half.grid.half_width * step
     return as_real("up_to", up_to, least=float(lengths[2]) * step * (1 - 1e-9), most=most) / step
-
-
-def _line(
-    x: Array, power: Array, se: Array, classes: int
-) -> tuple[float, float, tuple[float, float], float]:
-    """Slope of log power, its value at x = 0, the 95 % interval of the slope, and χ²/degrees."""
-    from scipy.special import stdtrit
-
-    y, weight = np.log(power), np.maximum(se / power, 1e-9) ** -2.0
-    centre, level = np.average(x, weights=weight), np.average(y, weights=weight)
-    spread = (weight * (x - centre) ** 2).sum()
-    slope = float((weight * (x - centre) * y).sum() / spread)
-    degrees = len(x) - 2
-    chi2 = float((weight * (y - level - slope * (x - centre)) ** 2).sum() / degrees)
-    quantile = float(stdtrit(degrees, 1 - (1 - _LEVEL) / (2 * classes)))
-    half = quantile * math.sqrt(max(chi2, 1.0) / spread)
-    return slope, float(level - slope * centre), (slope - half, slope + half), chi2

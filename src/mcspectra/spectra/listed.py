@@ -34,12 +34,13 @@ from mcspectra.core.parallel import (
     map_in_order,
     realization_blocks,
 )
+from mcspectra.core.records import merged
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.densities import Density, as_warp
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra._listed_kernels import phase_sum, product_sum
-from mcspectra.spectra.power import PowerSums, weighted_points
+from mcspectra.spectra.power import PowerSums, spectrum_attributes, weighted_points
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -130,9 +131,9 @@ def power_at(
     sums = PowerSums.zeros(len(nu), True)
     blocks = realization_blocks(realizations, max(n * source.dims, len(nu)), least=4)
     for part in map_in_order(block_sums, blocks, available_workers(workers)):
-        sums.add(part)
-    power, power_se = sums.power(realizations)
-    mean, mean_se = sums.coefficient(realizations)
+        sums = merged(sums, part)
+    power, power_se = sums.power.mean_and_error()
+    mean, mean_se = sums.coefficient()
     found = {
         "power": power,
         "power_se": power_se,
@@ -142,16 +143,10 @@ def power_at(
     return dataset(
         {name: (("frequency",), values) for name, values in found.items()},
         _coords(nu),
-        sampler=source.spec,
-        density=p.spec if p is not None else None,
-        n=n,
-        realizations=realizations,
-        stream_key=f"{stream.key:#x}",
+        **spectrum_attributes(source, p, n, realizations, stream),
         seed=rng if isinstance(rng, int) else None,
         engine=chosen,
         eps=eps,
-        random_level=1.0 if p is None else p.reciprocal_integral(),
-        convention="power = <|S_m|^2>; random points: random_level/n, random_level = ∫1/p",
     )
 
 

@@ -4,32 +4,34 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 
 import numpy as np
+from msgspec import Meta
 
-from mcspectra.core.checks import Array, as_choice, as_integer, as_real, as_real_array
+from mcspectra.core.analysis import Analysis, MergeTree, Need, Reduction, Subject, compute
+from mcspectra.core.checks import Array, as_integer, as_real_array
 from mcspectra.core.errors import NoClosedForm, ParameterError
-from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers, map_in_order
+from mcspectra.core.memory import memory_of
+from mcspectra.core.options import COUNT, SETS
+from mcspectra.core.parallel import map_in_order
+from mcspectra.core.records import MeanSums
 from mcspectra.core.results import dataset
-from mcspectra.core.staged import MergeTree, compute
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra._pair_kernels import count_distances, count_ordered_pairs
-from mcspectra.spectra.staged_mean import StagedMean, mean_and_error, merge_sums
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
+    "PairCorrelation",
     "closed_form_pair_correlation",
     "count_pairs",
     "mean_of_realizations",
     "pair_correlation",
-    "staged_pair_correlation",
 ]
 
-_BOUNDARIES = ("toroidal", "border")
 _MOST_PAIRS = 2**36  # about a minute a realisation
 
 
@@ -76,65 +78,89 @@ def pair_correlation(
     set is stationary. Only points with first coordinates nearer than max_distance are compared: the
     cost is O(n log n + n² max_distance) a realisation.
     """
-    threads = available_workers(workers)
-    return compute(
-        staged_pair_correlation(
-            sampler,
-            n,
-            bins=bins,
-            realizations=realizations,
-            rng=rng,
-            boundary=boundary,
-            max_distance=max_distance,
-        ),
-        threads,
-        "pair_correlation",
+    analysis = PairCorrelation(
+        n=n,
+        bins=bins,
+        realizations=realizations,
+        boundary=boundary,  # type: ignore[arg-type]
+        max_distance=max_distance,
     )
+    return compute(analysis, Subject(None, as_sampler(sampler)), rng, workers)
 
 
-def staged_pair_correlation(
-    sampler: Sampler | str,
-    n: int,
-    *,
-    bins: int = 100,
-    realizations: int = 16,
-    rng: RngLike = 0,
-    boundary: str = "toroidal",
-    max_distance: float | None = None,
-) -> StagedMean:
-    """Return `pair_correlation` as a staged analysis, its arguments checked: a block is a set."""
-    source = as_sampler(sampler)
-    as_integer("dims of a pair correlation", source.dims, least=1, most=8)
-    n = _checked_count(source, n)
-    bins = as_integer("bins", bins, least=1, most=10**6)
-    realizations = as_integer("realizations", realizations, least=1, most=MAX_REALIZATIONS)
-    wrap = as_choice("boundary", boundary, _BOUNDARIES) == "toroidal"
-    most = _checked_distance(max_distance, wrap)
-    stream = Stream.from_rng(rng)
-    edges = np.linspace(0.0, most, bins + 1)
-    expected = 0.5 * n * (n - 1) * np.diff(_ball(source.dims) * edges**source.dims)
-    if not wrap:
-        expected *= 2.0 * (1.0 - 2.0 * edges[1:]) ** source.dims
+@final
+class PairCorrelation(Analysis, frozen=True, kw_only=True):
+    """Pair correlation of the sampler's points, before any warp."""
 
-    def one(realization: int) -> Array:
-        points = source.draw_stream(n, stream, realization, 1)[0]
-        return count_pairs(points, edges, wrap=wrap) / expected
+    function = "pair_correlation"
+    verb = "pcf"
+    about = "sampler"
+    variables = ("pair_correlation", "pair_correlation_se")
 
-    def result(mean: Array, se: Array) -> xr.Dataset:
-        center = 0.5 * (edges[1:] + edges[:-1])
-        r = ("r", center, {"long_name": f"{boundary} distance", "units": "1"})
-        return dataset(
-            {"pair_correlation": (("r",), mean), "pair_correlation_se": (("r",), se)},
-            {"r": r},
-            sampler=source.spec,
-            n=n,
-            boundary=boundary,
-            realizations=realizations,
-            stream_key=f"{stream.key:#x}",
-            seed=rng if isinstance(rng, int) else None,
+    n: Annotated[int, COUNT, Meta(description="Points in a set, at least 2.")]
+    bins: Annotated[int, Meta(ge=1, le=10**6, description="Equal bins of the distance.")] = 100
+    realizations: Annotated[int, SETS] = 16
+    boundary: Annotated[
+        Literal["toroidal", "border"],
+        Meta(description="toroidal: distances wrap around; border: corrected near the faces."),
+    ] = "toroidal"
+    max_distance: Annotated[
+        Annotated[float, Meta(gt=0.0, le=0.5)] | None,
+        Meta(description="Largest distance; 1/2, with border 1/4, by default."),
+    ] = None
+
+    def need(self, subject: Subject) -> Need:
+        """Refuse dims and numbers of pairs that are too many."""
+        source = subject.sampler
+        as_integer("dims of a pair correlation", source.dims, least=1, most=8)
+        _check_pairs(source, self.n)
+        if self.max_distance == 0.5 and self.boundary == "border":
+            raise ParameterError(
+                "max_distance is 0.5; with the border correction give less: no point is that far "
+                "inside."
+            )
+        # Counts of four neighbours at a time, sums, edges and expected numbers of each bin
+        return Need(cost=self._cost, memory=memory_of(self.n, source.dims) + 128 * self.bins)
+
+    def reduction(self, subject: Subject, stream: Stream) -> Reduction[MeanSums]:
+        """A block is a set."""
+        source, n, wrap = subject.sampler, self.n, self.boundary == "toroidal"
+        edges = np.linspace(0.0, self._most, self.bins + 1)
+        volume = math.pi ** (source.dims / 2) / math.gamma(source.dims / 2 + 1)  # of the unit ball
+        expected = 0.5 * n * (n - 1) * np.diff(volume * edges**source.dims)
+        if not wrap:
+            expected *= 2.0 * (1.0 - 2.0 * edges[1:]) ** source.dims
+
+        def block(realization: int) -> MeanSums:
+            points = source.draw_stream(n, stream, realization, 1)[0]
+            return MeanSums.of(count_pairs(points, edges, wrap=wrap) / expected)
+
+        def result(total: MeanSums) -> xr.Dataset:
+            mean, se = total.mean_and_error()
+            center = 0.5 * (edges[1:] + edges[:-1])
+            return dataset(
+                {"pair_correlation": (("r",), mean), "pair_correlation_se": (("r",), se)},
+                {"r": ("r", center, {"long_name": f"{self.boundary} distance", "units": "1"})},
+                sampler=source.spec,
+                n=n,
+                boundary=self.boundary,
+                realizations=self.realizations,
+                stream_key=f"{stream.key:#x}",
+            )
+
+        return Reduction(
+            kind=MeanSums, block=block, blocks=self.realizations, cost=self._cost, result=result
         )
 
-    return StagedMean(one, realizations, realizations * (n + 0.2 * most * n**2), result)
+    @property
+    def _most(self) -> float:
+        if self.max_distance is None:
+            return 0.5 if self.boundary == "toroidal" else 0.25
+        return self.max_distance
+
+    @property
+    def _cost(self) -> float:
+        return self.realizations * (self.n + 0.2 * self._most * self.n**2)
 
 
 def count_pairs(points: Array, edges: Array, *, wrap: bool) -> Array:
@@ -190,7 +216,7 @@ def closed_form_pair_correlation(sampler: Sampler | str, n: int, r: Any) -> Arra
     array([0.   , 0.667, 1.333])
     """
     source = as_sampler(sampler)
-    n = _checked_count(source, n)
+    n = _check_pairs(source, n)
     distance = as_real_array("r", r)
     if distance.size and not (distance.min() >= 0.0 and distance.max() <= 0.5):
         raise ParameterError("r must hold distances from 0 to 1/2; those given do not.")
@@ -220,7 +246,7 @@ def _shared_cell(a: Array, b: Array) -> Array:
     return np.where(low < high, primitive(high) - primitive(low), 0.0) * (2.0 / np.pi)
 
 
-def _checked_count(sampler: Sampler, n: int) -> int:
+def _check_pairs(sampler: Sampler, n: int) -> int:
     count = sampler.check_count(n)
     if count < 2:
         raise ParameterError("pair_correlation needs n of at least 2, not 1.")
@@ -232,27 +258,11 @@ def _checked_count(sampler: Sampler, n: int) -> int:
     return count
 
 
-def _checked_distance(given: float | None, wrap: bool) -> float:
-    if given is None:
-        return 0.5 if wrap else 0.25
-    most = as_real("max_distance", given, above=0.0, most=0.5)
-    if most == 0.5 and not wrap:
-        raise ParameterError(
-            "max_distance is 0.5; with the border correction give less: no point is that far inside."
-        )
-    return most
-
-
-def _ball(dims: int) -> float:
-    """Volume of the unit ball."""
-    return float(math.pi ** (dims / 2)) / math.gamma(dims / 2 + 1)
-
-
 def mean_of_realizations(
     one: Callable[[int], Array], realizations: int, workers: int
 ) -> tuple[Array, Array]:
     """Mean over realisations and its standard error, NaN for a single one."""
-    tree = MergeTree(merge_sums)
+    tree: MergeTree[MeanSums] = MergeTree()
     for values in map_in_order(one, range(realizations), workers):
-        tree.add((values, values * values))
-    return mean_and_error(tree.total(), realizations)
+        tree.add(MeanSums.of(values))
+    return tree.total().mean_and_error()

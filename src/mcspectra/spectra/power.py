@@ -1,40 +1,50 @@
-"""Expected power spectra of point sets, uniform or importance-sampled, by simulation."""
+"""Expected power spectra of point sets, uniform or importance-sampled, by simulation.
+
+Power is summed by frequency, and over rings and wedges of frequencies, realisation by realisation:
+frequencies of one set are not independent, since under a density they share the fluctuation of its
+weights. Errors of means over many of them are therefore taken from the means themselves.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import functools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, final
 
 import numpy as np
+from msgspec import Meta
 
-from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute, whole
+from mcspectra.core.checks import MAX_FREQUENCY, Array
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
+from mcspectra.core.memory import memory_of
+from mcspectra.core.options import COUNT, ENGINE, EPS, HALF_WIDTH, SETS
+from mcspectra.core.parallel import Block, realization_blocks
+from mcspectra.core.records import SUM, MeanSums, standard_error
 from mcspectra.core.results import dataset
-from mcspectra.core.staged import compute
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.densities import Density, as_warp
+from mcspectra.densities.base import divide_by_density
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.spectra._polar import PolarSums
-from mcspectra.spectra.staged_spectrum import (
-    PowerSums,
-    SpectrumSums,
-    StagedSpectrum,
-    weighted_points,
-)
-from mcspectra.spectra.transforms import FrequencyGrid, Transform
+from mcspectra.spectra._kernels import group_power, power_sums
+from mcspectra.spectra.transforms import MAX_FREQUENCIES, FrequencyGrid, Transform
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
     "MAX_WEDGES",
+    "Points",
     "PowerSums",
+    "Spectrum",
     "power_spectrum",
-    "staged_spectrum",
+    "spectrum_attributes",
     "wedge_angles",
+    "wedge_labels",
     "weighted_points",
 ]
 
+_BLOCKS = 8  # at least, for threads and machines to share
 _MOST_COORDINATES = 2**26  # of a set: half a GiB, and several times that in a transform
 
 MAX_WEDGES = 360
@@ -112,122 +122,302 @@ def power_spectrum(
     >>> spectrum["power"].dims, bool(64 * spectrum["radial_power"][0] < 0.2)
     (('m0', 'm1'), True)
     """
-    threads = available_workers(workers)
-    return compute(
-        staged_spectrum(
-            sampler,
-            n,
-            density=density,
-            half_width=half_width,
-            frequency_step=frequency_step,
-            realizations=realizations,
-            mean=mean,
-            wedges=wedges,
-            rng=rng,
-            engine=engine,
-            eps=eps,
-        ),
-        threads,
-        "power_spectrum",
-    )
-
-
-def staged_spectrum(
-    sampler: Sampler | str,
-    n: int,
-    *,
-    density: Density | str | None = None,
-    half_width: int = 64,
-    frequency_step: float = 1.0,
-    realizations: int = 100,
-    mean: bool = False,
-    wedges: int = 12,
-    rng: RngLike = 0,
-    engine: str = "auto",
-    eps: float = 1e-9,
-) -> StagedSpectrum:
-    """Return `power_spectrum` as a staged analysis of one run, its arguments checked."""
     source = as_sampler(sampler, getattr(density, "primary_dims", None))
-    p = as_warp(density, source.dims)
-    dims = source.dims if p is None else p.dims
-    n = source.check_count(n)
-    realizations = as_integer("realizations", realizations, least=1, most=MAX_REALIZATIONS)
-    _check_points(n, max(dims, source.dims))
-    grid = FrequencyGrid(dims, half_width, frequency_step)
-    wedges = as_integer("wedges", wedges, least=1, most=MAX_WEDGES)
-    transform = Transform(grid, n, engine=engine, eps=eps)
-    stream = Stream.from_rng(rng)
+    spectrum = Spectrum(
+        n=n,
+        half_width=half_width,
+        frequency_step=frequency_step,
+        realizations=realizations,
+        mean=mean,
+        wedges=wedges,
+        engine=engine,
+        eps=eps,
+    )
+    return compute(spectrum, Subject(None, source, as_warp(density, source.dims)), rng, workers)
 
-    def result(total: SpectrumSums) -> xr.Dataset:
-        power, se = total.power.power(realizations)
-        variables, coords = _polar_variables(grid, total.polar, realizations)
-        return dataset(
-            {
+
+class _OfPointSets(Analysis, frozen=True, kw_only=True):
+    """Options of a spectrum, and of the points that are shown beside it."""
+
+    about = "sampler"
+
+    n: Annotated[int, COUNT, Meta(description="Points in a set.")]
+    half_width: Annotated[int, HALF_WIDTH] = 64
+    frequency_step: Annotated[
+        float,
+        Meta(
+            gt=0.0,
+            le=MAX_FREQUENCY / MAX_FREQUENCIES,
+            description="Distance of frequencies; below 1 for those between the integers.",
+        ),
+    ] = 1.0
+    realizations: Annotated[int, SETS] = 100
+    mean: Annotated[bool, Meta(description="Also the complex mean of the coefficients.")] = False
+    wedges: Annotated[
+        int,
+        Meta(
+            ge=1, le=MAX_WEDGES, description="Directions of which the mean is taken, in two dims."
+        ),
+    ] = 12
+    engine: Annotated[str, ENGINE] = "auto"
+    eps: Annotated[float, EPS] = 1e-9
+
+
+@final
+class Spectrum(_OfPointSets, frozen=True, kw_only=True):
+    """Expected power spectrum of the (importance) samples at one n."""
+
+    function = "power_spectrum"
+    verb = "spectrum"
+    companions = ("points",)
+    variables = (
+        "power", "power_se", "radial_power", "radial_power_se", "wedge_power", "wedge_power_se",
+        "mean_coefficient", "mean_coefficient_se",
+    )  # fmt: skip
+
+    def need(self, subject: Subject) -> Need:
+        """Refuse sets that are too large, and engines that do not work in these dims."""
+        source, p = _warped(subject)
+        source.check_count(self.n)
+        dims = max(source.dims, p.dims if p else 0)
+        if self.n * dims > _MOST_COORDINATES:
+            raise ParameterError(
+                f"{self.n} points in {dims} dims are {100 * self.n * dims / 2**30:.3g} GiB a thread; "
+                f"a spectrum takes at most {_MOST_COORDINATES // dims} of them."
+            )
+        grid = self._transform(source, p).grid
+        return Need(cost=self._cost(grid), memory=memory_of(self.n, dims, 1, grid.size))
+
+    def reduction(self, subject: Subject, stream: Stream) -> Reduction[_SpectrumSums]:
+        """Sums over blocks of realisations; pairs share a transform."""
+        source, p = _warped(subject)
+        transform = self._transform(source, p)
+        grid = transform.grid
+        polar = _PolarMeans.of(grid, self.wedges)
+        # A block holds its points and two half spectra
+        numbers = max(self.n * source.dims, grid.size // 8)
+        blocks = realization_blocks(self.realizations, numbers, multiple=2, least=_BLOCKS)
+
+        def block(index: int) -> _SpectrumSums:
+            points, weights = weighted_points(source, p, self.n, stream, blocks[index])
+            sums = _SpectrumSums(
+                PowerSums.zeros(grid.half_size, self.mean), MeanSums.zeros(polar.size)
+            )
+            groups = functools.partial(polar.add, sums.polar)
+            own = sums.frequencies.power
+            transform.add_power(
+                points, weights, own.total, own.squares, sums.frequencies.mean, groups
+            )
+            own.count = sums.polar.count = len(points)
+            return sums
+
+        def result(total: _SpectrumSums) -> xr.Dataset:
+            power, power_se = total.frequencies.power.mean_and_error()
+            found: dict[str, tuple[tuple[str, ...], Array]] = {
                 "power": (grid.names, grid.full(power)),
-                "power_se": (grid.names, grid.full(se)),
-                **variables,
-                **_mean_variables(grid, total.power, realizations),
-            },
-            {**grid.coords, **coords},
-            sampler=source.spec,
-            density=p.spec if p is not None else None,
-            n=n,
-            realizations=realizations,
-            stream_key=f"{stream.key:#x}",
-            seed=rng if isinstance(rng, int) else None,
-            engine=transform.engine,
-            eps=eps,
-            random_level=1.0 if p is None else p.reciprocal_integral(),
-            convention="power = <|S_m|^2>; random points: random_level/n, random_level = ∫1/p",
+                "power_se": (grid.names, grid.full(power_se)),
+            }
+            # Means over rings, then over wedges
+            means, rings = total.polar.mean_and_error(), grid.half_width
+            labels = {"long_name": "|m|", "units": "cycles per unit"}
+            coords: dict[str, Any] = {
+                **grid.coords,
+                "radius": ("radius", polar.radius * grid.step, labels),
+            }
+            for name, values in zip(("radial_power", "radial_power_se"), means, strict=True):
+                found[name] = ("radius",), values[:rings]
+            if grid.dims == 2:
+                for name, values in zip(("wedge_power", "wedge_power_se"), means, strict=True):
+                    found[name] = ("angle",), values[rings:]
+                coords["angle"] = wedge_angles(self.wedges)
+            if self.mean:
+                mean, mean_se = total.frequencies.coefficient()
+                found["mean_coefficient"] = grid.names, grid.full(mean, conjugate=True)
+                found["mean_coefficient_se"] = grid.names, grid.full(mean_se)
+            about = spectrum_attributes(source, p, self.n, self.realizations, stream)
+            return dataset(found, coords, **about, engine=transform.engine, eps=self.eps)
+
+        return Reduction(
+            kind=_SpectrumSums,
+            block=block,
+            blocks=len(blocks),
+            cost=self._cost(grid),
+            result=result,
         )
 
-    empty = PolarSums.of(grid, wedges)
-    return StagedSpectrum(source, p, n, stream, realizations, transform, mean, empty, result)
+    def _transform(self, source: Sampler, p: Density | None) -> Transform:
+        dims = source.dims if p is None else p.dims
+        grid = FrequencyGrid(dims, self.half_width, self.frequency_step)
+        return Transform(grid, self.n, engine=self.engine, eps=self.eps)
+
+    def _cost(self, grid: FrequencyGrid) -> float:
+        return self.realizations * (self.n + 0.5 * grid.size)
 
 
-def _check_points(n: int, dims: int) -> None:
-    if n * dims > _MOST_COORDINATES:
-        raise ParameterError(
-            f"{n} points in {dims} dims are {100 * n * dims / 2**30:.3g} GiB a thread; a spectrum takes "
-            f"at most {_MOST_COORDINATES // dims} of them."
-        )
+@final
+class Points(_OfPointSets, frozen=True, kw_only=True):
+    """First realisation of the points, warped by the density where there is one."""
+
+    variables = ("points",)
+
+    def need(self, subject: Subject) -> Need:
+        """One set of points."""
+        source, _ = _warped(subject)
+        source.check_count(self.n)
+        return Need(cost=self.n, memory=memory_of(self.n, source.dims))
+
+    def reduction(self, subject: Subject, stream: Stream) -> Reduction[xr.Dataset]:
+        """Drawn at once."""
+        source, p = _warped(subject)
+
+        def points() -> xr.Dataset:
+            drawn = source.draw_stream(self.n, stream, 0, 1)[0]
+            return dataset(
+                {"points": (("point", "axis"), drawn if p is None else p.sample(drawn))},
+                {"axis": np.arange(source.dims)},
+                sampler=source.spec,
+                n=self.n,
+            )
+
+        return whole(points, self.n)
 
 
-def _polar_variables(
-    grid: FrequencyGrid, polar: PolarSums, count: int
-) -> tuple[dict[str, tuple[tuple[str, ...], Array]], dict[str, Any]]:
-    """Means over rings and, in two dims, over wedges, with their coordinates."""
-    mean, se = polar.means(count)
-    rings = grid.half_width
-    variables: dict[str, tuple[tuple[str, ...], Array]] = {
-        "radial_power": (("radius",), mean[:rings]),
-        "radial_power_se": (("radius",), se[:rings]),
+def _warped(subject: Subject) -> tuple[Sampler, Density | None]:
+    """The sampler and the density of its points: the subject's, or the estimator's if it has one."""
+    given = subject.density
+    if given is None:
+        given = getattr(subject.estimator, "density", None)
+    return subject.sampler, as_warp(given, subject.sampler.dims)
+
+
+def weighted_points(
+    sampler: Sampler, density: Density | None, n: int, stream: Stream, block: Block
+) -> tuple[Array, Array | None]:
+    """Draw a block: points (R, n, d), warped by the density, and weights 1/(n p), None for 1/n."""
+    points = sampler.draw_stream(n, stream, *block)
+    if density is None:
+        return points, None
+    x = density.sample(points)
+    equal = np.full((len(x), n), 1.0 / n)
+    return x, divide_by_density(equal, density.pdf(x), x, density.spec, constant=True)
+
+
+def spectrum_attributes(
+    sampler: Sampler, density: Density | None, n: int, realizations: int, stream: Stream
+) -> dict[str, Any]:
+    """Say what a spectrum is of."""
+    return {
+        "sampler": sampler.spec,
+        "density": None if density is None else density.spec,
+        "n": n,
+        "realizations": realizations,
+        "stream_key": f"{stream.key:#x}",
+        "random_level": 1.0 if density is None else density.reciprocal_integral(),
+        "convention": "power = <|S_m|^2>; random points: random_level/n, random_level = ∫1/p",
     }
-    labels = {"long_name": "|m|", "units": "cycles per unit"}
-    coords: dict[str, Any] = {"radius": ("radius", polar.radius * grid.step, labels)}
-    if grid.dims == 2:
-        variables |= {
-            "wedge_power": (("angle",), mean[rings:]),
-            "wedge_power_se": (("angle",), se[rings:]),
-        }
-        coords["angle"] = wedge_angles(len(mean) - rings)
-    return variables, coords
+
+
+@final
+@dataclass
+class PowerSums:
+    """Sums of |S|² and, if wanted, of S over realisations, by frequency."""
+
+    power: MeanSums
+    mean: SUM | None
+
+    @staticmethod
+    def zeros(size: int, mean: bool) -> PowerSums:
+        """Sums of no realisations."""
+        return PowerSums(MeanSums.zeros(size), np.zeros(size, np.complex128) if mean else None)
+
+    def take(self, s: Array) -> None:
+        """Add one set's S (F,)."""
+        power_sums(s, False, self.power.total, self.power.squares)
+        if self.mean is not None:
+            self.mean += s
+        self.power.count += 1
+
+    def coefficient(self) -> tuple[Array, Array]:
+        """Mean S and its standard error, the root of the mean |error|²."""
+        assert self.mean is not None
+        count = self.power.count
+        mean = self.mean / count
+        return mean, standard_error(self.power.total / count - np.abs(mean) ** 2, count)
+
+
+@final
+@dataclass
+class _SpectrumSums:
+    """Sums by frequency, and of the means over rings and wedges."""
+
+    frequencies: PowerSums
+    polar: MeanSums
+
+
+@final
+@dataclass(frozen=True)
+class _PolarMeans:
+    """Rings of one frequency step and, in two dims, wedges, of which the mean power is taken.
+
+    Attributes
+    ----------
+    label
+        Cell of each frequency of the half grid, ring · (wedges + 1) + wedge, −1 for m = 0 and what
+        is beyond the rings: int64 (H,). The last wedge is beyond the circle of the half width.
+    cells
+        Frequencies of each cell: (rings, wedges + 1).
+    radius
+        Mean |m|/step of each ring.
+    """
+
+    label: Array
+    cells: Array
+    radius: Array
+
+    @staticmethod
+    def of(grid: FrequencyGrid, wedges: int) -> _PolarMeans:
+        """Make the rings, and the wedges in two dims."""
+        index = grid.half_indices()
+        length = np.sqrt((index**2).sum(axis=1))
+        ring = np.rint(length).astype(np.int64) - 1
+        parts = wedges if grid.dims == 2 else 0
+        wedge = np.full(len(ring), parts)
+        if parts:
+            inside = length <= grid.half_width
+            wedge[inside] = wedge_labels(index[inside], parts)
+        label = np.where((ring >= 0) & (ring < grid.half_width), ring * (parts + 1) + wedge, -1)
+        shape = (grid.half_width, parts + 1)
+        used = label >= 0
+        cells = np.bincount(label[used], minlength=shape[0] * shape[1]).reshape(shape)
+        sums = np.bincount(ring[used], length[used], minlength=shape[0])
+        return _PolarMeans(label, cells, sums / np.maximum(cells.sum(axis=1), 1))
+
+    @property
+    def size(self) -> int:
+        """Number of rings and wedges."""
+        rings, wedges = self.cells.shape
+        return int(rings + wedges - 1)
+
+    def add(self, sums: MeanSums, packed: Array, pair: bool) -> None:
+        """Add the means of one set or the two of a pair, as `power_sums`; NaN for empty wedges."""
+        power = np.zeros((2, self.cells.size))
+        group_power(packed, pair, self.label, power)
+        for own in power[: 1 + pair].reshape(-1, *self.cells.shape):
+            with np.errstate(invalid="ignore"):
+                rings = own.sum(axis=1) / self.cells.sum(axis=1)
+                wedges = own[:, :-1].sum(axis=0) / self.cells[:, :-1].sum(axis=0)
+            means = np.concatenate([rings, wedges])
+            sums.total += means
+            sums.squares += means * means
+
+
+def wedge_labels(index: Array, wedges: int) -> Array:
+    """Which of `wedges` parts of the half turn, the first centred on the m0 axis; index (H, 2)."""
+    turn = np.arctan2(index[:, 1], index[:, 0]) / np.pi
+    return np.asarray(np.floor(turn * wedges + 0.5).astype(np.int64) % wedges)
 
 
 def wedge_angles(wedges: int) -> tuple[str, Array, dict[str, str]]:
     """Centres of the wedges, as a coordinate."""
     angle = np.arange(wedges) * 180.0 / wedges
     return "angle", angle, {"long_name": "direction", "units": "degrees"}
-
-
-def _mean_variables(
-    grid: FrequencyGrid, sums: PowerSums, count: int
-) -> dict[str, tuple[tuple[str, ...], Array]]:
-    """⟨S_m⟩ on the whole grid, if it was summed."""
-    if sums.mean is None:
-        return {}
-    mean, se = sums.coefficient(count)
-    return {
-        "mean_coefficient": (grid.names, grid.full(mean, conjugate=True)),
-        "mean_coefficient_se": (grid.names, grid.full(se)),
-    }

@@ -7,7 +7,6 @@ over rings and wedges of each of them.
 from __future__ import annotations
 
 import itertools
-import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,12 +17,12 @@ from mcspectra.core.errors import (
     CorrelatedFrequenciesWarning,
     FileFormatError,
     ParameterError,
+    warn,
 )
 from mcspectra.core.results import dataset
 from mcspectra.samplers import as_sampler
-from mcspectra.spectra._polar import wedge_labels
 from mcspectra.spectra.bases import fitting_basis
-from mcspectra.spectra.power import MAX_WEDGES, wedge_angles
+from mcspectra.spectra.power import MAX_WEDGES, wedge_angles, wedge_labels
 from mcspectra.spectra.transforms import FrequencyGrid
 
 if TYPE_CHECKING:
@@ -302,9 +301,8 @@ def _check_homogenized(spectrum: xr.Dataset) -> None:
         return
     if fitting_basis(source, 1) == "fourier":
         return
-    warnings.warn(
+    warn(
         f"Frequencies of {spec} are correlated: the variance has a cross term that the sum over powers "
         "lacks; add shift, or use variance_terms.",
         CorrelatedFrequenciesWarning,
-        stacklevel=3,
     )

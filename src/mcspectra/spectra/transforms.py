@@ -27,9 +27,9 @@ to and including that of m = 0, which comes last.
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +38,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.spectra._kernels import pair_mean, power_sums, split_pair
 from mcspectra.spectra.gpu import GpuTransform
 
-__all__ = ["ENGINES", "FrequencyGrid", "Transform", "direct_sum"]
+__all__ = ["ENGINES", "MAX_FREQUENCIES", "FrequencyGrid", "Transform", "direct_sum"]
 
 ENGINES = ("auto", "nufft", "direct", "gpu")
 _DIRECT_BELOW = 4000
@@ -123,13 +123,6 @@ class FrequencyGrid:
         return full.reshape(self.size, *full.shape[self.dims :])[: self.half_size]
 
 
-class Groups(Protocol):
-    """What sums power over groups of frequencies, realisation by realisation."""
-
-    def take(self, packed: Array, pair: bool) -> None:
-        """Add one set, or two: S1 + i S2 over the full grid."""
-
-
 class Transform:
     """Transforms of blocks of realisations on one frequency grid.
 
@@ -204,11 +197,11 @@ class Transform:
         total: Array,
         squares: Array,
         mean: Array | None = None,
-        groups: Groups | None = None,
+        groups: Callable[[Array, bool], None] | None = None,
     ) -> None:
         """Add Σ_r |S_m|² and Σ_r |S_m|⁴ of a block to `total` and `squares`, Σ_r S_m to `mean`: (H,).
 
-        `groups` takes every transform, of one set or of a pair.
+        `groups` takes every transform over the full grid, and whether it is of a pair: S1 + i S2.
         """
         sets, n, _ = points.shape
         if weights is None:
@@ -219,14 +212,14 @@ class Transform:
             if mean is not None:
                 pair_mean(packed, mean)
             if groups is not None:
-                groups.take(packed, True)
+                groups(packed, True)
         for r in range(paired, sets):
             single = self._single(points[r], weights[r])
             power_sums(single, False, total, squares)
             if mean is not None:
                 mean += single[: mean.size]
             if groups is not None:
-                groups.take(single, False)
+                groups(single, False)
 
     def _single(self, points: Array, weights: Array) -> Array:
         """Transform of one set, of which at least the half grid is there."""

@@ -14,13 +14,12 @@ import importlib
 import os
 import socket
 import time
-import warnings
 from pathlib import Path
 from typing import Any, final
 
 import msgspec
 
-from mcspectra.core.errors import StaleLockWarning, StoreError
+from mcspectra.core.errors import StaleLockWarning, StoreError, warn
 
 __all__ = ["LOCK_NAME", "FolderLock", "LockHolder", "check_unlocked", "is_held", "lock_holder"]
 
@@ -233,10 +232,9 @@ def _check_left_behind(file: Path, descriptor: int) -> None:
     if holder is not None and not holder.on(LockHolder.this_process()):
         raise _refusal(file, holder)
     who = "a process that cannot be read" if holder is None else holder.in_words
-    warnings.warn(
+    warn(
         f"{str(file)!r} was left behind by {who}, which has ended; it is taken over.",
         StaleLockWarning,
-        stacklevel=3,
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any, final
 import msgspec
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import DamagedResultsWarning, McspectraError
+from mcspectra.core.errors import DamagedResultsWarning, McspectraError, warn
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.staged import Chunk, Staged
 from mcspectra.studies.cells import finished_cell
@@ -229,11 +228,10 @@ def _warn_of_damage(store: Store, journal: Journal) -> None:
     for kind, names in kinds.items():
         if names:
             more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-            warnings.warn(
+            warn(
                 f"{len(names)} {kind} in {str(store.folder)!r} are damaged and are computed again: "
                 f"{', '.join(names[:_NAMED])}{more}.",
                 DamagedResultsWarning,
-                stacklevel=3,
             )
 
 

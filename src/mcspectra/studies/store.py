@@ -12,14 +12,13 @@ import contextlib
 import hashlib
 import json
 import shutil
-import warnings
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from mcspectra.core.errors import OtherVersionsWarning, StorageError, StoreError
+from mcspectra.core.errors import OtherVersionsWarning, StorageError, StoreError, warn
 from mcspectra.core.results import package_versions
 from mcspectra.studies._zarr_cell import array_documents, write_cell
 from mcspectra.studies.checksums import Checksum, damage_of
@@ -347,11 +346,10 @@ def _check_versions(folder: Path, attributes: dict[str, Any]) -> None:
         )
     if others:
         changes = ", ".join(f"{name} {old} (now {new})" for name, (old, new) in others.items())
-        warnings.warn(
+        warn(
             f"The results in {str(folder)!r} were begun with {changes}: the last bits of those to come "
             "may differ from an uninterrupted run's.",
             OtherVersionsWarning,
-            stacklevel=5,
         )
 
 

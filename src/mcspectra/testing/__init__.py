@@ -1,11 +1,18 @@
-"""Checks for samplers, densities and integrands of your own: what the library promises of its own.
+"""Checks for samplers, densities, integrands and analyses of your own: what the library promises of its own.
 
 `mcspectra.testing.strategies`, which needs hypothesis, makes random ones for tests by properties.
 """
 
+from mcspectra.testing.analyses import check_analysis
 from mcspectra.testing.contract import BrokenContract
 from mcspectra.testing.densities import check_density
 from mcspectra.testing.integrands import check_integrand
 from mcspectra.testing.samplers import check_sampler
 
-__all__ = ["BrokenContract", "check_density", "check_integrand", "check_sampler"]
+__all__ = [
+    "BrokenContract",
+    "check_analysis",
+    "check_density",
+    "check_integrand",
+    "check_sampler",
+]

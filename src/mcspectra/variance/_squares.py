@@ -9,9 +9,9 @@ from typing import ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.densities.numeric import positive_integral
+from mcspectra.densities.adaptive import positive_integral
 from mcspectra.integrands import Integrand
-from mcspectra.integrands.numeric import integral_accuracy, numeric_integral
+from mcspectra.integrands.base import integral_accuracy, numeric_integral
 
 __all__ = ["SquaredIntegrand", "mean_square", "square_integral"]
 
@@ -63,7 +63,7 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     Notes
     -----
     Boxes cut at the breaks of g; in 1-D and 2-D also quadrature that records how much each level
-    leaves unresolved (`mcspectra.densities.numeric`): the integral is infinite where that does not
+    leaves unresolved (`mcspectra.densities.adaptive`): the integral is infinite where that does not
     shrink, else the smaller error counts. Boxes alone do not see a divergence: rounding of T(u)
     stops it somewhere. In more dims it shows as a large error at best.
     """

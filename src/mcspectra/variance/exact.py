@@ -17,7 +17,6 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import NoClosedForm
 from mcspectra.estimators import AbstractEstimator, as_estimator
-from mcspectra.estimators.sets import check_independent_techniques
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import (
     Halton,
@@ -83,7 +82,7 @@ def exact_variance(
     source = as_sampler(sampler, estimator.dims)
     n = source.check_count(n)
     estimator.check_sampler(source, n)
-    check_independent_techniques(estimator)
+    estimator.check_independent()
     source = _scrambled_after(estimator.randomized(source))
     total: Any = 0.0
     for technique, count in enumerate(estimator.counts):

@@ -27,6 +27,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.fits import line_fit
 from mcspectra.estimators.moments import CONFIDENCE_Z
 
 __all__ = ["CURVATURE", "LACK_OF_FIT", "RateFit", "check_window", "fit_rate", "widening"]
@@ -106,11 +107,12 @@ def _line(x: Array, y: Array, se: Array, *, chosen: bool = False) -> RateFit:
     """Weighted least squares of y against x; a window `chosen` by its data has the scatter's interval."""
     if len(x) < 2:
         return _NONE
-    rate, spread, residual = _regression(x, y, se)
+    fit = line_fit(x, y, se**-2.0)
     degrees = len(x) - 2
-    chi2 = float((residual**2).sum() / degrees) if degrees else math.nan
-    half = _quantile(degrees, chi2, chosen=chosen) / math.sqrt(spread)
-    return RateFit(rate, (rate - half, rate + half), float(np.rint(np.exp(x[0]))), chi2)
+    chi2 = float(((fit.residuals / se) ** 2).sum() / degrees) if degrees else math.nan
+    half = _quantile(degrees, chi2, chosen=chosen) / math.sqrt(fit.spread)
+    interval = (fit.slope - half, fit.slope + half)
+    return RateFit(fit.slope, interval, float(np.rint(np.exp(x[0]))), chi2)
 
 
 def widening(degrees: int, chi2: float) -> float:
@@ -118,21 +120,13 @@ def widening(degrees: int, chi2: float) -> float:
     return _quantile(degrees, chi2, chosen=False) / CONFIDENCE_Z
 
 
-def _regression(x: Array, y: Array, se: Array) -> tuple[float, float, Array]:
-    """Slope, 1 over its variance for errors `se`, and residuals in standard errors."""
-    weight = se**-2.0
-    off = x - np.average(x, weights=weight)
-    spread = float((weight * off**2).sum())
-    slope = float((weight * off * y).sum()) / spread
-    return slope, spread, (y - np.average(y, weights=weight) - slope * off) / se
-
-
 def _bent(x: Array, y: Array, se: Array) -> bool:
     """Whether points lie off a straight line, in all or as a parabola does."""
     from scipy.special import chdtrc
 
-    residual = _regression(x, y, se)[2]
-    parabola = _regression(x, (x - x.mean()) ** 2, se)[2]  # what is not straight of it
+    residual = line_fit(x, y, se**-2.0).residuals / se
+    # What is not straight of a parabola
+    parabola = line_fit(x, (x - x.mean()) ** 2, se**-2.0).residuals / se
     curvature = (parabola * residual).sum() ** 2 / (parabola**2).sum()
     lack = chdtrc(len(x) - 2, (residual**2).sum())
     return bool(lack < LACK_OF_FIT or chdtrc(1, curvature) < CURVATURE)

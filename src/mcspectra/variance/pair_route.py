@@ -28,7 +28,6 @@ from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, as_estimator
-from mcspectra.estimators.sets import check_independent_techniques
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Randomized, Sampler, as_sampler
 from mcspectra.samplers.base import Structure
@@ -99,7 +98,7 @@ def variance_from_pair_correlation(
     source = as_sampler(sampler, estimator.dims)
     n = source.check_count(n)
     estimator.check_sampler(source, n)
-    check_independent_techniques(estimator)
+    estimator.check_independent()
     source = estimator.randomized(source)
     realizations = as_integer("realizations", realizations, least=1, most=MAX_REALIZATIONS)
     stream, threads = Stream.from_rng(rng), available_workers(workers)

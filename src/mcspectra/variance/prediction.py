@@ -17,14 +17,13 @@ interval is that of the scatter, with Student's t.
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
 from mcspectra.core.checks import MAX_DIMS, Array, as_choice, as_integer
-from mcspectra.core.errors import ParameterError, PreasymptoticWarning
+from mcspectra.core.errors import ParameterError, PreasymptoticWarning, warn
 from mcspectra.integrands import Integrand
 from mcspectra.integrands.registry import as_integrand
 
@@ -146,12 +145,11 @@ def integrand_decay(integrand: Integrand | str, *, half_width: int | None = None
     """
     found = fitted_decay(integrand, half_width=half_width)
     if not found.settled:
-        warnings.warn(
+        warn(
             f"The decay {found.decay:.3g} changes by {found.bend:.2g} over the octaves up to "
             f"|m| = {found.half_width}: it is no limit yet; give a larger half_width, or 'smooth' or "
             "'jump' for predicted_rate.",
             PreasymptoticWarning,
-            stacklevel=2,
         )
     return found.decay
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -19,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mcspectra.core.checks import Array, as_choice, as_integer
-from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError
+from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError, warn
 from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
 from mcspectra.core.results import dataset
 from mcspectra.core.staged import compute
@@ -167,7 +166,11 @@ def staged_techniques(
 
     def result(totals: list[TechniqueTotal]) -> xr.Dataset:
         if job.infinite:
-            _warn(job.estimator)
+            warn(
+                f"∫1/p diverges for {job.estimator.spec}: the spectral terms are infinite although the "
+                "estimate's variance need not be; use space='primary'.",
+                InfiniteWeightVarianceWarning,
+            )
         variables = _stacked(cells, totals)
         if job.infinite:
             variables = _without_spectra(variables)
@@ -179,16 +182,6 @@ def staged_techniques(
         return _labelled(variables, ns, job, cells[0].view, several=several, **notes)
 
     return StagedTechniques(cells, result)
-
-
-def _warn(estimator: AbstractEstimator) -> None:
-    """Say that the terms are infinite, to who called `technique_terms`, six calls up."""
-    warnings.warn(
-        f"∫1/p diverges for {estimator.spec}: the spectral terms are infinite although the "
-        "estimate's variance need not be; use space='primary'.",
-        InfiniteWeightVarianceWarning,
-        stacklevel=6,
-    )
 
 
 def _stacked(cells: Sequence[TechniqueCell], totals: Sequence[TechniqueTotal]) -> Variables:

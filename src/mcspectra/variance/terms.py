@@ -16,13 +16,12 @@ has its own integrand and points, and the sums run over (technique, m).
 from __future__ import annotations
 
 import math
-import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mcspectra.core.checks import Array, as_choice, as_integer
-from mcspectra.core.errors import InfiniteWeightVarianceWarning
+from mcspectra.core.errors import InfiniteWeightVarianceWarning, warn
 from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
 from mcspectra.core.results import dataset
 from mcspectra.core.staged import compute
@@ -180,7 +179,11 @@ def staged_terms(
 
     def result(total: TermSums) -> xr.Dataset:
         if infinite:
-            _warn(estimator)
+            warn(
+                f"∫1/p diverges for {estimator.spec}: Var(S_0) and the spectral terms are infinite "
+                "although the estimate's variance need not be; use space='primary'.",
+                InfiniteWeightVarianceWarning,
+            )
         return _labelled(
             _variables(total, view, partition, infinite=infinite),
             view,
@@ -201,16 +204,6 @@ def staged_terms(
         )
 
     return StagedTerms(source, n, stream, realizations, view, partition, result)
-
-
-def _warn(estimator: AbstractEstimator) -> None:
-    """Say that the terms are infinite, to who called `variance_terms`, six calls up."""
-    warnings.warn(
-        f"∫1/p diverges for {estimator.spec}: Var(S_0) and the spectral terms are infinite "
-        "although the estimate's variance need not be; use space='primary'.",
-        InfiniteWeightVarianceWarning,
-        stacklevel=6,
-    )
 
 
 def _variables(total: TermSums, view: View, partition: Partition, *, infinite: bool) -> Variables:

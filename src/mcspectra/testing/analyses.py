@@ -1,0 +1,123 @@
+"""The contract of analyses: declared options and variables, cheap needs, the same bits in any chunks."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+from mcspectra.core.analysis import (
+    Analysis,
+    MergeTree,
+    Need,
+    Reduction,
+    Subject,
+    chunks,
+    compute_chunk,
+    finished,
+    steps_of,
+)
+from mcspectra.core.options import checked, options_of
+from mcspectra.core.records import pack, unpack
+from mcspectra.core.streams import Stream
+from mcspectra.testing.contract import called, demand
+
+__all__ = ["check_analysis"]
+
+_SEED = 7
+_NEED_SECONDS = 0.1  # studies ask it of every pair of estimator and sampler
+_SIZE = 2  # blocks of a chunk
+
+
+def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "jittered") -> None:
+    """Try what every analysis promises.
+
+    Parameters
+    ----------
+    analysis
+        The analysis with options that are quick to compute; of more than one block, so that
+        merging is tried too.
+    estimator, sampler
+        What it is tried on, or specs of them: an estimator or integrand, `gaussian` in two dims by
+        default, and a sampler.
+
+    Raises
+    ------
+    BrokenContract
+        An option has no meaning or a default that its own limits refuse; `need` raises, is slow or not
+        finite; keys repeat or `part` does not find them; states do not survive as bytes; the result
+        depends on chunks, differs for the same seed, or has variables that are not declared.
+
+    Examples
+    --------
+    >>> from mcspectra.variance.convergence import Convergence
+    >>> check_analysis(Convergence(counts=(4, 16), realizations=50))
+    """
+    who = type(analysis).__name__
+    subject = _subject(analysis, estimator, sampler)
+    clean = _check_options(analysis, who)
+    _check_need(clean, subject, who)
+    first = _computed(clean, subject, who, size=0)
+    again = _computed(clean, subject, who, size=_SIZE)
+    demand(pack(first) == pack(again), who, "gives another result in chunks, or with the same seed")
+
+
+def _subject(analysis: Analysis, estimator: Any, sampler: Any) -> Subject:
+    from mcspectra.estimators import as_estimator
+    from mcspectra.samplers import as_sampler
+
+    made = as_estimator("gaussian" if estimator is None else estimator)
+    own = made if analysis.about == "estimator" else None
+    return Subject(own, as_sampler(sampler, made.dims))
+
+
+def _check_options(analysis: Analysis, who: str) -> Analysis:
+    demand(bool(type(analysis).summary()), who, "has no docstring, whose first line is its summary")
+    for option in options_of(type(analysis)):
+        demand(bool(option.meaning), who, f"has the option {option.name} without a meaning")
+        if not option.required:
+            called(who, f"the default of {option.name}", option.check, option.default)
+    clean: Analysis = called(who, "its options", checked, analysis)
+    return clean
+
+
+def _check_need(analysis: Analysis, subject: Subject, who: str) -> None:
+    start = time.process_time()
+    need = called(who, "need", analysis.need, subject)
+    demand(isinstance(need, Need), who, f"needs {need!r}, which is no Need")
+    finite = math.isfinite(need.cost) and need.cost >= 0 and need.memory >= 0
+    demand(finite, who, f"needs {need!r}, which is not finite")
+    spent = time.process_time() - start
+    demand(spent < _NEED_SECONDS, who, f"takes {spent:.2g} s to say what it needs")
+
+
+def _computed(analysis: Analysis, subject: Subject, who: str, size: int) -> Any:
+    """The result, with states of single blocks, or of chunks of `size` made by `part` and as bytes."""
+    stream = Stream.from_rng(_SEED)
+    steps = steps_of(analysis, subject, stream)
+    seen: set[str] = set()
+    states: list[Any] | None = None
+    try:
+        while True:
+            found = next(steps) if states is None else steps.send(states)
+            states = []
+            for each in found:
+                demand(each.key not in seen, who, f"has two reductions of the key {each.key!r}")
+                seen.add(each.key)
+                demand(each.blocks >= 1, who, f"has a reduction of {each.blocks} blocks")
+                part = called(who, "part", analysis.part, subject, stream, each.key)
+                states.append(_merged(part if size else each, who, size))
+    except StopIteration as end:
+        return called(who, "its variables", finished, analysis, end.value)
+
+
+def _merged(reduction: Reduction[Any], who: str, size: int) -> Any:
+    tree: MergeTree[Any] = MergeTree()
+    for chunk in chunks(reduction.blocks, size or 1):
+        state = called(who, "block", compute_chunk, reduction, chunk)
+        if size:
+            payload = called(who, "a state as bytes", pack, state)
+            state = called(who, "a state from bytes", unpack, reduction.kind, payload)
+            demand(pack(state) == payload, who, "has a state that bytes do not hold")
+        tree.add(state, chunk[1])
+    return tree.total()
