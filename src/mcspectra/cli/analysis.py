@@ -152,9 +152,7 @@ class AnalysisVerb:
             )
 
 
-def _add_option(
-    parser: argparse.ArgumentParser, analysis: type[Analysis], option: Option
-) -> None:
+def _add_option(parser: argparse.ArgumentParser, analysis: type[Analysis], option: Option) -> None:
     """Add an option of an analysis; without a value it is left to the analysis."""
     own = option.extra.get("flag", option.flag)
     text = option.meaning.rstrip(".")
@@ -175,6 +173,7 @@ def _add_option(
     default = option.default
     if isinstance(default, tuple):
         default = ",".join(map(str, default))
+    default = f"{default:g}" if isinstance(default, float) else default
     said = "" if option.required or default is None else f"default {default}"
     if option.name == "realizations" and analysis.about == "sampler":
         said += ", or all sets of points that are given"
@@ -183,6 +182,8 @@ def _add_option(
     def read(name: str, given: str) -> Any:
         return option.check((given,), name)[0] if listed else option.read(given, name)
 
+    word = option.name.rpartition("_")[2].upper()
+    letter = word if option.choices or listed else word[0]
     # One letter may stand for the whole name: -m for --realizations, and -n is all of n
     flags = (
         [own] if own == option.flag or f"-{option.name}" == own or listed else [own, option.flag]
@@ -194,7 +195,7 @@ def _add_option(
         repeated="all" if listed else "last",
         dest=option.name,
         required=option.required,
-        metavar=option.extra.get("metavar", option.name.upper().replace("_", "-")),
+        metavar=option.extra.get("metavar", letter),
         help=_escaped("; ".join(filter(None, (text, "repeatable" if listed else "", said)))),
     )
 

@@ -102,13 +102,13 @@ def whole(least: int = 1, most: int | None = None) -> Callable[[str, str], int]:
     return read
 
 
-def wholes(length: int | None = None, least: int = 1) -> Callable[[str, str], list[int]]:
-    """Return what reads whole numbers with commas between, any number of them by default."""
+def wholes(form: str = "", least: int = 1) -> Callable[[str, str], list[int]]:
+    """Return what reads whole numbers with commas between: those of a form such as W,H, or any."""
 
     def read(name: str, text: str) -> list[int]:
         parts = text.split(",")
-        if length is not None and len(parts) != length:
-            raise ParameterError(f"{name} is {text!r}; give {length} whole numbers, as in 1,2,….")
+        if form and len(parts) != form.count(",") + 1:
+            raise ParameterError(f"{name} is {text!r}; give {form}, whole numbers.")
         return [whole(least)(name, part.strip()) for part in parts]
 
     return read

@@ -63,11 +63,9 @@ def _row(kind: str, registry: Any, name: str) -> dict[str, Any]:
 
 def _described(kind: str, registry: Any, name: str) -> dict[str, Any]:
     cls = registry.load(name)
-    # Scenes are functions: their docstrings say what they are
-    about = inspect.getdoc(cls) or cls.__name__
     row: dict[str, Any] = {
         "name": name,
-        "summary": cls.summary() if isinstance(cls, type) else about.splitlines()[0],
+        "summary": (inspect.getdoc(cls) or cls.__name__).splitlines()[0],
         "parameters": [
             p.name.rstrip("_") if p.default is p.empty else f"{p.name.rstrip('_')}={p.default!r}"
             for p in inspect.signature(cls).parameters.values()

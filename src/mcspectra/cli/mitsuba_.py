@@ -28,7 +28,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("-o", "--out", metavar="FILE", help="EXR file; by default beside the scene")
     parser.add_argument(
-        "--spp", action=Read, read=whole(), metavar="N", help="samples a pixel; by default the file's"
+        "--spp",
+        action=Read,
+        read=whole(),
+        metavar="N",
+        help="samples a pixel; by default the file's",
     )
     parser.add_argument(
         *("-s", "--sensor"), action=Read, read=whole(0), default=0, metavar="I",

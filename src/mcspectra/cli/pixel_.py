@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import functools
 import textwrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mcspectra.cli.common import Answer, Read, index_or_name, text_table, whole, wholes
 from mcspectra.core.errors import ParameterError

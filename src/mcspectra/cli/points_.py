@@ -88,14 +88,17 @@ def _seed(name: str, text: str) -> int:
     return whole(0)("--seed", text)
 
 
-def _quality(source: Any, points: Array, meta: dict[str, Any], options: argparse.Namespace) -> Answer:
+def _quality(
+    source: Any, points: Array, meta: dict[str, Any], options: argparse.Namespace
+) -> Answer:
     """Measure the points; the table is the result, --quiet silences remarks only."""
     from mcspectra.quality import quality_figures, summarize
 
     count, n, _ = points.shape
     with one_sentence_warnings(quiet=True):  # said when the points were drawn
         figures = summarize(quality_figures(source, n, realizations=count, rng=meta["seed"]))
-    rows, missing, data = [], [], {}
+    rows, missing = [], []
+    data: dict[str, dict[str, Any]] = {}
     for each in figures:
         error = "-" if math.isnan(each.standard_error) else f"{each.standard_error:.2g}"
         if each.missing:

@@ -57,11 +57,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--reference-spp", read=whole(), metavar="N",
         help="samples of the reference of --compare (default 1024)")  # fmt: skip
-    add("--crop", read=wholes(4, least=0), metavar="X,Y,W,H", help="part of the film, in pixels")
+    add(
+        "--crop",
+        read=wholes("X,Y,W,H", least=0),
+        metavar="X,Y,W,H",
+        help="part of the film, in pixels",
+    )
     add("--width", read=whole(), metavar="W", help="width of a built-in scene's film")
     add("--height", read=whole(), metavar="H", help="height of a built-in scene's film")
     add("--film", default="sampled", help="sampled (default) or center")
-    add("--light", read=index_or_name, metavar="NAME", help="name or number of one light that counts")
+    add(
+        "--light",
+        read=index_or_name,
+        metavar="NAME",
+        help="name or number of one light that counts",
+    )
     add("--heuristic", default="balance", help="balance (default) or power")
     add("--exposure", read=real(least=-64.0, most=64.0), default=0.0, metavar="STOPS",
         help="makes a .png brighter (default 0)")  # fmt: skip

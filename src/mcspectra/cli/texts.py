@@ -91,7 +91,7 @@ def _number(value: float, digits: int = 5, missing: str = "–") -> str:
 
 
 def _cell(value: Any) -> str:
-    return _number(value, 6) if isinstance(value, float | np.floating) else str(value)
+    return _number(float(value), 6) if isinstance(value, float | np.floating) else str(value)
 
 
 def _interval(ends: Any, digits: int = 4) -> str:

@@ -69,7 +69,6 @@ _KINDS: Mapping[str, _Kind] = {
 }  # fmt: skip
 
 
-
 def has_picture(declared: Iterable[str | Variable]) -> bool:
     """Whether results with these variables, as an analysis declares them, can be drawn by `plot`."""
     names = {each if isinstance(each, str) else each.name for each in declared}
