@@ -30,20 +30,20 @@ from .samplers.base import Sampler as Sampler
 from .samplers.registry import sampler as sampler
 from .spectra.closed_forms import closed_form_covariance as closed_form_covariance
 from .spectra.closed_forms import closed_form_power as closed_form_power
-from .spectra.exponent import low_frequency_exponent as low_frequency_exponent
-from .spectra.frequencies import axis_frequencies as axis_frequencies
-from .spectra.frequencies import diagonal_frequencies as diagonal_frequencies
-from .spectra.frequencies import plane_frequencies as plane_frequencies
-from .spectra.frequencies import subset_frequencies as subset_frequencies
 from .spectra.gain import closed_form_walsh_power as closed_form_walsh_power
 from .spectra.gain import gain_coefficients as gain_coefficients
 from .spectra.gain import nested_variances as nested_variances
+from .spectra.listed import axis_frequencies as axis_frequencies
+from .spectra.listed import diagonal_frequencies as diagonal_frequencies
+from .spectra.listed import plane_frequencies as plane_frequencies
 from .spectra.listed import power_at as power_at
+from .spectra.listed import subset_frequencies as subset_frequencies
 from .spectra.pair_correlation import (
     closed_form_pair_correlation as closed_form_pair_correlation,
 )
 from .spectra.pair_correlation import pair_correlation as pair_correlation
 from .spectra.power import power_spectrum as power_spectrum
+from .spectra.shapes import low_frequency_exponent as low_frequency_exponent
 from .spectra.shapes import radial_statistics as radial_statistics
 from .spectra.shapes import slices as slices
 from .spectra.shapes import variance_from_spectrum as variance_from_spectrum

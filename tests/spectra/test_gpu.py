@@ -12,7 +12,7 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import MissingDependency, ParameterError
-from mcspectra.spectra import gpu
+from mcspectra.spectra import transforms
 from mcspectra.spectra.transforms import FrequencyGrid, Transform, direct_sum
 
 SHAPES = {1: 20, 2: 9, 3: 4}  # dims: half width
@@ -119,7 +119,7 @@ def device(monkeypatch):
 @pytest.fixture
 def real_gpu():
     """Skip where there is no GPU: nothing else may skip."""
-    works, why = gpu.gpu_description()
+    works, why = transforms.gpu_description()
     if not works:
         pytest.skip(why)
 
@@ -183,10 +183,10 @@ def test_results_come_back_in_blocks(device, monkeypatch):
     transform = Transform(grid, 8, engine="gpu")
     whole = transform.coefficients(x)
     assert device.copies == 1
-    monkeypatch.setattr(gpu, "_BLOCK_BYTES", 3 * 16 * grid.size)  # three pairs, three, one
+    monkeypatch.setattr(transforms, "_BLOCK_BYTES", 3 * 16 * grid.size)  # three pairs, three, one
     assert np.array_equal(transform.coefficients(x), whole)
     assert device.copies == 1 + 3
-    monkeypatch.setattr(gpu, "_BLOCK_BYTES", 1)  # never less than one
+    monkeypatch.setattr(transforms, "_BLOCK_BYTES", 1)  # never less than one
     assert np.array_equal(transform.coefficients(x), whole)
 
 
@@ -243,20 +243,20 @@ def test_cuda_libraries_that_pip_installed_are_loaded(device, monkeypatch):
     pathfinder.load_nvidia_dynamic_lib = loaded.append
     monkeypatch.setitem(sys.modules, "cuda", ModuleType("cuda"))
     monkeypatch.setitem(sys.modules, "cuda.pathfinder", pathfinder)
-    assert gpu.gpu_description()[0]
+    assert transforms.gpu_description()[0]
     assert loaded == ["cudart", "cufft"]
 
     def absent(name):
         raise RuntimeError(name)
 
     pathfinder.load_nvidia_dynamic_lib = absent
-    assert gpu.gpu_description()[0]
+    assert transforms.gpu_description()[0]
 
 
 def _refusal():
     with pytest.raises(MissingDependency) as caught:
         Transform(FrequencyGrid(2, 4), 16, engine="gpu")
-    assert gpu.gpu_description() == (False, str(caught.value))
+    assert transforms.gpu_description() == (False, str(caught.value))
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
@@ -278,7 +278,7 @@ def test_a_package_that_does_not_load_gives_its_reason(device, monkeypatch, erro
             raise error
         return load(name)
 
-    monkeypatch.setattr(gpu.importlib, "import_module", fail)
+    monkeypatch.setattr(transforms.importlib, "import_module", fail)
     reason = " ".join(str(error).split()).rstrip(".")
     assert _refusal() == (
         f"engine='gpu' cannot load the package cufinufft: {reason}; use engine='nufft'."
@@ -317,7 +317,7 @@ def test_a_full_device_is_one_sentence(device, monkeypatch):
 
 
 def test_the_device_is_named(device):
-    assert gpu.gpu_description() == (True, "Stand-in; cupy 13, cufinufft 2.3")
+    assert transforms.gpu_description() == (True, "Stand-in; cupy 13, cufinufft 2.3")
 
 
 def test_other_engines_never_load_the_packages(monkeypatch):
@@ -328,5 +328,5 @@ def test_other_engines_never_load_the_packages(monkeypatch):
         return load(name, *rest)
 
     monkeypatch.setattr(builtins, "__import__", watch)
-    monkeypatch.setattr(gpu, "_load", None)
+    monkeypatch.setattr(transforms, "_load", None)
     Transform(FrequencyGrid(2, 16), 256).coefficients(np.zeros((2, 256, 2)))

@@ -73,7 +73,7 @@ def _renderer() -> dict[str, Any]:
 
 def _gpu() -> str:
     """Name of the device, or why the engine cannot be used."""
-    from mcspectra.spectra.gpu import gpu_description
+    from mcspectra.spectra.transforms import gpu_description
 
     return gpu_description()[1]
 

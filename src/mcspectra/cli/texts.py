@@ -227,7 +227,7 @@ def _wedges(result: xr.Dataset) -> Shown:
 
 def _exponent(result: xr.Dataset) -> Shown:
     """b of power ∝ |m|^b"""
-    from mcspectra.spectra.exponent import low_frequency_exponent
+    from mcspectra.spectra.shapes import low_frequency_exponent
 
     found = low_frequency_exponent(result)
     known = found.attrs

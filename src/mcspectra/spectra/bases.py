@@ -321,7 +321,10 @@ class Walsh(_Dyadic):
             left, right = pairs[..., 0, :], pairs[..., 1, :]
             values = np.stack([left + right, left - right], axis=-2).reshape(values.shape)
             step *= 2
-        return values[..., _reversed_bits(size)]
+        order = np.zeros(1, np.int64)
+        while len(order) < size:
+            order = np.concatenate([2 * order, 2 * order + 1])
+        return values[..., order]
 
 
 @final
@@ -341,13 +344,6 @@ class Haar(_Dyadic):
             parts.append(np.sqrt(size) * (left - right))
             values = left + right
         return np.concatenate([values, *reversed(parts)], axis=-1)
-
-
-def _reversed_bits(size: int) -> Array:
-    order = np.zeros(1, np.int64)
-    while len(order) < size:
-        order = np.concatenate([2 * order, 2 * order + 1])
-    return order
 
 
 _CLASSES: dict[str, type[Basis]] = {c.name: c for c in (Fourier, Cosine, Walsh, Haar)}

@@ -1,4 +1,4 @@
-"""Expected power spectra and covariances of S_m that are known exactly.
+"""Expected power spectra and covariances of S_m that are known exactly, one sampler after another.
 
 With sinc(x) = sin x / x, n points, s = n^(1/d) strata a side, real frequencies ν, for example:
 
@@ -10,26 +10,46 @@ With sinc(x) = sin x / x, n points, s = n^(1/d) strata a side, real frequencies 
 * Latin hypercube:     ⟨|S_ν|²⟩ = 1/n + ((n−1)/n) Π_i (n sinc²(πν_i) − sinc²(πν_i/n))/(n−1)
 * rank-1 lattice, integer m: 1 where m·z ≡ 0 (mod n), else 0
 
-The general forms are in `closed_moments` and `closed_pairs`, those of importance-sampled sets in
-`closed_weighted`. At *integer* m a Cranley-Patterson shift
-multiplies S_m by a random phase: it leaves the power as it is and makes C_ml diagonal.
+At *integer* m a Cranley-Patterson shift multiplies S_m by a random phase: it leaves the power as it is and
+makes C_ml diagonal. Importance-sampled sets are in `closed_weighted`.
+
+Method
+------
+Three kinds of sets are known. Notation: χ(ν) = sinc(πν) exp(−iπν), the transform of the unit
+interval; A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/s), that of a grid; products over the axes throughout.
+
+* Independent motifs, one in each of N cells: with M(ν) the mean of exp(−2πi ν·ξ) over the points of
+  one motif, in units of cells, ⟨S_ν⟩ = A(ν) ⟨M(ν/s)⟩ and
+  C_ml = (1/N) A(m − l) [⟨M(m/s) conj M(l/s)⟩ − ⟨M(m/s)⟩ conj⟨M(l/s)⟩]. Random points are n motifs in one
+  cell, jittered, box-jitter and gaussian-jitter one point in each cell, antithetic-jittered two.
+* Sets the same every time, and grids with a common offset: S_ν itself is known.
+* Sets with a known law of pairs: C_ml + ⟨S_m⟩ conj⟨S_l⟩ = (1/n²) Σ over ordered pairs of points of
+  ⟨exp(−2πi (m·x − l·y))⟩. A point with itself gives χ(m − l) on each axis. For two different points the
+  axes are independent, given which strata they share, and each axis is one of three laws: *free*,
+  independent uniform points, χ(m) conj χ(l); *same*, independent points of one of s strata,
+  A_s(m − l) χ(m/s) conj χ(l/s); *apart*, points of two different ones of s strata,
+  (s free − same) / (s − 1). Determinantal sets are known by their pairs, too.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array, as_frequencies
 from mcspectra.core.errors import InfiniteWeightVarianceWarning, NoClosedForm, ParameterError, warn
+from mcspectra.core.streams import Stream
 from mcspectra.densities import Density, Uniform, as_warp
 from mcspectra.samplers import Randomized, Sampler, Shift, StrataShift, as_sampler
-from mcspectra.spectra.closed_moments import known_moments
-from mcspectra.spectra.closed_terms import Moments, interval, product
-from mcspectra.spectra.closed_weighted import weighted_covariance, weighted_power
+from mcspectra.samplers._grid import root
+from mcspectra.spectra.closed_weighted import weighted_covariance
 
-__all__ = ["closed_form_covariance", "closed_form_power", "moments_of"]
+__all__ = ["Moments", "closed_form_covariance", "closed_form_power", "moments_of"]
+
+_MAX_WORK = 2**32  # points times frequencies summed directly: about half a minute
 
 
 def closed_form_power(
@@ -70,10 +90,20 @@ def closed_form_power(
     array([0.1, 1. ])
     """
     source, n, nu, p = _checked(sampler, n, frequencies, density)
-    if p is not None:
-        return _weighted_power(source, n, nu, p)
-    moments = moments_of(source, n, nu)
-    return np.asarray(moments.covariance(nu, nu).real + np.abs(moments.mean(nu)) ** 2)
+    if p is None:
+        return moments_of(source, n, nu).power(nu)
+    reciprocal = p.reciprocal_integral()
+    if not np.isfinite(reciprocal):
+        warn(
+            f"∫1/p diverges for {p.spec}: the expected power is infinite.",
+            InfiniteWeightVarianceWarning,
+        )
+        return np.full(nu.shape[:-1], np.inf)
+    base, moves = _translations(source)
+    if base.name == "random":
+        return np.asarray(reciprocal / n + (n - 1) / n * np.abs(_product(_interval(nu))) ** 2)
+    _check_integers(source, nu)
+    return np.asarray(weighted_covariance(base, moves, n, nu, nu, p).real + _is_zero(nu))
 
 
 def closed_form_covariance(
@@ -108,10 +138,48 @@ def closed_form_covariance(
     array([0.047, 0.068])
     """
     source, n, m, p = _checked(sampler, n, frequencies, density)
-    m, other = _broadcast(m, as_frequencies(others, m.shape[-1]))
+    other = as_frequencies(others, m.shape[-1])
+    try:
+        m, other = np.broadcast_arrays(m, other)
+    except ValueError:
+        raise ParameterError(
+            f"frequencies and others have shapes {m.shape} and {other.shape}, which do not "
+            "broadcast; give one l for each m, or insert axes of length 1."
+        ) from None
     if p is None:
         return moments_of(source, n, m, other).covariance(m, other)
-    return _weighted_covariance(source, n, m, other, p)
+    base, moves = _translations(source)
+    _check_integers(source, m, other)
+    if not np.isfinite(p.reciprocal_integral()):
+        raise NoClosedForm(
+            f"∫1/p diverges for {p.spec}: the covariances of S_m are infinite; measure the "
+            "variance of the estimate by convergence instead."
+        )
+    return weighted_covariance(base, moves, n, m, other, p)
+
+
+@final
+@dataclass(frozen=True)
+class Moments:
+    """Exact moments of S_ν.
+
+    Attributes
+    ----------
+    mean
+        ⟨S_ν⟩ of frequencies (..., d): complex (...).
+    covariance
+        C_ml of two arrays of frequencies of the same shape (..., d): complex (...).
+    integer
+        Whether they hold at integer frequencies only: points wrapped around the torus.
+    """
+
+    mean: Callable[[Array], Array]
+    covariance: Callable[[Array, Array], Array]
+    integer: bool = False
+
+    def power(self, nu: Array) -> Array:
+        """⟨|S_ν|²⟩."""
+        return np.asarray(self.covariance(nu, nu).real + np.abs(self.mean(nu)) ** 2)
 
 
 def moments_of(sampler: Sampler, n: int, *frequencies: Array) -> Moments:
@@ -124,7 +192,7 @@ def moments_of(sampler: Sampler, n: int, *frequencies: Array) -> Moments:
     """
     base, steps = _translations(sampler)
     integer = all(np.array_equal(nu, np.rint(nu)) for nu in frequencies)
-    moments = known_moments(base, n)
+    moments = _known_moments(base, n)
     if moments is None:
         raise _unknown(sampler)
     if base.name == "random":
@@ -132,7 +200,9 @@ def moments_of(sampler: Sampler, n: int, *frequencies: Array) -> Moments:
     if not integer and (steps or moments.integer):
         raise _unknown(sampler, "at real frequencies")
     for step in steps:
-        moments = _shifted(moments) if isinstance(step, Shift) else _moved(moments, step, n)
+        moments = (
+            _stationary(moments.power) if isinstance(step, Shift) else _moved(moments, step, n)
+        )
     return moments
 
 
@@ -147,17 +217,6 @@ def _checked(
     p = as_warp(density, source.dims)
     nu = as_frequencies(frequencies, source.dims if p is None else p.dims)
     return source, n, nu, None if isinstance(p, Uniform) else p
-
-
-def _broadcast(m: Array, other: Array) -> tuple[Array, Array]:
-    try:
-        shape = np.broadcast_shapes(m.shape, other.shape)
-    except ValueError:
-        raise ParameterError(
-            f"frequencies and others have shapes {m.shape} and {other.shape}, which do not "
-            "broadcast; give one l for each m, or insert axes of length 1."
-        ) from None
-    return np.broadcast_to(m, shape), np.broadcast_to(other, shape)
 
 
 def _translations(sampler: Sampler) -> tuple[Sampler, tuple[Shift | StrataShift, ...]]:
@@ -178,15 +237,251 @@ def _unknown(sampler: Sampler, reason: str = "") -> NoClosedForm:
     )
 
 
-def _shifted(moments: Moments) -> Moments:
-    """After a uniform translation, at integer frequencies: unbiased, and diagonal."""
+def _check_integers(sampler: Sampler, *frequencies: Array) -> None:
+    if not all(np.array_equal(nu, np.rint(nu)) for nu in frequencies):
+        raise _unknown(sampler, "with a density at real frequencies")
+
+
+def _known_moments(sampler: Any, n: int) -> Moments | None:
+    """Return the moments of a sampler without randomisations, None where they are not known."""
+    if sampler.fixed:
+        return _fixed(sampler, n)
+    match sampler.name:  # and not by class: modules of samplers that nobody uses are not loaded
+        case "random":
+            return _single((1,) * sampler.dims, n, _interval)
+        case "jittered":
+            return _single(sampler.sides(n), n, _interval)
+        case "box-jitter":
+            width = sampler.width
+            return _single(
+                _cube(sampler, n), n, lambda a: _center(a) * np.sinc(width * a), width > 1.0
+            )
+        case "gaussian-jitter":
+            return _single(
+                _cube(sampler, n), n, lambda a: _center(a) * _gauss(sampler.width, a), True
+            )
+        case "antithetic-jittered":
+
+            def second(a: Array, b: Array) -> Array:
+                # a point and its reflection: exp(−iπν) cos(2πν·η), η uniform in the centered cell
+                mean = 0.5 * (_product(np.sinc(a - b)) + _product(np.sinc(a + b)))
+                return np.asarray(_product(_center(a - b)) * mean)
+
+            cells = n // 2
+            return _motifs(_cube(sampler, cells), cells, lambda a: _product(_interval(a)), second)
+        case "uniform-jitter":
+            return _offset_grid(np.asarray(sampler.sides(n), float))
+        case "perturbed-lattice":
+            return _stationary(lambda m: _displaced(sampler, n, m))
+        case "determinantal":
+            return _stationary(lambda m: _determinantal(sampler, n, m))
+        case "latin-hypercube" | "n-rooks" if getattr(sampler, "strength", 1) == 1:
+            # One point in each n-th of every axis, at random
+            return _of_pairs(n, lambda m, l: (1.0 - 1.0 / n) * _product(_apart(m, l, n)))
+        case "latin-hypercube" | "n-rooks":
+            return _orthogonal_array(root(n, 2), sampler.dims, shared_out=True)
+        case "orthogonal-array":
+            if sampler.strength != 2 or sampler.jitter == "correlated-multi-jittered":
+                return None
+            shared_out = sampler.jitter == "multi-jittered"
+            return _orthogonal_array(root(n, 2), sampler.dims, shared_out=shared_out)
+        case "multi-jittered":
+            from mcspectra.samplers.multijitter import _nearly_square
+
+            return _multi_jittered(_nearly_square(n), n)
+    return None
+
+
+def _motifs(
+    sides: tuple[int, ...],
+    count: int,
+    mean: Callable[[Array], Array],
+    second: Callable[[Array, Array], Array],
+    integer: bool = False,
+) -> Moments:
+    """`count` independent motifs, spread evenly over the cells; their moments in units of cells."""
+    s = np.asarray(sides, float)
 
     def covariance(m: Array, other: Array) -> Array:
-        power = moments.covariance(m, m).real + np.abs(moments.mean(m)) ** 2
-        zero = np.all(m == 0, axis=-1)
-        return np.asarray(np.where(np.all(m == other, axis=-1), power - zero, 0.0) + 0j)
+        a, b = m / s, other / s
+        within = second(a, b) - mean(a) * np.conj(mean(b))
+        return np.asarray(_product(_comb(m - other, s)) * within / count)
 
-    return Moments(lambda nu: np.all(nu == 0, axis=-1) + 0j, covariance, integer=True)
+    return Moments(lambda nu: _product(_comb(nu, s)) * mean(nu / s), covariance, integer)
+
+
+def _single(
+    sides: tuple[int, ...], count: int, axis: Callable[[Array], Array], integer: bool = False
+) -> Moments:
+    """One point in each cell, its coordinates independent and of the transform `axis`."""
+    return _motifs(
+        sides, count, lambda a: _product(axis(a)), lambda a, b: _product(axis(a - b)), integer
+    )
+
+
+def _offset_grid(s: Array) -> Moments:
+    """A grid of s points along each axis, with one uniform offset within a cell."""
+
+    def covariance(m: Array, other: Array) -> Array:
+        offset = _product(_interval((m - other) / s))
+        offset = offset - _product(_interval(m / s)) * np.conj(_product(_interval(other / s)))
+        return np.asarray(_product(_comb(m, s)) * np.conj(_product(_comb(other, s))) * offset)
+
+    return Moments(lambda nu: _product(_comb(nu, s) * _interval(nu / s)), covariance)
+
+
+def _stationary(power: Callable[[Array], Array]) -> Moments:
+    """Moments at integers of a set that is the same after any translation: unbiased, and diagonal."""
+
+    def covariance(m: Array, other: Array) -> Array:
+        same = np.all(m == other, axis=-1)
+        return np.asarray(np.where(same, power(m) - _is_zero(m), 0.0) + 0j)
+
+    return Moments(lambda nu: _is_zero(nu) + 0j, covariance, integer=True)
+
+
+def _displaced(sampler: Any, n: int, m: Array) -> Array:
+    """Power of a grid with Gaussian displacements; the common translation leaves it alone.
+
+    (1/n) Σ_r exp(−2πi m·r/s) exp(−4π² |m|² (width/s)² (1 − ρ(r))) over the places r of the grid, where
+    ρ is the correlation of displacements r apart ([Gabrielli2004]_, of Gaussian ones).
+    """
+    sides = _cube(sampler, n)
+    if sampler.correlation == 0.0:
+        s = np.asarray(sides, float)
+        square = _product(_gauss(sampler.width, m / s)) ** 2
+        return np.asarray((1.0 - square) / n + square * np.abs(_product(_comb(m, s))) ** 2)
+    _check_terms(n, m)
+    places = np.stack(np.unravel_index(np.arange(n), sides), axis=-1)
+    apart = 1.0 - sampler.displacement_correlation(n).reshape(-1)
+
+    def terms(rows: Array) -> Array:
+        spread = (2.0 * np.pi * sampler.width / sides[0]) ** 2 * (rows**2).sum(axis=-1)
+        phases = 2.0 * np.pi * np.remainder(rows @ places.T / sides[0], 1.0)
+        return np.asarray(np.cos(phases) * np.exp(-np.outer(spread, apart)))
+
+    return _mean_of_terms(n, m, terms)
+
+
+def _determinantal(sampler: Any, n: int, m: Array) -> Array:
+    """Power by the share of waves that m moves to others."""
+    waves = sampler.frequencies(n)
+    known = {tuple(wave) for wave in waves.tolist()}
+    flat = np.rint(m).reshape(-1, sampler.dims).astype(np.int64)
+    rows, back = np.unique(flat, axis=0, return_inverse=True)
+    pairs = [sum(tuple(w) in known for w in (waves + row).tolist()) for row in rows]
+    share = np.asarray(pairs, float)[back.reshape(-1)].reshape(m.shape[:-1]) / n
+    return np.asarray((1.0 - share) / n + _is_zero(m))
+
+
+def _fixed(sampler: Any, n: int) -> Moments:
+    """A set that is the same every time: S_ν itself, by the dual lattice or by summing it."""
+
+    def mean(nu: Array) -> Array:
+        if sampler.name == "regular":
+            s = np.asarray(sampler.sides(n), float)
+            corner = _center(nu / s) if sampler.position == "center" else 1.0
+            return _product(_comb(nu, s) * corner)
+        if hasattr(sampler, "generating_vector") and np.array_equal(nu, np.rint(nu)):
+            # 1 where m·z ≡ 0 modulo n; residues are multiplied, so that nothing overflows
+            vector = sampler.generating_vector(n)
+            residues = np.rint(np.remainder(nu, n)).astype(np.int64) * (vector % n) % n
+            return np.asarray((residues.sum(axis=-1) % n == 0) + 0j)
+        _check_terms(n, nu)
+        points = sampler.draw_stream(n, Stream.from_rng(0), 0, 1)[0]
+
+        def terms(rows: Array) -> Array:
+            return np.asarray(np.exp(-2j * np.pi * np.remainder(rows @ points.T, 1.0)))
+
+        return _mean_of_terms(n, nu, terms)
+
+    return Moments(mean, lambda m, other: np.zeros(np.broadcast(m, other).shape[:-1], complex))
+
+
+def _check_terms(n: int, nu: Array) -> None:
+    if float(n) * max(64, nu[..., 0].size) > _MAX_WORK:  # the points take memory, too
+        raise NoClosedForm(
+            f"The exact transform of {n} points at {nu[..., 0].size} frequencies would take more "
+            f"than {_MAX_WORK:.2g} terms; use power_spectrum, or ask for fewer frequencies."
+        )
+
+
+def _mean_of_terms(n: int, nu: Array, terms: Callable[[Array], Array]) -> Array:
+    """Mean of n terms for each frequency (..., d), a block of frequencies (F, d) at a time."""
+    rows = nu.reshape(-1, nu.shape[-1])
+    block = max(1, 2**22 // n)
+    parts = [terms(rows[i : i + block]).mean(axis=-1) for i in range(0, len(rows), block)]
+    return np.concatenate(parts).reshape(nu.shape[:-1])
+
+
+def _orthogonal_array(s: int, dims: int, *, shared_out: bool) -> Moments:
+    """Strength 2, s² points, levels renamed at random: two rows agree on one axis at most.
+
+    Of the s²(s² − 1) ordered pairs, s²(s − 1) agree on each axis. Points of a level are
+    independent in it, or share it out (`shared_out`): each in an s-th of it of its own.
+    """
+    n = s * s
+
+    def pairs(m: Array, other: Array) -> Array:
+        differ = _apart(m, other, s)
+        agree = _level_mates(m, other, s) if shared_out else _same(m, other, s)
+        on_one = sum(
+            _product(np.where(np.arange(dims) == axis, agree, differ)) for axis in range(dims)
+        )
+        return np.asarray((s - 1) / n * (on_one + (s + 1 - dims) * _product(differ)))
+
+    return _of_pairs(n, pairs)
+
+
+def _multi_jittered(columns: int, n: int) -> Moments:
+    """Columns × rows cells; the points of a column share it out, those of a row likewise.
+
+    Two points are in one column, in one row, or in neither; what is not shared is independent.
+    """
+    rows = n // columns
+
+    def pairs(m: Array, other: Array) -> Array:
+        s = np.array([columns, rows])
+        free, same = _free(m, other), _same(m, other, s)
+        # Sums over pairs of strata of an axis, divided by s²: all different ones, and equal ones
+        different = free - same / s
+        mates = _level_mates(m, other, s, np.array([rows, columns])) / s
+        return np.asarray(
+            _product(different)
+            + mates[..., 0] * different[..., 1]
+            + different[..., 0] * mates[..., 1]
+        )
+
+    return _of_pairs(n, pairs)
+
+
+def _of_pairs(n: int, pairs: Callable[[Array, Array], Array]) -> Moments:
+    """Moments of n points each uniform, from (1/n²) Σ over pairs of different points."""
+
+    def covariance(m: Array, other: Array) -> Array:
+        second = _product(_interval(m - other)) / n + pairs(m, other)
+        return np.asarray(second - _product(_free(m, other)))
+
+    return Moments(lambda nu: _product(_interval(nu)), covariance)
+
+
+def _free(m: Array, other: Array) -> Array:
+    return np.asarray(_interval(m) * np.conj(_interval(other)))
+
+
+def _same(m: Array, other: Array, s: int | Array) -> Array:
+    return _comb(m - other, s) * _free(m / s, other / s)
+
+
+def _apart(m: Array, other: Array, s: int | Array) -> Array:
+    strata = np.asarray(s, float)
+    difference = strata * _free(m, other) - _same(m, other, s)
+    return np.asarray(difference / np.maximum(strata - 1.0, 1.0))  # one stratum has no such pair
+
+
+def _level_mates(m: Array, other: Array, s: int | Array, parts: int | Array | None = None) -> Array:
+    """Two points of one of s strata, in different ones of its `parts` (s if not given)."""
+    return _comb(m - other, s) * _apart(m / s, other / s, s if parts is None else parts)
 
 
 def _moved(moments: Moments, step: StrataShift, n: int) -> Moments:
@@ -203,35 +498,35 @@ def _moved(moments: Moments, step: StrataShift, n: int) -> Moments:
     )
 
 
-def _weighted_power(sampler: Sampler, n: int, nu: Array, density: Density) -> Array:
-    """Random points of a density: (1/n) ∫1/p + (1 − 1/n) |χ|²; others at integers only."""
-    reciprocal = density.reciprocal_integral()
-    if not np.isfinite(reciprocal):
-        warn(
-            f"∫1/p diverges for {density.spec}: the expected power is infinite.",
-            InfiniteWeightVarianceWarning,
-        )
-        return np.full(nu.shape[:-1], np.inf)
-    base, moves = _translations(sampler)
-    if base.name == "random":
-        return np.asarray(reciprocal / n + (n - 1) / n * np.abs(product(interval(nu))) ** 2)
-    _check_integers(sampler, nu)
-    return weighted_power(base, moves, n, nu, density)
+def _interval(nu: Array) -> Array:
+    """Transform of the unit interval, χ(ν), of each coordinate."""
+    return np.asarray(np.sinc(nu) * np.exp(-1j * np.pi * np.remainder(nu, 2.0)))
 
 
-def _weighted_covariance(
-    sampler: Sampler, n: int, m: Array, other: Array, density: Density
-) -> Array:
-    base, moves = _translations(sampler)
-    _check_integers(sampler, m, other)
-    if not np.isfinite(density.reciprocal_integral()):
-        raise NoClosedForm(
-            f"∫1/p diverges for {density.spec}: the covariances of S_m are infinite; measure the "
-            "variance of the estimate by convergence instead."
-        )
-    return weighted_covariance(base, moves, n, m, other, density)
+def _comb(nu: Array, sides: Any) -> Array:
+    """Transform of the grid {j/s}, A_s(ν), of each coordinate; period s."""
+    s = np.asarray(sides, float)
+    rest = nu - s * np.rint(nu / s)  # within half a period the quotient is safe
+    return np.asarray(_interval(rest) / _interval(rest / s))
 
 
-def _check_integers(sampler: Sampler, *frequencies: Array) -> None:
-    if not all(np.array_equal(nu, np.rint(nu)) for nu in frequencies):
-        raise _unknown(sampler, "with a density at real frequencies")
+def _product(values: Array) -> Array:
+    """Π over the axes."""
+    return np.asarray(np.prod(values, axis=-1))
+
+
+def _cube(sampler: Sampler, cells: int) -> tuple[int, ...]:
+    return (root(cells, sampler.dims),) * sampler.dims
+
+
+def _center(a: Array) -> Array:
+    """Phase of the center of a cell, of each coordinate."""
+    return np.asarray(np.exp(-1j * np.pi * np.remainder(a, 2.0)))
+
+
+def _gauss(width: float, a: Array) -> Array:
+    return np.asarray(np.exp(-2.0 * (np.pi * width * a) ** 2))
+
+
+def _is_zero(m: Array) -> Array:
+    return np.asarray(np.all(m == 0, axis=-1).astype(float))

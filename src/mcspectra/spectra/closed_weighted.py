@@ -32,9 +32,9 @@ from mcspectra.core.errors import NoClosedForm
 from mcspectra.densities import Density, Linear, TruncatedNormal
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import AxisRule
-from mcspectra.samplers import Sampler, Shift, StrataShift
+from mcspectra.samplers import Shift, StrataShift
 
-__all__ = ["weighted_covariance", "weighted_power"]
+__all__ = ["weighted_covariance"]
 
 _BLOCK = 2**20  # numbers at once
 _MAX_WORK = 2**31  # strata times pairs of frequencies: some minutes
@@ -42,12 +42,15 @@ _ORDER = 16
 _CELLS = 64
 _HIGHEST = 2**16
 _PROBES = 4096
-_GRIDS = ("regular", "uniform-jitter")
-_Moves = Sequence[Shift | StrataShift]
 
 
 def weighted_covariance(
-    base: Sampler, moves: _Moves, n: int, m: Array, other: Array, density: Density
+    base: Any,
+    moves: Sequence[Shift | StrataShift],
+    n: int,
+    m: Array,
+    other: Array,
+    density: Density,
 ) -> Array:
     """C_ml of importance-sampled points at integers m, l of one shape (..., d): complex (...).
 
@@ -57,24 +60,45 @@ def weighted_covariance(
         None is known for this sampler with this density.
     """
     zero = np.all(m == 0, axis=-1) & np.all(other == 0, axis=-1)
-    if base.name in _GRIDS:
-        return np.asarray(_grids(base, moves, n, m, other, density) - zero)
+    shifted = any(isinstance(step, Shift) for step in moves)
+    if base.name in ("regular", "uniform-jitter"):
+        if base.name == "regular" and not shifted:
+            raise NoClosedForm(
+                f"{base.spec} is the same every time, so that nothing varies; add shift, or use "
+                "power_spectrum."
+            )
+        highest, power = _highest(m, other), np.ones(m.shape[:-1])
+        for i, (p, s) in enumerate(zip(_factors(density), base.sides(n), strict=True)):
+            axis = _Axis(p, s, *_all_offsets(p, s, 1.0 / s, highest))
+            power = power * axis.grid(m[..., i], other[..., i])
+        return np.asarray(power - zero)
     reciprocal = _reciprocal(density, m - other)
     if base.name == "random":
         return np.asarray((reciprocal - zero) / n)
-    sides = _strata(base, n, density)
-    axes = _axes(density, sides, moves, n, _highest(m, other))
-    if base.name == "latin-hypercube":
-        pairs = [_apart(axis.same(m[..., i], other[..., i]), m, other, i, n) for i, axis in axes]
-        return np.asarray(reciprocal / n + (1.0 - 1.0 / n) * np.prod(pairs, axis=0) - zero)
-    same = [axis.same(m[..., i], other[..., i]) for i, axis in axes]
-    return np.asarray((reciprocal - np.prod(same, axis=0)) / n)
-
-
-def weighted_power(base: Sampler, moves: _Moves, n: int, m: Array, density: Density) -> Array:
-    """⟨|S_m|²⟩ at integers m (..., d): the variance, and the mean where it is not 0."""
-    covariance = weighted_covariance(base, moves, n, m, m, density).real
-    return np.asarray(covariance + np.all(m == 0, axis=-1))
+    latin = base.name == "latin-hypercube" and getattr(base, "strength", 1) == 1
+    if base.name != "jittered" and not latin:
+        raise NoClosedForm(
+            f"No covariances are known for {base.spec} with the density {density.spec}; give random, "
+            "jittered, latin-hypercube, or a grid with shift, or use variance_terms."
+        )
+    # Strata of each axis: where they are, or everywhere if a random shift follows
+    sides = (n,) * base.dims if latin else base.sides(n)
+    offset = np.zeros(density.dims)
+    for step in moves:
+        if isinstance(step, StrataShift):
+            offset = offset + np.asarray(step.offset, float) * n ** (-1.0 / density.dims)
+    highest, pairs = _highest(m, other), np.ones(m.shape[:-1])
+    for i, (p, s) in enumerate(zip(_factors(density), sides, strict=True)):
+        rule = np.remainder(np.arange(s) / s + offset[i], 1.0), np.full(s, 1.0 / s)
+        axis = _Axis(p, s, *(_all_offsets(p, s, 1.0, highest) if shifted else rule))
+        same = axis.same(m[..., i], other[..., i])
+        if latin:  # points of two different strata; one stratum has no such pair
+            free = (m[..., i] == 0) & (other[..., i] == 0)
+            same = (n * free - same) / max(n - 1, 1)
+        pairs = pairs * same
+    if latin:
+        return np.asarray(reciprocal / n + (1.0 - 1.0 / n) * pairs - zero)
+    return np.asarray((reciprocal - pairs) / n)
 
 
 @final
@@ -141,54 +165,6 @@ def _interval(m: Array, low: Array, high: Array) -> Array:
     )
 
 
-def _apart(same: Array, m: Array, other: Array, axis: int, n: int) -> Array:
-    free = (m[..., axis] == 0) & (other[..., axis] == 0)
-    return np.asarray((n * free - same) / max(n - 1, 1))  # one stratum has no such pair
-
-
-def _strata(base: Any, n: int, density: Density) -> tuple[int, ...]:
-    latin = base.name == "latin-hypercube" and getattr(base, "strength", 1) == 1
-    if base.name != "jittered" and not latin:
-        raise NoClosedForm(
-            f"No covariances are known for {base.spec} with the density {density.spec}; give random, "
-            "jittered, latin-hypercube, or a grid with shift, or use variance_terms."
-        )
-    sides: tuple[int, ...] = (n,) * base.dims if latin else base.sides(n)
-    return sides
-
-
-def _grids(base: Any, moves: _Moves, n: int, m: Array, other: Array, density: Density) -> Array:
-    if base.name == "regular" and not any(isinstance(step, Shift) for step in moves):
-        raise NoClosedForm(
-            f"{base.spec} is the same every time, so that nothing varies; add shift, or use "
-            "power_spectrum."
-        )
-    axes = [
-        (i, _Axis(p, s, *_all_offsets(p, s, 1.0 / s, _highest(m, other))))
-        for i, (p, s) in enumerate(zip(_factors(density), base.sides(n), strict=True))
-    ]
-    return np.asarray(np.prod([a.grid(m[..., i], other[..., i]) for i, a in axes], axis=0))
-
-
-def _axes(
-    density: Density, sides: tuple[int, ...], moves: _Moves, n: int, highest: int
-) -> list[tuple[int, _Axis]]:
-    """Strata of each axis: where they are, or everywhere if a random shift follows."""
-    offset = np.zeros(density.dims)
-    for step in moves:
-        if isinstance(step, StrataShift):
-            offset = offset + np.asarray(step.offset, float) * n ** (-1.0 / density.dims)
-    shifted = any(isinstance(step, Shift) for step in moves)
-    axes = []
-    for i, (p, s) in enumerate(zip(_factors(density), sides, strict=True)):
-        if shifted:
-            axes.append((i, _Axis(p, s, *_all_offsets(p, s, 1.0, highest))))
-            continue
-        starts = np.remainder(np.arange(s) / s + offset[i], 1.0)
-        axes.append((i, _Axis(p, s, starts, np.full(s, 1.0 / s))))
-    return axes
-
-
 def _all_offsets(density: Density, sides: int, length: float, highest: int) -> tuple[Array, Array]:
     """Rule for the mean over t in [0, length): cut where a stratum's ends meet breaks or the seam."""
     breaks = np.array([0.0, *density.breaks[0]])
@@ -226,7 +202,15 @@ def _factors(density: Density) -> list[Density]:
         factors = [TruncatedNormal(dims=1, mean=mean, sigma=sigma) for mean, sigma in both]
     else:
         factors = list(getattr(density, "parts", ())) if density.name == "product" else []
-    if not factors or any(p.dims > 1 or not _is_increasing(p) for p in factors):
+    # Probe whether the warps are monotone
+    u = (np.arange(_PROBES) / _PROBES)[:, None]
+    monotone = all(
+        p.dims == 1
+        and getattr(p, "primary_dims", 1) == 1
+        and (np.diff(p.sample(u)[:, 0]) >= 0).all()
+        for p in factors
+    )
+    if not factors or not monotone:
         raise NoClosedForm(
             f"Covariances of stratified points are known for densities that are products over the "
             f"axes, of increasing warps, not for {density.spec}; use variance_terms."
@@ -236,13 +220,6 @@ def _factors(density: Density) -> list[Density]:
 
 def _each(value: float | tuple[float, ...], dims: int) -> tuple[float, ...]:
     return value if isinstance(value, tuple) else (value,) * dims
-
-
-def _is_increasing(density: Density) -> bool:
-    if getattr(density, "primary_dims", 1) > 1:
-        return False
-    x = density.sample((np.arange(_PROBES) / _PROBES)[:, None])[:, 0]
-    return bool((np.diff(x) >= 0).all())
 
 
 def _reciprocal(density: Density, k: Array) -> Array:

@@ -152,17 +152,29 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
     dims = np.shape(indices)[-1] or None if np.ndim(indices) else None
     source = as_sampler(sampler, None if isinstance(sampler, Sampler) else dims)
     n = source.check_count(n)
-    m = _as_indices(indices, source.dims)
+    given = as_frequencies(indices, source.dims)
+    if not np.array_equal(given, np.rint(given)) or given.min() < 0 or given.max() >= 2.0**_BITS:
+        raise ParameterError(
+            "Walsh indices are whole numbers from 0 to 2^32 − 1; those given are not."
+        )
+    m = given.astype(np.uint64)
     steps = {step.name for step in source.steps} if isinstance(source, Randomized) else set()
     columns = _columns(_net_inside(source), n)
     if steps == {"digital-shift"}:
-        return _in_dual_net(columns, m).astype(float)
+        # On the dual net Σ_j (digits of m_j) · (column c of matrix j) is even for every column c
+        reversed_digits = np.zeros_like(m)
+        for bit in range(_BITS):
+            digit = (m >> np.uint64(bit)) & np.uint64(1)
+            reversed_digits |= digit << np.uint64(_BITS - 1 - bit)
+        both = reversed_digits[..., None] & columns
+        odd = np.bitwise_count(np.bitwise_xor.reduce(both, axis=-2)) & 1
+        return np.asarray((~odd.any(axis=-1)).astype(float))
     if "owen" not in steps:
         raise NoClosedForm(
             f"No power in the Walsh basis is known for {source.spec}; add digital-shift or owen, or "
             "use variance_terms with basis='walsh'."
         )
-    level = np.frexp(m.astype(float))[1]
+    level = np.frexp(given)[1]
     levels = max(1, int(level.max()))
     _check_work(n, levels, source)
     power = _gains(_net_inside(source), n, levels) / n
@@ -194,46 +206,30 @@ def _check_work(n: int, levels: int, sampler: Sampler) -> None:
 def _gains(sampler: Sampler, n: int, levels: int) -> Array:
     """Γ_l from the numbers of pairs that agree: a difference of levels along each axis."""
     points = sampler.draw_stream(n, Stream.from_rng(0), 0, 1)[0]
-    gains = _agreeing_pairs(points, sampler.digit_bases, levels) / n
-    for axis, base in enumerate(sampler.digit_bases):
+    bases = sampler.digit_bases
+    gains = np.empty((levels + 1,) * len(bases))
+
+    def fill(cells: Array, axis: int, at: tuple[int, ...]) -> None:
+        """Count ordered pairs that agree in the first l_j digits of coordinate j, for all l."""
+        if axis == len(bases):
+            gains[at] = np.sum(np.bincount(cells).astype(float) ** 2) / n
+            return
+        for level in range(levels + 1):
+            # The first digits as whole numbers; coordinates rounded down to below k/b^level count as k
+            base, scale = bases[axis], float(bases[axis] ** level)
+            nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-50
+            digits = np.floor(points[:, axis] * scale + nudge)
+            prefix = np.minimum(digits, scale - 1.0).astype(np.int64)
+            inner = cells * base**level + prefix if n > 1 else cells
+            fill(np.unique(inner, return_inverse=True)[1], axis + 1, (*at, level))
+
+    fill(np.zeros(n, np.int64), 0, ())
+    for axis, base in enumerate(bases):
         values = np.moveaxis(gains, axis, 0)
         finer = (base * values[1:] - values[:-1]) / (base - 1)
         gains = np.moveaxis(np.concatenate([values[:1], finer]), 0, axis)
     gains[(0,) * sampler.dims] = 0.0
     return gains
-
-
-def _agreeing_pairs(points: Array, bases: tuple[int, ...], levels: int) -> Array:
-    """Number of ordered pairs that agree in the first l_j digits of coordinate j, for all l."""
-    out = np.empty((levels + 1,) * len(bases))
-
-    def fill(cells: Array, axis: int, at: tuple[int, ...]) -> None:
-        if axis == len(bases):
-            out[at] = np.sum(np.bincount(cells).astype(float) ** 2)
-            return
-        for level in range(levels + 1):
-            prefix = _leading_digits(points[:, axis], bases[axis], level)
-            inner = cells * bases[axis] ** level + prefix if len(points) > 1 else cells
-            fill(np.unique(inner, return_inverse=True)[1], axis + 1, (*at, level))
-
-    fill(np.zeros(len(points), np.int64), 0, ())
-    return out
-
-
-def _leading_digits(x: Array, base: int, count: int) -> Array:
-    """First `count` digits as whole numbers; coordinates rounded down to below k/b^count count as k."""
-    scale = float(base**count)
-    nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-50
-    return np.minimum(np.floor(x * scale + nudge), scale - 1.0).astype(np.int64)
-
-
-def _as_indices(indices: Any, dims: int) -> Array:
-    m = as_frequencies(indices, dims)
-    if not np.array_equal(m, np.rint(m)) or m.min() < 0 or m.max() >= 2.0**_BITS:
-        raise ParameterError(
-            "Walsh indices are whole numbers from 0 to 2^32 − 1; those given are not."
-        )
-    return m.astype(np.uint64)
 
 
 def _columns(sampler: Sampler, n: int) -> Array:
@@ -250,14 +246,3 @@ def _columns(sampler: Sampler, n: int) -> Array:
         f"{n} points of {sampler.spec} are not a digital net in base 2 with known matrices; take a "
         "power of two of sobol, niederreiter, larcher-pillichshammer or digital-net."
     )
-
-
-def _in_dual_net(columns: Array, m: Array) -> Array:
-    """Whether Σ_j (digits of m_j) · (column c of matrix j) is even for every column c."""
-    reversed_digits = np.zeros_like(m)
-    for bit in range(_BITS):
-        digit = (m >> np.uint64(bit)) & np.uint64(1)
-        reversed_digits |= digit << np.uint64(_BITS - 1 - bit)
-    both = reversed_digits[..., None] & columns
-    odd = np.bitwise_count(np.bitwise_xor.reduce(both, axis=-2)) & 1
-    return np.asarray(~odd.any(axis=-1)) if columns.shape[1] else np.ones(m.shape[:-1], bool)

@@ -2,7 +2,8 @@
 
 Grids of frequencies end at a few dims; lists of them do not: slices along the axes, planes of two
 axes (the projections of a set), the frequencies that belong to one ANOVA subset. `power_at` takes any
-list; the other functions write those lists.
+list; `axis_frequencies` and the like write such lists, float64 (F, d), with only one of ν and −ν where a
+whole line would hold both: S_{−ν} = conj S_ν.
 
 Engines
 -------
@@ -20,12 +21,20 @@ Engines
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice, as_frequencies, as_integer, as_real
+from mcspectra.core.checks import (
+    MAX_DIMS,
+    MAX_FREQUENCY,
+    Array,
+    as_choice,
+    as_frequencies,
+    as_integer,
+    as_real,
+)
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.parallel import (
     MAX_REALIZATIONS,
@@ -45,7 +54,15 @@ from mcspectra.spectra.power import PowerSums, spectrum_attributes, weighted_poi
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["listed_transform", "power_at"]
+__all__ = [
+    "MAX_LISTED",
+    "axis_frequencies",
+    "diagonal_frequencies",
+    "listed_transform",
+    "plane_frequencies",
+    "power_at",
+    "subset_frequencies",
+]
 
 Listed = Callable[[Array, Array], Array]
 """Transform of one set: points (n, d), weights (n,) to S (F,)."""
@@ -53,6 +70,9 @@ Listed = Callable[[Array, Array], Array]
 _ENGINES = ("auto", "nufft", "direct")
 _MAX_FACTORS = 4096
 """Most factors of a table, which takes 4 KiB for each."""
+
+MAX_LISTED = 2**27
+"""Most numbers in a list of frequencies, F times d: 1 GiB."""
 
 
 def power_at(
@@ -114,7 +134,12 @@ def power_at(
     drawn = getattr(density, "primary_dims", dims)
     source = as_sampler(sampler, None if isinstance(sampler, Sampler) else drawn)
     p = as_warp(density, source.dims)
-    nu = _as_list(frequencies, source.dims if p is None else p.dims)
+    nu = as_frequencies(frequencies, source.dims if p is None else p.dims)
+    if nu.ndim != 2:
+        raise ParameterError(
+            f"frequencies have shape {nu.shape}; give a list of shape (F, {nu.shape[-1]}): "
+            f"frequencies.reshape(-1, {nu.shape[-1]})."
+        )
     n = source.check_count(n)
     realizations = as_integer("realizations", realizations, least=1, most=MAX_REALIZATIONS)
     transform, chosen = listed_transform(nu, n, engine=engine, eps=eps)
@@ -140,29 +165,15 @@ def power_at(
         "mean_coefficient": mean,
         "mean_coefficient_se": mean_se,
     }
+    labels = {"long_name": "frequency", "units": "cycles per unit"}
     return dataset(
         {name: (("frequency",), values) for name, values in found.items()},
-        _coords(nu),
+        {f"m_{j}": ("frequency", axis, labels) for j, axis in enumerate(nu.T)},
         **spectrum_attributes(source, p, n, realizations, stream),
         seed=rng if isinstance(rng, int) else None,
         engine=chosen,
         eps=eps,
     )
-
-
-def _as_list(frequencies: Any, dims: int) -> Array:
-    nu = as_frequencies(frequencies, dims)
-    if nu.ndim != 2:
-        raise ParameterError(
-            f"frequencies have shape {nu.shape}; give a list of shape (F, {dims}): "
-            f"frequencies.reshape(-1, {dims})."
-        )
-    return nu
-
-
-def _coords(nu: Array) -> dict[str, Any]:
-    attributes = {"long_name": "frequency", "units": "cycles per unit"}
-    return {f"m_{j}": ("frequency", nu[:, j], attributes) for j in range(nu.shape[1])}
 
 
 def listed_transform(
@@ -183,16 +194,12 @@ def listed_transform(
             f"The nufft engine works in 1 to 3 dims, not {dims}; use engine='direct'."
         )
     if engine == "auto":
-        engine = "nufft" if dims <= 2 and _nufft_pays(frequencies, n) else "direct"
+        engine = "direct"
+        if dims <= 2:  # estimated nanoseconds, measured on one core of a server of 2024
+            volume = np.prod(2.5 * np.ptp(frequencies, axis=0) + 30.0)
+            nufft = (n + len(frequencies)) * 200.0 * 10.0 ** (dims - 1) + 100.0 * volume
+            engine = "nufft" if nufft < 10.0 * n * len(frequencies) else "direct"
     return (_direct(frequencies) if engine == "direct" else _type_3(frequencies, eps)), engine
-
-
-def _nufft_pays(frequencies: Array, n: int) -> bool:
-    """Compare estimated nanoseconds, measured on one core of a server of 2024."""
-    count, dims = frequencies.shape
-    volume = np.prod(2.5 * np.ptp(frequencies, axis=0) + 30.0)
-    nufft = (n + count) * 200.0 * 10.0 ** (dims - 1) + 100.0 * volume
-    return bool(nufft < 10.0 * n * count)
 
 
 def _type_3(frequencies: Array, eps: float) -> Listed:
@@ -236,3 +243,108 @@ def _direct(frequencies: Array) -> Listed:
         return out
 
     return transform
+
+
+def axis_frequencies(dims: int, half_width: int, *, step: float = 1.0) -> Array:
+    """Frequencies step · {1 … half_width} along each axis, one axis after the other.
+
+    Examples
+    --------
+    >>> axis_frequencies(2, 2).tolist()
+    [[1.0, 0.0], [2.0, 0.0], [0.0, 1.0], [0.0, 2.0]]
+    """
+    dims, half_width, step = _checked(dims, half_width, step)
+    _check_size(dims * half_width, dims)
+    scale = step * np.arange(1, half_width + 1)
+    return np.asarray((np.eye(dims)[:, None, :] * scale[:, None]).reshape(-1, dims))
+
+
+def diagonal_frequencies(
+    dims: int, half_width: int, *, signs: Sequence[int] | None = None, step: float = 1.0
+) -> Array:
+    """Frequencies step · t · signs, t = 1 … half_width: the main diagonal, unless signs differ.
+
+    Parameters
+    ----------
+    dims, half_width, step
+        Number of dims and extent.
+    signs
+        −1, 0 or 1 for each axis.
+
+    Examples
+    --------
+    >>> diagonal_frequencies(2, 2, signs=(1, -1)).tolist()
+    [[1.0, -1.0], [2.0, -2.0]]
+    """
+    dims, half_width, step = _checked(dims, half_width, step)
+    _check_size(half_width, dims)
+    direction = np.ones(dims) if signs is None else np.asarray(signs)
+    if direction.shape != (dims,) or not np.isin(direction, (-1, 0, 1)).all():
+        raise ParameterError(f"signs is {signs!r}; give −1, 0 or 1 for each of the {dims} dims.")
+    if not direction.any():
+        raise ParameterError(f"signs is {signs!r}; at least one must not be 0.")
+    return np.asarray(step * np.arange(1, half_width + 1)[:, None] * direction.astype(np.float64))
+
+
+def plane_frequencies(
+    dims: int, axes: Sequence[int], half_width: int, *, step: float = 1.0
+) -> Array:
+    """Frequencies step · {−half_width … half_width} of some axes, zero elsewhere, in C order.
+
+    Those of two axes are the spectrum of the set's projection onto their plane.
+
+    Examples
+    --------
+    >>> plane_frequencies(5, (1, 3), 8).shape
+    (289, 5)
+    """
+    return _product(dims, axes, half_width, step, keep_zero=True)
+
+
+def subset_frequencies(
+    dims: int, axes: Sequence[int], half_width: int, *, step: float = 1.0
+) -> Array:
+    """Frequencies whose nonzero components are exactly those of `axes`, up to the half width.
+
+    They carry the ANOVA term of these axes: (2 half_width)^|axes| frequencies.
+
+    Examples
+    --------
+    >>> subset_frequencies(3, (0,), 2).tolist()
+    [[-2.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]
+    """
+    return _product(dims, axes, half_width, step, keep_zero=False)
+
+
+def _product(dims: int, axes: Any, half_width: int, step: float, *, keep_zero: bool) -> Array:
+    dims, half_width, step = _checked(dims, half_width, step)
+    if not isinstance(axes, Sequence | np.ndarray) or isinstance(axes, str) or not len(axes):
+        raise ParameterError(f"axes is {axes!r}; give a list of axes from 0 to {dims - 1}.")
+    chosen = [as_integer("axes", axis, least=0, most=dims - 1) for axis in axes]
+    if len(set(chosen)) < len(chosen):
+        raise ParameterError(f"axes is {list(axes)}; name each axis once.")
+    index = np.arange(-half_width, half_width + 1)
+    index = index if keep_zero else index[index != 0]
+    _check_size(float(len(index)) ** len(chosen), dims)
+    shape = (len(index),) * len(chosen)
+    found = np.zeros((int(np.prod(shape)), dims))
+    for axis, place in zip(chosen, np.unravel_index(np.arange(len(found)), shape), strict=True):
+        found[:, axis] = step * index[place]
+    return found
+
+
+def _checked(dims: int, half_width: int, step: float) -> tuple[int, int, float]:
+    return (
+        as_integer("dims", dims, least=1, most=MAX_DIMS),
+        as_integer("half_width", half_width, least=1, most=MAX_LISTED),
+        as_real("step", step, above=0.0, most=MAX_FREQUENCY / MAX_LISTED),
+    )
+
+
+def _check_size(count: float, dims: int) -> None:
+    if count * dims > MAX_LISTED:
+        raise ParameterError(
+            f"These are {count:.3g} frequencies in {dims} dims, "
+            f"{8 * count * dims / 2**30:.3g} GiB; list at most {MAX_LISTED // dims}: use a smaller "
+            "half_width or fewer axes."
+        )

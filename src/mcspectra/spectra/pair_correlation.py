@@ -226,25 +226,24 @@ def closed_form_pair_correlation(sampler: Sampler | str, n: int, r: Any) -> Arra
     if source.name == "jittered" and source.dims <= 2:
         sides = source.sides(n)  # type: ignore[attr-defined]
         # On an axis of one cell two places always share it
-        scaled = [(0.0 if s == 1 else s) * distance for s in sides]
-        shared = np.maximum(0.0, 1.0 - scaled[0]) if len(sides) == 1 else _shared_cell(*scaled)
+        a, *rest = ((0.0 if s == 1 else s) * distance for s in sides)
+        shared = np.maximum(0.0, 1.0 - a)
+        if rest:
+            # Mean over directions θ of max(0, 1 − a |cos θ|) max(0, 1 − b |sin θ|)
+            (b,) = rest
+            low = np.arccos(1.0 / np.maximum(a, 1.0))
+            high = np.arcsin(1.0 / np.maximum(b, 1.0))
+
+            def primitive(angle: Array) -> Array:
+                sine, cosine = np.sin(angle), np.cos(angle)
+                return np.asarray(angle - a * sine + b * cosine + 0.5 * a * b * sine**2)
+
+            shared = np.where(low < high, primitive(high) - primitive(low), 0.0) * (2.0 / np.pi)
         return np.asarray(n / (n - 1) * (1.0 - shared))
     raise NoClosedForm(
         f"No closed-form pair correlation is known for {source.spec} in {source.dims} dims; use "
         "pair_correlation."
     )
-
-
-def _shared_cell(a: Array, b: Array) -> Array:
-    """Mean over directions θ of max(0, 1 − a |cos θ|) max(0, 1 − b |sin θ|)."""
-    low = np.arccos(1.0 / np.maximum(a, 1.0))
-    high = np.arcsin(1.0 / np.maximum(b, 1.0))
-
-    def primitive(angle: Array) -> Array:
-        sine, cosine = np.sin(angle), np.cos(angle)
-        return np.asarray(angle - a * sine + b * cosine + 0.5 * a * b * sine**2)
-
-    return np.where(low < high, primitive(high) - primitive(low), 0.0) * (2.0 / np.pi)
 
 
 def _check_pairs(sampler: Sampler, n: int) -> int:

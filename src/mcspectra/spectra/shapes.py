@@ -1,24 +1,30 @@
-"""Shapes of a measured spectrum: rings, slices, wedges, and the variance that it predicts.
+"""Shapes of a measured spectrum: rings, slices, wedges, its exponent, and the variance that it predicts.
 
 All take the dataset of `power_spectrum`. Standard errors are those over realisations, of the means
 over rings and wedges of each of them.
+
+Directions may have different exponents: a Latin hypercube has m² along its axes and the power of random
+points elsewhere, and the largest power decides. Where the power of a length depends on direction, each
+class of directions is fitted by itself: frequencies by the axes that they involve and, in 2-D, by wedges.
 """
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.checks import Array, as_integer, as_real
 from mcspectra.core.errors import (
     CorrelatedFrequenciesWarning,
     FileFormatError,
     ParameterError,
     warn,
 )
+from mcspectra.core.fits import line_fit
 from mcspectra.core.results import dataset
 from mcspectra.samplers import as_sampler
 from mcspectra.spectra.bases import fitting_basis
@@ -29,7 +35,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "HalfSpectrum",
+    "low_frequency_exponent",
     "radial_statistics",
     "slices",
     "variance_from_spectrum",
@@ -37,10 +43,16 @@ __all__ = [
 ]
 
 _MAX_SLICE_DIMS = 4
+_LEVEL = 0.95
+_ISOTROPIC = 0.1  # excess of (spread over direction / mean)² over noise; jittered points: 0.001
+_CLASS_WEDGES = 8
+_SUSPECT = 3.0  # χ² per degree of freedom, beyond which directions are looked at
+_MISFIT = 10.0  # χ² per degree of freedom, beyond which there is no power law
 
 
+@final
 @dataclass(frozen=True)
-class HalfSpectrum:
+class _HalfSpectrum:
     """One of each pair ν, −ν of a spectrum, without ν = 0."""
 
     index: Array  # ν / step, int64 (H, d)
@@ -50,13 +62,30 @@ class HalfSpectrum:
     attrs: dict[str, Any]
 
     @staticmethod
-    def of(spectrum: xr.Dataset) -> HalfSpectrum:
+    def of(spectrum: Any) -> _HalfSpectrum:
         """Halve the result of `power_spectrum`, after checking that it is one."""
-        power, grid = _checked(spectrum)
-        half = [grid.half(power.to_numpy()), grid.half(spectrum["power_se"].to_numpy())]
+        import xarray as xr
+
+        if not isinstance(spectrum, xr.Dataset) or not {"power", "power_se"} <= set(spectrum):
+            raise ParameterError(
+                f"The spectrum is {type(spectrum).__name__} without power and power_se; give the "
+                "dataset that power_spectrum returns."
+            )
+        power = spectrum["power"]
+        names = tuple(f"m{i}" for i in range(power.ndim))
+        sides = set(power.shape)
+        if power.dims != names or len(sides) > 1 or not power.shape[0] % 2 or power.shape[0] < 3:
+            raise ParameterError(
+                f"The power has dims {power.dims} of sizes {power.shape}; give the whole grid of "
+                "power_spectrum, with m0, m1, … from −half_width to half_width, at least 1."
+            )
+        axis = power["m0"].to_numpy()
+        half_width = len(axis) // 2
+        grid = FrequencyGrid(power.ndim, half_width, float(axis[-1] / half_width))
+        half, se = (grid.half(spectrum[name].to_numpy())[:-1] for name in ("power", "power_se"))
         kept = ("sampler", "density", "n", "realizations", "seed", "convention")
         attrs = {key: spectrum.attrs[key] for key in kept if key in spectrum.attrs}
-        return HalfSpectrum(grid.half_indices()[:-1], half[0][:-1], half[1][:-1], grid, attrs)
+        return _HalfSpectrum(grid.half_indices()[:-1], half, se, grid, attrs)
 
     @property
     def length(self) -> Array:
@@ -71,26 +100,6 @@ class HalfSpectrum:
             mean = np.bincount(label[used], self.power[used], minlength=size) / count
             se = np.sqrt(np.bincount(label[used], self.se[used] ** 2, minlength=size)) / count
         return mean, se, count
-
-
-def _checked(spectrum: Any) -> tuple[xr.DataArray, FrequencyGrid]:
-    import xarray as xr
-
-    if not isinstance(spectrum, xr.Dataset) or not {"power", "power_se"} <= set(spectrum):
-        raise ParameterError(
-            f"The spectrum is {type(spectrum).__name__} without power and power_se; give the "
-            "dataset that power_spectrum returns."
-        )
-    power = spectrum["power"]
-    names = tuple(f"m{i}" for i in range(power.ndim))
-    sides = set(power.shape)
-    if power.dims != names or len(sides) > 1 or not power.shape[0] % 2 or power.shape[0] < 3:
-        raise ParameterError(
-            f"The power has dims {power.dims} of sizes {power.shape}; give the whole grid of "
-            "power_spectrum, with m0, m1, … from −half_width to half_width, at least 1."
-        )
-    axis = power["m0"].to_numpy()
-    return power, FrequencyGrid(power.ndim, len(axis) // 2, float(axis[-1] / (len(axis) // 2)))
 
 
 def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
@@ -119,7 +128,7 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
     >>> bool(rings["anisotropy_db"][2] > rings["anisotropy_noise_db"][2] - 5)
     True
     """
-    half = HalfSpectrum.of(spectrum)
+    half = _HalfSpectrum.of(spectrum)
     size = half.grid.half_width
     ring = np.rint(half.length).astype(np.int64) - 1
     ring[ring >= size] = -1
@@ -158,7 +167,7 @@ def slices(spectrum: xr.Dataset) -> xr.Dataset:
         frequency step · direction. slice is labelled by its direction, such as (1, -1),
         axes first; the coordinate ``slice_radius`` is |ν|. There are 1, 4, 13 or 40 of them in one to four dims.
     """
-    half = HalfSpectrum.of(spectrum)  # checks
+    half = _HalfSpectrum.of(spectrum)
     grid = half.grid
     if grid.dims > _MAX_SLICE_DIMS:
         raise ParameterError(
@@ -213,7 +222,7 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
         numbers of wedges than the spectrum's; those of uniform points then take frequencies as
         uncorrelated.
     """
-    half = HalfSpectrum.of(spectrum)
+    half = _HalfSpectrum.of(spectrum)
     wedges = as_integer("wedges", wedges, least=1, most=MAX_WEDGES)
     if half.grid.dims != 2:
         raise ParameterError(
@@ -232,6 +241,184 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
         {"angle": wedge_angles(wedges)},
         **half.attrs,
     )
+
+
+def low_frequency_exponent(
+    spectrum: xr.Dataset, *, up_to: float | None = None, axis: int | None = None
+) -> xr.Dataset:
+    """Fit power ∝ |ν|^b at low frequencies: b decides the rate of the variance [Pilleboue2015]_.
+
+    Parameters
+    ----------
+    spectrum
+        Result of `power_spectrum`, of two realisations or more; between the integers with its
+        ``mean=True``, because ⟨S_ν⟩ is not 0 there: what is fitted is then ⟨|S_ν|²⟩ − |⟨S_ν⟩|².
+    up_to
+        Largest |ν| of the fit; by default a quarter of n^(1/d), the mean frequency of the points,
+        but at least three lengths and at most the half width.
+    axis
+        Fit along this axis alone; by default over all directions or, where they differ, over those
+        with the largest power at the lowest frequency.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``low_frequency_exponent``, its 95 % interval on dim bound, and ``exponent_fit_chi2``, the
+        lack of fit, χ² per degree of freedom: an interval is widened by its root where it is above 1.
+        Attributes ``up_to``, ``lengths`` and ``directions``, those of the fit. The attribute ``reason``
+        says why all are NaN, where lengths have no power, as those of a lattice; or that there is
+        no power law, where χ² per degree of freedom is above 10.
+
+    Raises
+    ------
+    ParameterError
+        Not a spectrum with errors and three lengths, or one between the integers without means.
+
+    Notes
+    -----
+    Weighted least squares of log power on log |ν|, all frequencies of one length (and class of
+    directions) taken together; the interval of one of k classes is that of 1 − 0.05/k.
+    b is that of the window: 1 − sinc² of jittered points, b = 2 at 0, bends to 1.8 at n^(1/d)/4.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> spectrum = mcs.power_spectrum("random", 256, half_width=8, realizations=400)
+    >>> bool(abs(low_frequency_exponent(spectrum)["low_frequency_exponent"]) < 0.2)
+    True
+    """
+    half = _HalfSpectrum.of(spectrum)
+    grid = half.grid
+    # Between the integers, take the power of the mean off
+    if grid.step != round(grid.step):
+        if "mean_coefficient" not in spectrum:
+            raise ParameterError(
+                f"The spectrum has a frequency step of {grid.step:g}; between the integers its "
+                "power is not that of fluctuations alone: use power_spectrum(…, mean=True)."
+            )
+        mean = grid.half(spectrum["mean_coefficient"].to_numpy())[:-1]
+        # ddof = 1: the sample mean holds 1/R of the fluctuation itself
+        bessel = 1.0 / (1.0 - 1.0 / float(half.attrs.get("realizations", math.inf)))
+        half = replace(half, power=np.maximum(half.power - np.abs(mean) ** 2, 0.0) * bessel)
+
+    # Label the frequencies by their lengths, ascending, −1 where not wanted
+    square = (half.index**2).sum(axis=1)
+    wanted = square <= grid.half_width**2
+    if axis is not None:
+        axis = as_integer("axis", axis, least=0, most=grid.dims - 1)
+        wanted &= square == half.index[:, axis] ** 2
+    squares, inverse = np.unique(square[wanted], return_inverse=True)
+    label, lengths = np.full(len(square), -1), np.sqrt(squares)
+    label[wanted] = inverse
+
+    # Cut the window of the fit, which has three lengths at least
+    if len(lengths) < 3:
+        raise ParameterError(
+            f"The spectrum has {len(lengths)} lengths of frequency; a fit needs three: use a larger "
+            "half_width."
+        )
+    if up_to is None:
+        quarter = float(half.attrs.get("n", 1)) ** (1 / grid.dims) / 4 / grid.step
+        window = float(min(max(quarter, lengths[2]), grid.half_width))
+    else:
+        least, most = float(lengths[2]) * grid.step * (1 - 1e-9), grid.half_width * grid.step
+        window = as_real("up_to", up_to, least=least, most=most) / grid.step
+    lengths = lengths[lengths <= window * (1 + 1e-9)]
+    label[label >= len(lengths)] = -1
+
+    # Fit lengths that have power
+    power, se, _ = half.mean_by(label, len(lengths))
+    if np.isnan(se).any():
+        raise ParameterError(
+            "The spectrum has no standard errors to weight the fit by; use two or more realisations."
+        )
+    exact = spectrum.attrs.get("engine") not in ("nufft", "gpu")
+    eps = 0.0 if exact else spectrum.attrs.get("eps", 0.0)
+    empty = int(np.count_nonzero(power <= max(10 * eps, 1e-14) ** 2))
+    reason = None
+    if empty:
+        reason = f"{empty} of {len(power)} lengths have no power: there is no power law."
+        fit = _Fit(math.nan, 0.0, (math.nan, math.nan), math.nan, len(lengths), "all")
+    else:
+        fit = _over_directions(half, label, lengths)
+        if fit.chi2 > _MISFIT:
+            reason = f"χ² per degree of freedom is {fit.chi2:.3g}: there is no power law."
+    return dataset(
+        {
+            "low_frequency_exponent": ((), fit.slope),
+            "low_frequency_exponent_ci": (("bound",), np.array(fit.interval)),
+            "exponent_fit_chi2": ((), fit.chi2),
+        },
+        {"bound": ["low", "high"]},
+        up_to=window * grid.step,
+        lengths=fit.lengths,
+        directions=fit.directions if axis is None else f"axis {axis}",
+        reason=reason,
+        **half.attrs,
+    )
+
+
+@final
+@dataclass(frozen=True)
+class _Fit:
+    """Slope, log power at the lowest frequency, interval, lack of fit, and what was fitted."""
+
+    slope: float
+    level: float
+    interval: tuple[float, float]
+    chi2: float
+    lengths: int
+    directions: str
+
+
+def _over_directions(half: _HalfSpectrum, label: Array, lengths: Array) -> _Fit:
+    """Fit all directions where they agree, else the class with the largest power at the low end."""
+    whole = _fit_class(half, label, lengths, "all", 1)
+    assert whole is not None
+    # Relative variance over direction beyond that of noise, mean over the lengths of several directions
+    mean, _, count = half.mean_by(label, len(lengths))
+    several = (label >= 0) & (count[label] > 1)
+    own, k = mean[label[several]], count[label[several]]
+    spread = (half.power[several] - own) ** 2 * k / (k - 1)
+    excess = float(np.mean((spread - half.se[several] ** 2) / own**2)) if several.any() else 0.0
+    # Few lengths have several directions: (3, 4) and (5, 0), but different ones fit no line either
+    if half.grid.dims == 1 or (excess <= _ISOTROPIC and whole.chi2 <= _SUSPECT):
+        return whole
+    # Class the frequencies by the axes that they involve and, for both axes of two, by wedges
+    involved, place = np.unique(half.index != 0, axis=0, return_inverse=True)
+    texts = [" and ".join(f"m{i}" for i in np.flatnonzero(row)) for row in involved]
+    names = np.array(texts, dtype=object)[place.ravel()]
+    if half.grid.dims == 2:
+        both = (half.index != 0).all(axis=1)
+        angles = 180 / _CLASS_WEDGES * wedge_labels(half.index[both], _CLASS_WEDGES)
+        names[both] = [
+            f"{name}, about {angle:g}°" for name, angle in zip(names[both], angles, strict=True)
+        ]
+    classes = sorted(set(names[label >= 0]))
+    fits = [
+        _fit_class(half, np.where(names == name, label, -1), lengths, name, len(classes))
+        for name in classes
+    ]
+    return max([f for f in fits if f is not None], key=lambda f: f.level, default=whole)
+
+
+def _fit_class(
+    half: _HalfSpectrum, label: Array, lengths: Array, name: str, classes: int
+) -> _Fit | None:
+    """Fit the lengths of one class that have power; None where fewer than three have."""
+    from scipy.special import stdtrit
+
+    power, se, count = half.mean_by(label, len(lengths))
+    used = count > 0
+    if np.count_nonzero(used) < 3 or not (power[used] > 0).all():
+        return None
+    x = np.log(lengths[used] * half.grid.step) - math.log(lengths[0] * half.grid.step)
+    error = np.maximum(se[used] / power[used], 1e-9)
+    fit = line_fit(x, np.log(power[used]), error**-2.0)
+    quantile = float(stdtrit(len(x) - 2, 1 - (1 - _LEVEL) / (2 * classes)))
+    wide = quantile * math.sqrt(max(fit.chi2, 1.0) / fit.spread)
+    interval = (fit.slope - wide, fit.slope + wide)
+    return _Fit(fit.slope, float(fit.at(0.0)), interval, fit.chi2, len(x), name)
 
 
 def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
@@ -270,39 +457,37 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
     >>> bool(abs(50 * variance_from_spectrum(spectrum, f) - 0.5) < 0.2)
     True
     """
-    power, grid = _checked(spectrum)
-    _check_homogenized(spectrum)
-    f = np.asarray(coefficients)
-    if f.shape != grid.shape or f.dtype.kind not in "iufc" or not np.isfinite(f).all():
-        raise ParameterError(
-            f"coefficients have shape {f.shape} and type {f.dtype}; give finite numbers of shape "
-            f"{grid.shape}, one for each frequency."
-        )
-    terms = np.abs(f) ** 2 * power.to_numpy()
-    terms[(grid.half_width,) * grid.dims] = 0.0
-    return float(terms.sum() * grid.step**grid.dims)
-
-
-def _check_homogenized(spectrum: xr.Dataset) -> None:
-    """Refuse spectra of weighted points, and warn of those that are not homogeneous."""
+    grid = _HalfSpectrum.of(spectrum).grid
     density, spec = spectrum.attrs.get("density"), spectrum.attrs.get("sampler")
     if density is not None:
         raise ParameterError(
             f"The spectrum is of points with the density {density}, whose frequencies are correlated; "
             "use variance_terms, or closed_form_covariance."
         )
+    f = np.asarray(coefficients)
+    if f.shape != grid.shape or f.dtype.kind not in "iufc" or not np.isfinite(f).all():
+        raise ParameterError(
+            f"coefficients have shape {f.shape} and type {f.dtype}; give finite numbers of shape "
+            f"{grid.shape}, one for each frequency."
+        )
+    # Warn of points that are not homogeneous; of given points the spec does not tell. Between the
+    # integers the sum is not the variance anyway, as said above
     try:
-        source = None if spec is None else as_sampler(spec, spectrum["power"].ndim)
-    except (ParameterError, FileFormatError):  # of given points the spec does not tell
-        return
-    step = float(spectrum["m0"][-1] - spectrum["m0"][-2])
-    # Between the integers the sum is not the variance anyway, as the docstring says
-    if source is None or source.name == "random" or step != round(step):
-        return
-    if fitting_basis(source, 1) == "fourier":
-        return
-    warn(
-        f"Frequencies of {spec} are correlated: the variance has a cross term that the sum over powers "
-        "lacks; add shift, or use variance_terms.",
-        CorrelatedFrequenciesWarning,
+        source = None if spec is None else as_sampler(spec, grid.dims)
+    except (ParameterError, FileFormatError):
+        source = None
+    correlated = (
+        source is not None
+        and source.name != "random"
+        and grid.step == round(grid.step)
+        and fitting_basis(source, 1) != "fourier"
     )
+    if correlated:
+        warn(
+            f"Frequencies of {spec} are correlated: the variance has a cross term that the sum over "
+            "powers lacks; add shift, or use variance_terms.",
+            CorrelatedFrequenciesWarning,
+        )
+    terms = np.abs(f) ** 2 * spectrum["power"].to_numpy()
+    terms[(grid.half_width,) * grid.dims] = 0.0
+    return float(terms.sum() * grid.step**grid.dims)

@@ -11,8 +11,9 @@ Engines
     O(n log^d(1/eps) + M log M) for a pair. Four dims are 3-D transforms for each frequency of the first
     axis, of one realisation at a time.
 ``gpu``
-    The same transforms by cuFINUFFT (`mcspectra.spectra.gpu`): one to three dims, results equal to
-    rounding and not bit for bit. Only on request.
+    The same transforms by cuFINUFFT [Shih2021]_ with arrays of CuPy, in one to three dims, only on
+    request. Spreading adds with atomic operations in no fixed order, so that two runs agree to
+    rounding, about 1e-15 of the peak, and not bit for bit.
 ``direct``
     Separable direct summation by matrix products, exact to rounding: the oracle, and the faster
     one for a handful of points. Cost O(n M).
@@ -26,25 +27,35 @@ to and including that of m = 0, which comes last.
 
 from __future__ import annotations
 
+import importlib
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 
 from mcspectra.core.checks import MAX_FREQUENCY, Array, as_choice, as_integer, as_real
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import MissingDependency, ParameterError
 from mcspectra.spectra._kernels import pair_mean, power_sums, split_pair
-from mcspectra.spectra.gpu import GpuTransform
 
-__all__ = ["ENGINES", "MAX_FREQUENCIES", "FrequencyGrid", "Transform", "direct_sum"]
+__all__ = [
+    "ENGINES",
+    "MAX_FREQUENCIES",
+    "FrequencyGrid",
+    "Transform",
+    "direct_sum",
+    "gpu_description",
+]
 
 ENGINES = ("auto", "nufft", "direct", "gpu")
 _DIRECT_BELOW = 4000
 _DIRECT_NUMBERS = 2**22  # 64 MiB of phases
 _SPARSE = 1 / 16  # points for each frequency below which spreading in parts is faster
 _SPREAD_POINTS = 1024
+_DEVICE = 0  # CUDA_VISIBLE_DEVICES decides which one that is
+_BLOCK_BYTES = 2**26  # results that wait on the device to be copied back together, if several fit
+
 MAX_FREQUENCIES = 2**27
 """Most frequencies of one grid: 2 GiB of complex128."""
 
@@ -158,13 +169,17 @@ class Transform:
             raise ParameterError(
                 f"The nufft engine works in 1 to 4 dims, not {grid.dims}; use engine='direct'."
             )
-        if engine == "auto":
-            engine = "direct" if _direct_pays(grid, n) else "nufft"
+        if engine == "auto":  # by times measured on one core
+            slab = float(grid.size // grid.shape[0])
+            pays = n * grid.size < _DIRECT_BELOW
+            if grid.dims > 3:
+                pays = grid.dims > 4 or n * slab < 9000.0 * n + 800.0 * slab
+            engine = "direct" if pays else "nufft"
         self.engine = engine
         self.grid = grid
         self._sparse = (2 if grid.dims <= 3 else 1) * n < _SPARSE * np.prod(grid.shape[-3:])
         self._packs = engine == "gpu" or (engine == "nufft" and grid.dims <= 3)
-        self._gpu = GpuTransform(grid.shape, grid.step, self.eps) if engine == "gpu" else None
+        self._gpu = _GpuTransform(grid.shape, grid.step, self.eps) if engine == "gpu" else None
         self._local = threading.local()
 
     def coefficients(self, points: Array, weights: Array | None = None) -> Array:
@@ -177,15 +192,16 @@ class Transform:
         weights
             Real weights (R, n); None means 1/n each.
         """
-        sets, n, _ = points.shape
         if weights is None:
-            weights = np.broadcast_to(1.0 / n, (sets, n))
-        out = np.empty((sets, self.grid.half_size), np.complex128)
-        paired = sets - sets % 2 if self._packs else 0
-        for k, packed in enumerate(self._pairs(points[:paired], weights[:paired])):
-            split_pair(packed, out[2 * k], out[2 * k + 1])
-        for r in range(paired, sets):
-            out[r] = self._single(points[r], weights[r])[: out.shape[1]]
+            weights = np.broadcast_to(1.0 / points.shape[1], points.shape[:2])
+        out = np.empty((len(points), self.grid.half_size), np.complex128)
+        r = 0
+        for packed, pair in self._packed(points, weights):
+            if pair:
+                split_pair(packed, out[r], out[r + 1])
+            else:
+                out[r] = packed[: out.shape[1]]
+            r += 1 + pair
         # S_0 is the sum of the weights: exactly, so that equal weights have no dc term.
         out[:, -1] = weights.sum(axis=1)
         return out
@@ -203,42 +219,38 @@ class Transform:
 
         `groups` takes every transform over the full grid, and whether it is of a pair: S1 + i S2.
         """
-        sets, n, _ = points.shape
+        for packed, pair in self._packed(points, weights):
+            power_sums(packed, pair, total, squares)
+            if mean is not None and pair:
+                pair_mean(packed, mean)
+            elif mean is not None:
+                mean += packed[: mean.size]
+            if groups is not None:
+                groups(packed, pair)
+
+    def _packed(self, points: Array, weights: Array | None) -> Iterator[tuple[Array, bool]]:
+        """Transforms of pairs of sets, S1 + i S2 over the full grid, flat, and of a single set.
+
+        Each is valid until the next is asked for; of a single set at least the half grid is there.
+        """
+        sets, n, dims = points.shape
         if weights is None:
             weights = np.broadcast_to(1.0 / n, (sets, n))
         paired = sets - sets % 2 if self._packs else 0
-        for packed in self._pairs(points[:paired], weights[:paired]):
-            power_sums(packed, True, total, squares)
-            if mean is not None:
-                pair_mean(packed, mean)
-            if groups is not None:
-                groups(packed, True)
-        for r in range(paired, sets):
-            single = self._single(points[r], weights[r])
-            power_sums(single, False, total, squares)
-            if mean is not None:
-                mean += single[: mean.size]
-            if groups is not None:
-                groups(single, False)
-
-    def _single(self, points: Array, weights: Array) -> Array:
-        """Transform of one set, of which at least the half grid is there."""
-        if self.engine == "direct":
-            return self._direct(points, weights)
-        strengths = weights.astype(np.complex128)
-        if not self._packs:
-            return self._slabs(points, strengths)
-        return next(self._transforms(points[None], strengths[None]))
-
-    def _pairs(self, points: Array, weights: Array) -> Iterator[Array]:
-        """Transforms of sets 2k plus i times sets 2k + 1, full grid, flat."""
-        sets, n, dims = points.shape
-        strengths = weights.reshape(sets // 2, 2 * n).astype(np.complex128)
+        strengths = weights[:paired].reshape(paired // 2, 2 * n).astype(np.complex128)
         strengths[:, n:] *= 1j
-        return self._transforms(points.reshape(sets // 2, 2 * n, dims), strengths)
+        both = points[:paired].reshape(paired // 2, 2 * n, dims)
+        yield from ((packed, True) for packed in self._transforms(both, strengths))
+        for x, w in zip(points[paired:], weights[paired:], strict=True):
+            if self.engine == "direct":
+                yield self._direct(x, w), False
+            elif self._packs:
+                yield next(self._transforms(x[None], w.astype(np.complex128)[None])), False
+            else:
+                yield self._slabs(x, w.astype(np.complex128)), False
 
     def _transforms(self, points: Array, strengths: Array) -> Iterator[Array]:
-        """Transforms of sets (T, n, d), full grid, flat: each is valid until the next is asked for."""
+        """Transforms of sets (T, n, d), full grid, flat."""
         if self._gpu is not None:
             return self._gpu.transforms(points, strengths)
         return map(self._nufft, points, strengths)
@@ -265,27 +277,23 @@ class Transform:
         """Return this thread's plan, with its points (n, up to 3) set."""
         plan = getattr(self._local, "plan", None)
         if plan is None:
-            plan = self._local.plan = self._new_plan(self.grid.shape[-points.shape[1] :])
+            import finufft
+
+            # 1.25 cannot reach below 1e-9; spread_sort=2 lets FINUFFT decide by density of points. Few
+            # points are spread by parts of the fine grid that fit into the cache (0: all at once).
+            plan = self._local.plan = finufft.Plan(
+                1,
+                self.grid.shape[-points.shape[1] :],
+                eps=self.eps,
+                isign=-1,
+                upsampfac=1.25 if self.eps >= 1e-9 else 2.0,
+                nthreads=1,
+                spread_sort=2,
+                spread_max_sp_size=_SPREAD_POINTS if self._sparse else 0,
+                showwarn=0,
+            )
         plan.setpts(*(2.0 * np.pi * self.grid.step * axis for axis in points.T))
         return plan
-
-    def _new_plan(self, shape: tuple[int, ...]) -> Any:
-        import finufft
-
-        # 1.25 cannot reach below 1e-9; spread_sort=2 lets FINUFFT decide by density of points. Few
-        # points are spread by parts of the fine grid that fit into the cache (0: all at once).
-        upsampling = 1.25 if self.eps >= 1e-9 else 2.0
-        return finufft.Plan(
-            1,
-            shape,
-            eps=self.eps,
-            isign=-1,
-            upsampfac=upsampling,
-            nthreads=1,
-            spread_sort=2,
-            spread_max_sp_size=_SPREAD_POINTS if self._sparse else 0,
-            showwarn=0,
-        )
 
     def _direct(self, points: Array, weights: Array) -> Array:
         """Separable sum: a matrix product of the phases along the first axes with those of the rest.
@@ -317,14 +325,6 @@ class Transform:
         return found
 
 
-def _direct_pays(grid: FrequencyGrid, n: int) -> bool:
-    """Whether direct summation of n points is faster, by times measured on one core."""
-    if grid.dims <= 3:
-        return n * grid.size < _DIRECT_BELOW
-    slab = float(grid.size // grid.shape[0])
-    return grid.dims > 4 or n * slab < 9000.0 * n + 800.0 * slab
-
-
 def direct_sum(points: Array, frequencies: Array, weights: Array | None = None) -> Array:
     """S at listed frequencies by the definition, for any dims: the oracle of the tests.
 
@@ -346,3 +346,155 @@ def direct_sum(points: Array, frequencies: Array, weights: Array | None = None) 
     if weights is None:
         return np.asarray(phase.mean(axis=-2))
     return np.asarray((weights[..., None] * phase).sum(axis=-2))
+
+
+@final
+class _GpuTransform:
+    """Transforms on one frequency grid, with one plan and one set of device arrays.
+
+    Parameters
+    ----------
+    shape
+        Frequencies along each axis, odd numbers, for one to three axes.
+    step
+        Distance of frequencies.
+    eps
+        Relative l2 accuracy.
+
+    Raises
+    ------
+    ParameterError
+        There are more than three axes, or the plan does not fit on the device.
+    MissingDependency
+        cufinufft or CuPy is not installed or cannot be loaded, or there is no CUDA device.
+
+    Notes
+    -----
+    Threads take turns: one transform keeps the device busy.
+    """
+
+    def __init__(self, shape: tuple[int, ...], step: float, eps: float) -> None:
+        if len(shape) > 3:
+            raise ParameterError(
+                f"The gpu engine works in 1 to 3 dims, not {len(shape)}; use engine='auto'."
+            )
+        self.shape = shape
+        self.step = step
+        self._cupy, cufinufft = _gpu_modules()
+        self._lock = threading.Lock()
+        self._inputs: tuple[tuple[Any, ...], Any] | None = None
+        try:
+            with self._cupy.cuda.Device(_DEVICE):
+                self._plan = cufinufft.Plan(
+                    1, shape, 1, eps, -1, "complex128", gpu_device_id=_DEVICE
+                )
+        except RuntimeError as error:
+            raise ParameterError(_no_room(shape, error)) from error
+
+    def transforms(self, points: Array, strengths: Array) -> Iterator[Array]:
+        """Transform sets one by one, results copied back in blocks.
+
+        Parameters
+        ----------
+        points
+            (T, n, d) in [0,1).
+        strengths
+            complex128 (T, n).
+
+        Yields
+        ------
+        ndarray
+            complex128 (M,), the full grid in C order, on the host.
+
+        Raises
+        ------
+        ParameterError
+            The device has not memory enough.
+        """
+        block = max(1, _BLOCK_BYTES // (16 * int(np.prod(self.shape))))
+        for low in range(0, len(points), block):
+            with self._lock:
+                found = self._block(points[low : low + block], strengths[low : low + block])
+            yield from found
+
+    def _block(self, points: Array, strengths: Array) -> Array:
+        """Transforms of a few sets, copied back in one piece: (T, M)."""
+        cupy, (sets, count, dims) = self._cupy, points.shape
+        with cupy.cuda.Device(_DEVICE):
+            try:
+                # Always the same device arrays, as plans keep what they are given
+                if self._inputs is None or self._inputs[1].size != count:
+                    coordinates = tuple(cupy.empty(count, np.float64) for _ in range(dims))
+                    self._inputs = coordinates, cupy.empty(count, np.complex128)
+                coordinates, device_strengths = self._inputs
+                out = cupy.empty((sets, *self.shape), np.complex128)
+                for k in range(sets):
+                    for target, axis in zip(coordinates, points[k].T, strict=True):
+                        target.set(2.0 * np.pi * self.step * axis)
+                    device_strengths.set(strengths[k])
+                    self._plan.setpts(*coordinates)
+                    self._plan.execute(device_strengths, out=out[k])
+            except (RuntimeError, MemoryError) as error:  # of cufinufft, and of CuPy's allocator
+                raise ParameterError(_no_room(self.shape, error)) from error
+            return np.asarray(cupy.asnumpy(out)).reshape(sets, -1)
+
+
+def gpu_description() -> tuple[bool, str]:
+    """Whether the engine can be used, and the device's name or why not."""
+    try:
+        cupy, cufinufft = _gpu_modules()
+    except MissingDependency as error:
+        return False, str(error)
+    name = cupy.cuda.runtime.getDeviceProperties(_DEVICE)["name"].decode()
+    return True, f"{name}; cupy {cupy.__version__}, cufinufft {cufinufft.__version__}"
+
+
+def _gpu_modules() -> tuple[Any, Any]:
+    """CuPy and cufinufft, once they and a device are known to work."""
+    cupy = _load("cupy")
+    # Load the CUDA libraries that pip installs, where cufinufft does not look for them
+    try:
+        from cuda.pathfinder import load_nvidia_dynamic_lib
+
+        for library in ("cudart", "cufft"):
+            load_nvidia_dynamic_lib(library)
+    except (ImportError, RuntimeError):
+        pass  # no such package, or no such library: cufinufft may find them all the same
+    cufinufft = _load("cufinufft")
+    runtime = cupy.cuda.runtime
+    try:
+        devices = runtime.getDeviceCount()
+    except runtime.CUDARuntimeError as error:
+        raise MissingDependency(
+            f"engine='gpu' finds no CUDA device: {_sentence(error)}; use engine='nufft'."
+        ) from error
+    if not devices:
+        raise MissingDependency("engine='gpu' finds no CUDA device; use engine='nufft'.")
+    return cupy, cufinufft
+
+
+def _load(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except (ImportError, OSError) as error:
+        if isinstance(error, ModuleNotFoundError) and error.name == name:
+            raise MissingDependency(
+                f"engine='gpu' needs the package {name}; install it with: "
+                "pip install 'mcspectra[gpu]'"
+            ) from error
+        raise MissingDependency(
+            f"engine='gpu' cannot load the package {name}: {_sentence(error)}; use engine='nufft'."
+        ) from error
+
+
+def _no_room(shape: tuple[int, ...], error: Exception) -> str:
+    size = " × ".join(map(str, shape))
+    return (
+        f"The GPU cannot transform to {size} frequencies: {_sentence(error)}; "
+        "use a smaller half_width or engine='nufft'."
+    )
+
+
+def _sentence(error: Exception) -> str:
+    """Text of an error on one line, without a full stop."""
+    return " ".join(str(error).split()).rstrip(".") or type(error).__name__

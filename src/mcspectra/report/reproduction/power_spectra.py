@@ -161,7 +161,7 @@ def _peak(spectrum: xr.Dataset) -> Finding:
 
 def _exponent(name: str, spectrum: xr.Dataset, expected: float) -> Finding:
     """Exponent over the lowest frequencies, where 1 − sinc² has bent by little."""
-    from mcspectra.spectra.exponent import low_frequency_exponent
+    from mcspectra.spectra.shapes import low_frequency_exponent
 
     fit = low_frequency_exponent(spectrum, up_to=3.0)
     low, high = (float(end) for end in fit["low_frequency_exponent_ci"].values)
