@@ -87,7 +87,9 @@ def run(tmp_path, monkeypatch, capsys):
 def test_an_analysis_of_another_package_is_a_verb(run):
     code, out, err = run("--help")
     assert (code, err) == (0, "")
-    assert re.search(r"^  gaps +Gaps between neighbours of one-dimensional sets\.$", out, re.MULTILINE)
+    assert re.search(
+        r"^  gaps +Gaps between neighbours of one-dimensional sets\.$", out, re.MULTILINE
+    )
     assert "broken" not in out
     code, out, _ = run("list", "analyses")
     assert code == 0

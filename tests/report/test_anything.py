@@ -68,4 +68,6 @@ def test_results_without_numbers_have_no_table(group):
     ]
     group = EstimatorGroup(key="a", name="a", spec="", pairs=tuple(bare))
     assert list(further_tables(group)) == []
-    assert [p.kind for p in pictures(group, sampler_styles(["random", "jittered"]))] == ["gaps-table"]
+    assert [p.kind for p in pictures(group, sampler_styles(["random", "jittered"]))] == [
+        "gaps-table"
+    ]

@@ -157,8 +157,9 @@ def _add_option(parser: argparse.ArgumentParser, analysis: type[Analysis], optio
     own = option.extra.get("flag", option.flag)
     text = option.meaning.rstrip(".")
     text = text[:1].lower() + text[1:] if text[1:2].islower() else text
-    if any(choice not in text for choice in option.choices):
-        text += f": {', '.join(option.choices)}"
+    choices = (*option.choices, *option.item_choices)
+    if any(choice not in text for choice in choices):
+        text += f": {', '.join(choices)}"
     if option.is_flag:
         switch = own if "flag" in option.extra or not option.default else f"--no-{own[2:]}"
         parser.add_argument(
@@ -180,7 +181,11 @@ def _add_option(parser: argparse.ArgumentParser, analysis: type[Analysis], optio
     listed = option.lists_texts
 
     def read(name: str, given: str) -> Any:
-        return option.check((given,), name)[0] if listed else option.read(given, name)
+        if not listed:
+            return option.read(given, name)
+        # Names have no commas, other texts may: those are given one by one
+        texts = given.split(",") if option.item_choices else [given]
+        return option.check(tuple(text.strip() for text in texts), name)
 
     word = option.name.rpartition("_")[2].upper()
     letter = word if option.choices or listed else word[0]

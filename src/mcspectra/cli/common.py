@@ -54,7 +54,8 @@ class Read(argparse.Action):
     read
         Makes the value of the option's name and its text; the text itself by default.
     repeated
-        What a second one does: ``"last"`` counts, it is refused (``"once"``), or ``"all"`` are listed.
+        What a second one does: ``"last"`` counts, it is refused (``"once"``), or ``"all"`` are listed, and
+        the items of tuples.
     """
 
     def __init__(
@@ -84,9 +85,9 @@ class Read(argparse.Action):
         before = getattr(namespace, self.dest)
         if self._repeated == "once" and before is not None:
             parser.error(f"{option_string} is given twice; give it once")
-        setattr(
-            namespace, self.dest, [*(before or []), value] if self._repeated == "all" else value
-        )
+        if self._repeated == "all":
+            value = [*(before or []), *(value if isinstance(value, tuple) else [value])]
+        setattr(namespace, self.dest, value)
 
 
 def whole(least: int = 1, most: int | None = None) -> Callable[[str, str], int]:

@@ -48,7 +48,10 @@ def _setting(analysis: str, data: xr.Dataset) -> str:
     else:
         n = data["n"].values if "n" in data else []
         counts = f"n = {n[0]} … {n[-1]}" if len(n) > 1 else ", ".join(f"n = {k}" for k in n)
-    parts = [*filter(None, [counts]), f"{known.get('realizations', '?')} realisations{_stopping(known)}"]
+    parts = [
+        *filter(None, [counts]),
+        f"{known.get('realizations', '?')} realisations{_stopping(known)}",
+    ]
     if analysis == "convergence":
         parts += _fit_setting(known)
     if analysis == "terms":
