@@ -105,47 +105,55 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _dispatch(given: list[str]) -> int:
-    top = _Parser(
-        prog="mcspectra",
-        description="Measure, predict and explain the variance of Monte Carlo estimators.",
-        epilog=f"verbs:\n{_verb_table()}\n\n{_EPILOG}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    top.add_argument("--version", action="store_true", help="print the version and stop")
-    top.add_argument("verb", nargs="?", metavar="VERB", help="what to do, see below")
-    known, rest = given[:1], given[1:]
-    if not known or known[0].startswith("-"):
-        options = top.parse_args(known)
-        if options.version:
-            from mcspectra.version import __version__
-
-            print(__version__)
-            return 0
-        top.print_help()
-        return 0 if not given else 2
-    module = _verb(known[0])
-    if module is None:
-        from mcspectra.core.errors import close_match_hint
-
-        hint, _ = close_match_hint(known[0], _VERBS, "mcspectra --help")
-        top.exit(2, f"mcspectra: There is no verb {known[0]!r}.{hint}\n")
+    if not given or given[0].startswith("-"):
+        return _without_verb(given)
+    module = _verb(given[0])
     parser = _Parser(
-        prog=f"mcspectra {known[0]}",
+        prog=f"mcspectra {given[0]}",
         description=(module.__doc__ or "").strip(),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     module.add_arguments(parser)
-    return _run(module, parser, rest)
+    return _run(module, parser, given[1:])
+
+
+def _without_verb(given: list[str]) -> int:
+    """Print the help, or the version."""
+    verbs = dict(_VERBS)
+    for verb, name in _outside_verbs().items():
+        from mcspectra.core.analysis import ANALYSES
+
+        verbs[verb] = ANALYSES.load(name).summary()
+    width = max(map(len, verbs))
+    table = "\n".join(f"  {name.ljust(width)}  {text}" for name, text in verbs.items())
+    parser = _Parser(
+        prog="mcspectra",
+        description="Measure, predict and explain the variance of Monte Carlo estimators.",
+        epilog=f"verbs:\n{table}\n\n{_EPILOG}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="store_true", help="print the version and stop")
+    parser.add_argument("verb", nargs="?", metavar="VERB", help="what to do, see below")
+    if parser.parse_args(given[:1]).version:
+        from mcspectra.version import __version__
+
+        print(__version__)
+        return 0
+    parser.print_help()
+    return 2 if given else 0
 
 
 def _verb(name: str) -> Any:
-    """The module of a verb, or what stands for it; None if there is no such verb."""
+    """The module of a verb, or what stands for it."""
     if name in _VERBS and name not in _ANALYSES:
         return importlib.import_module(f"mcspectra.cli.{name}_")
     found = _ANALYSES.get(name) or _outside_verbs().get(name)
     if found is None:
-        return None
+        from mcspectra.core.errors import UnknownName, close_match_hint
+
+        hint, close = close_match_hint(name, _VERBS, "mcspectra --help")
+        raise UnknownName(f"There is no verb {name!r}.{hint}", close)
     from mcspectra.cli.analysis import AnalysisVerb
 
     return AnalysisVerb(found)
@@ -185,16 +193,6 @@ def _run(module: Any, parser: argparse.ArgumentParser, rest: list[str]) -> int:
     elif text and (data is None or not options.quiet):
         print(text)
     return int(code)
-
-
-def _verb_table() -> str:
-    verbs = dict(_VERBS)
-    for verb, name in _outside_verbs().items():
-        from mcspectra.core.analysis import ANALYSES
-
-        verbs[verb] = ANALYSES.load(name).summary()
-    width = max(map(len, verbs))
-    return "\n".join(f"  {name.ljust(width)}  {text}" for name, text in verbs.items())
 
 
 _FAILED_RUNS = ("CellFailed", "ClusterLost", "EngineFailed", "StorageError")

@@ -26,9 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("scene", help="scene, e.g. veach, or a Mitsuba XML file")
     add("--out", default="out/map", metavar="DIR", help="output folder")
     parser.add_argument("--resume", action="store_true", help="go on with the tiles of DIR")
-    add("--crop", read=wholes("X0,Y0,W,H", least=0), metavar="X0,Y0,W,H",
+    add("--crop", read=wholes(least=0), metavar="X0,Y0,W,H",
         help="part of the image; all by default")  # fmt: skip
-    add("--size", read=wholes("W,H", least=0), metavar="W,H",
+    add("--size", read=wholes(least=0), metavar="W,H",
         help="pixels of the image; those of the film")  # fmt: skip
     add("--strategies", read=_names, metavar="NAME,…",
         help="light, bsdf, mis-light, mis-bsdf, mis; all of them")  # fmt: skip
