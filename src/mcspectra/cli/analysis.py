@@ -172,10 +172,9 @@ def _add_option(parser: argparse.ArgumentParser, analysis: type[Analysis], optio
         )
         return
     default = option.default
-    if isinstance(default, tuple):
-        default = ",".join(map(str, default))
-    default = f"{default:g}" if isinstance(default, float) else default
-    said = "" if option.required or default is None else f"default {default}"
+    values = default if isinstance(default, tuple) else (default,)
+    shown = ",".join(f"{each:g}" if isinstance(each, float) else str(each) for each in values)
+    said = "" if option.required or default is None else f"default {shown}"
     if option.name == "realizations" and analysis.about == "sampler":
         said += ", or all sets of points that are given"
     listed = option.lists_texts
