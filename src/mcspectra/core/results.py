@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -51,87 +51,103 @@ _FREE_DIMS = frozenset({"estimator", "sampler", "channel"})
 VARIABLES: Mapping[str, Variable] = {
     # name: meaning, unit, dims, kind
     "anisotropy": Variable("variance of power over direction / (mean power)²", "1", ("radius",)),
-    "anova_share": Variable("c_u / variance", "1"),
-    "anova_variance": Variable("c_u, part of the variance that subset u of the axes makes", "f²"),
-    "anova_variance_se": Variable("standard error of c_u", "f²"),
+    "anova_share": Variable("c_u / variance", "1", ("subset",)),
+    "anova_variance": Variable(
+        "c_u, part of the variance that subset u of the axes makes", "f²", ("subset",)
+    ),
+    "anova_variance_se": Variable("standard error of c_u", "f²", ("subset",)),
     "anisotropy_db": Variable(
         "variance of power over direction / (mean power)²", "dB", ("radius",)
     ),
     "anisotropy_noise_db": Variable("anisotropy that noise alone makes", "dB", ("radius",)),
-    "band_covariance": Variable("covariance of band-limited estimates", "f²"),
-    "band_covariance_se": Variable(
-        "standard error of the covariance of band-limited estimates", "f²"
+    "band_covariance": Variable(
+        "covariance of band-limited estimates", "f²", ("band", "band_other")
     ),
-    "band_trace": Variable("sum of all eigenvalues of the covariance within the band", "f²"),
+    "band_covariance_se": Variable(
+        "standard error of the covariance of band-limited estimates", "f²", ("band", "band_other")
+    ),
+    "band_trace": Variable("sum of all eigenvalues of the covariance within the band", "f²", ()),
     "best_width": Variable("width of smoothed edges with the least mean squared error", "1"),
     "best_width_range": Variable("widths that may have the least mean squared error", "1"),
     "bias_squared": Variable("(integral of the smoothed integrand minus the original)²", "f²"),
     "bias_squared_ci": Variable("bounds of the squared bias, from those of the integrals", "f²"),
-    "bias": Variable("mean estimate minus the integral", "f"),
-    "bias_se": Variable("standard error of the bias, that of the integral in it", "f"),
-    "bottleneck": Variable("technique of the slowest rate; −1: undecided", "1"),
-    "captured": Variable("predicted / measured variance", "1"),
-    "captured_ci": Variable("95 % interval of predicted / measured variance", "1"),
+    "bias": Variable("mean estimate minus the integral", "f", ("n",)),
+    "bias_se": Variable("standard error of the bias, that of the integral in it", "f", ("n",)),
+    "bottleneck": Variable("technique of the slowest rate; −1: undecided", "1", ("y?", "x?"), "if"),
+    "captured": Variable("predicted / measured variance", "1", ("n?",)),
+    "captured_ci": Variable("95 % interval of predicted / measured variance", "1", ("bound",)),
     "captured_by_half_width": Variable(
-        "predicted / measured variance, truncated at each half width", "1"
+        "predicted / measured variance, truncated at each half width", "1", ("half_width",)
     ),
     "centered_discrepancy": Variable("centred L2 discrepancy", "1"),
-    "coefficient_covariance": Variable("C_ml, covariance of S_m and S_l", "1"),
-    "coefficient_covariance_se": Variable("standard error of C_ml, root of the mean |error|²", "1"),
-    "contribution": Variable("c_m, contribution of frequency m to the variance", "f²"),
-    "contribution_se": Variable("standard error of c_m", "f²"),
-    "cross_matrix": Variable("conj(f_m) f_l C_ml", "f²"),
-    "cross_matrix_se": Variable("standard error of conj(f_m) f_l C_ml", "f²"),
-    "cross_term": Variable("cross term Σ_{m≠l} conj(f_m) f_l C_ml", "f²"),
-    "cross_term_se": Variable("standard error of the cross term", "f²"),
-    "cross_term_ci": Variable("95 % interval of the cross term", "f²"),
-    "dc_term_se": Variable("standard error of the dc term", "f²"),
-    "dc_term_ci": Variable("95 % interval of the dc term", "f²"),
-    "dc_term": Variable("dc term |f_0|² C_00", "f²"),
-    "cost": Variable("evaluations of the integrand in an estimate", "1"),
-    "error": Variable("variance at the budget, mean squared error where biased", "f²"),
-    "error_at_cost": Variable("variance at each cost, mean squared error where biased", "f²"),
-    "error_ci": Variable("95 % interval of the error", "f²"),
-    "error_ratio": Variable("error / that of the set-up as given", "1"),
-    "error_ratio_ci": Variable("simultaneous 95 % interval of the ratio of errors", "1"),
-    "rank_by_rate": Variable("rank by rate, 1: steepest", "1"),
-    "rate_difference": Variable("rate minus that of the set-up as given", "1"),
-    "rate_difference_ci": Variable("simultaneous 95 % interval of the difference of rates", "1"),
-    "eigenvalue": Variable("eigenvalue of the covariance, variance of a mode", "f²"),
-    "eigenvalue_se": Variable("standard error of the variance along the mode", "f²"),
-    "eigenvalue_residual": Variable("bound of the distance to an eigenvalue", "f²"),
-    "eigenvalue_share": Variable("eigenvalue / trace", "1"),
+    "coefficient_covariance": Variable("C_ml, covariance of S_m and S_l", "1", ("m", "l"), "fc"),
+    "coefficient_covariance_se": Variable(
+        "standard error of C_ml, root of the mean |error|²", "1", ("m", "l")
+    ),
+    "contribution": Variable(
+        "c_m, contribution of frequency m to the variance", "f²", ("technique?", "m")
+    ),
+    "contribution_se": Variable("standard error of c_m", "f²", ("technique?", "m")),
+    "cross_matrix": Variable("conj(f_m) f_l C_ml", "f²", ("m", "l"), "fc"),
+    "cross_matrix_se": Variable("standard error of conj(f_m) f_l C_ml", "f²", ("m", "l")),
+    "cross_term": Variable("cross term Σ_{m≠l} conj(f_m) f_l C_ml", "f²", ("n?",)),
+    "cross_term_se": Variable("standard error of the cross term", "f²", ()),
+    "cross_term_ci": Variable("95 % interval of the cross term", "f²", ("bound",)),
+    "dc_term_se": Variable("standard error of the dc term", "f²", ()),
+    "dc_term_ci": Variable("95 % interval of the dc term", "f²", ("bound",)),
+    "dc_term": Variable("dc term |f_0|² C_00", "f²", ("n?",)),
+    "cost": Variable("evaluations of the integrand in an estimate", "1", ("remedy", "step")),
+    "error": Variable("variance at the budget, mean squared error where biased", "f²", ("remedy",)),
+    "error_at_cost": Variable(
+        "variance at each cost, mean squared error where biased", "f²", ("remedy", "step")
+    ),
+    "error_ci": Variable("95 % interval of the error", "f²", ("remedy", "bound")),
+    "error_ratio": Variable("error / that of the set-up as given", "1", ("remedy",)),
+    "error_ratio_ci": Variable(
+        "simultaneous 95 % interval of the ratio of errors", "1", ("remedy", "bound")
+    ),
+    "rank_by_rate": Variable("rank by rate, 1: steepest", "1", ("remedy",), "i"),
+    "rate_difference": Variable("rate minus that of the set-up as given", "1", ("remedy",)),
+    "rate_difference_ci": Variable(
+        "simultaneous 95 % interval of the difference of rates", "1", ("remedy", "bound")
+    ),
+    "eigenvalue": Variable("eigenvalue of the covariance, variance of a mode", "f²", ("mode",)),
+    "eigenvalue_se": Variable("standard error of the variance along the mode", "f²", ("mode",)),
+    "eigenvalue_residual": Variable("bound of the distance to an eigenvalue", "f²", ("mode",)),
+    "eigenvalue_share": Variable("eigenvalue / trace", "1", ("mode",)),
     "diaphony": Variable("diaphony, spectrum weighted by 1/Π max(1, m²)", "1"),
     "effective_dimension_superposition": Variable(
-        "least size of subsets with 99 % of the variance", "1"
+        "least size of subsets with 99 % of the variance", "1", ()
     ),
     "effective_dimension_truncation": Variable(
-        "least number of first axes with 99 % of the variance", "1"
+        "least number of first axes with 99 % of the variance", "1", ()
     ),
     "elementary_intervals": Variable(
         "whether all elementary intervals hold their share (1: yes)", "1"
     ),
-    "energy_share": Variable("part of ∫f² within the half width", "1"),
-    "exact_variance": Variable("exact variance", "f²"),
+    "energy_share": Variable("part of ∫f² within the half width", "1", ("route",)),
+    "exact_variance": Variable("exact variance", "f²", ("n",)),
     "exponent_fit_chi2": Variable("lack of fit of the exponent, χ² per degree of freedom", "1", ()),
-    "fit_chi2": Variable("lack of fit of the rate, χ² per degree of freedom", "1"),
-    "fit_first_n": Variable("smallest number of points of the fit", "1"),
+    "fit_chi2": Variable(
+        "lack of fit of the rate, χ² per degree of freedom", "1", ("strategy?", "y?", "x?")
+    ),
+    "fit_first_n": Variable("smallest number of points of the fit", "1", ()),
     "gain": Variable("gain coefficient Γ of nested scrambling, random points: 1", "1"),
     "generalized_l2_discrepancy": Variable("generalised L2 discrepancy, over all projections", "1"),
-    "higher_order_variance": Variable("part of the variance of all larger subsets", "f²"),
-    "higher_order_variance_se": Variable("standard error of that part", "f²"),
+    "higher_order_variance": Variable("part of the variance of all larger subsets", "f²", ()),
+    "higher_order_variance_se": Variable("standard error of that part", "f²", ()),
     "image": Variable("mean radiance of each pixel", "W/(m² sr)"),
     "image_se": Variable("standard error of the mean radiance", "W/(m² sr)"),
     "improvement": Variable("variance less than as given (1), more (−1), undecided (0)", "1"),
     "incident_radiance": Variable(
         "radiance of the lights that count, from each direction", "W/(m² sr)"
     ),
-    "kurtosis": Variable("kurtosis of the estimates; normal: 3", "1"),
+    "kurtosis": Variable("kurtosis of the estimates; normal: 3", "1", ()),
     "l2_star_discrepancy": Variable("L2 star discrepancy", "1"),
     "low_frequency_exponent": Variable("b of power ∝ |m|^b at low frequencies", "1", ()),
     "low_frequency_exponent_ci": Variable("95 % interval of b", "1", ("bound",)),
-    "mean": Variable("mean estimate", "f"),
-    "mean_dimension": Variable("mean size of subsets, weighted by c_u", "1"),
+    "mean": Variable("mean estimate", "f", ("strategy?", "n?", "y?", "x?")),
+    "mean_dimension": Variable("mean size of subsets, weighted by c_u", "1", ()),
     "mean_coefficient": Variable(
         "mean coefficient ⟨S_m⟩; 0 at integer m ≠ 0 for unbiased sets",
         "1",
@@ -145,16 +161,29 @@ VARIABLES: Mapping[str, Variable] = {
     "mean_projected_diaphony": Variable("mean diaphony of the 2-D projections", "1"),
     "mean_projected_discrepancy": Variable("mean star discrepancy of the 2-D projections", "1"),
     "mean_projected_distance": Variable("mean minimum distance of the 2-D projections", "1"),
-    "mean_se": Variable("standard error of the mean estimate", "f"),
-    "measured_variance": Variable("measured variance of the estimate (ddof = 1)", "f²"),
-    "measured_variance_ci": Variable("95 % interval of the measured variance", "f²"),
+    "mean_se": Variable(
+        "standard error of the mean estimate", "f", ("strategy?", "n?", "y?", "x?")
+    ),
+    "measured_variance": Variable("measured variance of the estimate (ddof = 1)", "f²", ("n?",)),
+    "measured_variance_ci": Variable(
+        "95 % interval of the measured variance", "f²", ("n?", "bound")
+    ),
     "minimum_distance": Variable("smallest toroidal distance of two points", "1"),
     "mixture_discrepancy": Variable("mixture L2 discrepancy", "1"),
-    "mode_contribution": Variable("part of the variance of the estimate along the mode", "f²"),
-    "mode_vector": Variable("pattern of the mode over the frequencies, of norm 1", "1"),
-    "mse": Variable("mean squared error against the integral", "f²"),
+    "mode_contribution": Variable(
+        "part of the variance of the estimate along the mode", "f²", ("mode",)
+    ),
+    "mode_vector": Variable(
+        "pattern of the mode over the frequencies, of norm 1",
+        "1",
+        ("mode", "technique?", "m"),
+        "fc",
+    ),
+    "mse": Variable("mean squared error against the integral", "f²", ("n",)),
     "mse_ci": Variable("95 % interval of the mean squared error", "f²"),
-    "noise_edge": Variable("largest sample eigenvalue of a flat spectrum of the same trace", "f²"),
+    "noise_edge": Variable(
+        "largest sample eigenvalue of a flat spectrum of the same trace", "f²", ()
+    ),
     "pair_correlation": Variable("pair correlation g(r), 1 for random points", "1", ("r",)),
     "pair_correlation_se": Variable("standard error of g(r) over realisations", "1", ("r",)),
     "points": Variable("points of one realisation", "1", ("point", "axis")),
@@ -162,56 +191,104 @@ VARIABLES: Mapping[str, Variable] = {
     "power_se": Variable(
         "standard error of the expected power over realisations", "1", ("m", "frequency?")
     ),
-    "power_contribution": Variable("|f_m|² C_mm, the diagonal part of the contribution", "f²"),
-    "power_term_se": Variable("standard error of the power term", "f²"),
-    "power_term_ci": Variable("95 % interval of the power term", "f²"),
-    "power_term": Variable("power term Σ_{m≠0} |f_m|² C_mm", "f²"),
-    "predicted_variance": Variable("predicted variance, dc + power + cross", "f²"),
-    "predicted_variance_ci": Variable("95 % interval of the predicted variance", "f²"),
+    "power_contribution": Variable(
+        "|f_m|² C_mm, the diagonal part of the contribution", "f²", ("technique?", "m")
+    ),
+    "power_term_se": Variable("standard error of the power term", "f²", ()),
+    "power_term_ci": Variable("95 % interval of the power term", "f²", ("bound",)),
+    "power_term": Variable("power term Σ_{m≠0} |f_m|² C_mm", "f²", ("n?",)),
+    "predicted_variance": Variable("predicted variance, dc + power + cross", "f²", ("n?",)),
+    "predicted_variance_ci": Variable("95 % interval of the predicted variance", "f²", ("bound",)),
     "radial_power": Variable("expected power, mean over directions", "1", ("radius",)),
     "radial_power_se": Variable(
         "standard error of the radial power over realisations", "1", ("radius",)
     ),
-    "rate": Variable("fitted exponent of variance in n; random sampling: −1", "1"),
-    "rate_ci": Variable("95 % interval of the rate", "1"),
-    "reached": Variable("whether the wanted precision was reached (1: yes)", "1"),
-    "realizations_used": Variable("realisations used", "1"),
+    "rate": Variable(
+        "fitted exponent of variance in n; random sampling: −1",
+        "1",
+        ("remedy?", "strategy?", "y?", "x?"),
+    ),
+    "rate_ci": Variable(
+        "95 % interval of the rate", "1", ("remedy?", "strategy?", "y?", "x?", "bound")
+    ),
+    "reached": Variable("whether the wanted precision was reached (1: yes)", "1", ("n?",), "i"),
+    "realizations_used": Variable("realisations used", "1", ("n?",), "i"),
     "relative_minimum_distance": Variable("minimum distance / that of the densest packing", "1"),
     "slice_power": Variable("expected power along a direction", "1", ("slice", "multiple")),
     "slice_power_se": Variable(
         "standard error of the expected power over realisations", "1", ("slice", "multiple")
     ),
-    "route_variance": Variable("variance by this route", "f²"),
-    "route_variance_ci": Variable("95 % interval of the variance by this route", "f²"),
-    "skewness": Variable("skewness of the estimates; normal: 0", "1"),
+    "route_variance": Variable("variance by this route", "f²", ("route",)),
+    "route_variance_ci": Variable(
+        "95 % interval of the variance by this route", "f²", ("route", "bound")
+    ),
+    "skewness": Variable("skewness of the estimates; normal: 0", "1", ()),
     "smoothing_bias": Variable("integral of the smoothed integrand minus the original", "f"),
     "star_discrepancy": Variable("star discrepancy", "1"),
     "strata_offset": Variable("offset of strata in sides of a stratum", "1"),
     "t_value": Variable("quality parameter t of the (t, m, d)-net", "1"),
     "technique_covariance": Variable(
-        "covariance of the parts of the estimate of two techniques", "f²"
+        "covariance of the parts of the estimate of two techniques",
+        "f²",
+        ("n?", "technique", "technique_other"),
     ),
-    "technique_covariance_se": Variable("standard error of that covariance", "f²"),
-    "technique_cross_term": Variable("cross term of two techniques", "f²"),
-    "technique_cross_term_se": Variable("standard error of the cross term of two techniques", "f²"),
-    "technique_dc_term": Variable("dc term of two techniques", "f²"),
-    "technique_dc_term_se": Variable("standard error of the dc term of two techniques", "f²"),
-    "technique_power_term": Variable("power term of two techniques", "f²"),
-    "technique_power_term_se": Variable("standard error of the power term of two techniques", "f²"),
-    "technique_rate": Variable("fitted exponent of the technique's own variance in n", "1"),
-    "technique_rate_ci": Variable("95 % interval of the technique's rate", "1"),
-    "technique_variance": Variable("variance of the technique's part of the estimate", "f²"),
-    "technique_variance_ci": Variable("95 % interval of the technique's variance", "f²"),
-    "total_variance": Variable("part of the variance of all subsets that hold the axis", "f²"),
-    "total_variance_se": Variable("standard error of that part", "f²"),
+    "technique_covariance_se": Variable(
+        "standard error of that covariance", "f²", ("n?", "technique", "technique_other")
+    ),
+    "technique_cross_term": Variable(
+        "cross term of two techniques", "f²", ("n?", "technique", "technique_other")
+    ),
+    "technique_cross_term_se": Variable(
+        "standard error of the cross term of two techniques",
+        "f²",
+        ("n?", "technique", "technique_other"),
+    ),
+    "technique_dc_term": Variable(
+        "dc term of two techniques", "f²", ("n?", "technique", "technique_other")
+    ),
+    "technique_dc_term_se": Variable(
+        "standard error of the dc term of two techniques",
+        "f²",
+        ("n?", "technique", "technique_other"),
+    ),
+    "technique_power_term": Variable(
+        "power term of two techniques", "f²", ("n?", "technique", "technique_other")
+    ),
+    "technique_power_term_se": Variable(
+        "standard error of the power term of two techniques",
+        "f²",
+        ("n?", "technique", "technique_other"),
+    ),
+    "technique_rate": Variable(
+        "fitted exponent of the technique's own variance in n", "1", ("technique",)
+    ),
+    "technique_rate_ci": Variable(
+        "95 % interval of the technique's rate", "1", ("technique", "bound")
+    ),
+    "technique_variance": Variable(
+        "variance of the technique's part of the estimate", "f²", ("n?", "technique")
+    ),
+    "technique_variance_ci": Variable(
+        "95 % interval of the technique's variance", "f²", ("n?", "technique", "bound")
+    ),
+    "total_variance": Variable(
+        "part of the variance of all subsets that hold the axis", "f²", ("axis",)
+    ),
+    "total_variance_se": Variable("standard error of that part", "f²", ("axis",)),
     "transport_cost": Variable("mean squared distance of moving uniform mass to the points", "1"),
-    "truncation_share": Variable("share of the variance of the first axes", "1"),
-    "truncated_variance": Variable("variance of the estimate truncated at each half width", "f²"),
-    "variance": Variable("variance of the estimate (ddof = 1)", "f²"),
-    "variance_ci": Variable("95 % interval of the variance", "f²"),
+    "truncation_share": Variable("share of the variance of the first axes", "1", ("axes",)),
+    "truncated_variance": Variable(
+        "variance of the estimate truncated at each half width", "f²", ("half_width",)
+    ),
+    "variance": Variable(
+        "variance of the estimate (ddof = 1)", "f²", ("strategy?", "n?", "y?", "x?")
+    ),
+    "variance_ci": Variable("95 % interval of the variance", "f²", ("n?", "bound")),
     "variance_ratio": Variable("variance / variance of the estimate as given", "1"),
     "variance_ratio_ci": Variable("interval of that ratio", "1"),
-    "variance_relative_se": Variable("standard error of the variance / variance", "1"),
+    "variance_relative_se": Variable(
+        "standard error of the variance / variance", "1", ("strategy?", "n?", "y?", "x?")
+    ),
     "wedge_power": Variable("expected power, mean over a wedge of directions", "1", ("angle",)),
     "wedge_power_se": Variable(
         "standard error of the wedge power over realisations", "1", ("angle",)
@@ -243,12 +320,20 @@ VARIABLES: Mapping[str, Variable] = {
     "worst_projected_diaphony": Variable("largest diaphony of the 2-D projections", "1"),
     "worst_projected_discrepancy": Variable("largest star discrepancy of the 2-D projections", "1"),
     "worst_projected_distance": Variable("smallest minimum distance of the 2-D projections", "1"),
-    "dominant_technique": Variable("technique of the larger variance; −1: undecided", "1"),
-    "mis_gain": Variable("variance of the better single strategy / variance of MIS", "1"),
-    "mis_gain_ci": Variable("95 % interval of that ratio", "1"),
-    "predicted_ratio": Variable("predicted / measured variance at the largest n", "1"),
-    "predicted_ratio_ci": Variable("95 % interval of predicted / measured variance", "1"),
-    "rate_se": Variable("standard error of the rate", "1"),
+    "dominant_technique": Variable(
+        "technique of the larger variance; −1: undecided", "1", ("y", "x")
+    ),
+    "mis_gain": Variable(
+        "variance of the better single strategy / variance of MIS", "1", ("y", "x")
+    ),
+    "mis_gain_ci": Variable("95 % interval of that ratio", "1", ("y", "x", "bound")),
+    "predicted_ratio": Variable(
+        "predicted / measured variance at the largest n", "1", ("strategy", "y", "x")
+    ),
+    "predicted_ratio_ci": Variable(
+        "95 % interval of predicted / measured variance", "1", ("strategy", "y", "x", "bound")
+    ),
+    "rate_se": Variable("standard error of the rate", "1", ("strategy", "y", "x")),
     "wraparound_discrepancy": Variable("wrap-around L2 discrepancy", "1"),
 }
 
@@ -256,16 +341,23 @@ VARIABLES: Mapping[str, Variable] = {
 def dataset(
     variables: Mapping[str, tuple[tuple[str, ...], Any]],
     coords: Mapping[str, Any] | None = None,
+    *,
+    drop: Collection[str] = (),
     **provenance: Any,
 ) -> xr.Dataset:
-    """Make a dataset of registered variables, name -> (dims, values), with provenance attributes."""
+    """Make a dataset of registered variables, name -> (dims, values), with provenance attributes.
+
+    Dims to `drop` have one value, such as the channel of a scalar; they are left out.
+    """
     import xarray as xr
 
     register_accessor()
-    arrays = {
-        name: (dims, values, {"long_name": VARIABLES[name].meaning, "units": VARIABLES[name].units})
-        for name, (dims, values) in variables.items()
-    }
+    arrays = {}
+    for name, (dims, values) in variables.items():
+        if any(dim in drop for dim in dims):
+            values = values[tuple(0 if dim in drop else slice(None) for dim in dims)]
+        about = {"long_name": VARIABLES[name].meaning, "units": VARIABLES[name].units}
+        arrays[name] = (tuple(dim for dim in dims if dim not in drop), values, about)
     attributes = {key: _plain(value) for key, value in provenance.items() if value is not None}
     return xr.Dataset(arrays, coords=coords, attrs={**attributes, **package_versions()})
 
@@ -297,7 +389,7 @@ def _dims_fit(found: list[str], declared: Sequence[str]) -> bool:
     for dim in declared:
         name = dim.removesuffix("?")
         if name == "m":
-            while rest and rest[0][:1] == "m" and rest[0][1:].isdecimal():
+            while rest and rest[0].rstrip("0123456789") == "m":
                 rest.pop(0)
         elif rest and rest[0] == name:
             rest.pop(0)

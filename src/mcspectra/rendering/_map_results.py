@@ -8,25 +8,22 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.results import dataset
-from mcspectra.core.streams import RngLike
 from mcspectra.rendering import _map_statistics as statistics
-from mcspectra.rendering._map_checks import Window
 from mcspectra.rendering._map_kernel import RECEIVER
-from mcspectra.rendering._map_tiles import Measurement
+from mcspectra.rendering._map_prediction import Prediction
+from mcspectra.rendering._map_tiles import Maps, Measurement
 from mcspectra.rendering.scene_checks import camera_rays
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["labelled"]
-
-Maps = dict[str, Array]
+__all__ = ["DIMS", "labelled"]
 
 _LARGEST_PREDICTED_SE = 0.5  # relative; beyond, a prediction is not reported
 _SURE_LEVEL = 0.99865  # one-sided, three standard errors of a normal mean
 _SHARES = ("mis-light", "mis-bsdf")
 _SINGLE = ("light", "bsdf")
-_DIMS = {
+DIMS = {
     "variance": ("strategy", "n", "y", "x"),
     "variance_relative_se": ("strategy", "n", "y", "x"),
     "mean": ("strategy", "y", "x"),
@@ -45,14 +42,18 @@ _DIMS = {
 
 
 def labelled(
-    measurement: Measurement, window: Window, maps: Maps, smoothing: int, rng: RngLike
+    measurement: Measurement,
+    prediction: Prediction | None,
+    window: tuple[int, int, int, int],
+    maps: Maps,
+    smoothing: int,
 ) -> xr.Dataset:
     """Make the dataset of a map from the arrays (…, y, x) of all tiles."""
     x0, y0, width, height = window
-    lighting, prediction = measurement.lighting, measurement.prediction()
+    lighting = measurement.lighting
     found = _variables(measurement, maps, smoothing)
     return dataset(
-        {name: (_DIMS[name], values) for name, values in found.items()},
+        {name: (DIMS[name], values) for name, values in found.items()},
         {
             "strategy": list(measurement.strategies),
             "n": ("n", list(measurement.counts), {"long_name": "number of points", "units": "1"}),
@@ -72,24 +73,23 @@ def labelled(
         size=list(lighting.size),
         crop=list(window),
         prediction=None if prediction is None else prediction.method,
-        pixels_measured=int((maps["status"] == RECEIVER).sum()),
+        pixels_measured=int((maps.status == RECEIVER).sum()),
         stream_key=f"{measurement.stream.key:#x}",
-        seed=rng if isinstance(rng, int) else None,
     )
 
 
-def _variables(measurement: Measurement, maps: Maps, smoothing: int) -> Maps:
-    variance, relative_se = maps["variance"], maps["relative_se"]
+def _variables(measurement: Measurement, maps: Maps, smoothing: int) -> dict[str, Array]:
+    variance, relative_se = maps.variance, maps.relative_se
     # Few realisations leave every variance uncertain, without anything rare.
     largest_se = max(0.5, 1.5 * (2.0 / (measurement.realizations - 1)) ** 0.5)
     fits = statistics.fit_lines(
-        np.array(measurement.counts), variance, relative_se, maps["mean"], largest_se
+        np.array(measurement.counts), variance, relative_se, maps.mean, largest_se
     )
     rate, rate_se = statistics.smooth(fits.rate, fits.rate_se, smoothing, measurement.own)
     found = {
         "variance": variance,
         "variance_relative_se": relative_se,
-        "mean": maps["mean"][:, -1],
+        "mean": maps.mean[:, -1],
         "mean_se": np.sqrt(variance[:, -1] / measurement.realizations),
         "rate": rate,
         "rate_se": rate_se,
@@ -106,7 +106,7 @@ def _variables(measurement: Measurement, maps: Maps, smoothing: int) -> Maps:
         single, mis = (fits.of(rows) for rows in ([row[s] for s in _SINGLE], [row["mis"]]))
         total = measurement.counts[-1]
         found["mis_gain"], found["mis_gain_ci"] = statistics.gain(single, mis, total)
-    if np.isfinite(maps["predicted"]).any():
+    if np.isfinite(maps.predicted).any():
         missed = _missed(row, found["mean"], found["mean_se"], measurement.realizations)
         found |= _predicted(maps, largest_se, missed)
     return found
@@ -127,15 +127,15 @@ def _missed(row: dict[str, int], mean: Array, se: Array, realizations: int) -> A
     return found
 
 
-def _predicted(maps: Maps, largest_se: float, missed: Array) -> Maps:
+def _predicted(maps: Maps, largest_se: float, missed: Array) -> dict[str, Array]:
     """Predicted over measured variance at the largest count, both uncertain.
 
     NaN where either comes of very few samples that met what is rare, or of none: such values are
     most often far too small, and so are their errors.
     """
-    predicted, measured = maps["predicted"], maps["variance"][:, -1]
+    predicted, measured = maps.predicted, maps.variance[:, -1]
     with np.errstate(invalid="ignore", divide="ignore"):
-        own, other = maps["predicted_se"] / predicted, maps["relative_se"][:, -1]
+        own, other = maps.predicted_se / predicted, maps.relative_se[:, -1]
         error = np.hypot(own, other)
         log_ratio = np.log(predicted) - np.log(measured)
         known = np.isfinite(log_ratio) & (own <= _LARGEST_PREDICTED_SE) & (other <= largest_se)

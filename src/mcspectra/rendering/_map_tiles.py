@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import final
+from typing import Annotated, Final, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.parallel import Block
+from mcspectra.core.records import Join
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import Moments
 from mcspectra.estimators.sets import draw_sets
@@ -19,9 +20,9 @@ from mcspectra.rendering._map_prediction import Prediction, prediction_for, sure
 from mcspectra.rendering.scenes import scene_name
 from mcspectra.samplers import Sampler
 
-__all__ = ["MAP_STRATEGIES", "TILE_LANES", "Measurement"]
+__all__ = ["MAP_STRATEGIES", "TILE_LANES", "Maps", "Measurement"]
 
-MAP_STRATEGIES = ("light", "bsdf", "mis-light", "mis-bsdf", "mis")
+MAP_STRATEGIES: Final = ("light", "bsdf", "mis-light", "mis-bsdf", "mis")
 
 TILE_LANES = 2**19
 """Pixels times realisations in one kernel; some 100 MiB with what is made of them."""
@@ -31,6 +32,32 @@ _TABLE_NUMBERS = 2**23  # of one table of points, 64 MiB
 _KEPT_NUMBERS = 2**24  # of all tables that are kept for the next tile
 _PREDICTED_VALUES = 2**21  # integrand values at once
 _PREDICTION = 0x9D1C7  # label of the stream of the prediction's samples
+
+
+_Pixels = Annotated[Array, Join(-1)]
+
+
+@final
+@dataclass(frozen=True)
+class Maps:
+    """What was measured at pixels, which are along the last axis of all arrays.
+
+    Attributes
+    ----------
+    status
+        What a pixel sees, (P,).
+    mean, variance, relative_se
+        (strategies, counts, P), NaN where there is nothing to estimate.
+    predicted, predicted_se
+        Variance at the largest count, (strategies, P).
+    """
+
+    status: _Pixels
+    mean: _Pixels
+    variance: _Pixels
+    relative_se: _Pixels
+    predicted: _Pixels
+    predicted_se: _Pixels
 
 
 @final
@@ -90,30 +117,21 @@ class Measurement:
             return None
         return prediction_for(self.sampler, self.counts[-1], self.stream.child(_PREDICTION))
 
-    def tile(self, pixels: Array, prediction: Prediction | None) -> dict[str, Array]:
-        """Measure pixels (P, 2), x and y of each.
-
-        Returns
-        -------
-        dict
-            ``status`` (P,) and, float64 and NaN where there is nothing to estimate, ``mean``,
-            ``variance``, ``relative_se`` (strategies, counts, P), ``predicted``, ``predicted_se``
-            (strategies, P).
-        """
+    def tile(self, pixels: Array, prediction: Prediction | None) -> Maps:
+        """Measure pixels (P, 2), x and y of each."""
         receivers = Receivers(self.lighting, pixels)
         shape = (len(self.strategies), len(self.counts), len(pixels))
-        names = ("mean", "variance", "relative_se")
-        found = {name: np.full(shape, np.nan) for name in names}
-        found |= {k: np.full((shape[0], shape[2]), np.nan) for k in ("predicted", "predicted_se")}
-        found["status"] = receivers.status
+        mean, variance, relative_se = (np.full(shape, np.nan) for _ in range(3))
+        predicted, predicted_se = (np.full((shape[0], shape[2]), np.nan) for _ in range(2))
+        found = Maps(receivers.status, mean, variance, relative_se, predicted, predicted_se)
         seen = np.flatnonzero(receivers.status == 0)
         if not len(seen):
             return found
         self._check_lobes(receivers)
         for i, n in enumerate(self.counts):
             for s, moments in enumerate(self._moments(receivers, n)):
-                for name in names:
-                    found[name][s, i, seen] = getattr(moments, name)[: len(seen)]
+                for name in ("mean", "variance", "relative_se"):
+                    getattr(found, name)[s, i, seen] = getattr(moments, name)[: len(seen)]
         if prediction is not None:
             self._predict(prediction, pixels[seen], seen, found)
         return found
@@ -167,9 +185,7 @@ class Measurement:
     def _draw(self, n: int, block: Block) -> list[Array]:
         return draw_sets("independent", (1, 1), self.sampler, n, self.stream.child(n), *block)
 
-    def _predict(
-        self, prediction: Prediction, pixels: Array, columns: Array, found: dict[str, Array]
-    ) -> None:
+    def _predict(self, prediction: Prediction, pixels: Array, columns: Array, found: Maps) -> None:
         """Fill in predictions at every so many pixels, a chunk at a time."""
         chosen = np.flatnonzero((pixels % self.predict_every == 0).all(axis=1))
         step = max(1, _PREDICTED_VALUES // len(prediction.samples))
@@ -179,8 +195,8 @@ class Measurement:
             each = {t: receivers.values(t, prediction.samples) for t in self.techniques}
             for s, strategy in enumerate(self.strategies):
                 variance, se = _predicted(prediction, strategy, each)
-                found["predicted"][s, columns[part]] = variance[: len(part)]
-                found["predicted_se"][s, columns[part]] = se[: len(part)]
+                found.predicted[s, columns[part]] = variance[: len(part)]
+                found.predicted_se[s, columns[part]] = se[: len(part)]
 
 
 def combined(strategy: str, both: dict[str, tuple[Array, Array]]) -> Array:

@@ -8,47 +8,193 @@ a variance of 64 normal estimates is 18 %), which all results carry.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from dataclasses import fields
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, final
 
 import numpy as np
+from msgspec import Meta
 
-from mcspectra.core.checks import as_choice, as_integer
+from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
+from mcspectra.core.checks import as_integer
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.parallel import MAX_REALIZATIONS
-from mcspectra.core.progress import report
-from mcspectra.core.results import package_versions
+from mcspectra.core.memory import memory_of
+from mcspectra.core.options import COUNTS, REALIZATIONS, Counts
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.rendering._map_checks import (
-    POINTS,
-    Window,
-    check_counts,
-    check_crop,
-    check_memory,
-    check_size,
-    check_smoothing,
-    check_strategies,
-)
 from mcspectra.rendering._map_kernel import RECEIVER, Lighting
-from mcspectra.rendering._map_results import labelled
-from mcspectra.rendering._map_store import TileStore
-from mcspectra.rendering._map_tiles import MAP_STRATEGIES, Measurement
-from mcspectra.rendering._scene_files import scene_state
+from mcspectra.rendering._map_results import DIMS, labelled
+from mcspectra.rendering._map_tiles import MAP_STRATEGIES, Maps, Measurement
 from mcspectra.rendering.backend import LOCK, load_mitsuba
 from mcspectra.rendering.draws import check_channel
 from mcspectra.rendering.scene_checks import check_lights, check_scene, warn_lens
 from mcspectra.rendering.scenes import Scene, as_scene, film_size, scene_name, sensor_of
-from mcspectra.rendering.staged_map import Maps, StagedMap
-from mcspectra.rendering.techniques import POWERS
 from mcspectra.samplers import as_sampler
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["staged_map", "variance_map"]
+__all__ = ["Map", "variance_map"]
+
+_MOST_NUMBERS = 2**27  # of a result: 1 GiB
+_LONGEST_SIDE = 65_536
+_FILM = (256, 256)  # where the scene has not been read
+
+_Side = Annotated[int, Meta(ge=1, le=_LONGEST_SIDE)]
+_Strategy = Literal["light", "bsdf", "mis-light", "mis-bsdf", "mis"]
+_Window = tuple[int, int, int, int]
+
+
+@final
+class Map(Analysis, frozen=True, kw_only=True):
+    """Variance, rate and bottleneck at every pixel of a scene; needs the extra render."""
+
+    function: ClassVar[str] = "variance_map"
+    verb: ClassVar[str] = "map"
+    about: ClassVar[Literal["scene"]] = "scene"  # type: ignore[misc]
+    variables = tuple(DIMS)
+
+    scene: Annotated[
+        str, Meta(description="A built-in scene or a Mitsuba XML file.", extra={"python": True})
+    ]
+    strategies: Annotated[
+        Annotated[tuple[_Strategy, ...], Meta(min_length=1)] | _Strategy,
+        Meta(description="Some of light, bsdf, mis-light, mis-bsdf, mis."),
+    ] = MAP_STRATEGIES
+    counts: Annotated[Counts, COUNTS] = (4, 9, 16, 36, 64)
+    realizations: Annotated[int, REALIZATIONS] = 64
+    crop: Annotated[
+        tuple[int, int, int, int] | None,
+        Meta(description="x0, y0, width and height of the part that is measured.",
+             extra={"metavar": "X0,Y0,W,H"}),
+    ] = None  # fmt: skip
+    size: Annotated[
+        tuple[_Side, _Side] | None,
+        Meta(description="Pixels of the image; those of the film.", extra={"metavar": "W,H"}),
+    ] = None
+    light: Annotated[int | str | None, Meta(description="The one light that counts; all.")] = None
+    heuristic: Annotated[Literal["balance", "power"], Meta(description="balance or power.")] = (
+        "balance"
+    )
+    channel: Annotated[
+        int | str, Meta(description="luminance, 0, 1 or 2.", extra={"python": True})
+    ] = "luminance"
+    dims: Annotated[
+        int, Meta(ge=2, le=3, description="2, or 3 to choose lights and lobes by a third.")
+    ] = 2
+    points: Annotated[
+        Literal["shared", "own"],
+        Meta(description="shared, or own: realisations for each pixel alone."),
+    ] = "shared"
+    smoothing: Annotated[
+        int, Meta(ge=1, le=31, description="Odd: average rates over so many squared.")
+    ] = 1
+    predict_every: Annotated[
+        int, Meta(ge=0, le=2**31, description="Predict at every so many pixels; 0: nowhere.")
+    ] = 1
+
+    def need(self, subject: Subject) -> Need:
+        """What can be told without the scene."""
+        check_channel(self.channel, ("luminance",))
+        if len(self.counts) < 2:
+            raise ParameterError(
+                f"counts is {list(self.counts)}; give two or more ascending numbers of samples."
+            )
+        if self.smoothing % 2 == 0:
+            raise ParameterError(f"smoothing is {self.smoothing}; give an odd number of pixels.")
+        for n in self.counts:
+            subject.sampler.check_count(n)
+        grid = self.size or _FILM
+        width, height = grid if self.crop is None else self.crop[2:]
+        if self.size is not None:
+            _, _, width, height = self._window(self.size)
+        pixels = max(width, 1) * max(height, 1)
+        return Need(
+            cost=float(pixels * sum(self.counts) * self.realizations * 4),
+            memory=memory_of(self.counts[-1], self.dims, 2, pixels),
+        )
+
+    def reduction(self, subject: Subject, stream: Stream) -> Reduction[Maps]:
+        """All pixels, row by row; a block is a tile."""
+        scene = as_scene(self.scene)
+        with LOCK:
+            sensor_of(scene)
+            grid = film_size(scene) if self.size is None else self.size
+            check_lights(scene, self.light)
+            warn_lens(scene)
+        window = x0, y0, width, height = self._window(grid)
+        measurement = Measurement(
+            lighting=Lighting(
+                scene=scene,
+                light=self.light,
+                heuristic=self.heuristic,
+                channel=check_channel(self.channel, ("luminance",)),
+                size=grid,
+            ),
+            strategies=self._strategies,
+            sampler=subject.sampler,
+            counts=self.counts,
+            realizations=self.realizations,
+            stream=stream,
+            own=self.points == "own",
+            predict_every=self.predict_every,
+        )
+        pixels, step = width * height, measurement.tile_pixels
+        prediction = measurement.prediction()
+
+        def tile(index: int) -> Maps:
+            place = np.arange(index * step, min((index + 1) * step, pixels))
+            each = np.stack([x0 + place % width, y0 + place // width], axis=-1)
+            return measurement.tile(each, prediction)
+
+        def result(found: Maps) -> xr.Dataset:
+            if not (found.status == RECEIVER).any():
+                nothing = (
+                    f"No pixel of the crop {list(window)} of {scene_name(scene)} sees a surface that "
+                    "scatters light; choose another crop."
+                )
+                raise ParameterError(" ".join([nothing, *check_scene(scene, light=self.light)]))
+            each = {f.name: getattr(found, f.name) for f in fields(found)}
+            shaped = {k: v.reshape(*v.shape[:-1], height, width) for k, v in each.items()}
+            return labelled(measurement, prediction, window, Maps(**shaped), self.smoothing)
+
+        return Reduction(
+            kind=Maps,
+            block=tile,
+            blocks=-(-pixels // step),
+            cost=float(pixels * sum(self.counts) * self.realizations * 4),
+            result=result,
+        )
+
+    @property
+    def _strategies(self) -> tuple[str, ...]:
+        """In their usual order, with the shares of MIS where that is one of them."""
+        given = (self.strategies,) if isinstance(self.strategies, str) else self.strategies
+        chosen = {*given, *(("mis-light", "mis-bsdf") if "mis" in given else ())}
+        return tuple(s for s in MAP_STRATEGIES if s in chosen)
+
+    def _window(self, grid: tuple[int, int]) -> _Window:
+        """The crop within the grid, all of it by default, whose result fits."""
+        window = (0, 0, *grid)
+        if self.crop is not None:
+            limits = zip(("x0", "y0", "width", "height"), self.crop, (0, 0, 1, 1), strict=True)
+            for name, value, least in limits:
+                as_integer(f"crop {name}", value, least=least, most=_LONGEST_SIDE)
+            window = self.crop
+        x0, y0, width, height = window
+        if x0 + width > grid[0] or y0 + height > grid[1]:
+            raise ParameterError(
+                f"crop is {[*window]}, which leaves the grid of {grid[0]} × {grid[1]} pixels; give "
+                "x0, y0, width and height within it."
+            )
+        strategies, counts = len(self._strategies), len(self.counts)
+        numbers = 3 * width * height * strategies * counts
+        if numbers > _MOST_NUMBERS:
+            raise ParameterError(
+                f"A map of {width} × {height} pixels, {strategies} strategies and {counts} counts has "
+                f"{numbers:.3g} numbers, more than {_MOST_NUMBERS:.3g}; give a crop or a smaller size."
+            )
+        return window
 
 
 def variance_map(
@@ -68,8 +214,6 @@ def variance_map(
     smoothing: int = 1,
     predict_every: int = 1,
     rng: RngLike = 0,
-    out: str | Path | None = None,
-    resume: bool = False,
     workers: int | None = None,
 ) -> xr.Dataset:
     """Measure the variance of every pixel's direct illumination and its rate of convergence.
@@ -77,7 +221,7 @@ def variance_map(
     Parameters
     ----------
     scene
-        A scene as of `load_scene`; a dictionary cannot be used with `out`.
+        A scene as of `load_scene`.
     strategies
         Some of ``"light"``, ``"bsdf"``, the shares of multiple importance sampling ``"mis-light"``
         and ``"mis-bsdf"``, and ``"mis"``, their sum, with n samples of each technique, which brings
@@ -112,9 +256,6 @@ def variance_map(
         sampler's power spectrum for others (2-D only).
     rng
         Seed (SPEC 7).
-    out, resume
-        Folder that keeps finished tiles, and whether to go on with those that are there: the result
-        has the same bits as one that was not interrupted.
     workers
         Threads; all processors by default. Results do not depend on it.
 
@@ -142,164 +283,33 @@ def variance_map(
         Mitsuba gives values that are not finite.
     CountError
         The sampler cannot make one of the counts.
-    StoreError
-        `out` holds tiles and `resume` is False, or they are of other settings.
 
     Notes
     -----
     Memory: about 200 MiB beside the result, whatever the size of the image: pixels are measured in
-    tiles. Where few realisations meet a light, variances are mostly far too small at the smaller n:
+    tiles. A study keeps the tiles that are finished and resumes. Where few realisations meet a light, variances are mostly far too small at the smaller n:
     there is no rate where one is zero, or has a standard error of more than a half of it, at a
     smaller n than others; more realisations give one. ``bottleneck`` is one comparison a
     pixel, of techniques with points of their own, at 95 %: where both rates are equal a pixel in 20 is
     decided all the same.
     """
-    staged = staged_map(
-        *(scene, strategies, sampler, counts, realizations),
-        crop=crop,
-        size=size,
+    analysis = Map(
+        scene=scene,  # type: ignore[arg-type]
+        strategies=strategies,  # type: ignore[arg-type]
+        counts=counts,  # type: ignore[arg-type]
+        realizations=realizations,
+        crop=crop,  # type: ignore[arg-type]
+        size=size,  # type: ignore[arg-type]
         light=light,
-        heuristic=heuristic,
+        heuristic=heuristic,  # type: ignore[arg-type]
         channel=channel,
         dims=dims,
-        points=points,
+        points=points,  # type: ignore[arg-type]
         smoothing=smoothing,
         predict_every=predict_every,
-        rng=rng,
     )
-    settings = {} if out is None else _settings(staged.measurement, staged.window)
-    store = None if out is None else TileStore(out, settings, resume=resume)
     with _threads(workers):
-        return staged.result(_measured(staged, store))
-
-
-def staged_map(
-    scene: Scene,
-    strategies: Sequence[str] = MAP_STRATEGIES,
-    sampler: Any = "jittered",
-    counts: Sequence[int] = (4, 9, 16, 36, 64),
-    realizations: int = 64,
-    *,
-    crop: Sequence[int] | None = None,
-    size: Sequence[int] | None = None,
-    light: int | str | None = None,
-    heuristic: str = "balance",
-    channel: str | int = "luminance",
-    dims: int = 2,
-    points: str = "shared",
-    smoothing: int = 1,
-    predict_every: int = 1,
-    rng: RngLike = 0,
-) -> StagedMap:
-    """Return `variance_map` as a staged analysis, its arguments checked: a block is a tile."""
-    measurement = _measurement(
-        *(scene, strategies, sampler, counts, realizations, size, light, heuristic, channel),
-        *(dims, points, predict_every, Stream.from_rng(rng)),
-    )
-    smoothing = check_smoothing(smoothing)
-    window = check_crop(crop, measurement.lighting.size)
-    check_memory(window, len(measurement.strategies), len(measurement.counts))
-
-    def result(maps: Maps) -> xr.Dataset:
-        if not (maps["status"] == RECEIVER).any():
-            nothing = (
-                f"No pixel of the crop {list(window)} of {scene_name(scene)} sees a surface that "
-                "scatters light; choose another crop."
-            )
-            raise ParameterError(" ".join([nothing, *check_scene(scene, light=light)]))
-        return labelled(measurement, window, maps, smoothing, rng)
-
-    return StagedMap(measurement, window, result)
-
-
-def _measurement(
-    scene: Scene,
-    strategies: Any,
-    sampler: Any,
-    counts: Any,
-    realizations: int,
-    size: Any,
-    light: int | str | None,
-    heuristic: str,
-    channel: Any,
-    dims: int,
-    points: str,
-    predict_every: int,
-    stream: Stream,
-) -> Measurement:
-    """Check all parameters, in the order in which they are given."""
-    scene = as_scene(scene)
-    with LOCK:
-        sensor_of(scene)
-        grid = film_size(scene) if size is None else check_size(size)
-        check_lights(scene, light)
-        warn_lens(scene)
-    chosen = as_sampler(sampler, as_integer("dims", dims, least=2, most=3))
-    return Measurement(
-        lighting=Lighting(
-            scene=scene,
-            light=light,
-            heuristic=as_choice("heuristic", heuristic, tuple(POWERS)),
-            channel=check_channel(channel, ("luminance",)),
-            size=grid,
-        ),
-        strategies=check_strategies(strategies),
-        sampler=chosen,
-        counts=tuple(chosen.check_count(n) for n in check_counts(counts)),
-        realizations=as_integer("realizations", realizations, least=2, most=MAX_REALIZATIONS),
-        stream=stream,
-        own=as_choice("points", points, POINTS) == "own",
-        predict_every=as_integer("predict_every", predict_every, least=0),
-    )
-
-
-def _measured(staged: StagedMap, store: TileStore | None) -> Maps:
-    """Measure all tiles, or read them; arrays (…, y, x)."""
-    maps: Maps = {}
-    for tile in range(staged.tiles):
-        place = staged.places(tile)
-        found = None if store is None else store.load(tile)
-        if found is None:
-            found = staged.tile(tile)
-            if store is not None:
-                store.save(tile, found)
-        for name, values in found.items():
-            if name not in maps:
-                maps[name] = np.empty((*values.shape[:-1], staged.pixels), values.dtype)
-            maps[name][..., place] = values
-        report("map", (int(place[-1]) + 1) / staged.pixels)
-    return staged.image(maps)
-
-
-def _settings(measurement: Measurement, window: Window) -> dict[str, Any]:
-    """All that the bits of a tile depend on, as JSON can hold it."""
-    lighting = measurement.lighting
-    if not isinstance(lighting.scene, str | Path):
-        raise ParameterError(
-            "out keeps tiles of scenes that a name or a file describes, not of dictionaries; write "
-            "the scene to a file (mitsuba.xml.dict_to_xml), or leave out out=."
-        )
-    path = Path(lighting.scene).expanduser()
-    content = hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None
-    return {
-        "scene": str(lighting.scene),
-        "scene_sha256": content,
-        "scene_files": None if content is None else scene_state(path),
-        "light": lighting.light,
-        "heuristic": lighting.heuristic,
-        "channel": lighting.channel,
-        "size": lighting.size,
-        "strategies": measurement.strategies,
-        "sampler": repr(measurement.sampler),
-        "counts": measurement.counts,
-        "realizations": measurement.realizations,
-        "stream": measurement.stream.key,
-        "own": measurement.own,
-        "predict_every": measurement.predict_every,
-        "window": window,
-        "tile_pixels": measurement.tile_pixels,
-        "versions": {**package_versions(), "mitsuba": load_mitsuba().__version__},
-    }
+        return compute(analysis, Subject(None, as_sampler(sampler, dims)), rng, workers=1)
 
 
 @contextmanager

@@ -185,14 +185,16 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 f"{self.n} points in {dims} dims are {100 * self.n * dims / 2**30:.3g} GiB a thread; "
                 f"a spectrum takes at most {_MOST_COORDINATES // dims} of them."
             )
-        grid = self._transform(source, p).grid
+        grid = self._grid(source, p)
+        if self.engine != "gpu":  # a device is looked for where the work is done
+            Transform(grid, self.n, engine=self.engine, eps=self.eps)
         return Need(cost=self._cost(grid), memory=memory_of(self.n, dims, 1, grid.size))
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_SpectrumSums]:
         """Sums over blocks of realisations; pairs share a transform."""
         source, p = _warped(subject)
-        transform = self._transform(source, p)
-        grid = transform.grid
+        grid = self._grid(source, p)
+        transform = Transform(grid, self.n, engine=self.engine, eps=self.eps)
         polar = _PolarMeans.of(grid, self.wedges)
         # A block holds its points and two half spectra
         numbers = max(self.n * source.dims, grid.size // 8)
@@ -245,10 +247,9 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
             result=result,
         )
 
-    def _transform(self, source: Sampler, p: Density | None) -> Transform:
+    def _grid(self, source: Sampler, p: Density | None) -> FrequencyGrid:
         dims = source.dims if p is None else p.dims
-        grid = FrequencyGrid(dims, self.half_width, self.frequency_step)
-        return Transform(grid, self.n, engine=self.engine, eps=self.eps)
+        return FrequencyGrid(dims, self.half_width, self.frequency_step)
 
     def _cost(self, grid: FrequencyGrid) -> float:
         return self.realizations * (self.n + 0.5 * grid.size)
