@@ -135,7 +135,8 @@ class AnalysisVerb:
         estimator = _estimator(options)
         texts = options.sampler or self._default_sampler
         if isinstance(texts, list):
-            return as_subject(estimator, [read_sampler(text, estimator.dims) for text in texts])
+            samplers = [read_sampler(text, estimator.dims) for text in texts]
+            return as_subject(estimator, samplers, lists=True)
         return as_subject(estimator, read_sampler(texts, estimator.dims))
 
     def _check_file(self, file: str | None) -> None:
@@ -168,7 +169,7 @@ def _add_option(parser: argparse.ArgumentParser, analysis: type[Analysis], optio
             default=None,
             action="store_const",
             const=not option.default,
-            help=_escaped(f"{text}; on by default" if switch.startswith("--no-") else text),
+            help=_escaped(f"{text}; on by default" if option.default else text),
         )
         return
     default = option.default

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from mcspectra.cli.common import text_table
+from mcspectra.core.errors import NoClosedForm
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -291,6 +292,8 @@ def _exact(result: xr.Dataset) -> Shown:
     """Prints the variance at each n, and the exponent of variance in n from one to the next."""
     rows, counts = [], result["n"].values
     values = result["exact_variance"].values.reshape(len(counts), -1)
+    if np.isnan(values).all():
+        raise NoClosedForm(_note(result))
     for k, n in enumerate(counts):
         for channel, variance in enumerate(values[k]):
             before, rate = (values[k - 1][channel] if k else 0.0), "–"
