@@ -51,7 +51,7 @@ from .spectra.shapes import wedge_means as wedge_means
 from .variance.alignment import aligned as aligned
 from .variance.alignment import strata_shift_scan as strata_shift_scan
 from .variance.anova import anova_variances as anova_variances
-from .variance.anova_fourier import anova_spectrum as anova_spectrum
+from .variance.anova import anova_spectrum as anova_spectrum
 from .variance.best_alignment import best_alignment as best_alignment
 from .variance.convergence import convergence as convergence
 from .variance.exact import exact_variance as exact_variance
@@ -66,7 +66,7 @@ from .variance.primary import primary_picture as primary_picture
 from .variance.remedies import remedies as remedies
 from .variance.routes import variance_routes as variance_routes
 from .variance.smoothing import smoothing_scan as smoothing_scan
-from .variance.stopping import realizations_needed as realizations_needed
+from .variance.convergence import realizations_needed as realizations_needed
 from .variance.techniques import technique_terms as technique_terms
 from .variance.terms import variance_terms as variance_terms
 from .version import __version__ as __version__

@@ -174,7 +174,7 @@ ANALYSES = Registry(
         "points": "mcspectra.spectra.power:Points",
         "pcf": "mcspectra.spectra.pair_correlation:PairCorrelation",
         "anova": "mcspectra.variance.anova:Anova",
-        "anova-spectrum": "mcspectra.variance.anova_fourier:AnovaSpectrum",
+        "anova-spectrum": "mcspectra.variance.anova:AnovaSpectrum",
         "exact": "mcspectra.variance.exact:Exact",
         "remedies": "mcspectra.variance.remedies:Remedies",
         "modes": "mcspectra.variance.modes:Modes",
@@ -239,8 +239,10 @@ def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
     return found.result(state)
 
 
-def finished(analysis: Analysis, result: xr.Dataset) -> xr.Dataset:
-    """Check a result against the variables that its analysis declares, and return it.
+def finished(analysis: Analysis, result: xr.Dataset, rng: RngLike) -> xr.Dataset:
+    """Check a result against the variables that its analysis declares; return it with its seed.
+
+    The seed is an attribute where `rng` is a whole number, by which the result can be had again.
 
     Raises
     ------
@@ -248,7 +250,7 @@ def finished(analysis: Analysis, result: xr.Dataset) -> xr.Dataset:
         A variable is not declared, or has other dims or another kind: a defect of the analysis.
     """
     check_variables(result, type(analysis).variables, type(analysis).__name__)
-    return result
+    return result.assign_attrs(seed=rng) if isinstance(rng, int) else result
 
 
 def compute(
@@ -279,7 +281,7 @@ def compute(
             found = next(steps) if states is None else steps.send(states)
             states = list(_computed(found, threads, name))
     except StopIteration as end:
-        return finished(clean, end.value)
+        return finished(clean, end.value, rng)
 
 
 def _computed(found: Sequence[Reduction[Any]], threads: int, name: str) -> Iterator[Any]:

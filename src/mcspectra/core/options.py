@@ -159,7 +159,8 @@ class Option:
         clean = _clean(label, self.kind, value)
         if self.extra.get("choices") and isinstance(clean, str):
             return as_choice(label, clean, self.choices)
-        if self.extra.get("ascending") and any(b <= a for a, b in itertools.pairwise(clean)):
+        several = self.extra.get("ascending") and isinstance(clean, tuple)
+        if several and any(b <= a for a, b in itertools.pairwise(clean)):
             raise ParameterError(f"{label} is {list(clean)}; give ascending numbers of points.")
         return clean
 

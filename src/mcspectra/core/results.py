@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -69,18 +69,18 @@ VARIABLES: Mapping[str, Variable] = {
     "bias_squared_ci": Variable("bounds of the squared bias, from those of the integrals", "f²"),
     "bias": Variable("mean estimate minus the integral", "f"),
     "bias_se": Variable("standard error of the bias, that of the integral in it", "f"),
-    "bottleneck": Variable("technique of the slowest rate; −1: undecided", "1"),
+    "bottleneck": Variable("technique of the slowest rate; −1: undecided", "1", kind="if"),
     "captured": Variable("predicted / measured variance", "1"),
     "captured_ci": Variable("95 % interval of predicted / measured variance", "1"),
     "captured_by_half_width": Variable(
         "predicted / measured variance, truncated at each half width", "1"
     ),
     "centered_discrepancy": Variable("centred L2 discrepancy", "1"),
-    "coefficient_covariance": Variable("C_ml, covariance of S_m and S_l", "1"),
+    "coefficient_covariance": Variable("C_ml, covariance of S_m and S_l", "1", kind="fc"),
     "coefficient_covariance_se": Variable("standard error of C_ml, root of the mean |error|²", "1"),
     "contribution": Variable("c_m, contribution of frequency m to the variance", "f²"),
     "contribution_se": Variable("standard error of c_m", "f²"),
-    "cross_matrix": Variable("conj(f_m) f_l C_ml", "f²"),
+    "cross_matrix": Variable("conj(f_m) f_l C_ml", "f²", kind="fc"),
     "cross_matrix_se": Variable("standard error of conj(f_m) f_l C_ml", "f²"),
     "cross_term": Variable("cross term Σ_{m≠l} conj(f_m) f_l C_ml", "f²"),
     "cross_term_se": Variable("standard error of the cross term", "f²"),
@@ -94,7 +94,7 @@ VARIABLES: Mapping[str, Variable] = {
     "error_ci": Variable("95 % interval of the error", "f²"),
     "error_ratio": Variable("error / that of the set-up as given", "1"),
     "error_ratio_ci": Variable("simultaneous 95 % interval of the ratio of errors", "1"),
-    "rank_by_rate": Variable("rank by rate, 1: steepest", "1"),
+    "rank_by_rate": Variable("rank by rate, 1: steepest", "1", kind="i"),
     "rate_difference": Variable("rate minus that of the set-up as given", "1"),
     "rate_difference_ci": Variable("simultaneous 95 % interval of the difference of rates", "1"),
     "eigenvalue": Variable("eigenvalue of the covariance, variance of a mode", "f²"),
@@ -151,7 +151,7 @@ VARIABLES: Mapping[str, Variable] = {
     "minimum_distance": Variable("smallest toroidal distance of two points", "1"),
     "mixture_discrepancy": Variable("mixture L2 discrepancy", "1"),
     "mode_contribution": Variable("part of the variance of the estimate along the mode", "f²"),
-    "mode_vector": Variable("pattern of the mode over the frequencies, of norm 1", "1"),
+    "mode_vector": Variable("pattern of the mode over the frequencies, of norm 1", "1", kind="fc"),
     "mse": Variable("mean squared error against the integral", "f²"),
     "mse_ci": Variable("95 % interval of the mean squared error", "f²"),
     "noise_edge": Variable("largest sample eigenvalue of a flat spectrum of the same trace", "f²"),
@@ -174,8 +174,8 @@ VARIABLES: Mapping[str, Variable] = {
     ),
     "rate": Variable("fitted exponent of variance in n; random sampling: −1", "1"),
     "rate_ci": Variable("95 % interval of the rate", "1"),
-    "reached": Variable("whether the wanted precision was reached (1: yes)", "1"),
-    "realizations_used": Variable("realisations used", "1"),
+    "reached": Variable("whether the wanted precision was reached (1: yes)", "1", kind="i"),
+    "realizations_used": Variable("realisations used", "1", kind="i"),
     "relative_minimum_distance": Variable("minimum distance / that of the densest packing", "1"),
     "slice_power": Variable("expected power along a direction", "1", ("slice", "multiple")),
     "slice_power_se": Variable(
@@ -256,16 +256,23 @@ VARIABLES: Mapping[str, Variable] = {
 def dataset(
     variables: Mapping[str, tuple[tuple[str, ...], Any]],
     coords: Mapping[str, Any] | None = None,
+    *,
+    drop: Collection[str] = (),
     **provenance: Any,
 ) -> xr.Dataset:
-    """Make a dataset of registered variables, name -> (dims, values), with provenance attributes."""
+    """Make a dataset of registered variables, name -> (dims, values), with provenance attributes.
+
+    Dims to `drop` have one value, such as the channel of a scalar; they are left out.
+    """
     import xarray as xr
 
     register_accessor()
-    arrays = {
-        name: (dims, values, {"long_name": VARIABLES[name].meaning, "units": VARIABLES[name].units})
-        for name, (dims, values) in variables.items()
-    }
+    arrays = {}
+    for name, (dims, values) in variables.items():
+        if any(dim in drop for dim in dims):
+            values = values[tuple(0 if dim in drop else slice(None) for dim in dims)]
+        about = {"long_name": VARIABLES[name].meaning, "units": VARIABLES[name].units}
+        arrays[name] = (tuple(dim for dim in dims if dim not in drop), values, about)
     attributes = {key: _plain(value) for key, value in provenance.items() if value is not None}
     return xr.Dataset(arrays, coords=coords, attrs={**attributes, **package_versions()})
 

@@ -7,6 +7,7 @@ from .heuristics import Heuristic as Heuristic
 from .heuristics import as_heuristic as as_heuristic
 from .importance import Estimator as Estimator
 from .importance import as_estimator as as_estimator
+from .importance import as_subject as as_subject
 from .mirrored import MIRRORINGS as MIRRORINGS
 from .mirrored import Mirrored as Mirrored
 from .mis import MultipleImportance as MultipleImportance
@@ -32,6 +33,7 @@ __all__ = [
     "VegasDensity",
     "as_estimator",
     "as_heuristic",
+    "as_subject",
     "channel_estimators",
     "split_mixture",
 ]

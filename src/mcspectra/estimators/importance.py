@@ -6,6 +6,7 @@ from typing import Any, final
 
 import numpy as np
 
+from mcspectra.core.analysis import Subject
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.densities import Density, as_density
@@ -14,8 +15,16 @@ from mcspectra.estimators.base import AbstractEstimator, DomainEstimator
 from mcspectra.estimators.primary import PrimaryIntegrand
 from mcspectra.estimators.support import check_support
 from mcspectra.integrands import Integrand, as_integrand
+from mcspectra.samplers import as_sampler
 
-__all__ = ["Estimator", "as_estimator", "check_same_dims", "check_support", "scale"]
+__all__ = [
+    "Estimator",
+    "as_estimator",
+    "as_subject",
+    "check_same_dims",
+    "check_support",
+    "scale",
+]
 
 
 @final
@@ -122,6 +131,28 @@ def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
         f"{given!r:.80} is not an estimator; give Estimator(integrand, density), an integrand, or "
         "an integrand's spec."
     )
+
+
+def as_subject(estimator: Any, sampler: Any, *, lists: bool = False) -> Subject:
+    """Return an estimator with a sampler, of equal dims, as the subject of an analysis.
+
+    Parameters
+    ----------
+    estimator, sampler
+        What `as_estimator` and `mcspectra.samplers.as_sampler` take; with `lists` one or a list of each.
+
+    Raises
+    ------
+    ParameterError
+        Something else, an empty list, or dims that differ.
+    """
+    several, many = (lists and isinstance(given, list | tuple) for given in (estimator, sampler))
+    if (several and not estimator) or (many and not sampler):
+        raise ParameterError("A list is empty; give at least one estimator and one sampler.")
+    dims = getattr(sampler, "dims", None)
+    estimators = [as_estimator(e, dims) for e in (estimator if several else [estimator])]
+    samplers = [as_sampler(s, estimators[0].dims) for s in (sampler if many else [sampler])]
+    return Subject(estimators if several else estimators[0], samplers if many else samplers[0])
 
 
 def scale(values: Array, weights: Array) -> Array:

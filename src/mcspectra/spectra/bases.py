@@ -61,19 +61,24 @@ class Basis(ABC):
     label: ClassVar[str] = "index of the basis function"
 
     @property
-    @abstractmethod
+    def side(self) -> int:
+        """N, the number of indices along one axis."""
+        return 2 * self.half_width + 1
+
+    @property
     def axis(self) -> Array:
         """Indices along one axis, as coordinates: int64 (N,)."""
+        return np.arange(self.side)
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Shape of the whole array of coefficients."""
-        return (len(self.axis),) * self.dims
+        return (self.side,) * self.dims
 
     @property
     def size(self) -> int:
         """M, the number of functions."""
-        return int(np.prod(self.shape, dtype=np.float64))
+        return self.side**self.dims
 
     @property
     def stored(self) -> int:
@@ -211,11 +216,6 @@ class Cosine(Basis):
 
     name: ClassVar[str] = "cosine"
 
-    @property
-    def axis(self) -> Array:
-        """0 … 2K."""
-        return np.arange(2 * self.half_width + 1)
-
     def transform(self, n: int, engine: str, eps: float) -> tuple[Coefficients, str]:
         """Half-integer frequencies by NUFFT, the signs of each axis averaged: Re exp = cos."""
         grid = FrequencyGrid(self.dims, 2 * self.half_width, 0.5)
@@ -261,9 +261,9 @@ class _Dyadic(Basis):
             )
 
     @property
-    def axis(self) -> Array:
-        """0 … 2K − 1 (0 alone for K = 0)."""
-        return np.arange(max(1, 2 * self.half_width))
+    def side(self) -> int:
+        """2K, the indices 0 … 2K − 1 (0 alone for K = 0)."""
+        return max(1, 2 * self.half_width)
 
     def directions(self) -> Array:
         """Oscillations along each axis, for an index says where a function is, too, or how it jumps."""

@@ -403,14 +403,14 @@ def _diagnoses(pixel: _Pixel, plan: _Plan, parts: Parts) -> dict[str, str]:
     """What costs each strategy its rate, from the pictures that were made."""
     return {
         f"diagnosis_{strategy}": Diagnosis(
-            estimator=estimator,
             wraps=plan.wraps,
             unbounded=False,
             slow=None,
+            slow_name="",
             boundary=_jumps(strategy, "boundary", parts),
             inside=_jumps(strategy, "interior", parts),
         ).text
-        for strategy, estimator in pixel.strategies.items()
+        for strategy in pixel.strategies
     }
 
 

@@ -27,7 +27,7 @@ from mcspectra.samplers import Randomized, Sampler, Shift, StrataShift, as_sampl
 from mcspectra.variance.convergence import count_stream
 from mcspectra.variance.exact import exact_variance
 from mcspectra.variance.fit import fit_rate
-from mcspectra.variance.stopping import count_moments
+from mcspectra.variance.convergence import count_moments
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -13,43 +13,218 @@ of f is needed, d may be large, and the error is that of a covariance over reali
 
 Effective dimension [Caflisch1997]_: in the truncation sense the least s such that the first s axes, in
 the superposition sense such that subsets of up to s axes, hold 99 % of the variance.
+
+By sampled frequencies, `anova_spectrum`: those that involve the axes u and no others make up the ANOVA part
+f_u, and the part of the variance of points that are the same after any translation is
+
+    c_u = Σ_{m: m_i ≠ 0 for i ∈ u only} |f_m|² ⟨|S_m|²⟩.
+
+The sum has (2K)^|u| terms. It is estimated from a few: m is drawn with a probability q(m) = Π_{i∈u} q_1(m_i),
+q_1(k) ∝ 1/k² up to K, and the mean of |f_m|² ⟨|S_m|²⟩ / q(m) is unbiased. |f_m|² of a function with
+jumps or a boundary term falls like 1/m_i² on each axis, so that the terms are bounded.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated, Any, final
 
 import numpy as np
+from msgspec import Meta
 
+from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
 from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.errors import ParameterError
-from mcspectra.core.parallel import (
-    MAX_REALIZATIONS,
-    Block,
-    available_workers,
-    realization_blocks,
-)
+from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.memory import memory_of
+from mcspectra.core.options import COUNT, REALIZATIONS
+from mcspectra.core.parallel import Block, realization_blocks
+from mcspectra.core.records import JOIN, Join
 from mcspectra.core.results import dataset
-from mcspectra.core.staged import compute
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
+from mcspectra.estimators import AbstractEstimator, Estimator, Moments, as_subject
 from mcspectra.estimators.moments import rounding_floor
+from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.variance.staged_anova import StagedAnova
+from mcspectra.spectra.bases import fitting_basis
+from mcspectra.spectra.closed_forms import closed_form_power
+from mcspectra.spectra.listed import power_at
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["EFFECTIVE_SHARE", "anova_variances", "staged_anova"]
+__all__ = ["EFFECTIVE_SHARE", "Anova", "AnovaSpectrum", "anova_spectrum", "anova_variances"]
 
 EFFECTIVE_SHARE = 0.99
 """Share of the variance that effective dimensions hold."""
 
 _MAX_DIMS = 64
 _MAX_VALUES = 2**26  # estimates kept: 0.5 GiB
+_MAX_FREQUENCIES = 2**24  # in all
+_BATCHES = 16  # of frequencies, independent of each other: their spread is the error
 _PARTNER, _ORDER, _UNIFORM = 0x616E6F, 0x616E70, 0x616E71  # stream labels
+
+
+@final
+class Anova(Analysis, frozen=True, kw_only=True):
+    """Which axes of primary space, and pairs of them, the variance comes from."""
+
+    function = "anova_variances"
+    verb = "anova"
+    variables = (
+        *("anova_variance", "anova_variance_se", "anova_share", "total_variance", "total_variance_se"),
+        *("higher_order_variance", "higher_order_variance_se", "truncation_share"),
+        *("effective_dimension_truncation", "effective_dimension_superposition", "mean_dimension"),
+        *("variance", "variance_ci"),
+    )
+
+    n: Annotated[int, COUNT] = 1
+    order: Annotated[int, Meta(ge=1, le=2, description="1: single axes; 2: pairs too.")] = 2
+    realizations: Annotated[int, REALIZATIONS] = 10_000
+
+    def need(self, subject: Subject) -> Need:
+        """The estimates of all subsets of the axes fit in memory."""
+        estimator = subject.estimator
+        estimator.check_sampler(subject.sampler, self.n)
+        dims = as_integer("dims", estimator.dims, least=1, most=_MAX_DIMS)
+        # Those listed, those without one axis, and the first s axes: see `_Subsets`
+        sizes = range(dims + 1)
+        subsets = sum(math.comb(dims, s) if s <= self.order or s >= dims - 1 else 1 for s in sizes)
+        values = subsets * max(1, estimator.channels) * self.realizations
+        if values > _MAX_VALUES:
+            raise ParameterError(
+                f"{self.realizations} realisations of {values // self.realizations} subsets take "
+                f"{8 * values / 2**30:.3g} GiB; ask for at most "
+                f"{_MAX_VALUES * self.realizations // values} realisations, or for order=1."
+            )
+        evaluations = sum(estimator.counts)
+        return Need(
+            cost=float(subsets * self.realizations * self.n * evaluations),
+            memory=memory_of(self.n, estimator.dims, 2 * evaluations) + 24 * values,
+        )
+
+    def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Estimates]:
+        """The estimates of every realisation: covariances need the means of all."""
+        estimator = subject.estimator
+        subsets = _Subsets.of(estimator.dims, self.order)
+        pairs = _Pairs(estimator, subject.sampler, self.n, stream)
+        evaluations = self.n * sum(estimator.counts)
+        blocks = realization_blocks(self.realizations, 4 * estimator.dims * evaluations)
+
+        def result(found: _Estimates) -> xr.Dataset:
+            return _labelled(
+                subsets,
+                found.values,
+                scalar=estimator.channels == 0,
+                estimator=estimator.spec,
+                sampler=subject.sampler.spec,
+                n=self.n,
+                realizations=self.realizations,
+                order=self.order,
+                effective_share=EFFECTIVE_SHARE,
+                stream_key=f"{stream.key:#x}",
+            )
+
+        return Reduction(
+            kind=_Estimates,
+            block=lambda index: _Estimates(pairs.estimates(subsets.masks, blocks[index])),
+            blocks=len(blocks),
+            cost=float(len(subsets.masks) * self.realizations * evaluations),
+            result=result,
+        )
+
+
+@final
+class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
+    """Which subsets of the axes the variance comes from, by sampled frequencies."""
+
+    function = "anova_spectrum"
+    variables = ("anova_variance", "anova_variance_se")
+
+    n: Annotated[int, COUNT]
+    order: Annotated[int, Meta(ge=1, le=3, description="Subsets of up to so many axes.")] = 2
+    frequencies: Annotated[
+        int, Meta(ge=2 * _BATCHES, le=_MAX_FREQUENCIES, description="Of each subset.")
+    ] = 1024
+    half_width: Annotated[
+        int, Meta(ge=1, le=2**20, description="Largest |m_i|: what is beyond is left out.")
+    ] = 4096
+    realizations: Annotated[
+        int, Meta(ge=2 * _BATCHES, le=10**9, description="Point sets, where no power is known.")
+    ] = 64
+
+    def need(self, subject: Subject) -> Need:
+        """The coefficients are exact, the points uniform, and the frequencies not correlated."""
+        estimator, sampler = subject.estimator, subject.sampler
+        estimator.check_sampler(sampler, self.n)
+        plain = isinstance(estimator, Estimator) and estimator.density is None
+        if not plain or estimator.integrand.fourier_source != "exact":
+            raise NoClosedForm(
+                f"Sampled frequencies need exact Fourier coefficients and uniform points, which "
+                f"{estimator.spec} does not have; use anova_variances."
+            )
+        if sampler.name != "random" and fitting_basis(sampler, 1) != "fourier":
+            raise NoClosedForm(
+                f"The frequencies of {sampler.spec} are correlated; add shift, or use "
+                "anova_variances."
+            )
+        dims = as_integer("dims", estimator.dims, least=1, most=_MAX_DIMS)
+        subsets = sum(math.comb(dims, size) for size in range(1, self.order + 1))
+        total = self.frequencies * subsets
+        if total > _MAX_FREQUENCIES:
+            raise ParameterError(
+                f"{self.frequencies} frequencies of {subsets} subsets are more than "
+                f"{_MAX_FREQUENCIES:.3g} in all; ask for fewer frequencies or a lower order."
+            )
+        return Need(
+            cost=float(total * self.n * self.realizations) / _BATCHES,
+            memory=memory_of(self.n, dims, frequencies=total * max(1, estimator.channels)),
+        )
+
+    def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Batches]:
+        """Batches of frequencies and sets, independent of each other."""
+        f, n, dims = subject.estimator.integrand, self.n, subject.estimator.dims
+        subsets = _subsets(dims, min(self.order, dims))
+        count = self.frequencies // _BATCHES
+
+        def batch(index: int) -> _Batches:
+            m, q = _drawn(subsets, dims, self.half_width, count, stream.child(2 * index))
+            try:
+                power, source = closed_form_power(subject.sampler, n, m), "closed form"
+            except NoClosedForm:
+                sets = self.realizations // _BATCHES
+                rng = np.random.SeedSequence(stream.child(2 * index + 1).key)
+                found = power_at(subject.sampler, n, m, realizations=sets, rng=rng)
+                power, source = found["power"].to_numpy(), f"{_BATCHES * sets} realisations"
+            energy = np.abs(f.fourier(m).reshape(len(m), -1)) ** 2
+            terms = energy * (power / q)[:, None]
+            return _Batches(terms.reshape(1, len(subsets), count, -1).mean(axis=2), source)
+
+        def result(found: _Batches) -> xr.Dataset:
+            se = found.means.std(axis=0, ddof=1) / math.sqrt(_BATCHES)
+            return dataset(
+                {
+                    "anova_variance": (("subset", "channel"), found.means.mean(axis=0)),
+                    "anova_variance_se": (("subset", "channel"), se),
+                },
+                {
+                    "subset_label": ("subset", ["".join(f"x{i}" for i in u) for u in subsets]),
+                    "subset_size": ("subset", [len(u) for u in subsets]),
+                },
+                drop=() if f.channels else ("channel",),
+                estimator=subject.estimator.spec,
+                sampler=subject.sampler.spec,
+                n=n,
+                half_width=self.half_width,
+                frequencies=self.frequencies,
+                power=found.power,
+                stream_key=f"{stream.key:#x}",
+            )
+
+        cost = self.need(subject).cost
+        return Reduction(kind=_Batches, block=batch, blocks=_BATCHES, cost=cost, result=result)
 
 
 def anova_variances(
@@ -107,56 +282,93 @@ def anova_variances(
     >>> [round(float(share), 6) for share in parts["anova_share"][:3]]
     [1.0, 0.0, 0.0]
     """
-    threads = available_workers(workers)
-    return compute(
-        staged_anova(estimator, sampler, n, order=order, realizations=realizations, rng=rng),
-        threads,
-        "anova_variances",
-    )
+    analysis = Anova(n=n, order=order, realizations=realizations)
+    return compute(analysis, as_subject(estimator, sampler), rng, workers)
 
 
-def staged_anova(
-    estimator: Any,
-    sampler: Sampler | str = "random",
-    n: int = 1,
+def anova_spectrum(
+    estimator: AbstractEstimator | Integrand | str,
+    sampler: Sampler | str,
+    n: int,
     *,
     order: int = 2,
-    realizations: int = 10_000,
+    frequencies: int = 1024,
+    half_width: int = 4096,
+    realizations: int = 64,
     rng: RngLike = 0,
-) -> StagedAnova:
-    """Return `anova_variances` as a staged analysis, its arguments checked."""
-    estimator = as_estimator(estimator, getattr(sampler, "dims", None))
-    source = as_sampler(sampler, estimator.dims)
-    n = source.check_count(n)
-    estimator.check_sampler(source, n)
-    order = as_integer("order", order, least=1, most=2)
-    realizations = as_integer("realizations", realizations, least=2, most=MAX_REALIZATIONS)
-    subsets = _Subsets.of(as_integer("dims", estimator.dims, least=1, most=_MAX_DIMS), order)
-    _check_memory(len(subsets.masks) * max(1, estimator.channels), realizations)
-    stream = Stream.from_rng(rng)
-    pairs = _Pairs(estimator, source, n, stream, _ignores_streams(source, n, stream))
+) -> xr.Dataset:
+    """Split the variance that a sampler leaves among subsets of the axes, by sampled frequencies.
 
-    def block_estimates(block: Block) -> Array:
-        return pairs.estimates(subsets.masks, block)
+    Parameters
+    ----------
+    estimator
+        Of one integrand with exact Fourier coefficients and uniform points, in up to 64 dims.
+    sampler, n
+        Points that are the same after any translation: random, or with shift.
+    order
+        Subsets of up to so many axes, 1 to 3.
+    frequencies
+        Frequencies sampled of each subset, at least 32.
+    half_width
+        Largest |m_i|: what is beyond is left out.
+    realizations
+        Point sets in all, at least 32, where ⟨|S_m|²⟩ is not known in closed form.
+    rng
+        Seed (SPEC 7).
 
-    def result(estimates: Array) -> xr.Dataset:
-        return _labelled(
-            subsets,
-            estimates,
-            scalar=estimator.channels == 0,
-            estimator=estimator.spec,
-            sampler=source.spec,
-            n=n,
-            realizations=realizations,
-            order=order,
-            effective_share=EFFECTIVE_SHARE,
-            stream_key=f"{stream.key:#x}",
-            seed=rng if isinstance(rng, int) else None,
-        )
+    Returns
+    -------
+    xarray.Dataset
+        ``anova_variance`` c_u and ``anova_variance_se`` on dim subset, as `anova_variances` has them; the
+        error is that of the mean of 16 independent batches of frequencies and sets. The attribute
+        ``power`` says whether ⟨|S_m|²⟩ is exact.
 
-    numbers = 4 * n * estimator.dims * sum(estimator.counts)
-    cost = float(len(subsets.masks) * realizations * n * sum(estimator.counts))
-    return StagedAnova(block_estimates, realization_blocks(realizations, numbers), cost, result)
+    Raises
+    ------
+    NoClosedForm
+        The coefficients are not exact, the points have a density, or their frequencies are
+        correlated: `anova_variances` needs none of this.
+    ParameterError, CountError
+        A value is out of range, or the frequencies would not fit in memory.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> f = mcs.integrand("gaussian(width=0.5)", dims=3)
+    >>> parts = anova_spectrum(f, "latin-hypercube | shift", 64)
+    >>> parts["anova_variance"].sizes["subset"]
+    6
+    >>> bool(parts["anova_variance"][0] < 0.1 * parts["anova_variance"][3])  # strata on each axis
+    True
+    """
+    analysis = AnovaSpectrum(
+        n=n,
+        order=order,
+        frequencies=frequencies,
+        half_width=half_width,
+        realizations=realizations,
+    )
+    return compute(analysis, as_subject(estimator, sampler), rng)
+
+
+@dataclass(frozen=True)
+class _Estimates:
+    """Estimates of each mask: (S, R, channels)."""
+
+    values: Annotated[Array, Join(1)]
+
+
+@dataclass(frozen=True)
+class _Batches:
+    """Means of the terms of batches, (B, U, channels), and how the power was found."""
+
+    means: JOIN
+    power: Annotated[str, "same"]
+
+
+def _subsets(dims: int, order: int) -> list[tuple[int, ...]]:
+    """Those of 1 to `order` axes, by size."""
+    return [u for s in range(1, order + 1) for u in itertools.combinations(range(dims), s)]
 
 
 @dataclass(frozen=True)
@@ -177,7 +389,7 @@ class _Subsets:
     @staticmethod
     def of(dims: int, order: int) -> _Subsets:
         axes = range(dims)
-        listed = [u for size in range(1, order + 1) for u in itertools.combinations(axes, size)]
+        listed = _subsets(dims, order)
         without = [tuple(a for a in axes if a != i) for i in axes]
         first = [tuple(range(s)) for s in range(1, dims)]
         every = dict.fromkeys([tuple(axes), (), *listed, *without, *first])
@@ -198,7 +410,6 @@ class _Pairs:
     sampler: Sampler
     n: int
     stream: Stream
-    uniform: bool
 
     def estimates(self, masks: Array, block: Block) -> Array:
         """Estimates with the axes of each mask kept and the others replaced: (S, R, channels)."""
@@ -212,53 +423,25 @@ class _Pairs:
         ]
         return np.stack(found).reshape(len(masks), block[1], -1)
 
+    @cached_property
+    def _uniform(self) -> bool:
+        """Whether the sampler makes the same set of any stream: it has no independent partner."""
+        streams = (self.stream, self.stream.child(_PARTNER))
+        return np.array_equal(*(self.sampler.draw_stream(self.n, s, 0, 1) for s in streams))
+
     def _partners(self, block: Block) -> list[Array]:
-        """Independent sets, each in an order of its own."""
-        if self.uniform:
+        """Independent sets, each in an order of its own; random ones where there are none."""
+        if self._uniform:
             return self.estimator.draw(
                 as_sampler("random", self.sampler.dims), self.n, self.stream.child(_UNIFORM), *block
             )
         drawn = self.estimator.draw(self.sampler, self.n, self.stream.child(_PARTNER), *block)
-        return [self._shuffled(y, t, block) for t, y in enumerate(drawn)]
-
-    def _shuffled(self, points: Array, technique: int, block: Block) -> Array:
-        keys = self.stream.child(_ORDER).child(technique).uniforms(*block, points.shape[1])
-        return np.take_along_axis(points, keys.argsort(axis=1)[:, :, None], axis=1)
-
-
-def _ignores_streams(sampler: Sampler, n: int, stream: Stream) -> bool:
-    """Whether the sampler makes the same set of any stream, so that it has no independent partner."""
-    first = sampler.draw_stream(n, stream, 0, 1)
-    return np.array_equal(first, sampler.draw_stream(n, stream.child(_PARTNER), 0, 1))
-
-
-def _check_memory(columns: int, realizations: int) -> None:
-    if columns * realizations > _MAX_VALUES:
-        raise ParameterError(
-            f"{realizations} realisations of {columns} subsets take "
-            f"{8 * columns * realizations / 2**30:.3g} GiB; ask for at most "
-            f"{_MAX_VALUES // columns} realisations, or for order=1."
-        )
-
-
-@dataclass(frozen=True)
-class _Covariances:
-    """Products of deviations, whose means over realisations are covariances: (S, R, channels)."""
-
-    products: Array
-
-    @staticmethod
-    def of(estimates: Array) -> _Covariances:
-        deviation = estimates - estimates.mean(axis=1, keepdims=True)
-        count = estimates.shape[1]
-        return _Covariances(deviation * (deviation[0] * (count / (count - 1))))
-
-    def combined(self, weights: Array) -> tuple[Array, Array]:
-        """Linear combinations (U, S) of the covariances, and their standard errors: (U, channels)."""
-        found = [np.tensordot(row, self.products, axes=1) for row in weights]
-        count = self.products.shape[1]
-        means = np.stack([q.mean(axis=0) for q in found])
-        return means, np.stack([q.std(axis=0, ddof=1) for q in found]) / np.sqrt(count)
+        order = self.stream.child(_ORDER)
+        keys = [order.child(t).uniforms(*block, y.shape[1]) for t, y in enumerate(drawn)]
+        return [
+            np.take_along_axis(y, k.argsort(axis=1)[:, :, None], axis=1)
+            for y, k in zip(drawn, keys, strict=True)
+        ]
 
 
 def _weights(subsets: _Subsets) -> dict[str, Array]:
@@ -288,8 +471,18 @@ def _labelled(
     subsets: _Subsets, estimates: Array, *, scalar: bool, **provenance: Any
 ) -> xr.Dataset:
     """Make the dataset of all combinations."""
-    covariances, moments = _Covariances.of(estimates), Moments.of(estimates[0])
-    found = {name: covariances.combined(w) for name, w in _weights(subsets).items()}
+    moments, count = Moments.of(estimates[0]), estimates.shape[1]
+    # Products of deviations, whose means over realisations are covariances: (S, R, channels)
+    deviation = estimates - estimates.mean(axis=1, keepdims=True)
+    products = deviation * (deviation[0] * (count / (count - 1)))
+
+    def combined(weights: Array) -> tuple[Array, Array]:
+        """Linear combinations (U, S) of the covariances, and their standard errors: (U, channels)."""
+        each = [np.tensordot(row, products, axes=1) for row in weights]
+        means = np.stack([q.mean(axis=0) for q in each])
+        return means, np.stack([q.std(axis=0, ddof=1) for q in each]) / np.sqrt(count)
+
+    found = {name: combined(weights) for name, weights in _weights(subsets).items()}
     first, own = found.pop("first")[0], found["anova_variance"][0]
     varies = moments.variance > rounding_floor(moments.mean)
     whole = np.where(varies, first[-1], np.nan)  # the variance, by the same pairs
@@ -311,28 +504,40 @@ def _labelled(
         "variance": (("channel",), moments.variance),
         "variance_ci": (("channel", "bound"), moments.variance_ci),
     }
-    if scalar:
-        variables = {
-            name: (tuple(d for d in dims if d != "channel"), v.take(0, dims.index("channel")))
-            for name, (dims, v) in variables.items()
-        }
-    return dataset(variables, _coords(subsets, sizes), **provenance)
-
-
-def _coords(subsets: _Subsets, sizes: Array) -> dict[str, Any]:
     labels = ["".join(f"x{i}" for i in u) for u in subsets.listed]
-    dims = subsets.masks.shape[1]
-    return {
+    axes = subsets.masks.shape[1]
+    coords = {
         "subset": ("subset", np.arange(len(labels)), {"long_name": "subset of axes", "units": "1"}),
         "subset_label": ("subset", labels, {"long_name": "axes of the subset"}),
         "subset_size": ("subset", sizes, {"long_name": "number of axes", "units": "1"}),
-        "axis": ("axis", np.arange(dims), {"long_name": "axis", "units": "1"}),
-        "axes": ("axes", np.arange(1, dims + 1), {"long_name": "number of axes", "units": "1"}),
+        "axis": ("axis", np.arange(axes), {"long_name": "axis", "units": "1"}),
+        "axes": ("axes", np.arange(1, axes + 1), {"long_name": "number of axes", "units": "1"}),
         "bound": ["low", "high"],
     }
+    return dataset(variables, coords, drop=("channel",) if scalar else (), **provenance)
 
 
 def _least(shares: Array) -> Array:
     """Least number, from 1, whose share (s, channels) is enough; NaN where none is."""
     enough = shares >= EFFECTIVE_SHARE
     return np.where(enough.any(axis=0), enough.argmax(axis=0) + 1.0, np.nan)
+
+
+def _drawn(
+    subsets: list[tuple[int, ...]], dims: int, half_width: int, count: int, stream: Stream
+) -> tuple[Array, Array]:
+    """`count` frequencies of each subset, (U count, d), and their probabilities (U count,).
+
+    Law of one component: ±k with probability ∝ 1/k², k = 1 … K.
+    """
+    cumulative = np.cumsum(np.arange(1.0, half_width + 1) ** -2)
+    m, q = np.zeros((len(subsets), count, dims)), np.ones((len(subsets), count))
+    whole = cumulative[-1]
+    for place, subset in enumerate(subsets):
+        u = 2.0 * stream.uniforms(place, 1, count * len(subset)).reshape(count, -1)
+        sign, u = np.where(u < 1.0, -1.0, 1.0), np.mod(u, 1.0)
+        k = np.searchsorted(cumulative, u * whole, side="right") + 1.0
+        k = np.minimum(k, half_width)
+        m[place][:, list(subset)] = sign * k
+        q[place] = np.prod(0.5 / (k * k * whole), axis=1)
+    return m.reshape(-1, dims), q.ravel()

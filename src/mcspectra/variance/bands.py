@@ -15,7 +15,7 @@ from mcspectra.core.checks import Array, as_choice
 from mcspectra.core.errors import ParameterError
 from mcspectra.spectra.bases import Basis
 
-__all__ = ["PARTITIONS", "Bands", "make_bands"]
+__all__ = ["PARTITIONS", "Bands", "check_bands", "make_bands"]
 
 PARTITIONS = ("radial", "anova", "wedge", "dyadic")
 _MAX_BANDS = 4096
@@ -58,12 +58,23 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
     ParameterError
         An unknown name, labels of another shape, type or range, or ones that part m from −m.
     """
+    check_bands(bands, basis)
     if not isinstance(bands, str):
         return _given(np.asarray(bands), basis)
     make = {"radial": _radial, "anova": _anova, "wedge": _wedge, "dyadic": _dyadic}
-    found = make[as_choice("bands", bands, PARTITIONS)](basis)
+    found = make[bands](basis)
     # The last may be empty: small grids, and bases without negative indices, lack directions.
     return Bands(found.of, found.labels[: int(found.of.max()) + 1], found.meaning)
+
+
+def check_bands(bands: str | Array, basis: Basis) -> None:
+    """Raise what `make_bands` would, as far as that takes no work."""
+    if isinstance(bands, str):
+        as_choice("bands", bands, PARTITIONS)
+        if bands == "wedge" and basis.dims != 2:
+            raise ParameterError(
+                f"bands='wedge' is for 2 dims, not {basis.dims}; use 'radial' or 'anova'."
+            )
 
 
 def _radial(basis: Basis) -> Bands:
@@ -91,10 +102,6 @@ def _anova(basis: Basis) -> Bands:
 
 
 def _wedge(basis: Basis) -> Bands:
-    if basis.dims != 2:
-        raise ParameterError(
-            f"bands='wedge' is for 2 dims, not {basis.dims}; use 'radial' or 'anova'."
-        )
     m = basis.directions()
     angle = np.arctan2(m[:, 1], m[:, 0]) % np.pi  # ±m are one direction
     sector = np.rint(angle / np.pi * _WEDGES).astype(np.int64) % _WEDGES  # centred on the axes

@@ -19,7 +19,7 @@ from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.variance.alignment import Offsets, aligned, checked_offsets, predictor
 from mcspectra.variance.exact import exact_variance
-from mcspectra.variance.stopping import count_moments
+from mcspectra.variance.convergence import count_moments
 
 if TYPE_CHECKING:
     import xarray as xr

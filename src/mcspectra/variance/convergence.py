@@ -2,35 +2,320 @@
 
 The rate is the slope of log variance against log n (`mcspectra.variance.fit`). The variance is that of
 the realisations, a sample variance with ddof = 1, which is unbiased for the variance of the estimator;
-its relative standard error, from the kurtosis of the estimates, is its weight in the fit.
+its relative standard error, √((κ − 1)/R) for R estimates of kurtosis κ, is its weight in the fit.
+
+How many realisations: a given number, or until the variance is known well enough. 5 % takes 800 of
+normal estimates, and many more where few estimates carry most of the spread. κ is not known in advance, so
+that the number is found by going on: sequentially, in stages fixed by what was seen so far, hence the
+same bits for any number of workers.
+
+What has not been seen cannot be counted. A stop is believed only when the next stage, at least a
+quarter longer, confirms it, because the first stop of a skewed sample tends to be a moment at which κ
+is underestimated; and estimates that have shown no spread at all are no evidence of none: 10 000 are
+tried, then the error is given as NaN, and the goal as not reached.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import math
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, final
 
 import numpy as np
+from msgspec import Meta
 
-from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.analysis import (
+    Analysis,
+    MergeTree,
+    Need,
+    Reduction,
+    Steps,
+    Subject,
+    compute,
+    in_step,
+)
+from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
-from mcspectra.core.staged import compute
+from mcspectra.core.memory import memory_of
+from mcspectra.core.options import COUNT, COUNTS, FIT_LAST, REALIZATIONS, Counts, Window
+from mcspectra.core.parallel import (
+    MAX_REALIZATIONS,
+    Block,
+    map_in_order,
+    realization_blocks,
+    slices,
+)
+from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, as_estimator
+from mcspectra.estimators import AbstractEstimator, Moments, as_subject
+from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.tails import unsampled_note
-from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.variance._curves import curve_from_moments, fitted_counts, labelled
-from mcspectra.variance.fit import check_window
-from mcspectra.variance.staged_moments import Found, MomentsCell, Search, StagedMoments
-from mcspectra.variance.stopping import all_realizations, check_relative_error, until_precise
+from mcspectra.samplers import Sampler
+from mcspectra.variance.fit import check_window, fit_rate
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["convergence", "count_stream", "staged_convergence"]
+__all__ = [
+    "Convergence",
+    "MomentsCell",
+    "RealizationsNeeded",
+    "convergence",
+    "count_moments",
+    "count_stream",
+    "realizations_needed",
+]
+
+Precision = Annotated[float, Meta(ge=1e-4, le=1.0)]  # a better one takes billions of realisations
+
+_LEAST = 100  # realisations of the first stage: κ of fewer says little
+_STEP = 1.25  # a stage makes the sample longer by a quarter at least,
+_LEAP = 4.0  # and at most fourfold: κ is known better then
+_BLANK = 10_000  # realisations without spread after which the search is given up
+_PARTS = 2  # a block is half the usual: a thousand realisations of a thousand points are two
+
+_DIMS = {
+    "variance": ("n", "channel"),
+    "variance_ci": ("n", "channel", "bound"),
+    "mean": ("n", "channel"),
+    "mean_se": ("n", "channel"),
+    "bias": ("n", "channel"),
+    "bias_se": ("n", "channel"),
+    "mse": ("n", "channel"),
+    "realizations_used": ("n",),
+    "reached": ("n",),
+    "rate": ("channel",),
+    "rate_ci": ("channel", "bound"),
+    "fit_first_n": ("channel",),
+    "fit_chi2": ("channel",),
+}
+
+
+@final
+class Convergence(Analysis, frozen=True, kw_only=True):
+    """Variance against n and its rate."""
+
+    function = "convergence"
+    verb = "converge"
+    variables = tuple(_DIMS)
+
+    counts: Annotated[Counts, COUNTS]
+    realizations: Annotated[
+        int, REALIZATIONS, Meta(description="Realisations at each count; with relative_error the most.")
+    ] = 1000
+    relative_error: Annotated[
+        Precision | None,
+        Meta(description="Stop a count once its variance is known to this fraction."),
+    ] = None
+    fit_last: Annotated[Window, FIT_LAST] = None
+
+    def need(self, subject: Subject) -> Need:
+        """Every sampler can do every count, and all fit in one dataset."""
+        estimators, samplers = _several(subject.estimator), _several(subject.sampler)
+        check_window(self.fit_last, len(self.counts))
+        channels = sorted({e.channels for e in estimators})
+        if len(channels) > 1:
+            raise ParameterError(
+                f"The estimators have {' and '.join(map(str, channels))} channels; compare those of "
+                "equal numbers."
+            )
+        names = [s.spec for s in samplers]
+        for name in names:
+            if names.count(name) > 1:
+                raise ParameterError(f"The sampler {name} is listed twice; list each once.")
+        for estimator, sampler, n in itertools.product(estimators, samplers, self.counts):
+            estimator.check_sampler(sampler, n)
+        evaluations = [sum(e.counts) for e in estimators]
+        return Need(
+            cost=float(sum(self.counts) * self.realizations * sum(evaluations) * len(samplers)),
+            memory=memory_of(self.counts[-1], estimators[0].dims, max(evaluations)),
+        )
+
+    def reduction(self, subject: Subject, stream: Stream) -> Steps:
+        """The next realisations of every cell that needs some, by the part of the cell."""
+        cells = self._cells(subject, stream)
+        found = yield from in_step([
+            cell.all_of(part, self.realizations)
+            if self.relative_error is None
+            else cell.until_precise(part, self.relative_error, self.realizations)
+            for part, cell in enumerate(cells)
+        ])  # fmt: skip
+        return self._labelled(subject, stream, cells, found)
+
+    def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
+        """Any run of realisations of a cell."""
+        part, first, realizations = map(int, key.split("-"))
+        return self._cells(subject, stream)[part].run(part, first, realizations)
+
+    def _cells(self, subject: Subject, stream: Stream) -> list[MomentsCell]:
+        """By group of estimators that share realisations, by sampler, by count.
+
+        One technique that has no `draw` of its own gets the sampler's points: all such share them.
+        A wanted precision takes as many realisations as each estimator needs by itself.
+        """
+        estimators = tuple(_several(subject.estimator))
+        draws = AbstractEstimator.draw
+        plain = all(e.counts == (1,) and type(e).draw is draws for e in estimators)
+        joint = plain and self.relative_error is None
+        return [
+            MomentsCell(group, sampler, n, count_stream(stream, n))
+            for group in ([estimators] if joint else [(e,) for e in estimators])
+            for sampler in _several(subject.sampler)
+            for n in self.counts
+        ]
+
+    def _labelled(
+        self, subject: Subject, stream: Stream, cells: list[MomentsCell], found: list[list[_Found]]
+    ) -> xr.Dataset:
+        """Curves estimator × sampler; what is no list, and a scalar, has no dim."""
+        estimators, samplers = _several(subject.estimator), _several(subject.sampler)
+        joint = len(cells[0].estimators) > 1
+        places = np.arange(len(cells)).reshape(-1, len(samplers), len(self.counts))
+        grid = [
+            [
+                self._curve(e, [found[cell][place if joint else 0] for cell in row])
+                for row in places[0 if joint else place]
+            ]
+            for place, e in enumerate(estimators)
+        ]
+        single = {
+            "estimator": subject.estimator is estimators[0],
+            "sampler": subject.sampler is samplers[0],
+            "channel": all(e.channels == 0 for e in estimators),
+        }
+        variables = {
+            name: (
+                ("estimator", "sampler", *_DIMS[name]),
+                np.stack([np.stack([curve[name] for curve in row]) for row in grid]),
+            )
+            for name in grid[0][0]
+        }
+        labels = {
+            "estimator": [e.spec for e in estimators],
+            "sampler": [s.spec for s in samplers],
+        }
+        first = np.array([curve["fit_first_n"] for row in grid for curve in row])
+        fitted = first[np.isfinite(first)]
+        samples = self.counts[-1] * self.realizations
+        notes = [f"{e.spec}: {note}" for e in estimators if (note := unsampled_note(e, samples))]
+        return dataset(
+            variables,
+            {
+                "n": ("n", list(self.counts), {"long_name": "number of points", "units": "1"}),
+                "bound": ["low", "high"],
+                **{name: texts for name, texts in labels.items() if not single[name]},
+            },
+            drop=[dim for dim, alone in single.items() if alone],
+            **{name: texts[0] for name, texts in labels.items() if single[name]},
+            realizations=self.realizations,
+            relative_error=self.relative_error,
+            fit_last=sum(n >= fitted.min() for n in self.counts) if fitted.size else None,
+            fit_window="auto" if self.fit_last == "auto" else None,
+            stream_key=f"{stream.key:#x}",
+            integral_source="; ".join(dict.fromkeys(e.integral_source for e in estimators)),
+            note="; ".join(notes) or None,
+        )
+
+    def _curve(self, estimator: AbstractEstimator, found: list[_Found]) -> dict[str, Array]:
+        """Variables of one estimator with one sampler."""
+        moments, counts = [m for m, _ in found], np.array(self.counts)
+        window = check_window(self.fit_last, len(counts))
+        variance, relative, mean = (
+            np.stack([getattr(m, name) for m in moments])
+            for name in ("variance", "relative_se", "mean")
+        )
+        integral = np.atleast_1d(estimator.integral)
+        mean_se = np.stack([m.mean_se for m in moments])
+        floor = rounding_floor(np.maximum(np.abs(mean), np.abs(integral)))
+        fits = [
+            fit_rate(counts, variance[:, c], relative[:, c], floor[:, c], window)
+            for c in range(variance.shape[1])
+        ]
+        curve = {
+            "variance": variance,
+            "variance_ci": np.stack([m.variance_ci for m in moments]),
+            "mean": mean,
+            "mean_se": mean_se,
+            "bias": mean - integral,
+            "mse": (mean - integral) ** 2
+            + variance * np.array([(m.count - 1) / m.count for m in moments])[:, None],
+            "realizations_used": np.array([m.count for m in moments]),
+            "rate": np.array([fit.rate for fit in fits]),
+            "rate_ci": np.array([fit.interval for fit in fits]),
+            "fit_first_n": np.array([fit.first_n for fit in fits]),
+            "fit_chi2": np.array([fit.chi2 for fit in fits]),
+            "bias_se": np.hypot(mean_se, estimator.integral_error),
+        }
+        if self.relative_error is not None:
+            curve["reached"] = np.array([np.int64(reached) for _, reached in found])
+        return curve
+
+
+@final
+class RealizationsNeeded(Analysis, frozen=True, kw_only=True):
+    """How many realisations a wanted precision of the variance takes."""
+
+    function = "realizations_needed"
+    variables = (
+        *("realizations_used", "reached", "variance", "variance_ci", "variance_relative_se"),
+        *("skewness", "kurtosis", "mean", "mean_se"),
+    )
+
+    n: Annotated[int, COUNT]
+    relative_error: Annotated[
+        Precision, Meta(description="Wanted standard error of the variance, relative to it.")
+    ] = 0.05
+    max_realizations: Annotated[
+        int, Meta(ge=2, le=MAX_REALIZATIONS, description="Stop there in any case.")
+    ] = 1_000_000
+
+    def need(self, subject: Subject) -> Need:
+        """The sampler can do the count."""
+        estimator = subject.estimator
+        estimator.check_sampler(subject.sampler, self.n)
+        evaluations = sum(estimator.counts)
+        expected = min(self.max_realizations, 2.0 / self.relative_error**2)  # of normal estimates
+        memory = memory_of(self.n, estimator.dims, evaluations)
+        return Need(cost=expected * self.n * evaluations, memory=memory)
+
+    def reduction(self, subject: Subject, stream: Stream) -> Steps:
+        """The next realisations."""
+        cell = MomentsCell((subject.estimator,), subject.sampler, self.n, stream)
+        search = cell.until_precise(0, self.relative_error, self.max_realizations)
+        (((moments, reached),),) = yield from in_step([search])
+        varies = moments.variance > rounding_floor(moments.mean)
+        second = np.where(varies, moments.m2, np.nan)
+        values = {
+            "variance": moments.variance,
+            "variance_relative_se": np.where(varies, moments.relative_se, np.nan),
+            "skewness": math.sqrt(moments.count) * moments.m3 / second**1.5,
+            "kurtosis": moments.count * moments.m4 / second**2,
+            "mean": moments.mean,
+            "mean_se": moments.mean_se,
+            "variance_ci": moments.variance_ci,
+        }
+        return dataset(
+            {
+                "realizations_used": ((), np.int64(moments.count)),
+                "reached": ((), np.int64(reached)),
+                **{name: (("channel", "bound")[: v.ndim], v) for name, v in values.items()},
+            },
+            {"bound": ["low", "high"]},
+            drop=() if subject.estimator.channels else ("channel",),
+            estimator=subject.estimator.spec,
+            sampler=subject.sampler.spec,
+            n=self.n,
+            relative_error=self.relative_error,
+            max_realizations=self.max_realizations,
+            stream_key=f"{stream.key:#x}",
+        )
+
+    def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
+        """Any run of realisations."""
+        cell = MomentsCell((subject.estimator,), subject.sampler, self.n, stream)
+        return cell.run(*map(int, key.split("-")))
 
 
 def convergence(
@@ -92,161 +377,130 @@ def convergence(
     >>> round(float(curve["rate"]), 1)
     -3.0
     """
-    threads = available_workers(workers)
-    return compute(
-        staged_convergence(
-            estimator,
-            sampler,
-            counts,
-            realizations=realizations,
-            rng=rng,
-            relative_error=relative_error,
-            fit_last=fit_last,
-        ),
-        threads,
-        "convergence",
+    analysis = Convergence(
+        counts=counts,  # type: ignore[arg-type]
+        realizations=realizations,
+        relative_error=relative_error,
+        fit_last=fit_last,  # type: ignore[arg-type]
     )
+    return compute(analysis, as_subject(estimator, sampler, lists=True), rng, workers)
 
 
-def staged_convergence(
+def realizations_needed(
     estimator: Any,
-    sampler: Any,
-    counts: Sequence[int],
+    sampler: Sampler | str,
+    n: int,
     *,
-    realizations: int = 1000,
+    relative_error: float = 0.05,
+    max_realizations: int = 1_000_000,
     rng: RngLike = 0,
-    relative_error: float | None = None,
-    fit_last: int | str | None = None,
-) -> StagedMoments:
-    """Return `convergence` as a staged analysis, its arguments checked.
+    workers: int | None = None,
+) -> xr.Dataset:
+    """Go on until the relative standard error of the variance is reached.
 
-    A run is a count of one sampler, or with `relative_error` the next realisations of one.
-    """
-    several, given = isinstance(estimator, list | tuple), isinstance(sampler, list | tuple)
-    if (several and not estimator) or (given and not sampler):
-        raise ParameterError("convergence needs at least one estimator and one sampler.")
-    estimators = [as_estimator(e) for e in (estimator if several else [estimator])]
-    samplers = [as_sampler(s, estimators[0].dims) for s in (sampler if given else [sampler])]
-    _check_comparable(estimators, samplers)
-    job = _Job(
-        tuple(estimators),
-        tuple(samplers),
-        tuple(_check_counts(counts, estimators, samplers)),
-        as_integer("realizations", realizations, least=2, most=MAX_REALIZATIONS),
-        Stream.from_rng(rng),
-        rng if isinstance(rng, int) else None,
-        None if relative_error is None else check_relative_error(relative_error),
-        check_window(fit_last, len(counts)),
-        several,
-        given,
-    )
-    return StagedMoments(job.cells, job.search, job.result)
-
-
-@dataclass(frozen=True)
-class _Job:
-    """What is asked for.
-
-    Attributes
+    Parameters
     ----------
-    several, given
-        Whether estimators, and samplers, are lists, which have dims of their own.
+    estimator, sampler, n
+        What is measured.
+    relative_error
+        Wanted standard error of the variance, relative to it, of every channel.
+    max_realizations
+        Stop there in any case, at least 2.
+    rng
+        Seed (SPEC 7). Realisation r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
+    workers
+        Threads; all processors by default. Results do not depend on it.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``realizations_used``, ``reached`` (1: yes, confirmed by the last stage; 0: the maximum came
+        first, or the estimates showed no spread), ``variance`` with ``variance_ci``,
+        ``variance_relative_se`` (NaN without spread), ``skewness`` and ``kurtosis`` of the
+        estimates (0 and 3 for normal ones), ``mean``, ``mean_se``; a dim channel where f has several.
+
+    Raises
+    ------
+    ParameterError, CountError
+        A value is out of range, or the sampler cannot do `n`.
+
+    Notes
+    -----
+    About (κ − 1)/relative_error² realisations, and a quarter more to confirm. What is so rare that it
+    has not come up cannot be known of: compare ``skewness`` with what the integrand lets expect.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> f = mcs.Estimator("linear", dims=1)
+    >>> found = mcs.realizations_needed(f, "jittered", 16, relative_error=0.1, rng=1)
+    >>> bool(found["reached"]), bool(found["variance_relative_se"] <= 0.1)
+    (True, True)
     """
+    analysis = RealizationsNeeded(
+        n=n, relative_error=relative_error, max_realizations=max_realizations
+    )
+    return compute(analysis, as_subject(estimator, sampler), rng, workers)
+
+
+_Found: TypeAlias = tuple[Moments, bool]  # and whether the wanted precision was reached
+
+_Search: TypeAlias = "Generator[Reduction[list[Moments]], list[Moments], list[_Found]]"
+
+
+@final
+@dataclass(frozen=True)
+class MomentsCell:
+    """Estimators that draw the same sets of n points of a sampler: moments of their estimates."""
 
     estimators: tuple[AbstractEstimator, ...]
-    samplers: tuple[Sampler, ...]
-    counts: tuple[int, ...]
-    realizations: int
+    sampler: Sampler
+    n: int
     stream: Stream
-    seed: int | None
-    goal: float | None
-    window: int | str
-    several: bool
-    given: bool
 
-    @property
-    def groups(self) -> list[tuple[AbstractEstimator, ...]]:
-        """Estimators that share points and realisations.
+    def run(self, part: int, first: int, realizations: int) -> Reduction[list[Moments]]:
+        """The moments of so many realisations from the first, of each estimator."""
+        evaluations = self.n * sum(self.estimators[0].counts)
+        numbers = evaluations * self.estimators[0].dims  # of a realisation
+        blocks = realization_blocks(realizations, _PARTS * numbers, first=first)
 
-        One technique that has no `draw` of its own gets the sampler's points: all such share them.
-        A wanted precision takes as many realisations as each estimator needs by itself.
-        """
-        draws = AbstractEstimator.draw
-        plain = all(e.counts == (1,) and type(e).draw is draws for e in self.estimators)
-        joint = plain and self.goal is None
-        return [self.estimators] if joint else [(e,) for e in self.estimators]
+        def estimates(block: Block) -> list[Array]:
+            points = self.estimators[0].draw(self.sampler, self.n, self.stream, *block)
+            return [e.estimate(points).reshape(block[1], -1) for e in self.estimators]
 
-    @property
-    def cells(self) -> tuple[MomentsCell, ...]:
-        """By group, by sampler, by count."""
-        return tuple(
-            MomentsCell(group, s, n, count_stream(self.stream, n))
-            for group in self.groups
-            for s in self.samplers
-            for n in self.counts
+        def moments(index: int) -> list[Moments]:
+            parts = zip(*map(estimates, slices(blocks[index], numbers)), strict=True)
+            return [Moments.of(np.concatenate(part)) for part in parts]
+
+        return Reduction(
+            kind=list[Moments],
+            block=moments,
+            blocks=len(blocks),
+            cost=float(realizations * evaluations * len(self.estimators)),
+            key=f"{part}-{first}-{realizations}",
         )
 
-    @property
-    def search(self) -> Callable[[MomentsCell, int], Search]:
-        """How many realisations a cell takes."""
-        if self.goal is None:
-            return all_realizations(self.realizations)
-        return until_precise(self.goal, self.realizations)
+    def all_of(self, part: int, realizations: int) -> _Search:
+        """A given number of realisations."""
+        return [(moments, True) for moments in (yield self.run(part, 0, realizations))]
 
-    def result(self, found: list[list[Found]]) -> xr.Dataset:
-        """Dataset of what was found in the cells."""
-        rest = iter(found)
-        grid = []
-        for group in self.groups:
-            rows = [list(itertools.islice(rest, len(self.counts))) for _ in self.samplers]
-            for place, estimator in enumerate(group):
-                own = ([cell[place] for cell in row] for row in rows)
-                grid.append([self._curve(estimator, cells) for cells in own])
-        return self._labelled(grid)
-
-    def _curve(self, estimator: AbstractEstimator, found: list[Found]) -> dict[str, Array]:
-        """Variables of one estimator with one sampler."""
-        moments = [m for m, _ in found]
-        integral = np.atleast_1d(estimator.integral)
-        curve = curve_from_moments(list(self.counts), moments, integral, self.window)
-        curve["bias_se"] = np.hypot(curve["mean_se"], estimator.integral_error)
-        if self.goal is not None:
-            curve["reached"] = np.array([np.int64(reached) for _, reached in found])
-        return curve
-
-    def _labelled(self, grid: list[list[dict[str, Array]]]) -> xr.Dataset:
-        """Label a grid estimator × sampler."""
-        singles = {
-            "estimator": not self.several,
-            "sampler": not self.given,
-            "channel": all(e.channels == 0 for e in self.estimators),
-        }
-        samples = self.counts[-1] * self.realizations
-        return labelled(
-            grid,
-            list(self.counts),
-            drop=[name for name, single in singles.items() if single],
-            coords={
-                "estimator": [e.spec for e in self.estimators],
-                "sampler": [s.spec for s in self.samplers],
-            },
-            realizations=self.realizations,
-            relative_error=self.goal,
-            fit_last=fitted_counts(list(self.counts), grid),
-            fit_window="auto" if self.window == "auto" else None,
-            stream_key=f"{self.stream.key:#x}",
-            seed=self.seed,
-            integral_source="; ".join(dict.fromkeys(e.integral_source for e in self.estimators)),
-            note="; ".join(_notes(self.estimators, samples)) or None,
-        )
-
-
-def _notes(estimators: Iterable[AbstractEstimator], samples: int) -> Iterator[str]:
-    """What to say of estimators whose variance no simulation of this size can measure."""
-    for estimator in estimators:
-        note = unsampled_note(estimator, samples)
-        if note:
-            yield f"{estimator.spec}: {note}"
+    def until_precise(self, part: int, relative_error: float, most: int) -> _Search:
+        """Go on until the error is reached and confirmed, for one estimator."""
+        (total,) = yield self.run(part, 0, min(_LEAST, most))
+        before = False
+        while True:
+            # Largest error among the channels that vary; NaN if none does
+            varies = total.variance > rounding_floor(total.mean)
+            error = float(total.relative_se[varies].max()) if varies.any() else math.nan
+            now, blank = error <= relative_error, math.isnan(error)
+            if (now and before) or total.count >= (min(most, _BLANK) if blank else most):
+                return [(total, now and before)]
+            before = now
+            # The next stage ends where the error should be reached, within a quarter to fourfold
+            excess = math.inf if blank else error / relative_error
+            stop = min(most, math.ceil(total.count * min(max(excess**2, _STEP), _LEAP)))
+            (more,) = yield self.run(part, total.count, stop - total.count)
+            total = total.merge(more)
 
 
 def count_stream(stream: Stream, n: int) -> Stream:
@@ -254,34 +508,23 @@ def count_stream(stream: Stream, n: int) -> Stream:
     return stream.child(n)
 
 
-def _check_comparable(estimators: list[AbstractEstimator], samplers: list[Sampler]) -> None:
-    """Raise unless all fit in one dataset: equal channels, samplers that differ."""
-    channels = sorted({e.channels for e in estimators})
-    if len(channels) > 1:
-        raise ParameterError(
-            f"The estimators have {' and '.join(map(str, channels))} channels; compare those of "
-            "equal numbers."
-        )
-    names = [s.spec for s in samplers]
-    for name in names:
-        if names.count(name) > 1:
-            raise ParameterError(f"The sampler {name} is listed twice; list each once.")
+def count_moments(
+    estimator: AbstractEstimator,
+    sampler: Sampler,
+    n: int,
+    realizations: int,
+    stream: Stream,
+    workers: int = 1,
+    first: int = 0,
+) -> Moments:
+    """Moments of the estimates of realisations first … first + realizations − 1, channels last."""
+    run = MomentsCell((estimator,), sampler, n, stream).run(0, first, realizations)
+    tree: MergeTree[list[Moments]] = MergeTree()
+    for state in map_in_order(run.block, range(run.blocks), workers):
+        tree.add(state)
+    return tree.total()[0]
 
 
-def _check_counts(
-    counts: Any, estimators: list[AbstractEstimator], samplers: list[Sampler]
-) -> list[int]:
-    if not isinstance(counts, Sequence | np.ndarray) or isinstance(counts, str):
-        raise ParameterError(f"counts is {counts!r}; give a list of ascending numbers of points.")
-    if any(np.ndim(n) > 0 for n in counts if not isinstance(n, str)):
-        raise ParameterError(
-            f"counts is {counts!r}; give one flat list of numbers, not lists in it."
-        )
-    ns = [as_integer("counts", n, least=1) for n in counts]
-    if not ns or any(b <= a for a, b in itertools.pairwise(ns)):
-        raise ParameterError(f"counts is {list(counts)}; give ascending numbers of points.")
-    for e in estimators:
-        for s in samplers:
-            for n in ns:
-                e.check_sampler(s, n)
-    return ns
+def _several(given: Any) -> list[Any]:
+    """A list of what may be one."""
+    return list(given) if isinstance(given, list | tuple) else [given]

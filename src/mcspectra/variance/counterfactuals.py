@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 from mcspectra.core.errors import CountError, McspectraError
 from mcspectra.core.streams import Stream
@@ -34,6 +34,7 @@ __all__ = [
     "KINDS",
     "Budget",
     "Counterfactual",
+    "Kind",
     "NotTried",
     "Setup",
     "affordable_count",
@@ -105,14 +106,11 @@ class Budget:
         Estimates to measure with.
     stream
         Random numbers of their own: what was chosen is measured again on others.
-    workers
-        Threads.
     """
 
     evaluations: int
     realizations: int
     stream: Stream
-    workers: int
 
 
 @dataclass(frozen=True)
@@ -139,6 +137,12 @@ class Counterfactual:
     setup: Setup
     biased: bool = False
 
+    @property
+    def key(self) -> str:
+        """The same for changes that make the same set-up."""
+        specs = f"{self.setup.estimator.spec} with {self.setup.sampler.spec}"
+        return specs if self.setup.at_count is None else f"{specs}, {self.name}"
+
 
 @dataclass(frozen=True)
 class NotTried:
@@ -151,21 +155,33 @@ class NotTried:
 
 Found = Iterator[Counterfactual | NotTried]
 
+Kind: TypeAlias = Literal[
+    "unshifted",
+    "mirrored",
+    "aligned",
+    "smoothed",
+    "warp",
+    "heuristic",
+    "techniques",
+    "channels",
+    "sampler",
+]
+"""Kinds of change, in the order in which they are tried."""
 
-def other_setups(given: Setup, kinds: tuple[str, ...], budget: Budget) -> Found:
+
+def other_setups(given: Setup, kinds: Sequence[Kind], budget: Budget) -> Found:
     """All set-ups of the kinds asked for, in the order of `kinds`, none twice."""
-    seen = {(given.estimator.spec, given.sampler.spec, given.at_count)}
+    seen = {Counterfactual("given", "given", "", given).key}
     for kind in kinds:
         for found in _of_kind(kind, given, budget):
             if isinstance(found, Counterfactual):
-                key = (found.setup.estimator.spec, found.setup.sampler.spec, found.setup.at_count)
-                if key in seen:
+                if found.key in seen:
                     continue
-                seen.add(key)
+                seen.add(found.key)
             yield found
 
 
-def _of_kind(kind: str, given: Setup, budget: Budget) -> Found:
+def _of_kind(kind: Kind, given: Setup, budget: Budget) -> Found:
     """Changes of one kind, and why there are no more where that cannot be told."""
     try:
         yield from _again_mirrored(kind, given, budget)
@@ -173,7 +189,7 @@ def _of_kind(kind: str, given: Setup, budget: Budget) -> Found:
         yield NotTried(kind, kind, str(error))
 
 
-def _again_mirrored(kind: str, given: Setup, budget: Budget) -> Found:
+def _again_mirrored(kind: Kind, given: Setup, budget: Budget) -> Found:
     """Changes of one kind; those of what is inside of a mirrored estimator are mirrored again."""
     outer = given.estimator
     if not isinstance(outer, Mirrored) or kind not in _INSIDE:
@@ -277,7 +293,7 @@ def _aligned(given: Setup, budget: Budget) -> Found:
         n,
         realizations=min(budget.realizations, _SCAN_REALIZATIONS),
         rng=budget.stream.generator(1),
-        workers=budget.workers,
+        workers=1,
     )
     offset = found["strata_offset"].sel(candidate="offset").values.tolist()
     if not any(offset):
@@ -406,7 +422,7 @@ def _smoothed(given: Setup, budget: Budget) -> Found:
         method=method,
         realizations=min(budget.realizations, _SCAN_REALIZATIONS),
         rng=budget.stream.generator(0),
-        workers=budget.workers,
+        workers=1,
     )
     width = float(scan["best_width"].values[0])
     name = f"smoothed by {width:.3g}"
@@ -456,7 +472,7 @@ def _of_each_channel(density: Density, channels: int) -> list[Density] | None:
     return [dataclasses.replace(plain, channel=c) for c in range(channels)]
 
 
-KINDS: Mapping[str, Callable[[Setup, Budget], Found]] = {
+KINDS: Mapping[Kind, Callable[[Setup, Budget], Found]] = {
     "unshifted": _unshifted,
     "mirrored": _mirrored,
     "aligned": _aligned,
@@ -467,4 +483,4 @@ KINDS: Mapping[str, Callable[[Setup, Budget], Found]] = {
     "channels": _channels,
     "sampler": _sampler,
 }
-"""Kinds of change, in the order in which they are tried."""
+"""What makes the changes of each kind."""

@@ -13,13 +13,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from mcspectra.core.errors import McspectraError
+from mcspectra.core.parallel import Block, map_in_order, realization_blocks
 from mcspectra.core.streams import Stream
-from mcspectra.estimators import AbstractEstimator, Mirrored
+from mcspectra.estimators import AbstractEstimator, Mirrored, Moments
 from mcspectra.samplers import Sampler, Shift
 from mcspectra.samplers.base import Randomized
-from mcspectra.variance.bottleneck import UNDECIDED, technique_moments, technique_rates
 from mcspectra.variance.primary import primary_picture
+from mcspectra.variance.techniques import UNDECIDED, technique_rates
 
 __all__ = ["Diagnosis", "Jumps", "diagnose", "jumps_of"]
 
@@ -55,22 +58,22 @@ class Diagnosis:
 
     Attributes
     ----------
-    estimator
-        The estimator as given.
     wraps
         Whether the sampler shifts points around the torus.
     unbounded
         Whether ∫1/p diverges.
     slow
         The technique whose rate is slower than all others'; None where none is known to be.
+    slow_name
+        Its density or integrand, where it has one.
     boundary, inside
         Jumps of g, of all techniques together; None where they were not looked for.
     """
 
-    estimator: AbstractEstimator
     wraps: bool
     unbounded: bool
     slow: int | None
+    slow_name: str
     boundary: Jumps | None
     inside: Jumps | None
 
@@ -84,9 +87,9 @@ class Diagnosis:
                 "get large weights."
             )
         if self.slow is not None:
+            name = f" ({self.slow_name})" if self.slow_name else ""
             found.append(
-                f"Technique {self.slow}{_named(self.estimator, self.slow)} has the slowest rate, "
-                "which becomes that of the sum."
+                f"Technique {self.slow}{name} has the slowest rate, which becomes that of the sum."
             )
         return " ".join(found + self._about_jumps())
 
@@ -136,11 +139,13 @@ def diagnose(
         Random numbers for that.
     """
     boundary, inside = jumps_of(estimator)
+    slow = _slowest(estimator, sampler, counts, stream)
+    parts = getattr(estimator, "densities", None) or getattr(estimator, "integrands", None)
     return Diagnosis(
-        estimator=estimator,
         wraps=_wraps(estimator, sampler),
         unbounded=estimator.infinite_weights,
-        slow=_slowest(estimator, sampler, counts, stream),
+        slow=slow,
+        slow_name="" if slow is None or parts is None else parts[slow].spec,
         boundary=boundary,
         inside=inside,
     )
@@ -185,20 +190,11 @@ def _slowest(
     if len(estimator.counts) < 2 or len(counts) < 2:
         return None
     moments = [
-        technique_moments(estimator, sampler, n, _REALIZATIONS, stream.child(n)) for n in counts
+        _technique_moments(estimator, sampler, n, _REALIZATIONS, stream.child(n)) for n in counts
     ]
     _, choice = technique_rates(list(counts), moments, len(counts))
     chosen = set(choice) - {UNDECIDED}
     return int(chosen.pop()) if len(chosen) == 1 else None
-
-
-def _named(estimator: AbstractEstimator, technique: int) -> str:
-    """The technique's density or integrand in brackets, where it has one."""
-    for attribute in ("densities", "integrands"):
-        parts = getattr(estimator, attribute, None)
-        if parts is not None:
-            return f" ({parts[technique].spec})"
-    return ""
 
 
 def _by_rate(column: Mapping[str, Any]) -> str:
@@ -240,10 +236,9 @@ def _why_smoothed(diagnosis: Diagnosis, column: Mapping[str, Any]) -> str:
 
 
 def _why_warped(diagnosis: Diagnosis, column: Mapping[str, Any]) -> str:
-    other = column["estimator"]
-    if diagnosis.unbounded and not other.infinite_weights:
+    if diagnosis.unbounded and not column["unbounded"]:
         return "Its 1/p is bounded."
-    _, inside = jumps_of(other)
+    inside: Jumps | None = column["inside"]
     if diagnosis.inside and inside is not None and inside.length < 0.9 * diagnosis.inside.length:
         if not inside:
             return "Its g does not jump inside."
@@ -260,7 +255,7 @@ def _why_combined(diagnosis: Diagnosis, column: Mapping[str, Any]) -> str:
 
 def _why_alone(diagnosis: Diagnosis, column: Mapping[str, Any]) -> str:
     slow = diagnosis.slow
-    if slow is None or column["name"].endswith(_named(diagnosis.estimator, slow)[2:-1]):
+    if slow is None or column["name"].endswith(diagnosis.slow_name):
         return ""
     return f"It leaves out technique {slow}, the slowest."
 
@@ -288,3 +283,29 @@ _REASONS = {
     "channels": _why_channels,
     "sampler": _why_sampler,
 }
+
+
+def _technique_moments(
+    estimator: AbstractEstimator,
+    sampler: Sampler,
+    n: int,
+    realizations: int,
+    stream: Stream,
+    workers: int = 1,
+) -> Moments:
+    """Moments (C, T + 1) of the parts of the estimate that techniques make, and of their sum."""
+
+    def of_block(block: Block) -> Moments:
+        points = estimator.draw(sampler, n, stream, *block)
+        parts = [
+            estimator.primary_values(t, u).mean(axis=1).reshape(block[1], -1)
+            for t, u in enumerate(points)
+        ]
+        return Moments.of(np.stack([*parts, sum(parts[1:], parts[0])], axis=2))
+
+    numbers = n * estimator.dims * sum(estimator.counts)
+    found = map_in_order(of_block, realization_blocks(realizations, numbers), workers)
+    total = next(found)
+    for moments in found:
+        total = total.merge(moments)
+    return total

@@ -9,14 +9,19 @@ is averaged over: E_δ[Var | δ] + Var_δ(E | δ). Nets have a finite sum over l
 from __future__ import annotations
 
 import functools
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, final
 
 import numpy as np
 
+from mcspectra.core.analysis import Analysis, Need, Reduction, Subject
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import NoClosedForm
-from mcspectra.estimators import AbstractEstimator, as_estimator
+from mcspectra.core.memory import memory_of
+from mcspectra.core.options import COUNTS, Counts
+from mcspectra.core.results import dataset
+from mcspectra.core.streams import Stream
+from mcspectra.estimators import AbstractEstimator, as_subject
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import (
     Halton,
@@ -31,7 +36,6 @@ from mcspectra.samplers import (
     StrataShift,
     UniformJitter,
     VanDerCorput,
-    as_sampler,
 )
 from mcspectra.variance._antithetic import antithetic_variance
 from mcspectra.variance._nets import net_variance, scrambling
@@ -39,11 +43,74 @@ from mcspectra.variance._reflections import mirrored_variance, without_mirror
 from mcspectra.variance._squares import mean_square
 from mcspectra.variance._strata import grid_mean, offset_rule, spread_within_strata
 
-__all__ = ["exact_variance"]
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Exact", "exact_variance"]
 
 _ORDERS = ((12, 20), (6, 10), (4, 6))
 _MANY = 400  # nets in 2-D have n² cells: 10² nodes in each of more are too many
 _TOLERANCE = 1e-6
+
+
+@final
+class Exact(Analysis, frozen=True, kw_only=True):
+    """Exact variances; NaN, with the reason as a note, where no closed form is known."""
+
+    verb = "exact"
+    variables = ("exact_variance",)
+
+    counts: Annotated[Counts, COUNTS]
+
+    def need(self, subject: Subject) -> Need:
+        """The sampler can do every count."""
+        estimator = subject.estimator
+        for n in self.counts:
+            estimator.check_sampler(subject.sampler, n)
+        memory = memory_of(self.counts[-1], estimator.dims, sum(estimator.counts))
+        return Need(cost=1000.0 * sum(self.counts), memory=memory)
+
+    def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Variances]:  # noqa: ARG002
+        """The variance of one count after the other; nothing is random."""
+        estimator, sampler = subject.estimator, subject.sampler
+
+        def of_count(index: int) -> _Variances:
+            try:
+                value, note = exact_variance(estimator, sampler, self.counts[index]), ""
+            except NoClosedForm as error:
+                value, note = np.full(max(1, estimator.channels), np.nan), str(error)
+            return _Variances(np.reshape(value, (1, -1)), note)
+
+        def result(found: _Variances) -> xr.Dataset:
+            return dataset(
+                {"exact_variance": (("n", "channel"), found.values)},
+                {"n": np.array(self.counts)},
+                drop=() if estimator.channels else ("channel",),
+                estimator=estimator.spec,
+                sampler=sampler.spec,
+                note=found.note or None,
+            )
+
+        return Reduction(
+            kind=_Variances,
+            block=of_count,
+            blocks=len(self.counts),
+            cost=1000.0 * sum(self.counts),
+            result=result,
+        )
+
+
+@dataclass(frozen=True)
+class _Variances:
+    """Of counts, (N, channels or 1), and why the last that is not known is not known."""
+
+    values: Array
+    note: str
+
+    def merge(self, other: _Variances) -> _Variances:
+        """Those of both."""
+        values = np.concatenate([self.values, other.values])
+        return _Variances(values, other.note or self.note)
 
 
 def exact_variance(
@@ -78,24 +145,20 @@ def exact_variance(
     >>> round(variance * 12 * 4**3, 9)
     1.0
     """
-    estimator = as_estimator(estimator, getattr(sampler, "dims", None))
-    source = as_sampler(sampler, estimator.dims)
+    subject = as_subject(estimator, sampler)
+    estimator, source = subject.estimator, subject.sampler
     n = source.check_count(n)
     estimator.check_sampler(source, n)
     estimator.check_independent()
-    source = _scrambled_after(estimator.randomized(source))
+    # What a sequence does to its own digits, as the randomisation that does the same
+    source = estimator.randomized(source)
+    if isinstance(source, Halton | VanDerCorput) and source.scramble == "owen":
+        source = replace(source, scramble="none").then(Owen())
     total: Any = 0.0
     for technique, count in enumerate(estimator.counts):
         g = estimator.primary_integrand(technique)
         total = total + _converged(source, n * count, g)
     return total if estimator.channels else float(np.squeeze(total))
-
-
-def _scrambled_after(sampler: Sampler) -> Sampler:
-    """Write what a sequence does to its own digits as the randomisation that does the same."""
-    if not isinstance(sampler, Halton | VanDerCorput) or sampler.scramble != "owen":
-        return sampler
-    return replace(sampler, scramble="none").then(Owen())
 
 
 def _converged(sampler: Sampler, n: int, g: Integrand) -> Array:

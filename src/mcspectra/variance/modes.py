@@ -10,48 +10,245 @@ a sum over realisations, and since these can be drawn again, every product is a 
 one that finds the range, one that projects on it (Rayleigh-Ritz), more for close eigenvalues. A real
 estimate makes coefficients of m and −m conjugates: all is done in the real and imaginary parts of
 those stored, times √2, which is a unitary change of coordinates.
+
+Randomised subspace iteration: the range of A Ω, Ω random, holds the leading eigenvectors but for errors
+that shrink with every further product; the eigenpairs of A projected on it (Rayleigh-Ritz) are the
+answer. The last product also gives ‖A v − λ v‖, which no eigenvalue of A is farther from λ. A itself is a
+sample: batches of realisations each give a variance along v, whose spread is the error of λ as the
+variance along v. That v was picked for a large λ it does not know: `noise_edge` is what picking makes of a
+flat spectrum.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 
 import numpy as np
+from msgspec import Meta
 
+from mcspectra.core.analysis import (
+    Analysis,
+    MergeTree,
+    Need,
+    Reduction,
+    Steps,
+    Subject,
+    compute,
+    compute_chunk,
+)
 from mcspectra.core.checks import Array, as_choice, as_integer
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.parallel import (
-    MAX_REALIZATIONS,
-    Block,
-    available_workers,
-    map_in_order,
-    realization_blocks,
+from mcspectra.core.memory import memory_of
+from mcspectra.core.options import (
+    BANDS,
+    BASIS,
+    COUNT,
+    ENGINE,
+    EPS,
+    HALF_WIDTH,
+    REALIZATIONS,
+    SPACE,
 )
+from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, as_estimator
-from mcspectra.samplers import as_sampler
-from mcspectra.spectra.bases import Basis, make_basis
-from mcspectra.variance._coordinates import Coordinates
-from mcspectra.variance.bands import make_bands
-from mcspectra.variance.subspace import (
-    BATCHES,
-    CovarianceProduct,
-    Eigenpairs,
-    flat_edge,
-    leading_eigenpairs,
-)
-from mcspectra.variance.views import SPACES, View, check_terms, chosen_basis, view_dims
+from mcspectra.estimators import as_subject
+from mcspectra.spectra.bases import Basis
+from mcspectra.variance.bands import check_bands, make_bands
+from mcspectra.variance.sums import BATCHES, spread
+from mcspectra.variance.views import Frequencies, View
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["covariance_modes"]
+__all__ = ["CovarianceProduct", "Modes", "covariance_modes"]
 
 _OVERSAMPLING = 8  # vectors more than modes: the error falls with their number [Halko2011]
 _MAX_NUMBERS = 2**27  # of one set of vectors: 1 GiB
 _START = 0x6D6F6465  # stream label of the first vectors
+_MANY = 10.0  # realisations per coefficient from which on sampling changes eigenvalues by < 75 %
+_ROUNDING = 1e-20  # variances beside the largest that are rounding
+
+
+@final
+class Modes(Analysis, frozen=True, kw_only=True):
+    """Leading eigenvectors of the covariance of the coefficients: what varies together."""
+
+    function = "covariance_modes"
+    verb = "modes"
+    variables = (
+        *("eigenvalue", "eigenvalue_se", "eigenvalue_residual", "eigenvalue_share"),
+        *("mode_contribution", "mode_vector", "band_trace", "noise_edge"),
+    )
+
+    n: Annotated[int, COUNT]
+    half_width: Annotated[int, HALF_WIDTH] = 32
+    modes: Annotated[int, Meta(ge=1, le=2**62, description="How many.")] = 8
+    weighted: Annotated[
+        bool, Meta(description="Of conj(f_m) S_m; else of S_m, the points' own.")
+    ] = True
+    bands: Annotated[str, BANDS] = "radial"
+    band: Annotated[
+        tuple[str, ...] | str | None,
+        Meta(description="Only these bands, by their labels.", extra={"python": True}),
+    ] = None
+    channel: Annotated[int, Meta(ge=0, le=2**31, description="Channel of the integrand.")] = 0
+    passes: Annotated[
+        int, Meta(ge=2, le=100, description="Over the realisations: more part close eigenvalues.")
+    ] = 3
+    realizations: Annotated[int, REALIZATIONS] = 1000
+    basis: Annotated[str, BASIS] = "fourier"
+    space: Annotated[Literal["domain", "primary"] | None, SPACE] = None
+    engine: Annotated[str, ENGINE] = "auto"
+    eps: Annotated[float, EPS] = 1e-9
+
+    def need(self, subject: Subject) -> Need:
+        """The vectors fit."""
+        estimator = subject.estimator
+        estimator.check_sampler(subject.sampler, self.n)
+        as_integer("channel", self.channel, least=0, most=max(0, estimator.channels - 1))
+        frequencies = Frequencies.of(subject, self.space, self.basis, self.half_width)
+        check_bands(self.bands, frequencies.basis)
+        size, evaluations = frequencies.size, sum(estimator.counts)
+        numbers = size * (self.modes + _OVERSAMPLING)
+        if numbers > _MAX_NUMBERS:
+            raise ParameterError(
+                f"{self.modes} modes of {size} coefficients take {8 * size * self.modes / 2**30:.3g} "
+                "GiB; ask for fewer, or for a smaller half_width."
+            )
+        each = evaluations * self.n + numbers
+        return Need(
+            cost=float(self.passes * self.realizations * each),
+            memory=memory_of(self.n, estimator.dims, evaluations, size) + 32 * numbers,
+        )
+
+    def reduction(self, subject: Subject, stream: Stream) -> Steps:
+        """A pass over the realisations after the other, each with vectors that the last one gave."""
+        estimator, n = subject.estimator, self.n
+        frequencies = Frequencies.of(subject, self.space, self.basis, self.half_width)
+        if frequencies.space == "domain" and estimator.infinite_weights:
+            raise ParameterError(
+                f"∫1/p diverges for {estimator.spec}: its covariances are infinite; use "
+                "space='primary'."
+            )
+        inside = self._inside(frequencies.basis)
+        view = View.of(frequencies, n, self.engine, self.eps)
+        coordinates = _Coordinates.of(view, inside, self.channel, weighted=self.weighted)
+        as_integer("modes", self.modes, least=1, most=coordinates.size)
+        numbers = max(n * estimator.dims * sum(estimator.counts), 4 * coordinates.size)
+        blocks = realization_blocks(self.realizations, numbers, multiple=2, least=BATCHES)
+        group = -(-len(blocks) // BATCHES)  # of which a batch is made
+
+        def product(number: int, vectors: Array) -> Reduction[CovarianceProduct]:
+            def batch(index: int) -> CovarianceProduct:
+                tree: MergeTree[CovarianceProduct] = MergeTree()
+                for place in range(index * group, min((index + 1) * group, len(blocks))):
+                    points = estimator.draw(subject.sampler, n, stream, *blocks[place])
+                    z = coordinates.real(view.coefficients(points))
+                    tree.add(CovarianceProduct.of(z, vectors))
+                return tree.total().as_batch(vectors)
+
+            return Reduction(
+                kind=CovarianceProduct,
+                block=batch,
+                blocks=-(-len(blocks) // group),
+                cost=self.need(subject).cost / self.passes,
+                key=str(number),
+            )
+
+        # The range of A Ω, then the eigenpairs of A projected on it
+        width = min(coordinates.size, self.modes + _OVERSAMPLING)
+        start = np.random.default_rng([stream.key, _START])
+        vectors = start.standard_normal((coordinates.size, width))
+        for number in range(self.passes - 1):
+            (found,) = yield [product(number, vectors)]
+            vectors = np.linalg.qr(found.product)[0]
+        (found,) = yield [product(self.passes - 1, vectors)]
+        return self._labelled(found.eigenpairs(vectors), coordinates, view, subject, stream)
+
+    def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
+        """A pass, whose vectors take those before it: they are made again."""
+        steps = self.reduction(subject, stream)
+        assert not isinstance(steps, Reduction)
+        (found,) = next(steps)
+        while found.key != key:
+            (found,) = steps.send([compute_chunk(found, (0, found.blocks))])
+        return found
+
+    def _inside(self, basis: Basis) -> Array:
+        """Which stored coefficients belong to the bands of these labels: bool (H,)."""
+        partition = make_bands(self.bands, basis)
+        if self.band is None:
+            return np.ones(basis.stored, bool)
+        given: Any = [self.band] if isinstance(self.band, str) else self.band
+        listed = isinstance(given, list | tuple) and all(isinstance(b, str) for b in given)
+        if not listed or not given:
+            raise ParameterError(
+                f"band is {self.band!r}; give labels of bands as text, such as "
+                f"{partition.labels[-1]!r}, or None for all."
+            )
+        wanted = [partition.labels.index(as_choice("band", b, partition.labels)) for b in given]
+        inside = np.isin(partition.of, wanted)
+        if not inside.any():
+            raise ParameterError(f"The bands {given} hold no coefficient; give others.")
+        return inside
+
+    def _labelled(
+        self,
+        pairs: Eigenpairs,
+        coordinates: _Coordinates,
+        view: View,
+        subject: Subject,
+        stream: Stream,
+    ) -> xr.Dataset:
+        """Make the dataset; each vector's sign is such that the mode adds to the estimate."""
+        modes, basis, techniques = self.modes, view.basis, len(view.transforms)
+        values, vectors = pairs.values[:modes], pairs.vectors[:, :modes]
+        amplitude = coordinates.direction @ vectors
+        vectors = vectors * np.where(amplitude < 0, -1.0, 1.0)
+        stored = coordinates.stored(vectors, techniques * basis.stored)
+        place, conjugate = basis.whole()
+        patterns = stored.reshape(modes, techniques, basis.stored)[..., place]
+        patterns = np.where(conjugate, patterns.conj(), patterns)
+        patterns = patterns.reshape(modes, techniques, *basis.shape)
+        trace, size = float(pairs.diagonal.sum()), coordinates.size
+        number = ("mode", np.arange(modes), {"long_name": "mode, by eigenvalue", "units": "1"})
+        note = (
+            f"{self.realizations} realisations of {size} coefficients: eigenvalues are those of the "
+            "sample, the largest too large; compare noise_edge, which a flat spectrum would reach."
+        )
+        return dataset(
+            {
+                "eigenvalue": (("mode",), values),
+                "eigenvalue_se": (("mode",), pairs.errors[:modes]),
+                "eigenvalue_residual": (("mode",), pairs.residuals[:modes]),
+                "eigenvalue_share": (("mode",), values / trace if trace else values * np.nan),
+                "mode_contribution": (("mode",), values * amplitude**2),
+                "mode_vector": (("mode", "technique", *basis.names), patterns),
+                "band_trace": ((), trace),
+                "noise_edge": ((), _flat_edge(pairs.diagonal, self.realizations)),
+            },
+            {"mode": number, **basis.coords},
+            drop=("technique",) if techniques == 1 else (),
+            estimator=subject.estimator.spec,
+            sampler=subject.sampler.spec,
+            n=self.n,
+            realizations=self.realizations,
+            basis=basis.name,
+            space=view.space,
+            weighted=int(self.weighted),
+            channel=self.channel if subject.estimator.channels else None,
+            band=self.band if self.band is None or isinstance(self.band, str) else list(self.band),
+            passes=self.passes,
+            real_coefficients=size,
+            note=None if self.realizations >= _MANY * size else note,
+            stream_key=f"{stream.key:#x}",
+            engine=view.engine,
+            eps=self.eps,
+        )
 
 
 def covariance_modes(
@@ -69,7 +266,7 @@ def covariance_modes(
     realizations: int = 1000,
     rng: RngLike = 0,
     basis: str = "fourier",
-    space: str = "domain",
+    space: str | None = None,
     engine: str = "auto",
     eps: float = 1e-9,
     workers: int | None = None,
@@ -124,143 +321,180 @@ def covariance_modes(
     >>> bool(found["eigenvalue"][0] > found["eigenvalue"][1] > 0)
     True
     """
-    as_choice("space", space, SPACES)
-    estimator = as_estimator(estimator, getattr(sampler, "dims", None))
-    source = as_sampler(sampler, estimator.dims)
-    n = source.check_count(n)
-    estimator.check_sampler(source, n)
-    basis = chosen_basis(basis, estimator, source, space, half_width)
-    realizations = as_integer("realizations", realizations, least=2, most=MAX_REALIZATIONS)
-    passes = as_integer("passes", passes, least=2, most=100)
-    _check_modes(estimator, half_width, space, basis, modes)
-    channel = as_integer("channel", channel, least=0, most=max(0, estimator.channels - 1))
-    functions = make_basis(basis, view_dims(estimator, space), half_width)
-    inside = _inside(bands, band, functions)
-    view = View.of(estimator, n, space, functions, engine, eps)
-    coordinates = Coordinates.of(view, inside, channel, weighted=weighted)
-    modes = as_integer("modes", modes, least=1, most=coordinates.size)
-    stream = Stream.from_rng(rng)
-    width = min(coordinates.size, modes + _OVERSAMPLING)
-    start = np.random.default_rng([stream.key, _START]).standard_normal((coordinates.size, width))
-
-    def product(vectors: Array) -> CovarianceProduct:
-        def block(own: Block) -> CovarianceProduct:
-            s = view.coefficients(estimator.draw(source, n, stream, *own))
-            return CovarianceProduct.of(coordinates.real(s), vectors)
-
-        numbers = max(n * estimator.dims * sum(estimator.counts), 4 * coordinates.size)
-        blocks = list(realization_blocks(realizations, numbers, multiple=2, least=BATCHES))
-        parts = map_in_order(block, blocks, available_workers(workers))
-        return CovarianceProduct.merged(iter(parts), vectors, -(-len(blocks) // BATCHES))
-
-    pairs = leading_eigenpairs(product, start, passes)
-    return _labelled(
-        pairs,
-        coordinates,
-        view,
-        modes,
-        flat_edge(pairs.diagonal, realizations),
-        estimator=estimator.spec,
-        sampler=source.spec,
+    analysis = Modes(
         n=n,
+        half_width=half_width,
+        modes=modes,
+        weighted=weighted,
+        bands=bands,  # type: ignore[arg-type]
+        band=band,  # type: ignore[arg-type]
+        channel=channel,
+        passes=passes,
         realizations=realizations,
         basis=basis,
-        space=space,
-        weighted=int(weighted),
-        channel=channel if estimator.channels else None,
-        band=band if band is None or isinstance(band, str) else list(band),
-        passes=passes,
-        real_coefficients=coordinates.size,
-        note=_note(coordinates.size, realizations),
-        stream_key=f"{stream.key:#x}",
-        seed=rng if isinstance(rng, int) else None,
-        engine=view.engine,
+        space=space,  # type: ignore[arg-type]
+        engine=engine,
         eps=eps,
     )
+    return compute(analysis, as_subject(estimator, sampler), rng, workers)
 
 
-def _check_modes(
-    estimator: AbstractEstimator, half_width: int, space: str, basis: str, modes: int
-) -> None:
-    """Refuse what memory or mathematics does not allow, before any work."""
-    size = check_terms(estimator, half_width, space, cross_matrix=False, basis=basis)
-    modes = as_integer("modes", modes, least=1)
-    if size * (modes + _OVERSAMPLING) > _MAX_NUMBERS:
-        raise ParameterError(
-            f"{modes} modes of {size} coefficients take {8 * size * modes / 2**30:.3g} GiB; ask for "
-            "fewer, or for a smaller half_width."
+@dataclass(frozen=True)
+class _Coordinates:
+    """Real orthonormal coordinates z of the coefficients y_m of a band.
+
+    Attributes
+    ----------
+    place
+        Where the band's coefficients are among all stored, those of all techniques: int64 (P,).
+    factor
+        What makes y of S: conj(f_m) or 1, times `scale`: (P,).
+    scale
+        √2 for a coefficient that stands for −m too, else 1: (P,).
+    complex
+        Which of these have an imaginary part: all but the constants, in a complex basis; (Q,).
+    direction
+        The band's part of the estimate is its scalar product with z: (D,).
+    """
+
+    place: Array
+    factor: Array
+    scale: Array
+    complex: Array
+    direction: Array
+
+    @staticmethod
+    def of(view: View, inside: Array, channel: int, *, weighted: bool) -> _Coordinates:
+        techniques = len(view.transforms)
+        place = np.flatnonzero(np.tile(inside, techniques))
+        f = view.integrand_coefficients[channel].reshape(-1)[place]
+        scale = np.sqrt(np.tile(view.basis.double, techniques)[place])
+        towards = scale if weighted else scale * f
+        double = np.iscomplexobj(f) & (place % view.basis.stored != view.basis.dc)
+        both = np.flatnonzero(double)
+        factor = scale * f.conj() if weighted else scale
+        direction = np.concatenate([towards.real, towards.imag[both]])
+        return _Coordinates(place, factor, scale, both, direction)
+
+    @property
+    def size(self) -> int:
+        """D."""
+        return len(self.direction)
+
+    def real(self, s: Array) -> Array:
+        """z of spectra (R, T·H): float64 (R, D)."""
+        y = s[:, self.place] * self.factor
+        return np.concatenate([y.real, y.imag[:, self.complex]], axis=1)
+
+    def stored(self, vectors: Array, size: int) -> Array:
+        """Patterns over all `size` stored coefficients, (k, size), of vectors (D, k)."""
+        half = len(self.place)
+        y: Array = vectors[:half].T
+        if self.size > half:
+            y = y.astype(np.complex128)
+            y[:, self.complex] += 1j * vectors[half:].T
+        out = np.zeros((vectors.shape[1], size), y.dtype)
+        out[:, self.place] = y / self.scale
+        return out
+
+
+@dataclass(frozen=True)
+class CovarianceProduct:
+    """Σ (z − z̄)(z − z̄)ᵀ V over `count` realisations; `merge` adds those of others.
+
+    Attributes
+    ----------
+    count, mean, along
+        Number of realisations, z̄, (D,), and Vᵀ z̄, (k,).
+    product
+        The sum, (D, k).
+    squares
+        Σ (z − z̄)², (D,): the diagonal.
+    degrees, projected
+        Of batches: degrees of freedom, (B,), and Vᵀ A_b V, (B, k, k).
+    """
+
+    count: int
+    mean: Array
+    along: Array
+    product: Array
+    squares: Array
+    degrees: Array
+    projected: Array
+
+    @staticmethod
+    def of(z: Array, vectors: Array) -> CovarianceProduct:
+        """Sums of realisations z, (R, D); of no batch yet."""
+        mean, width = z.mean(axis=0), vectors.shape[1]
+        deviation = z - mean
+        product = deviation.T @ (deviation @ vectors)
+        squares = (deviation**2).sum(axis=0)
+        none = np.zeros(0), np.zeros((0, width, width))
+        return CovarianceProduct(len(z), mean, mean @ vectors, product, squares, *none)
+
+    def as_batch(self, vectors: Array) -> CovarianceProduct:
+        """The same as one batch; a single realisation has no covariance and says nothing."""
+        some = slice(0, int(self.count > 1))
+        degrees = np.array([self.count - 1.0])[some]
+        projected = (vectors.T @ self.product / max(self.count - 1, 1))[None][some]
+        return replace(self, degrees=degrees, projected=projected)
+
+    def merge(self, other: CovarianceProduct) -> CovarianceProduct:
+        """Sums over the realisations of both, about their common mean."""
+        count = self.count + other.count
+        delta, along = other.mean - self.mean, other.along - self.along
+        factor, part = self.count * other.count / count, other.count / count
+        return CovarianceProduct(
+            count,
+            self.mean + delta * part,
+            self.along + along * part,
+            self.product + other.product + factor * np.outer(delta, along),
+            self.squares + other.squares + factor * delta**2,
+            np.concatenate([self.degrees, other.degrees]),
+            np.concatenate([self.projected, other.projected]),
         )
-    if space == "domain" and estimator.infinite_weights:
-        raise ParameterError(
-            f"∫1/p diverges for {estimator.spec}: its covariances are infinite; use space='primary'."
+
+    def eigenpairs(self, vectors: Array) -> Eigenpairs:
+        """Eigenpairs of the unbiased covariance A in the range of orthonormal vectors (D, k)."""
+        image = self.product / (self.count - 1)
+        projected = vectors.T @ image
+        values, rotation = np.linalg.eigh(0.5 * (projected + projected.T))
+        values, rotation = values[::-1], rotation[:, ::-1]
+        found = vectors @ rotation
+        # Standard errors of the variances along the eigenvectors, by batch means
+        errors = np.full(len(values), np.nan)
+        if len(self.degrees):
+            along = np.einsum("ik,bij,jk->bk", rotation, self.projected, rotation)
+            share = self.degrees / self.degrees.sum()
+            errors = spread(along - share @ along, share)
+        return Eigenpairs(
+            np.maximum(values, 0.0),
+            found,
+            np.linalg.norm(image @ rotation - found * values, axis=0),
+            errors,
+            self.squares / (self.count - 1),
         )
 
 
-_MANY = 10.0  # realisations per coefficient from which on sampling changes eigenvalues by < 75 %
+@dataclass(frozen=True)
+class Eigenpairs:
+    """Eigenvalues, descending; eigenvectors, (D, k); ‖A v − λ v‖; standard errors; the diagonal of A."""
+
+    values: Array
+    vectors: Array
+    residuals: Array
+    errors: Array
+    diagonal: Array
 
 
-def _note(size: int, realizations: int) -> str | None:
-    """Caution where sampling noise shapes the spectrum of eigenvalues."""
-    if realizations >= _MANY * size:
-        return None
-    return (
-        f"{realizations} realisations of {size} coefficients: eigenvalues are those of the sample, "
-        "the largest too large; compare noise_edge, which a flat spectrum would reach."
-    )
+def _flat_edge(diagonal: Array, realizations: int) -> float:
+    """Largest sample eigenvalue of a flat spectrum of the same trace, by Marchenko and Pastur.
 
-
-def _inside(bands: str | Array, band: str | Sequence[str] | None, basis: Basis) -> Array:
-    """Which stored coefficients belong to the bands of these labels: bool (H,)."""
-    partition = make_bands(bands, basis)
-    if band is None:
-        return np.ones(basis.stored, bool)
-    given = [band] if isinstance(band, str) else band
-    if (
-        not isinstance(given, list | tuple)
-        or not all(isinstance(b, str) for b in given)
-        or not given
-    ):
-        raise ParameterError(
-            f"band is {band!r}; give labels of bands as text, such as {partition.labels[-1]!r}, or None "
-            "for all."
-        )
-    wanted = [partition.labels.index(as_choice("band", b, partition.labels)) for b in given]
-    inside = np.isin(partition.of, wanted)
-    if not inside.any():
-        raise ParameterError(f"The bands {given} hold no coefficient; give others.")
-    return inside
-
-
-def _labelled(
-    pairs: Eigenpairs,
-    coordinates: Coordinates,
-    view: View,
-    modes: int,
-    edge: float,
-    **provenance: Any,
-) -> xr.Dataset:
-    """Make the dataset; each vector's sign is such that the mode adds to the estimate."""
-    values, vectors = pairs.values[:modes], pairs.vectors[:, :modes]
-    amplitude = coordinates.direction @ vectors
-    vectors = vectors * np.where(amplitude < 0, -1.0, 1.0)
-    techniques, basis = len(view.transforms), view.basis
-    stored = coordinates.stored(vectors, techniques * basis.stored)
-    place, conjugate = basis.whole()
-    patterns = stored.reshape(modes, techniques, basis.stored)[..., place]
-    patterns = np.where(conjugate, patterns.conj(), patterns)
-    patterns = patterns.reshape(modes, techniques, *basis.shape)
-    maps: tuple[str, ...] = ("mode", "technique", *basis.names)
-    if techniques == 1:
-        patterns, maps = patterns[:, 0], ("mode", *basis.names)
-    variables: dict[str, tuple[tuple[str, ...], Any]] = {
-        "eigenvalue": (("mode",), values),
-        "eigenvalue_se": (("mode",), pairs.errors[:modes]),
-        "eigenvalue_residual": (("mode",), pairs.residuals[:modes]),
-        "eigenvalue_share": (("mode",), values / pairs.trace if pairs.trace else values * np.nan),
-        "mode_contribution": (("mode",), values * amplitude**2),
-        "mode_vector": (maps, patterns),
-        "band_trace": ((), pairs.trace),
-        "noise_edge": ((), edge),
-    }
-    number = ("mode", np.arange(modes), {"long_name": "mode, by eigenvalue", "units": "1"})
-    return dataset(variables, {"mode": number, **basis.coords}, **provenance)
+    With D coordinates that vary and R − 1 degrees of freedom, λ (1 + √(D/(R − 1)))² in the limit of many
+    of both [Marchenko1967]_, where the eigenvalues of the covariance itself are all λ.
+    """
+    varying = int(np.count_nonzero(diagonal > _ROUNDING * diagonal.max(initial=0.0)))
+    if not varying:
+        return 0.0
+    level = float(diagonal.sum()) / varying
+    return level * (1.0 + math.sqrt(varying / (realizations - 1))) ** 2

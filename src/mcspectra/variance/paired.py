@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.parallel import Block, map_in_order, realization_blocks
+from mcspectra.core.parallel import Block, realization_blocks
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator
 from mcspectra.estimators.moments import rounding_floor
@@ -194,7 +194,6 @@ def estimates_of(
     n: int,
     realizations: int,
     stream: Stream,
-    workers: int = 1,
 ) -> Array:
     """Estimates of realisations 0 … realizations − 1, (R, channels or 1)."""
 
@@ -202,9 +201,7 @@ def estimates_of(
         return estimator.estimate(estimator.draw(sampler, n, stream, *part)).reshape(part[1], -1)
 
     numbers = n * estimator.dims * sum(estimator.counts)
-    return np.concatenate(
-        list(map_in_order(block, realization_blocks(realizations, numbers), workers))
-    )
+    return np.concatenate([block(part) for part in realization_blocks(realizations, numbers)])
 
 
 def simultaneous_z(comparisons: int, confidence: float = 0.95) -> float:

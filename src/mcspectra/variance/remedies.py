@@ -10,48 +10,162 @@ set-up that is given out.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated, Any, final
 
 import numpy as np
+from msgspec import Meta
 
-from mcspectra.core.checks import Array, as_choice, as_integer
+from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
+from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import McspectraError, ParameterError
-from mcspectra.core.parallel import available_workers
-from mcspectra.core.progress import report
+from mcspectra.core.memory import memory_of
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, as_estimator
+from mcspectra.estimators import as_subject
 from mcspectra.estimators.moments import variance_interval
-from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.samplers import Sampler
 from mcspectra.variance.counterfactuals import (
     KINDS,
     Budget,
     Counterfactual,
+    Kind,
     NotTried,
     Setup,
     affordable_count,
     other_setups,
 )
-from mcspectra.variance.diagnosis import diagnose
+from mcspectra.variance.diagnosis import Diagnosis, Jumps, diagnose, jumps_of
 from mcspectra.variance.fit import RateFit
 from mcspectra.variance.paired import Comparison, Errors, compare, estimates_of, simultaneous_z
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["remedies"]
+__all__ = ["Remedies", "remedies"]
 
 _STEPS = 5  # budgets B/256, B/64, B/16, B/4, B
 _RATIO = 4
 _SEARCH = _STEPS  # stream label of searches; those below are of the steps
-_MOST_REALIZATIONS = 100_000
-_MOST_BUDGET = 2**24
-GIVEN = "as given"
+_TRIES = 3  # changes of a kind, about
 _EXACT, _BY_QUADRATURE = 1e-9, 1e-3  # how well integrals are known, relative to them
 _SIGMAS = 4.0  # or so many of the errors that they say of themselves
 _NO_RATE = RateFit(math.nan, (math.nan, math.nan), math.nan, math.nan)
+
+_DIMS: dict[str, tuple[str, ...]] = {
+    "error": ("remedy",),
+    "error_ci": ("remedy", "bound"),
+    "error_ratio": ("remedy",),
+    "error_ratio_ci": ("remedy", "bound"),
+    "rate": ("remedy",),
+    "rate_ci": ("remedy", "bound"),
+    "rate_difference": ("remedy",),
+    "rate_difference_ci": ("remedy", "bound"),
+    "cost": ("remedy", "step"),
+    "error_at_cost": ("remedy", "step"),
+}
+_TEXTS = ("kind", "change", "verdict", "rate_verdict", "reason")
+
+
+@final
+class Remedies(Analysis, frozen=True, kw_only=True):
+    """What would lower the noise at equal cost: measured, ranked, explained."""
+
+    function = "remedies"
+    verb = "remedies"
+    variables = (*_DIMS, "rank_by_rate")
+
+    budget: Annotated[
+        int, Meta(ge=1, le=2**24, description="Evaluations of the integrand an estimate.")
+    ]
+    kinds: Annotated[
+        Annotated[tuple[Kind, ...], Meta(min_length=1)] | None,
+        Meta(description="Changes to try; all by default."),
+    ] = None
+    realizations: Annotated[
+        int, Meta(ge=100, le=100_000, description="Of each change at each of five budgets.")
+    ] = 1000
+
+    def need(self, subject: Subject) -> Need:
+        """The budget is enough for two counts of the set-up as given."""
+        given = Setup(subject.estimator, subject.sampler)
+        as_integer("budget", self.budget, least=_RATIO * given.cost)
+        if len(_affordable(given, self.budget)) < 2:
+            raise ParameterError(
+                f"{given.sampler.spec} has no two counts within {self.budget} evaluations for "
+                f"{given.estimator.spec}, which a rate takes; give a larger budget, or a sampler of "
+                "more counts."
+            )
+        tries = 1 + _TRIES * len(self._kinds)
+        return Need(
+            cost=float(self.budget * self.realizations * tries) * _RATIO / (_RATIO - 1),
+            memory=memory_of(self.budget, subject.estimator.dims) + 16 * tries * self.realizations,
+        )
+
+    def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Trials]:
+        """The set-up as given, then the changes of a kind after the other."""
+        given = Setup(subject.estimator, subject.sampler)
+        measure = _Measure(self.budget, self.realizations, stream, given)
+        search = Budget(self.budget, self.realizations, stream.child(_SEARCH))
+
+        def trials(index: int) -> _Trials:
+            if index == 0:
+                return measure.as_given()
+            kind = self._kinds[index - 1]
+            return measure.others(other_setups(given, (kind,), search))
+
+        return Reduction(
+            kind=_Trials,
+            block=trials,
+            blocks=1 + len(self._kinds),
+            cost=self.need(subject).cost,
+            result=lambda found: self._ranked(found, subject, stream),
+        )
+
+    @property
+    def _kinds(self) -> tuple[Kind, ...]:
+        return tuple(dict.fromkeys(self.kinds or tuple(KINDS)))
+
+    def _ranked(self, found: _Trials, subject: Subject, stream: Stream) -> xr.Dataset:
+        """The dataset of all set-ups, in the order of their errors at the budget."""
+        start, diagnosis = found.tried[0], found.diagnosis
+        assert diagnosis is not None
+        # What two kinds make alike was tried twice and counts once
+        tried = list({trial.setup: trial for trial in reversed(found.tried)}.values())[::-1]
+        z = simultaneous_z(2 * (len(tried) - 1))  # of the errors and of the rates
+        ordered = sorted(tried, key=lambda t: np.nan_to_num(t.errors.at(self.budget)[0], nan=np.inf))
+        columns = [
+            _columns(t, compare(t.errors, start.errors, self.budget), self.budget, z)
+            for t in ordered
+        ]
+        for column in columns:
+            column["reason"] = diagnosis.reason(column)
+        reasons = [f"{n.name}: {n.reason}" for n in found.not_tried]
+        by_rate = np.argsort(np.argsort([np.nan_to_num(c["rate"], nan=np.inf) for c in columns]))
+        return dataset(
+            {
+                **{n: (dims, np.array([c[n] for c in columns])) for n, dims in _DIMS.items()},
+                "rank_by_rate": (("remedy",), by_rate + 1),
+            },
+            {
+                "remedy": [c["name"] for c in columns],
+                **{name: ("remedy", [c[name] for c in columns]) for name in _TEXTS},
+                "bound": ["low", "high"],
+                "step": np.arange(_STEPS),
+            },
+            estimator=subject.estimator.spec,
+            sampler=subject.sampler.spec,
+            budget=self.budget,
+            realizations=self.realizations,
+            simultaneous_z=z,
+            diagnosis=diagnosis.text,
+            recommendation=_recommendation(columns, self.budget, reasons),
+            not_tried=reasons,
+            stream_key=f"{stream.key:#x}",
+            given_error=float(start.errors.error[-1]),
+        )
 
 
 def remedies(
@@ -117,177 +231,155 @@ def remedies(
     >>> str(found["remedy"].values[0])
     'unshifted'
     """
-    e = as_estimator(estimator, getattr(sampler, "dims", None))
-    given = Setup(e, as_sampler(sampler, e.dims))
-    total = as_integer("budget", budget, least=_RATIO * given.cost, most=_MOST_BUDGET)
-    count = as_integer("realizations", realizations, least=100, most=_MOST_REALIZATIONS)
-    run = _Run(total, count, Stream.from_rng(rng), available_workers(workers))
-    tried, not_tried = _measured(given, _check_kinds(kinds), run)
-    return _ranked(given, tried, not_tried, run, seed=rng if isinstance(rng, int) else None)
+    analysis = Remedies(
+        budget=budget,
+        kinds=kinds,  # type: ignore[arg-type]
+        realizations=realizations,
+    )
+    return compute(analysis, as_subject(estimator, sampler), rng, workers)
 
 
 @dataclass(frozen=True)
-class _Run:
-    """What all set-ups share."""
+class _Trial:
+    """A set-up that was measured, and what was seen of it.
+
+    Attributes
+    ----------
+    setup
+        Texts of estimator and sampler, and the name of a change that depends on n.
+    unbounded, inside
+        Of other warps: whether ∫1/p diverges, and the jumps of g inside.
+    """
+
+    kind: str
+    name: str
+    change: str
+    setup: str
+    biased: bool
+    errors: Errors
+    unbounded: bool
+    inside: Jumps | None
+
+
+@dataclass(frozen=True)
+class _Trials:
+    """Set-ups that were measured, and why others could not; the diagnosis of that given."""
+
+    tried: list[_Trial]
+    not_tried: list[NotTried]
+    diagnosis: Diagnosis | None
+
+    def merge(self, other: _Trials) -> _Trials:
+        """Those of both, in their order."""
+        diagnosis = self.diagnosis or other.diagnosis
+        return _Trials(self.tried + other.tried, self.not_tried + other.not_tried, diagnosis)
+
+
+@dataclass(frozen=True)
+class _Measure:
+    """How set-ups are measured: at five budgets, on random numbers that all share."""
 
     budget: int
     realizations: int
     stream: Stream
-    workers: int
+    given: Setup
 
-    def errors(self, setup: Setup, integral: Any, biased: bool, tolerance: float) -> Errors | None:
+    def as_given(self) -> _Trials:
+        """The set-up as given, with its diagnosis."""
+        given = self.given
+        start = Counterfactual("given", "as given", "leave everything as it is", given)
+        trial = self._trial(start)
+        assert trial is not None  # `Remedies.need` has found two counts
+        counts = [int(cost - given.overhead) // given.cost for cost in trial.errors.cost]
+        own = self.stream.child(_SEARCH + 1)
+        return _Trials([trial], [], diagnose(given.estimator, given.sampler, counts, own))
+
+    def others(self, changes: Iterable[Counterfactual | NotTried]) -> _Trials:
+        """Changes, and why some are none."""
+        tried, not_tried = [], []
+        for change in changes:
+            if isinstance(change, NotTried):
+                not_tried.append(change)
+            elif (trial := self._trial(change)) is not None:
+                tried.append(trial)
+            else:
+                reason = _too_dear(change.setup, self.budget)
+                not_tried.append(NotTried(change.kind, change.name, reason))
+        return _Trials(tried, not_tried, None)
+
+    def _trial(self, change: Counterfactual) -> _Trial | None:
         """Errors at the counts that fit into each step's budget; None where two do not."""
+        setup = change.setup
         cost: list[int] = []
         estimates: list[Array] = []
-        for step in range(_STEPS):
-            n = affordable_count(setup, self.budget // _RATIO ** (_STEPS - 1 - step))
-            spent = n and n * setup.cost + setup.overhead
-            if not spent or (cost and spent <= cost[-1]):
-                continue
-            assert n is not None
+        for step, n in _affordable(setup, self.budget).items():
             try:
                 estimator = setup.at(n)
             except McspectraError:  # strata too few for the edges
                 continue
-            cost.append(spent)
-            estimates.append(self._estimates(estimator, setup.sampler, n, step))
+            cost.append(n * setup.cost + setup.overhead)
+            own = self.stream.child(step)
+            estimates.append(estimates_of(estimator, setup.sampler, n, self.realizations, own))
         if len(cost) < 2:
             return None
-        truth = np.atleast_1d(np.asarray(integral, np.float64))
-        return Errors.of(cost, estimates, truth, biased=biased, tolerance=tolerance)
-
-    def _estimates(
-        self, estimator: AbstractEstimator, sampler: Sampler, n: int, step: int
-    ) -> Array:
-        stream = self.stream.child(step)
-        return estimates_of(estimator, sampler, n, self.realizations, stream, self.workers)
-
-
-@dataclass(frozen=True)
-class _Tried:
-    """A set-up that was measured."""
-
-    change: Counterfactual
-    errors: Errors
-    comparison: Comparison
-
-
-def _tolerance(estimator: AbstractEstimator) -> float:
-    """How well the integral of an estimator is known, relative to it."""
-    if estimator.integral_source == "exact":
-        return _EXACT
-    size = float(np.abs(estimator.integral).max())
-    own = _SIGMAS * estimator.integral_error / size if size else 0.0
-    return max(_BY_QUADRATURE, own)
-
-
-def _measured(
-    given: Setup, kinds: tuple[str, ...], run: _Run
-) -> tuple[list[_Tried], list[NotTried]]:
-    """All set-ups that can be measured, the given one first, and why the others cannot."""
-    integral = given.estimator.integral
-    tolerance = _tolerance(given.estimator)
-    reference = run.errors(given, integral, not given.unbiased, tolerance)
-    if reference is None:
-        raise ParameterError(
-            f"{given.sampler.spec} has no two counts within {run.budget} evaluations for "
-            f"{given.estimator.spec}, which a rate takes; give a larger budget, or a sampler of "
-            "more counts."
+        integral = self.given.estimator.integral
+        biased = change.biased or not setup.unbiased
+        warp = change.kind == "warp"
+        return _Trial(
+            kind=change.kind,
+            name=change.name,
+            change=change.change,
+            setup=change.key,
+            biased=change.biased,
+            errors=Errors.of(
+                cost,
+                estimates,
+                np.atleast_1d(np.asarray(integral, np.float64)),
+                biased=biased,
+                tolerance=self._tolerance,
+            ),
+            unbounded=warp and setup.estimator.infinite_weights,
+            inside=jumps_of(setup.estimator)[1] if warp else None,
         )
-    start = Counterfactual("given", GIVEN, "leave everything as it is", given)
-    tried = [_Tried(start, reference, compare(reference, reference, run.budget))]
-    not_tried = []
-    own = Budget(run.budget, run.realizations, run.stream.child(_SEARCH), run.workers)
-    others = list(other_setups(given, kinds, own))
-    for k, other in enumerate(others):
-        report("remedies", k / len(others))
-        if isinstance(other, NotTried):
-            not_tried.append(other)
-            continue
-        biased = other.biased or not other.setup.unbiased
-        errors = run.errors(other.setup, integral, biased, tolerance)
-        if errors is None:
-            reason = _too_dear(other.setup, run.budget)
-            not_tried.append(NotTried(other.kind, other.name, reason))
-        else:
-            tried.append(_Tried(other, errors, compare(errors, reference, run.budget)))
-    report("remedies", 1.0)
-    return tried, not_tried
+
+    @cached_property
+    def _tolerance(self) -> float:
+        """How well the integral is known, relative to it."""
+        estimator = self.given.estimator
+        if estimator.integral_source == "exact":
+            return _EXACT
+        size = float(np.abs(estimator.integral).max())
+        own = _SIGMAS * estimator.integral_error / size if size else 0.0
+        return max(_BY_QUADRATURE, own)
 
 
-def _ranked(
-    given: Setup, tried: list[_Tried], not_tried: list[NotTried], run: _Run, **provenance: Any
-) -> xr.Dataset:
-    """The dataset of all set-ups, in the order of their errors at the budget."""
-    z = simultaneous_z(2 * (len(tried) - 1))  # of the errors and of the rates
-    start = tried[0]
-    ordered = sorted(tried, key=lambda t: np.nan_to_num(t.errors.at(run.budget)[0], nan=np.inf))
-    columns = [_columns(t, run.budget, z) for t in ordered]
-    counts = [int(cost - given.overhead) // given.cost for cost in start.errors.cost]
-    own = run.stream.child(_SEARCH + 1)
-    diagnosis = diagnose(given.estimator, given.sampler, counts, own)
-    for column in columns:
-        column["reason"] = diagnosis.reason(column)
-    reasons = [f"{n.name}: {n.reason}" for n in not_tried]
-    by_rate = np.argsort(np.argsort([np.nan_to_num(c["rate"], nan=np.inf) for c in columns]))
-    variables = {
-        name: (dims, np.array([c[name] for c in columns])) for name, dims in _VARIABLES.items()
-    }
-    variables["rank_by_rate"] = (("remedy",), by_rate + 1)
-    return dataset(
-        variables,
-        _coordinates(columns),
-        estimator=given.estimator.spec,
-        sampler=given.sampler.spec,
-        budget=run.budget,
-        realizations=run.realizations,
-        simultaneous_z=z,
-        diagnosis=diagnosis.text,
-        recommendation=_recommendation(columns, run.budget, reasons),
-        not_tried=reasons,
-        stream_key=f"{run.stream.key:#x}",
-        given_error=float(start.errors.error[-1]),
-        **provenance,
-    )
+def _affordable(setup: Setup, budget: int) -> dict[int, int]:
+    """The counts that fit into the budgets of the steps, each larger than the last."""
+    found: dict[int, int] = {}
+    for step in range(_STEPS):
+        n = affordable_count(setup, budget // _RATIO ** (_STEPS - 1 - step))
+        if n and n > max(found.values(), default=0):
+            found[step] = n
+    return found
 
 
-_VARIABLES: dict[str, tuple[str, ...]] = {
-    "error": ("remedy",),
-    "error_ci": ("remedy", "bound"),
-    "error_ratio": ("remedy",),
-    "error_ratio_ci": ("remedy", "bound"),
-    "rate": ("remedy",),
-    "rate_ci": ("remedy", "bound"),
-    "rate_difference": ("remedy",),
-    "rate_difference_ci": ("remedy", "bound"),
-    "cost": ("remedy", "step"),
-    "error_at_cost": ("remedy", "step"),
-}
-_TEXTS = ("kind", "change", "verdict", "rate_verdict", "reason")
-
-
-def _coordinates(columns: list[dict[str, Any]]) -> dict[str, Any]:
-    texts = {name: ("remedy", [c[name] for c in columns]) for name in _TEXTS}
-    names = {"remedy": [c["name"] for c in columns]}
-    return {**names, **texts, "bound": ["low", "high"], "step": np.arange(_STEPS)}
-
-
-def _columns(tried: _Tried, budget: int, z: float) -> dict[str, Any]:
+def _columns(tried: _Trial, found: Comparison, budget: int, z: float) -> dict[str, Any]:
     """All that is said of one set-up."""
-    errors, found = tried.errors, tried.comparison
+    errors = tried.errors
     log_error, influence = errors.at(budget)
     spread = max(math.sqrt(float(np.mean(influence**2)) / len(influence)), 1e-9)
-    fit = _NO_RATE if tried.change.biased else errors.fit()
-    is_given = tried.change.kind == "given"
+    fit = _NO_RATE if tried.biased else errors.fit()
+    is_given = tried.kind == "given"
     ratio = _interval(found.log_ratio, z * found.log_ratio_se)
-    difference = math.nan if tried.change.biased else found.rate_difference
+    difference = math.nan if tried.biased else found.rate_difference
     slope = _interval(difference, z * found.rate_difference_se)
     return {
-        "name": tried.change.name,
-        "kind": tried.change.kind,
-        "change": tried.change.change,
-        "estimator": tried.change.setup.estimator,
-        "biased": tried.change.biased,
+        "name": tried.name,
+        "kind": tried.kind,
+        "change": tried.change,
+        "unbounded": tried.unbounded,
+        "inside": tried.inside,
+        "biased": tried.biased,
         "blind": bool(errors.blind[-1]),
         "error": math.exp(log_error),
         "error_ci": variance_interval(np.asarray(math.exp(log_error)), np.asarray(spread)).tolist(),
@@ -376,11 +468,3 @@ def _later(columns: list[dict[str, Any]], best: dict[str, Any] | None) -> str:
 
 def _given(columns: list[dict[str, Any]]) -> dict[str, Any]:
     return next(c for c in columns if c["kind"] == "given")
-
-
-def _check_kinds(kinds: object) -> tuple[str, ...]:
-    if kinds is None:
-        return tuple(KINDS)
-    if isinstance(kinds, str) or not isinstance(kinds, Sequence) or not kinds:
-        raise ParameterError(f"kinds is {kinds!r}; give a list of {', '.join(KINDS)}.")
-    return tuple(dict.fromkeys(as_choice("kinds", kind, tuple(KINDS)) for kind in kinds))

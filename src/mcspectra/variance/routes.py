@@ -13,40 +13,124 @@ The three spectral routes see the frequencies within a half width only; `energy_
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Annotated, Any, final
 
 import numpy as np
+from msgspec import Meta
 
-from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.analysis import Analysis, Need, Reduction, Steps, Subject, compute
+from mcspectra.core.checks import Array
 from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.memory import memory_of
+from mcspectra.core.options import COUNT, HALF_WIDTH
 from mcspectra.core.parallel import MAX_REALIZATIONS
+from mcspectra.core.records import JOIN, merged
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Estimator, as_estimator
+from mcspectra.estimators import AbstractEstimator, Estimator, as_subject
 from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.integrands import Integrand
-from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.samplers import Sampler
 from mcspectra.spectra.bases import fitting_basis
 from mcspectra.spectra.closed_forms import closed_form_covariance, closed_form_power
 from mcspectra.spectra.transforms import FrequencyGrid
 from mcspectra.variance._squares import mean_square
 from mcspectra.variance.exact import exact_variance
 from mcspectra.variance.pair_route import variance_from_pair_correlation
-from mcspectra.variance.terms import variance_terms
+from mcspectra.variance.terms import Terms
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["ROUTES", "variance_routes"]
+__all__ = ["ROUTES", "Routes", "variance_routes"]
 
 ROUTES = ("exact", "pairs", "covariance", "homogenized", "spectral", "measured")
 """Names of the routes, in the order of the table."""
 
+_APART = ROUTES[:4]  # routes that need no realisations, or other ones than those measured
 _MOST_FREQUENCIES = 625  # of the covariance route: their pairs are summed
 _PAIRS = 2**16  # at once
+_SAMPLED = "power from realisations"
+
+
+@final
+class Routes(Analysis, frozen=True, kw_only=True):
+    """The variance by every route there is, side by side."""
+
+    function = "variance_routes"
+    variables = ("route_variance", "route_variance_ci", "energy_share")
+
+    n: Annotated[int, COUNT]
+    half_width: Annotated[int, HALF_WIDTH] = 16
+    realizations: Annotated[
+        int,
+        Meta(
+            ge=4,
+            le=MAX_REALIZATIONS,
+            description="Of the routes that sample.",
+            extra={"flag": "-m", "metavar": "R"},
+        ),
+    ] = 1000
+
+    def need(self, subject: Subject) -> Need:
+        """The frequencies fit."""
+        estimator = subject.estimator
+        estimator.check_sampler(subject.sampler, self.n)
+        size = FrequencyGrid(estimator.domain_dims, self.half_width).size
+        evaluations = sum(estimator.counts)
+        pairs = 0.1 * evaluations * self.n**2
+        return Need(
+            cost=self.realizations * (evaluations * self.n + size + pairs),
+            memory=memory_of(self.n, estimator.dims, evaluations, size),
+        )
+
+    def reduction(self, subject: Subject, stream: Stream) -> Steps:
+        """Each route that stands apart is a block; the terms are of the realisations measured."""
+        estimator, cost = subject.estimator, self.need(subject).cost
+        whole = estimator.domain_integrand is not None and not estimator.infinite_weights
+        asked = Terms(
+            n=self.n,
+            half_width=self.half_width,
+            realizations=self.realizations,
+            space="domain" if whole else "primary",
+        )
+        own = Stream.from_rng(np.random.SeedSequence([stream.key, 0]))
+        terms = asked.reduction(subject, own)
+        routes = _Routes(
+            estimator, subject.sampler, self.n, self.half_width, self.realizations, stream.key
+        )
+        apart = Reduction(
+            kind=_Rows,
+            block=lambda index: routes.row(_APART[index]),
+            blocks=len(_APART),
+            cost=max(cost - terms.cost, 1.0),
+            key="apart",
+        )
+        rows, total = yield [apart, replace(terms, key="terms")]
+        assert terms.result is not None
+        rows = routes.with_terms(rows, terms.result(total))
+        return dataset(
+            {
+                "route_variance": (("route", "channel"), rows.value),
+                "route_variance_ci": (
+                    ("route", "channel", "bound"),
+                    np.stack([rows.low, rows.high], axis=-1),
+                ),
+                "energy_share": (("route", "channel"), rows.share),
+            },
+            {
+                "route": list(ROUTES),
+                "source": ("route", [str(text) for text in rows.source]),
+                "bound": ["low", "high"],
+            },
+            drop=() if estimator.channels else ("channel",),
+            estimator=estimator.spec,
+            sampler=subject.sampler.spec,
+            n=self.n,
+            half_width=self.half_width,
+            realizations=self.realizations,
+        )
 
 
 def variance_routes(
@@ -97,55 +181,27 @@ def variance_routes(
     >>> known.values.round(6)
     array([0.024063, 0.024063, 0.024063])
     """
-    estimator = as_estimator(estimator, getattr(sampler, "dims", None))
-    source = as_sampler(sampler, estimator.dims)
-    n = source.check_count(n)
-    estimator.check_sampler(source, n)
-    realizations = as_integer("realizations", realizations, least=4, most=MAX_REALIZATIONS)
-    FrequencyGrid(estimator.domain_dims, half_width)  # refuses what is too large before any work
-    key = Stream.from_rng(rng).key
-    routes = _Routes(estimator, source, n, half_width, realizations, key, workers)
-    found = [_attempt(getattr(routes, name)) for name in ROUTES]
-    channels = ("channel",) if estimator.channels else ()
-    shape = (len(ROUTES), *([estimator.channels] if estimator.channels else []))
-    value, low, high, share = (
-        np.stack([np.broadcast_to(np.asarray(f[i], float), shape[1:]) for f in found])
-        for i in range(4)
-    )
-    return dataset(
-        {
-            "route_variance": (("route", *channels), value),
-            "route_variance_ci": (("route", *channels, "bound"), np.stack([low, high], axis=-1)),
-            "energy_share": (("route", *channels), share),
-        },
-        {
-            "route": list(ROUTES),
-            "source": ("route", [f[4] for f in found]),
-            "bound": ["low", "high"],
-        },
-        estimator=estimator.spec,
-        sampler=source.spec,
-        n=n,
-        half_width=half_width,
-        realizations=realizations,
-        seed=rng if isinstance(rng, int) else None,
-    )
+    analysis = Routes(n=n, half_width=half_width, realizations=realizations)
+    return compute(analysis, as_subject(estimator, sampler), rng, workers)
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Rows of the table: variance, bounds and share of the energy, (routes, channels or 1), and texts."""
+
+    value: JOIN
+    low: JOIN
+    high: JOIN
+    share: JOIN
+    source: JOIN
 
 
 _Found = tuple[Any, Any, Any, Any, str]  # value, low, high, energy share, source
 
 
-def _attempt(route: Callable[[], _Found]) -> _Found:
-    """What a route leads to, or NaN and the reason why it leads nowhere."""
-    try:
-        return route()
-    except (NoClosedForm, ParameterError) as error:  # arguments were checked before
-        return (np.nan, np.nan, np.nan, np.nan, str(error))
-
-
 @dataclass(frozen=True)
 class _Routes:
-    """The routes of one estimator, sampler and n; each a method of the name in `ROUTES`."""
+    """The routes of one estimator, sampler and n; those apart are methods of their names."""
 
     estimator: AbstractEstimator
     sampler: Sampler
@@ -153,14 +209,49 @@ class _Routes:
     half_width: int
     realizations: int
     key: int
-    workers: int | None
+
+    def row(self, name: str) -> _Rows:
+        """What a route leads to, or NaN and the reason why it leads nowhere."""
+        try:
+            return self._row(getattr(self, name)())
+        except (NoClosedForm, ParameterError) as error:  # arguments were checked before
+            return self._row((np.nan, np.nan, np.nan, np.nan, str(error)))
+
+    def _row(self, found: _Found) -> _Rows:
+        shape = (1, max(1, self.estimator.channels))
+        *numbers, source = found
+        return _Rows(
+            *(np.broadcast_to(np.asarray(v, float), shape) for v in numbers), np.array([source])
+        )
+
+    def with_terms(self, apart: _Rows, terms: xr.Dataset) -> _Rows:
+        """The rows apart, then the spectral route and what was measured."""
+        if apart.source[-1] == _SAMPLED:
+            value, se = terms["power_term"].to_numpy(), terms["power_term_se"].to_numpy()
+            sampled = self._row(_normal(value, se, apart.share[-1:], _SAMPLED))
+            apart = merged(_Rows(*(getattr(apart, f.name)[:-1] for f in fields(apart))), sampled)
+        share: Any = np.nan
+        f = self.estimator.domain_integrand
+        if f is not None:
+            power = np.abs(f.fourier_grid(self.half_width)) ** 2
+            share = self._share(power.reshape(-1, max(1, self.estimator.channels)).sum(axis=0))
+        spectral, measured = (
+            self._row((
+                terms[name].to_numpy(),
+                *np.moveaxis(terms[f"{name}_ci"].to_numpy(), -1, 0),
+                part,
+                source,
+            ))
+            for name, part, source in (
+                ("predicted_variance", share, "{space} view, {basis}".format(**terms.attrs)),
+                ("measured_variance", 1.0, f"{self.realizations} realisations"),
+            )
+        )  # fmt: skip
+        return merged(merged(apart, spectral), measured)  # type: ignore[no-any-return]
 
     def exact(self) -> _Found:
-        return _certain(
-            exact_variance(self.estimator, self.sampler, self.n),
-            1.0,
-            "quadrature over strata or levels",
-        )
+        value = exact_variance(self.estimator, self.sampler, self.n)
+        return _certain(value, 1.0, "quadrature over strata or levels")
 
     def pairs(self) -> _Found:
         found = variance_from_pair_correlation(
@@ -169,7 +260,7 @@ class _Routes:
             self.n,
             realizations=self.realizations,
             rng=np.random.SeedSequence([self.key, 1]),
-            workers=self.workers,
+            workers=1,
         )
         value, se = found["variance"].to_numpy(), found["variance_se"].to_numpy()
         return _normal(value, se, 1.0, found.attrs["method"])
@@ -186,7 +277,7 @@ class _Routes:
             )
             total += np.einsum("mc,ml,lc->c", np.conj(f[i : i + rows]), c, f).real
         share = self._share(np.square(np.abs(f)).sum(axis=0))
-        return _certain(self._of_channels(total), share, "C_ml in closed form")
+        return _certain(total, share, "C_ml in closed form")
 
     def homogenized(self) -> _Found:
         plain = self._plain()
@@ -202,40 +293,9 @@ class _Routes:
         try:
             power = closed_form_power(self.sampler, self.n, m)
         except NoClosedForm:
-            terms = self._terms
-            value, se = terms["power_term"].to_numpy(), terms["power_term_se"].to_numpy()
-            return _normal(value, se, share, "power from realisations")
+            return np.nan, np.nan, np.nan, share, _SAMPLED
         power = np.where((m == 0).all(axis=1), 0.0, power)
-        return _certain(self._of_channels(power @ f), share, "power in closed form")
-
-    def spectral(self) -> _Found:
-        terms = self._terms
-        low, high = np.moveaxis(terms["predicted_variance_ci"].to_numpy(), -1, 0)
-        share: Any = np.nan
-        if self.estimator.domain_integrand is not None:
-            power = np.abs(self.estimator.domain_integrand.fourier_grid(self.half_width)) ** 2
-            share = self._share(power.reshape(-1, max(1, self.estimator.channels)).sum(axis=0))
-        source = f"{terms.attrs['space']} view, {terms.attrs['basis']}"
-        return terms["predicted_variance"].to_numpy(), low, high, share, source
-
-    def measured(self) -> _Found:
-        low, high = np.moveaxis(self._terms["measured_variance_ci"].to_numpy(), -1, 0)
-        source = f"{self.realizations} realisations"
-        return self._terms["measured_variance"].to_numpy(), low, high, 1.0, source
-
-    @cached_property
-    def _terms(self) -> xr.Dataset:
-        whole = self.estimator.domain_integrand is not None and not self.estimator.infinite_weights
-        return variance_terms(
-            self.estimator,
-            self.sampler,
-            self.n,
-            half_width=self.half_width,
-            realizations=self.realizations,
-            rng=np.random.SeedSequence([self.key, 0]),
-            space="domain" if whole else "primary",
-            workers=self.workers,
-        )
+        return _certain(power @ f, share, "power in closed form")
 
     def _plain(self) -> Estimator:
         if not isinstance(self.estimator, Estimator):
@@ -259,10 +319,7 @@ class _Routes:
             whole = mean_square(self.estimator.domain_integrand)
         except ParameterError:  # too many dims for a quadrature
             return np.nan
-        return self._of_channels(np.divide(within, whole, out=np.ones(len(whole)), where=whole > 0))
-
-    def _of_channels(self, values: Array) -> Any:
-        return values if self.estimator.channels else float(values[0])
+        return np.divide(within, whole, out=np.ones(len(whole)), where=whole > 0)
 
 
 def _frequencies(dims: int, half_width: int) -> Array:

@@ -2,48 +2,201 @@
 
 An estimate with several techniques is a sum of parts E_t, one a technique, and its variance is
 the sum over all pairs of Cov(E_t, E_s): off the diagonal 0 for independent sets, but not for those
-that share points (`mcspectra.estimators.sets`). Each covariance has a dc, a power and a cross term
-(`mcspectra.variance.technique_sums`). Along n every technique has a rate of its own, and the slowest one
-becomes the rate of the sum: the *bottleneck*.
+that share points (`mcspectra.estimators.sets`). With S^t_m the spectrum of technique t's points and f^t its
+integrand, E_t = Σ_m conj(f^t_m) S^t_m truncated, and
+
+    Cov(E_t, E_s) = Re [conj(f^t_0) f^s_0 C^ts_00 + Σ_{m≠0} conj(f^t_m) f^s_m C^ts_mm + Σ_{m≠l} …]
+
+with C^ts_ml = ⟨S^t_m conj(S^s_l)⟩ − ⟨S^t_m⟩ conj(⟨S^s_l⟩): a dc, a power and a cross term. In the domain
+view all f^t are f and the points carry the weights w_t/(p_t n_t); in primary space they carry 1/n_t and
+f^t is g_t.
+
+Along n every technique has a rate of its own, and the slowest one becomes the rate of the sum: the
+*bottleneck*. Which one that is can be said if the 95 % interval of its rate lies above those of all
+others; where intervals overlap, the measurement leaves it undecided.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice, as_integer
+from mcspectra.core.analysis import Analysis, Need, Reduction, Steps, Subject, compute
+from mcspectra.core.checks import Array
 from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError, warn
-from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
+from mcspectra.core.memory import memory_of
+from mcspectra.core.options import (
+    BASIS,
+    COUNTS,
+    ENGINE,
+    EPS,
+    FIT_LAST,
+    HALF_WIDTH,
+    REALIZATIONS,
+    SPACE,
+    Counts,
+    Positive,
+    Window,
+)
+from mcspectra.core.parallel import realization_blocks
+from mcspectra.core.records import JOIN
 from mcspectra.core.results import dataset
-from mcspectra.core.staged import compute
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, as_estimator
+from mcspectra.estimators import AbstractEstimator, Moments, as_subject
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.integrands import Integrand
-from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.spectra.bases import make_basis
-from mcspectra.variance.batches import Variables
-from mcspectra.variance.bottleneck import in_words, technique_rates
+from mcspectra.samplers import Sampler
+from mcspectra.spectra.bases import Basis, Coefficients
 from mcspectra.variance.convergence import count_stream
-from mcspectra.variance.fit import check_window
-from mcspectra.variance.staged_techniques import (
-    StagedTechniques,
-    TechniqueCell,
-    TechniqueTotal,
-)
-from mcspectra.variance.technique_sums import TechniqueSums, TechniqueView
-from mcspectra.variance.views import SPACES, check_terms, chosen_basis, view_dims
+from mcspectra.variance.fit import check_window, fit_rate
+from mcspectra.variance.sums import BATCHES, Variables, spread
+from mcspectra.variance.views import Frequencies
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["staged_techniques", "technique_terms"]
+__all__ = ["UNDECIDED", "Techniques", "technique_rates", "technique_terms"]
+
+UNDECIDED = -1
+"""What ``bottleneck`` says where the intervals of the slowest rates overlap."""
+
+_PARTS = ("technique_dc_term", "technique_power_term", "technique_cross_term", "technique_covariance")
+_FINITE = ("technique_covariance", "technique_variance", "measured_variance", "mean")
+_MOST = 2**25  # complex numbers of Σ_r S^t conj(S^s): 512 MiB
+
+
+@final
+class Techniques(Analysis, frozen=True, kw_only=True):
+    """What each technique of an estimator contributes, and which one decides the rate."""
+
+    function = "technique_terms"
+    variables = (
+        *_PARTS,
+        *(f"{name}_se" for name in _PARTS),
+        *("dc_term", "power_term", "cross_term", "predicted_variance", "captured", "mean"),
+        *("measured_variance", "measured_variance_ci", "technique_variance", "technique_variance_ci"),
+        *("technique_rate", "technique_rate_ci", "rate", "rate_ci", "bottleneck"),
+    )
+
+    counts: Annotated[Positive | Counts, COUNTS]
+    half_width: Annotated[int, HALF_WIDTH] = 64
+    realizations: Annotated[int, REALIZATIONS] = 1000
+    space: Annotated[Literal["domain", "primary"] | None, SPACE] = None
+    basis: Annotated[str, BASIS] = "fourier"
+    fit_last: Annotated[Window, FIT_LAST] = None
+    engine: Annotated[str, ENGINE] = "auto"
+    eps: Annotated[float, EPS] = 1e-9
+
+    def need(self, subject: Subject) -> Need:
+        """The covariances fit."""
+        estimator, counts = subject.estimator, self._counts
+        check_window(self.fit_last, len(counts))
+        for n in counts:
+            estimator.check_sampler(subject.sampler, n)
+        basis = Frequencies.of(subject, self.space, self.basis, self.half_width).basis
+        techniques, evaluations = len(estimator.counts), sum(estimator.counts)
+        if techniques**2 * basis.stored > _MOST:
+            raise ParameterError(
+                f"{techniques}² pairs of techniques at {basis.stored} frequencies are more than "
+                f"{_MOST} covariances; choose a smaller half_width."
+            )
+        squared = basis.size * techniques**2
+        return Need(
+            cost=float(self.realizations * (evaluations * sum(counts) + squared * len(counts))),
+            memory=memory_of(counts[-1], estimator.dims, evaluations, squared),
+        )
+
+    def reduction(self, subject: Subject, stream: Stream) -> Steps:
+        """The sums of all counts at once."""
+        estimator, counts = subject.estimator, self._counts
+        frequencies = Frequencies.of(subject, self.space, self.basis, self.half_width)
+        views = [_View.of(frequencies, n, self.engine, self.eps) for n in counts]
+        totals = yield [
+            self._of_count(str(part), subject, view, n, count_stream(stream, n) if self._several else stream)
+            for part, (n, view) in enumerate(zip(counts, views, strict=True))
+        ]
+
+        # Variables of all counts, along a first axis n
+        parts = [_variables(total, view) for total, view in zip(totals, views, strict=True)]
+        variables: Variables = {
+            name: (("n", *dims), np.stack([part[name][1] for part in parts]))
+            for name, (dims, _) in parts[0].items()
+        }
+        notes: dict[str, Any] = {} if self._several else {"n": counts[0]}
+        if frequencies.space == "domain" and estimator.infinite_weights:
+            notes["note"] = "spectral terms are infinite: ∫1/p diverges"
+            variables = {
+                name: (dims, v if name.startswith(_FINITE) else np.full_like(v, math.nan))
+                for name, (dims, v) in variables.items()
+            }
+            warn(
+                f"∫1/p diverges for {estimator.spec}: the spectral terms are infinite although the "
+                "estimate's variance need not be; use space='primary'.",
+                InfiniteWeightVarianceWarning,
+            )
+        scalar = estimator.channels == 0
+        if self._several:
+            window = check_window(self.fit_last, len(counts))
+            moments = [total.sums.moments for total in totals]
+            rates, choice = technique_rates(counts, moments, window)
+            variables |= rates
+            words = ["undecided" if t == UNDECIDED else f"technique {t}" for t in choice]
+            notes["bottleneck"] = words[0] if scalar else "; ".join(words)
+        numbers = np.arange(len(estimator.counts))
+        n = ("n", list(counts), {"long_name": "number of points", "units": "1"})
+        return dataset(
+            variables,
+            {
+                "technique": numbers,
+                "technique_other": numbers,
+                "bound": ["low", "high"],
+                **({"n": n} if self._several else {}),
+            },
+            drop=[*(["channel"] if scalar else []), *([] if self._several else ["n"])],
+            estimator=estimator.spec,
+            sampler=subject.sampler.spec,
+            realizations=self.realizations,
+            half_width=self.half_width,
+            basis=frequencies.basis.name,
+            space=frequencies.space,
+            coefficients=views[0].source,
+            stream_key=f"{stream.key:#x}",
+            engine=views[0].engine,
+            eps=self.eps,
+            **notes,
+        )
+
+    @property
+    def _several(self) -> bool:
+        return isinstance(self.counts, tuple)
+
+    @property
+    def _counts(self) -> tuple[int, ...]:
+        return self.counts if isinstance(self.counts, tuple) else (self.counts,)
+
+    def _of_count(
+        self, key: str, subject: Subject, view: _View, n: int, stream: Stream
+    ) -> Reduction[_Total]:
+        """Sums of one count; a block is a batch too."""
+        estimator, techniques = subject.estimator, len(subject.estimator.counts)
+        evaluations = n * sum(estimator.counts)
+        # Coordinates of a realisation or, where they are more, the numbers of its spectra
+        numbers = max(evaluations * estimator.dims, 4 * techniques * view.basis.stored)
+        blocks = realization_blocks(self.realizations, numbers, multiple=2, least=BATCHES)
+
+        def block(index: int) -> _Total:
+            sums = TechniqueSums.of(view, estimator.draw(subject.sampler, n, stream, *blocks[index]))
+            # A block of one realisation has no covariance and says nothing
+            some = slice(0, int(sums.count > 1))
+            values = sums.covariances(view)[None]
+            return _Total(sums, np.array([sums.count - 1.0])[some], values[some])
+
+        cost = float(self.realizations * (evaluations + techniques**2 * view.basis.size))
+        return Reduction(kind=_Total, block=block, blocks=len(blocks), cost=cost, key=key)
 
 
 def technique_terms(
@@ -120,234 +273,236 @@ def technique_terms(
     >>> d.attrs["bottleneck"]
     'technique 1'
     """
-    threads = available_workers(workers)
-    return compute(
-        staged_techniques(
-            estimator,
-            sampler,
-            n,
-            half_width=half_width,
-            realizations=realizations,
-            rng=rng,
-            basis=basis,
-            space=space,
-            fit_last=fit_last,
-            engine=engine,
-            eps=eps,
-        ),
-        threads,
-        "technique_terms",
+    analysis = Techniques(
+        counts=n,  # type: ignore[arg-type]
+        half_width=half_width,
+        realizations=realizations,
+        basis=basis,
+        space=space,  # type: ignore[arg-type]
+        fit_last=fit_last,  # type: ignore[arg-type]
+        engine=engine,
+        eps=eps,
     )
+    return compute(analysis, as_subject(estimator, sampler), rng, workers)
 
 
-def staged_techniques(
-    estimator: AbstractEstimator | Integrand | str,
-    sampler: Sampler | str,
-    n: int | Sequence[int],
-    *,
-    half_width: int = 64,
-    realizations: int = 1000,
-    rng: RngLike = 0,
-    basis: str = "fourier",
-    space: str | None = None,
-    fit_last: int | str | None = None,
-    engine: str = "auto",
-    eps: float = 1e-9,
-) -> StagedTechniques:
-    """Return `technique_terms` as a staged analysis, its arguments checked: a run is a count."""
-    job = _Job.of(estimator, sampler, half_width, realizations, rng, basis, space, engine, eps)
-    several = isinstance(n, Sequence | np.ndarray) and not isinstance(n, str)
-    ns = _check_counts(n, job) if several else [job.sampler.check_count(n)]
-    for count in ns:
-        job.estimator.check_sampler(job.sampler, count)
-    window = check_window(fit_last, len(ns))
-    streams = [count_stream(job.stream, count) if several else job.stream for count in ns]
-    cells = tuple(job.cell(count, own) for count, own in zip(ns, streams, strict=True))
+@dataclass(frozen=True)
+class _Total:
+    """Sums over realisations, and what each block says by itself, for standard errors.
 
-    def result(totals: list[TechniqueTotal]) -> xr.Dataset:
-        if job.infinite:
-            warn(
-                f"∫1/p diverges for {job.estimator.spec}: the spectral terms are infinite although the "
-                "estimate's variance need not be; use space='primary'.",
-                InfiniteWeightVarianceWarning,
-            )
-        variables = _stacked(cells, totals)
-        if job.infinite:
-            variables = _without_spectra(variables)
-        notes: dict[str, Any] = {}
-        if several:
-            rates, choice = technique_rates(ns, [t.sums.moments for t in totals], window)
-            variables |= rates
-            notes["bottleneck"] = in_words(choice, scalar=job.estimator.channels == 0)
-        return _labelled(variables, ns, job, cells[0].view, several=several, **notes)
+    Attributes
+    ----------
+    weights
+        Degrees of freedom of each block: (B,).
+    values
+        Dc, power, cross and measured: (B, 4, C, T, T).
+    """
 
-    return StagedTechniques(cells, result)
+    sums: TechniqueSums
+    weights: JOIN
+    values: JOIN
 
 
-def _stacked(cells: Sequence[TechniqueCell], totals: Sequence[TechniqueTotal]) -> Variables:
-    """Result variables of all counts, along a first axis n."""
-    parts = [
-        _variables(total.sums, cell.view, total.batches.errors)
-        for cell, total in zip(cells, totals, strict=True)
-    ]
+def _variables(total: _Total, view: _View) -> Variables:
+    """Result variables of one count, with a leading channel axis."""
+    found, moments = total.sums.covariances(view), total.sums.moments
+    share = total.weights / total.weights.sum()
+    errors = spread(total.values - np.tensordot(share, total.values, axes=1), share)
+    predicted = found[:3].sum(axis=(0, 2, 3))
+    # As `variance_terms` has it: in primary space each technique has frequencies of its own.
+    dc, power = (np.einsum("cts->c" if view.domain else "ctt->c", c) for c in found[:2])
+    measured, mean = moments.variance[:, -1], moments.mean[:, -1]
+    real = np.where(measured > rounding_floor(mean), measured, np.nan)
+    pairs, each = ("channel", "technique", "technique_other"), ("channel", "technique")
     return {
-        name: (("n", *dims), np.stack([part[name][1] for part in parts]))
-        for name, (dims, _) in parts[0].items()
+        **{name: (pairs, values) for name, values in zip(_PARTS, found, strict=True)},
+        **{f"{name}_se": (pairs, values) for name, values in zip(_PARTS, errors, strict=True)},
+        "dc_term": (("channel",), dc),
+        "power_term": (("channel",), power),
+        "cross_term": (("channel",), predicted - dc - power),
+        "predicted_variance": (("channel",), predicted),
+        "measured_variance": (("channel",), measured),
+        "measured_variance_ci": (("channel", "bound"), moments.variance_ci[:, -1]),
+        "captured": (("channel",), predicted / real),
+        "mean": (("channel",), mean),
+        "technique_variance": (each, moments.variance[:, :-1]),
+        "technique_variance_ci": ((*each, "bound"), moments.variance_ci[:, :-1]),
     }
 
 
 @dataclass(frozen=True)
-class _Job:
-    """What is the same for all counts."""
+class _View:
+    """Coefficients f^t (C, T, H) and the transforms of each technique's points."""
 
     estimator: AbstractEstimator
-    sampler: Sampler
-    half_width: int
-    realizations: int
-    stream: Stream
-    seed: int | None
-    basis: str
-    space: str
+    domain: bool
+    basis: Basis
+    transforms: tuple[Coefficients, ...]
+    coefficients: Array
     engine: str
-    eps: float
-    infinite: bool
+    source: str
 
     @staticmethod
-    def of(
-        given: AbstractEstimator | Integrand | str,
-        sampler: Sampler | str,
-        half_width: int,
-        realizations: int,
-        rng: RngLike,
-        basis: str,
-        space: str | None,
-        engine: str,
-        eps: float,
-    ) -> _Job:
-        estimator = as_estimator(given, getattr(sampler, "dims", None))
-        source = as_sampler(sampler, estimator.dims)
-        has_domain = estimator.domain_integrand is not None
-        chosen = ("domain" if has_domain else "primary") if space is None else space
-        as_choice("space", chosen, SPACES)
-        basis = chosen_basis(basis, estimator, source, chosen, half_width)
-        check_terms(estimator, half_width, chosen, cross_matrix=False, basis=basis)
-        infinite = chosen == "domain" and estimator.infinite_weights
-        return _Job(
+    def of(frequencies: Frequencies, n: int, engine: str, eps: float) -> _View:
+        """Prepare the transforms of n · counts[t] points."""
+        estimator, basis = frequencies.estimator, frequencies.basis
+        techniques = range(len(estimator.counts))
+        made = [basis.transform(n * c, engine, eps) for c in estimator.counts]
+        f = estimator.domain_integrand if frequencies.space == "domain" else None
+        integrands = [estimator.primary_integrand(t) for t in techniques] if f is None else [f]
+        found = [basis.integrand(g) for g in integrands]
+        stacked = np.stack([coefficients for coefficients, _ in found], axis=1)
+        shape = (len(stacked), len(techniques), basis.stored)
+        return _View(
             estimator,
-            source,
-            half_width,
-            as_integer("realizations", realizations, least=2, most=MAX_REALIZATIONS),
-            Stream.from_rng(rng),
-            rng if isinstance(rng, int) else None,
+            f is not None,
             basis,
-            chosen,
-            engine,
-            eps,
-            infinite,
+            tuple(transform for transform, _ in made),
+            np.broadcast_to(stacked, shape),
+            made[0][1],
+            "; ".join(dict.fromkeys(source for _, source in found)),
         )
 
-    def cell(self, n: int, stream: Stream) -> TechniqueCell:
-        """Realisations of one count."""
-        functions = make_basis(self.basis, view_dims(self.estimator, self.space), self.half_width)
-        view = TechniqueView.of(self.estimator, n, self.space, functions, self.engine, self.eps)
-        return TechniqueCell(view, self.sampler, n, stream, self.realizations)
+    def spectra(self, points: list[Array]) -> Array:
+        """Spectra of each technique of a block: (R, T, H)."""
+        if self.domain and len(points) == 1:  # its weights may depend on u, beyond x
+            return self.transforms[0](*self.estimator.weighted_points(points))[:, None]
+        parts = []
+        for technique, (u, transform) in enumerate(zip(points, self.transforms, strict=True)):
+            if self.domain:
+                x = self.estimator.warp(technique, u)
+                parts.append(transform(x, self.estimator.weight(technique, x) / u.shape[1]))
+            else:
+                parts.append(transform(u, None))
+        return np.stack(parts, axis=1)
+
+    def estimates(self, points: list[Array]) -> Array:
+        """What each technique adds to the estimate: (R, C, T)."""
+        values = [
+            self.estimator.primary_values(t, u).mean(axis=1).reshape(len(u), -1)
+            for t, u in enumerate(points)
+        ]
+        return np.stack(values, axis=2)
+
+    def truncated(self, spectra: Array) -> Array:
+        """The same from spectra (R, T, H) alone: (R, C, T)."""
+        weighted = self.coefficients.conj() * self.basis.double
+        return np.stack(
+            [(spectra[:, t] @ weighted[:, t].T).real for t in range(spectra.shape[1])], axis=2
+        )
 
 
-def _check_counts(counts: Any, job: _Job) -> list[int]:
-    ns = [job.sampler.check_count(n) for n in counts]
-    if not ns or any(b <= a for a, b in itertools.pairwise(ns)):
-        raise ParameterError(f"n is {list(counts)}; give a number or ascending numbers of points.")
-    return ns
+@dataclass(frozen=True)
+class TechniqueSums:
+    """Sums over `count` realisations about the running means; `merge` adds those of others."""
+
+    count: int
+    mean: Array  # (T, H)
+    products: Array  # (T, T, H): Σ_r (S^t − S̄^t) conj(S^s − S̄^s)
+    values_mean: Array  # (2, C, T): truncated and full estimates of the techniques
+    values_products: Array  # (2, C, T, T)
+    moments: Moments  # of the full estimates of the techniques, and of their sum: (C, T + 1)
+
+    @staticmethod
+    def of(view: _View, points: list[Array]) -> TechniqueSums:
+        """Sums of a block."""
+        s, full = view.spectra(points), view.estimates(points)
+        values = np.stack([view.truncated(s), full], axis=1)
+        mean, values_mean = s.mean(axis=0), values.mean(axis=0)
+        deviation, off = s - mean, values - values_mean
+        return TechniqueSums(
+            count=len(s),
+            mean=mean,
+            products=np.einsum("rth,rsh->tsh", deviation, deviation.conj()),
+            values_mean=values_mean,
+            values_products=np.einsum("rkct,rkcs->kcts", off, off),
+            moments=Moments.of(np.concatenate([full, full.sum(axis=2, keepdims=True)], axis=2)),
+        )
+
+    def merge(self, other: TechniqueSums) -> TechniqueSums:
+        """Sums of both sets of realisations together (Chan, Golub & LeVeque 1983)."""
+        a, b = self.count, other.count
+        factor, part = a * b / (a + b), b / (a + b)
+        delta, jump = other.mean - self.mean, other.values_mean - self.values_mean
+        return replace(
+            self,
+            count=a + b,
+            mean=self.mean + part * delta,
+            products=self.products
+            + other.products
+            + factor * np.einsum("th,sh->tsh", delta, delta.conj()),
+            values_mean=self.values_mean + part * jump,
+            values_products=self.values_products
+            + other.values_products
+            + factor * np.einsum("kct,kcs->kcts", jump, jump),
+            moments=self.moments.merge(other.moments),
+        )
+
+    def covariances(self, view: _View) -> Array:
+        """Dc, power and cross term and measured covariance of pairs: (4, C, T, T).
+
+        Unbiased: dc + power + cross is the covariance of the truncated estimates.
+        """
+        f, basis, degrees = view.coefficients, view.basis, max(self.count - 1, 1)
+        weighted = self.products * basis.double / degrees
+        at = slice(basis.dc, basis.dc + 1)
+        dc = _paired(f[..., at], weighted[..., at])
+        weighted[..., at] = 0.0
+        power = _paired(f, weighted)
+        total, measured = self.values_products / degrees
+        return np.stack([dc, power, total - dc - power, measured])
 
 
-_PAIRS = ("channel", "technique", "technique_other")
-_NAMES = ("technique_dc_term", "technique_power_term", "technique_cross_term")
+def _paired(f: Array, products: Array) -> Array:
+    """Re Σ_h conj(f^t_h) f^s_h products^ts_h: (C, T, T)."""
+    return np.stack([np.einsum("th,sh,tsh->ts", g.conj(), g, products).real for g in f])
 
 
-def _variables(sums: TechniqueSums, view: TechniqueView, errors: Array) -> Variables:
-    """Result variables of one count, with a leading channel axis."""
-    found = sums.covariances(view)
-    stacked = dict(zip((*_NAMES, "technique_covariance"), found.stacked, strict=True))
-    spreads = dict(zip((*_NAMES, "technique_covariance"), errors, strict=True))
-    moments = sums.moments
-    predicted = found.stacked[:3].sum(axis=(0, 2, 3))
-    # As `variance_terms` has it: in primary space each technique has frequencies of its own.
-    dc, power = (np.einsum("cts->c" if view.domain else "ctt->c", c) for c in found.stacked[:2])
-    measured, mean = moments.variance[:, -1], moments.mean[:, -1]
-    real = np.where(measured > rounding_floor(mean), measured, np.nan)
-    totals = {
-        "dc_term": dc,
-        "power_term": power,
-        "cross_term": predicted - dc - power,
-        "predicted_variance": predicted,
-        "measured_variance": measured,
-        "captured": predicted / real,
-        "mean": mean,
+def technique_rates(
+    ns: Sequence[int], moments: Sequence[Moments], window: int | str
+) -> tuple[Variables, list[int]]:
+    """Rates of all techniques and of the whole estimate, and the bottleneck of each channel.
+
+    Parameters
+    ----------
+    ns, moments, window
+        Counts, for each the moments (C, T + 1) of the techniques' parts and of the whole estimate, and
+        what to fit (`mcspectra.variance.fit.check_window`).
+    """
+    variance = np.stack([m.variance for m in moments])  # (N, C, T + 1)
+    relative = np.stack([m.relative_se for m in moments])
+    # What is noise is measured against the whole estimate: a part of it may be 0.
+    size = np.stack([np.abs(m.mean).max(axis=1, keepdims=True) for m in moments])
+    floor = np.broadcast_to(rounding_floor(size), variance.shape)
+    counts = np.array(ns)
+    channels, columns = variance.shape[1:]
+    fits = [
+        [
+            fit_rate(counts, variance[:, c, t], relative[:, c, t], floor[:, c, t], window)
+            for t in range(columns)
+        ]
+        for c in range(channels)
+    ]
+    rate = np.array([[fit.rate for fit in row] for row in fits])
+    interval = np.array([[fit.interval for fit in row] for row in fits])
+    still = np.asarray((variance <= floor)[:, :, :-1].all(axis=0))
+    choice = []
+    for row, own in zip(fits, still, strict=True):
+        # The technique whose interval lies above those of all others that vary
+        moving = np.flatnonzero(~own).tolist()
+        slowest = max(
+            moving, key=lambda t: np.nan_to_num(row[t].rate, nan=-math.inf), default=UNDECIDED
+        )
+        low = row[slowest].interval[0]
+        others = [row[t].interval[1] for t in moving if t != slowest]
+        # A rate that could not be fitted compares false: undecided.
+        decided = moving and math.isfinite(low) and all(high < low for high in others)
+        choice.append(slowest if decided else UNDECIDED)
+    variables: Variables = {
+        "technique_rate": (("channel", "technique"), rate[:, :-1]),
+        "technique_rate_ci": (("channel", "technique", "bound"), interval[:, :-1]),
+        "rate": (("channel",), rate[:, -1]),
+        "rate_ci": (("channel", "bound"), interval[:, -1]),
+        "bottleneck": (("channel",), np.array(choice)),
     }
-    return {
-        **{name: (_PAIRS, values) for name, values in stacked.items()},
-        **{f"{name}_se": (_PAIRS, values) for name, values in spreads.items()},
-        **{name: (("channel",), values) for name, values in totals.items()},
-        "technique_variance": (("channel", "technique"), moments.variance[:, :-1]),
-        "technique_variance_ci": (
-            ("channel", "technique", "bound"),
-            moments.variance_ci[:, :-1],
-        ),
-        "measured_variance_ci": (("channel", "bound"), moments.variance_ci[:, -1]),
-    }
-
-
-_FINITE = ("technique_covariance", "technique_variance", "measured_variance", "mean")
-
-
-def _without_spectra(variables: Variables) -> Variables:
-    """NaN for what ∫1/p makes infinite."""
-    return {
-        name: (dims, values if name.startswith(_FINITE) else np.full_like(values, math.nan))
-        for name, (dims, values) in variables.items()
-    }
-
-
-def _labelled(
-    variables: Variables,
-    ns: list[int],
-    job: _Job,
-    view: TechniqueView,
-    *,
-    several: bool,
-    **notes: Any,
-) -> xr.Dataset:
-    """Make the dataset, without the axes of one channel or one given n."""
-    scalar = job.estimator.channels == 0
-    dropped = {name for name, gone in (("channel", scalar), ("n", not several)) if gone}
-    kept: Variables = {}
-    for name, (dims, values) in variables.items():
-        index = tuple(0 if dim in dropped else slice(None) for dim in dims)
-        kept[name] = (tuple(dim for dim in dims if dim not in dropped), values[index])
-    numbers = np.arange(len(job.estimator.counts))
-    coords: dict[str, Any] = {
-        "technique": numbers,
-        "technique_other": numbers,
-        "bound": ["low", "high"],
-    }
-    if several:
-        coords["n"] = ("n", ns, {"long_name": "number of points", "units": "1"})
-    else:
-        notes["n"] = ns[0]
-    return dataset(
-        kept,
-        coords,
-        estimator=job.estimator.spec,
-        sampler=job.sampler.spec,
-        realizations=job.realizations,
-        half_width=job.half_width,
-        basis=job.basis,
-        space=job.space,
-        coefficients=view.source,
-        stream_key=f"{job.stream.key:#x}",
-        seed=job.seed,
-        engine=view.engine,
-        eps=job.eps,
-        note="spectral terms are infinite: ∫1/p diverges" if job.infinite else None,
-        **notes,
-    )
+    return variables, choice

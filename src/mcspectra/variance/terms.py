@@ -16,32 +16,155 @@ has its own integrand and points, and the sums run over (technique, m).
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 
 import numpy as np
+from msgspec import Meta
 
-from mcspectra.core.checks import Array, as_choice, as_integer
+from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
+from mcspectra.core.checks import Array
 from mcspectra.core.errors import InfiniteWeightVarianceWarning, warn
-from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
+from mcspectra.core.memory import memory_of
+from mcspectra.core.options import (
+    BANDS,
+    BASIS,
+    COUNT,
+    ENGINE,
+    EPS,
+    HALF_WIDTH,
+    REALIZATIONS,
+    SPACE,
+)
+from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.results import dataset
-from mcspectra.core.staged import compute
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, as_estimator
+from mcspectra.estimators import AbstractEstimator, as_subject
+from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.tails import unsampled_note
 from mcspectra.integrands import Integrand
-from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.spectra.bases import Basis, make_basis
-from mcspectra.variance._term_variables import term_errors, term_variables
-from mcspectra.variance.bands import Bands, make_bands
-from mcspectra.variance.batches import Variables
-from mcspectra.variance.staged_terms import StagedTerms, TermSums
-from mcspectra.variance.sums import Partition
-from mcspectra.variance.views import SPACES, View, check_terms, chosen_basis, view_dims
+from mcspectra.samplers import Sampler
+from mcspectra.variance.bands import check_bands, make_bands
+from mcspectra.variance.sums import BATCHES, Partition, TermSums, Variables, student_t
+from mcspectra.variance.views import Frequencies, View
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["staged_terms", "variance_terms"]
+__all__ = ["Terms", "variance_terms"]
+
+_TERMS = ("dc_term", "power_term", "cross_term")
+_WITH_ERROR = ("contribution", "band_covariance", "coefficient_covariance", "cross_matrix")
+
+
+@final
+class Terms(Analysis, frozen=True, kw_only=True):
+    """The three terms of the variance at one n: dc, power and cross."""
+
+    function = "variance_terms"
+    verb = "variance"
+    variables = (
+        *(f"{name}{part}" for name in _TERMS for part in ("", "_se", "_ci")),
+        *(f"{name}{part}" for name in _WITH_ERROR for part in ("", "_se")),
+        *(f"{name}{part}" for name in ("predicted_variance", "measured_variance", "captured")
+          for part in ("", "_ci")),
+        *("mean", "mean_se", "power_contribution", "truncated_variance", "captured_by_half_width"),
+    )  # fmt: skip
+
+    n: Annotated[int, COUNT]
+    half_width: Annotated[int, HALF_WIDTH] = 64
+    realizations: Annotated[int, REALIZATIONS] = 1000
+    space: Annotated[Literal["domain", "primary"] | None, SPACE] = None
+    basis: Annotated[str, BASIS] = "fourier"
+    bands: Annotated[str, BANDS] = "radial"
+    cross_matrix: Annotated[
+        bool, Meta(description="Also the full matrix of covariances (few frequencies only).")
+    ] = False
+    engine: Annotated[str, ENGINE] = "auto"
+    eps: Annotated[float, EPS] = 1e-9
+
+    def need(self, subject: Subject) -> Need:
+        """The spectra fit, and there are such bands."""
+        estimator = subject.estimator
+        estimator.check_sampler(subject.sampler, self.n)
+        frequencies = Frequencies.of(subject, self.space, self.basis, self.half_width)
+        check_bands(self.bands, frequencies.basis)
+        size, evaluations = frequencies.size, sum(estimator.counts)
+        if self.cross_matrix:
+            frequencies.check_matrix()
+        kept = size + (2 * size * size if self.cross_matrix else 0)
+        return Need(
+            cost=float(self.realizations * (evaluations * self.n + size)),
+            memory=memory_of(self.n, estimator.dims, evaluations, kept),
+        )
+
+    def reduction(self, subject: Subject, stream: Stream) -> Reduction[TermSums]:
+        """Sums over all realisations; a block is a batch too."""
+        estimator, n = subject.estimator, self.n
+        frequencies = Frequencies.of(subject, self.space, self.basis, self.half_width)
+        view = View.of(frequencies, n, self.engine, self.eps)
+        bands = make_bands(self.bands, view.basis)
+        partition = view.partition(bands.of, self.cross_matrix)
+        infinite = frequencies.space == "domain" and estimator.infinite_weights
+        # Coordinates of a realisation or, where they are more, the numbers of its spectra
+        numbers = max(n * estimator.dims * sum(estimator.counts), 2 * partition.double.size)
+        blocks = realization_blocks(self.realizations, numbers, multiple=2, least=BATCHES)
+
+        def block(index: int) -> TermSums:
+            points = estimator.draw(subject.sampler, n, stream, *blocks[index])
+            estimates = estimator.estimate(points).reshape(len(points[0]), -1)
+            return TermSums.of(view.coefficients(points), estimates, partition)
+
+        def result(total: TermSums) -> xr.Dataset:
+            variables = _variables(total, view, partition)
+            notes = [unsampled_note(estimator, n * self.realizations)]
+            if infinite:
+                notes.insert(0, "spectral terms are infinite: ∫1/p diverges")
+                variables = {name: (d, _undefined(name, v)) for name, (d, v) in variables.items()}
+                warn(
+                    f"∫1/p diverges for {estimator.spec}: Var(S_0) and the spectral terms are "
+                    "infinite although the estimate's variance need not be; use space='primary'.",
+                    InfiniteWeightVarianceWarning,
+                )
+            techniques = len(view.transforms)
+            # Labels as an attribute: arrays of strings have no place in zarr's specification yet.
+            about = {"long_name": bands.meaning, "units": "1", "labels": ", ".join(bands.labels)}
+            numbers = np.arange(len(bands.labels))
+            widths = np.arange(self.half_width + 1)
+            return dataset(
+                variables,
+                {
+                    **view.basis.coords,
+                    "bound": ["low", "high"],
+                    "band": ("band", numbers, about),
+                    "band_other": ("band_other", numbers, about),
+                    "half_width": ("half_width", widths, {"units": "cycles per unit"}),
+                    **(_matrix_coords(view) if self.cross_matrix else {}),
+                },
+                drop=[
+                    *(["channel"] if estimator.channels == 0 else []),
+                    *(["technique"] if techniques == 1 else []),
+                ],
+                estimator=estimator.spec,
+                sampler=subject.sampler.spec,
+                n=n,
+                realizations=self.realizations,
+                batches=total.batches.count if total.batches else 0,
+                basis=view.basis.name,
+                space=view.space,
+                coefficients=view.source,
+                stream_key=f"{stream.key:#x}",
+                engine=view.engine,
+                eps=self.eps,
+                note="; ".join(filter(None, notes)) or None,
+            )
+
+        return Reduction(
+            kind=TermSums,
+            block=block,
+            blocks=len(blocks),
+            cost=float(self.realizations * (n * sum(estimator.counts) + frequencies.size)),
+            result=result,
+        )
 
 
 def variance_terms(
@@ -53,7 +176,7 @@ def variance_terms(
     realizations: int = 1000,
     rng: RngLike = 0,
     basis: str = "fourier",
-    space: str = "domain",
+    space: str | None = None,
     bands: str | Array = "radial",
     cross_matrix: bool = False,
     engine: str = "auto",
@@ -77,7 +200,8 @@ def variance_terms(
         the one that fits the sampler's randomisation, which the attribute ``basis`` then names.
     space
         ``"domain"``: f with the warped, weighted points (the paper's view); ``"primary"``: g(u) with
-        the sampler's own points, where discontinuities made by the warp are visible.
+        the sampler's own points, where discontinuities made by the warp are visible. By default the
+        domain, where there is one.
     bands
         ``"radial"``, ``"dyadic"``, ``"anova"``, ``"wedge"``, or an integer label ≥ 0 for every basis
         function: `mcspectra.variance.bands.make_bands`.
@@ -125,140 +249,115 @@ def variance_terms(
     >>> bool(terms["cross_term"] < 0 < terms["power_term"])
     True
     """
-    threads = available_workers(workers)
-    return compute(
-        staged_terms(
-            estimator,
-            sampler,
-            n,
-            half_width=half_width,
-            realizations=realizations,
-            rng=rng,
-            basis=basis,
-            space=space,
-            bands=bands,
-            cross_matrix=cross_matrix,
-            engine=engine,
-            eps=eps,
-        ),
-        threads,
-        "variance_terms",
+    analysis = Terms(
+        n=n,
+        half_width=half_width,
+        realizations=realizations,
+        basis=basis,
+        space=space,  # type: ignore[arg-type]
+        bands=bands,  # type: ignore[arg-type]
+        cross_matrix=cross_matrix,
+        engine=engine,
+        eps=eps,
     )
+    return compute(analysis, as_subject(estimator, sampler), rng, workers)
 
 
-def staged_terms(
-    estimator: AbstractEstimator | Integrand | str,
-    sampler: Sampler | str,
-    n: int,
-    *,
-    half_width: int = 64,
-    realizations: int = 1000,
-    rng: RngLike = 0,
-    basis: str = "fourier",
-    space: str = "domain",
-    bands: str | Array = "radial",
-    cross_matrix: bool = False,
-    engine: str = "auto",
-    eps: float = 1e-9,
-) -> StagedTerms:
-    """Return `variance_terms` as a staged analysis of one run, its arguments checked."""
-    as_choice("space", space, SPACES)
-    estimator = as_estimator(estimator, getattr(sampler, "dims", None))
-    source = as_sampler(sampler, estimator.dims)
-    n = source.check_count(n)
-    estimator.check_sampler(source, n)
-    realizations = as_integer("realizations", realizations, least=2, most=MAX_REALIZATIONS)
-    basis = chosen_basis(basis, estimator, source, space, half_width)
-    check_terms(estimator, half_width, space, cross_matrix=cross_matrix, basis=basis)
-    functions = make_basis(basis, view_dims(estimator, space), half_width)
-    view = View.of(estimator, n, space, functions, engine, eps)
-    chosen = make_bands(bands, functions)
-    partition = view.partition(chosen.of, cross_matrix)
-    stream = Stream.from_rng(rng)
-    infinite = space == "domain" and estimator.infinite_weights
+def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
+    """All result variables with a leading channel axis; errors are NaN where no two blocks say them."""
+    sums, measured, batches, basis = total.sums, total.measured, total.batches, view.basis
+    assert batches is not None  # the first block has two realisations at least
+    f, degrees = partition.coefficients, sums.count - 1
+    shape = (len(f), len(view.transforms), basis.stored)
+    maps, pairs = ("channel", "technique", *basis.names), ("channel", "band", "band_other")
+    by_width = ("channel", "half_width")
 
-    def result(total: TermSums) -> xr.Dataset:
-        if infinite:
-            warn(
-                f"∫1/p diverges for {estimator.spec}: Var(S_0) and the spectral terms are infinite "
-                "although the estimate's variance need not be; use space='primary'.",
-                InfiniteWeightVarianceWarning,
-            )
-        return _labelled(
-            _variables(total, view, partition, infinite=infinite),
-            view,
-            chosen,
-            estimator=estimator.spec,
-            sampler=source.spec,
-            n=n,
-            realizations=realizations,
-            batches=total.of_blocks.count,
-            basis=basis,
-            space=space,
-            coefficients=view.source,
-            stream_key=f"{stream.key:#x}",
-            seed=rng if isinstance(rng, int) else None,
-            engine=view.engine,
-            eps=eps,
-            note=_note(estimator, n * realizations, infinite=infinite),
-        )
+    def interval(value: Array, half: Array) -> tuple[tuple[str, ...], Array]:
+        return ("channel", "bound"), np.stack([value - half, value + half], axis=-1)
 
-    return StagedTerms(source, n, stream, realizations, view, partition, result)
+    # The terms, their sum, and what is measured beside
+    terms = np.stack(sums.terms(partition))
+    predicted = terms[0] + terms[1] + terms[2]
+    variables: Variables = {
+        "predicted_variance": (("channel",), predicted),
+        "predicted_variance_ci": (("channel", "bound"), sums.truncated.variance_ci[:, -1]),
+        "measured_variance": (("channel",), measured.variance),
+        "measured_variance_ci": (("channel", "bound"), measured.variance_ci),
+        "mean": (("channel",), measured.mean),
+        "mean_se": (("channel",), measured.mean_se),
+    }
+    for name, value, error in zip(_TERMS, terms, batches.term_errors(), strict=True):
+        variables[name] = ("channel",), value
+        variables[f"{name}_se"] = ("channel",), error
+        variables[f"{name}_ci"] = interval(value, student_t(batches.count) * error)
 
+    # What part of the variance the frequencies hold; one of rounding noise captures nothing
+    real = np.where(measured.variance > rounding_floor(measured.mean), measured.variance, np.nan)
+    variables |= {
+        "captured": (("channel",), predicted / real),
+        "captured_ci": interval(predicted / real, batches.captured_half()),
+        "truncated_variance": (by_width, sums.truncated.variance),
+        "captured_by_half_width": (by_width, sums.truncated.variance / real[:, None]),
+    }
 
-def _variables(total: TermSums, view: View, partition: Partition, *, infinite: bool) -> Variables:
-    """All result variables with a leading channel axis."""
-    variables = term_variables(total.sums, total.measured, view, partition)
-    variables |= term_errors(total.of_blocks, variables, view, partition)
-    if not infinite:
-        return variables
-    return {name: (dims, _undefined(name, values)) for name, (dims, values) in variables.items()}
+    # Maps over frequencies, and pairs of bands
+    diagonal = np.abs(f) ** 2 * (sums.m2 / degrees)
+    for name, values in (
+        ("contribution", sums.contribution(partition)),
+        ("contribution_se", batches.contribution.error()),
+        ("power_contribution", diagonal),
+    ):
+        variables[name] = maps, basis.full(values.reshape(shape))
+    variables["band_covariance"] = pairs, sums.band_m2 / degrees
+    variables["band_covariance_se"] = pairs, batches.band_covariance.error()
+
+    # Full C_ml and conj(f_m) f_l C_ml; errors of conjugates are the same, |f_m f_l| scales them
+    if sums.matrix is not None and batches.matrix is not None:
+        index, flip = _whole(view)
+        c = _signed(sums.matrix / degrees, index, flip)
+        error = _signed(batches.matrix.error(), index, flip)
+        g = np.where(flip, f[:, index].conj(), f[:, index])
+        size = np.abs(g)
+        triple = ("channel", "m", "l")
+        variables |= {
+            "coefficient_covariance": (("m", "l"), c),
+            "coefficient_covariance_se": (("m", "l"), error),
+            "cross_matrix": (triple, g.conj()[:, :, None] * g[:, None, :] * c),
+            "cross_matrix_se": (triple, size[:, :, None] * size[:, None, :] * error),
+        }
+    return variables
 
 
-def _note(estimator: AbstractEstimator, samples: int, *, infinite: bool) -> str | None:
-    """What to say of terms that are infinite and of a variance that these samples cannot measure."""
-    parts = ["spectral terms are infinite: ∫1/p diverges"] if infinite else []
-    parts += filter(None, [unsampled_note(estimator, samples)])
-    return "; ".join(parts) or None
+def _whole(view: View) -> tuple[Array, Array]:
+    """For each coefficient of each technique: its place among those stored, whether conjugate."""
+    techniques, h = len(view.transforms), view.basis.stored
+    place, conjugate = view.basis.whole()
+    return (np.arange(techniques)[:, None] * h + place).ravel(), np.tile(conjugate, techniques)
 
 
-_INFINITE = ("dc_term", "power_term")
-_FINITE = ("measured_variance", "measured_variance_ci", "mean", "mean_se")
+def _signed(stored: Array, index: Array, flip: Array) -> Array:
+    """⟨S_a conj S_b⟩ for a, b plain or conjugated, from the stored blocks with and without conj.
+
+    S_{−l} = conj S_l gives C_{m,−l} = Cov(S_m, conj S_l), the pseudo-covariance. In primary space
+    the coefficients of the techniques follow one another.
+    """
+    size = len(stored)
+    plain, pseudo = stored[:, :size][np.ix_(index, index)], stored[:, size:][np.ix_(index, index)]
+    both = np.where(flip[:, None], plain.conj(), plain)
+    mixed = np.where(flip[:, None], pseudo.conj(), pseudo)
+    return np.asarray(np.where(flip[:, None] == flip[None, :], both, mixed))
 
 
 def _undefined(name: str, values: Array) -> Array:
     """What remains of a variable where ∫1/p diverges: never a number that means nothing."""
-    if name in _FINITE:
+    if name.startswith(("measured_variance", "mean")):
         return values
-    return np.full_like(values, math.inf if name in _INFINITE else math.nan)
+    return np.full_like(values, math.inf if name in ("dc_term", "power_term") else math.nan)
 
 
-def _labelled(variables: Variables, view: View, chosen: Bands, **provenance: Any) -> xr.Dataset:
-    """Make the dataset; axes of one channel or technique are dropped."""
-    basis = view.basis
-    scalar, single = view.estimator.channels == 0, len(view.transforms) == 1
-    dropped = {name for name, gone in (("channel", scalar), ("technique", single)) if gone}
-    kept: Variables = {}
-    for name, (dims, values) in variables.items():
-        index = tuple(0 if dim in dropped else slice(None) for dim in dims)
-        kept[name] = (tuple(dim for dim in dims if dim not in dropped), values[index])
-    # Labels as an attribute: arrays of strings have no place in zarr's specification yet.
-    bands = {"long_name": chosen.meaning, "units": "1", "labels": ", ".join(chosen.labels)}
-    numbers = np.arange(len(chosen.labels))
-    coords: dict[str, Any] = {
-        **basis.coords,
-        "bound": ["low", "high"],
-        "band": ("band", numbers, bands),
-        "band_other": ("band_other", numbers, bands),
-        "half_width": ("half_width", np.arange(basis.half_width + 1), {"units": "cycles per unit"}),
-    }
-    if "cross_matrix" in kept:
-        coords |= _matrix_coords(basis, len(view.transforms))
-    return dataset(kept, coords, **provenance)
-
-
-def _matrix_coords(basis: Basis, techniques: int) -> dict[str, Any]:
+def _matrix_coords(view: View) -> dict[str, Any]:
     """Frequencies along m and l: themselves in 1-D, a running number with m_0, m_1 … beside it else."""
+    basis, techniques = view.basis, len(view.transforms)
     if basis.dims == 1 and techniques == 1:
         return {"m": basis.axis, "l": basis.axis}
     size = basis.size * techniques

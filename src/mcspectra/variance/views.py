@@ -8,22 +8,82 @@ space every technique has its own integrand g_t and the sampler's own points, an
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice
+from mcspectra.core.analysis import Subject
+from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.estimators import AbstractEstimator, Mirrored
-from mcspectra.samplers import Sampler
 from mcspectra.samplers.mirror import Mirror
-from mcspectra.spectra.bases import BASES, Basis, Coefficients, fitting_basis, make_basis
+from mcspectra.spectra.bases import Basis, Coefficients, fitting_basis, make_basis
 from mcspectra.variance.sums import Partition
 
-__all__ = ["MAX_MATRIX", "SPACES", "View", "check_terms", "chosen_basis", "view_dims"]
+__all__ = ["MAX_MATRIX", "Frequencies", "View"]
 
-SPACES = ("domain", "primary")
 MAX_MATRIX = 4096
 """Most frequencies of a full cross matrix: two of that size take 0.5 GiB."""
+
+
+@final
+@dataclass(frozen=True)
+class Frequencies:
+    """The basis functions of an analysis, in the domain or in primary space.
+
+    Attributes
+    ----------
+    space
+        ``"domain"`` or ``"primary"``.
+    """
+
+    estimator: AbstractEstimator
+    space: str
+    basis: Basis
+
+    @staticmethod
+    def of(subject: Subject, space: str | None, basis: str, half_width: int) -> Frequencies:
+        """Choose the space and the basis that are left open.
+
+        The basis ``"auto"`` is the one that fits the points that an estimator makes. A mirrored
+        integrand has folded points in the domain, in primary space those of the sampler.
+
+        Raises
+        ------
+        ParameterError
+            The grid would be too large, or there is no domain to work in.
+        """
+        estimator = subject.estimator
+        domain = estimator.domain_integrand
+        if space == "domain" and domain is None:
+            raise ParameterError(
+                f"{estimator.spec} has no common domain: its techniques are given on their own "
+                "unit cubes; use space='primary'."
+            )
+        chosen = space or ("primary" if domain is None else "domain")
+        if basis == "auto":
+            source = estimator.randomized(subject.sampler)
+            mirrored = isinstance(estimator, Mirrored) and estimator.mode == "integrand"
+            if chosen == "domain" and mirrored:
+                source = source.then(Mirror(mode="fold"))
+            basis = fitting_basis(source, half_width)
+        dims = estimator.dims if chosen == "primary" else estimator.domain_dims
+        return Frequencies(estimator, chosen, make_basis(basis, dims, half_width))
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients: in primary space of each technique."""
+        techniques = len(self.estimator.counts) if self.space == "primary" else 1
+        return self.basis.size * techniques
+
+    def check_matrix(self) -> None:
+        """Raise if a full cross matrix would be too large."""
+        if self.size > MAX_MATRIX:
+            raise ParameterError(
+                f"The cross matrix of {self.size} frequencies takes "
+                f"{32 * self.size**2 / 2**30:.3g} GiB; ask for at most {MAX_MATRIX} frequencies, or "
+                "use contribution and band_covariance."
+            )
 
 
 @dataclass(frozen=True)
@@ -39,22 +99,20 @@ class View:
     source: str
 
     @staticmethod
-    def of(
-        estimator: AbstractEstimator, n: int, space: str, basis: Basis, engine: str, eps: float
-    ) -> View:
-        techniques = range(len(estimator.counts))
-        if space == "domain":
-            integrand = estimator.domain_integrand
-            assert integrand is not None  # check_terms has seen to it
-            integrands, counts = [integrand], [n * sum(estimator.counts)]
+    def of(frequencies: Frequencies, n: int, engine: str, eps: float) -> View:
+        """Prepare the transforms of n points, and f's coefficients."""
+        estimator, basis = frequencies.estimator, frequencies.basis
+        if frequencies.space == "domain":
+            integrands = [estimator.domain_integrand]
+            counts = [n * sum(estimator.counts)]
         else:
-            integrands = [estimator.primary_integrand(t) for t in techniques]
+            integrands = [estimator.primary_integrand(t) for t in range(len(estimator.counts))]
             counts = [n * count for count in estimator.counts]
         transforms = [basis.transform(count, engine, eps) for count in counts]
-        found = [basis.integrand(g) for g in integrands]
+        found = [basis.integrand(g) for g in integrands if g is not None]
         return View(
             estimator,
-            space,
+            frequencies.space,
             basis,
             tuple(coefficients for coefficients, _ in transforms),
             transforms[0][1],
@@ -84,58 +142,3 @@ class View:
             np.tile(shell, techniques),
             matrix,
         )
-
-
-def chosen_basis(
-    basis: object, estimator: AbstractEstimator, sampler: Sampler, space: str, half_width: int
-) -> str:
-    """Return a basis' name; for ``"auto"`` the one that fits the points that an estimator makes.
-
-    A mirrored integrand has folded points in the domain, in primary space those of the sampler.
-    """
-    if not isinstance(basis, str):
-        raise ParameterError(
-            f"basis is {basis!r}; give the name of one: {', '.join((*BASES, 'auto'))}."
-        )
-    if as_choice("basis", basis, (*BASES, "auto")) != "auto":
-        return basis
-    source = estimator.randomized(sampler)
-    if space == "domain" and isinstance(estimator, Mirrored) and estimator.mode == "integrand":
-        source = source.then(Mirror(mode="fold"))
-    return fitting_basis(source, half_width)
-
-
-def view_dims(estimator: AbstractEstimator, space: str | None) -> int:
-    """Return the number of dims of the frequencies: of the domain, or of primary space."""
-    return estimator.dims if space == "primary" else estimator.domain_dims
-
-
-def check_terms(
-    estimator: AbstractEstimator,
-    half_width: int,
-    space: str | None,
-    *,
-    cross_matrix: bool,
-    basis: str = "fourier",
-) -> int:
-    """Check what `variance_terms` can refuse before any work; return the number of coefficients.
-
-    Raises
-    ------
-    ParameterError
-        The grid or the cross matrix would be too large, or there is no domain to work in.
-    """
-    size = make_basis(basis, view_dims(estimator, space), half_width).size
-    if space == "domain" and estimator.domain_integrand is None:
-        raise ParameterError(
-            f"{estimator.spec} has no common domain: its techniques are given on their own "
-            "unit cubes; use space='primary'."
-        )
-    primary = space == "primary" or estimator.domain_integrand is None
-    size *= len(estimator.counts) if primary else 1
-    if cross_matrix and size > MAX_MATRIX:
-        raise ParameterError(
-            f"The cross matrix of {size} frequencies takes {32 * size**2 / 2**30:.3g} GiB; "
-            f"ask for at most {MAX_MATRIX} frequencies, or use contribution and band_covariance."
-        )
-    return size
