@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 
 import numpy as np
 from msgspec import Meta
 
-from mcspectra.core.analysis import Analysis, MergeTree, Need, Reduction, Subject, compute
+from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
 from mcspectra.core.checks import Array, as_integer, as_real_array
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNT, SETS
-from mcspectra.core.parallel import map_in_order
 from mcspectra.core.records import MeanSums
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
@@ -28,7 +26,6 @@ __all__ = [
     "PairCorrelation",
     "closed_form_pair_correlation",
     "count_pairs",
-    "mean_of_realizations",
     "pair_correlation",
 ]
 
@@ -255,13 +252,3 @@ def _check_pairs(sampler: Sampler, n: int) -> int:
             "give fewer points."
         )
     return count
-
-
-def mean_of_realizations(
-    one: Callable[[int], Array], realizations: int, workers: int
-) -> tuple[Array, Array]:
-    """Mean over realisations and its standard error, NaN for a single one."""
-    tree: MergeTree[MeanSums] = MergeTree()
-    for values in map_in_order(one, range(realizations), workers):
-        tree.add(MeanSums.of(values))
-    return tree.total().mean_and_error()
