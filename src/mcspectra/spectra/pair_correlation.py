@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Any, Literal, final
+from typing import TYPE_CHECKING, Annotated, Any, final
 
 import numpy as np
 from msgspec import Meta
@@ -79,7 +79,7 @@ def pair_correlation(
         n=n,
         bins=bins,
         realizations=realizations,
-        boundary=boundary,  # type: ignore[arg-type]
+        boundary=boundary,
         max_distance=max_distance,
     )
     return compute(analysis, Subject(None, as_sampler(sampler)), rng, workers)
@@ -98,8 +98,11 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
     bins: Annotated[int, Meta(ge=1, le=10**6, description="Equal bins of the distance.")] = 100
     realizations: Annotated[int, SETS] = 16
     boundary: Annotated[
-        Literal["toroidal", "border"],
-        Meta(description="toroidal: distances wrap around; border: corrected near the faces."),
+        str,
+        Meta(
+            description="toroidal: distances wrap around; border: corrected near the faces.",
+            extra={"choices": ("toroidal", "border")},
+        ),
     ] = "toroidal"
     max_distance: Annotated[
         Annotated[float, Meta(gt=0.0, le=0.5)] | None,
