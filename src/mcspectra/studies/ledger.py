@@ -723,7 +723,8 @@ class Ledger:
             raise self._unreadable(error) from None
 
     def _unreadable(self, error: BaseException) -> StoreError:
-        return StoreError(f"{str(self._file)!r} cannot be read: {error}; {_REMEDY}.")
+        remedy = _REMEDY if self._lock is None else "give another --out"
+        return StoreError(f"{str(self._file)!r} cannot be read: {error}; {remedy}.")
 
     def _row(self, name: str, note: msgspec.Struct) -> tuple[str, str, bytes]:
         text = msgspec.json.encode(note)
