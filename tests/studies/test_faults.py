@@ -224,7 +224,9 @@ def test_a_damaged_record_is_named_and_computed_again(half, tmp_path, straight):
 def test_a_ledger_cut_in_half_is_refused(half, tmp_path):
     out = shutil.copytree(half, tmp_path / "out")
     os.truncate(out / LEDGER_NAME, (out / LEDGER_NAME).stat().st_size // 2)
-    with pytest.raises(StoreError, match="sqlite' cannot be read: .* malformed; give another --out"):
+    with pytest.raises(
+        StoreError, match="sqlite' cannot be read: .* malformed; give another --out"
+    ):
         run_study(CONFIG, out, resume=True, workers=1)
 
 
