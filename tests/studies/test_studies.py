@@ -9,6 +9,7 @@ from mcspectra.studies import make_plan, open_results, read_study, run_study, su
 from mcspectra.studies.files import decode_study
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote
 from mcspectra.studies.run import CellFailed
+from mcspectra.variance.convergence import Convergence
 
 STUDY = """
 title = "small"
@@ -164,20 +165,18 @@ def test_summary_has_a_row_for_every_pair(finished):
 
 
 def test_failed_cells_do_not_take_the_others_with_them(tmp_path, monkeypatch):
-    from mcspectra.studies import engines
+    real = Convergence.reduction
 
-    real = engines.compute_task
-
-    def failing(text, task):
-        if task.path == "sum/random/convergence":
+    def failing(self, subject, stream):
+        if isinstance(subject.estimator, mcs.TechniqueSum) and subject.sampler.spec == "random":
             raise mcs.McspectraError("the integrand gave NaN")
-        return real(text, task)
+        return real(self, subject, stream)
 
-    monkeypatch.setattr(engines, "compute_task", failing)
+    monkeypatch.setattr(Convergence, "reduction", failing)
     with pytest.raises(CellFailed, match="the integrand gave NaN") as caught:
         run_study(decode_study(STUDY), tmp_path, workers=2)
     assert list(caught.value.failures) == ["sum/random/convergence"]
-    monkeypatch.setattr(engines, "compute_task", real)
+    monkeypatch.setattr(Convergence, "reduction", real)
     seen = []
 
     def again(**given):
@@ -250,7 +249,7 @@ def test_the_tour_is_a_valid_study():
 
     file = Path(__file__).parents[2] / "studies" / "tour.toml"
     plan = make_plan(read_study(file), file.parent)
-    kinds = {cell.analysis for cell in plan.cells}
+    kinds = {cell.analysis_name for cell in plan.cells}
     assert kinds == {"convergence", "terms", "spectrum", "points"}
 
 
