@@ -133,7 +133,7 @@ def _verb_table() -> str:
     return "\n".join(f"  {name.ljust(width)}  {text}" for name, text in _VERBS.items())
 
 
-_FAILED_RUNS = ("CellFailed", "ClusterLost", "EngineFailed", "StorageError")
+_FAILED_RUNS = ("CellFailed", "ClusterLost", "StorageError")
 """Errors that are nobody's input."""
 
 

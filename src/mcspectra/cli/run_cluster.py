@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mcspectra.cli.common import whole_number
 
 if TYPE_CHECKING:
-    from mcspectra.studies.run import MakeEngine
+    from mcspectra.studies.run import MakeExecutor
 
 __all__ = ["add_cluster_arguments", "cluster_engine"]
 
-_OPTIONS = ("listen", "dashboard", "tls_ca", "tls_cert", "tls_key")
+_OPTIONS = ("listen", "dashboard")
 
 
 def add_cluster_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options, in a group of their own."""
-    group = parser.add_argument_group("dask", "needs: pip install 'mcspectra[cluster]'")
+    group = parser.add_argument_group("dask", "TLS is as dask's own configuration says")
     group.add_argument(
         "--cluster",
         metavar="ADDRESS",
@@ -36,14 +35,11 @@ def add_cluster_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PORT",
         help="with --cluster local: port of dask's dashboard (default: any that is free)",
     )
-    group.add_argument("--tls-ca", metavar="FILE", help="certificate authority, .pem")
-    group.add_argument("--tls-cert", metavar="FILE", help="certificate, .pem")
-    group.add_argument("--tls-key", metavar="FILE", help="its key, .pem")
 
 
 def cluster_engine(
     options: argparse.Namespace, workers: int | None, time_limit: float | None
-) -> MakeEngine | None:
+) -> MakeExecutor | None:
     """What makes the engine that the options ask for; None without --cluster.
 
     Raises
@@ -59,35 +55,28 @@ def cluster_engine(
                 option = name.replace("_", "-")
                 raise ParameterError(f"--{option} is for clusters; give --cluster too.")
         return None
-    from mcspectra.studies.cluster import ClusterOptions, DaskEngine
+    from mcspectra.studies.executors import Cluster, Dask
     from mcspectra.studies.tasks import StudyText
 
     port = (
         0 if options.dashboard is None else whole_number("--dashboard", options.dashboard, least=0)
     )
-    settings = ClusterOptions(
+    settings = Cluster(
         address=options.cluster,
         workers=workers,
         host="127.0.0.1" if options.listen is None else options.listen,
         dashboard=port,
-        tls_ca=_file(options.tls_ca),
-        tls_cert=_file(options.tls_cert),
-        tls_key=_file(options.tls_key),
         time_limit=time_limit,
     )
     silent = options.quiet or options.json
 
-    def make(text: StudyText) -> DaskEngine:
-        engine = DaskEngine(text, settings)
+    def make(text: StudyText) -> Dask:
+        engine = Dask(text, settings)
         if not silent:
             print(_greeting(engine.address, engine.dashboard), file=sys.stderr)
         return engine
 
     return make
-
-
-def _file(name: str | None) -> Path | None:
-    return None if name is None else Path(name)
 
 
 def _greeting(address: str, dashboard: str) -> str:
