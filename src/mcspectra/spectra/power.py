@@ -179,6 +179,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
         """Refuse sets that are too large, and engines that do not work in these dims."""
         source, p = _warped(subject)
         source.check_count(self.n)
+        as_integer("half_width", self.half_width, least=1)
         dims = max(source.dims, p.dims if p else 0)
         if self.n * dims > _MOST_COORDINATES:
             raise ParameterError(
