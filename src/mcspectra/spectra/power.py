@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Meta
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute, whole
-from mcspectra.core.checks import MAX_FREQUENCY, Array
+from mcspectra.core.checks import MAX_FREQUENCY, Array, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNT, ENGINE, EPS, HALF_WIDTH, SETS
