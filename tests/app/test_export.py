@@ -15,7 +15,7 @@ from mcspectra.app.export import as_python, as_toml
 from mcspectra.app.parts import integrand_specs, ladder
 from mcspectra.app.state import Setup, State
 from mcspectra.app.uploads import keep_upload
-from mcspectra.studies.config import read_study
+from mcspectra.studies.files import read_study
 
 SMALL = {"n": 16, "half_width": 6, "realizations": 8}
 SETUPS = [

@@ -6,7 +6,7 @@ import pytest
 
 from mcspectra.cli.main import main
 from mcspectra.studies import study_schema
-from mcspectra.studies.template import TEMPLATE
+from mcspectra.studies.schema import TEMPLATE
 
 
 def run(capsys, *arguments):

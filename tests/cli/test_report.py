@@ -7,7 +7,7 @@ import pytest
 
 from mcspectra.cli.main import main
 from mcspectra.studies import Store
-from mcspectra.studies.config import decode_study
+from mcspectra.studies.files import decode_study
 
 STUDY = """
 title = "t"

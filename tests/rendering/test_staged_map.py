@@ -16,7 +16,7 @@ from mcspectra.rendering import _map_tiles as tiles
 from mcspectra.rendering import variance_map
 from mcspectra.rendering.maps import staged_map
 from mcspectra.studies import open_results, run_study
-from mcspectra.studies.config import decode_study
+from mcspectra.studies.files import decode_study
 
 pytestmark = pytest.mark.render
 

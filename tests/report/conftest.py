@@ -15,7 +15,7 @@ import xarray as xr
 from mcspectra.core.results import dataset
 from mcspectra.report.formatting import slug
 from mcspectra.studies import Store, StudyConfig
-from mcspectra.studies.config import decode_study
+from mcspectra.studies.files import decode_study
 
 Z = 1.959963984540054
 SAMPLERS = ("random", "jittered", "jittered | shift")

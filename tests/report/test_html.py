@@ -16,7 +16,7 @@ from mcspectra.report import html, write_report
 from mcspectra.report.embed import bokeh_script
 from mcspectra.report.html import study_toml
 from mcspectra.studies import open_results
-from mcspectra.studies.config import decode_study
+from mcspectra.studies.files import decode_study
 from mcspectra.studies.store import config_hash
 
 Make = dict[str, Callable[..., Any]]

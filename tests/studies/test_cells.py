@@ -7,7 +7,7 @@ import mcspectra as mcs
 from mcspectra.report import write_report
 from mcspectra.studies import make_plan, open_results, run_study, summarize
 from mcspectra.studies.cells import compute_cell, labels_of
-from mcspectra.studies.config import decode_study
+from mcspectra.studies.files import decode_study
 
 STUDY = """
 title = "further"

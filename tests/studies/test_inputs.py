@@ -12,8 +12,8 @@ from mcspectra.core import results
 from mcspectra.core.errors import OtherVersionsWarning, StoreError
 from mcspectra.studies import Trust, make_plan, open_results, run_study
 from mcspectra.studies import store as store_module
-from mcspectra.studies.config import decode_study
-from mcspectra.studies.inputs import Digests, changed_inputs, check_inputs, with_references
+from mcspectra.studies.files import decode_study
+from mcspectra.studies.vetting import Vetting, changed_inputs, check_inputs
 from mcspectra.studies.manifest import read_manifest
 from mcspectra.studies.run import CellFailed
 from mcspectra.studies.status import study_status
@@ -169,27 +169,40 @@ def test_what_a_scene_refers_to_belongs_to_it(tmp_path):
     )
     (tmp_path / "wood.png").write_bytes(b"wood")
     (tmp_path / "other.png").write_bytes(b"other")
-    scene = tmp_path / "scene.xml"
-    assert with_references(scene) == {scene, (tmp_path / "wood.png").resolve()}
-    assert with_references(tmp_path / "wood.png") == {tmp_path / "wood.png"}
+    vetting = Vetting(tmp_path, Trust())
+    assert vetting.calls("pixel(scene='scene.xml', x=0, y=0)")[1] == ("scene.xml", "wood.png")
+    assert vetting.calls("image(path='wood.png')")[1] == ("wood.png",)
+    assert vetting.inputs["wood.png"] == hashlib.sha256(b"wood").hexdigest()
+    assert "other.png" not in vetting.inputs
 
 
-def test_digests_are_of_files_that_can_be_read(tmp_path):
+def test_inputs_are_files_that_can_be_read(tmp_path):
     inside, outside = tmp_path / "in" / "x", tmp_path / "y"
     inside.parent.mkdir()
     inside.write_bytes(b"1")
     outside.write_bytes(b"2")
     (tmp_path / "in" / "link").symlink_to(inside)
-    os.mkfifo(tmp_path / "pipe")
-    digests = Digests(tmp_path / "in")
-    none = {tmp_path, tmp_path / "none", tmp_path / "pipe"}
-    named = digests.add(dict.fromkeys({inside, tmp_path / "in" / "link", outside, *none}, ""))
-    assert named == (str(outside), "x")
-    assert digests.add({inside: "module y", tmp_path / "none": "module z"}) == ("module y",)
-    assert digests.by_name == {
+    os.mkfifo(tmp_path / "in" / "pipe")
+    vetting = Vetting(tmp_path / "in", Trust(folders=(tmp_path,)))
+    paths = ["x", "link", "../y", "../in", "none", "pipe"]
+    assert vetting.calls(f"points(path={paths})")[1] == (str(outside), "x")
+    assert vetting.inputs == {
         "x": hashlib.sha256(b"1").hexdigest(),
-        "module y": hashlib.sha256(b"1").hexdigest(),
         str(outside): hashlib.sha256(b"2").hexdigest(),
+    }
+
+
+def test_a_cell_depends_on_its_own_sampler_and_no_other(folder):
+    np.savetxt(folder / "set.dat", np.linspace(0, 0.9, 16)[:, None])
+    text = STUDY.replace('"jittered"', "\"points(path='set.dat') | shift\"")
+    text = text.replace("counts = [4, 16]", "counts = [16]").replace(
+        "dims = 1", "dims = 1\nsamplers = ['random', \"points(path='set.dat')\"]"
+    )
+    text = text.split("[[estimators]]")[0] + "[[estimators]]" + text.split("[[estimators]]")[3]
+    found = {each.path: each.inputs for each in make_plan(decode_study(text), folder).cells}
+    assert found == {
+        "c/random/convergence": (),
+        "c/points-path-set.dat/convergence": ("set.dat",),
     }
 
 
@@ -209,11 +222,11 @@ def test_a_worker_with_another_file_refuses(folder):
     config = decode_study(STUDY)
     plan = make_plan(config, folder)
     text = StudyText.of(config, folder, inputs=plan.inputs)
-    assert text.plan().inputs == plan.inputs
+    assert text.cells().keys() == {cell.path for cell in plan.cells}
     _image(folder, "a", 5)
     with pytest.raises(StoreError, match=r"not of the file 'data/a\.npy' as found now.*on host"):
-        text.plan()
-    assert StudyText.of(config, folder).plan().cells
+        text.cells()
+    assert StudyText.of(config, folder).cells()
 
 
 def test_another_time_limit_is_the_same_study(folder):

@@ -8,7 +8,7 @@ import pytest
 import mcspectra as mcs
 from mcspectra.core.errors import ConfigError, DamagedResultsWarning, StoreError
 from mcspectra.studies import make_plan, open_results, read_study, run_study, summarize
-from mcspectra.studies.config import decode_study
+from mcspectra.studies.files import decode_study
 from mcspectra.studies.run import CellFailed
 
 STUDY = """
@@ -227,7 +227,7 @@ def test_paths_are_relative_to_the_study_file(tmp_path):
     text = text.replace("counts = [16, 64]", "counts = [16]")
     (tmp_path / "s.toml").write_text(text + '[[estimators]]\nname="a"\nintegrand="gaussian"\n')
     plan = make_plan(read_study(tmp_path / "s.toml"), tmp_path)
-    drawn = plan.cells[0].sampler.draw(16, realizations=3)
+    drawn = plan.cells[0].subject.sampler.draw(16, realizations=3)
     offset = (drawn - points) % 1.0
     assert np.allclose(np.ptp(offset, axis=1) % 1.0, 0, atol=1e-12)
     assert not np.array_equal(drawn[0], drawn[1])

@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Answer:
     """Export, say where to."""
     from mcspectra.core.memory import shown_bytes
-    from mcspectra.studies.export import export_results
+    from mcspectra.studies.results import export_results
 
     file = export_results(options.source, options.to, options.select)
     if not isinstance(file, Path):

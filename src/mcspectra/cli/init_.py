@@ -18,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Answer:
     """Write it, unless something is there."""
-    from mcspectra.studies.template import write_template
+    from mcspectra.studies.schema import write_template
 
     file = write_template(options.file)
     return Answer(f"{file}: run it with 'mcspectra run {file}'.", {"file": file})
