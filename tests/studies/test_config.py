@@ -114,7 +114,7 @@ def test_channels_are_those_of_channel_estimators(colour, way):
         (STEP + 'remedies = { budget = 64, kinds = ["mirorred"] }', "Did you mean 'mirrored'"),
         (STEP + "remedies = { budget = 64, kinds = [] }", "kinds"),
         (STEP + "remedies = { budget = 64, realizations = 99 }", ">= 100"),
-        (TWO + "remedies = { budget = 1 }", "budget 1 is below the 2 evaluations"),
+        (TWO + "remedies = { budget = 1 }", "remedies: budget is 1; give a whole number at least"),
         (STEP + "exact = { counts = [16, 4] }", "give ascending numbers"),
         (STEP + "techniques = { counts = [] }", "counts"),
         (STEP + "techniques = { counts = [4, 4] }", "give ascending numbers"),
@@ -153,7 +153,7 @@ def test_studies_that_are_none(text, words):
         ("counts = [4, 4]", "give ascending numbers"),
         ("counts = [7, 9]", "jittered"),
         ("scene = '../room.xml'", "outside the study's folder"),
-        ("counts = [1000000000000]", "memory"),
+        ("counts = [4, 2000000000]", "memory|at most"),
     ],
 )
 def test_maps_that_cannot_be_made(tmp_path, keys, words):

@@ -9,7 +9,7 @@ import argparse
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from mcspectra.cli.common import print_json, text_table
+from mcspectra.cli.common import Answer, text_table
 
 if TYPE_CHECKING:
     from mcspectra.studies.results import StudyStatus
@@ -27,18 +27,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(options: argparse.Namespace) -> int:
-    """Print the status."""
+def run(options: argparse.Namespace) -> Answer:
+    """Give the status."""
     import msgspec
 
     from mcspectra.studies.results import study_status
 
     status = study_status(options.folder, verify=options.verify)
-    if options.json:
-        print_json(msgspec.to_builtins(status) | {"analyses": msgspec.to_builtins(status.analyses)})
-    elif not options.quiet:
-        print("\n".join(_lines(status)))
-    return 0 if status.state in ("running", "finished") and not status.damaged else 1
+    good = status.state in ("running", "finished") and not status.damaged
+    data = msgspec.to_builtins(status) | {"analyses": msgspec.to_builtins(status.analyses)}
+    return Answer("\n".join(_lines(status)), data, 0 if good else 1)
 
 
 def _lines(status: StudyStatus) -> Iterator[str]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import functools
 import itertools
 import math
 import re
@@ -41,7 +42,6 @@ __all__ = [
     "expand_grids",
     "plain_study",
     "read_study",
-    "samplers_of",
     "study_of",
 ]
 
@@ -182,10 +182,14 @@ class StudyConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
     analyses: dict[str, Analysis] = {}
     scenes: tuple[SceneConfig, ...] = ()
 
+    @property
+    def entries(self) -> tuple[EstimatorConfig | SceneConfig, ...]:
+        """Estimators, then scenes: all that has samplers, in the order of the file."""
+        return *self.estimators, *self.scenes
 
-def samplers_of(config: StudyConfig, entry: EstimatorConfig | SceneConfig) -> tuple[str, ...]:
-    """The samplers of an entry: its own, or the study's."""
-    return config.samplers if entry.samplers is None else entry.samplers
+    def samplers_of(self, entry: EstimatorConfig | SceneConfig) -> tuple[str, ...]:
+        """The samplers of an entry: its own, or the study's."""
+        return self.samplers if entry.samplers is None else entry.samplers
 
 
 def analysis_tables() -> dict[str, type[Analysis]]:
@@ -222,7 +226,7 @@ def read_study(path: str | Path, overrides: Sequence[str] = ()) -> StudyConfig:
     ConfigError
         Missing or unreadable file, not TOML, or not a study; the message names the place.
     """
-    if not isinstance(path, str | Path):
+    if not isinstance(path, str | Path) or "\0" in str(path):
         raise ConfigError(f"{path!r} is not the path of a study file; give that of a .toml file.")
     file = Path(path)
     try:
@@ -235,7 +239,7 @@ def read_study(path: str | Path, overrides: Sequence[str] = ()) -> StudyConfig:
         raise ConfigError(
             f"There is no study file {str(file)!r}; give the path of a .toml file."
         ) from None
-    except (OSError, ValueError) as error:
+    except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise ConfigError(f"The study file {str(file)!r} cannot be read: {reason}.") from None
     return decode_study(text, str(file), overrides)
@@ -315,7 +319,7 @@ class _Reader:
         """A whole study."""
         if not isinstance(table, dict):
             raise ConfigError(f"a study is a table, not {table!r}.")
-        lists = {key: name for key in table if (name := self._scene(key)) is not None}
+        lists = {key: name for key in table if (name := self._scene(key))}
         rest = {k: v for k, v in table.items() if k not in lists and k != "estimators"}
         config = self._with_analyses(rest, StudyConfig, "")
         estimators = tuple(
@@ -323,17 +327,17 @@ class _Reader:
             for entry, place in _entries("estimators", table.get("estimators", []))
         )
         scenes = tuple(
-            self._scene_entry(name, entry, place)
+            self._of_scene(name, entry, place)
             for key, name in lists.items()
             for entry, place in _entries(key, table[key])
         )
         return msgspec.structs.replace(config, estimators=estimators, scenes=scenes)
 
-    def _scene(self, key: str) -> str | None:
-        """Name of the analysis of scenes whose entries a key lists, ``map`` of ``maps``."""
+    def _scene(self, key: str) -> str:
+        """Name of the analysis of scenes whose entries a key lists, ``map`` of ``maps``, or nothing."""
         name = key.removesuffix("s")
         listed = key not in self._names and name != key and name in self._names
-        return name if listed and ANALYSES.load(name).about == "scene" else None
+        return name if listed and ANALYSES.load(name).about == "scene" else ""
 
     def _with_analyses(self, table: Any, kind: type[Struct], place: str) -> Struct:
         """A table that may have tables of analyses in it."""
@@ -341,26 +345,28 @@ class _Reader:
         if not asked:
             return _struct(table, kind, place)
         made = _struct({k: v for k, v in table.items() if k not in self._names}, kind, place)
-        analyses = {key: self._analysis(key, table[key], _inside(place, key)) for key in asked}
+        analyses = {}
+        for key in asked:
+            inside = f"{place}.{key}" if place else key
+            if ANALYSES.load(key).about == "scene":
+                raise ConfigError(f"{inside} is an analysis of scenes; list tables [[{key}s]].")
+            analyses[key] = self._analysis(key, table[key], inside)
         return msgspec.structs.replace(made, analyses=analyses)
 
-    def _scene_entry(self, name: str, entry: Any, place: str) -> SceneConfig:
-        options = dict(entry) if isinstance(entry, dict) else {}
-        own = {key: options.pop(key) for key in ("name", "samplers") if key in options}
-        made = _struct(own if isinstance(entry, dict) else entry, SceneConfig, place)
-        analysis = self._options(name, ANALYSES.load(name), options, place)
+    def _of_scene(self, name: str, entry: Any, place: str) -> SceneConfig:
+        """An entry of ``[[maps]]``."""
+        if not isinstance(entry, dict):
+            return _struct(entry, SceneConfig, place)
+        own = {key: entry[key] for key in ("name", "samplers") if key in entry}
+        made = _struct(own, SceneConfig, place)
+        options = {key: value for key, value in entry.items() if key not in own}
+        analysis = self._analysis(name, options, place)
         return msgspec.structs.replace(made, kind=name, analysis=analysis)
 
     def _analysis(self, name: str, table: Any, place: str) -> Analysis:
-        kind = ANALYSES.load(name)
-        if kind.about == "scene":
-            raise ConfigError(f"{place} is an analysis of scenes; list tables [[{name}s]].")
-        return self._options(name, kind, table, place)
-
-    def _options(self, name: str, kind: type[Analysis], table: Any, place: str) -> Analysis:
         key = (name, repr(table))
         if key not in self._known:
-            made = _struct(table, kind, place)
+            made = _struct(table, ANALYSES.load(name), place)
             try:
                 self._known[key] = checked(made)
             except McspectraError as error:
@@ -375,10 +381,6 @@ def _entries(key: str, entries: Any) -> Iterator[tuple[Any, str]]:
     return ((entry, f"{key}[{i}]") for i, entry in enumerate(entries))
 
 
-def _inside(place: str, key: str) -> str:
-    return f"{place}.{key}" if place else key
-
-
 def _struct(table: Any, kind: type[Struct], place: str) -> Struct:
     """A table as a struct.
 
@@ -387,14 +389,14 @@ def _struct(table: Any, kind: type[Struct], place: str) -> Struct:
     ConfigError
         A key is unknown, or a value has the wrong type or breaks its limits.
     """
-    known = _own_keys(kind)
+    known = _keys_of(kind)
     unknown = [key for key in table if key not in known] if isinstance(table, dict) else []
+    where = f"{place}: " if place else ""
     if unknown:
-        inner = analysis_tables() if "analyses" in kind.__struct_fields__ else {}
+        tables = analysis_tables() if "analyses" in kind.__struct_fields__ else {}
         top = kind is StudyConfig
-        allowed = [*known, *(k for k, each in inner.items() if top or each.about != "scene")]
+        allowed = [*known, *(key for key, each in tables.items() if top or each.about != "scene")]
         hint, close = close_match_hint(unknown[0], allowed)
-        where = f"{place}: " if place else ""
         sentence = f"{where}there is no key {unknown[0]!r}; allowed here: {', '.join(allowed)}."
         raise ConfigError(sentence + (hint if close else ""))
     try:
@@ -404,23 +406,17 @@ def _struct(table: Any, kind: type[Struct], place: str) -> Struct:
         what, _, inner = str(error).partition(" - at `$")
         path = inner.rstrip("`").lstrip(".")
         where = f"{place}{'.' if place and path else ''}{path}"
-        if "enum value" in what:
-            what += _offer(kind, re.split(r"[.\[]", path)[0])
+        name = re.split(r"[.\[]", path)[0]
+        if "enum value" in what:  # say what there is to choose from
+            (option,) = (each for each in options_of(kind) if each.name == name)
+            with contextlib.suppress(TypeError):
+                option.check(table[name], f"{place}.{name}" if place else name)
         words = f"{what[:1].lower()}{what[1:].replace('`', '')}."
         raise ConfigError(f"{where}: {words}" if where else words) from None
 
 
-def _offer(kind: Any, name: str) -> str:
-    """What a key that has choices can be."""
-    for option in options_of(kind):
-        if option.name == name:
-            words = [repr(word) for word in option.choices]
-            number = ["a number"] if "IntType" in repr(option.kind) else []
-            return f"; give {' or '.join([*number, *words])}"
-    return ""
-
-
-def _own_keys(kind: type[msgspec.Struct]) -> tuple[str, ...]:
+@functools.cache
+def _keys_of(kind: type[msgspec.Struct]) -> tuple[str, ...]:
     """Keys of a table but for its tables of analyses."""
     hidden = RESERVED if issubclass(kind, _Table) else ()
     return tuple(key for key in kind.__struct_fields__ if key not in hidden)
@@ -431,19 +427,19 @@ def _own_keys(kind: type[msgspec.Struct]) -> tuple[str, ...]:
 
 def _check_study(config: StudyConfig) -> None:
     """Refuse names that repeat, missing samplers and keys that contradict each other."""
-    entries = [*config.estimators, *config.scenes]
-    if not entries:
+    if not config.entries:
         raise ConfigError("there is nothing to study; give [[estimators]] or [[maps]].")
-    (name, times), *_ = Counter(entry.name for entry in entries).most_common(1)
+    (name, times), *_ = Counter(entry.name for entry in config.entries).most_common(1)
     if times > 1:
         raise ConfigError(f"two estimators are called {name!r}; names must differ.")
-    lists = {id(own): (own, e.name) for e in reversed(entries) if (own := samplers_of(config, e))}
-    for samplers, name in lists.values():  # most share one
-        if len(set(samplers)) < len(samplers):
-            raise ConfigError(f"{name!r} lists a sampler twice.")
-    for entry in entries:
-        if not samplers_of(config, entry):
+    seen = set()
+    for entry in config.entries:
+        samplers = config.samplers_of(entry)
+        if not samplers:
             raise ConfigError(f"{entry.name!r} has no samplers; list some there or at the top.")
+        if id(samplers) not in seen and len(set(samplers)) < len(samplers):
+            raise ConfigError(f"{entry.name!r} lists a sampler twice.")
+        seen.add(id(samplers))  # most share one list
     for estimator in config.estimators:
         for complaint in _complaints(estimator):
             raise ConfigError(f"the estimator {estimator.name!r} {complaint}")
@@ -546,24 +542,21 @@ def _value(value: str, text: str) -> Any:
 
 def _put(table: dict[str, Any], steps: list[str | int], value: Any, text: str) -> None:
     place: Any = table
-    for step, following in zip(steps, [*steps[1:], None], strict=True):
-        last = following is None
-        if isinstance(step, int):
-            if not isinstance(place, list):
-                raise ConfigError(
-                    f"--set {text!r}: there is no list that could hold [{step}]; count from 0."
-                )
-            if step >= len(place):
-                entries = "1 entry" if len(place) == 1 else f"{len(place)} entries"
-                raise ConfigError(
-                    f"--set {text!r}: there is no [{step}], the list has {entries}; count from 0."
-                )
-        elif not isinstance(place, dict):
-            raise ConfigError(f"--set {text!r}: there is no table that could hold {step!r}.")
-        elif not last and step not in place:
-            place[step] = {}
-        if last:
+    for i, step in enumerate(steps):
+        lack = ""
+        if isinstance(step, str) and not isinstance(place, dict):
+            lack = f"there is no table that could hold {step!r}"
+        elif isinstance(step, int) and not isinstance(place, list):
+            lack = f"there is no list that could hold [{step}]; count from 0"
+        elif isinstance(step, int) and step >= len(place):
+            entries = "1 entry" if len(place) == 1 else f"{len(place)} entries"
+            lack = f"there is no [{step}], the list has {entries}; count from 0"
+        if lack:
+            raise ConfigError(f"--set {text!r}: {lack}.")
+        if i == len(steps) - 1:
             place[step] = value
+        elif isinstance(place, dict):
+            place = place.setdefault(step, {})
         else:
             place = place[step]
 
@@ -641,17 +634,22 @@ class _Grids:
 
         So too a placeholder in place of the list of samplers, which maps take as well.
         """
-        takers = {key: [e for e in _list(table.get(key)) if isinstance(e, dict)] for key in lists}
+        takers = {
+            key: [e for e in table[key] if isinstance(e, dict)]
+            for key in lists
+            if isinstance(table.get(key), list)
+        }
         asked = {k: v for k, v in table.items() if k in names and isinstance(v, dict)}
-        moved = {k: v for k, v in asked.items() if takers["estimators"] and any(_placeholders(v))}
+        moved = {
+            k: v for k, v in asked.items() if takers.get("estimators") and any(_placeholders(v))
+        }
         samplers = table.get("samplers")
         whole = isinstance(samplers, str) and _PLACEHOLDER.fullmatch(samplers)
         listed = {"samplers": samplers} if whole and any(takers.values()) else {}
         kept = {key: value for key, value in table.items() if key not in {**moved, **listed}}
-        for key in lists:
+        for key in takers:
             given = {**moved, **listed} if key == "estimators" else listed
-            if entries := _list(kept.get(key)):
-                kept[key] = [{**given, **e} if isinstance(e, dict) else e for e in entries]
+            kept[key] = [{**given, **e} if isinstance(e, dict) else e for e in kept[key]]
         return kept
 
     def _entry(self, entry: Any, key: str, place: str) -> Iterator[Any]:
@@ -666,18 +664,17 @@ class _Grids:
         apart = ("grid", "samplers") if listed else ("grid",)
         body = {name: value for name, value in entry.items() if name not in apart}
         keys = _keys_in(body, values, place)
-        sampler_keys = _keys_in(samplers, values, place)
-        _check_used(own, {*keys, *sampler_keys}, f"{place}: ")
-        self._used |= {*keys, *sampler_keys} - own.keys()
-        self._made[key] += _count(keys, values, entry, place)
-        _check_number(self._made[key], key)
+        used = {*keys, *_keys_in(samplers, values, place)}
+        _check_used(own, used, f"{place}: ")
+        self._used |= used - own.keys()
+        self._made[key] += math.prod(len(values[name]) for name in keys)
+        _check_size(self._made[key], 0, key)
         mentioned = set(_placeholders(body.get("name")))
-        for choice in _choices(keys, values):
+        for choice in _choices(keys, values, entry, place):
             made = _filled(body, choice)
             rest = [f"{k}={v}" for k, v in choice.items() if k not in mentioned]
-            if isinstance(body.get("name"), str):
-                name = _PLACEHOLDER.sub(lambda match: str(choice[match[1]]), body["name"])  # noqa: B023
-                made["name"] = f"{name} ({', '.join(rest)})" if rest else name
+            if rest and isinstance(made.get("name"), str):
+                made["name"] += f" ({', '.join(rest)})"
             if listed:
                 chosen = {**values, **{k: [value] for k, value in choice.items()}}
                 made["samplers"] = self._listed(samplers, chosen, set(), place)
@@ -691,14 +688,9 @@ class _Grids:
         for text in texts:
             keys = _keys_in(text, values, place)
             used |= set(keys)
-            _check_number(len(made) + _count(keys, values, text, place), place)
-            made += [_filled(text, choice) for choice in _choices(keys, values)]
+            made += [_filled(text, choice) for choice in _choices(keys, values, text, place)]
+            _check_size(len(made), 0, place)
         return made
-
-
-def _list(value: Any) -> list[Any]:
-    """A list as it is; nothing of what is none, which the types of a study report."""
-    return value if isinstance(value, list) else []
 
 
 def _check_used(values: Values, used: Collection[str], place: str) -> None:
@@ -712,31 +704,25 @@ def _check_used(values: Values, used: Collection[str], place: str) -> None:
             )
 
 
-def _count(keys: list[str], values: Values, body: Any, place: str) -> int:
-    """How many combinations there are; refuses those whose text would fill the memory."""
+def _choices(keys: list[str], values: Values, body: Any, place: str) -> Iterator[dict[str, Any]]:
+    """All combinations of values for a body, unless it makes too many or too long ones."""
     number = math.prod(len(values[key]) for key in keys)
     longest = sum(max(len(str(value)) for value in values[key]) for key in keys)
-    size = number * (len(repr(body)) + longest * (1 + sum(1 for _ in _placeholders(body))))
-    _check_number(number, place)
-    if keys and size > _MOST_TEXT:
+    size = len(repr(body)) + longest * (1 + len([*_placeholders(body)]))
+    _check_size(number, number * size if keys else 0, place)
+    return (
+        dict(zip(keys, chosen, strict=True))
+        for chosen in itertools.product(*(values[key] for key in keys))
+    )
+
+
+def _check_size(number: int, size: int, place: str) -> None:
+    if number > MOST_ENTRIES or size > _MOST_TEXT:
+        long = f" with {size:.2g} characters" if size > _MOST_TEXT else ""
         raise ConfigError(
-            f"{place}: the grid makes {number:,} entries with {size:.2g} characters; at most "
-            f"{_MOST_TEXT:,} are made, so take fewer values, or several studies."
+            f"{place}: the grid makes {number:,} entries{long}; at most {MOST_ENTRIES:,} are made, with "
+            f"{_MOST_TEXT:.0e} characters, so take fewer values, or several studies."
         )
-    return number
-
-
-def _check_number(number: int, place: str) -> None:
-    if number > MOST_ENTRIES:
-        raise ConfigError(
-            f"{place}: the grid makes {number:,} entries; at most {MOST_ENTRIES:,} are made, so take "
-            "fewer values, or several studies."
-        )
-
-
-def _choices(keys: list[str], values: Values) -> Iterator[dict[str, Any]]:
-    for chosen in itertools.product(*(values[key] for key in keys)):
-        yield dict(zip(keys, chosen, strict=True))
 
 
 def _keys_in(value: Any, values: Values, place: str) -> list[str]:

@@ -38,7 +38,7 @@ from mcspectra.estimators import (
 from mcspectra.integrands import INTEGRANDS
 from mcspectra.integrands.smoothing import smoothed
 from mcspectra.samplers import Sampler, sampler_from_calls
-from mcspectra.studies.files import EstimatorConfig, SceneConfig, StudyConfig, samplers_of
+from mcspectra.studies.files import EstimatorConfig, SceneConfig, StudyConfig
 from mcspectra.studies.foreign_code import FunctionFailed, probed
 from mcspectra.studies.vetting import Inputs, Trust, Vetting
 
@@ -168,9 +168,7 @@ def make_plan(
     if not force:
         _check_number(config)
     planner = _Planner(config, Vetting(Path(folder), trust or Trust()))
-    cells = tuple(
-        cell for entry in (*config.estimators, *config.scenes) for cell in planner.cells(entry)
-    )
+    cells = tuple(cell for entry in config.entries for cell in planner.cells(entry))
     if not cells:
         raise ConfigError(
             f"The study asks for no analysis; give a table, one of {', '.join(ANALYSES)}."
@@ -189,8 +187,8 @@ def _check_number(config: StudyConfig) -> None:
     texts = {*config.samplers}
     pairs, seconds = 0, 0.0
     shared = {name: _seconds(each) for name, each in config.analyses.items()}
-    for entry in (*config.estimators, *config.scenes):
-        own = samplers_of(config, entry)
+    for entry in config.entries:
+        own = config.samplers_of(entry)
         texts.update(entry.samplers or ())
         pairs += len(own)
         seconds += _SPEC + _PAIR * len(own)
@@ -202,9 +200,8 @@ def _check_number(config: StudyConfig) -> None:
             seconds += densities * one + _WEIGHTED * (densities > 0)
     seconds += _SPEC * len(texts)
     if seconds > _MOST_SECONDS:
-        entries = len(config.estimators) + len(config.scenes)
         raise ConfigError(
-            f"The study has {entries:,} estimators and {pairs:,} pairs of estimator and sampler, which "
+            f"The study has {len(config.entries):,} estimators and {pairs:,} pairs of estimator and sampler, which "
             f"would take about {seconds:.2g} s to plan alone; take several studies, or give --force."
         )
 
@@ -247,18 +244,16 @@ class _Planner:
             raise ConfigError(f"{kind} {entry.name!r}: {error}") from error
 
     def _cells(self, entry: EstimatorConfig | SceneConfig, whose: str) -> Iterator[Cell]:
-        estimator, error, inputs = None, None, frozenset[str]()
+        estimator, error, inputs = None, None, set[str]()
         if isinstance(entry, SceneConfig):
             dims = getattr(entry.analysis, "dims", None)
         else:
-            building = _Building(entry, self.vetting, self._config.time_limit)
             dims = 2 if entry.dims is None else entry.dims
             try:
-                estimator = building.estimator()
+                estimator = _built(entry, self.vetting, self._config.time_limit, inputs)
                 dims = estimator.dims
             except FunctionFailed as failure:
                 error = str(failure)
-            inputs = frozenset(building.inputs)
         parent = self._slugs(entry.name)
         asked = list(self._asked(entry))
         for text, slug, sampler, of_sampler in self._samplers(entry, dims):
@@ -296,7 +291,7 @@ class _Planner:
 
     def _samplers(self, entry: EstimatorConfig | SceneConfig, dims: int | None) -> list[_Sampler]:
         """Samplers of an entry; those that entries share are the same objects."""
-        texts = samplers_of(self._config, entry)
+        texts = self._config.samplers_of(entry)
         key = texts, dims
         if key not in self._lists:
             slugs, specs, found = _Slugs(), dict[str, str](), list[_Sampler]()
@@ -313,68 +308,57 @@ class _Planner:
         return self._lists[key]
 
 
-@final
-class _Building:
-    """Makes the estimator that a table ``[[estimators]]`` describes; notes which files it takes."""
+def _built(
+    entry: EstimatorConfig, vetting: Vetting, limit: float | None, inputs: set[str]
+) -> AbstractEstimator:
+    """Make the estimator that a table ``[[estimators]]`` describes; add the files that it takes.
 
-    def __init__(self, entry: EstimatorConfig, vetting: Vetting, limit: float | None) -> None:
-        self.inputs: set[str] = set()
-        self._entry = entry
-        self._vetting = vetting
-        self._limit = limit
+    Raises
+    ------
+    FunctionFailed
+        A Python function fails at its first points.
+    McspectraError
+        A spec cannot be read or a component cannot be made of it.
+    """
 
-    def estimator(self) -> AbstractEstimator:
-        """The estimator.
-
-        Raises
-        ------
-        FunctionFailed
-            A Python function fails at its first points.
-        McspectraError
-            A spec cannot be read or a component cannot be made of it.
-        """
-        made = self._unmirrored(self._entry)
-        return made if self._entry.mirror is None else Mirrored(made, self._entry.mirror)
-
-    def _unmirrored(self, entry: EstimatorConfig) -> AbstractEstimator:
-        sets = entry.sets or "independent"
-        if entry.integrands is not None:
-            parts = [self._component(INTEGRANDS, text, entry.dims) for text in entry.integrands]
-            return TechniqueSum(parts, counts=entry.technique_counts, sets=sets)
-        f = self._component(INTEGRANDS, entry.integrand or "", entry.dims)
-        if entry.smoothed is not None:
-            f = smoothed(f, entry.smoothed)
-        if entry.densities is None:
-            one = entry.density
-            return Estimator(f, None if one is None else self._component(DENSITIES, one, f.dims))
-
-        # Several densities: one for each channel, one chosen for each point, or all weighted
-        densities = [self._component(DENSITIES, text, f.dims) for text in entry.densities]
-        if entry.channels in ("own", "shared"):
-            own = "shared" if entry.channels == "shared" else "independent"
-            return ChannelSampling(f, densities, sets=own)
-        heuristic = entry.heuristic or "balance"
-        if entry.one_sample:
-            selection = entry.selection or "extra"
-            return OneSampleMIS(
-                f, densities, entry.probabilities, heuristic=heuristic, selection=selection
-            )
-        counts = entry.technique_counts
-        return MultipleImportance(f, densities, heuristic=heuristic, counts=counts, sets=sets)
-
-    def _component(self, registry: Registry, text: str, dims: int | None) -> Any:
-        """The component of a spec; of ``python(...)`` an integrand."""
-        calls, inputs = self._vetting.calls(text)
-        self.inputs.update(inputs)
+    def component(registry: Registry, text: str, dims: int | None) -> Any:
+        calls, names = vetting.calls(text)
+        inputs.update(names)
         if len(calls) != 1:
             raise ConfigError(f"{text!r} chains parts with '|'; only samplers can be chained.")
         if calls[0].name != "python":
             return registry.build(calls[0], dims)
         if registry is not INTEGRANDS:
             raise ConfigError(f"{text!r}: only integrands can be Python functions.")
-        function, inputs = self._vetting.function(text, calls[0])
-        self.inputs.update(inputs)
-        return probed(function, dims=2 if dims is None else dims, limit=self._limit)
+        function, names = vetting.function(text, calls[0])
+        inputs.update(names)
+        return probed(function, dims=2 if dims is None else dims, limit=limit)
+
+    def unmirrored() -> AbstractEstimator:
+        sets, counts = entry.sets or "independent", entry.technique_counts
+        if entry.integrands is not None:
+            parts = [component(INTEGRANDS, text, entry.dims) for text in entry.integrands]
+            return TechniqueSum(parts, counts=counts, sets=sets)
+        f = component(INTEGRANDS, entry.integrand or "", entry.dims)
+        if entry.smoothed is not None:
+            f = smoothed(f, entry.smoothed)
+        if entry.densities is None:
+            one = entry.density
+            return Estimator(f, None if one is None else component(DENSITIES, one, f.dims))
+
+        # Several densities: one for each channel, one chosen for each point, or all weighted
+        densities = [component(DENSITIES, text, f.dims) for text in entry.densities]
+        if entry.channels in ("own", "shared"):
+            own = "shared" if entry.channels == "shared" else "independent"
+            return ChannelSampling(f, densities, sets=own)
+        heuristic = entry.heuristic or "balance"
+        if entry.one_sample:
+            chance, selection = entry.probabilities, entry.selection or "extra"
+            return OneSampleMIS(f, densities, chance, heuristic=heuristic, selection=selection)
+        return MultipleImportance(f, densities, heuristic=heuristic, counts=counts, sets=sets)
+
+    made = unmirrored()
+    return made if entry.mirror is None else Mirrored(made, entry.mirror)
 
 
 def _need(analysis: Analysis, subject: Subject, whose: str) -> Need:

@@ -92,31 +92,23 @@ def _with_placeholders(table: dict[str, Any]) -> dict[str, Any]:
     """A table's schema in which a placeholder may stand where text could not."""
     properties = {
         key: value if key in _NO_PLACEHOLDER else _or_placeholder(value)
-        for key, value in table.get("properties", {}).items()
+        for key, value in table["properties"].items()
     }
     return {**table, "properties": properties}
 
 
 def _or_placeholder(value: dict[str, Any]) -> dict[str, Any]:
-    found = {k: v for k, v in value.items() if k not in ("description", "default")}
     about = {k: v for k, v in value.items() if k in ("description", "default")}
-    choices = [_of_values(each) for each in found.get("anyOf", [found])]
-    if any(_is_value(each) for each in choices):
-        return {**about, "anyOf": [*choices, _PLACEHOLDER]}
-    return value
-
-
-def _is_value(found: dict[str, Any]) -> bool:
-    """Whether it is a number, a choice, true or false, or a list of values."""
-    items = found.get("items")
-    tables = isinstance(items, dict) and "$ref" in items
-    return (found.get("type") in (*_NO_TEXT, "array") and not tables) or "enum" in found
-
-
-def _of_values(found: dict[str, Any]) -> dict[str, Any]:
-    """A list's schema with placeholders for its items, any other as it is."""
-    items = found.get("items")
-    return {**found, "items": _or_placeholder(items)} if isinstance(items, dict) else found
+    found = {k: v for k, v in value.items() if k not in about}
+    choices, taken = [], False
+    for each in found.get("anyOf", [found]):
+        items = each.get("items")
+        listed = isinstance(items, dict)
+        choices += [{**each, "items": _or_placeholder(items)} if listed else each]
+        tables = listed and "$ref" in items
+        # A number, a choice, true or false, or a list of values
+        taken |= "enum" in each or (each.get("type") in (*_NO_TEXT, "array") and not tables)
+    return {**about, "anyOf": [*choices, _PLACEHOLDER]} if taken else value
 
 
 def key_tables() -> str:
@@ -151,7 +143,8 @@ def _type(value: dict[str, Any]) -> str:
     kind = str(value.get("type", "value"))
     if kind == "array":
         items: dict[str, Any] = value.get("items") or next(iter(value.get("prefixItems", ())), {})
-        return f"list of {_type(items) if items else 'values'}"
+        inner = _type(items) if items else "values"
+        return f"list of ({inner})" if " or " in inner else f"list of {inner}"
     words = {"object": "table", "boolean": "true or false", "string": "text"}
     return words.get(kind, kind) + _range(value)
 

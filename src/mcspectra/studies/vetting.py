@@ -58,11 +58,13 @@ class Trust:
     folders: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
-        lists = isinstance(self.code, list | tuple) and isinstance(self.folders, list | tuple)
-        for name in self.code if lists else (self.code,):
-            if not (lists and isinstance(name, str) and _FUNCTION.fullmatch(name)):
-                raise ConfigError(f"--allow-code is {name!r}; write module:function, in a list.")
-        for folder in self.folders:
+        given: tuple[Any, Any] = self.code, self.folders
+        if not all(isinstance(each, list | tuple) for each in given):
+            raise ConfigError(f"Allowed are {given}; give a list of functions and one of folders.")
+        for name in given[0]:
+            if not isinstance(name, str) or not _FUNCTION.fullmatch(name):
+                raise ConfigError(f"--allow-code is {name!r}; write module:function.")
+        for folder in given[1]:
             if not isinstance(folder, Path):
                 raise ConfigError(f"--allow-path is {folder!r}; give the path of a folder.")
 
@@ -120,7 +122,7 @@ class Vetting:
             As of `calls`.
         """
         files: dict[Path, str] = {}
-        changed = {}
+        changed: dict[str, Any] = {}
         for key in analysis.__struct_fields__:
             given = getattr(analysis, key)
             found = self._argument(key, given, files)

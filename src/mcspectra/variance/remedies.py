@@ -82,10 +82,19 @@ class Remedies(Analysis, frozen=True, kw_only=True):
     ]
     kinds: Annotated[
         Annotated[tuple[Kind, ...], Meta(min_length=1)] | None,
-        Meta(description="Changes to try; all by default."),
+        Meta(
+            description="Changes to try; all by default.",
+            extra={"flag": "--kind", "metavar": "KIND"},
+        ),
     ] = None
     realizations: Annotated[
-        int, Meta(ge=100, le=100_000, description="Of each change at each of five budgets.")
+        int,
+        Meta(
+            ge=100,
+            le=100_000,
+            description="Of each change at each of five budgets.",
+            extra={"flag": "-m", "metavar": "R"},
+        ),
     ] = 1000
 
     def need(self, subject: Subject) -> Need:
