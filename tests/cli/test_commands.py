@@ -302,14 +302,22 @@ def test_converge_says_which_counts_missed_the_precision(capsys):
     assert "reached" not in run(capsys, *arguments)[1]
 
 
-@pytest.mark.parametrize("given", ["foo", "1", "2.5", "nan"])
+@pytest.mark.parametrize("given", ["foo", "2.5", "nan"])
 def test_converge_names_the_windows_it_takes(capsys, given):
     code, _, err = run(
         capsys, "converge", "gaussian", "--sampler", "random", "--counts", "4,16",
         f"--fit-last={given}",
     )  # fmt: skip
     assert code == 2
-    assert f"--fit-last is '{given}'; give a whole number of at least 2, or auto." in err
+    assert f"--fit-last is '{given}'; give a whole number of at least 2, or 'auto'." in err
+
+
+def test_converge_fits_two_counts_or_more(capsys):
+    code, _, err = run(
+        capsys, "converge", "gaussian", "--sampler", "random", "--counts", "4,16", "--fit-last", 1
+    )
+    assert code == 2
+    assert "--fit-last is 1; give a whole number at least 2" in err
 
 
 @pytest.mark.parametrize("given", ["0", "-1", "nan", "inf", "x"])
