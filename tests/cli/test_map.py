@@ -164,7 +164,7 @@ def test_folders_that_cannot_take_a_map(
     (tmp_path / "file").write_text("")
     for target, more, sentence in (
         (folder, (), "holds results already"),
-        (folder, ("--resume", "--seed", 4), "other settings"),
+        (folder, ("--resume", "--seed", 4), "belongs to another study"),
         (tmp_path / "file", (), "cannot be written"),
     ):
         code, out, err = run(capsys, "veach", *SMALL, "--out", target, *more)
