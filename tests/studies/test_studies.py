@@ -258,7 +258,7 @@ def test_the_tour_is_a_valid_study():
 
     file = Path(__file__).parents[2] / "studies" / "tour.toml"
     plan = make_plan(read_study(file), file.parent)
-    kinds = {cell.analysis for cell in plan.cells}
+    kinds = {cell.analysis_name for cell in plan.cells}
     assert kinds == {"convergence", "terms", "spectrum", "points"}
 
 

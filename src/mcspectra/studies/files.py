@@ -226,7 +226,7 @@ def read_study(path: str | Path, overrides: Sequence[str] = ()) -> StudyConfig:
     ConfigError
         Missing or unreadable file, not TOML, or not a study; the message names the place.
     """
-    if not isinstance(path, str | Path):
+    if not isinstance(path, str | Path) or "\0" in str(path):
         raise ConfigError(f"{path!r} is not the path of a study file; give that of a .toml file.")
     file = Path(path)
     try:
@@ -239,7 +239,7 @@ def read_study(path: str | Path, overrides: Sequence[str] = ()) -> StudyConfig:
         raise ConfigError(
             f"There is no study file {str(file)!r}; give the path of a .toml file."
         ) from None
-    except (OSError, ValueError) as error:
+    except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise ConfigError(f"The study file {str(file)!r} cannot be read: {reason}.") from None
     return decode_study(text, str(file), overrides)
