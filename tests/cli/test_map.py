@@ -165,7 +165,7 @@ def test_folders_that_cannot_take_a_map(
     for target, more, sentence in (
         (folder, (), "holds results already"),
         (folder, ("--resume", "--seed", 4), "belongs to another study"),
-        (tmp_path / "file", (), "cannot be written"),
+        (tmp_path / "file", (), "is a file"),
     ):
         code, out, err = run(capsys, "veach", *SMALL, "--out", target, *more)
         assert (code, out) == (2, "")
