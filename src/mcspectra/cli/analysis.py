@@ -140,7 +140,9 @@ class AnalysisVerb:
         if file is None or Path(file).suffix == ".npz":
             return
         if Path(file).suffix not in _FILES:
-            raise ParameterError(f"--out is {file!r}; it must end in {', '.join(_FILES)}.")
+            raise ParameterError(
+                f"--out is {file!r}; it must end in {', '.join(_FILES[:-1])} or {_FILES[-1]}."
+            )
         from mcspectra.report.accessor import has_picture
 
         if not has_picture(self._analysis.variables):
