@@ -11,7 +11,7 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError
-from mcspectra.variance.bottleneck import UNDECIDED
+from mcspectra.variance.techniques import UNDECIDED
 
 TERMS = ("dc_term", "power_term", "cross_term")
 CUBIC = mcs.integrand("polynomial(coefficients=[1, -3, 0, 3])", dims=1)
