@@ -246,7 +246,7 @@ def test_infinite_weights_are_said():
     ("n", "options", "words"),
     [
         (0, {}, "at least 1|from 1"),
-        ([], {}, "ascending"),
+        ([], {}, "one or more"),
         ([8, 8], {}, "ascending"),
         ([8, 4], {}, "ascending"),
         ([4, float("nan")], {}, "whole number"),
