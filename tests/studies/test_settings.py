@@ -154,7 +154,7 @@ def test_the_report_shows_basis_window_precision_and_errors(finished):
         (
             'fit_last = "auto"',
             'fit_last = "all"',
-            "convergence.fit_last is 'all'; give a number, or auto",
+            "convergence.fit_last is 'all'; give a whole number of at least 2, or 'auto'",
         ),
         ('fit_last = "auto"', "fit_last = 1", ">= 2"),
         ('fit_last = "auto"', "fit_last = 5", "there are 4 counts"),

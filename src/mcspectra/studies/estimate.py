@@ -141,16 +141,18 @@ def _measured(cell: Cell, seed: int, left: float) -> tuple[float, int] | None:
     realizations: int = cell.analysis.realizations  # type: ignore[attr-defined]
     if cell.need.cost / realizations * _FEW * _NOMINAL > left:
         return None
+    few = min(_FEW, realizations)
     try:
-        first, size = _timed(cell, min(_FEW, realizations), seed)  # pays what is paid once
-        few, _ = _timed(cell, min(_FEW, realizations), seed)
-        if few * _MORE / _FEW > 0.1 * left:
-            return first + few * realizations / _FEW, size
-        more, _ = _timed(cell, min(_MORE, realizations), seed)
+        first, size = _timed(cell, few, seed)  # pays what is paid once
+        again, _ = _timed(cell, few, seed)
+        if 2 * again > left:
+            return first + again * realizations / few, size
+        more = min(_MORE if again * _MORE / few < 0.1 * left else 2 * few, realizations)
+        seconds, _ = _timed(cell, more, seed)
     except BaseException:  # noqa: BLE001 - whatever the code of others does
         return None
-    each = max(0.0, more - few) / (_MORE - _FEW)
-    return more + each * max(0, realizations - _MORE), size
+    each = max(0.0, seconds - again) / max(1, more - few)
+    return seconds + each * (realizations - more), size
 
 
 def _timed(cell: Cell, realizations: int, seed: int) -> tuple[float, int]:
