@@ -22,16 +22,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mcspectra.core.analysis import MergeTree
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import NoClosedForm, ParameterError
-from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
+from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers, map_in_order
+from mcspectra.core.records import MeanSums
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, as_estimator
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Randomized, Sampler, as_sampler
 from mcspectra.samplers.base import Structure
-from mcspectra.spectra.pair_correlation import mean_of_realizations
 from mcspectra.variance._pair_kernels import pair_sum_1d, pair_sum_2d
 from mcspectra.variance._squares import mean_square, square_integral
 from mcspectra.variance._strata import stratum_moments
@@ -209,13 +210,16 @@ def _of_counted_pairs(
     constant = square / n - table.reshape(len(table), -1).mean(axis=-1)
     first, count = numbers
 
-    def one(realization: int) -> Array:
-        points = sampler.draw_stream(n, stream, first + realization, 1)[0]
+    def one(realization: int) -> MeanSums:
+        points = sampler.draw_stream(n, stream, realization, 1)[0]
         add = pair_sum_1d if g.dims == 1 else pair_sum_2d
         sums = np.array([add(points, channel) for channel in table])
-        return np.asarray(constant + 2.0 / n**2 * sums)
+        return MeanSums.of(constant + 2.0 / n**2 * sums)
 
-    return mean_of_realizations(one, count, workers)
+    tree: MergeTree[MeanSums] = MergeTree()
+    for state in map_in_order(one, range(first, first + count), workers):
+        tree.add(state)
+    return tree.total().mean_and_error()
 
 
 def _autocorrelation(g: Integrand) -> Array:
