@@ -226,7 +226,7 @@ def read_study(path: str | Path, overrides: Sequence[str] = ()) -> StudyConfig:
     ConfigError
         Missing or unreadable file, not TOML, or not a study; the message names the place.
     """
-    if not isinstance(path, str | Path) or "\0" in str(path):
+    if not isinstance(path, str | Path) or "\0" in str(path):  # type: ignore[redundant-expr]
         raise ConfigError(f"{path!r} is not the path of a study file; give that of a .toml file.")
     file = Path(path)
     try:
