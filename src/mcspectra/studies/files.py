@@ -28,7 +28,7 @@ from msgspec import Meta
 
 from mcspectra.core.analysis import ANALYSES, Analysis
 from mcspectra.core.errors import ConfigError, McspectraError, MissingDependency, close_match_hint
-from mcspectra.core.options import Positive, Text, checked, options_of
+from mcspectra.core.options import Positive, Text, options_of
 
 __all__ = [
     "MOST_ENTRIES",
@@ -309,11 +309,11 @@ def _flat(plain: dict[str, Any]) -> dict[str, Any]:
 
 @final
 class _Reader:
-    """Makes structs of the tables of one study; each distinct table of an analysis is made once."""
+    """Makes structs of the tables of one study; equal options of analyses are checked once."""
 
     def __init__(self) -> None:
         self._names = _names()
-        self._known: dict[tuple[str, str], Analysis] = {}
+        self._clean: set[tuple[str, str, str]] = set()
 
     def study(self, table: Mapping[str, Any]) -> StudyConfig:
         """A whole study."""
@@ -364,14 +364,14 @@ class _Reader:
         return msgspec.structs.replace(made, kind=name, analysis=analysis)
 
     def _analysis(self, name: str, table: Any, place: str) -> Analysis:
-        key = (name, repr(table))
-        if key not in self._known:
-            made = _struct(table, ANALYSES.load(name), place)
-            try:
-                self._known[key] = checked(made)
-            except McspectraError as error:
-                raise ConfigError(f"{place}: {error}") from None
-        return self._known[key]
+        made = _struct(table, ANALYSES.load(name), place)
+        for option in options_of(type(made)):  # what types cannot say
+            value = getattr(made, option.name)
+            key = name, option.name, repr(value)
+            if key not in self._clean:
+                option.check(value, f"{place}.{option.name}")
+                self._clean.add(key)
+        return made
 
 
 def _entries(key: str, entries: Any) -> Iterator[tuple[Any, str]]:

@@ -54,7 +54,7 @@ MOST_EVALUATIONS = 10**15
 # searched for gaps), of a sampler of an estimator, of a cell, of a count (or another item of a list) of
 # its analysis; and most that are not forced.
 _SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 3e-4, 2e-3
-_PAIR, _CELL, _COUNT = 5e-6, 3e-5, 6e-6
+_PAIR, _CELL, _COUNT = 3e-6, 2.5e-5, 3e-6
 _MOST_SECONDS = 5.0
 _RESERVED = frozenset({"zarr.json", "c"})
 
