@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from mcspectra.cli.main import main
-from mcspectra.studies import Store
 from mcspectra.studies.files import decode_study
+from mcspectra.studies.ledger import Ledger, StudyNote
 
 STUDY = """
 title = "t"
@@ -22,9 +22,9 @@ n = 4
 
 @pytest.fixture(name="folders")
 def _folders(tmp_path: Path) -> list[str]:
-    """Two stores without any results yet."""
+    """Two ledgers without any results yet."""
     for name in "ab":
-        Store.create(tmp_path / name, decode_study(STUDY)).finish()
+        Ledger.create(tmp_path / name, StudyNote.of(decode_study(STUDY), {}), ()).close()
     return [str(tmp_path / name) for name in "ab"]
 
 

@@ -226,6 +226,7 @@ class Ledger:
         self._waiting = 0  # bytes
         self._closed = threading.Event()
         self._broken: StoreError | None = None  # what a commit of the thread has met
+        self._holds = False
 
     @staticmethod
     def create(folder: Path, study: StudyNote, paths: Sequence[str]) -> Ledger:
@@ -435,7 +436,8 @@ class Ledger:
         """Commit, note that this process has ended, give the folder free; again, do nothing."""
         self._closed.set()
         try:
-            if self.tally.holder is not None and self._lock is not None:
+            if self._holds:
+                self._holds = False
                 self.commit()
                 self._write((), msgspec.structs.replace(self.tally, holder=None))
         finally:
@@ -505,6 +507,7 @@ class Ledger:
         holder = Holder(host, os.getpid(), _now())
         self.tally = msgspec.structs.replace(self.tally, hosts=hosts, holder=holder)
         self._write((), self.tally)
+        self._holds = True
         threading.Thread(target=self._commit_in_time, daemon=True).start()
 
     def _commit_in_time(self) -> None:
@@ -723,7 +726,8 @@ class Ledger:
             raise self._unreadable(error) from None
 
     def _unreadable(self, error: BaseException) -> StoreError:
-        return StoreError(f"{str(self._file)!r} cannot be read: {error}; {_REMEDY}.")
+        remedy = _REMEDY if self._lock is None else "give another --out"
+        return StoreError(f"{str(self._file)!r} cannot be read: {error}; {remedy}.")
 
     def _row(self, name: str, note: msgspec.Struct) -> tuple[str, str, bytes]:
         text = msgspec.json.encode(note)
