@@ -23,7 +23,7 @@ FEW = 5.0  # seconds
 
 def _planned(text, folder, **options):
     """A plan, or the sentence that refuses the study: in time, and in little memory."""
-    start = time.perf_counter()
+    start = time.process_time()
     tracemalloc.start()
     try:
         return make_plan(decode_study(text), folder, **options)
@@ -33,7 +33,7 @@ def _planned(text, folder, **options):
         assert tracemalloc.get_traced_memory()[1] < 1e9
         tracemalloc.stop()
         # Tracing costs several times what it traces
-        assert time.perf_counter() - start < 6 * FEW
+        assert time.process_time() - start < 6 * FEW
 
 
 def _estimators(number):
@@ -96,9 +96,9 @@ def test_what_takes_too_long_or_too_much_is_refused_with_an_estimate(tmp_path, t
     ids=["pairs", "densities", "realizations"],
 )
 def test_large_studies_are_planned_within_seconds(tmp_path, text):
-    start = time.perf_counter()
+    start = time.process_time()
     plan = make_plan(decode_study(text), tmp_path)
-    assert time.perf_counter() - start < FEW
+    assert time.process_time() - start < FEW
     assert len(plan.cells) in (1, 90_000)
 
 
