@@ -57,7 +57,7 @@ from .variance.convergence import convergence as convergence
 from .variance.exact import exact_variance as exact_variance
 from .variance.mirror_study import mirror_study as mirror_study
 from .variance.modes import covariance_modes as covariance_modes
-from .variance.pair_route import variance_from_pair_correlation as variance_from_pair_correlation
+from .variance.routes import variance_from_pair_correlation as variance_from_pair_correlation
 from .variance.prediction import DecayFit as DecayFit
 from .variance.prediction import fitted_decay as fitted_decay
 from .variance.prediction import integrand_decay as integrand_decay
