@@ -16,10 +16,10 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-
-from mcspectra.studies import StudyConfig, decode_study, run_study
 from mcspectra.studies.engines import Engine, LocalEngine, Outcome, attempt
 from mcspectra.studies.processes import ProcessEngine
+
+from mcspectra.studies import StudyConfig, decode_study, run_study
 from mcspectra.studies.run import Progress
 from mcspectra.studies.tasks import StudyText, Task
 
@@ -98,9 +98,10 @@ def memory() -> None:
 
 
 def _drive_many(count: int) -> None:
+    from mcspectra.studies.scheduling import Pace, Schedule
+
     from mcspectra.studies.plan import Cell
     from mcspectra.studies.run import drive
-    from mcspectra.studies.scheduling import Pace, Schedule
 
     source = _Numbers(count)
     cell = Cell("a/s/k", "k", "a", "s", None, None, None, 1.0)  # type: ignore[arg-type]

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import xarray as xr
+from mcspectra.core.packing import pack_dataset, pack_record, unpack_dataset, unpack_record
 
 from mcspectra.core.checks import Array
-from mcspectra.core.packing import pack_dataset, pack_record, unpack_dataset, unpack_record
 from mcspectra.core.results import dataset
 
 

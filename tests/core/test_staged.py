@@ -10,9 +10,9 @@ import pytest
 import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcspectra.core.staged import MergeTree, Run, Whole, chunks, compute, compute_chunk, in_step
 
 import mcspectra as mcs
-from mcspectra.core.staged import MergeTree, Run, Whole, chunks, compute, compute_chunk, in_step
 
 
 def _tree(merge, states):

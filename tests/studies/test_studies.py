@@ -5,7 +5,7 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import ConfigError, DamagedResultsWarning, StoreError
-from mcspectra.studies import executors, make_plan, open_results, read_study, run_study, summarize
+from mcspectra.studies import make_plan, open_results, read_study, run_study, summarize
 from mcspectra.studies.files import decode_study
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote
 from mcspectra.studies.run import CellFailed

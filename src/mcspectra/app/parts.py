@@ -144,7 +144,11 @@ def analyses_of(setup: Setup) -> dict[str, Analysis]:
     McspectraError
         The set-up cannot be made.
     """
-    common: dict[str, Any] = {"n": setup.n, "half_width": setup.half_width, "realizations": setup.realizations}
+    common: dict[str, Any] = {
+        "n": setup.n,
+        "half_width": setup.half_width,
+        "realizations": setup.realizations,
+    }
     return {
         "spectrum": Spectrum(**common, frequency_step=setup.frequency_step),
         "convergence": Convergence(counts=tuple(ladder(setup)), realizations=setup.realizations),
