@@ -16,8 +16,8 @@ from mcspectra.core.parallel import available_workers
 from mcspectra.studies.executors import Executor, Threads, check_time_limit, processes
 from mcspectra.studies.files import StudyConfig
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote
-from mcspectra.studies.results import output_folder, write_zarr
 from mcspectra.studies.plan import Cell, Plan, make_plan
+from mcspectra.studies.results import output_folder, write_zarr
 from mcspectra.studies.schedule import Schedule, Settled, task_seconds
 from mcspectra.studies.tasks import StudyText
 from mcspectra.studies.vetting import Trust, changed_inputs
