@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from operator import attrgetter
 
 import msgspec
 import pytest
@@ -30,7 +31,7 @@ CASES = dict(_with_functions())
 @pytest.mark.parametrize("name", CASES)
 def test_functions_have_the_options_with_their_defaults(name):
     analysis = CASES[name]
-    parameters = inspect.signature(getattr(mcs, analysis.function)).parameters
+    parameters = inspect.signature(attrgetter(analysis.function)(mcs)).parameters
     options = {
         option.name: inspect.Parameter.empty if option.required else option.default
         for option in options_of(analysis)

@@ -41,7 +41,7 @@ class AnalysisVerb:
     def __init__(self, name: str) -> None:
         self._name = name
         self._analysis: type[Analysis] = ANALYSES.load(name)
-        self._options = options_of(self._analysis)
+        self._options = options_of(self._analysis)  # type: ignore[arg-type]
         self._views = VIEWS.get(name, {"": table_of_anything})
         # What the public function takes says what its verb does
         door = getattr(mcs, self._analysis.function, None)
@@ -121,15 +121,15 @@ class AnalysisVerb:
 
     def _subject(self, options: argparse.Namespace) -> Subject:
         if self._analysis.about == "sampler":
-            from mcspectra.densities import as_density
+            from mcspectra.densities import as_warp
 
             source = read_sampler(options.sampler, options.dims)
-            density = as_density(getattr(options, "density", None), source.dims)
+            density = as_warp(getattr(options, "density", None), source.dims)
             return Subject(None, source, density)
         from mcspectra.estimators import as_subject
 
         estimator = _estimator(options)
-        texts = options.sampler or self._default_sampler
+        texts = options.sampler or self._default_sampler or ""
         if isinstance(texts, list):
             samplers = [read_sampler(text, estimator.dims) for text in texts]
             return as_subject(estimator, samplers, lists=True)
@@ -140,7 +140,9 @@ class AnalysisVerb:
         if file is None or Path(file).suffix == ".npz":
             return
         if Path(file).suffix not in _FILES:
-            raise ParameterError(f"--out is {file!r}; it must end in {', '.join(_FILES)}.")
+            raise ParameterError(
+                f"--out is {file!r}; it must end in {', '.join(_FILES[:-1])} or {_FILES[-1]}."
+            )
         from mcspectra.report.accessor import has_picture
 
         if not has_picture(self._analysis.variables):

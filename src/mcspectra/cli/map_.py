@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> Answer:
     run_study(study, options.out, resume=options.resume, workers=options.workers, trust=trust)
     tree = open_results(options.out)
     (found,) = (node.to_dataset() for node in tree.subtree if node.name == "map" and node.data_vars)
-    result = with_labels(found, "strategy")
+    result = with_labels(found, "strategy").assign_coords(bound=["low", "high"])
     page, summary = write_map(result, options.out), map_summary(result)
     shown = summary["strategies"]
     rows = [[name, "", *(f"{v:.4g}" for v in row.values())] for name, row in shown.items()]

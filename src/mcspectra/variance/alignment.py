@@ -24,10 +24,9 @@ from mcspectra.estimators import AbstractEstimator, Estimator, as_estimator
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Randomized, Sampler, Shift, StrataShift, as_sampler
-from mcspectra.variance.convergence import count_stream
+from mcspectra.variance.convergence import count_moments, count_stream
 from mcspectra.variance.exact import exact_variance
 from mcspectra.variance.fit import fit_rate
-from mcspectra.variance.convergence import count_moments
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -18,8 +18,8 @@ from mcspectra.estimators.moments import Moments, rounding_floor, variance_inter
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.variance.alignment import Offsets, aligned, checked_offsets, predictor
-from mcspectra.variance.exact import exact_variance
 from mcspectra.variance.convergence import count_moments
+from mcspectra.variance.exact import exact_variance
 
 if TYPE_CHECKING:
     import xarray as xr
