@@ -53,7 +53,7 @@ MOST_EVALUATIONS = 10**15
 # Seconds of planning: of a spec, of an estimator with densities and of each of these (1-D warps are
 # searched for gaps), of a sampler of an estimator, of a cell, of a count (or another item of a list) of
 # its analysis; and most that are not forced.
-_SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 3e-4, 2e-3
+_SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 5e-4, 2e-3
 _PAIR, _CELL, _COUNT = 3e-6, 2.5e-5, 3e-6
 _MOST_SECONDS = 5.0
 _RESERVED = frozenset({"zarr.json", "c"})
@@ -201,8 +201,9 @@ def _check_number(config: StudyConfig) -> None:
     seconds += _SPEC * len(texts)
     if seconds > _MOST_SECONDS:
         raise ConfigError(
-            f"The study has {len(config.entries):,} estimators and {pairs:,} pairs of estimator and sampler, which "
-            f"would take about {seconds:.2g} s to plan alone; take several studies, or give --force."
+            f"The study has {len(config.entries):,} estimators and {pairs:,} pairs of estimator and "
+            f"sampler, which would take about {seconds:.2g} s to plan alone; take several studies, or "
+            "give --force."
         )
 
 
@@ -243,7 +244,7 @@ class _Planner:
 
     def cells(self, entry: EstimatorConfig | SceneConfig) -> Iterator[Cell]:
         """Cells of an estimator, or of a scene, with all its samplers."""
-        kind = "Estimator" if isinstance(entry, EstimatorConfig) else "Map"
+        kind = "Estimator" if isinstance(entry, EstimatorConfig) else entry.kind.capitalize()
         try:
             yield from self._cells(entry, f"{kind} {entry.name!r}")
         except ConfigError:
