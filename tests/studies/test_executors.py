@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 import dask
+import distributed  # noqa: F401 - whose configuration must be there before it is changed
 import msgspec
 import pytest
 
@@ -188,3 +189,14 @@ def test_a_process_that_is_stopped_or_dies_is_replaced(misbehaving):
     # dies_once and good have the same values, hence the same moments.
     assert outcomes["dies_once"].error is outcomes["good"].error is None
     assert outcomes["good"].payload == attempt(text, tasks["good"]).payload
+
+
+def test_code_that_never_gives_python_back_fails_alone(misbehaving):
+    """The worker cannot notice that its time is over: it is ended from within, and replaced."""
+    with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
+        executor = processes(_text("holds_the_lock"), 1, 2.0)
+    executor.submit(_task())
+    (outcome,) = executor.outcomes()
+    executor.close(cancel=False)
+    assert outcome.error.startswith("2 workers died while computing it")
+    assert misbehaving.exists()
