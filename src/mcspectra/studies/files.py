@@ -364,15 +364,17 @@ class _Reader:
         """An entry of ``[[maps]]``."""
         if not isinstance(entry, dict):
             return _struct(entry, SceneConfig, place)
-        own = {key: entry[key] for key in ("name", "samplers") if key in entry}
-        made = _struct(own, SceneConfig, place)
-        options = {key: value for key, value in entry.items() if key not in own}
-        analysis = self._analysis(name, options, place)
+        keys = ("name", "samplers")
+        made = _struct({key: entry[key] for key in keys if key in entry}, SceneConfig, place)
+        options = {key: value for key, value in entry.items() if key not in keys}
+        analysis = self._analysis(name, options, place, keys)
         return msgspec.structs.replace(made, kind=name, analysis=analysis)
 
-    def _analysis(self, name: str, table: Any, place: str) -> Analysis:
+    def _analysis(
+        self, name: str, table: Any, place: str, beside: tuple[str, ...] = ()
+    ) -> Analysis:
         kind = self._kind(name)
-        made: Analysis = _struct(table, kind, place)
+        made: Analysis = _struct(table, kind, place, beside)
         for option in options_of(kind):  # what types cannot say
             value = getattr(made, option.name)
             key = name, option.name, repr(value)
@@ -389,8 +391,8 @@ def _entries(key: str, entries: Any) -> Iterator[tuple[Any, str]]:
     return ((entry, f"{key}[{i}]") for i, entry in enumerate(entries))
 
 
-def _struct(table: Any, kind: type[Struct], place: str) -> Struct:
-    """A table as a struct.
+def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] = ()) -> Struct:
+    """A table as a struct; `beside` are keys of its place that are not its own.
 
     Raises
     ------
@@ -403,7 +405,11 @@ def _struct(table: Any, kind: type[Struct], place: str) -> Struct:
     if unknown:
         tables = analysis_tables() if "analyses" in kind.__struct_fields__ else {}
         top = kind is StudyConfig
-        allowed = [*known, *(key for key, each in tables.items() if top or each.about != "scene")]
+        allowed = [
+            *beside,
+            *known,
+            *(key for key, each in tables.items() if top or each.about != "scene"),
+        ]
         hint, close = close_match_hint(unknown[0], allowed)
         sentence = f"{where}there is no key {unknown[0]!r}; allowed here: {', '.join(allowed)}."
         raise ConfigError(sentence + (hint if close else ""))

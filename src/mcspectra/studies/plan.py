@@ -38,7 +38,12 @@ from mcspectra.estimators import (
 from mcspectra.integrands import INTEGRANDS
 from mcspectra.integrands.smoothing import smoothed
 from mcspectra.samplers import Sampler, sampler_from_calls
-from mcspectra.studies.files import EstimatorConfig, SceneConfig, StudyConfig
+from mcspectra.studies.files import (
+    EstimatorConfig,
+    SceneConfig,
+    StudyConfig,
+    analysis_tables,
+)
 from mcspectra.studies.foreign_code import FunctionFailed, probed
 from mcspectra.studies.vetting import Inputs, Trust, Vetting
 
@@ -171,7 +176,7 @@ def make_plan(
     cells = tuple(cell for entry in config.entries for cell in planner.cells(entry))
     if not cells:
         raise ConfigError(
-            f"The study asks for no analysis; give a table, one of {', '.join(ANALYSES)}."
+            f"The study asks for no analysis; give a table, one of {', '.join(analysis_tables())}."
         )
     total = sum(cell.need.cost for cell in cells)
     if total > MOST_EVALUATIONS and not force:
