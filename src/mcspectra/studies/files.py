@@ -289,20 +289,13 @@ def plain_study(config: StudyConfig) -> dict[str, Any]:
     Keys of the study and of estimators that have their default are left out, options of analyses are
     all there: what a study computes does not depend on which analyses are installed beside its own.
     """
-    scenes: dict[str, list[Any]] = {}
-    for each in config.scenes:
-        plain = msgspec.to_builtins(each)
-        own = {"name": plain["name"], **plain["analysis"]}
-        own |= {"samplers": plain["samplers"]} if "samplers" in plain else {}
-        scenes.setdefault(f"{each.kind}s", []).append(own)
-    own = msgspec.to_builtins(msgspec.structs.replace(config, estimators=(), scenes=()))
-    estimators = [_flat(msgspec.to_builtins(each)) for each in config.estimators]
-    return {**_flat(own), **({"estimators": estimators} if estimators else {}), **scenes}
-
-
-def _flat(plain: dict[str, Any]) -> dict[str, Any]:
-    analyses = plain.pop("analyses", {})
-    return {**plain, **analyses}
+    plain: dict[str, Any] = msgspec.to_builtins(config)
+    for entry in (plain, *plain.get("estimators", ())):
+        entry |= entry.pop("analyses", {})
+    for entry in plain.pop("scenes", ()):
+        listed = plain.setdefault(f"{entry.pop('kind')}s", [])
+        listed.append({**entry, **entry.pop("analysis")})
+    return plain
 
 
 # Types: each table is made the struct that it is.
@@ -517,62 +510,55 @@ def apply_overrides(table: dict[str, Any], overrides: Sequence[str]) -> dict[str
         A path cannot be read or leads nowhere, or a value is not one of TOML. Whether a study has
         such a key is checked later, with the study.
     """
-    if isinstance(overrides, str) or not all(isinstance(text, str) for text in overrides):
-        raise ConfigError(f"Changes are {overrides!r}; give a list of texts key=value.")
+    given: Any = overrides
+    if not isinstance(given, list | tuple) or not all(isinstance(text, str) for text in given):
+        raise ConfigError(f"The changes are {given!r}; give a list of texts key=value.")
     changed = copy.deepcopy(table) if overrides else table
     for text in overrides:
         path, equals, value = text.partition("=")
         if not equals:
             raise ConfigError(f"--set {text!r} has no '='; write key=value.")
-        _put(changed, _steps(path.strip(), text), _value(value.strip(), text), text)
-    return changed
 
+        # Read the place: keys between dots, each with its indices
+        steps: list[str | int] = []
+        for part in path.strip().split("."):
+            match = _STEP.fullmatch(part)
+            if match is None:
+                raise ConfigError(
+                    f"--set {text!r}: {path.strip()!r} is not a place in a study; write for example "
+                    "seed, samplers[0] or estimators[0].density."
+                )
+            steps += [match[1], *map(int, re.findall(r"\d+", match[2]))]
 
-def _steps(path: str, text: str) -> list[str | int]:
-    steps: list[str | int] = []
-    for part in path.split("."):
-        match = _STEP.fullmatch(part)
-        if match is None:
+        # Read the value, one of TOML and nothing after it
+        try:
+            found = tomllib.loads(f"value = {value}\n")
+        except (ValueError, RecursionError):
+            found = {}
+        if list(found) != ["value"]:
             raise ConfigError(
-                f"--set {text!r}: {path!r} is not a place in a study; write for example seed, "
-                "samplers[0] or estimators[0].density."
+                f"--set {text!r}: {value.strip()!r} is not a value of TOML; strings need quotes: "
+                "key='\"text\"'."
             )
-        steps += [match[1], *map(int, re.findall(r"\d+", match[2]))]
-    return steps
 
-
-def _value(value: str, text: str) -> Any:
-    """A value of TOML, and nothing after it."""
-    try:
-        found = tomllib.loads(f"value = {value}\n")
-    except (ValueError, RecursionError):
-        found = {}
-    if list(found) != ["value"]:
-        raise ConfigError(
-            f"--set {text!r}: {value!r} is not a value of TOML; strings need quotes: key='\"text\"'."
-        )
-    return found["value"]
-
-
-def _put(table: dict[str, Any], steps: list[str | int], value: Any, text: str) -> None:
-    place: Any = table
-    for i, step in enumerate(steps):
-        lack = ""
-        if isinstance(step, str) and not isinstance(place, dict):
-            lack = f"there is no table that could hold {step!r}"
-        elif isinstance(step, int) and not isinstance(place, list):
-            lack = f"there is no list that could hold [{step}]; count from 0"
-        elif isinstance(step, int) and step >= len(place):
-            entries = "1 entry" if len(place) == 1 else f"{len(place)} entries"
-            lack = f"there is no [{step}], the list has {entries}; count from 0"
-        if lack:
-            raise ConfigError(f"--set {text!r}: {lack}.")
-        if i == len(steps) - 1:
-            place[step] = value
-        elif isinstance(place, dict):
-            place = place.setdefault(step, {})
-        else:
-            place = place[step]
+        # Put it there
+        place: Any = changed
+        for i, step in enumerate(steps):
+            lack = ""
+            if isinstance(step, str) and not isinstance(place, dict):
+                lack = f"there is no table that could hold {step!r}"
+            elif isinstance(step, int) and not isinstance(place, list):
+                lack = f"there is no list that could hold [{step}]; count from 0"
+            elif isinstance(step, int) and step >= len(place):
+                entries = "1 entry" if len(place) == 1 else f"{len(place)} entries"
+                lack = f"there is no [{step}], the list has {entries}; count from 0"
+            if lack:
+                raise ConfigError(f"--set {text!r}: {lack}.")
+            if i == len(steps) - 1:
+                place[step] = found["value"]
+            else:
+                place = place.setdefault(step, {}) if isinstance(place, dict) else place[step]
+    return changed
 
 
 # Grids: ``{placeholders}`` in a study stand for lists of values, and every combination is made.

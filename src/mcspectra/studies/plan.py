@@ -273,7 +273,13 @@ class _Planner:
         for text, slug, sampler, of_sampler in self._samplers(entry, dims):
             subject = Subject(estimator, sampler)
             for name, analysis, of_analysis in asked:
-                need = Need(cost=0.0) if error else _need(analysis, subject, f"{whose}, {name}")
+                need = Need(cost=0.0)
+                if error is None:  # refuse what it cannot do, or this machine has no memory for
+                    try:
+                        need = analysis.need(subject)
+                    except McspectraError as refusal:
+                        raise ConfigError(f"{whose}, {name}: {refusal}") from refusal
+                    check_memory(need.memory, f"{whose}, {name}")
                 yield Cell(
                     path=f"{parent}/{slug}/{name}",
                     analysis=analysis,
@@ -378,16 +384,6 @@ def _built(
 
     made = unmirrored()
     return made if entry.mirror is None else Mirrored(made, entry.mirror)
-
-
-def _need(analysis: Analysis, subject: Subject, whose: str) -> Need:
-    """Refuse what an analysis cannot do, or this machine has no memory for."""
-    try:
-        need = analysis.need(subject)
-    except McspectraError as error:
-        raise ConfigError(f"{whose}: {error}") from error
-    check_memory(need.memory, whose)
-    return need
 
 
 @final
