@@ -25,10 +25,9 @@ from mcspectra.integrands.smoothing import BoxSmoothed, smoothed
 from mcspectra.samplers import Jittered, Sampler, Shift, StrataShift
 from mcspectra.samplers.base import Randomized, Structure
 from mcspectra.samplers.registry import sampler as make_sampler
-from mcspectra.variance.alignment import aligned
-from mcspectra.variance.best_alignment import best_alignment
+from mcspectra.variance.alignment import aligned, best_alignment
 from mcspectra.variance.diagnosis import jumps_of
-from mcspectra.variance.smoothing import smoothing_scan
+from mcspectra.variance.variants import smoothing_scan
 
 __all__ = [
     "KINDS",
