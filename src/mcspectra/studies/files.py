@@ -307,7 +307,6 @@ class _Reader:
 
     def __init__(self) -> None:
         self._names = _names()
-        self._kinds: dict[str, type[Analysis]] = {}
         self._clean: set[tuple[str, str, str]] = set()
 
     def study(self, table: Mapping[str, Any]) -> StudyConfig:
@@ -332,12 +331,7 @@ class _Reader:
         """Name of the analysis of scenes whose entries a key lists, ``map`` of ``maps``, or nothing."""
         name = key.removesuffix("s")
         listed = key not in self._names and name != key and name in self._names
-        return name if listed and self._kind(name).about == "scene" else ""
-
-    def _kind(self, name: str) -> type[Analysis]:
-        if name not in self._kinds:  # the registry asks all packages each time
-            self._kinds[name] = ANALYSES.load(name)
-        return self._kinds[name]
+        return name if listed and ANALYSES.load(name).about == "scene" else ""
 
     def _with_analyses(self, table: Any, kind: type[Struct], place: str) -> Struct:
         """A table that may have tables of analyses in it."""
@@ -348,7 +342,7 @@ class _Reader:
         analyses = {}
         for key in asked:
             inside = f"{place}.{key}" if place else key
-            if self._kind(key).about == "scene":
+            if ANALYSES.load(key).about == "scene":
                 raise ConfigError(f"{inside} is an analysis of scenes; list tables [[{key}s]].")
             analyses[key] = self._analysis(key, table[key], inside)
         return msgspec.structs.replace(made, analyses=analyses)
@@ -366,7 +360,7 @@ class _Reader:
     def _analysis(
         self, name: str, table: Any, place: str, beside: tuple[str, ...] = ()
     ) -> Analysis:
-        kind = self._kind(name)
+        kind = ANALYSES.load(name)
         made: Analysis = _struct(table, kind, place, beside)
         for option in options_of(kind):  # what types cannot say
             value = getattr(made, option.name)
@@ -435,7 +429,9 @@ def _keys_of(kind: type[msgspec.Struct]) -> tuple[str, ...]:
 def _check_study(config: StudyConfig) -> None:
     """Refuse names that repeat, missing samplers and keys that contradict each other."""
     if not config.entries:
-        raise ConfigError("there is nothing to study; give [[estimators]] or [[maps]].")
+        scenes = [key for key, each in analysis_tables().items() if each.about == "scene"]
+        lists = " or ".join(f"[[{key}]]" for key in ("estimators", *scenes))
+        raise ConfigError(f"there is nothing to study; give {lists}.")
     (name, times), *_ = Counter(entry.name for entry in config.entries).most_common(1)
     if times > 1:
         raise ConfigError(f"two estimators are called {name!r}; names must differ.")
@@ -490,7 +486,7 @@ def _complaints(e: EstimatorConfig) -> Iterator[str]:
         yield f'has channels = "{e.channels}", which takes no heuristic, technique_counts or sets.'
 
 
-# Changes from the command line: ``convergence.realizations=100``, values as in TOML.
+# Changes from the command line: ``estimators[0].dims=3``, values as in TOML.
 
 
 def apply_overrides(table: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
