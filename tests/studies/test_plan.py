@@ -167,6 +167,7 @@ def test_a_study_as_plain_values_is_the_same_study(tmp_path):
         lambda: read_study("a\0b.toml"),
         lambda: decode_study(b"title = 't'"),
         lambda: decode_study("", overrides="seed=1"),
+        lambda: decode_study("", overrides=None),
         lambda: apply_overrides({}, [3]),
         lambda: study_of([1]),
         lambda: make_plan("study.toml", "."),

@@ -38,7 +38,12 @@ from mcspectra.estimators import (
 from mcspectra.integrands import INTEGRANDS
 from mcspectra.integrands.smoothing import smoothed
 from mcspectra.samplers import Sampler, sampler_from_calls
-from mcspectra.studies.files import EstimatorConfig, SceneConfig, StudyConfig
+from mcspectra.studies.files import (
+    EstimatorConfig,
+    SceneConfig,
+    StudyConfig,
+    analysis_tables,
+)
 from mcspectra.studies.foreign_code import FunctionFailed, probed
 from mcspectra.studies.vetting import Inputs, Trust, Vetting
 
@@ -171,7 +176,7 @@ def make_plan(
     cells = tuple(cell for entry in config.entries for cell in planner.cells(entry))
     if not cells:
         raise ConfigError(
-            f"The study asks for no analysis; give a table, one of {', '.join(ANALYSES)}."
+            f"The study asks for no analysis; give a table, one of {', '.join(analysis_tables())}."
         )
     total = sum(cell.need.cost for cell in cells)
     if total > MOST_EVALUATIONS and not force:
@@ -268,7 +273,13 @@ class _Planner:
         for text, slug, sampler, of_sampler in self._samplers(entry, dims):
             subject = Subject(estimator, sampler)
             for name, analysis, of_analysis in asked:
-                need = Need(cost=0.0) if error else _need(analysis, subject, f"{whose}, {name}")
+                need = Need(cost=0.0)
+                if error is None:  # refuse what it cannot do, or this machine has no memory for
+                    try:
+                        need = analysis.need(subject)
+                    except McspectraError as refusal:
+                        raise ConfigError(f"{whose}, {name}: {refusal}") from refusal
+                    check_memory(need.memory, f"{whose}, {name}")
                 yield Cell(
                     path=f"{parent}/{slug}/{name}",
                     analysis=analysis,
@@ -373,16 +384,6 @@ def _built(
 
     made = unmirrored()
     return made if entry.mirror is None else Mirrored(made, entry.mirror)
-
-
-def _need(analysis: Analysis, subject: Subject, whose: str) -> Need:
-    """Refuse what an analysis cannot do, or this machine has no memory for."""
-    try:
-        need = analysis.need(subject)
-    except McspectraError as error:
-        raise ConfigError(f"{whose}: {error}") from error
-    check_memory(need.memory, whose)
-    return need
 
 
 @final
