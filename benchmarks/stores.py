@@ -26,7 +26,9 @@ _NOTE = StudyNote(
 def main(*counts: str) -> None:
     """Print a line for each step, for each number of cells; by default 1,000 and 100,000."""
     curve = mcs.convergence(
-        mcs.Estimator(mcs.integrand("gaussian", dims=2)), mcs.sampler("random", dims=2), [16, 64, 256]
+        mcs.Estimator(mcs.integrand("gaussian", dims=2)),
+        mcs.sampler("random", dims=2),
+        [16, 64, 256],
     )
     with _timed("pack the result of a convergence", 1000):
         for _ in range(1000):
@@ -84,7 +86,9 @@ def _timed(what: str, times: int = 1) -> Iterator[None]:
     yield
     wall, processor = time.perf_counter() - wall, time.process_time() - processor
     unit, scale = ("s", 1.0) if times == 1 else ("ms each", 1000.0 / times)
-    print(f"  {what:44s} {wall * scale:8.3f} {unit}, processor {processor * scale:8.3f}", flush=True)
+    print(
+        f"  {what:44s} {wall * scale:8.3f} {unit}, processor {processor * scale:8.3f}", flush=True
+    )
 
 
 if __name__ == "__main__":

@@ -5,11 +5,11 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import ConfigError, DamagedResultsWarning, StoreError
-from mcspectra.studies import make_plan, open_results, read_study, run_study, summarize
+from mcspectra.studies import executors, make_plan, open_results, read_study, run_study, summarize
 from mcspectra.studies.files import decode_study
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote
 from mcspectra.studies.run import CellFailed
-from mcspectra.variance.convergence import Convergence
+from mcspectra.studies.tasks import Outcome
 
 STUDY = """
 title = "small"
@@ -165,18 +165,18 @@ def test_summary_has_a_row_for_every_pair(finished):
 
 
 def test_failed_cells_do_not_take_the_others_with_them(tmp_path, monkeypatch):
-    real = Convergence.reduction
+    real = executors.timed
 
-    def failing(self, subject, stream):
-        if isinstance(subject.estimator, mcs.TechniqueSum) and subject.sampler.spec == "random":
-            raise mcs.McspectraError("the integrand gave NaN")
-        return real(self, subject, stream)
+    def failing(task, compute, **options):
+        if task.path == "sum/random/convergence":
+            return Outcome(task=task, error="the integrand gave NaN")
+        return real(task, compute, **options)
 
-    monkeypatch.setattr(Convergence, "reduction", failing)
+    monkeypatch.setattr(executors, "timed", failing)
     with pytest.raises(CellFailed, match="the integrand gave NaN") as caught:
         run_study(decode_study(STUDY), tmp_path, workers=2)
     assert list(caught.value.failures) == ["sum/random/convergence"]
-    monkeypatch.setattr(Convergence, "reduction", real)
+    monkeypatch.setattr(executors, "timed", real)
     seen = []
 
     def again(**given):
