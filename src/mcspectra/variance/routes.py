@@ -98,7 +98,7 @@ class Routes(Analysis, frozen=True, kw_only=True):
         Meta(
             ge=4,
             le=MAX_REALIZATIONS,
-            description="Of the routes that sample.",
+            description="Realisations of the routes that sample.",
             extra={"flag": "-m", "metavar": "R"},
         ),
     ] = 1000

@@ -125,11 +125,31 @@ class Techniques(Analysis, frozen=True, kw_only=True):
         estimator, counts = subject.estimator, self._counts
         frequencies = Frequencies.of(subject, self.space, self.basis, self.half_width)
         views = [_View.of(frequencies, n, self.engine, self.eps) for n in counts]
+        techniques = len(estimator.counts)
+
+        def of_count(key: str, view: _View, n: int, own: Stream) -> Reduction[_Total]:
+            """Sums of one count; a block is a batch too."""
+            evaluations = n * sum(estimator.counts)
+            # Coordinates of a realisation or, where they are more, the numbers of its spectra
+            numbers = max(evaluations * estimator.dims, 4 * techniques * view.basis.stored)
+            blocks = realization_blocks(self.realizations, numbers, multiple=2, least=BATCHES)
+
+            def block(index: int) -> _Total:
+                sums = TechniqueSums.of(
+                    view, estimator.draw(subject.sampler, n, own, *blocks[index])
+                )
+                # A block of one realisation has no covariance and says nothing
+                some = slice(0, int(sums.count > 1))
+                values = sums.covariances(view)[None]
+                return _Total(sums, np.array([sums.count - 1.0])[some], values[some])
+
+            cost = float(self.realizations * (evaluations + techniques**2 * view.basis.size))
+            return Reduction(kind=_Total, block=block, blocks=len(blocks), cost=cost, key=key)
+
+        streams = [count_stream(stream, n) if self._several else stream for n in counts]
         totals = yield [
-            self._of_count(
-                str(part), subject, view, n, count_stream(stream, n) if self._several else stream
-            )
-            for part, (n, view) in enumerate(zip(counts, views, strict=True))
+            of_count(str(part), *each)
+            for part, each in enumerate(zip(views, counts, streams, strict=True))
         ]
 
         # Variables of all counts, along a first axis n
@@ -189,28 +209,6 @@ class Techniques(Analysis, frozen=True, kw_only=True):
     @property
     def _counts(self) -> tuple[int, ...]:
         return self.counts if isinstance(self.counts, tuple) else (self.counts,)
-
-    def _of_count(
-        self, key: str, subject: Subject, view: _View, n: int, stream: Stream
-    ) -> Reduction[_Total]:
-        """Sums of one count; a block is a batch too."""
-        estimator, techniques = subject.estimator, len(subject.estimator.counts)
-        evaluations = n * sum(estimator.counts)
-        # Coordinates of a realisation or, where they are more, the numbers of its spectra
-        numbers = max(evaluations * estimator.dims, 4 * techniques * view.basis.stored)
-        blocks = realization_blocks(self.realizations, numbers, multiple=2, least=BATCHES)
-
-        def block(index: int) -> _Total:
-            sums = TechniqueSums.of(
-                view, estimator.draw(subject.sampler, n, stream, *blocks[index])
-            )
-            # A block of one realisation has no covariance and says nothing
-            some = slice(0, int(sums.count > 1))
-            values = sums.covariances(view)[None]
-            return _Total(sums, np.array([sums.count - 1.0])[some], values[some])
-
-        cost = float(self.realizations * (evaluations + techniques**2 * view.basis.size))
-        return Reduction(kind=_Total, block=block, blocks=len(blocks), cost=cost, key=key)
 
 
 def technique_terms(
