@@ -189,7 +189,7 @@ class Modes(Analysis, frozen=True, kw_only=True):
         varying = int(np.count_nonzero(pairs.diagonal > least))
         level = trace / varying if varying else 0.0
         edge = level * (1.0 + math.sqrt(varying / (self.realizations - 1))) ** 2
-        number = ("mode", np.arange(modes), {"long_name": "mode, by eigenvalue", "units": "1"})
+        mode = ("mode", np.arange(modes), {"long_name": "mode, by eigenvalue", "units": "1"})
         note = (
             f"{self.realizations} realisations of {size} coefficients: eigenvalues are those of the "
             "sample, the largest too large; compare noise_edge, which a flat spectrum would reach."
@@ -205,7 +205,7 @@ class Modes(Analysis, frozen=True, kw_only=True):
                 "band_trace": ((), trace),
                 "noise_edge": ((), edge),
             },
-            {"mode": number, **basis.coords},
+            {"mode": mode, **basis.coords},
             drop=("technique",) if techniques == 1 else (),
             estimator=subject.estimator.spec,
             sampler=subject.sampler.spec,
