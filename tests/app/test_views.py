@@ -43,7 +43,7 @@ def test_every_sentence_holds_what_was_measured() -> None:
         type(view).__name__: view.show(compute(view.kind, setup, 16))
         for view in make_views(setup, "dark")
     }
-    terms, curve = compute("terms", setup, 16), compute("curve", setup, 16)
+    terms, curve = compute("terms", setup, 16), compute("convergence", setup, 16)
     assert f"measured {float(terms['measured_variance']):.4g}" in said["TermsView"]
     assert f"Fitted rate {float(curve['rate']):.3f}" in said["ConvergenceView"]
     assert said["PointsView"] == "16 points, all weights 1."
@@ -51,7 +51,7 @@ def test_every_sentence_holds_what_was_measured() -> None:
 
 def test_rounding_noise_is_neither_shown_nor_fitted() -> None:
     setup = SETUPS["two dims"]
-    curve = compute("curve", setup, 16).copy(deep=True)
+    curve = compute("convergence", setup, 16).copy(deep=True)
     view = ConvergenceView(setup, LOOKS["light"])
     assert "rounding" not in view.show(curve)
     shown, lines = [], []

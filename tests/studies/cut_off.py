@@ -16,16 +16,13 @@ import sys
 import time
 from pathlib import Path
 
-from mcspectra.studies.cluster import ClusterOptions, DaskEngine
-from mcspectra.studies.engines import Outcome
-from mcspectra.studies.tasks import StudyText, Task
+from mcspectra.studies.executors import Cluster, Dask
+from mcspectra.studies.tasks import Outcome, StudyText, Task
 from mcspectra.version import __version__
 
 LONGEST = 100  # seconds; then all processes end
 HOST = "10.77.9.1"  # the scheduler's, where each worker has a network of its own
 AFTERWARDS = 20  # tasks that begin when one worker is alone
-NUMBERS = {"run_part": 0, "first": 0, "realizations": 1, "blocks_total": 1}
-NUMBERS |= {"chunk_first": 0, "chunk_blocks": 1, "cost": 1.0}
 TIMEOUTS = {
     "DASK_DISTRIBUTED__COMM__TIMEOUTS__TCP": "12s",
     "DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL": "5s",
@@ -104,7 +101,7 @@ def computation():
 
         time.sleep(0.1)
         name = get_worker().name
-        return Outcome(key=task.key, payload=b"%d" % int(task.key) ** 2, host=name)
+        return Outcome(task=task, payload=b"%d" % int(task.key) ** 2, host=name)
 
     return compute
 
@@ -112,21 +109,21 @@ def computation():
 def run(address, cut):
     """Run tasks until worker 0 has computed one, cut it off, run more."""
     text = StudyText(config_json="{}", folder="/", seed=0, version=__version__)
-    engine = DaskEngine(text, ClusterOptions(address=address), computation())
+    engine = Dask(text, Cluster(address=address), computation())
     deadline = time.monotonic() + 30
-    while engine._connection.threads() < 2 and time.monotonic() < deadline:
+    while engine.workers < 2 and time.monotonic() < deadline:
         time.sleep(0.1)
     serials = itertools.count()
     outcomes, isolated = [], False
 
     def submit(count):
         for _ in range(count):
-            engine.submit(Task(key=str(next(serials)), path="p", **NUMBERS))
+            engine.submit(Task(path=str(next(serials)), run=None))
 
     submit(4)
     for outcome in engine.outcomes():
         outcomes.append(
-            [outcome.key, (outcome.payload or b"").decode(), outcome.error, outcome.host]
+            [outcome.task.key, (outcome.payload or b"").decode(), outcome.error, outcome.host]
         )
         if not isolated:
             submit(1)

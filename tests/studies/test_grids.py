@@ -5,8 +5,7 @@ import itertools
 import pytest
 
 from mcspectra.core.errors import ConfigError
-from mcspectra.studies.config import decode_study
-from mcspectra.studies.grids import MOST_ENTRIES, expand_grids
+from mcspectra.studies.files import MOST_ENTRIES, decode_study, expand_grids
 from mcspectra.studies.plan import make_plan
 
 
@@ -103,7 +102,7 @@ integrand = "linear"
 dims = 1
 """
     cells = make_plan(decode_study(study), tmp_path).cells
-    found = [(c.estimator_name, getattr(c.settings, "n", None) or c.settings.counts) for c in cells]
+    found = [(c.estimator_name, getattr(c.analysis, "n", None) or c.analysis.counts) for c in cells]
     assert found == [
         (f"a (n={n}, c={c})", value) for n in (4, 8) for c in ([4, 8], [16]) for value in (n, (*c,))
     ]
@@ -212,3 +211,9 @@ def test_a_grid_that_explodes_is_refused_with_its_number():
     }
     with pytest.raises(ConfigError, match="100,002 entries"):
         expand_grids(twice)
+
+
+def test_a_grid_that_makes_too_much_text_is_refused_before_it_is_made():
+    values = {"a": ["x" * 15_000] * 100, "b": list(range(100))}
+    with pytest.raises(ConfigError, match=r"10,000 entries with .* characters; at most"):
+        expand_grids(_study(integrand="f(a={a}, b={b})", grid=values))

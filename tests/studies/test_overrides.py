@@ -3,8 +3,7 @@
 import pytest
 
 from mcspectra.core.errors import ConfigError
-from mcspectra.studies.config import decode_study
-from mcspectra.studies.overrides import apply_overrides
+from mcspectra.studies.files import apply_overrides, decode_study
 
 STUDY = """
 title = "t"
@@ -31,13 +30,13 @@ def test_values_keep_their_types():
             "convergence.counts[1]=64",
         ],
     )
-    assert config.convergence.realizations == 100
-    assert config.convergence.relative_error == 0.5
-    assert config.convergence.counts == (4, 64)
+    assert config.analyses["convergence"].realizations == 100
+    assert config.analyses["convergence"].relative_error == 0.5
+    assert config.analyses["convergence"].counts == (4, 64)
     assert config.estimators[0].density == "linear"
     assert config.samplers == ("random", "jittered")
-    assert config.estimators[0].spectrum.n == 4
-    assert config.terms.n == 8
+    assert config.estimators[0].analyses["spectrum"].n == 4
+    assert config.analyses["terms"].n == 8
 
 
 def test_later_changes_win_and_grids_see_them():

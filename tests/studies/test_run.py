@@ -1,27 +1,30 @@
 """The same bits whatever computes a study, in whatever chunks, interrupted or not; failures stay local."""
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
 import time
 import tracemalloc
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import mcspectra as mcs
-from mcspectra.core.staged import Run
+from mcspectra.core.analysis import Analysis, Need, Reduction
+from mcspectra.core.errors import StoreError
+from mcspectra.core.records import SUM, unpack
 from mcspectra.studies import Trust, foreign_code, make_plan, open_results, run_study
-from mcspectra.studies import run as run_module
-from mcspectra.studies.config import decode_study
-from mcspectra.studies.engines import LocalEngine, Outcome
-from mcspectra.studies.plan import Cell
-from mcspectra.studies.processes import ProcessEngine
+from mcspectra.studies import schedule as schedule_module
+from mcspectra.studies.executors import Threads, processes
+from mcspectra.studies.files import decode_study
+from mcspectra.studies.ledger import Ledger
 from mcspectra.studies.run import CellFailed, drive
-from mcspectra.studies.scheduling import Pace, Schedule
-from mcspectra.studies.tasks import pack_payload
+from mcspectra.studies.schedule import Schedule
 
 STUDY = """
 title = "bits"
@@ -107,26 +110,27 @@ def test_threads_give_the_same_bits(finished, tmp_path, stored_values, workers):
 
 
 def test_chunks_of_one_block_give_the_same_bits(finished, tmp_path, stored_values, monkeypatch):
-    """And the journal has them for a while: cells that have several tasks leave records."""
-    monkeypatch.setattr(run_module, "_TARGET", 1e-9)
+    """Each of which is recorded here for a while; else threads record no state of short work."""
     keys = []
-    append = run_module.Journal.append
-    monkeypatch.setattr(
-        run_module.Journal,
-        "append",
-        lambda self, key, *rest: (keys.append(key), append(self, key, *rest)),
-    )
-    run_study(decode_study(STUDY), tmp_path, workers=2)
-    _assert_equal(stored_values(tmp_path), finished)
+    record = Ledger.record
+
+    def noted(self, path, run, chunk, *rest):
+        keys.append((path, run, chunk))
+        record(self, path, run, chunk, *rest)
+
+    monkeypatch.setattr(Ledger, "record", noted)
+    monkeypatch.setattr(schedule_module, "_TARGET", 1e-9)
+    run_study(decode_study(STUDY), tmp_path / "short", workers=2)
+    assert not keys
+    monkeypatch.setattr(schedule_module, "_RECORDED_AFTER", 0.0)
+    run_study(decode_study(STUDY), tmp_path / "out", workers=2)
+    for out in ("short", "out"):
+        _assert_equal(stored_values(tmp_path / out), finished)
     assert len(keys) == len(set(keys)) > 10
-    assert all(key.rsplit("+")[1] == "1" for key in keys)
 
 
 def test_processes_give_the_same_bits(finished, tmp_path, stored_values):
-    store = run_study(
-        decode_study(STUDY), tmp_path, engine=lambda text: ProcessEngine(text, 2, None)
-    )
-    assert store.path.exists()
+    run_study(decode_study(STUDY), tmp_path, engine=lambda text: processes(text, 2))
     _assert_equal(stored_values(tmp_path), finished)
 
 
@@ -134,13 +138,13 @@ def test_interrupted_and_resumed_in_other_chunks_gives_the_same_bits(
     finished, tmp_path, stored_values, monkeypatch
 ):
     """Stopped after every few tasks, each time with other chunks; no block is computed twice."""
-    blocks = []
+    tasks = []
 
     class Stopping:
-        """An engine that is interrupted after some outcomes."""
+        """An executor that is interrupted after some outcomes."""
 
-        def __init__(self, text, left):
-            self._inner = LocalEngine(text, 1)
+        def __init__(self, left):
+            self._inner = Threads(1)
             self._left = left
             self.workers = 1
             self.submit = self._inner.submit
@@ -150,21 +154,22 @@ def test_interrupted_and_resumed_in_other_chunks_gives_the_same_bits(
                 if self._left == 0:
                     raise KeyboardInterrupt
                 self._left -= 1
-                blocks.append(outcome.key)
+                tasks.append(outcome.task)
                 yield outcome
 
         def close(self, cancel):
             assert cancel or self._left >= 0
             self._inner.close(cancel)
 
+    monkeypatch.setattr(schedule_module, "_RECORDED_AFTER", 0.0)
     for attempt in range(100):
-        monkeypatch.setattr(run_module, "_TARGET", 1e-9 if attempt % 2 else 0.05)
+        monkeypatch.setattr(schedule_module, "_TARGET", 1e-9 if attempt % 2 else 0.05)
         try:
             run_study(
                 decode_study(STUDY),
                 tmp_path,
                 resume=attempt > 0,
-                engine=lambda text: Stopping(text, 7),
+                engine=lambda text: Stopping(7),
             )
             break
         except KeyboardInterrupt:
@@ -172,17 +177,11 @@ def test_interrupted_and_resumed_in_other_chunks_gives_the_same_bits(
     assert 1 < attempt < 99
     _assert_equal(stored_values(tmp_path), finished)
     computed = [
-        (run, block)
-        for run, first, count in map(_parsed, blocks)
-        for block in range(first, first + count)
+        (task.path, task.run, block)
+        for task in tasks
+        for block in range(task.chunk[0], sum(task.chunk))
     ]
     assert len(computed) == len(set(computed))
-
-
-def _parsed(key):
-    run, _, chunk = key.rpartition("/")
-    first, _, count = chunk.partition("+")
-    return run, int(first), int(count)
 
 
 def test_failures_stay_in_their_cells(misbehaving, tmp_path, stored_values):
@@ -276,6 +275,12 @@ def test_a_hanging_integrand_fails_its_cell_only(misbehaving, tmp_path):
     assert set(open_results(tmp_path / "out").children) == {"good"}
 
 
+def _is_done(out, path):
+    with contextlib.suppress(StoreError), Ledger.read(out) as ledger:
+        return path in ledger.done
+    return False
+
+
 def test_interrupting_the_command_exits_130_and_loses_nothing(
     misbehaving, tmp_path, stored_values, hear_interrupts
 ):
@@ -286,12 +291,13 @@ def test_interrupting_the_command_exits_130_and_loses_nothing(
     (misbehaving / "slow").touch()
     command = [sys.executable, "-m", "mcspectra", "run", str(study), "--out", str(tmp_path / "out")]
     command += [item for name in trust.code for item in ("--allow-code", name)]
-    environment = {**os.environ, "PYTHONPATH": str(misbehaving)}
+    modules = os.pathsep.join([str(misbehaving), os.environ.get("PYTHONPATH", "")])
+    environment = {**os.environ, "PYTHONPATH": modules}
     process = subprocess.Popen(
         [*command, "--workers", "2"], env=environment, stderr=subprocess.PIPE, text=True
     )
     try:
-        while not (tmp_path / "out/results.zarr" / _path("good")).exists():
+        while not _is_done(tmp_path / "out", _path("good")):
             assert process.poll() is None, process.stderr.read()
             time.sleep(0.01)
         process.send_signal(signal.SIGINT)
@@ -308,59 +314,70 @@ def test_interrupting_the_command_exits_130_and_loses_nothing(
     _assert_equal(stored_values(tmp_path / "out"), stored_values(tmp_path / "straight"))
 
 
-class Sums:
+@dataclass
+class Numbers:
+    """A state of 8 kB that adds up."""
+
+    total: SUM
+
+
+class Sums(Analysis, frozen=True, kw_only=True):
     """Trivial analysis of many blocks: the sum of their numbers."""
 
-    def __init__(self, blocks):
-        self.run = Run(part=0, first=0, realizations=blocks, blocks=blocks, cost=float(blocks))
+    def reduction(self, subject, stream):
+        return Reduction(
+            kind=Numbers,
+            block=lambda index: Numbers(np.full(1000, float(index))),
+            blocks=10_000,
+            cost=1e4,
+            result=lambda state: xr.Dataset({"x": ("n", state.total)}),
+        )
 
-    def stages(self):
-        states = yield [self.run]
-        return states[0]
 
-    def block(self, run, index):
-        return np.full(1000, float(index + run.part))
+@dataclass
+class OneCell:
+    """As of a plan, and no more."""
 
-    def merge(self, left, right):
-        return left + right
+    path: str
+    analysis: Analysis
+    need: Need
+    error: None = None
+    subject: None = None
 
-    def pack(self, state):
-        return {"state": state}
-
-    def unpack(self, arrays):
-        return arrays["state"]
+    def finished(self, result, seed):
+        return result
 
 
 def test_memory_is_flat_over_ten_thousand_tasks():
     """10,000 tasks of 8 kB each: at most 2 × workers are under way, and states merge at once."""
-    analysis = Sums(10_000)
-    cell = Cell("a/s/k", "k", "a", "s", None, None, None, 1.0)
     under_way = []
 
-    class Source:
-        def analysis(self, _):
-            return analysis
+    class Empty:
+        def tasks(self, path):
+            return []
 
-        def load(self, _):
-            raise AssertionError("nothing is recorded")
+    class Watched:
+        def __init__(self):
+            self._inner = Threads(3)
+            self.workers, self.outcomes = 3, self._inner.outcomes
+            self.close = self._inner.close
 
-    def compute(_, task):
-        under_way.append(schedule.under_way)
-        state = analysis.block(task.run, task.chunk_first)
-        return Outcome(key=task.key, payload=pack_payload({"state": state}), seconds=1e9)
+        def submit(self, task, compute):
+            assert task.chunk[1] == 1
+            under_way.append(schedule.under_way)
+            self._inner.submit(task, compute)
 
-    schedule = Schedule([cell], Source(), {}, Pace())
-    engine = LocalEngine("study", 3, compute)
+    schedule = Schedule([OneCell("a/s/k", Sums(), Need())], 0, Empty(), 1e-12)
+    executor = Watched()
     tracemalloc.start()
-    recorded = []
-    (settled,) = drive(schedule, engine, lambda outcome: recorded.append(len(outcome.payload)))
+    (settled,) = drive(schedule, executor)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    engine.close(cancel=False)
-    assert settled.result[0] == 10_000 * 9_999 / 2
-    assert len(under_way) == len(recorded) + 1 == 10_000
+    executor.close(cancel=False)
+    assert unpack(xr.Dataset, settled.payload)["x"][0] == 10_000 * 9_999 / 2
+    assert len(under_way) == 10_000
     assert max(under_way) <= 6
-    # log2(10,000) states, six tasks under way and what each holds, two lists of 10,000 numbers.
+    # log2(10,000) states, six tasks under way and what each holds, a list of 10,000 numbers.
     assert peak < 3e6
 
 

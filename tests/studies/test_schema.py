@@ -8,10 +8,10 @@ import msgspec
 import pytest
 
 from mcspectra.core.errors import ConfigError
+from mcspectra.core.options import options_of
 from mcspectra.studies import make_plan, read_study, study_schema
-from mcspectra.studies.config import decode_study
+from mcspectra.studies.files import EstimatorConfig, StudyConfig, analysis_tables, decode_study
 from mcspectra.studies.schema import SCHEMA_ID, key_tables
-from mcspectra.studies.tables import ANALYSIS_TABLES, EstimatorConfig, MapConfig, StudyConfig
 
 ROOT = Path(__file__).parents[2]
 STUDIES = sorted((ROOT / "studies").glob("*.toml"))
@@ -139,12 +139,29 @@ def test_placeholders_may_stand_for_lists_and_not_for_what_a_study_has_once():
 def test_schema_says_what_it_is_and_what_keys_mean():
     schema = study_schema()
     assert schema["$id"] == SCHEMA_ID
-    for table in (StudyConfig, EstimatorConfig, MapConfig, *ANALYSIS_TABLES.values()):
-        own = schema["$defs"][table.__name__]
-        assert list(own["properties"]) == list(table.__struct_encode_fields__)
-        assert all(each.get("description") for each in own["properties"].values()), table
+    for own in schema["$defs"].values():
+        assert all(each.get("description") for each in own["properties"].values()), own
         assert own["additionalProperties"] is False
     assert msgspec.json.decode(msgspec.json.encode(schema)) == schema
+
+
+def test_tables_of_analyses_are_the_registered_analyses():
+    schema = study_schema()
+    study, estimator = (schema["$defs"][each.__name__] for each in (StudyConfig, EstimatorConfig))
+    for key, kind in analysis_tables().items():
+        about = study["properties"][key]
+        own = schema["$defs"][about.get("$ref", about.get("items", {}).get("$ref"))[8:]]
+        assert about["description"] == own["description"] == kind.summary()
+        assert (key in estimator["properties"]) == (kind.about != "scene")
+        for option in options_of(kind):
+            found = own["properties"][option.name]
+            assert found["description"] == option.meaning
+            assert (option.name in own.get("required", ())) == option.required
+            if not option.required:
+                wanted = (
+                    list(option.default) if isinstance(option.default, tuple) else option.default
+                )
+                assert found["default"] == wanted
 
 
 def test_the_page_has_all_keys():

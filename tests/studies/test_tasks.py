@@ -1,48 +1,47 @@
-"""Tasks are computed from text alone, and their results are plain numbers."""
+"""Tasks are computed from text alone, within their time, and their results are plain numbers."""
 
-import io
-import zipfile
+import pickle
+import threading
 from pathlib import Path
 
 import msgspec
-import numpy as np
 import pytest
 import xarray as xr
 
 import mcspectra as mcs
-from mcspectra.core.errors import ConfigError, FileFormatError, ParameterError, StoreError
-from mcspectra.core.staged import Run
-from mcspectra.studies.config import decode_study
+from mcspectra.core.analysis import MergeTree, chunks
+from mcspectra.core.errors import ConfigError, ParameterError, StoreError
+from mcspectra.core.records import unpack
+from mcspectra.core.streams import Stream
+from mcspectra.studies.files import decode_study
 from mcspectra.studies.foreign_code import explain
 from mcspectra.studies.tasks import (
+    Outcome,
     StudyText,
-    analysis_of,
+    Task,
+    WorkerRefused,
+    attempt,
+    compute_elsewhere,
     compute_task,
-    pack_payload,
-    task_of,
-    unpack_payload,
 )
-from mcspectra.studies.trust import Trust
+from mcspectra.studies.vetting import Trust
+from mcspectra.version import __version__
 
 STUDY = """
 title = "t"
 seed = 5
 samplers = ["jittered | shift"]
-[exact]
-counts = [4, 16]
+[pcf]
+n = 4096
+realizations = 64
 [[estimators]]
 name = "a"
 integrand = "linear"
 dims = 1
 """
-ARRAYS = {
-    "file": np.arange(6.0).reshape(2, 3),
-    "fortran": np.asfortranarray(np.arange(6).reshape(2, 3)),
-    "scalar": np.array(1.5),
-    "empty": np.empty((0, 3), np.complex128),
-    "bytes": np.frombuffer(b"header", np.uint8),
-    "special": np.array([np.nan, -0.0, np.inf, 5e-324]),
-}
+PATH = "a/jittered-shift/pcf"
+TEXT = StudyText(config_json="{}", folder="/", seed=0, version=__version__)
+TASK = Task(path="a", run="r")
 
 
 def _text(study=STUDY, **changes):
@@ -50,102 +49,38 @@ def _text(study=STUDY, **changes):
     return msgspec.structs.replace(text, **changes)
 
 
-def test_payloads_come_back_bit_for_bit():
-    payload = pack_payload(ARRAYS)
-    found = unpack_payload(payload)
-    assert list(found) == list(ARRAYS)
-    for name, array in ARRAYS.items():
-        assert found[name].dtype == array.dtype
-        assert found[name].shape == array.shape
-        assert found[name].tobytes() == array.tobytes()
-        assert found[name].flags.writeable
-    assert found["fortran"].flags.f_contiguous
-    assert pack_payload(ARRAYS) == payload
-    assert np.load(io.BytesIO(payload), allow_pickle=False)["scalar"] == 1.5
-    assert unpack_payload(pack_payload({})) == {}
-
-
-def test_objects_are_neither_written_nor_read():
-    with pytest.raises(FileFormatError, match="objects"):
-        pack_payload({"a": np.array([{}], object)})
-    buffer = io.BytesIO()
-    np.savez(buffer, a=np.array([{}], object))
-    with pytest.raises(FileFormatError, match="objects"):
-        unpack_payload(buffer.getvalue())
-
-
-def test_claims_of_payloads_are_checked_before_anything_is_allocated():
-    """A header that claims 10¹² numbers, and a compressed member that would grow."""
-    for shape in ((10**12,), (-1,), (1, 10**18, 0), (0,), (2,)):
-        with pytest.raises(FileFormatError, match="does not hold"):
-            unpack_payload(_member(b"".join(_npy(shape, b"\0" * 8))))
-    assert unpack_payload(_member(b"".join(_npy((1,), b"\0" * 8))))["a"].tolist() == [0.0]
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, a=np.zeros(10**6))
-    with pytest.raises(FileFormatError, match="compressed"):
-        unpack_payload(buffer.getvalue())
-
-
-def _npy(shape, data):
-    stream = io.BytesIO()
-    np.lib.format.write_array_header_1_0(
-        stream, {"descr": "<f8", "fortran_order": False, "shape": shape}
-    )
-    return stream.getvalue(), data
-
-
-def _member(raw):
-    """A zip with `raw` as its member, of a right checksum."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        archive.writestr("a.npy", raw)
-    return buffer.getvalue()
-
-
-@pytest.mark.parametrize("cut", [0, 1, 10, 100, -1])
-def test_torn_payloads_are_refused(cut):
-    with pytest.raises(FileFormatError, match="cannot be read"):
-        unpack_payload(pack_payload(ARRAYS)[:cut])
-
-
-def test_flipped_bits_are_noticed():
-    payload = bytearray(pack_payload({"a": np.arange(100.0)}))
-    payload[400] ^= 1
-    with pytest.raises(FileFormatError, match="cannot be read"):
-        unpack_payload(bytes(payload))
-
-
 def test_keys_say_what_the_task_is():
-    run = Run(part=2, first=100, realizations=25, blocks=8, cost=16.0)
-    task = task_of("a/b/convergence", run, (4, 2))
+    task = Task(path="a/b/convergence", run="2-100-25", chunk=(4, 2))
     assert task.key == "a/b/convergence/2-100-25/4+2"
-    assert (task.run, task.chunk, task.cost) == (run, (4, 2), 4.0)
-    assert msgspec.msgpack.decode(msgspec.msgpack.encode(task), type=type(task)) == task
+    assert Task(path="a/b/exact", run=None).key == "a/b/exact"
+    assert pickle.loads(pickle.dumps(task)) == task
 
 
 def test_a_worker_needs_text_alone():
     """The text goes to JSON and back, as to another machine; the result is what the function gives."""
     text = msgspec.json.decode(msgspec.json.encode(_text()), type=StudyText)
-    path = "a/jittered-shift/exact"
-    analysis = analysis_of(text, path)
-    assert analysis_of(text, path) is analysis
-    (run,) = next(analysis.stages())
-    state = analysis.unpack(unpack_payload(compute_task(text, task_of(path, run, (0, 1)))))
-    wanted = [
-        mcs.exact_variance(mcs.Estimator("linear", dims=1), "jittered | shift", n) for n in (4, 16)
-    ]
-    assert isinstance(state, xr.Dataset)
-    assert state["exact_variance"].values.tolist() == wanted
+    wanted = mcs.pair_correlation(mcs.sampler("jittered | shift", 1), 4096, realizations=64, rng=5)
+    outcome = attempt(text, Task(path=PATH, run=None))
+    found = unpack(xr.Dataset, outcome.payload)
+    assert found["pair_correlation"].identical(wanted["pair_correlation"])
+    assert found.attrs["estimator_name"] == "a"
+    assert outcome.error is None
+    assert outcome.host
+    assert outcome.seconds > 0
 
-
-def test_another_version_is_refused():
-    with pytest.raises(StoreError, match=r"0\.0\.0.*same version"):
-        analysis_of(_text(version="0.0.0"), "a/jittered-shift/exact")
+    # The same from chunks of its reduction, which the worker knows by its key
+    cell = text.cells()[PATH]
+    run = cell.analysis.reduction(cell.subject, Stream.from_rng(5))
+    tasks = [Task(path=PATH, run=run.key, chunk=chunk) for chunk in chunks(run.blocks, 1)]
+    tree = MergeTree()
+    for task in tasks:
+        tree.add(unpack(run.kind, attempt(text, task).payload))
+    assert run.result(tree.total())["pair_correlation"].identical(wanted["pair_correlation"])
 
 
 def test_unknown_cells_are_refused():
     with pytest.raises(StoreError, match="no cell 'a/b'"):
-        analysis_of(_text(), "a/b")
+        compute_task(_text(), Task(path="a/b", run=None))
 
 
 def test_trust_goes_along():
@@ -156,7 +91,42 @@ def test_trust_goes_along():
     assert text.paths == (str(Path("elsewhere").absolute()),)
     assert text.folder == str(Path().absolute())
     with pytest.raises(ConfigError, match="--allow-code strangers:f"):
-        text.plan()
+        text.cells()
+
+
+FUNCTION = STUDY.replace('"linear"', "\"python(function='misbehaving:{}')\"").replace(
+    "[pcf]\nn = 4096\nrealizations = 64", "[convergence]\ncounts = [4]\nrealizations = 10"
+)
+
+
+def _misbehaving(name):
+    return StudyText.of(
+        decode_study(FUNCTION.format(name)), Path(), Trust((f"misbehaving:{name}",))
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("raises", "It raised ZeroDivisionError: no such light."),
+        ("leaves", "It raised SystemExit: 3."),
+        ("interrupts", "It raised KeyboardInterrupt."),
+        ("cancels", "It raised CancelledError."),
+        ("wordless", "It raised Wordless."),
+        ("verbose", "It raised ValueError: [31mmuch much"),
+        ("nan", "NaN or infinite"),
+        ("infinite", "NaN or infinite"),
+    ],
+)
+def test_whatever_an_integrand_does_becomes_a_sentence(misbehaving, name, sentence):
+    outcome = attempt(_misbehaving(name), Task(path="a/jittered-shift/convergence", run=None))
+    assert outcome.payload is None
+    assert sentence in outcome.error
+    assert len(outcome.error) < 1000
+    assert outcome.error.isprintable()
+    assert outcome.host
+    assert outcome.seconds > 0
+    assert misbehaving.exists()
 
 
 def test_failures_are_sentences():
@@ -167,3 +137,49 @@ def test_failures_are_sentences():
     assert explain(KeyError()) == "It raised KeyError."
     assert explain(ValueError("two\nlines.")) == "It raised ValueError: two lines."
     assert len(explain(ValueError("x" * 10**6))) < 1000
+
+
+def _done(_, task):
+    return Outcome(task=task, payload=b"x")
+
+
+@pytest.mark.parametrize("limit", [None, 60.0])
+def test_an_outcome_leaves_the_worker_free(limit):
+    assert compute_elsewhere(_done, TEXT, TASK, limit) == (_done(TEXT, TASK), False)
+
+
+def test_what_takes_too_long_is_left_behind():
+    gate = threading.Event()
+
+    def waits(_, task):
+        gate.wait(60)
+        return Outcome(task=task)
+
+    outcome, occupied = compute_elsewhere(waits, TEXT, TASK, 0.05)
+    gate.set()
+    assert occupied
+    assert outcome.payload is None
+    assert "0.05 s" in outcome.error
+    assert outcome.seconds >= 0.05
+
+
+@pytest.mark.parametrize("raised", [KeyboardInterrupt, SystemExit, ValueError])
+def test_what_raises_is_not_taken_for_what_takes_too_long(raised):
+    def raises(_, task):
+        raise raised(task.path)
+
+    with pytest.raises(raised, match=TASK.path):
+        compute_elsewhere(raises, TEXT, TASK, 60.0)
+
+
+def test_a_worker_of_another_version_computes_nothing():
+    text = msgspec.structs.replace(TEXT, version="0.0.0.none")
+    with pytest.raises(WorkerRefused, match=r"started with 0\.0\.0\.none; install the same"):
+        compute_elsewhere(lambda *_: pytest.fail("computed"), text, TASK, None)
+
+
+def test_a_worker_that_cannot_build_the_study_computes_nothing(misbehaving):
+    text = msgspec.structs.replace(_misbehaving("good"), code=())
+    with pytest.raises(WorkerRefused, match=r"cannot build the study: .*--allow-code misbehaving"):
+        compute_elsewhere(attempt, text, TASK, None)
+    assert misbehaving.exists()

@@ -5,11 +5,12 @@ import sys
 import numpy as np
 import pytest
 
+from mcspectra.core.analysis import Analysis
 from mcspectra.core.errors import ConfigError
 from mcspectra.core.spec import parse_chain
 from mcspectra.studies import Trust, make_plan, run_study
-from mcspectra.studies.config import decode_study
-from mcspectra.studies.trust import Site
+from mcspectra.studies.files import decode_study
+from mcspectra.studies.vetting import Vetting
 
 STUDY = """
 title = "t"
@@ -51,7 +52,7 @@ def test_code_is_imported_only_if_allowed(module, tmp_path):
     with pytest.raises(ConfigError, match="--allow-code strangers:f"):
         make_plan(config, tmp_path, Trust(code=("strangers:other",)))
     assert not module.exists()
-    estimator = make_plan(config, tmp_path, Trust(code=("strangers:f",))).cells[0].estimator
+    estimator = make_plan(config, tmp_path, Trust(code=("strangers:f",))).cells[0].subject.estimator
     assert module.exists()
     assert estimator.primary_values(0, np.array([[0.25]])) == 0.5
     assert estimator.dims == 1
@@ -126,10 +127,11 @@ def test_files_are_read_below_the_studys_folder(places):
 
 
 def test_files_inside_lists_and_inner_specs_are_found(places):
-    site = Site(places[0])
-    inside = site.calls("points(path=['sub/in.dat', 'sub/in.dat'])")[0].arguments["path"]
-    assert inside == [str(places[0] / "sub/in.dat")] * 2
-    inner = site.calls("defensive(density=\"image(path = 'sub/in.dat', channel=0)\")")[0]
+    vetting = Vetting(places[0], Trust())
+    ((inside,), names) = vetting.calls("points(path=['sub/in.dat', 'sub/in.dat'])")
+    assert inside.arguments["path"] == [str(places[0] / "sub/in.dat")] * 2
+    assert names == ("sub/in.dat",)
+    ((inner,), _) = vetting.calls("defensive(density=\"image(path = 'sub/in.dat', channel=0)\")")
     path = str(places[0] / "sub/in.dat")
     assert inner.arguments["density"] == f"image(path={path!r}, channel=0)"
     for spec in (
@@ -146,7 +148,7 @@ def test_files_inside_lists_and_inner_specs_are_found(places):
         "pixel(scene='/elsewhere/scene')",
     ):
         with pytest.raises(ConfigError, match="outside the study's folder"):
-            site.calls(spec)
+            vetting.calls(spec)
 
 
 @pytest.mark.parametrize(
@@ -159,14 +161,37 @@ def test_files_inside_lists_and_inner_specs_are_found(places):
     ],
 )
 def test_specs_without_files_stay_as_they_are(places, spec):
-    assert Site(places[0]).calls(spec) == parse_chain(spec)
+    assert Vetting(places[0], Trust()).calls(spec) == (parse_chain(spec), ())
 
 
-def test_scenes_are_names_or_files(places):
-    site = Site(places[0])
-    assert site.scene("veach") == "veach"
-    assert site.scene("sky(turbidity=3)") == "sky(turbidity=3)"
-    assert site.scene("sub/room.XML") == str(places[0] / "sub/room.XML")
+class _Scene(Analysis, frozen=True, kw_only=True):
+    """An analysis whose options name files, as another package could register."""
+
+    scene: str
+    proposals: tuple[str, ...] = ()
+
+
+@pytest.mark.parametrize(
+    ("scene", "expected"),
+    [
+        ("veach", "veach"),
+        ("sky(turbidity=3)", "sky(turbidity=3)"),
+        ("sub/room.XML", "{folder}/sub/room.XML"),
+    ],
+)
+def test_options_that_are_scenes_are_names_or_files(places, scene, expected):
+    found, _ = Vetting(places[0], Trust()).options(_Scene(scene=scene))
+    assert found == _Scene(scene=expected.format(folder=places[0]))
+
+
+def test_options_that_are_specs_are_vetted_as_specs(places):
+    vetting = Vetting(places[0], Trust())
+    given = _Scene(scene="veach", proposals=("uniform", "image(path='sub/in.dat')"))
+    found, names = vetting.options(given)
+    assert found.proposals == ("uniform", f"image(path='{places[0]}/sub/in.dat')")
+    assert names == ("sub/in.dat",)
+    with pytest.raises(ConfigError, match="outside the study's folder"):
+        vetting.options(_Scene(scene="veach", proposals=("image(path='../x.png')",)))
 
 
 @pytest.mark.parametrize(
@@ -178,7 +203,7 @@ def test_hostile_names_stay_in_the_store(tmp_path, name):
     run_study(decode_study(text), folder / "out", workers=1)
     assert [p.name for p in tmp_path.iterdir()] == ["x"]
     assert [p.name for p in folder.iterdir()] == ["out"]
-    names = {"journal", "manifest.jsonl", "results.zarr"}
+    names = {"results.zarr", "study.lock", "study.sqlite"}
     assert {p.name for p in (folder / "out").iterdir()} == names
     (cell,) = make_plan(decode_study(text), tmp_path).cells
     assert (folder / "out/results.zarr" / cell.path / "variance").is_dir()

@@ -160,7 +160,7 @@ class Board:
         notes += [
             str(value.attrs["note"])
             for kind, value in self.latest.items()
-            if kind in ("terms", "curve") and "note" in value.attrs
+            if kind in ("terms", "convergence") and "note" in value.attrs
         ]
         self._say(" ".join(dict.fromkeys([sentence, *notes])), alert=alert)
 

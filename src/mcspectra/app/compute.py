@@ -15,8 +15,10 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from mcspectra.app.parts import ladder, make_parts
+from mcspectra.app.parts import analyses_of, make_parts
 from mcspectra.app.state import Setup
+from mcspectra.core import analysis
+from mcspectra.core.analysis import Subject
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import McspectraError
 from mcspectra.core.progress import listening
@@ -87,12 +89,13 @@ def compute(kind: str, setup: Setup, realizations: int) -> Any:
     """
     if kind in ("points", "spectrum"):
         setup = replace(setup, integrand="constant", mirror="none", smoothing=0.0, basis="fourier")
-    return _MAKERS[kind](replace(setup, realizations=2), realizations)
+    if kind == "points":
+        return _points(replace(setup, realizations=2))
+    return _measured(kind, replace(setup, realizations=realizations))
 
 
 @lru_cache(_KEPT)
-def _points(setup: Setup, realizations: int) -> PointSet:
-    del realizations
+def _points(setup: Setup) -> PointSet:
     parts = make_parts(setup)
     u = parts.sampler.draw(setup.n, realizations=1, rng=setup.seed)[0]
     if parts.density is None:
@@ -103,51 +106,13 @@ def _points(setup: Setup, realizations: int) -> PointSet:
 
 
 @lru_cache(_KEPT)
-def _spectrum(setup: Setup, realizations: int) -> xr.Dataset:
-    from mcspectra.spectra.power import power_spectrum
-
+def _measured(kind: str, setup: Setup) -> xr.Dataset:
     parts = make_parts(setup)
-    return power_spectrum(
-        parts.sampler,
-        setup.n,
-        density=parts.density,
-        half_width=setup.half_width,
-        frequency_step=setup.frequency_step,
-        realizations=realizations,
-        rng=setup.seed,
-    )
+    subject = Subject(parts.estimator, parts.sampler, parts.density)
+    return analysis.compute(analyses_of(setup)[kind], subject, setup.seed)
 
 
-@lru_cache(_KEPT)
-def _curve(setup: Setup, realizations: int) -> xr.Dataset:
-    from mcspectra.variance.convergence import convergence
-
-    parts = make_parts(setup)
-    return convergence(
-        parts.estimator, parts.sampler, ladder(setup), realizations=realizations, rng=setup.seed
-    )
-
-
-@lru_cache(_KEPT)
-def _terms(setup: Setup, realizations: int) -> xr.Dataset:
-    from mcspectra.variance.terms import variance_terms
-
-    parts = make_parts(setup)
-    return variance_terms(
-        parts.estimator,
-        parts.sampler,
-        setup.n,
-        half_width=setup.half_width,
-        realizations=realizations,
-        rng=setup.seed,
-        basis=setup.basis,
-        space=parts.space,
-    )
-
-
-_MAKERS = {"points": _points, "spectrum": _spectrum, "curve": _curve, "terms": _terms}
-
-KINDS = tuple(_MAKERS)
+KINDS = ("points", "spectrum", "convergence", "terms")
 """What is computed in each round, in this order."""
 
 

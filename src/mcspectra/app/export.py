@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
+import textwrap
+from typing import Any
 
-from mcspectra.app.parts import integrand_specs, ladder, make_parts
+from mcspectra.app.parts import analyses_of, integrand_specs
 from mcspectra.app.specs import UPLOAD, techniques
 from mcspectra.app.state import Setup, State
+from mcspectra.core.analysis import Analysis
+from mcspectra.core.options import options_of
 from mcspectra.core.spec import parse
 
 __all__ = ["as_python", "as_toml"]
@@ -30,26 +34,35 @@ def as_python(state: State) -> str:
 
 
 def _program(setup: Setup, head: str) -> str:
-    made = make_parts(setup)
     lines = _estimator_lines(setup)
-    common = f"realizations={setup.realizations}, rng={setup.seed}"
+    lines.append(f"sampler = mcs.sampler({setup.displaced_sampler!r}, dims={setup.dims})")
+    for name, analysis in analyses_of(setup).items():
+        given = _chosen(analysis)
+        first = [repr(given.pop(o.name)) for o in options_of(type(analysis)) if o.required]
+        of_points = analysis.about == "sampler"
+        subject = ["sampler"] if of_points else ["estimator", "sampler"]
+        named = [f"{key}={value!r}" for key, value in given.items()]
+        named = [*(["density=density"] if of_points else []), *named, f"rng={setup.seed}"]
+        call = textwrap.fill(", ".join([*subject, *first, *named]) + ",", 90)
+        lines += [f"{name} = mcs.{analysis.function}(", textwrap.indent(call, "    "), ")"]
     lines += [
-        f"sampler = mcs.sampler({setup.displaced_sampler!r}, dims={setup.dims})",
-        "spectrum = mcs.power_spectrum(",
-        f"    sampler, {setup.n}, density=density, half_width={setup.half_width},",
-        f"    frequency_step={setup.frequency_step!r}, {common},",
-        ")",
-        "terms = mcs.variance_terms(",
-        f"    estimator, sampler, {setup.n}, half_width={setup.half_width}, {common},",
-        f"    basis={setup.basis!r}, space={made.space!r},",
-        ")",
-        f"curve = mcs.convergence(estimator, sampler, {ladder(setup)}, {common})",
         'for name in ("dc_term", "power_term", "cross_term", "predicted_variance",',
         '             "measured_variance"):',
         '    print(f"{name:18}  {float(terms[name]):.6g}")',
-        """print(f"{'rate':18}  {float(curve['rate']):.4g}")""",
+        """print(f"{'rate':18}  {float(convergence['rate']):.4g}")""",
     ]
     return head + "\n".join(lines) + "\n"
+
+
+def _chosen(analysis: Analysis) -> dict[str, Any]:
+    """Options of an analysis that are not as by default; tuples as lists, which people write."""
+    given = {o.name: getattr(analysis, o.name) for o in options_of(type(analysis))}
+    defaults = {o.name: o.default for o in options_of(type(analysis))}
+    return {
+        key: list(value) if isinstance(value, tuple) else value
+        for key, value in given.items()
+        if value != defaults[key]
+    }
 
 
 def _estimator_lines(setup: Setup) -> list[str]:
@@ -96,8 +109,6 @@ def _upload_advice(state: State) -> list[str]:
 
 
 def _tables(name: str, setup: Setup) -> list[str]:
-    made = make_parts(setup)
-    common = f"realizations = {setup.realizations}"
     lines = [
         "",
         "[[estimators]]",
@@ -112,23 +123,10 @@ def _tables(name: str, setup: Setup) -> list[str]:
         lines.append(f"smoothed = {setup.smoothing!r}")
     if setup.mirror != "none":
         lines.append(f"mirror = {_text(setup.mirror)}")
-    grid = f"n = {setup.n}\nhalf_width = {setup.half_width}\n{common}"
-    return [
-        *lines,
-        "",
-        "[estimators.terms]",
-        grid,
-        f"basis = {_text(setup.basis)}",
-        f"space = {_text(made.space)}",
-        "",
-        "[estimators.spectrum]",
-        grid,
-        f"frequency_step = {setup.frequency_step!r}",
-        "",
-        "[estimators.convergence]",
-        f"counts = {ladder(setup)}",
-        common,
-    ]
+    for table, analysis in analyses_of(setup).items():
+        lines += ["", f"[estimators.{table}]"]
+        lines += [f"{key} = {_text(value)}" for key, value in _chosen(analysis).items()]
+    return lines
 
 
 def _integrand_line(specs: tuple[str, ...]) -> str:
@@ -137,6 +135,6 @@ def _integrand_line(specs: tuple[str, ...]) -> str:
     return f"integrands = [{', '.join(map(_text, specs))}]"
 
 
-def _text(text: str) -> str:
-    """A basic string of TOML: JSON's escapes are TOML's, specs hold no control characters."""
-    return json.dumps(text, ensure_ascii=False)
+def _text(value: Any) -> str:
+    """A value of TOML: JSON's escapes are TOML's, specs hold no control characters."""
+    return json.dumps(value, ensure_ascii=False)

@@ -235,7 +235,7 @@ def build_page() -> Any:
 
 
 def _row(side: str, setup: Setup, latest: dict[str, Any]) -> str:
-    terms, curve = latest.get("terms"), latest.get("curve")
+    terms, curve = latest.get("terms"), latest.get("convergence")
     cells = [
         setup.displaced_sampler,
         str(setup.n),

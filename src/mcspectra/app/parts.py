@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import threading
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import final
+from typing import Any, Literal, final
 
 from mcspectra.app.parameters import changed
 from mcspectra.app.specs import UPLOAD, techniques
 from mcspectra.app.state import MOST_POINTS, Setup
 from mcspectra.app.uploads import upload_path
+from mcspectra.core.analysis import Analysis
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.spec import parse
 from mcspectra.densities import Density, density
@@ -19,8 +20,11 @@ from mcspectra.estimators import AbstractEstimator, Estimator, Mirrored, Techniq
 from mcspectra.integrands import Integrand, integrand
 from mcspectra.integrands.smoothing import smoothed
 from mcspectra.samplers import Sampler, sampler
+from mcspectra.spectra.power import Spectrum
+from mcspectra.variance.convergence import Convergence
+from mcspectra.variance.terms import Terms
 
-__all__ = ["Parts", "integrand_specs", "ladder", "make_parts"]
+__all__ = ["Parts", "analyses_of", "integrand_specs", "ladder", "make_parts"]
 
 _KEPT = 64
 _FILTERS = threading.Lock()  # warning filters are the process's, not a thread's
@@ -34,7 +38,7 @@ class Parts:
     density: Density | None
     estimator: AbstractEstimator
     sampler: Sampler
-    space: str
+    space: Literal["domain", "primary"]
     notes: tuple[str, ...]
 
 
@@ -62,15 +66,19 @@ def _resolved(text: str, setup: Setup) -> str:
     return changed(text, "channel", channel)
 
 
-@lru_cache(_KEPT)
 def make_parts(setup: Setup) -> Parts:
-    """Make density, estimator and sampler.
+    """Make density, estimator and sampler; the same ones for all rounds of realisations.
 
     Raises
     ------
     McspectraError
         A spec cannot be made, or the parts do not fit one another.
     """
+    return _parts(replace(setup, realizations=2))
+
+
+@lru_cache(_KEPT)
+def _parts(setup: Setup) -> Parts:
     specs = integrand_specs(setup)
     p = _density(setup.density, setup.dims)
     estimator = _estimator(specs, setup.density, setup.mirror, setup.smoothing, setup.dims)
@@ -126,6 +134,22 @@ def _integrand(spec: str, dims: int) -> Integrand:
 def _smoothed(spec: str, dims: int, width: float) -> Integrand:
     f = _integrand(spec, dims)
     return smoothed(f, width) if width else f
+
+
+def analyses_of(setup: Setup) -> dict[str, Analysis]:
+    """The analyses that are shown of a set-up, by the names of their tables in study files.
+
+    Raises
+    ------
+    McspectraError
+        The set-up cannot be made.
+    """
+    common: dict[str, Any] = {"n": setup.n, "half_width": setup.half_width, "realizations": setup.realizations}
+    return {
+        "spectrum": Spectrum(**common, frequency_step=setup.frequency_step),
+        "convergence": Convergence(counts=tuple(ladder(setup)), realizations=setup.realizations),
+        "terms": Terms(**common, basis=setup.basis, space=make_parts(setup).space),
+    }
 
 
 def ladder(setup: Setup) -> list[int]:

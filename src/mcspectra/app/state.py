@@ -16,6 +16,9 @@ from urllib.parse import parse_qsl, urlencode
 from mcspectra.app.specs import check_chain, check_integrand, check_single
 from mcspectra.core.checks import as_choice, as_integer, as_real
 from mcspectra.core.errors import ParameterError, close_match_hint
+from mcspectra.core.options import options_of
+from mcspectra.spectra.power import Spectrum
+from mcspectra.variance.terms import Terms
 
 __all__ = [
     "BASES",
@@ -28,7 +31,10 @@ __all__ = [
     "State",
 ]
 
-BASES = ("fourier", "cosine", "walsh", "haar", "auto")
+_OPTIONS = {option.name: option for kind in (Terms, Spectrum) for option in options_of(kind)}
+"""Options of the analyses that are shown; where both have one, those of the spectrum are narrower."""
+
+BASES = _OPTIONS["basis"].choices
 MIRRORS = ("none", "integrand", "random", "uniform")
 CHANNELS = ("luminance", "0", "1", "2")
 THEMES = ("light", "dark")
@@ -93,9 +99,9 @@ class Setup:
     mirror: str = "none"
     channel: str = "luminance"
     smoothing: float = 0.0
-    basis: str = "fourier"
-    half_width: int = 64
-    frequency_step: float = 1.0
+    basis: str = _OPTIONS["basis"].default
+    half_width: int = _OPTIONS["half_width"].default
+    frequency_step: float = _OPTIONS["frequency_step"].default
     realizations: int = 1024
     seed: int = 0
 
@@ -104,7 +110,7 @@ class Setup:
         check_single("density", self.density)
         check_integrand("integrand", self.integrand)
         as_choice("mirror", self.mirror, MIRRORS)
-        as_choice("basis", self.basis, BASES)
+        _OPTIONS["basis"].check(self.basis)
         as_choice("channel", self.channel, CHANNELS)
         for name, value in self._numbers().items():
             object.__setattr__(self, name, value)
@@ -122,7 +128,7 @@ class Setup:
             "seed": as_integer("seed", self.seed, least=0, most=_MOST_SEED),
             "strata_shift": as_real("strata_shift", self.strata_shift, least=0.0, below=1.0),
             "smoothing": as_real("smoothing", self.smoothing, least=0.0, most=1.0),
-            "frequency_step": as_real("frequency_step", self.frequency_step, above=0.0, most=1.0),
+            "frequency_step": _OPTIONS["frequency_step"].check(self.frequency_step),
         }
 
     @property

@@ -291,7 +291,7 @@ class TermsView:
 class ConvergenceView:
     """Measured variance against n with its fitted rate."""
 
-    kind: ClassVar[str] = "curve"
+    kind: ClassVar[str] = "convergence"
 
     def __init__(self, setup: Setup, look: Look) -> None:
         from bokeh.models import ColumnDataSource, FixedTicker

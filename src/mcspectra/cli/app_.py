@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import importlib
 
-from mcspectra.cli.common import whole_number
+from mcspectra.cli.common import Answer, Read, whole
 from mcspectra.core.errors import MissingDependency, ParameterError
 
 __all__ = ["add_arguments", "run"]
@@ -17,16 +17,20 @@ __all__ = ["add_arguments", "run"]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options."""
     parser.add_argument(
-        "--port", default="0", metavar="N", help="port on this machine; any free one by default"
+        "--port",
+        action=Read,
+        read=whole(0, 65535),
+        default=0,
+        metavar="N",
+        help="port on this machine; any free one by default",
     )
     parser.add_argument(
         "--no-browser", action="store_true", help="print the address, open no browser"
     )
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> Answer:
     """Serve until interrupted."""
-    port = whole_number("--port", options.port, least=0, most=65535)
     if options.json or options.seed is not None:
         raise ParameterError("app takes neither --json nor --seed; choose the seed on the page.")
     try:
@@ -37,5 +41,5 @@ def run(options: argparse.Namespace) -> int:
         ) from None
     from mcspectra.app.server import serve
 
-    serve(port, open_browser=not options.no_browser, quiet=options.quiet)
-    return 0
+    serve(options.port, open_browser=not options.no_browser, quiet=options.quiet)
+    return Answer()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from mcspectra.cli.common import print_json
+from mcspectra.cli.common import Answer
 from mcspectra.version import __version__
 
 __all__ = ["add_arguments", "run"]
@@ -50,11 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb has no options of its own."""
 
 
-def run(options: argparse.Namespace) -> int:
-    """Print the references."""
-    if options.json:
-        print_json([{"for": what, "bibtex": entry} for what, entry in REFERENCES.items()])
-    elif not options.quiet:
-        for what, entry in REFERENCES.items():
-            print(f"% {what}\n{entry}\n")
-    return 0
+def run(options: argparse.Namespace) -> Answer:  # noqa: ARG001
+    """Give the references."""
+    listed = [{"for": what, "bibtex": entry} for what, entry in REFERENCES.items()]
+    return Answer("\n\n".join(f"% {what}\n{entry}" for what, entry in REFERENCES.items()), listed)

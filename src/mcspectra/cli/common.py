@@ -1,4 +1,4 @@
-"""What several verbs share: reading options, writing tables and JSON."""
+"""What verbs share: options that read their texts, answers, tables and JSON."""
 
 from __future__ import annotations
 
@@ -7,61 +7,69 @@ import json
 import math
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from mcspectra.core.checks import as_choice, as_integer, as_real
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.checks import as_integer, as_real
+from mcspectra.core.errors import FileFormatError, ParameterError
 
 if TYPE_CHECKING:
-    from mcspectra.estimators import AbstractEstimator
     from mcspectra.samplers import Sampler
 
 __all__ = [
-    "Once",
-    "add_engine_argument",
-    "add_estimator_arguments",
-    "build_estimator",
-    "counts_option",
+    "Answer",
+    "Read",
     "index_or_name",
     "one_sentence_warnings",
     "print_json",
     "read_sampler",
-    "real_number",
-    "realizations_option",
-    "seed_option",
+    "real",
     "text_table",
-    "whole_number",
+    "whole",
+    "wholes",
+    "writing",
 ]
 
 
-def whole_number(name: str, text: object, *, least: int = 1, most: int | None = None) -> int:
-    """Read an option that must be a whole number."""
-    try:
-        return as_integer(name, int(str(text)), least=least, most=most)
-    except ValueError:
-        limit = f"from {least} to {most}" if most is not None else f"of at least {least}"
-        raise ParameterError(f"{name} is {text!r}; give a whole number {limit}.") from None
+class Answer(NamedTuple):
+    """What a verb says: a text, data for --json, and the exit code.
+
+    Without data the text is the result itself, such as a schema, and printed in any case.
+    """
+
+    text: str = ""
+    data: Any = None
+    code: int = 0
 
 
-def real_number(name: str, text: object) -> float:
-    """Read an option that must be a positive number."""
-    try:
-        return as_real(name, float(str(text)), above=0.0)
-    except ValueError:
-        raise ParameterError(f"{name} is {text!r}; give a number greater than 0.") from None
+class Read(argparse.Action):
+    """An option that reads its text where it stands, so that its error names it.
 
+    Parameters
+    ----------
+    read
+        Makes the value of the option's name and its text; the text itself by default.
+    repeated
+        What a second one does: ``"last"`` counts, it is refused (``"once"``), or ``"all"`` are listed, and
+        the items of tuples.
+    """
 
-def seed_option(options: argparse.Namespace) -> int:
-    """Read --seed, 0 by default."""
-    return 0 if options.seed is None else whole_number("--seed", options.seed, least=0)
-
-
-class Once(argparse.Action):
-    """An option that may be given once only, where argparse would take the last."""
+    def __init__(
+        self,
+        option_strings: Sequence[str],
+        dest: str,
+        *,
+        read: Callable[[str, str], Any] | None = None,
+        repeated: Literal["last", "once", "all"] = "last",
+        **further: Any,
+    ) -> None:
+        super().__init__(option_strings, dest, **further)
+        self._read, self._repeated = read, repeated
+        self._label = max(option_strings, key=len, default=str(self.metavar or dest))
 
     def __call__(
         self,
@@ -70,27 +78,72 @@ class Once(argparse.Action):
         values: Any,
         option_string: str | None = None,
     ) -> None:
-        """Store the value, or refuse a second one."""
-        if getattr(namespace, self.dest) is not None:
+        """Store the value, or refuse it."""
+        if values is None:  # a positional argument that may be missing
+            return
+        value = values if self._read is None else self._read(self._label, values)
+        before = getattr(namespace, self.dest)
+        if self._repeated == "once" and before is not None:
             parser.error(f"{option_string} is given twice; give it once")
-        setattr(namespace, self.dest, values)
+        if self._repeated == "all":
+            value = [*(before or []), *(value if isinstance(value, tuple) else [value])]
+        setattr(namespace, self.dest, value)
 
 
-def counts_option(text: str) -> list[int]:
-    """Read comma-separated counts."""
-    return [whole_number("--counts", part.strip()) for part in text.split(",")]
+def whole(least: int = 1, most: int | None = None) -> Callable[[str, str], int]:
+    """Return what reads a whole number within limits."""
+
+    def read(name: str, text: str) -> int:
+        try:
+            return as_integer(name, int(text), least=least, most=most)
+        except ValueError:
+            limit = f"of at least {least}" if most is None else f"from {least} to {most}"
+            raise ParameterError(f"{name} is {text!r}; give a whole number {limit}.") from None
+
+    return read
+
+
+def wholes(form: str = "", least: int = 1) -> Callable[[str, str], list[int]]:
+    """Return what reads whole numbers with commas between: those of a form such as W,H, or any."""
+
+    def read(name: str, text: str) -> list[int]:
+        parts = text.split(",")
+        if form and len(parts) != form.count(",") + 1:
+            raise ParameterError(f"{name} is {text!r}; give {form}, whole numbers.")
+        return [whole(least)(name, part.strip()) for part in parts]
+
+    return read
+
+
+def real(**limits: float) -> Callable[[str, str], float]:
+    """Return what reads a number within the limits of `as_real`."""
+
+    def read(name: str, text: str) -> float:
+        try:
+            number: float | str = float(text)
+        except ValueError:
+            number = text
+        return as_real(name, number, **limits)
+
+    return read
+
+
+def index_or_name(name: str, text: str) -> int | str:
+    """Read what is a number or a name: whole numbers as such, also negative ones."""
+    del name
+    digits = text.removeprefix("-")
+    return int(text) if digits.isdecimal() and len(digits) < 20 else text
 
 
 def read_sampler(text: str, dims: int | None) -> Sampler:
     """Read a sampler spec, or a point set in UTK text format from standard input for ``-``."""
-    from mcspectra.samplers import GivenPoints, sampler
+    from mcspectra.samplers import RANDOMIZATIONS, GivenPoints, sampler
 
     first, bar, rest = text.partition("|")
     if first.strip() != "-":
         return sampler(text, dims)
     from mcspectra.core.pointfiles import parse_dat
     from mcspectra.core.spec import parse_chain
-    from mcspectra.samplers import RANDOMIZATIONS
 
     if sys.stdin is None or sys.stdin.closed:
         raise ParameterError("'-' reads points from standard input, which is closed.")
@@ -102,104 +155,13 @@ def read_sampler(text: str, dims: int | None) -> Sampler:
     return given  # type: ignore[no-any-return]
 
 
-def realizations_option(text: object, sampler: Sampler, default: int) -> int:
-    """Read --realizations; by default as many as there are sets where the points are given."""
-    from mcspectra.samplers import GivenPoints
-
-    if text is not None:
-        return whole_number("--realizations", text)
-    return len(sampler.points) if isinstance(sampler, GivenPoints) else default
-
-
-def add_estimator_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options that describe an estimator."""
-    parser.add_argument("integrand", help="integrand spec, e.g. 'gaussian(width=0.25)'")
-    parser.add_argument(
-        "-d", "--dims", metavar="D", help="number of dims, where specs leave it open"
-    )
-    parser.add_argument(
-        "--density", action="append", metavar="SPEC", help="density; several mean MIS"
-    )
-    parser.add_argument(
-        "--heuristic",
-        action=Once,
-        metavar="SPEC",
-        help="MIS: balance (default), power(beta=2), cutoff, maximum, optimal or variance-aware",
-    )
-    parser.add_argument(
-        "--shares",
-        action=Once,
-        metavar="K,K,…",
-        help="MIS: points of each technique, in units of n",
-    )
-    parser.add_argument(
-        "--mirror",
-        action=Once,
-        metavar="MODE",
-        help="mirror the integrand or the samples: integrand, random or uniform",
-    )
-    parser.add_argument(
-        "--plus",
-        action="append",
-        metavar="SPEC",
-        help="further integrand, sampled on its own and added (techniques in primary space)",
-    )
-
-
-def add_engine_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the option that chooses how transforms are computed."""
-    parser.add_argument(
-        "--engine", default="auto", help="auto (default), nufft, direct, or gpu (extra gpu)"
-    )
-
-
-def build_estimator(options: argparse.Namespace) -> AbstractEstimator:
-    """Make the estimator that the options describe."""
-    estimator = _plain_estimator(options)
-    if options.mirror is None:
-        return estimator
-    from mcspectra.estimators import MIRRORINGS, Mirrored
-
-    return Mirrored(estimator, as_choice("--mirror", options.mirror, MIRRORINGS))
-
-
-def _plain_estimator(options: argparse.Namespace) -> AbstractEstimator:
-    """The estimator before it is mirrored."""
-    from mcspectra.estimators import Estimator, MultipleImportance, TechniqueSum
-
-    dims = None if options.dims is None else whole_number("--dims", options.dims)
-    densities = options.density or []
-    for name, given in (("--heuristic", options.heuristic), ("--shares", options.shares)):
-        if given is not None and len(densities) < 2:
-            raise ParameterError(f"{name} is about several --density options; give two or more.")
-    if options.plus:
-        if densities:
-            raise ParameterError("--plus adds whole techniques; it cannot be used with --density.")
-        return TechniqueSum([options.integrand, *options.plus], dims=dims)
-    if len(densities) > 1:
-        return MultipleImportance(
-            options.integrand,
-            densities,
-            heuristic=options.heuristic or "balance",
-            counts=None if options.shares is None else _shares(options.shares, len(densities)),
-            dims=dims,
-        )
-    return Estimator(options.integrand, densities[0] if densities else None, dims=dims)
-
-
-def _shares(text: str, techniques: int) -> list[int]:
-    shares = [whole_number("--shares", part.strip()) for part in text.split(",")]
-    if len(shares) != techniques:
-        raise ParameterError(
-            f"--shares has {len(shares)} numbers for {techniques} densities; give one for each."
-        )
-    return shares
-
-
-def index_or_name(text: str | None) -> int | str | None:
-    """Return an option that is a number or a name: whole numbers as such, also negative ones."""
-    digits = "" if text is None else text.removeprefix("-")
-    return int(text) if text and digits.isdecimal() and len(digits) < 20 else text
+@contextmanager
+def writing(path: Path | str) -> Iterator[None]:
+    """Turn what the system says about a file that cannot be written into a sentence."""
+    try:
+        yield
+    except OSError as error:
+        raise FileFormatError(f"{str(path)!r} cannot be written: {error.strerror}.") from None
 
 
 def print_json(data: Any) -> None:
@@ -220,7 +182,7 @@ def _plain(value: Any) -> Any:
         return {"re": _plain(value.real), "im": _plain(value.imag)}
     if isinstance(value, float) and not math.isfinite(value):
         return None
-    return value
+    return str(value) if isinstance(value, Path) else value
 
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -8,7 +8,7 @@ import platform
 from importlib import metadata
 from typing import Any
 
-from mcspectra.cli.common import print_json
+from mcspectra.cli.common import Answer
 from mcspectra.core.cache import cache_folder, cache_size
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.results import package_versions
@@ -20,8 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The verb has no options of its own."""
 
 
-def run(options: argparse.Namespace) -> int:
-    """Try each part and print what was found; exit 1 if a part that is always needed fails."""
+def run(options: argparse.Namespace) -> Answer:  # noqa: ARG001
+    """Try each part and say what was found; exit 1 if a part that is always needed fails."""
     found: dict[str, Any] = {
         "python": platform.python_version(),
         "platform": platform.platform(),
@@ -35,14 +35,12 @@ def run(options: argparse.Namespace) -> int:
     found["gpu"] = _gpu()
     found["renderer"] = _renderer()
     found["optional packages"] = _optional_packages()
-    if options.json:
-        print_json({**found, "works": works})
-    elif not options.quiet:
-        width = max(map(len, found))
-        for name, value in found.items():
-            text = value if not isinstance(value, dict) else _joined(value)
-            print(f"{name.replace('_', ' ').ljust(width)}  {text}")
-    return 0 if works else 1
+    width = max(map(len, found))
+    lines = [
+        f"{name.replace('_', ' ').ljust(width)}  {_joined(v) if isinstance(v, dict) else v}"
+        for name, v in found.items()
+    ]
+    return Answer("\n".join(lines), {**found, "works": works}, 0 if works else 1)
 
 
 def _try_transform() -> tuple[bool, str]:

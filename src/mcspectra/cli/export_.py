@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mcspectra.cli.common import print_json
+from mcspectra.cli.common import Answer
 
 __all__ = ["add_arguments", "run"]
 
@@ -24,21 +24,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> Answer:
     """Export, say where to."""
-    from mcspectra.studies.export import export_results
-    from mcspectra.studies.sizes import shown_bytes
+    from mcspectra.core.memory import shown_bytes
+    from mcspectra.studies.results import export_results
 
     file = export_results(options.source, options.to, options.select)
-    size = _size(file) if isinstance(file, Path) else None
-    if options.json:
-        print_json({"file": str(file), "bytes": size})
-    elif not options.quiet:
-        print(file if size is None else f"{file}: {shown_bytes(size)}")
-    return 0
-
-
-def _size(place: Path) -> int:
-    """Bytes of a file, or of all files in a folder."""
-    files = place.rglob("*") if place.is_dir() else [place]
-    return sum(file.stat().st_size for file in files if file.is_file())
+    if not isinstance(file, Path):
+        return Answer(str(file), {"file": file, "bytes": None})
+    files = file.rglob("*") if file.is_dir() else [file]
+    size = sum(each.stat().st_size for each in files if each.is_file())
+    return Answer(f"{file}: {shown_bytes(size)}", {"file": file, "bytes": size})

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import argparse
 
-from mcspectra.cli.common import one_sentence_warnings, print_json, seed_option
-from mcspectra.cli.progress import progress_bars
+from mcspectra.cli.common import Answer
 
 __all__ = ["add_arguments", "run"]
 
@@ -27,22 +26,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--markdown", action="store_true", help="write Markdown and PNG files")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> Answer:
     """Measure and write."""
     from mcspectra.report.sampler_cards import FULL, QUICK
     from mcspectra.report.sampler_gallery import write_gallery
 
-    silent = options.quiet or options.json
-    with one_sentence_warnings(silent), progress_bars(silent):
-        page = write_gallery(
-            options.out,
-            options.specs or None,
-            effort=QUICK if options.quick else FULL,
-            format="markdown" if options.markdown else "html",
-            rng=seed_option(options),
-        )
-    if options.json:
-        print_json({"gallery": str(page)})
-    elif not options.quiet:
-        print(f"gallery: {page}")
-    return 0
+    page = write_gallery(
+        options.out,
+        options.specs or None,
+        effort=QUICK if options.quick else FULL,
+        format="markdown" if options.markdown else "html",
+        rng=options.seed or 0,
+    )
+    return Answer(f"gallery: {page}", {"gallery": page})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from mcspectra.cli.common import print_json
+from mcspectra.cli.common import Answer
 
 __all__ = ["add_arguments", "run"]
 
@@ -16,13 +16,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> Answer:
     """Write it, unless something is there."""
-    from mcspectra.studies.template import write_template
+    from mcspectra.studies.schema import write_template
 
     file = write_template(options.file)
-    if options.json:
-        print_json({"file": str(file)})
-    elif not options.quiet:
-        print(f"{file}: run it with 'mcspectra run {file}'.")
-    return 0
+    return Answer(f"{file}: run it with 'mcspectra run {file}'.", {"file": file})

@@ -1,68 +1,55 @@
-"""List what can be named in specs."""
+"""List what can be named in specs, and the analyses."""
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import inspect
 from typing import Any
 
-from mcspectra.cli.common import print_json
+from mcspectra.cli.common import Answer
 from mcspectra.core.checks import as_choice
 
 __all__ = ["add_arguments", "run"]
 
-_KINDS = ("samplers", "randomizations", "densities", "integrands", "scenes")
+_REGISTRIES = {
+    "samplers": ("mcspectra.samplers", "SAMPLERS"),
+    "randomizations": ("mcspectra.samplers", "RANDOMIZATIONS"),
+    "densities": ("mcspectra.densities", "DENSITIES"),
+    "integrands": ("mcspectra.integrands", "INTEGRANDS"),
+    "scenes": ("mcspectra.rendering", "SCENES"),
+    "analyses": ("mcspectra.core.analysis", "ANALYSES"),
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options."""
-    parser.add_argument("kind", help=f"one of {', '.join(_KINDS)}")
+    parser.add_argument("kind", help=f"one of {', '.join(_REGISTRIES)}")
 
 
-def run(options: argparse.Namespace) -> int:
-    """Print names, parameters and summaries."""
-    kind = as_choice("kind", options.kind, _KINDS)
-    rows = _rows(kind, _registry(kind))
-    if options.json:
-        print_json(rows)
-    elif not options.quiet:
-        widest = max(len(row["name"]) for row in rows)
-        for row in rows:
-            print(f"{row['name'].ljust(widest)}  {row['summary']}")
-            for line in filter(None, (", ".join(row["parameters"]), _abilities(row))):
-                print(f"{'':{widest}}    {line}")
-    return 0
+def run(options: argparse.Namespace) -> Answer:
+    """Give names, parameters and summaries."""
+    kind = as_choice("kind", options.kind, tuple(_REGISTRIES))
+    module, name = _REGISTRIES[kind]
+    registry = getattr(importlib.import_module(module), name)
+    rows = [_row(kind, registry, name) for name in registry]
+    widest, lines = max(len(row["name"]) for row in rows), []
+    for row in rows:
+        lines.append(f"{row['name'].ljust(widest)}  {row['summary']}")
+        more = (", ".join(row["parameters"]), _abilities(row))
+        lines += [f"{'':{widest}}    {line}" for line in more if line]
+    return Answer("\n".join(lines), rows)
 
 
 def _abilities(row: dict[str, Any]) -> str:
-    """The dims and counts of a sampler, in a line."""
+    """The dims and counts of a sampler, or the verb of an analysis, in a line."""
+    if row.get("verb"):
+        return f"mcspectra {row['verb']}"
     return f"dims: {row['dims']}; n: {row['counts']}" if "dims" in row else ""
 
 
-def _registry(kind: str) -> Any:
-    if kind in ("samplers", "randomizations"):
-        from mcspectra.samplers import RANDOMIZATIONS, SAMPLERS
-
-        return SAMPLERS if kind == "samplers" else RANDOMIZATIONS
-    if kind == "densities":
-        from mcspectra.densities import DENSITIES
-
-        return DENSITIES
-    if kind == "scenes":
-        from mcspectra.rendering import SCENES
-
-        return SCENES
-    from mcspectra.integrands import INTEGRANDS
-
-    return INTEGRANDS
-
-
-def _rows(kind: str, registry: Any) -> list[dict[str, Any]]:
-    """One object a name; a component that cannot be loaded says why in its summary."""
-    return [_row(kind, registry, name) for name in registry]
-
-
 def _row(kind: str, registry: Any, name: str) -> dict[str, Any]:
+    """One component; one that cannot be loaded says why in its summary."""
     from mcspectra.core.errors import MissingDependency
 
     try:
@@ -75,22 +62,20 @@ def _row(kind: str, registry: Any, name: str) -> dict[str, Any]:
 
 
 def _described(kind: str, registry: Any, name: str) -> dict[str, Any]:
-    from mcspectra.samplers.facts import sampler_facts
-
     cls = registry.load(name)
-    parameters = [
-        p.name.rstrip("_") if p.default is p.empty else f"{p.name.rstrip('_')}={p.default!r}"
-        for p in inspect.signature(cls).parameters.values()
-    ]
-    row: dict[str, Any] = {"name": name, "summary": _summary(cls), "parameters": parameters}
+    row: dict[str, Any] = {
+        "name": name,
+        "summary": (inspect.getdoc(cls) or cls.__name__).splitlines()[0],
+        "parameters": [
+            p.name.rstrip("_") if p.default is p.empty else f"{p.name.rstrip('_')}={p.default!r}"
+            for p in inspect.signature(cls).parameters.values()
+        ],
+    }
     if kind == "samplers":
+        from mcspectra.samplers.facts import sampler_facts
+
         facts = sampler_facts(name)
         row |= {"dims": facts.dims, "counts": facts.counts}
+    if kind == "analyses":
+        row |= {"verb": cls.verb, "function": cls.function, "about": cls.about}
     return row
-
-
-def _summary(component: Any) -> str:
-    """First line of the docstring; scenes are functions."""
-    if isinstance(component, type):
-        return str(component.summary())  # type: ignore[attr-defined]
-    return (inspect.getdoc(component) or component.__name__).splitlines()[0]

@@ -1,7 +1,8 @@
 """The command ``mcspectra``: one lazy module a verb, one sentence an error.
 
 Exit codes: 0 done; 1 the run failed; 2 bad input; 130 interrupted. Verbs are bound by name, so that
-``--help`` imports none of them (docs/decisions/0002).
+``--help`` imports none of them (docs/decisions/0002). A module has `add_arguments`, and `run`, whose
+`Answer` is printed here; analyses share `mcspectra.cli.analysis`.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ import io
 import os
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
+from contextlib import suppress
+from importlib.metadata import entry_points
+from typing import Any, NoReturn
 
 __all__ = ["main"]
 
@@ -24,17 +27,19 @@ _VERBS = {
     "export": "write results as .csv, .parquet, .nc, .json or .zarr.zip",
     "init": "write a study file to begin with",
     "schema": "print the JSON Schema of study files",
-    "list": "list samplers, randomizations, densities, integrands or scenes",
+    "list": "list samplers, randomizations, densities, integrands, scenes or analyses",
     "points": "draw point sets and write them as text or files",
     "gallery": "measure samplers and show them side by side",
     "spectrum": "expected power spectrum of a sampler",
     "pcf": "pair correlation of a sampler",
     "variance": "the three terms of an estimator's variance against its measurement",
     "converge": "variance against n and the fitted rate",
+    "techniques": "variance, terms and rate of each technique by itself, and the bottleneck",
     "remedies": "what would lower the noise at a budget, measured, ranked and explained",
     "exact": "exact variance, where there is a closed form",
     "anova": "which axes the variance comes from, effective dimension",
     "modes": "which patterns of frequencies vary together",
+    "routes": "variance by every route that is known, side by side",
     "render": "render a scene's direct illumination: image, variance, EXR and PNG",
     "pixel": "what one pixel sees, its rates, terms and bottleneck, and what would help",
     "map": "variance, rate and bottleneck at every pixel of a scene",
@@ -44,6 +49,20 @@ _VERBS = {
     "doctor": "what is installed and whether it works",
     "cite": "how to cite the package and its methods",
 }
+
+_ANALYSES = {
+    "spectrum": "spectrum",
+    "pcf": "pcf",
+    "variance": "terms",
+    "converge": "convergence",
+    "techniques": "techniques",
+    "remedies": "remedies",
+    "exact": "exact",
+    "anova": "anova",
+    "modes": "modes",
+    "routes": "routes",
+}
+"""Verbs of our analyses, which are not loaded to know them: to their names in the registry."""
 
 _EPILOG = """\
 Specs name samplers, densities and integrands: name(key=value, ...); samplers chain randomizations:
@@ -86,54 +105,97 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _dispatch(given: list[str]) -> int:
-    top = _Parser(
-        prog="mcspectra",
-        description="Measure, predict and explain the variance of Monte Carlo estimators.",
-        epilog=f"verbs:\n{_verb_table()}\n\n{_EPILOG}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    top.add_argument("--version", action="store_true", help="print the version and stop")
-    top.add_argument("verb", nargs="?", metavar="VERB", help="what to do, see below")
-    known, rest = given[:1], given[1:]
-    if not known or known[0].startswith("-"):
-        options = top.parse_args(known)
-        if options.version:
-            from mcspectra.version import __version__
-
-            print(__version__)
-            return 0
-        top.print_help()
-        return 0 if not given else 2
-    if known[0] not in _VERBS:
-        from mcspectra.core.errors import close_match_hint
-
-        hint, _ = close_match_hint(known[0], _VERBS, "mcspectra --help")
-        top.exit(2, f"mcspectra: There is no verb {known[0]!r}.{hint}\n")
-    module = importlib.import_module(f"mcspectra.cli.{known[0]}_")
+    if not given or given[0].startswith("-"):
+        return _without_verb(given)
+    module = _verb(given[0])
     parser = _Parser(
-        prog=f"mcspectra {known[0]}",
+        prog=f"mcspectra {given[0]}",
         description=(module.__doc__ or "").strip(),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     module.add_arguments(parser)
-    _add_common(parser)
-    return int(module.run(parser.parse_args(rest)))
+    return _run(module, parser, given[1:])
 
 
-def _add_common(parser: argparse.ArgumentParser) -> None:
+def _without_verb(given: list[str]) -> int:
+    """Print the help, or the version."""
+    verbs = dict(_VERBS)
+    for verb, name in _outside_verbs().items():
+        from mcspectra.core.analysis import ANALYSES
+
+        verbs[verb] = ANALYSES.load(name).summary()
+    width = max(map(len, verbs))
+    table = "\n".join(f"  {name.ljust(width)}  {text}" for name, text in verbs.items())
+    parser = _Parser(
+        prog="mcspectra",
+        description="Measure, predict and explain the variance of Monte Carlo estimators.",
+        epilog=f"verbs:\n{table}\n\n{_EPILOG}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="store_true", help="print the version and stop")
+    parser.add_argument("verb", nargs="?", metavar="VERB", help="what to do, see below")
+    if parser.parse_args(given[:1]).version:
+        from mcspectra.version import __version__
+
+        print(__version__)
+        return 0
+    parser.print_help()
+    return 2 if given else 0
+
+
+def _verb(name: str) -> Any:
+    """The module of a verb, or what stands for it."""
+    if name in _VERBS and name not in _ANALYSES:
+        return importlib.import_module(f"mcspectra.cli.{name}_")
+    found = _ANALYSES.get(name) or _outside_verbs().get(name)
+    if found is None:
+        from mcspectra.core.errors import UnknownName, close_match_hint
+
+        hint, close = close_match_hint(name, _VERBS, "mcspectra --help")
+        raise UnknownName(f"There is no verb {name!r}.{hint}", close)
+    from mcspectra.cli.analysis import AnalysisVerb
+
+    return AnalysisVerb(found)
+
+
+def _outside_verbs() -> dict[str, str]:
+    """Verbs of other packages' analyses, to the names of these; packages that are broken have none."""
+    names = {entry.name for entry in entry_points(group="mcspectra.analyses")}
+    if not names:
+        return {}
+    from mcspectra.core.analysis import ANALYSES
+    from mcspectra.core.errors import McspectraError
+
+    found = {}
+    for name in sorted(names):
+        with suppress(McspectraError):  # `mcspectra list analyses` says what is wrong
+            found[ANALYSES.load(name).verb] = name
+    return {verb: name for verb, name in found.items() if verb and verb not in _VERBS}
+
+
+def _run(module: Any, parser: argparse.ArgumentParser, rest: list[str]) -> int:
+    """Add the options that all verbs have, run the verb and print its answer."""
+    from mcspectra.cli.common import Read, one_sentence_warnings, print_json, whole
+    from mcspectra.cli.progress import progress_bars
+
     parser.add_argument("--json", action="store_true", help="print JSON instead of text")
-    parser.add_argument("--seed", default=None, metavar="S", help="seed, a whole number from 0")
+    parser.add_argument(
+        "--seed", action=Read, read=whole(0), metavar="S", help="seed, a whole number from 0"
+    )
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    options = parser.parse_args(rest)
+    with one_sentence_warnings(options.quiet), progress_bars(options.quiet):
+        text, data, code = module.run(options)
+    if options.json and data is not None:
+        print_json(data)
+    elif text and (data is None or not options.quiet):
+        print(text)
+    return int(code)
 
 
-def _verb_table() -> str:
-    width = max(map(len, _VERBS))
-    return "\n".join(f"  {name.ljust(width)}  {text}" for name, text in _VERBS.items())
-
-
-_FAILED_RUNS = ("CellFailed", "ClusterLost", "EngineFailed", "StorageError")
+_FAILED_RUNS = ("CellFailed", "ClusterLost", "StorageError")
 """Errors that are nobody's input."""
 
 

@@ -1,106 +1,63 @@
 """Map variance, its rate and what decides it over an image of a scene.
 
-Writes DIR/maps.exr (all layers), DIR/*.png, DIR/map.json and DIR/report.html; DIR/tiles keeps what is
-finished, and --resume goes on from there.
+Writes DIR/maps.exr (all layers), DIR/*.png, DIR/map.json and DIR/report.html; DIR/study.sqlite keeps
+what is finished, and --resume goes on from there.
 """
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
-from mcspectra.cli.common import (
-    counts_option,
-    index_or_name,
-    one_sentence_warnings,
-    print_json,
-    seed_option,
-    text_table,
-    whole_number,
-)
-from mcspectra.cli.progress import progress_bars
+from mcspectra.cli.analysis import add_option, given_options
+from mcspectra.cli.common import Answer, Read, read_sampler, text_table, whole
+from mcspectra.core.analysis import Subject
+from mcspectra.core.options import checked, options_of
+from mcspectra.core.streams import Stream
+from mcspectra.rendering.maps import Map
 
 __all__ = ["add_arguments", "run"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the verb's options."""
+    """Add the verb's options: the scene and its sampler, the folder, and those of the analysis."""
     parser.add_argument("scene", help="scene, e.g. veach, or a Mitsuba XML file")
     parser.add_argument("--out", default="out/map", metavar="DIR", help="output folder")
     parser.add_argument("--resume", action="store_true", help="go on with the tiles of DIR")
-    parser.add_argument("--crop", metavar="X0,Y0,W,H", help="part of the image; all by default")
-    parser.add_argument("--size", metavar="W,H", help="pixels of the image; those of the film")
-    parser.add_argument(
-        "--strategies", metavar="NAME,…", help="light, bsdf, mis-light, mis-bsdf, mis; all of them"
-    )
     parser.add_argument("--sampler", default="jittered", metavar="SPEC", help="default jittered")
-    parser.add_argument("--counts", default="4,9,16,36,64", metavar="N,N,…", help="samples n")
-    parser.add_argument("-m", "--realizations", default=64, metavar="R", help="default 64")
-    parser.add_argument("--light", metavar="NAME", help="the one light that counts; all by default")
-    parser.add_argument("--heuristic", default="balance", help="balance (default) or power")
-    parser.add_argument("--channel", default="luminance", help="luminance (default), 0, 1 or 2")
-    parser.add_argument("-d", "--dims", default=2, metavar="D", help="2, or 3 to select lobes")
-    parser.add_argument("--points", default="shared", help="shared (default) or own for each pixel")
-    parser.add_argument("--smoothing", default=1, metavar="K", help="odd: average rates over K × K")
     parser.add_argument(
-        "--predict-every", default=1, metavar="K", help="predict every so many pixels; 0: none"
+        "--workers",
+        action=Read,
+        read=whole(),
+        metavar="N",
+        help="threads; all processors by default",
     )
-    parser.add_argument("--workers", metavar="N", help="threads; all processors by default")
+    for option in options_of(Map):
+        if option.name != "scene":
+            add_option(parser, Map, option)
 
 
-def run(options: argparse.Namespace) -> int:
-    """Measure, write and print."""
-    from mcspectra.rendering.maps import variance_map
+def run(options: argparse.Namespace) -> Answer:
+    """Measure as a study of one map, and write."""
+    from mcspectra.report.further_pictures import with_labels
     from mcspectra.report.map_page import map_note, map_summary, write_map
+    from mcspectra.studies import StudyConfig, Trust, open_results, run_study
+    from mcspectra.studies.files import SceneConfig
 
-    silent = options.quiet or options.json
-    folder = Path(options.out)
-    with one_sentence_warnings(silent), progress_bars(silent):
-        result = variance_map(options.scene, **_arguments(options), out=folder / "tiles")
-        page = write_map(result, folder)
-    summary = map_summary(result)
-    if options.json:
-        print_json({**summary, "report": str(page)})
-    elif not options.quiet:
-        print(f"{_text(summary)}\n{map_note(summary)}\nmap: {page}")
-    return 0
-
-
-def _arguments(options: argparse.Namespace) -> dict[str, Any]:
-    """Arguments of `variance_map` from the options."""
-    chosen: dict[str, Any] = {
-        "sampler": options.sampler,
-        "counts": counts_option(options.counts),
-        "realizations": whole_number("--realizations", options.realizations, least=2),
-        "light": index_or_name(options.light),
-        "heuristic": options.heuristic,
-        "channel": index_or_name(options.channel),
-        "dims": whole_number("--dims", options.dims),
-        "points": options.points,
-        "smoothing": whole_number("--smoothing", options.smoothing),
-        "predict_every": whole_number("--predict-every", options.predict_every, least=0),
-        "rng": seed_option(options),
-        "resume": options.resume,
-    }
-    for name in ("crop", "size"):
-        text = getattr(options, name)
-        chosen[name] = None if text is None else _integers(f"--{name}", text)
-    if options.strategies is not None:
-        chosen["strategies"] = [part.strip() for part in options.strategies.split(",")]
-    if options.workers is not None:
-        chosen["workers"] = whole_number("--workers", options.workers)
-    return chosen
-
-
-def _integers(name: str, text: str) -> list[int]:
-    return [whole_number(name, part.strip(), least=0) for part in text.split(",")]
-
-
-def _text(summary: dict[str, Any]) -> str:
-    rows = [
-        [name, "", *(f"{value:.4g}" for value in row.values())]
-        for name, row in summary["strategies"].items()
-    ]
-    header = ["strategy", "", *next(iter(summary["strategies"].values()))]
-    return text_table(header, rows)
+    analysis = checked(Map(**given_options(options, Map)))
+    # Refuse what cannot be before there is a folder
+    subject = Subject(None, read_sampler(options.sampler, analysis.dims))
+    analysis.need(subject)
+    analysis.reduction(subject, Stream.from_rng(0))
+    entry = SceneConfig(name="map", samplers=(options.sampler,), kind="map", analysis=analysis)
+    study = StudyConfig(title=f"Map of {options.scene}", seed=options.seed or 0, scenes=(entry,))
+    trust = Trust((), (Path(options.scene).parent,))
+    run_study(study, options.out, resume=options.resume, workers=options.workers, trust=trust)
+    tree = open_results(options.out)
+    (found,) = (node.to_dataset() for node in tree.subtree if node.name == "map" and node.data_vars)
+    result = with_labels(found, "strategy").assign_coords(bound=["low", "high"])
+    page, summary = write_map(result, options.out), map_summary(result)
+    shown = summary["strategies"]
+    rows = [[name, "", *(f"{v:.4g}" for v in row.values())] for name, row in shown.items()]
+    table = text_table(["strategy", "", *next(iter(shown.values()))], rows)
+    return Answer(f"{table}\n{map_note(summary)}\nmap: {page}", {**summary, "report": page})

@@ -12,18 +12,23 @@ shows them side by side, an .exr holds a layer of each, and their distance to th
 from __future__ import annotations
 
 import argparse
+import functools
 import math
 import time
+from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcspectra.cli.common import (
+    Answer,
+    Read,
     index_or_name,
-    one_sentence_warnings,
-    print_json,
-    seed_option,
-    whole_number,
+    real,
+    text_table,
+    whole,
+    wholes,
+    writing,
 )
-from mcspectra.cli.progress import progress_bars
 from mcspectra.core.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -31,107 +36,98 @@ if TYPE_CHECKING:
 
 __all__ = ["add_arguments", "run"]
 
-_SPP, _REFERENCE_SPP = 16, 1024
+_SPP, _COMPARED_SPP, _REFERENCE_SPP = 16, 4, 1024
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options."""
-    parser.add_argument("scene", metavar="SCENE", help="name of a scene, or a Mitsuba XML file")
-    parser.add_argument("--strategy", help="light, bsdf, mis (default), mis-light or mis-bsdf")
-    parser.add_argument(
-        "--sampler", default="sobol | owen", metavar="SPEC", help="default 'sobol | owen'"
-    )
-    parser.add_argument(
-        "--spp", metavar="N", help=f"samples a pixel (default {_SPP}; reference {_REFERENCE_SPP})"
-    )
-    parser.add_argument(
-        "-m", "--realizations", metavar="R", help="independent images (default 1; reference 16)"
-    )
+    add = functools.partial(parser.add_argument, action=Read)
+    add("scene", metavar="SCENE", help="name of a scene, or a Mitsuba XML file")
+    add("--strategy", help="light, bsdf, mis (default), mis-light or mis-bsdf")
+    add("--sampler", default="sobol | owen", metavar="SPEC", help="default 'sobol | owen'")
+    add("--spp", read=whole(), metavar="N",
+        help=f"samples a pixel (default {_SPP}; reference {_REFERENCE_SPP})")  # fmt: skip
+    add("-m", "--realizations", read=whole(), metavar="R",
+        help="independent images (default 1; reference 16)")  # fmt: skip
     parser.add_argument(
         "--reference", action="store_true", help="--spp counts the samples of all images together"
     )
     parser.add_argument(
         "--compare", action="store_true", help="a reference and all strategies, --spp 4 each"
     )
-    parser.add_argument(
-        "--reference-spp", metavar="N", help="samples of the reference of --compare (default 1024)"
+    add("--reference-spp", read=whole(), metavar="N",
+        help="samples of the reference of --compare (default 1024)")  # fmt: skip
+    add(
+        "--crop",
+        read=wholes("X,Y,W,H", least=0),
+        metavar="X,Y,W,H",
+        help="part of the film, in pixels",
     )
-    parser.add_argument("--crop", metavar="X,Y,W,H", help="part of the film, in pixels")
-    parser.add_argument("--width", metavar="W", help="width of a built-in scene's film")
-    parser.add_argument("--height", metavar="H", help="height of a built-in scene's film")
-    parser.add_argument("--film", default="sampled", help="sampled (default) or center")
-    parser.add_argument("--light", metavar="NAME", help="name or number of one light that counts")
-    parser.add_argument("--heuristic", default="balance", help="balance (default) or power")
-    parser.add_argument(
-        "--exposure", default="0", metavar="STOPS", help="makes a .png brighter (default 0)"
+    add("--width", read=whole(), metavar="W", help="width of a built-in scene's film")
+    add("--height", read=whole(), metavar="H", help="height of a built-in scene's film")
+    add("--film", default="sampled", help="sampled (default) or center")
+    add(
+        "--light",
+        read=index_or_name,
+        metavar="NAME",
+        help="name or number of one light that counts",
     )
-    parser.add_argument(
-        "-o", "--out", action="append", metavar="FILE", help=".exr or .png; may be given twice"
-    )
+    add("--heuristic", default="balance", help="balance (default) or power")
+    add("--exposure", read=real(least=-64.0, most=64.0), default=0.0, metavar="STOPS",
+        help="makes a .png brighter (default 0)")  # fmt: skip
+    add("-o", "--out", repeated="all", metavar="FILE", help=".exr or .png; may be given twice")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> Answer:
     """Render, write and say how noisy it is."""
     from mcspectra.rendering.files import check_image_path, write_render
-
-    exposure = _exposure(options.exposure)
-    files = [check_image_path(file) for file in options.out or []]
-    if options.compare:
-        from mcspectra.cli.render_compare import run_comparison
-
-        return run_comparison(options, _sized(options), _settings(options), files, exposure)
-    if options.reference_spp is not None:
-        raise ParameterError("--reference-spp is for --compare; with --reference give --spp.")
-    with one_sentence_warnings(options.quiet), progress_bars(options.quiet):
-        start = time.perf_counter()
-        result = _render(options)
-        seconds = time.perf_counter() - start
-    for file in files:
-        write_render(file, result, exposure=exposure)
-    figures = _figures(result, seconds, list(map(str, files)))
-    if options.json:
-        print_json(figures)
-    elif not options.quiet:
-        _print(figures)
-    return 0
-
-
-def _render(options: argparse.Namespace) -> xr.Dataset:
     from mcspectra.rendering.image import reference, render
 
-    default = _REFERENCE_SPP if options.reference else _SPP
-    spp = default if options.spp is None else whole_number("--spp", options.spp)
+    files = [check_image_path(file) for file in options.out or []]
     settings = {
-        "strategy": "mis" if options.strategy is None else options.strategy,
-        **_settings(options),
-    }
-    scene, images = _sized(options), options.realizations
-    if options.reference:
-        batches = 16 if images is None else whole_number("--realizations", images, least=2)
-        return reference(scene, spp, batches=batches, **settings)
-    count = 1 if images is None else whole_number("--realizations", images)
-    return render(scene, spp=spp, realizations=count, **settings)
-
-
-def _settings(options: argparse.Namespace) -> dict[str, Any]:
-    """Arguments that all ways to render share."""
-    return {
         "sampler": options.sampler,
-        "crop": None if options.crop is None else _crop(options.crop),
+        "crop": options.crop,
         "film": options.film,
-        "light": index_or_name(options.light),
+        "light": options.light,
         "heuristic": options.heuristic,
-        "rng": seed_option(options),
+        "rng": options.seed or 0,
     }
+    scene = _sized(options)
+    if options.compare:
+        return _compare(options, scene, settings, files)
+    if options.reference_spp is not None:
+        raise ParameterError("--reference-spp is for --compare; with --reference give --spp.")
+    settings["strategy"] = options.strategy or "mis"
+    start = time.perf_counter()
+    if options.reference:
+        batches = 16 if options.realizations is None else options.realizations
+        if batches < 2:
+            raise ParameterError("--realizations is 1; give a whole number of at least 2.")
+        result = reference(scene, options.spp or _REFERENCE_SPP, batches=batches, **settings)
+    else:
+        result = render(
+            scene, spp=options.spp or _SPP, realizations=options.realizations or 1, **settings
+        )
+    figures = _figures(result, time.perf_counter() - start)
+    for file in files:
+        write_render(file, result, exposure=options.exposure)
+    many = figures["realizations"] > 1
+    lines = [
+        f"{figures['scene']}, {figures['strategy']}, {figures['sampler']}: {figures['width']} × "
+        f"{figures['height']} pixels, {figures['spp']} samples each"
+        + (f", {figures['realizations']} images" if many else ""),
+        f"mean radiance (R G B)  {_colour(figures['mean'])}",
+        *([f"rms standard error     {figures['rms_se']:.3g}"] if many else []),
+        f"samples a second       {figures['samples_per_second']:.3g}",
+        *(f"wrote {file}" for file in files),
+    ]
+    return Answer("\n".join(lines), {**figures, "files": files})
 
 
 def _sized(options: argparse.Namespace) -> str:
     """Return the scene with the size of its film among its parameters."""
-    sizes = {
-        name: whole_number(f"--{name}", text)
-        for name, text in (("width", options.width), ("height", options.height))
-        if text is not None
-    }
+    given = {"width": options.width, "height": options.height}
+    sizes = {name: size for name, size in given.items() if size is not None}
     scene = str(options.scene)
     if not sizes:
         return scene
@@ -144,32 +140,13 @@ def _sized(options: argparse.Namespace) -> str:
             f"the film of {scene!r} is set in the file."
         )
     call = parse(scene)
-    given = ", ".join(f"{key}={value!r}" for key, value in {**call.arguments, **sizes}.items())
-    return f"{call.name}({given})"
+    shown = ", ".join(f"{key}={value!r}" for key, value in {**call.arguments, **sizes}.items())
+    return f"{call.name}({shown})"
 
 
-def _crop(text: str) -> list[int]:
-    parts = text.split(",")
-    if len(parts) != 4:
-        raise ParameterError(f"--crop is {text!r}; give X,Y,W,H, four whole numbers.")
-    return [whole_number("--crop", part.strip(), least=0) for part in parts]
-
-
-def _exposure(text: str) -> float:
-    from mcspectra.core.checks import as_real
-
-    try:
-        stops = float(text)
-    except ValueError:
-        raise ParameterError(f"--exposure is {text!r}; give a number of stops.") from None
-    return as_real("--exposure", stops, least=-64.0, most=64.0)
-
-
-def _figures(result: xr.Dataset, seconds: float, files: list[str]) -> dict[str, Any]:
+def _figures(result: xr.Dataset, seconds: float) -> dict[str, Any]:
     told = result.attrs
-    techniques = 2 if told["strategy"] == "mis" else 1
-    pixels = result.sizes["x"] * result.sizes["y"]
-    samples = pixels * told["spp"] * told["realizations"] * techniques
+    samples = _samples(told) * result.sizes["x"] * result.sizes["y"]
     kept = ("scene", "strategy", "sampler", "spp", "realizations", "seed")
     errors = result.get("image_se")
     return {
@@ -180,21 +157,48 @@ def _figures(result: xr.Dataset, seconds: float, files: list[str]) -> dict[str, 
         "rms_se": None if errors is None else math.sqrt(float((errors**2).mean())),
         "samples": samples,
         "samples_per_second": samples / seconds,
-        "files": files,
     }
 
 
-def _print(figures: dict[str, Any]) -> None:
-    many = figures["realizations"] > 1
-    print(
-        f"{figures['scene']}, {figures['strategy']}, {figures['sampler']}: {figures['width']} × "
-        f"{figures['height']} pixels, {figures['spp']} samples each"
-        + (f", {figures['realizations']} images" if many else "")
-    )
-    mean = " ".join(f"{value:.5g}" for value in figures["mean"])
-    print(f"mean radiance (R G B)  {mean}")
-    if many:
-        print(f"rms standard error     {figures['rms_se']:.3g}")
-    print(f"samples a second       {figures['samples_per_second']:.3g}")
-    for file in figures["files"]:
-        print(f"wrote {file}")
+def _samples(told: Mapping[Any, Any]) -> int:
+    """Samples of a pixel in all images: multiple importance sampling takes each twice."""
+    return int(told["spp"] * told["realizations"] * (2 if told["strategy"] == "mis" else 1))
+
+
+def _colour(values: Any) -> str:
+    return " ".join(f"{value:.5g}" for value in values)
+
+
+def _compare(
+    options: argparse.Namespace, scene: str, settings: Mapping[str, Any], files: list[Path]
+) -> Answer:
+    """Render a reference and all strategies, write them side by side, say how far each is off."""
+    from mcspectra.rendering.files import write_comparison
+    from mcspectra.rendering.image import compare_strategies
+    from mcspectra.report.encode import encode_exact
+    from mcspectra.report.figures.strategy_images import rms_error, strategy_images
+
+    for name in ("strategy", "realizations"):
+        if getattr(options, name) is not None:
+            raise ParameterError(f"--compare renders all strategies once; leave out --{name}.")
+    if options.reference:
+        raise ParameterError("--compare renders a reference too; leave out --reference.")
+    spp = options.spp or _COMPARED_SPP
+    count = options.reference_spp or _REFERENCE_SPP
+    images = compare_strategies(scene, spp, reference_spp=count, **settings)
+    for file in files:
+        if file.suffix.lower() == ".exr":
+            write_comparison(file, images)
+        else:
+            with writing(file):
+                file.write_bytes(encode_exact(strategy_images(images, exposure=options.exposure)))
+    data, table = {}, []
+    for name, image in images.items():
+        mean = image["image"].mean(("y", "x")).values
+        error = None if name == "reference" else rms_error(image, images["reference"])
+        data[name] = {"samples": _samples(image.attrs), "mean": mean, "rms_error": error}
+        shown = "" if error is None else f"{error:.3g}"
+        table.append([name, _colour(mean), str(data[name]["samples"]), shown])
+    header = ["image", "mean radiance (R G B)", "samples a pixel", "rms error"]
+    lines = [text_table(header, table), *(f"wrote {file}" for file in files)]
+    return Answer("\n".join(lines), {"scene": scene, "spp": spp, "images": data, "files": files})

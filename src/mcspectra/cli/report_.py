@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 
-from mcspectra.cli.common import one_sentence_warnings, print_json
+from mcspectra.cli.common import Answer
 
 __all__ = ["add_arguments", "run"]
 
@@ -20,17 +20,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="FILE", help="the page, .html (default: in the folder)")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> Answer:
     """Write the page."""
     from mcspectra.report import write_comparison, write_report
 
-    with one_sentence_warnings(options.quiet or options.json):
-        if options.compare is None:
-            page = write_report(options.folder, options.out)
-        else:
-            page = write_comparison(options.folder, options.compare, options.out)
-    if options.json:
-        print_json({"report": str(page)})
-    elif not options.quiet:
-        print(f"report: {page}")
-    return 0
+    if options.compare is None:
+        page = write_report(options.folder, options.out)
+    else:
+        page = write_comparison(options.folder, options.compare, options.out)
+    return Answer(f"report: {page}", {"report": page})

@@ -6,147 +6,145 @@ Writes DIR/results.zarr (opened by xarray.open_datatree), DIR/report.html and DI
 from __future__ import annotations
 
 import argparse
+import functools
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from mcspectra.cli.common import (
-    one_sentence_warnings,
-    print_json,
-    real_number,
-    text_table,
-    whole_number,
-)
-from mcspectra.cli.progress import Bars, progress_bars
-from mcspectra.cli.run_cluster import add_cluster_arguments, cluster_engine
+from mcspectra.cli.common import Answer, Read, one_sentence_warnings, real, text_table, whole
+from mcspectra.cli.progress import progress_bars
+from mcspectra.core.errors import ParameterError
 
 if TYPE_CHECKING:
-    from mcspectra.studies import CellEstimate, StudyConfig, SummaryRow, Trust
-    from mcspectra.studies.run import Progress
+    from mcspectra.studies import CellEstimate, SummaryRow
+    from mcspectra.studies.executors import Dask
+    from mcspectra.studies.run import MakeExecutor, Progress
+    from mcspectra.studies.tasks import StudyText
 
-__all__ = ["add_arguments", "run"]
+__all__ = ["add_arguments", "estimate_text", "run", "summary_text"]
 
 _FAR = 0.5
+_OF_CLUSTERS = ("listen", "dashboard")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the verb's options."""
+    """Add the verb's options, those of clusters in a group of their own."""
+    add = functools.partial(parser.add_argument, action=Read)
+    flag = functools.partial(parser.add_argument, action="store_true")
     parser.add_argument("study", help="study file, .toml")
-    parser.add_argument(
-        "--out", metavar="DIR", help="output folder (default: out/<name of the file>)"
-    )
-    parser.add_argument("--resume", action="store_true", help="continue what is in the folder")
-    parser.add_argument("--retry", action="store_true", help="continue, and try what failed again")
-    parser.add_argument("--workers", metavar="N", help="threads (default: all processors)")
-    parser.add_argument(
-        "--time-limit",
-        metavar="SECONDS",
-        help="stop tasks that take longer, which fails their analysis; workers are processes then",
-    )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="change the study, e.g. convergence.realizations=100; values as in TOML",
-    )
-    parser.add_argument(
-        "--dry-run", action="store_true", help="estimate time, memory and storage, and stop"
-    )
-    parser.add_argument("--force", action="store_true", help="run however much it is")
-    parser.add_argument(
-        "--allow-code",
-        action="append",
-        default=[],
-        metavar="MODULE:FUNCTION",
-        help="a Python function that the study may name",
-    )
-    parser.add_argument(
-        "--allow-path",
-        action="append",
-        default=[],
-        metavar="DIR",
-        help="a folder, beside the study's own, that it may read files from",
-    )
-    add_cluster_arguments(parser)
+    add("--out", metavar="DIR", help="output folder (default: out/<name of the file>)")
+    flag("--resume", help="continue what is in the folder")
+    flag("--retry", help="continue, and try what failed again")
+    add("--workers", read=whole(), metavar="N", help="threads (default: all processors)")
+    add("--time-limit", read=real(above=0.0), metavar="SECONDS",
+        help="stop tasks that take longer, which fails their analysis; workers are processes then")  # fmt: skip
+    add("--set", repeated="all", default=[], metavar="KEY=VALUE",
+        help="change the study, e.g. convergence.realizations=100; values as in TOML")  # fmt: skip
+    flag("--dry-run", help="estimate time, memory and storage, and stop")
+    flag("--force", help="run however much it is")
+    add("--allow-code", repeated="all", default=[], metavar="MODULE:FUNCTION",
+        help="a Python function that the study may name")  # fmt: skip
+    add("--allow-path", repeated="all", default=[], metavar="DIR",
+        help="a folder, beside the study's own, that it may read files from")  # fmt: skip
+    group = parser.add_argument_group("dask", "TLS is set in dask's own configuration")
+    add = functools.partial(group.add_argument, action=Read)
+    add("--cluster", metavar="ADDRESS",
+        help="compute on dask: tcp://HOST:PORT or tls://HOST:PORT of a scheduler, the .json file "
+        "that it wrote, or 'local' for --workers N processes of this machine")  # fmt: skip
+    add("--listen", metavar="HOST",
+        help="with --cluster local: where its scheduler listens (default: 127.0.0.1, this machine)")  # fmt: skip
+    add("--dashboard", read=whole(0), metavar="PORT",
+        help="with --cluster local: port of dask's dashboard (default: any that is free)")  # fmt: skip
 
 
-def run(options: argparse.Namespace) -> int:
-    """Run, report, print the summary."""
+def run(options: argparse.Namespace) -> Answer:
+    """Run, report, and give the summary."""
     import msgspec
 
-    from mcspectra.studies import Trust, read_study, run_study
-    from mcspectra.studies.places import output_folder
+    from mcspectra.report import write_report
+    from mcspectra.studies import Trust, open_results, read_study, run_study, summarize
+    from mcspectra.studies.results import output_folder
     from mcspectra.studies.run import CellFailed
 
     study = Path(options.study)
     out = output_folder(options.out or Path("out") / study.stem)
-    workers = None if options.workers is None else whole_number("--workers", options.workers)
-    limit = None if options.time_limit is None else real_number("--time-limit", options.time_limit)
     config = read_study(study, options.set)
     if options.seed is not None:
-        config = msgspec.structs.replace(config, seed=whole_number("--seed", options.seed, least=0))
-    engine = cluster_engine(options, workers, config.time_limit if limit is None else limit)
+        config = msgspec.structs.replace(config, seed=options.seed)
+    limit = config.time_limit if options.time_limit is None else options.time_limit
+    engine = _cluster_engine(options, limit)
     trust = Trust(tuple(options.allow_code), tuple(map(Path, options.allow_path)))
-    silent = options.quiet or options.json
     if options.dry_run:
-        return _dry_run(config, study.parent, trust, workers, options)
-    failed = None
-    try:
-        with one_sentence_warnings(silent), progress_bars(silent) as bars:
+        return _dry_run(options, config, trust)
+    silent, failed = options.quiet or options.json, None
+    with progress_bars(silent) as bars:
+
+        def report(progress: Progress) -> None:
+            if bars is not None:
+                cells = f"{progress.done}/{progress.cells} cells"
+                bars.show("study", progress.done_cost / max(progress.total_cost, 1e-300), cells)
+
+        try:
             run_study(
                 config,
                 out,
                 folder=study.parent,
                 resume=options.resume or options.retry,
                 retry=options.retry,
-                workers=workers,
-                time_limit=limit,
+                workers=options.workers,
+                time_limit=options.time_limit,
                 engine=engine,
                 trust=trust,
                 force=options.force,
-                report=_reporter(bars),
+                report=report,
             )
-    except KeyboardInterrupt:
-        print(
-            f"mcspectra: Interrupted; what was finished is in {out}, --resume continues.",
-            file=sys.stderr,
-        )
-        return 130
-    except CellFailed as error:
-        failed = error
-    _show(out, options)
-    if failed is not None:
-        print(f"mcspectra: {failed}", file=sys.stderr)
-        return 1
-    return 0
-
-
-def _show(out: Path, options: argparse.Namespace) -> None:
-    """Write the report, print the summary."""
-    import msgspec
-
-    from mcspectra.report import write_report
-    from mcspectra.studies import open_results, summarize
-
+        except KeyboardInterrupt:
+            print(
+                f"mcspectra: Interrupted; what was finished is in {out}, --resume continues.",
+                file=sys.stderr,
+            )
+            return Answer(code=130)
+        except CellFailed as error:
+            failed = error
     rows = summarize(open_results(out))
     page = write_report(out)
-    if options.json:
-        print_json({"report": str(page), "rows": [msgspec.to_builtins(row) for row in rows]})
-    elif not options.quiet:
-        print(summary_text(rows))
-        print(f"\nreport: {page}")
+    if failed is not None:
+        print(f"mcspectra: {failed}", file=sys.stderr)
+    data = {"report": page, "rows": [msgspec.to_builtins(row) for row in rows]}
+    return Answer(f"{summary_text(rows)}\n\nreport: {page}", data, 0 if failed is None else 1)
 
 
-def _dry_run(
-    config: StudyConfig,
-    folder: Path,
-    trust: Trust,
-    workers: int | None,
-    options: argparse.Namespace,
-) -> int:
-    """Print what the study would take."""
+def _cluster_engine(options: argparse.Namespace, time_limit: float | None) -> MakeExecutor | None:
+    """What makes the engine that the options ask for; None without --cluster."""
+    if options.cluster is None:
+        for name in _OF_CLUSTERS:
+            if getattr(options, name) is not None:
+                flag = name.replace("_", "-")
+                raise ParameterError(f"--{flag} is for clusters; give --cluster too.")
+        return None
+    from mcspectra.studies.executors import Cluster, Dask
+
+    cluster = Cluster(
+        address=options.cluster,
+        workers=options.workers,
+        host=options.listen or "127.0.0.1",
+        dashboard=options.dashboard or 0,
+        time_limit=time_limit,
+    )
+
+    def make(text: StudyText) -> Dask:
+        engine = Dask(text, cluster)
+        if not (options.quiet or options.json):
+            where = f", dashboard: {engine.dashboard}" if engine.dashboard else ""
+            print(f"dask: {engine.address}{where}", file=sys.stderr)
+        return engine
+
+    return make
+
+
+def _dry_run(options: argparse.Namespace, config: Any, trust: Any) -> Answer:
+    """What the study would take."""
     import msgspec
 
     from mcspectra.core.parallel import available_workers
@@ -154,20 +152,18 @@ def _dry_run(
     from mcspectra.studies.estimate import wall_time
 
     with one_sentence_warnings(quiet=True):
-        estimates = estimate_study(make_plan(config, folder, trust, force=options.force))
-    count = available_workers(workers)
+        plan = make_plan(config, Path(options.study).parent, trust, force=options.force)
+        estimates = estimate_study(plan)
+    count = available_workers(options.workers)
     wall = wall_time(estimates, count)
-    if options.json:
-        cells = [msgspec.to_builtins(each) for each in estimates]
-        print_json({"seconds": wall, "workers": count, "cells": cells})
-    elif not options.quiet:
-        print(estimate_text(estimates, wall, count))
-    return 0
+    cells = [msgspec.to_builtins(each) for each in estimates]
+    data = {"seconds": wall, "workers": count, "cells": cells}
+    return Answer(estimate_text(estimates, wall, count), data)
 
 
 def estimate_text(estimates: Sequence[CellEstimate], wall: float, workers: int) -> str:
     """A row for each analysis of each estimator, all samplers together, and the sums."""
-    from mcspectra.studies.sizes import shown_bytes
+    from mcspectra.core.memory import shown_bytes
 
     groups: dict[tuple[str, str], list[CellEstimate]] = {}
     for each in estimates:
@@ -194,37 +190,21 @@ def estimate_text(estimates: Sequence[CellEstimate], wall: float, workers: int) 
     )
 
 
-def _reporter(bars: Bars | None) -> Callable[[Progress], None] | None:
-    """What the study is to call after each cell."""
-    if bars is None:
-        return None
-
-    def report(progress: Progress) -> None:
-        cells = f"{progress.done}/{progress.cells} cells"
-        bars.show("study", progress.done_cost / max(progress.total_cost, 1e-300), cells)
-
-    return report
-
-
 def summary_text(rows: list[SummaryRow]) -> str:
     """The table that a person reads: rate, predicted/measured, largest term."""
+    cells, any_far = [], False
+    for row in rows:
+        rate = half = captured = "–"
+        if row.rate is not None and row.rate_low is not None and row.rate_high is not None:
+            rate, half = f"{row.rate:+.2f}", f"{(row.rate_high - row.rate_low) / 2:.2f}"
+        if row.captured is not None:
+            far = abs(row.captured - 1.0) > _FAR
+            any_far, captured = any_far or far, f"{row.captured:.3f}{'*' if far else ' '}"
+        term = "infinite" if row.note else "–"
+        if row.largest_term:
+            term = f"{row.largest_term} {getattr(row, row.largest_term):+.2e}"
+        cells.append([row.estimator, row.sampler, rate, half, captured, term])
     header = ["estimator", "sampler", "rate", "±", "predicted/measured", "largest term"]
-    table = text_table(header, [_summary_cells(row) for row in rows])
-    far = any(_far(row) for row in rows)
+    table = text_table(header, cells)
     note = "* far from 1: the sum over frequencies has not converged at this half width (report)"
-    return f"{table}\n{note}" if far else table
-
-
-def _far(row: SummaryRow) -> bool:
-    return row.captured is not None and abs(row.captured - 1.0) > _FAR
-
-
-def _summary_cells(row: SummaryRow) -> list[str]:
-    rate, half = "–", "–"
-    if row.rate is not None and row.rate_low is not None and row.rate_high is not None:
-        rate, half = f"{row.rate:+.2f}", f"{(row.rate_high - row.rate_low) / 2:.2f}"
-    captured = "–" if row.captured is None else f"{row.captured:.3f}{'*' if _far(row) else ' '}"
-    term = row.largest_term or ("infinite" if row.note else "–")
-    if row.largest_term is not None:
-        term = f"{row.largest_term} {getattr(row, row.largest_term):+.2e}"
-    return [row.estimator, row.sampler, rate, half, captured, term]
+    return f"{table}\n{note}" if any_far else table

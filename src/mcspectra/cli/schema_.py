@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 
+from mcspectra.cli.common import Answer
+
 __all__ = ["add_arguments", "run"]
 
 
@@ -15,12 +17,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> Answer:
     """Print."""
     from mcspectra.studies.schema import key_tables, study_schema
 
     if options.markdown:
-        print(key_tables())
-    else:
-        print(json.dumps(study_schema(), indent=2, ensure_ascii=False))
-    return 0
+        return Answer(key_tables())
+    return Answer(json.dumps(study_schema(), indent=2, ensure_ascii=False))

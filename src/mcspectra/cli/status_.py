@@ -9,10 +9,10 @@ import argparse
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from mcspectra.cli.common import print_json, text_table
+from mcspectra.cli.common import Answer, text_table
 
 if TYPE_CHECKING:
-    from mcspectra.studies.status import StudyStatus
+    from mcspectra.studies.results import StudyStatus
 
 __all__ = ["add_arguments", "run"]
 
@@ -23,27 +23,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options."""
     parser.add_argument("folder", metavar="DIR", help="output folder of a study")
     parser.add_argument(
-        "--verify", action="store_true", help="check all files against their checksums"
+        "--verify", action="store_true", help="check all that is stored against its digests"
     )
 
 
-def run(options: argparse.Namespace) -> int:
-    """Print the status."""
+def run(options: argparse.Namespace) -> Answer:
+    """Give the status."""
     import msgspec
 
-    from mcspectra.studies.status import study_status
+    from mcspectra.studies.results import study_status
 
     status = study_status(options.folder, verify=options.verify)
-    if options.json:
-        print_json(msgspec.to_builtins(status) | {"analyses": msgspec.to_builtins(status.analyses)})
-    elif not options.quiet:
-        print("\n".join(_lines(status)))
-    return 0 if status.state in ("running", "finished") and not status.damaged else 1
+    good = status.state in ("running", "finished") and not status.damaged
+    data = msgspec.to_builtins(status) | {"analyses": msgspec.to_builtins(status.analyses)}
+    return Answer("\n".join(_lines(status)), data, 0 if good else 1)
 
 
 def _lines(status: StudyStatus) -> Iterator[str]:
     """The status as people read it."""
-    from mcspectra.studies.sizes import shown_bytes
+    from mcspectra.core.memory import shown_bytes
 
     yield f"{status.title}: {status.state}"
     yield from _when(status)
@@ -53,10 +51,10 @@ def _lines(status: StudyStatus) -> Iterator[str]:
     yield ""
     yield _table(status)
     yield ""
-    checked = "verified" if status.verified else "not verified; --verify checks all files"
+    checked = "verified" if status.verified else "not verified; --verify checks all digests"
     yield (
-        f"results {shown_bytes(status.results_bytes)}, journal {shown_bytes(status.journal_bytes)} "
-        f"with {status.recorded} results of tasks; {checked}"
+        f"results {shown_bytes(status.results_bytes)}, ledger {shown_bytes(status.ledger_bytes)} "
+        f"with {status.recorded} recorded tasks; {checked}"
     )
     yield from _listed("damaged", status.damaged)
     yield from _listed("failed", status.failed)
@@ -67,7 +65,7 @@ def _when(status: StudyStatus) -> Iterator[str]:
     version = status.versions.get("mcspectra", "unknown")
     if status.started is not None:
         ended = "" if status.finished is None else f", finished {status.finished}"
-        yield f"started {status.started} on {status.host!r}{ended}"
+        yield f"started {status.started} on {status.hosts[0]!r}{ended}"
     yield f"seed {status.seed}, mcspectra {version}, store format {status.format}"
 
 

@@ -34,7 +34,6 @@ __all__ = [
     "ParameterError",
     "PreasymptoticWarning",
     "SpecError",
-    "StaleLockWarning",
     "StorageError",
     "StoreError",
     "UndefinedRatioWarning",
@@ -134,10 +133,6 @@ class PreasymptoticWarning(UserWarning):
 
 class UndefinedRatioWarning(UserWarning):
     """f and p are both 0 at a sample: f/p counts as 0 there, whatever its limit."""
-
-
-class StaleLockWarning(UserWarning):
-    """A lock was left behind by a process that has ended; it is taken over."""
 
 
 class DamagedResultsWarning(UserWarning):

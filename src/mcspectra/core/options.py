@@ -135,14 +135,23 @@ class Option:
     @property
     def choices(self) -> tuple[str, ...]:
         """The texts that it can be; empty where any, or none, can."""
-        found = [v for kind in _kinds(self.kind) if isinstance(kind, inspect.LiteralType)
-                 for v in kind.values if isinstance(v, str)]  # fmt: skip
-        return tuple(found) or tuple(self.extra.get("choices", ()))
+        return _words(_kinds(self.kind)) or tuple(self.extra.get("choices", ()))
+
+    @property
+    def item_choices(self) -> tuple[str, ...]:
+        """The texts that each of a list can be; empty where any can, or it is no list."""
+        return _words(_items(self.kind))
 
     @property
     def is_flag(self) -> bool:
         """Whether it is true or false."""
         return any(isinstance(kind, inspect.BoolType) for kind in _kinds(self.kind))
+
+    @property
+    def lists_texts(self) -> bool:
+        """Whether it is a list of texts, which may hold commas."""
+        texts = inspect.StrType | inspect.LiteralType
+        return any(isinstance(kind, texts) for kind in _items(self.kind))
 
     def check(self, value: Any, label: str | None = None) -> Any:
         """Return the clean value.
@@ -219,16 +228,36 @@ def _kinds(kind: inspect.Type) -> list[inspect.Type]:
     return [kind]
 
 
+def _in_words(kind: inspect.Type) -> str:
+    """What a number may be."""
+    if isinstance(kind, inspect.IntType):
+        return "a whole number" if kind.ge is None else f"a whole number of at least {kind.ge}"
+    return "a number"
+
+
+def _words(kinds: list[inspect.Type]) -> tuple[str, ...]:
+    literal = [kind for kind in kinds if isinstance(kind, inspect.LiteralType)]
+    return tuple(v for kind in literal for v in kind.values if isinstance(v, str))
+
+
+def _items(kind: inspect.Type) -> list[inspect.Type]:
+    """The plain types of the items, where a type may be a list."""
+    lists = [each for each in _kinds(kind) if isinstance(each, inspect.VarTupleType)]
+    return [item for each in lists for item in _kinds(each.item_type)]
+
+
 def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
     kinds = _kinds(kind)
     if value is None and any(isinstance(each, inspect.NoneType) for each in kinds):
         return None
     kinds = [each for each in kinds if not isinstance(each, inspect.NoneType)]
-    words = [v for each in kinds if isinstance(each, inspect.LiteralType) for v in each.values]
-    if len(kinds) > 1 and isinstance(value, str) and words and value not in words:
-        raise ParameterError(
-            f"{label} is {value!r}; give a number, or {' or '.join(map(str, words))}."
-        )
+    words = _words(kinds)
+    if len(kinds) > 1 and words and value not in words:
+        others = [each for each in kinds if not isinstance(each, inspect.LiteralType)]
+        offer = " or ".join(map(repr, words))
+        if isinstance(value, str):
+            raise ParameterError(f"{label} is {value!r}; give {_in_words(others[0])}, or {offer}.")
+        kinds = others
     fitting = next((each for each in kinds if _fits(each, value)), kinds[0])
     match fitting:
         case inspect.IntType(ge=least, le=most):

@@ -7,14 +7,14 @@ for datasets that were read in another way.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, final
 
 from mcspectra.core.checks import as_choice
 from mcspectra.core.display import register_accessor
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.results import VARIABLES
+from mcspectra.core.results import VARIABLES, Variable
 from mcspectra.report import figures
 from mcspectra.report.figures.groups import frequency_dims
 from mcspectra.report.figures.panels import GivenAxes, figure_axes
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Result"]
+__all__ = ["Result", "has_picture"]
 
 
 @final
@@ -67,6 +67,14 @@ _KINDS: Mapping[str, _Kind] = {
     "warp": _Kind("warp_maps", ("warped", "stretch", "jump")),
     "primary": _Kind("primary_pictures", ("primary_value", "primary_jump", "face_jump")),
 }  # fmt: skip
+
+
+def has_picture(declared: Iterable[str | Variable]) -> bool:
+    """Whether results with these variables, as an analysis declares them, can be drawn by `plot`."""
+    names = {each if isinstance(each, str) else each.name for each in declared}
+    drawn = ({v for v in kind.variables if v in VARIABLES} for kind in _KINDS.values())
+    return any(needed <= names for needed in drawn)
+
 
 _SENTENCES = ("diagnosis", "recommendation", "note")  # attributes that results have
 

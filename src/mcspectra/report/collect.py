@@ -11,20 +11,9 @@ from mcspectra.studies import SummaryRow, summarize
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["ANALYSES", "EstimatorGroup", "Pair", "collect"]
+__all__ = ["EstimatorGroup", "Pair", "collect"]
 
-ANALYSES = (
-    "convergence",
-    "terms",
-    "spectrum",
-    "points",
-    "techniques",
-    "pcf",
-    "anova",
-    "exact",
-    "remedies",
-    "map",
-)
+_FIRST = ("convergence", "terms", "spectrum", "points")  # others as they are stored
 
 
 @final
@@ -46,6 +35,12 @@ class EstimatorGroup:
     name: str
     spec: str
     pairs: tuple[Pair, ...]
+
+    @property
+    def analyses(self) -> tuple[str, ...]:
+        """Analyses that one of its samplers has, whoever's they are, in the order of a report."""
+        found = dict.fromkeys(name for pair in self.pairs for name in pair.analyses)
+        return tuple(sorted(found, key=lambda name: (_place(_FIRST, name), name)))
 
     def having(self, analysis: str) -> dict[str, xr.Dataset]:
         """Datasets of one analysis, by sampler."""
@@ -86,7 +81,7 @@ def _group(
     found: list[Pair] = []
     name, spec = key, ""
     for slug, child in node.children.items():
-        analyses = {a: child[a].to_dataset() for a in ANALYSES if a in child.children}
+        analyses = {str(name): each.to_dataset() for name, each in child.children.items()}
         if not analyses:
             continue
         attributes = next(iter(analyses.values())).attrs
@@ -102,7 +97,7 @@ def _group(
     return EstimatorGroup(key=key, name=name, spec=spec, pairs=tuple(found))
 
 
-def _place(names: list[str], name: str) -> int:
+def _place(names: Sequence[str], name: str) -> int:
     return names.index(name) if name in names else len(names)
 
 

@@ -6,11 +6,13 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, TypeAlias
 
 from mcspectra.report import figures
+from mcspectra.report.anything import any_pictures
 from mcspectra.report.collect import EstimatorGroup
 from mcspectra.report.figures.groups import channel_note, frequency_dims
 from mcspectra.report.figures.variance import usable_counts
 from mcspectra.report.further_pictures import map_pictures, pair_pictures, remedy_pictures
 from mcspectra.report.picture import Picture
+from mcspectra.report.study_tables import FURTHER
 from mcspectra.report.style import LineStyle
 from mcspectra.report.words import (
     band_words,
@@ -38,6 +40,9 @@ def pictures(group: EstimatorGroup, styles: Styles) -> Iterator[Picture]:
         data = group.having(analysis)
         if data:
             yield from draw(data, styles)
+    known = {analysis for analysis, _ in _DRAWERS} | set(FURTHER)
+    for analysis in (each for each in group.analyses if each not in known):
+        yield from any_pictures(analysis, group.having(analysis), styles)
 
 
 def _convergence(data: Datasets, styles: Styles) -> Iterator[Picture]:

@@ -18,8 +18,7 @@ from mcspectra.report.sections import Section, section_of
 from mcspectra.report.style import sampler_styles
 from mcspectra.report.tables import Table, summary_table
 from mcspectra.studies import SummaryRow, open_results
-from mcspectra.studies.links import check_folder_links
-from mcspectra.studies.manifest import read_manifest
+from mcspectra.studies.ledger import LEDGER_NAME, Ledger, check_links
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -73,7 +72,7 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
         There are no results in `folder`, or it cannot be written.
     """
     root = Path(folder)
-    check_folder_links(root)
+    check_links(root)
     tree = open_results(root)
     groups = collect(tree)
     styles = sampler_styles([pair.sampler for group in groups for pair in group.pairs])
@@ -188,12 +187,11 @@ def provenance(tree: xr.DataTree, root: Path) -> dict[str, Any]:
 
 
 def _hosts(root: Path) -> list[str]:
-    """Machines that began the study or went on with it, as the manifest has them."""
-    manifest = read_manifest(root)
-    if manifest is None:
+    """Machines that the study was computed on, as its ledger has them."""
+    if not (root / LEDGER_NAME).exists():
         return []
-    study = [] if manifest.study is None else [manifest.study.host]
-    return list(dict.fromkeys([*study, *(state.host for state in manifest.states)]))
+    with Ledger.read(root) as ledger:
+        return list(ledger.tally.hosts)
 
 
 def page_template(name: str) -> Template:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from mcspectra.report.collect import ANALYSES, EstimatorGroup
+from mcspectra.report.collect import EstimatorGroup
 from mcspectra.report.formatting import percent
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ _TITLES = {"pcf": "pair correlation", "anova": "axes"}
 
 def settings(group: EstimatorGroup) -> Iterator[tuple[str, str]]:
     """How each analysis was done, once for every distinct setting."""
-    for analysis in (each for each in ANALYSES if each not in _WITHOUT_SETTINGS):
+    for analysis in (each for each in group.analyses if each not in _WITHOUT_SETTINGS):
         samplers: dict[str, list[str]] = {}
         for sampler, each in group.having(analysis).items():
             samplers.setdefault(_setting(analysis, each), []).append(sampler)
@@ -32,7 +32,7 @@ def settings(group: EstimatorGroup) -> Iterator[tuple[str, str]]:
 
 def missing_analyses(group: EstimatorGroup) -> Iterator[str]:
     """Analyses that some samplers of this estimator have and others lack."""
-    for analysis in ANALYSES:
+    for analysis in group.analyses:
         there = group.having(analysis)
         lacking = [pair.sampler for pair in group.pairs if pair.sampler not in there]
         if there and lacking:
@@ -46,9 +46,12 @@ def _setting(analysis: str, data: xr.Dataset) -> str:
     elif "n" in known:
         counts = f"n = {known['n']}"
     else:
-        n = data["n"].values
-        counts = f"n = {n[0]} … {n[-1]}" if len(n) > 1 else f"n = {n[0]}"
-    parts = [counts, f"{known.get('realizations', '?')} realisations{_stopping(known)}"]
+        n = data["n"].values.tolist() if "n" in data else []
+        counts = f"n = {n[0]} … {n[-1]}" if len(n) > 1 else ", ".join(f"n = {k}" for k in n)
+    parts = [
+        *filter(None, [counts]),
+        f"{known.get('realizations', '?')} realisations{_stopping(known)}",
+    ]
     if analysis == "convergence":
         parts += _fit_setting(known)
     if analysis == "terms":

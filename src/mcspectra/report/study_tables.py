@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mcspectra.report.anything import any_table
 from mcspectra.report.collect import EstimatorGroup
 from mcspectra.report.formatting import interval, number, percent, rate, with_error
 from mcspectra.report.tables import Cell, Table
@@ -14,8 +15,9 @@ from mcspectra.report.tables import Cell, Table
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["further_tables"]
+__all__ = ["FURTHER", "further_tables"]
 
+_DRAWN = ("convergence", "terms", "spectrum", "points", "pcf")  # have figures, and the main tables
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
 Rows = Iterator[tuple[Cell, ...]]
@@ -23,11 +25,15 @@ Rows = Iterator[tuple[Cell, ...]]
 
 def further_tables(group: EstimatorGroup) -> Iterator[tuple[str, Table]]:
     """Yield a heading and a table for each further analysis that the estimator has."""
-    for analysis, (heading, caption, columns, rows) in _TABLES.items():
+    for analysis, (heading, caption, columns, rows) in FURTHER.items():
         there = group.having(analysis)
         if there:
             found = tuple(row for sampler, data in there.items() for row in rows(sampler, data))
             yield heading, Table(caption=caption, columns=columns, rows=found, heads=1)
+    for analysis in (each for each in group.analyses if each not in (*FURTHER, *_DRAWN)):
+        numbers = any_table(group.having(analysis))
+        if numbers is not None:
+            yield analysis.capitalize(), numbers
 
 
 def _remedies(sampler: str, data: xr.Dataset) -> Rows:
@@ -103,7 +109,7 @@ def _map(sampler: str, data: xr.Dataset) -> Rows:
         )
 
 
-_TABLES: Mapping[str, tuple[str, str, tuple[str, ...], Callable[[str, Any], Rows]]] = {
+FURTHER: Mapping[str, tuple[str, str, tuple[str, ...], Callable[[str, Any], Rows]]] = {
     "remedies": (
         "Remedies",
         (
@@ -149,6 +155,7 @@ _TABLES: Mapping[str, tuple[str, str, tuple[str, ...], Callable[[str, Any], Rows
         _map,
     ),
 }
+"""Heading, caption, columns and rows of further analyses by their names."""
 
 
 def _axes(label: str) -> str:

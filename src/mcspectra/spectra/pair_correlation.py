@@ -143,6 +143,7 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
                 {"r": ("r", center, {"long_name": f"{self.boundary} distance", "units": "1"})},
                 sampler=source.spec,
                 n=n,
+                dims=source.dims,
                 boundary=self.boundary,
                 realizations=self.realizations,
                 stream_key=f"{stream.key:#x}",

@@ -1,25 +1,23 @@
-from .config import StudyConfig as StudyConfig
-from .config import decode_study as decode_study
-from .config import read_study as read_study
 from .estimate import CellEstimate as CellEstimate
 from .estimate import estimate_study as estimate_study
-from .export import export_results as export_results
-from .opening import open_results as open_results
-from .opening import result_paths as result_paths
+from .files import StudyConfig as StudyConfig
+from .files import decode_study as decode_study
+from .files import read_study as read_study
 from .pixel import analyse_pixel as analyse_pixel
 from .plan import make_plan as make_plan
+from .results import StudyStatus as StudyStatus
+from .results import export_results as export_results
+from .results import open_results as open_results
+from .results import result_paths as result_paths
+from .results import study_status as study_status
 from .run import run_study as run_study
 from .schema import study_schema as study_schema
-from .status import StudyStatus as StudyStatus
-from .status import study_status as study_status
-from .store import Store as Store
 from .summary import SummaryRow as SummaryRow
 from .summary import summarize as summarize
-from .trust import Trust as Trust
+from .vetting import Trust as Trust
 
 __all__ = [
     "CellEstimate",
-    "Store",
     "StudyConfig",
     "StudyStatus",
     "SummaryRow",

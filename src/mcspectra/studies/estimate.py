@@ -8,28 +8,26 @@ realisations, are scaled by their cost from those that were.
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
 import statistics
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from mcspectra.core.staged import Whole
-from mcspectra.studies.cells import compute_cell, staged_cell
+from mcspectra.core.analysis import steps_of
+from mcspectra.core.checks import as_real
+from mcspectra.core.errors import ConfigError
+from mcspectra.core.streams import Stream
 from mcspectra.studies.foreign_code import TookTooLong, within
 from mcspectra.studies.plan import Cell, Plan
-from mcspectra.studies.scheduling import task_seconds
-
-if TYPE_CHECKING:
-    import xarray as xr
+from mcspectra.studies.schedule import task_seconds
 
 __all__ = ["CellEstimate", "estimate_study", "wall_time"]
 
-_FEW, _MORE = 4, 36
-_TRIED = ("convergence", "terms", "techniques", "spectrum", "pcf", "anova")
+_FEW, _MORE = 4, (36, 324, 2916, 26_244)  # realisations of tries
 _PATIENCE = 20.0  # seconds that a try may take beyond its time, as for the compilation of a kernel
 _NOMINAL = 1e-7  # seconds for a unit of cost, where nothing was tried
 _ARRAY_BYTES = 1500  # of metadata for every stored array
@@ -72,22 +70,44 @@ def estimate_study(plan: Plan, *, probe_seconds: float = 10.0) -> list[CellEstim
     Returns
     -------
     list of CellEstimate
-        With ``relative_error`` seconds are those of all realisations: the most.
+        Where an analysis may stop early, as at a precision, seconds are those of all realisations.
     """
-    measured: dict[str, tuple[float, int]] = {}
-    end = time.monotonic() + probe_seconds
-    for cell in _spread(plan.cells):
-        left = end - time.monotonic()
-        if left <= 0:
-            break
-        found = _tried(cell, plan.config.seed, left)
-        if found is not None:
-            measured[cell.path] = found
-    known = [(cell, *measured[cell.path]) for cell in plan.cells if cell.path in measured]
-    paces = _medians([(cell.analysis, seconds / cell.cost) for cell, seconds, _ in known])
-    sizes = _medians([(cell.analysis, size) for cell, _, size in known])
-    estimates = [_estimate(cell, measured.get(cell.path), paces, sizes) for cell in plan.cells]
-    return _with_tasks(plan, estimates)
+    if not isinstance(plan, Plan):
+        raise ConfigError(f"{plan!r} is not a plan; give what make_plan returns.")
+    probe_seconds = as_real("probe_seconds", probe_seconds, least=0.0)
+    seed = plan.config.seed
+    tried = _tried(plan.cells, seed, probe_seconds)
+    known = [(cell, *found) for cell in plan.cells if (found := tried.get(cell.path))]
+    paces = _medians([(each.analysis_name, seconds / each.need.cost) for each, seconds, _ in known])
+    sizes = _medians([(each.analysis_name, float(size)) for each, _, size in known])
+    target = task_seconds(plan.config.time_limit)
+    cut: dict[str, bool] = {}
+    estimates = []
+    for cell in plan.cells:
+        name = cell.analysis_name
+        pace = paces.get(name, paces.get("", _NOMINAL))
+        guess = pace * cell.need.cost, sizes.get(name, _CELL_BYTES)
+        seconds, storage = tried.get(cell.path, guess)
+        if seconds > target and name not in cut:
+            cut[name] = False
+            with contextlib.suppress(Exception):  # then it fails in the run too, as one task
+                steps = steps_of(cell.analysis, cell.subject, Stream.from_rng(seed))
+                cut[name] = sum(each.blocks for each in next(steps)) > 1
+        estimates.append(
+            CellEstimate(
+                path=cell.path,
+                estimator=cell.estimator_name,
+                sampler=cell.sampler_spec,
+                analysis=name,
+                seconds=seconds,
+                memory=cell.need.memory,
+                storage=int(storage),
+                tried=cell.path in tried,
+                tasks=math.ceil(seconds / target) if seconds > target and cut[name] else 1,
+                error=cell.error,
+            )
+        )
+    return estimates
 
 
 def wall_time(estimates: Sequence[CellEstimate], workers: int) -> float:
@@ -96,56 +116,61 @@ def wall_time(estimates: Sequence[CellEstimate], workers: int) -> float:
     return max(sum(seconds) / workers, max(seconds, default=0.0))
 
 
-def _spread(cells: Sequence[Cell]) -> list[Cell]:
-    """Cells that can be tried: the first of every analysis of every estimator before the others."""
+def _tried(cells: Sequence[Cell], seed: int, patience: float) -> dict[str, tuple[float, int]]:
+    """Seconds and bytes of storage of cells by their paths, as many as there is time for.
+
+    The first of every analysis of every estimator comes before the others.
+    """
     seen: set[tuple[str, str]] = set()
     first: list[Cell] = []
     later: list[Cell] = []
     for cell in cells:
-        if cell.analysis in _TRIED and cell.error is None:
-            kind = (cell.estimator_name, cell.analysis)
+        if hasattr(cell.analysis, "realizations") and cell.error is None:
+            kind = (cell.estimator_name, cell.analysis_name)
             (later if kind in seen else first).append(cell)
             seen.add(kind)
-    return [*first, *later]
+    tried: dict[str, tuple[float, int]] = {}
+    end = time.monotonic() + patience
+    for cell in (*first, *later):
+        left = end - time.monotonic()
+        if left <= 0:
+            break
+        with contextlib.suppress(TookTooLong):
+            found = within(left + _PATIENCE, functools.partial(_measured, cell, seed, left))
+            tried |= {} if found is None else {cell.path: found}
+    return tried
 
 
-def _tried(cell: Cell, seed: int, left: float) -> tuple[float, int] | None:
-    """Seconds and bytes of storage, or None if it fails or is too large to be tried."""
-    settings: Any = cell.settings
-    realizations = settings.realizations
-    if cell.cost / realizations * _FEW * _NOMINAL > left:
+def _measured(cell: Cell, seed: int, left: float) -> tuple[float, int] | None:
+    """Seconds of all realisations, bytes of storage; None if it fails or is too large to be tried."""
+    realizations: int = cell.analysis.realizations  # type: ignore[attr-defined]
+    if cell.need.cost / realizations * _FEW * _NOMINAL > left:
         return None
-    with contextlib.suppress(TookTooLong):
-        return within(left + _PATIENCE, lambda: _measured(cell, realizations, seed, left))
-    return None
-
-
-def _measured(cell: Cell, realizations: int, seed: int, left: float) -> tuple[float, int] | None:
-    """Seconds of all realisations and bytes of storage; None if the estimator fails."""
+    few = min(_FEW, realizations)
     try:
-        first, result = _timed(cell, min(_FEW, realizations), seed)  # pays what is paid once
-        few, _ = _timed(cell, min(_FEW, realizations), seed)
-        if few * _MORE / _FEW > 0.1 * left:
-            return first + few * realizations / _FEW, _storage(result)
-        more, _ = _timed(cell, min(_MORE, realizations), seed)
+        first, size = _timed(cell, few, seed)  # pays what is paid once
+        again, _ = _timed(cell, few, seed)
+        if 2 * again > left:
+            return first + again * realizations / few, size
+        # As many realisations as it takes to see what they cost beside what is paid each time
+        for more in _MORE if _MORE[0] / _FEW * again < 0.1 * left else (2 * _FEW,):
+            count = min(more, realizations)
+            seconds, _ = _timed(cell, count, seed)
+            if count == realizations or seconds > min(2 * again, 0.01 * left):
+                break
     except BaseException:  # noqa: BLE001 - whatever the code of others does
         return None
-    each = max(0.0, more - few) / (_MORE - _FEW)
-    return more + each * max(0, realizations - _MORE), _storage(result)
+    each = (seconds - again) / (count - few) if seconds > again and count > few else seconds / count
+    return seconds + each * (realizations - count), size
 
 
-def _timed(cell: Cell, realizations: int, seed: int) -> tuple[float, xr.Dataset]:
-    changes: dict[str, Any] = {"realizations": realizations}
-    if cell.analysis == "convergence":
-        changes["relative_error"] = None
-    settings = msgspec.structs.replace(cell.settings, **changes)
+def _timed(cell: Cell, realizations: int, seed: int) -> tuple[float, int]:
+    """Seconds of so many realisations, and bytes of the result in storage."""
+    analysis = msgspec.structs.replace(cell.analysis, realizations=realizations)
     start = time.perf_counter()
-    result = compute_cell(replace(cell, settings=settings), seed)
-    return time.perf_counter() - start, result
-
-
-def _storage(result: xr.Dataset) -> int:
-    return int(result.nbytes) + _ARRAY_BYTES * len(result.variables)
+    result = replace(cell, analysis=analysis).compute(seed)
+    seconds = time.perf_counter() - start
+    return seconds, int(result.nbytes) + _ARRAY_BYTES * len(result.variables)
 
 
 def _medians(values: list[tuple[str, float]]) -> dict[str, float]:
@@ -155,46 +180,3 @@ def _medians(values: list[tuple[str, float]]) -> dict[str, float]:
         groups.setdefault(analysis, []).append(value)
         groups.setdefault("", []).append(value)
     return {name: statistics.median(group) for name, group in groups.items()}
-
-
-def _estimate(
-    cell: Cell,
-    found: tuple[float, int] | None,
-    paces: dict[str, float],
-    sizes: dict[str, float],
-) -> CellEstimate:
-    pace = paces.get(cell.analysis, paces.get("", _NOMINAL))
-    storage = sizes.get(cell.analysis, _CELL_BYTES)
-    return CellEstimate(
-        path=cell.path,
-        estimator=cell.estimator_name,
-        sampler=cell.sampler_spec,
-        analysis=cell.analysis,
-        seconds=pace * cell.cost if found is None else found[0],
-        memory=cell.memory,
-        storage=int(storage) if found is None else found[1],
-        tried=found is not None,
-        error=cell.error,
-    )
-
-
-def _with_tasks(plan: Plan, estimates: Sequence[CellEstimate]) -> list[CellEstimate]:
-    """Estimates with numbers of tasks, where an analysis can be cut and takes longer than a task."""
-    target = task_seconds(plan.config.time_limit)
-    cut: dict[str, bool] = {}
-    found = []
-    for cell, each in zip(plan.cells, estimates, strict=True):
-        if each.seconds > target and cell.error is None:
-            if cell.analysis not in cut:
-                cut[cell.analysis] = _can_be_cut(cell, plan.config.seed)
-            tasks = math.ceil(each.seconds / target) if cut[cell.analysis] else 1
-            each = msgspec.structs.replace(each, tasks=tasks)
-        found.append(each)
-    return found
-
-
-def _can_be_cut(cell: Cell, seed: int) -> bool:
-    try:
-        return not isinstance(staged_cell(cell, seed), Whole)
-    except Exception:  # noqa: BLE001 - then it fails in the run too, as one task
-        return False

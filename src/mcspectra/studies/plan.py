@@ -1,53 +1,86 @@
-"""From a study's text to cells: every (estimator, sampler, analysis), built and checked up front."""
+"""From a study to cells: every estimator with every sampler and analysis, vetted and built up front.
+
+Specs are vetted once each, estimators and samplers are built once each; a cell only holds them together.
+Nothing that a cell is made of is checked again.
+"""
 
 from __future__ import annotations
 
-import dataclasses
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
-import msgspec
-
-from mcspectra.core.errors import ConfigError, McspectraError
-from mcspectra.estimators import AbstractEstimator
-from mcspectra.samplers import Sampler, sampler_from_calls
-from mcspectra.studies.analyses import Asked, asked_analyses, asked_map, asked_names
-from mcspectra.studies.building import build_estimator
-from mcspectra.studies.foreign_code import FunctionFailed
-from mcspectra.studies.inputs import Digests
-from mcspectra.studies.sizes import MOST_EVALUATIONS
-from mcspectra.studies.tables import (
-    EstimatorConfig,
-    MapConfig,
-    Settings,
-    StudyConfig,
-    entries_of,
-    samplers_of,
+from mcspectra.core.analysis import (
+    ANALYSES,
+    Analysis,
+    Need,
+    Subject,
+    compute_chunk,
+    finished,
+    steps_of,
 )
-from mcspectra.studies.trust import Site, Trust
+from mcspectra.core.errors import ConfigError, McspectraError
+from mcspectra.core.memory import check_memory
+from mcspectra.core.registry import Registry
+from mcspectra.core.streams import Stream
+from mcspectra.densities import DENSITIES
+from mcspectra.estimators import (
+    AbstractEstimator,
+    ChannelSampling,
+    Estimator,
+    Mirrored,
+    MultipleImportance,
+    OneSampleMIS,
+    TechniqueSum,
+)
+from mcspectra.integrands import INTEGRANDS
+from mcspectra.integrands.smoothing import smoothed
+from mcspectra.samplers import Sampler, sampler_from_calls
+from mcspectra.studies.files import (
+    EstimatorConfig,
+    SceneConfig,
+    StudyConfig,
+    analysis_tables,
+)
+from mcspectra.studies.foreign_code import FunctionFailed, probed
+from mcspectra.studies.vetting import Inputs, Trust, Vetting
 
-__all__ = ["Cell", "Plan", "make_plan"]
+if TYPE_CHECKING:
+    import xarray as xr
 
-_MOST_CELLS = 10**7
+__all__ = ["MOST_EVALUATIONS", "Cell", "Plan", "make_plan"]
+
+MOST_EVALUATIONS = 10**15
+"""Most evaluations of a study that is not forced: half a year of a hundred cores."""
+
+# Seconds of planning: of a spec, of an estimator with densities and of each of these (1-D warps are
+# searched for gaps), of a sampler of an estimator, of a cell, of a count (or another item of a list) of
+# its analysis; and most that are not forced.
+_SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 5e-4, 2e-3
+_PAIR, _CELL, _COUNT = 3e-6, 2.5e-5, 3e-6
+_MOST_SECONDS = 5.0
 _RESERVED = frozenset({"zarr.json", "c"})
 
 
-@dataclass(frozen=True)
+@final
+@dataclass(frozen=True, slots=True)
 class Cell:
-    """One analysis of one estimator with one sampler, or a map of a scene.
+    """One analysis of one estimator with one sampler, or of a scene with one sampler.
 
     Attributes
     ----------
     path
-        Group of the cell in the store: estimator/sampler/analysis.
-    estimator
-        None for a map.
-    cost
-        Work in arbitrary units, about proportional to time; for scheduling and progress.
-    memory
-        Bytes it takes at most, estimated.
+        Its address in the results: estimator/sampler/analysis.
+    analysis
+        With its options, clean.
+    estimator_name, sampler_spec
+        As the study writes them.
+    subject
+        Without an estimator where there is a scene instead, or an `error`.
+    need
+        Cost, for scheduling and progress, and memory.
     error
         Why it fails before it has begun, as when its integrand raises at the first points; None if
         it can be tried.
@@ -56,18 +89,43 @@ class Cell:
     """
 
     path: str
-    analysis: str
+    analysis: Analysis
     estimator_name: str
     sampler_spec: str
-    estimator: AbstractEstimator | None
-    sampler: Sampler
-    settings: Settings
-    cost: float
-    memory: int = 0
+    subject: Subject
+    need: Need
     error: str | None = None
-    inputs: tuple[str, ...] = ()
+    inputs: Inputs = ()
+
+    @property
+    def analysis_name(self) -> str:
+        """Name of the analysis: of its table in the study, and of the last part of the path."""
+        return self.path.rpartition("/")[2]
+
+    def compute(self, seed: int) -> xr.Dataset:
+        """Compute the cell in this thread: the same bits wherever and whenever it runs.
+
+        The plan has checked, and warned of, what `mcspectra.core.analysis.compute` would again.
+        """
+        steps = steps_of(self.analysis, self.subject, Stream.from_rng(seed))
+        states: list[Any] | None = None
+        try:
+            while True:
+                found = next(steps) if states is None else steps.send(states)
+                states = [compute_chunk(each, (0, each.blocks)) for each in found]
+        except StopIteration as end:
+            return self.finished(end.value, seed)
+
+    def finished(self, result: xr.Dataset, seed: int) -> xr.Dataset:
+        """What is kept of a result of the analysis: checked, with the seed and what cell it is of."""
+        return finished(self.analysis, result, seed).assign_attrs(
+            estimator_name=self.estimator_name,
+            sampler_spec=self.sampler_spec,
+            analysis=self.analysis_name,
+        )
 
 
+@final
 @dataclass(frozen=True)
 class Plan:
     """All cells of a study, in the order of the file.
@@ -85,7 +143,7 @@ class Plan:
 
 
 def make_plan(
-    config: StudyConfig, folder: Path, trust: Trust | None = None, *, force: bool = False
+    config: StudyConfig, folder: str | Path, trust: Trust | None = None, *, force: bool = False
 ) -> Plan:
     """Build every component and check every count and size before anything runs.
 
@@ -98,7 +156,7 @@ def make_plan(
     trust
         What the study may reach beyond `folder`; nothing by default.
     force
-        Allow more than `MOST_EVALUATIONS` evaluations.
+        Allow more than `MOST_EVALUATIONS` evaluations, and planning that takes longer than 5 s.
 
     Raises
     ------
@@ -106,130 +164,229 @@ def make_plan(
         A component cannot be built, a sampler cannot do a count, a file or a function is not one
         that the study may reach, or the study is too large; names the estimator.
     """
-    digests = Digests(folder)
-    _check_number(config)
-    cells: list[Cell] = []
-    slugs = _Slugs()
-    for entry in entries_of(config):
-        site = Site(folder, trust or Trust(), config.time_limit)
-        try:
-            found = list(_cells(config, entry, site, slugs(entry.name)))
-            cells += _with_inputs(found, digests.add(site.files))
-        except ConfigError:
-            raise
-        except McspectraError as error:
-            kind = "Map" if isinstance(entry, MapConfig) else "Estimator"
-            raise ConfigError(f"{kind} {entry.name!r}: {error}") from error
+    if not isinstance(config, StudyConfig):
+        raise ConfigError(f"{config!r} is not a study; give what read_study returns.")
+    if not (trust is None or isinstance(trust, Trust)):
+        raise ConfigError(f"trust is {trust!r}; give a Trust, or None.")
+    if not isinstance(folder, str | Path):
+        raise ConfigError(f"folder is {folder!r}; give the path of the study's folder.")
+    if not force:
+        _check_number(config)
+    planner = _Planner(config, Vetting(Path(folder), trust or Trust()))
+    cells = tuple(cell for entry in config.entries for cell in planner.cells(entry))
     if not cells:
         raise ConfigError(
-            "The study asks for no analysis; give a table convergence, terms or spectrum."
+            f"The study asks for no analysis; give a table, one of {', '.join(analysis_tables())}."
         )
-    _check_work(cells, force)
-    return Plan(config, tuple(cells), digests.by_name)
-
-
-def _cells(
-    config: StudyConfig, entry: EstimatorConfig | MapConfig, site: Site, parent: str
-) -> Iterator[Cell]:
-    """Cells of an estimator, or of a map, with all its samplers."""
-    estimator = None
-    if isinstance(entry, MapConfig):
-        entry = msgspec.structs.replace(entry, scene=site.scene(entry.scene))
-        dims = entry.dims
-    else:
-        try:
-            estimator = build_estimator(entry, site)
-        except FunctionFailed as failure:
-            yield from _failed_cells(config, entry, site, parent, str(failure))
-            return
-        dims = estimator.dims
-    inner = _Slugs()
-    specs: dict[str, str] = {}
-    for text in samplers_of(config, entry):
-        sampler = sampler_from_calls(site.calls(text), dims)
-        _check_new(sampler, text, specs)
-        path = f"{parent}/{inner(text)}"
-        for asked in _asked(config, entry, estimator, sampler):
-            yield _cell(asked, path, entry.name, text, estimator, sampler)
-
-
-def _failed_cells(
-    config: StudyConfig, entry: EstimatorConfig, site: Site, parent: str, error: str
-) -> Iterator[Cell]:
-    """Cells of an estimator whose integrand fails at its first points: they fail, and no others."""
-    inner = _Slugs()
-    for text in samplers_of(config, entry):
-        sampler = sampler_from_calls(site.calls(text), 2 if entry.dims is None else entry.dims)
-        path = f"{parent}/{inner(text)}"
-        for name, settings in asked_names(config, entry):
-            asked = Asked(name, settings, 0.0, 0)
-            cell = _cell(asked, path, entry.name, text, None, sampler)
-            yield dataclasses.replace(cell, error=error)
-
-
-def _asked(
-    config: StudyConfig,
-    entry: EstimatorConfig | MapConfig,
-    estimator: AbstractEstimator | None,
-    sampler: Sampler,
-) -> Iterator[Asked]:
-    if estimator is not None and isinstance(entry, EstimatorConfig):
-        yield from asked_analyses(config, entry, estimator, sampler)
-    elif isinstance(entry, MapConfig):
-        yield asked_map(entry, sampler)
-
-
-def _cell(
-    asked: Asked,
-    path: str,
-    name: str,
-    text: str,
-    estimator: AbstractEstimator | None,
-    sampler: Sampler,
-) -> Cell:
-    return Cell(
-        path=f"{path}/{asked.analysis}",
-        analysis=asked.analysis,
-        estimator_name=name,
-        sampler_spec=text,
-        estimator=estimator,
-        sampler=sampler,
-        settings=asked.settings,
-        cost=asked.cost,
-        memory=asked.memory,
-    )
-
-
-def _with_inputs(cells: list[Cell], inputs: tuple[str, ...]) -> Iterable[Cell]:
-    return (dataclasses.replace(cell, inputs=inputs) for cell in cells) if inputs else cells
-
-
-def _check_number(config: StudyConfig) -> None:
-    """Refuse more cells than a store can hold, before any is built."""
-    pairs = sum(len(samplers_of(config, entry)) for entry in entries_of(config))
-    if pairs > _MOST_CELLS:
-        raise ConfigError(
-            f"The study has {pairs:,} pairs of estimator and sampler; {_MOST_CELLS:,} at most are "
-            "planned, so take several studies."
-        )
-
-
-def _check_work(cells: list[Cell], force: bool) -> None:
-    total = sum(cell.cost for cell in cells)
+    total = sum(cell.need.cost for cell in cells)
     if total > MOST_EVALUATIONS and not force:
         raise ConfigError(
             f"The study would take about {total:.2g} evaluations, months of a hundred processors; ask "
             "for fewer points or realisations, or give --force."
         )
+    return Plan(config, cells, planner.vetting.inputs)
 
 
-def _check_new(sampler: Sampler, text: str, specs: dict[str, str]) -> None:
-    """Refuse a sampler that is listed already under another spelling."""
-    if sampler.spec in specs:
-        raise ConfigError(f"{specs[sampler.spec]!r} and {text!r} are the same sampler; list one.")
-    specs[sampler.spec] = text
+def _check_number(config: StudyConfig) -> None:
+    """Refuse what would take long to plan alone, before anything is built."""
+    texts = {*config.samplers}
+    pairs, seconds = 0, 0.0
+    shared = {name: _seconds(each) for name, each in config.analyses.items()}
+    for entry in config.entries:
+        own = config.samplers_of(entry)
+        texts.update(entry.samplers or ())
+        pairs += len(own)
+        seconds += _SPEC + _PAIR * len(own)
+        if isinstance(entry, EstimatorConfig):
+            asked = {**shared, **{name: _seconds(each) for name, each in entry.analyses.items()}}
+            seconds += sum(asked.values()) * len(own) + _SPEC * len(entry.integrands or ())
+            densities = len(entry.densities or ()) + (entry.density is not None)
+            one = _WARP if entry.dims == 1 else _DENSITY
+            seconds += densities * one + _WEIGHTED * (densities > 0)
+    seconds += _SPEC * len(texts)
+    if seconds > _MOST_SECONDS:
+        raise ConfigError(
+            f"The study has {len(config.entries):,} estimators and {pairs:,} pairs of estimator and "
+            f"sampler, which would take about {seconds:.2g} s to plan alone; take several studies, or "
+            "give --force."
+        )
 
 
+def _seconds(analysis: Analysis) -> float:
+    """Seconds that it takes to ask an analysis what it needs."""
+    given = (getattr(analysis, key) for key in analysis.__struct_fields__)
+    return _CELL + _COUNT * sum(len(value) for value in given if isinstance(value, tuple))
+
+
+class _Sampler(NamedTuple):
+    """A sampler of an entry, and the last part of its group's path."""
+
+    text: str
+    slug: str
+    sampler: Sampler
+    inputs: Inputs
+
+
+class _Asked(NamedTuple):
+    """An analysis that is asked for, by its name."""
+
+    name: str
+    analysis: Analysis
+    inputs: Inputs
+
+
+@final
+class _Planner:
+    """Makes the cells of one study; what several cells share is made once."""
+
+    def __init__(self, config: StudyConfig, vetting: Vetting) -> None:
+        self.vetting = vetting
+        self._config = config
+        self._slugs = _Slugs()
+        self._one: dict[tuple[str, int | None], tuple[Sampler, Inputs]] = {}
+        self._lists: dict[tuple[tuple[str, ...], int | None], list[_Sampler]] = {}
+        self._vetted: dict[int, list[_Asked]] = {}
+
+    def cells(self, entry: EstimatorConfig | SceneConfig) -> Iterator[Cell]:
+        """Cells of an estimator, or of a scene, with all its samplers."""
+        kind = "Estimator" if isinstance(entry, EstimatorConfig) else entry.kind.capitalize()
+        try:
+            yield from self._cells(entry, f"{kind} {entry.name!r}")
+        except ConfigError:
+            raise
+        except McspectraError as error:
+            raise ConfigError(f"{kind} {entry.name!r}: {error}") from error
+
+    def _cells(self, entry: EstimatorConfig | SceneConfig, whose: str) -> Iterator[Cell]:
+        estimator, error, inputs = None, None, set[str]()
+        if isinstance(entry, SceneConfig):
+            dims = getattr(entry.analysis, "dims", None)
+        else:
+            dims = 2 if entry.dims is None else entry.dims
+            try:
+                estimator = _built(entry, self.vetting, self._config.time_limit, inputs)
+                dims = estimator.dims
+            except FunctionFailed as failure:
+                error = str(failure)
+        parent = self._slugs(entry.name)
+        asked = list(self._asked(entry))
+        for text, slug, sampler, of_sampler in self._samplers(entry, dims):
+            subject = Subject(estimator, sampler)
+            for name, analysis, of_analysis in asked:
+                need = Need(cost=0.0)
+                if error is None:  # refuse what it cannot do, or this machine has no memory for
+                    try:
+                        need = analysis.need(subject)
+                    except McspectraError as refusal:
+                        raise ConfigError(f"{whose}, {name}: {refusal}") from refusal
+                    check_memory(need.memory, f"{whose}, {name}")
+                yield Cell(
+                    path=f"{parent}/{slug}/{name}",
+                    analysis=analysis,
+                    estimator_name=entry.name,
+                    sampler_spec=text,
+                    subject=subject,
+                    need=need,
+                    error=error,
+                    inputs=tuple(sorted(inputs.union(of_sampler, of_analysis))),
+                )
+
+    def _asked(self, entry: EstimatorConfig | SceneConfig) -> Iterator[_Asked]:
+        """Analyses of an entry: the study's, or its own, and companions without a table."""
+        if isinstance(entry, SceneConfig):
+            tables = {entry.kind: entry.analysis}
+        else:
+            tables = {**self._config.analyses, **entry.analyses}
+        for name, table in tables.items():
+            if id(table) not in self._vetted:  # tables live as long as the study
+                self._vetted[id(table)] = list(self._with_companions(name, table))
+            for asked in self._vetted[id(table)]:
+                if asked.name == name or asked.name not in tables:
+                    yield asked
+
+    def _with_companions(self, name: str, table: Analysis) -> Iterator[_Asked]:
+        """An analysis, its options vetted, and its companions with those options that they have."""
+        analysis, inputs = self.vetting.options(table)
+        yield _Asked(name, analysis, inputs)
+        for other in analysis.companions:
+            kind = ANALYSES.load(other)
+            shared = {*kind.__struct_fields__} & {*analysis.__struct_fields__}
+            made = kind(**{key: getattr(analysis, key) for key in shared})
+            yield _Asked(other, made, inputs)
+
+    def _samplers(self, entry: EstimatorConfig | SceneConfig, dims: int | None) -> list[_Sampler]:
+        """Samplers of an entry; those that entries share are the same objects."""
+        texts = self._config.samplers_of(entry)
+        key = texts, dims
+        if key not in self._lists:
+            slugs, specs, found = _Slugs(), dict[str, str](), list[_Sampler]()
+            for text in texts:
+                if (text, dims) not in self._one:
+                    calls, inputs = self.vetting.calls(text)
+                    self._one[text, dims] = sampler_from_calls(calls, dims), inputs
+                sampler, inputs = self._one[text, dims]
+                first = specs.setdefault(sampler.spec, text)
+                if first != text:
+                    raise ConfigError(f"{first!r} and {text!r} are the same sampler; list one.")
+                found.append(_Sampler(text, slugs(text), sampler, inputs))
+            self._lists[key] = found
+        return self._lists[key]
+
+
+def _built(
+    entry: EstimatorConfig, vetting: Vetting, limit: float | None, inputs: set[str]
+) -> AbstractEstimator:
+    """Make the estimator that a table ``[[estimators]]`` describes; add the files that it takes.
+
+    Raises
+    ------
+    FunctionFailed
+        A Python function fails at its first points.
+    McspectraError
+        A spec cannot be read or a component cannot be made of it.
+    """
+
+    def component(registry: Registry, text: str, dims: int | None) -> Any:
+        calls, names = vetting.calls(text)
+        inputs.update(names)
+        if len(calls) != 1:
+            raise ConfigError(f"{text!r} chains parts with '|'; only samplers can be chained.")
+        if calls[0].name != "python":
+            return registry.build(calls[0], dims)
+        if registry is not INTEGRANDS:
+            raise ConfigError(f"{text!r}: only integrands can be Python functions.")
+        function, names = vetting.function(text, calls[0])
+        inputs.update(names)
+        return probed(function, dims=2 if dims is None else dims, limit=limit)
+
+    def unmirrored() -> AbstractEstimator:
+        sets, counts = entry.sets or "independent", entry.technique_counts
+        if entry.integrands is not None:
+            parts = [component(INTEGRANDS, text, entry.dims) for text in entry.integrands]
+            return TechniqueSum(parts, counts=counts, sets=sets)
+        f = component(INTEGRANDS, entry.integrand or "", entry.dims)
+        if entry.smoothed is not None:
+            f = smoothed(f, entry.smoothed)
+        if entry.densities is None:
+            one = entry.density
+            return Estimator(f, None if one is None else component(DENSITIES, one, f.dims))
+
+        # Several densities: one for each channel, one chosen for each point, or all weighted
+        densities = [component(DENSITIES, text, f.dims) for text in entry.densities]
+        if entry.channels in ("own", "shared"):
+            own = "shared" if entry.channels == "shared" else "independent"
+            return ChannelSampling(f, densities, sets=own)
+        heuristic = entry.heuristic or "balance"
+        if entry.one_sample:
+            chance, selection = entry.probabilities, entry.selection or "extra"
+            return OneSampleMIS(f, densities, chance, heuristic=heuristic, selection=selection)
+        return MultipleImportance(f, densities, heuristic=heuristic, counts=counts, sets=sets)
+
+    made = unmirrored()
+    return made if entry.mirror is None else Mirrored(made, entry.mirror)
+
+
+@final
 class _Slugs:
     """Short group names of letters, digits, dots and hyphens, a different one for each text.
 

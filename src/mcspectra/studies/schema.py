@@ -1,21 +1,28 @@
-"""The JSON Schema of study files, and their keys as Markdown tables, both made of the structs."""
+"""What a study file may say, for readers: JSON Schema, tables of all keys, a study to begin with.
+
+All are made of the structs of `mcspectra.studies.files` and of the analyses that are installed.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from mcspectra.studies.tables import (
-    ANALYSIS_TABLES,
+from mcspectra.core.errors import ConfigError, McspectraError
+from mcspectra.core.options import Option, options_of
+from mcspectra.studies.files import (
+    RESERVED,
     EstimatorConfig,
-    MapConfig,
+    SceneConfig,
     StudyConfig,
+    analysis_tables,
 )
 
-__all__ = ["SCHEMA_ID", "key_tables", "study_schema"]
+__all__ = ["SCHEMA_ID", "key_tables", "study_schema", "template", "write_template"]
 
 SCHEMA_ID = "urn:mcspectra:study:1"
 """Identifier of the schema; the number changes when an older study would no longer be read."""
@@ -31,74 +38,94 @@ def study_schema() -> dict[str, Any]:
 
     Where a number, a list, a choice, true or false stands, so may a grid's ``"{placeholder}"``.
     """
-    (root,), components = msgspec.json.schema_components(
-        [StudyConfig], ref_template="#/$defs/{name}"
-    )
-    definitions = {name: _with_placeholders(each) for name, each in components.items()}
+    tables = _tables()
     schema = {
         "$schema": _DIALECT,
         "$id": SCHEMA_ID,
         "title": "mcspectra study",
-        **root,
-        "$defs": definitions,
+        "$ref": f"#/$defs/{tables[''][0]}",
+        "$defs": {name: _with_placeholders(each) for name, each in tables.values()},
     }
     plain: dict[str, Any] = json.loads(json.dumps(schema))  # lists where msgspec has tuples
     return plain
+
+
+def _tables() -> dict[str, tuple[str, dict[str, Any]]]:
+    """Names and schemas of all tables by their keys in a file, the top's is empty."""
+    analyses = analysis_tables()
+    own = {"": StudyConfig, "estimators": EstimatorConfig}
+    kinds: list[Any] = [*own.values(), *analyses.values(), SceneConfig]
+    references, components = msgspec.json.schema_components(kinds, ref_template="{name}")
+    names = [str(reference["$ref"]) for reference in references]
+    found = {key: (n, components[n]) for key, n in zip((*own, *analyses), names, strict=False)}
+    for kind, (_, table) in zip(kinds, found.values(), strict=False):
+        table["description"] = (kind.__doc__ or "").strip().partition("\n")[0]
+        for option in options_of(kind):
+            if option.choices and "anyOf" not in table["properties"][option.name]:
+                table["properties"][option.name] |= {"type": "string", "enum": option.choices}
+
+    # Tables of analyses at the top and in estimators; those of scenes are entries of lists
+    scene = _public(components[names[-1]])
+    study, estimator = _public(found[""][1]), _public(found["estimators"][1])
+    study["properties"]["estimators"]["items"] = {"$ref": f"#/$defs/{names[1]}"}
+    for key, kind in analyses.items():
+        name, table = found[key]
+        reference, about = {"$ref": f"#/$defs/{name}"}, {"description": kind.summary()}
+        if kind.about == "scene":
+            table["properties"] = {**scene["properties"], **table["properties"]}
+            table["required"] = [*scene["required"], *table.get("required", ())]
+            study["properties"][key] = {"type": "array", "items": reference, **about}
+        else:
+            for each in (study, estimator):
+                each["properties"][key] = {**reference, **about}
+    return found
+
+
+def _public(table: dict[str, Any]) -> dict[str, Any]:
+    """A table without the fields that no key of a file gives."""
+    for key in RESERVED:
+        table["properties"].pop(key, None)
+    return table
 
 
 def _with_placeholders(table: dict[str, Any]) -> dict[str, Any]:
     """A table's schema in which a placeholder may stand where text could not."""
     properties = {
         key: value if key in _NO_PLACEHOLDER else _or_placeholder(value)
-        for key, value in table.get("properties", {}).items()
+        for key, value in table["properties"].items()
     }
     return {**table, "properties": properties}
 
 
 def _or_placeholder(value: dict[str, Any]) -> dict[str, Any]:
-    found = {k: v for k, v in value.items() if k not in ("description", "default")}
     about = {k: v for k, v in value.items() if k in ("description", "default")}
-    choices = [_of_values(each) for each in found.get("anyOf", [found])]
-    if any(_is_value(each) for each in choices):
-        return {**about, "anyOf": [*choices, _PLACEHOLDER]}
-    return value
-
-
-def _is_value(found: dict[str, Any]) -> bool:
-    """Whether it is a number, a choice, true or false, or a list of values."""
-    items = found.get("items")
-    tables = isinstance(items, dict) and "$ref" in items
-    return (found.get("type") in (*_NO_TEXT, "array") and not tables) or "enum" in found
-
-
-def _of_values(found: dict[str, Any]) -> dict[str, Any]:
-    """A list's schema with placeholders for its items, any other as it is."""
-    items = found.get("items")
-    return {**found, "items": _or_placeholder(items)} if isinstance(items, dict) else found
+    found = {k: v for k, v in value.items() if k not in about}
+    choices, taken = [], False
+    for each in found.get("anyOf", [found]):
+        items = each.get("items")
+        listed = isinstance(items, dict)
+        choices += [{**each, "items": _or_placeholder(items)} if listed else each]
+        tables = listed and "$ref" in items
+        # A number, a choice, true or false, or a list of values
+        taken |= "enum" in each or (each.get("type") in (*_NO_TEXT, "array") and not tables)
+    return {**about, "anyOf": [*choices, _PLACEHOLDER]} if taken else value
 
 
 def key_tables() -> str:
     """Return all keys with types, defaults and meanings as Markdown, a table for each table."""
-    tables: dict[str, type[Any]] = {
-        "Top of the file": StudyConfig,
-        "`[[estimators]]`": EstimatorConfig,
-        **{f"`[{name}]`": table for name, table in ANALYSIS_TABLES.items()},
-        "`[[maps]]`": MapConfig,
-    }
-    return "\n".join(line for title, each in tables.items() for line in _key_table(title, each))
-
-
-def _key_table(title: str, table: type[Any]) -> Iterator[str]:
-    yield f"### {title}\n\n{(table.__doc__ or '').strip().splitlines()[0]}\n"
-    yield "| key | type | default | meaning |\n| --- | --- | --- | --- |"
-    (_,), components = msgspec.json.schema_components([table], ref_template="{name}")
-    own = components[table.__name__]
-    required = own.get("required", ())
-    for key, value in own["properties"].items():
-        default = "required" if key in required else _default(value.get("default"))
-        meaning = value.get("description", "").replace("|", "\\|")
-        yield f"| `{key}` | {_type(value)} | {default} | {meaning} |"
-    yield ""
+    lines = []
+    for key, (_, table) in _tables().items():
+        listed = key == "estimators" or "name" in table["properties"]
+        title = f"`[[{key}]]`" if listed else f"`[{key}]`" if key else "Top of the file"
+        lines += [f"### {title}\n", f"{table['description']}\n"]
+        lines += ["| key | type | default | meaning |\n| --- | --- | --- | --- |"]
+        required = table.get("required", ())
+        for name, value in table["properties"].items():
+            default = "required" if name in required else _default(value.get("default"))
+            meaning = value.get("description", "").replace("|", "\\|")
+            lines += [f"| `{name}` | {_type(value)} | {default} | {meaning} |"]
+        lines += [""]
+    return "\n".join(lines)
 
 
 def _default(value: Any) -> str:
@@ -116,7 +143,8 @@ def _type(value: dict[str, Any]) -> str:
     kind = str(value.get("type", "value"))
     if kind == "array":
         items: dict[str, Any] = value.get("items") or next(iter(value.get("prefixItems", ())), {})
-        return f"list of {_type(items) if items else 'values'}"
+        inner = _type(items) if items else "values"
+        return f"list of ({inner})" if " or " in inner else f"list of {inner}"
     words = {"object": "table", "boolean": "true or false", "string": "text"}
     return words.get(kind, kind) + _range(value)
 
@@ -128,3 +156,115 @@ def _range(value: dict[str, Any]) -> str:
     high = value.get("maximum", 2**31)
     rules = [*low, *([f"≤ {high:g}"] if high < 2**31 else [])]
     return f" {', '.join(rules)}" if rules else ""
+
+
+_HEAD = """\
+# A study: estimators × samplers × analyses. Run it with
+#   mcspectra run study.toml            results, figures and report.html in out/study
+#   mcspectra run study.toml --dry-run  what it would take
+#   mcspectra run study.toml --set convergence.realizations=100
+# All keys: docs/studies.md, or the schema that `mcspectra schema` prints.
+# Names of samplers, densities and integrands: mcspectra list samplers, ...
+
+title = "my study"
+seed = 1
+samplers = ["random", "jittered", "jittered | shift"]
+
+# Analyses of all estimators; a table inside an estimator replaces the one here.
+[convergence]                  # variance against n and its rate
+counts = [16, 64, 256]
+realizations = 200
+# relative_error = 0.1         # stop early, once the variance is known this well
+# fit_last = "auto"            # fit the rate to those counts that lie on a line
+
+[terms]                        # dc, power and cross term, predicted and measured
+n = 64
+half_width = 16
+realizations = 200
+# basis = "auto"               # fourier, cosine, walsh, haar, or what fits the sampler
+# bands = "anova"              # radial, dyadic, anova, wedge
+
+"""
+
+_ESTIMATORS = """\
+[[estimators]]
+name = "plain"
+integrand = "gaussian(width=0.25)"
+dims = 2
+
+[[estimators]]
+name = "importance-sampled"
+integrand = "gaussian(width=0.25)"
+dims = 2
+density = "truncated-normal(mean=0.5, sigma=0.35)"
+
+[[estimators]]
+name = "multiple importance sampling"
+integrand = "gaussian(width=0.25)"
+dims = 2
+densities = ["uniform", "truncated-normal(mean=0.5, sigma=0.35)"]
+heuristic = "balance"          # power(beta=2), cutoff, maximum, optimal, variance-aware
+# technique_counts = [1, 4]
+# one_sample = true            # each point chooses its technique
+
+# One estimator for each value; names get the values.
+# [[estimators]]
+# name = "step at {at}"
+# integrand = "step(at={at})"
+# dims = 1
+# grid = { at = [0.25, 0.3] }
+# mirror = "integrand"         # or "random", "uniform"
+# smoothed = 0.05              # ramps in place of jumps
+
+# Pixels and maps of scenes need the extra render: pip install 'mcspectra[render]'
+# [[estimators]]
+# name = "a pixel"
+# integrand = "pixel(scene='veach', x=568, y=100, light='light-3', strategy='light')"
+
+# [[maps]]
+# name = "map of the penumbra"
+# scene = "penumbra"
+# samplers = ["jittered"]
+# size = [32, 32]
+"""
+
+
+def template() -> str:
+    """Return a study to begin with: it runs as it is, and says in comments what else there is."""
+    lines = []
+    for key, kind in analysis_tables().items():
+        if kind.about != "scene" and f"[{key}]" not in _HEAD:
+            lines += [f"{f'# [{key}]':<31}# {kind.summary()}"]
+            needed = [option for option in options_of(kind) if option.required]
+            lines += [f"# {option.name} = {_example(option)}" for option in needed] + [""]
+    return _HEAD + "\n".join([*lines, _ESTIMATORS])
+
+
+def _example(option: Option) -> str:
+    """A value that an option can have."""
+    for text in option.choices[:1] or ("16,64", "64", "0.5", "name"):
+        with contextlib.suppress(McspectraError):
+            value = option.read(text)
+            return json.dumps(list(value) if isinstance(value, tuple) else value)
+    return "..."
+
+
+def write_template(path: str | Path) -> Path:
+    """Write the template to a new file.
+
+    Raises
+    ------
+    ConfigError
+        The file is there already, or it cannot be written.
+    """
+    file = Path(path)
+    if file.suffix != ".toml":
+        raise ConfigError(f"{str(file)!r} must end in .toml, as study files do.")
+    try:
+        with file.open("x", encoding="utf-8") as stream:
+            stream.write(template())
+    except FileExistsError:
+        raise ConfigError(f"{str(file)!r} is there already; give another name.") from None
+    except OSError as error:
+        raise ConfigError(f"{str(file)!r} cannot be written: {error.strerror}.") from None
+    return file

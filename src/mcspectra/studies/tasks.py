@@ -1,111 +1,132 @@
 """Tasks: chunks of a study's cells that any process can compute from text alone.
 
-A worker is sent the study's text once and then tasks, small records of numbers and names. It builds the
-plan itself and sends back arrays of numbers; neither way is anything pickled.
+A worker elsewhere is sent the study's text with every task, so that workers may join, die and be
+replaced at any time without having been told about the study. It builds the plan itself, once, and
+sends back states as `mcspectra.core.records` packs them.
 """
 
 from __future__ import annotations
 
 import functools
-import io
-import math
+import importlib
+import json
 import socket
 import threading
-import zipfile
-from collections.abc import Mapping
+import time
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias, final
 
 import msgspec
-import numpy as np
 
-from mcspectra.core.checks import Array
-from mcspectra.core.errors import FileFormatError, StoreError
-from mcspectra.core.staged import Chunk, Run, Staged, Whole, compute, compute_chunk
-from mcspectra.studies.cells import staged_cell
-from mcspectra.studies.inputs import check_inputs
-from mcspectra.studies.plan import Cell, Plan, make_plan
-from mcspectra.studies.tables import StudyConfig
-from mcspectra.studies.trust import Trust
+from mcspectra.core.analysis import Chunk, Reduction, compute_chunk
+from mcspectra.core.errors import McspectraError, StoreError
+from mcspectra.core.records import pack
+from mcspectra.core.streams import Stream
+from mcspectra.studies.files import StudyConfig, plain_study, study_of
+from mcspectra.studies.foreign_code import TookTooLong, explain, within
+from mcspectra.studies.plan import Cell, make_plan
+from mcspectra.studies.vetting import Trust, check_inputs
 from mcspectra.version import __version__
 
 __all__ = [
-    "WHOLE",
+    "Compute",
+    "Outcome",
     "StudyText",
     "Task",
-    "analysis_of",
+    "WorkerRefused",
+    "attempt",
+    "compute_elsewhere",
     "compute_task",
-    "keep_plan",
-    "pack_payload",
-    "prepare",
-    "task_of",
-    "unpack_payload",
+    "timed",
 ]
 
-WHOLE = -1
-"""Part of the run that stands for all of a cell: one task computes it to its dataset."""
-
 _PLANS = 2  # kept in a process: the one that runs, and one that has just ended
-_ANALYSES = 32  # kept in a process; those under way are few
+_REDUCTIONS = 32  # kept in a process; those under way are few
+_WARM = ("numba", "scipy.stats", "xarray")  # what every task needs
 
 
 class Task(msgspec.Struct, frozen=True, kw_only=True):
-    """One chunk of one run of one cell.
+    """One chunk of a reduction of a cell, or all of a cell.
 
     Attributes
     ----------
-    key
-        Unique within the study, for people and for the journal: ``path/run/first+blocks``.
     path
         The cell's.
-    run_part, first, realizations, blocks_total
-        The run: see `mcspectra.core.staged.Run`.
-    chunk_first, chunk_blocks
+    run
+        Key of the reduction; None for all of the cell, which gives its dataset.
+    chunk
         Which of its atomic blocks.
     cost
-        Work of the chunk in the units of the run.
+        Its work in the units of `mcspectra.core.analysis.Need.cost`.
     """
 
-    key: str
     path: str
-    run_part: int
-    first: int
-    realizations: int
-    blocks_total: int
-    chunk_first: int
-    chunk_blocks: int
-    cost: float
+    run: str | None
+    chunk: Chunk = (0, 1)
+    cost: float = 1.0
 
     @property
-    def run(self) -> Run:
-        """The run it is a chunk of."""
-        return Run(
-            part=self.run_part,
-            first=self.first,
-            realizations=self.realizations,
-            blocks=self.blocks_total,
-            cost=self.cost * self.blocks_total / self.chunk_blocks,
-        )
-
-    @property
-    def chunk(self) -> Chunk:
-        """First block and number of blocks."""
-        return self.chunk_first, self.chunk_blocks
+    def key(self) -> str:
+        """Unique within the study: ``path/run/first+blocks``, or the path."""
+        return self.path if self.run is None else f"{self.path}/{self.run}/{_blocks(self.chunk)}"
 
 
-def task_of(path: str, run: Run, chunk: Chunk) -> Task:
-    """The task that computes a chunk of a run of the cell at `path`."""
-    return Task(
-        key=f"{path}/{run.key}/{chunk[0]}+{chunk[1]}",
-        path=path,
-        run_part=run.part,
-        first=run.first,
-        realizations=run.realizations,
-        blocks_total=run.blocks,
-        chunk_first=chunk[0],
-        chunk_blocks=chunk[1],
-        cost=run.cost * chunk[1] / run.blocks,
+def _blocks(chunk: Chunk) -> str:
+    return f"{chunk[0]}+{chunk[1]}"
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What became of a task.
+
+    Attributes
+    ----------
+    task
+        Which.
+    state
+        State of its chunk, or the dataset of its cell, if it was computed in this process.
+    payload
+        The same as bytes, if it was computed in another.
+    error
+        One sentence about why it failed; then there is neither.
+    seconds
+        How long it ran.
+    host
+        Where.
+    """
+
+    task: Task
+    state: Any = None
+    payload: bytes | None = None
+    error: str | None = None
+    seconds: float = 0.0
+    host: str = ""
+
+
+def timed(task: Task, compute: Callable[[], Any], *, packed: bool = False) -> Outcome:
+    """Compute a task in this thread; whatever it raises becomes a sentence."""
+    start = time.perf_counter()
+    state, payload, error = None, None, None
+    try:
+        state = compute()
+        if packed:
+            state, payload = None, pack(state)
+    # An interrupt of the run reaches the main thread alone: here it is the integrand's own.
+    except BaseException as raised:  # noqa: BLE001 - whatever the code of others does
+        state, error = None, explain(raised)
+    seconds = time.perf_counter() - start
+    return Outcome(
+        task=task, state=state, payload=payload, error=error, seconds=seconds, host=_host()
     )
+
+
+@functools.cache
+def _host() -> str:
+    return socket.gethostname()
 
 
 class StudyText(msgspec.Struct, frozen=True, kw_only=True):
@@ -122,7 +143,7 @@ class StudyText(msgspec.Struct, frozen=True, kw_only=True):
     version
         Of this package; a worker of another refuses.
     code, paths
-        What the study may name and read: see `mcspectra.studies.trust.Trust`.
+        What the study may name and read: see `mcspectra.studies.vetting.Trust`.
     force
         Whether its size was allowed.
     inputs
@@ -150,7 +171,7 @@ class StudyText(msgspec.Struct, frozen=True, kw_only=True):
         """The text of a study; folders become absolute, as a worker may run elsewhere."""
         reach = trust or Trust()
         return StudyText(
-            config_json=msgspec.json.encode(config).decode(),
+            config_json=json.dumps(plain_study(config)),
             folder=str(folder.absolute()),
             seed=config.seed,
             version=__version__,
@@ -160,143 +181,125 @@ class StudyText(msgspec.Struct, frozen=True, kw_only=True):
             inputs=None if inputs is None else tuple(inputs.items()),
         )
 
-    def plan(self) -> Plan:
-        """Build the plan.
+    def cells(self) -> dict[str, Cell]:
+        """Build the plan: its cells by their paths.
 
         Raises
         ------
         StoreError
-            The text is of another version of this package, or files differ here.
+            Files differ here.
         ConfigError
             The study cannot be built here: see `mcspectra.studies.plan.make_plan`.
         """
-        if self.version != __version__:
-            raise StoreError(
-                f"The study is run by mcspectra {self.version}, and this worker has {__version__}; "
-                "install the same version on all machines."
-            )
-        config = msgspec.json.decode(self.config_json, type=StudyConfig)
+        config = study_of(json.loads(self.config_json))
         trust = Trust(self.code, tuple(map(Path, self.paths)))
-        plan = make_plan(config, Path(self.folder), trust, force=self.force)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the command has planned, and warned, already
+            plan = make_plan(config, Path(self.folder), trust, force=self.force)
         if self.inputs is not None:
-            host = socket.gethostname()
-            remedy = f"bring those on host {host!r} in line, and resume"
+            remedy = f"bring those on host {_host()!r} in line, and resume"
             check_inputs(dict(self.inputs), plan.inputs, "The study that is run is", remedy)
-        return plan
+        return {cell.path: cell for cell in plan.cells}
 
 
-_plans: dict[StudyText, dict[str, Cell]] = {}
 _lock = threading.Lock()
+_cells = functools.lru_cache(maxsize=_PLANS)(StudyText.cells)
 
 
-def keep_plan(text: StudyText, plan: Plan) -> None:
-    """Have tasks of this process take `plan`, which `text` gives now: its files may have changed."""
-    _plans.pop(text, None)
-    analysis_of.cache_clear()
-    while len(_plans) >= _PLANS:
-        _plans.pop(next(iter(_plans)))
-    _plans[text] = {cell.path: cell for cell in plan.cells}
-
-
-def prepare(text: StudyText) -> dict[str, Cell]:
-    """Cells of a study by their paths: the plan is built once in a process.
-
-    Raises
-    ------
-    StoreError, ConfigError
-        As of `StudyText.plan`.
-    """
+def _cell(text: StudyText, path: str) -> Cell:
+    """A cell of a study, whose plan is built once in a process."""
     with _lock:  # one thread builds the plan, the others wait for it
-        if text not in _plans:
-            keep_plan(text, text.plan())
-        return _plans[text]
+        cell = _cells(text).get(path)
+    if cell is None:
+        raise StoreError(f"The study has no cell {path!r}; its text or its files have changed.")
+    return cell
 
 
-@functools.lru_cache(maxsize=_ANALYSES)
-def analysis_of(text: StudyText, path: str) -> Staged[Any]:
-    """The analysis of the cell at `path`, the same object each time while it is in use.
+@functools.lru_cache(maxsize=_REDUCTIONS)
+def _reduction(text: StudyText, path: str, run: str) -> Reduction[Any]:
+    """A reduction of a cell, the same object each time while it is in use."""
+    cell = _cell(text, path)
+    return cell.analysis.part(cell.subject, Stream.from_rng(text.seed), run)
+
+
+def compute_task(text: StudyText, task: Task) -> Any:
+    """State of a task's chunk, or the dataset of its cell.
 
     Raises
     ------
     StoreError
-        The study has no such cell, or is run by another version of this package.
-    """
-    cell = prepare(text).get(path)
-    if cell is None:
-        raise StoreError(f"The study has no cell {path!r}; its text or its files have changed.")
-    return staged_cell(cell, text.seed)
-
-
-def compute_task(text: StudyText, task: Task) -> bytes:
-    """Compute a task in this thread: the state of its chunk as `pack_payload` writes it.
-
-    Raises
-    ------
+        The study has no such cell.
     Exception
-        Whatever the estimator raises: `mcspectra.studies.foreign_code.explain` makes a sentence of it.
+        Whatever the estimator raises.
     """
-    analysis = analysis_of(text, task.path)
-    if task.run_part == WHOLE:
-        analysis = Whole(functools.partial(compute, analysis, 1))
-    return pack_payload(analysis.pack(compute_chunk(analysis, task.run, task.chunk)))
+    if task.run is None:
+        return _cell(text, task.path).compute(text.seed)
+    return compute_chunk(_reduction(text, task.path, task.run), task.chunk)
 
 
-def pack_payload(arrays: Mapping[str, Array]) -> bytes:
-    """Named numeric arrays as the bytes of an .npz file, the same bytes for the same arrays.
+Compute: TypeAlias = Callable[[StudyText, Task], Outcome]
+"""What computes a task on a worker, and raises nothing: `attempt`."""
+
+
+def attempt(text: StudyText, task: Task) -> Outcome:
+    """Compute a task of another process in this thread."""
+    return timed(task, functools.partial(compute_task, text, task), packed=True)
+
+
+class WorkerRefused(McspectraError, RuntimeError):
+    """A worker cannot compute the study as it is meant: nothing it gave could be kept."""
+
+
+def compute_elsewhere(
+    compute: Compute, text: StudyText, task: Task, limit: float | None
+) -> tuple[Outcome, bool]:
+    """What a worker of a cluster does with a task; nothing here knows dask.
+
+    Parameters
+    ----------
+    compute
+        Called with the study's text and the task.
+    text, task
+        The study and the part of it.
+    limit
+        Seconds after which the task has failed, its imports and the plan excepted. Its thread goes
+        on, as threads cannot be stopped: the worker is to be restarted.
+
+    Returns
+    -------
+    Outcome
+        The task's.
+    bool
+        Whether it still occupies the worker.
 
     Raises
     ------
-    FileFormatError
-        An array holds Python objects.
+    WorkerRefused
+        This worker has another version of the package, or cannot build the study.
     """
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
-        for name, array in arrays.items():
-            if array.dtype.hasobject:
-                raise FileFormatError(f"The array {name!r} holds Python objects, not numbers.")
-            # ZipInfo has a fixed date, where ZipFile.write would put the time of day.
-            with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as file:
-                np.lib.format.write_array(file, array, allow_pickle=False)
-    return buffer.getvalue()
-
-
-def unpack_payload(payload: bytes) -> dict[str, Array]:
-    """Inverse of `pack_payload`; nothing larger than the payload is allocated.
-
-    Raises
-    ------
-    FileFormatError
-        The bytes are damaged, or hold anything but plain arrays.
-    """
+    if text.version != __version__:
+        raise WorkerRefused(
+            f"The worker on {_host()} has mcspectra {__version__}, but the study was "
+            f"started with {text.version}; install the same version there."
+        )
+    if compute is attempt:
+        try:
+            _prepare(text)
+        except BaseException as error:  # noqa: BLE001 - whatever the code of others does
+            raise WorkerRefused(
+                f"The worker on {_host()} cannot build the study: {explain(error)}"
+            ) from None
+    if limit is None:
+        return compute(text, task), False
     try:
-        with zipfile.ZipFile(io.BytesIO(payload)) as archive:
-            return {
-                info.filename.removesuffix(".npy"): _array(_member(archive, info, len(payload)))
-                for info in archive.infolist()
-            }
-    except FileFormatError:
-        raise
-    except (zipfile.BadZipFile, ValueError, OSError, EOFError, RuntimeError) as error:
-        raise FileFormatError(f"The result of a task cannot be read: {error}.") from None
+        return within(limit, functools.partial(compute, text, task)), False
+    except TookTooLong:
+        sentence = f"It took longer than the time limit of {limit:g} s and was stopped."
+        return Outcome(task=task, error=sentence, seconds=limit, host=_host()), True
 
 
-def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, limit: int) -> bytes:
-    if info.compress_type != zipfile.ZIP_STORED or info.file_size > limit:
-        raise FileFormatError(f"The array {info.filename!r} is compressed or larger than its file.")
-    return archive.read(info)
-
-
-def _array(raw: bytes) -> Array:
-    """The array of a .npy file: its header must fit the bytes that follow."""
-    stream = io.BytesIO(raw)
-    if np.lib.format.read_magic(stream) != (1, 0):
-        raise FileFormatError("The result of a task is in another version of the .npy format.")
-    shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
-    if dtype.hasobject:
-        raise FileFormatError("The result of a task holds Python objects; only numbers are read.")
-    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != len(raw) - stream.tell():
-        raise FileFormatError(f"The result of a task claims shape {shape}, which it does not hold.")
-    values = (
-        np.frombuffer(raw, dtype, offset=stream.tell()) if math.prod(shape) else np.empty(0, dtype)
-    )
-    return values.reshape(shape, order="F" if fortran else "C").copy(order="K")
+def _prepare(text: StudyText) -> None:
+    for name in _WARM:
+        importlib.import_module(name)
+    with _lock:
+        _cells(text)

@@ -41,6 +41,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, final
 
 import numpy as np
+from msgspec import Meta
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject
 from mcspectra.core.checks import Array
@@ -97,7 +98,7 @@ class Exact(Analysis, frozen=True, kw_only=True):
     verb = "exact"
     variables = ("exact_variance",)
 
-    counts: Annotated[Counts, COUNTS]
+    counts: Annotated[Counts, COUNTS, Meta(extra={"flag": "-n"})]
 
     def need(self, subject: Subject) -> Need:
         """The sampler can do every count."""

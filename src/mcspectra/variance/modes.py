@@ -88,12 +88,19 @@ class Modes(Analysis, frozen=True, kw_only=True):
     half_width: Annotated[int, HALF_WIDTH] = 32
     modes: Annotated[int, Meta(ge=1, le=2**62, description="How many modes.")] = 8
     weighted: Annotated[
-        bool, Meta(description="Of conj(f_m) S_m; else of S_m, the points' own.")
+        bool,
+        Meta(
+            description="Of conj(f_m) S_m; without it of S_m, the points' own.",
+            extra={"flag": "--points-only"},
+        ),
     ] = True
     bands: Annotated[str, BANDS] = "radial"
     band: Annotated[
         tuple[str, ...] | str | None,
-        Meta(description="Only these bands, by their labels.", extra={"python": True}),
+        Meta(
+            description="Only these bands, by their labels.",
+            extra={"python": True, "metavar": "LABEL"},
+        ),
     ] = None
     channel: Annotated[int, Meta(ge=0, le=2**31, description="Channel of the integrand.")] = 0
     passes: Annotated[

@@ -89,6 +89,7 @@ class Routes(Analysis, frozen=True, kw_only=True):
     """The variance by every route there is, side by side."""
 
     function = "variance_routes"
+    verb = "routes"
     variables = ("route_variance", "route_variance_ci", "energy_share")
 
     n: Annotated[int, COUNT]

@@ -78,6 +78,7 @@ class Techniques(Analysis, frozen=True, kw_only=True):
     """What each technique of an estimator contributes, and which one decides the rate."""
 
     function = "technique_terms"
+    verb = "techniques"
     variables = (
         *_PARTS,
         *(f"{name}_se" for name in _PARTS),

@@ -1,0 +1,379 @@
+"""What a person reads of the result of an analysis, and what --json has besides all its variables.
+
+Analyses with tables of their own are in `VIEWS`; `table_of_anything` shows all others: the single
+numbers with their meanings and intervals, then a table for each dim.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import textwrap
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from mcspectra.cli.common import text_table
+from mcspectra.core.errors import NoClosedForm
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["VIEWS", "Shown", "View", "data_of", "table_of_anything"]
+
+_WIDTH = 100
+_ROUNDING = 1e-14  # of the variance: sums of terms that cancel
+_MANY = 10_000  # numbers of a variable that --json leaves out
+
+
+class Shown(NamedTuple):
+    """A text, and entries of the JSON object that `data_of` does not have or has otherwise."""
+
+    text: str
+    data: Mapping[str, Any] = {}
+
+
+View = Callable[["xr.Dataset"], Shown]
+
+
+def data_of(result: xr.Dataset) -> dict[str, Any]:
+    """All attributes, and all variables of a size that one reads."""
+    small = {str(name): v.values for name, v in result.variables.items() if v.size <= _MANY}
+    return {**{str(key): value for key, value in result.attrs.items()}, **small}
+
+
+def table_of_anything(result: xr.Dataset) -> Shown:
+    """Prints single numbers with their meanings and 95 % intervals, then a table for each dim."""
+    partners = {f"{name}{end}" for name in result.data_vars for end in ("_ci", "_se")}
+    shown = {str(k): v for k, v in result.data_vars.items() if k not in partners}
+    rows, columns, large = [], dict[str, list[str]](), []
+    for name, values in shown.items():
+        if values.ndim == 0:
+            meaning = str(values.attrs.get("long_name", name.replace("_", " ")))
+            unit = str(values.attrs.get("units", ""))
+            unit = "" if unit == "1" else unit
+            rows.append([meaning, unit, _cell(values.item()), _error(result, name, ())])
+        elif values.ndim == 1:
+            columns.setdefault(str(values.dims[0]), []).append(name)
+        else:
+            large.append(f"{name}: over {', '.join(map(str, values.dims))}; --out writes it")
+    parts = [_title(result), text_table(["", "unit", "value", "95 %"], rows) if rows else ""]
+    for dim, names in columns.items():
+        header = [dim, "", *(h for name in names for h in (name.replace("_", " "), "95 %"))]
+        places = result[dim].values if dim in result.coords else np.arange(result.sizes[dim])
+        cells = [
+            [_cell(place), "", *(c for name in names for c in
+             (_cell(result[name].values[k]), _error(result, name, (k,))))]
+            for k, place in enumerate(places)
+        ]  # fmt: skip
+        kept = [i for i in range(len(header)) if i < 2 or any(row[i] for row in cells)]
+        parts.append(text_table([header[i] for i in kept], [[r[i] for i in kept] for r in cells]))
+    return Shown("\n".join(part for part in (*parts, *large, _note(result)) if part))
+
+
+def _title(result: xr.Dataset) -> str:
+    """The estimator with the sampler, and n or the budget."""
+    known = result.attrs
+    names = [str(known[key]) for key in ("estimator", "sampler") if key in known]
+    counts = f",  n = {known['n']}" if "n" in known else ""
+    return "  with  ".join(names) + counts
+
+
+def _note(result: xr.Dataset) -> str:
+    return str(result.attrs.get("note", ""))
+
+
+def _number(value: float, digits: int = 5, missing: str = "–") -> str:
+    """A number in so many digits; an infinite one in words."""
+    if math.isinf(value):
+        return "infinite"
+    return missing if math.isnan(value) else f"{value:.{digits}g}"
+
+
+def _cell(value: Any) -> str:
+    return _number(float(value), 6) if isinstance(value, float | np.floating) else str(value)
+
+
+def _interval(ends: Any, digits: int = 4) -> str:
+    low, high = ends
+    return f"{low:.{digits}g} … {high:.{digits}g}" if np.isfinite([low, high]).all() else ""
+
+
+def _error(result: xr.Dataset, name: str, place: tuple[int, ...]) -> str:
+    """The interval of a number, else ± two standard errors, where there is one or the other."""
+    if f"{name}_ci" in result:
+        return _interval(result[f"{name}_ci"].values[place])
+    error = float(result[f"{name}_se"].values[place]) if f"{name}_se" in result else math.nan
+    return f"± {1.96 * error:.2g}" if math.isfinite(error) else ""
+
+
+def _channels(result: xr.Dataset) -> Iterator[tuple[str, xr.Dataset]]:
+    """Each channel with its label; a result without channels, or with one, has no label."""
+    count = result.sizes.get("channel", 0)
+    for channel in range(count):
+        yield (f"[{channel}]" if count > 1 else ""), result.isel(channel=channel)
+    if not count:
+        yield "", result
+
+
+def _convergence(result: xr.Dataset) -> Shown:
+    """Prints the variance at each n, the rate ± half its interval, and how well a line fits."""
+    header = ["sampler", "", *(f"n = {n}" for n in result["n"].values), "rate", "±"]
+    rows, curves, notes = [], [], []
+    for sampler in result["sampler"].values:
+        picked = result.sel(sampler=sampler)
+        for label, curve in _channels(picked):
+            fit = ["–"] * 4
+            if np.isfinite(rate := float(curve["rate"])):
+                low, high = curve["rate_ci"].values
+                fit = [f"{rate:+.3f}", f"{(high - low) / 2:.3f}", f"{float(curve['fit_first_n']):.0f}",
+                       _number(float(curve["fit_chi2"]), 3)]  # fmt: skip
+            rows.append(
+                [str(sampler), label, *(f"{v:.4g}" for v in curve["variance"].values), *fit]
+            )
+        missed = result["n"].values[picked["reached"].values == 0] if "reached" in result else []
+        if len(missed):
+            goal, most = result.attrs["relative_error"], result.attrs["realizations"]
+            notes.append(
+                f"{sampler}: the relative error {goal:g} was not reached with {most} realisations "
+                f"at n = {', '.join(map(str, missed))}"
+            )
+        values = {str(name): variable.values for name, variable in picked.data_vars.items()}
+        curves.append({"sampler": str(sampler), "n": result["n"].values, **values})
+    table = text_table([*header, "fit from n", "χ²/dof"], rows)
+    lines = [f"variance of {result.attrs['estimator']}", table, *notes, _note(result)]
+    return Shown("\n".join(filter(None, lines)), {"curves": curves})
+
+
+_TERMS = (
+    *("dc_term", "power_term", "cross_term"),
+    *("predicted_variance", "measured_variance", "captured"),
+)
+
+
+def _terms(result: xr.Dataset) -> Shown:
+    """Prints the terms, their sum, the measured variance, and the share that was captured."""
+    known = result.attrs
+    about = (
+        f"coefficients: {known['coefficients']}; {known['realizations']} realisations; "
+        f"{known['space']} space, {known['basis']} basis"
+    )
+    rows = []
+    for name in _TERMS:
+        values = np.atleast_1d(result[name].values)
+        shown = ", ".join(_number(v, 6, "undefined") for v in values)
+        interval = _interval(np.atleast_2d(result[f"{name}_ci"].values)[0])
+        rows.append([name.replace("_", " "), "", shown, interval])
+    lines = [_title(result), about, text_table(["", "", "value", "95 % interval"], rows)]
+    labels = result["band"].attrs["labels"].split(", ")
+    return Shown("\n".join(filter(None, (*lines, _note(result)))), {"band_labels": labels})
+
+
+def _spectrum(result: xr.Dataset) -> Shown:
+    """Prints the radial mean, as power times n (random points: 1)."""
+    n, dims = result.attrs["n"], sum(str(d).startswith("m") for d in result["power"].dims)
+    names = ("radius", "radial_power", "radial_power_se")
+    rows = [
+        [f"{r:.4g}", f"{r / n ** (1 / dims):.3f}", f"{n * p:.5g}", _number(n * se)]
+        for r, p, se in zip(*(result[name].values for name in names), strict=True)
+    ]
+    return Shown(text_table(["|m|", "|m|/n^(1/d)", "n·power", "std. error"], rows))
+
+
+def _radial(result: xr.Dataset) -> Shown:
+    """with errors and anisotropy"""
+    from mcspectra.spectra.shapes import radial_statistics
+
+    found, n = radial_statistics(result), result.attrs["n"]
+    names = ("radius", "radial_power", "radial_power_se", "anisotropy_db", "anisotropy_noise_db")
+    header = ["|m|", "", "n·power", "std. error", "anisotropy dB", "noise alone dB"]
+    rows = [
+        [f"{r:.4g}", "", *map(_number, (n * power, n * error, *anisotropy))]
+        for r, power, error, *anisotropy in zip(
+            *(found[name].values for name in names), strict=True
+        )
+    ]
+    return Shown(text_table(header, rows), data_of(found))
+
+
+def _slices(result: xr.Dataset) -> Shown:
+    """along the axes and diagonals"""
+    from mcspectra.spectra.shapes import slices
+
+    found, n = slices(result), result.attrs["n"]
+    labels = np.repeat(found["slice"].values, found.sizes["multiple"])
+    columns = (
+        found[name].values.ravel() for name in ("slice_radius", "slice_power", "slice_power_se")
+    )
+    rows = [
+        [str(label), f"{r:.4g}", _number(n * power), _number(n * se)]
+        for label, r, power, se in zip(labels, *columns, strict=True)
+    ]
+    return Shown(text_table(["direction", "|m|", "n·power", "std. error"], rows), data_of(found))
+
+
+def _wedges(result: xr.Dataset) -> Shown:
+    """by direction"""
+    from mcspectra.spectra.shapes import wedge_means
+
+    found, n = wedge_means(result), result.attrs["n"]
+    names = ("angle", "wedge_power", "wedge_power_se")
+    rows = [
+        [f"{angle:.4g}°", "", _number(n * power), _number(n * se)]
+        for angle, power, se in zip(*(found[name].values for name in names), strict=True)
+    ]
+    return Shown(text_table(["direction", "", "n·power", "std. error"], rows), data_of(found))
+
+
+def _exponent(result: xr.Dataset) -> Shown:
+    """b of power ∝ |m|^b"""
+    from mcspectra.spectra.shapes import low_frequency_exponent
+
+    found = low_frequency_exponent(result)
+    known = found.attrs
+    b, chi2 = (float(found[n]) for n in ("low_frequency_exponent", "exponent_fit_chi2"))
+    if math.isnan(b):
+        return Shown(f"no exponent: {known['reason']}", data_of(found))
+    where = "" if known["directions"] == "all" else f", directions {known['directions']}"
+    text = (
+        f"power ∝ |m|^b for |m| ≤ {known['up_to']:.4g} ({known['lengths']} lengths{where}): "
+        f"b = {b:.4g}, 95 % interval {_interval(found['low_frequency_exponent_ci'].values)}, "
+        f"χ² per degree of freedom {chi2:.3g}"
+    )
+    return Shown("\n".join(filter(None, (text, known.get("reason")))), data_of(found))
+
+
+def _pcf(result: xr.Dataset) -> Shown:
+    """Prints r, r in units of the mean spacing n^(-1/d), g(r) and its standard error."""
+    spacing = result.attrs["n"] ** (-1.0 / result.attrs["dims"])
+    columns = (result[name].values for name in ("r", "pair_correlation", "pair_correlation_se"))
+    rows = [
+        [f"{r:.5g}", f"{r / spacing:.3f}", f"{g:.5g}", _number(se, 2)]
+        for r, g, se in zip(*columns, strict=True)
+    ]
+    table = text_table(["r", "r·n^(1/d)", "g(r)", "std. error"], rows)
+    return Shown(table, {"mean_spacing": spacing})
+
+
+def _anova(result: xr.Dataset) -> Shown:
+    """Prints the parts of subsets of the axes, what larger subsets have, and effective dimensions."""
+    lines = [_title(result)]
+    labels, order = list(map(str, result["subset_label"].values)), result.attrs["order"]
+
+    def part(values: Sequence[float], floor: float) -> list[str]:
+        # Variance, standard error and share; 0 below the floor of rounding
+        floors = (floor, floor, _ROUNDING)
+        return [
+            "0" if abs(value) < least else _number(value, missing="undefined")
+            for value, least in zip(values, floors, strict=True)
+        ]
+
+    for channel in range(result.sizes.get("channel", 1)):
+        one = result.isel(channel=channel) if "channel" in result.dims else result
+        lines += [f"channel {channel}"] if "channel" in result.dims else []
+        floor = _ROUNDING * float(one["variance"])
+        columns = (one[f"anova_{end}"].values for end in ("variance", "variance_se", "share"))
+        rows = [[u, "", *part(v, floor)] for u, *v in zip(labels, *columns, strict=True)]
+        larger = [float(one[f"higher_order_variance{end}"]) for end in ("", "_se")]
+        rest = part([*larger, 1.0 - float(np.sum(one["anova_share"].values))], floor)
+        rows.append(["larger subsets", "", *rest])
+        lines.append(text_table(["axes", "", "variance", "std. error", "share"], rows))
+        varies = np.isfinite(float(one["mean_dimension"]))
+        for name in ("variance", "mean_dimension", "effective_dimension_truncation",
+                     "effective_dimension_superposition"):  # fmt: skip
+            beyond = varies and name.endswith("superposition")
+            missing = f"more than {order}" if beyond else "undefined"
+            lines.append(f"{name.replace('_', ' ')}: {_number(float(one[name]), 6, missing)}")
+    return Shown("\n".join(lines), {"subset": labels})
+
+
+def _exact(result: xr.Dataset) -> Shown:
+    """Prints the variance at each n, and the exponent of variance in n from one to the next."""
+    rows, counts = [], result["n"].values
+    values = result["exact_variance"].values.reshape(len(counts), -1)
+    if np.isnan(values).all():
+        raise NoClosedForm(_note(result))
+    for k, n in enumerate(counts):
+        for channel, variance in enumerate(values[k]):
+            before, rate = (values[k - 1][channel] if k else 0.0), "–"
+            if before > 0.0 < variance and n != counts[k - 1] and np.isfinite(before + variance):
+                rate = f"{math.log(variance / before) / math.log(n / counts[k - 1]):+.4f}"
+            label = f"[{channel}]" if len(values[k]) > 1 else ""
+            rows.append([str(n), label, _number(variance, 9), rate])
+    table = text_table(["n", "", "variance", "local rate"], rows)
+    return Shown(
+        "\n".join(filter(None, (f"exact variance of {_title(result)}", table, _note(result))))
+    )
+
+
+def _remedies(result: xr.Dataset) -> Shown:
+    """Prints a table in the order of the errors, then what to do and why."""
+    known, rows, listed = result.attrs, [], []
+    for name in result["remedy"].values:
+        one = result.sel(remedy=name)
+        listed.append({str(key): v.values for key, v in one.variables.items()})
+        rows.append(
+            [
+                str(name),
+                str(one["verdict"].item()),
+                f"{float(one['error']):.4g}",
+                f"{float(one['error_ratio']):.3g}",
+                "{:.3g} … {:.3g}".format(*one["error_ratio_ci"].values),
+                f"{float(one['rate']):.2f}",
+                "{:.2f} … {:.2f}".format(*one["rate_ci"].values),
+            ]
+        )
+    table = text_table(["remedy", "", "error", "ratio", "95 %", "rate", "95 %"], rows)
+    lines = [f"{_title(result)},  {known['budget']} evaluations", table]
+    sentences = filter(None, (known["diagnosis"], known["recommendation"]))
+    lines += [textwrap.fill(sentence, _WIDTH) for sentence in sentences]
+    left_out = json.loads(known.get("not_tried", "[]"))
+    lines += ["not tried:"] if left_out else []
+    lines += [
+        textwrap.fill(reason, _WIDTH, initial_indent="  ", subsequent_indent="    ")
+        for reason in left_out
+    ]
+    return Shown("\n".join(lines), {"remedies": listed})
+
+
+def _modes(result: xr.Dataset) -> Shown:
+    """Prints the eigenvalues, their share of the whole, and what each mode gives to the variance."""
+    trace, edge = float(result["band_trace"]), float(result["noise_edge"])
+    # Eigenvalues of zero come out as 1e-13 of the sum of all
+    there = int(np.count_nonzero(result["eigenvalue"].values > 1e-13 * trace))
+    if not there:
+        return Shown(f"{_title(result)}\nno mode: the coefficients do not vary")
+    ends = ("eigenvalue", "eigenvalue_se", "eigenvalue_share", "eigenvalue_residual")
+    columns = (result[name].values[:there] for name in (*ends, "mode_contribution"))
+    rows = [[str(k), "", *map(_number, v)] for k, v in enumerate(zip(*columns, strict=True))]
+    header = ["mode", "", "eigenvalue", "standard error", "share", "numerical residual ≤"]
+    more = result.sizes["mode"] - there
+    lines = [
+        _title(result),
+        text_table([*header, "part of variance"], rows),
+        f"{more} more of rounding size" if more else "",
+        _note(result),
+        f"largest eigenvalue of a flat spectrum with the same sum (noise edge): {edge:.6g}",
+        f"sum of all eigenvalues: {trace:.6g}",
+    ]
+    return Shown("\n".join(filter(None, lines)))
+
+
+VIEWS: Mapping[str, Mapping[str, View]] = {
+    "convergence": {"": _convergence},
+    "terms": {"": _terms},
+    "spectrum": {
+        "power": _spectrum,
+        "radial": _radial,
+        "slices": _slices,
+        "wedges": _wedges,
+        "exponent": _exponent,
+    },
+    "pcf": {"": _pcf},
+    "anova": {"": _anova},
+    "exact": {"": _exact},
+    "remedies": {"": _remedies},
+    "modes": {"": _modes},
+}
+"""Views of analyses by their names, the one that is shown by default first; --show names several."""

@@ -1,0 +1,789 @@
+"""Study files: TOML, typed and checked as a whole before anything runs.
+
+A study names samplers and estimators and, in tables named as analyses are (`mcspectra.core.analysis`),
+what is analysed; an estimator may override any of them. Keys, types, defaults and meanings of a table
+are those of its analysis. Unknown keys, wrong types and values out of range are errors that name the
+place. Relative paths inside spec strings are relative to the file.
+
+Text goes through four steps: changes of the command line, grids, types, and what tables must keep among
+each other.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import functools
+import itertools
+import math
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, final
+
+import msgspec
+from msgspec import Meta
+
+from mcspectra.core.analysis import ANALYSES, Analysis
+from mcspectra.core.errors import ConfigError, McspectraError, MissingDependency, close_match_hint
+from mcspectra.core.options import Positive, Text, options_of
+
+__all__ = [
+    "MOST_ENTRIES",
+    "RESERVED",
+    "EstimatorConfig",
+    "SceneConfig",
+    "StudyConfig",
+    "analysis_tables",
+    "apply_overrides",
+    "decode_study",
+    "expand_grids",
+    "plain_study",
+    "read_study",
+    "study_of",
+]
+
+MOST_ENTRIES = 100_000
+"""Most estimators, maps or samplers of one table that grids may make."""
+
+RESERVED = ("analyses", "scenes", "kind", "analysis")
+"""Fields of a study's, an estimator's and a scene's structs that no key of a file gives."""
+
+_MOST_TEXT = 10**8  # characters of what a grid makes of a table
+_LARGEST_FILE = 4 * 2**20
+_SINGLE = ("seed", "time_limit")  # a study has one
+_TABLE_NAME = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)*")
+_STEP = re.compile(r"([A-Za-z][A-Za-z0-9_-]*)((?:\[\d{1,6}\])*)")
+_PLACEHOLDER = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
+_KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+
+Struct = TypeVar("Struct", bound=msgspec.Struct)
+Grid = dict[str, list[str | int | float | bool | list[Any]]]
+Values = Mapping[str, list[Any]]
+
+_NAME = Meta(description="Name in tables and figures; all names differ.")
+_SAMPLERS = Meta(description="Samplers; those of the study by default.")
+
+
+class _Table(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True
+):
+    """Common flags of all tables."""
+
+
+class EstimatorConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
+    """An estimator: an integrand, how it is importance-sampled, and with which samplers."""
+
+    name: Annotated[Text, _NAME]
+    dims: Annotated[
+        Annotated[int, Meta(ge=1, le=1024)] | None,
+        Meta(description="Number of dims, where specs leave it open."),
+    ] = None
+    integrand: Annotated[
+        Text | None, Meta(description="Spec: `mcspectra list integrands`; or python(...).")
+    ] = None
+    integrands: Annotated[
+        tuple[Text, ...] | None,
+        Meta(description="Techniques in primary space, each with points of its own, added."),
+    ] = None
+    density: Annotated[
+        Text | None, Meta(description="Importance density: `mcspectra list densities`.")
+    ] = None
+    densities: Annotated[
+        tuple[Text, ...] | None,
+        Meta(description="Multiple importance sampling, or one density for each channel."),
+    ] = None
+    heuristic: Annotated[
+        str | None,
+        Meta(description="balance, power(beta=2), cutoff, maximum, optimal, variance-aware."),
+    ] = None
+    technique_counts: Annotated[
+        tuple[Positive, ...] | None,
+        Meta(description="Points of each technique as multiples of n; 1 by default."),
+    ] = None
+    sets: Annotated[
+        Literal["independent", "shared", "joint"] | None,
+        Meta(description="How the techniques' points belong together; independent by default."),
+    ] = None
+    one_sample: Annotated[
+        bool, Meta(description="Each point chooses one of the densities at random.")
+    ] = False
+    probabilities: Annotated[
+        tuple[float, ...] | None,
+        Meta(description="Of the densities with one_sample; equal by default."),
+    ] = None
+    selection: Annotated[
+        Literal["extra", "coordinate"] | None,
+        Meta(description="What chooses with one_sample: an extra coordinate, or the first."),
+    ] = None
+    channels: Annotated[
+        Literal["own", "shared", "combined", "one"] | None,
+        Meta(
+            description="Colour: own or shared points for each channel's density, all densities "
+            "combined by MIS, or one density for all channels."
+        ),
+    ] = None
+    mirror: Annotated[
+        Literal["integrand", "random", "uniform"] | None,
+        Meta(description="Mirror the integrand, or the samples at random or into all images."),
+    ] = None
+    smoothed: Annotated[
+        Annotated[float, Meta(gt=0)] | None,
+        Meta(description="Width of the ramps that the integrand's edges are made."),
+    ] = None
+    samplers: Annotated[tuple[Text, ...] | None, _SAMPLERS] = None
+    grid: Annotated[
+        Grid | None,
+        Meta(description="Values of {placeholders}: one estimator for each combination."),
+    ] = None
+    analyses: dict[str, Analysis] = {}
+
+
+class SceneConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
+    """An analysis of a scene with samplers of its own: an entry of ``[[maps]]``.
+
+    `kind` is the name of the analysis; the options of the entry are `analysis`.
+    """
+
+    name: Annotated[Text, _NAME]
+    samplers: Annotated[tuple[Text, ...] | None, _SAMPLERS] = None
+    grid: Annotated[
+        Grid | None, Meta(description="Values of {placeholders}: one for each combination.")
+    ] = None
+    kind: str = ""
+    analysis: Analysis = msgspec.field(default_factory=Analysis)
+
+
+class StudyConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
+    """A whole study file.
+
+    `analyses` are the tables of analyses by their names, in the order of the file; `scenes` the
+    entries of ``[[maps]]``.
+    """
+
+    title: Annotated[Text, Meta(description="Title of the report.")]
+    seed: Annotated[Annotated[int, Meta(ge=0)], Meta(description="Seed of all realisations.")] = 0
+    samplers: Annotated[
+        tuple[Text, ...],
+        Meta(description="Samplers of all estimators: `mcspectra list samplers`, chained by |."),
+    ] = ()
+    time_limit: Annotated[
+        Annotated[float, Meta(gt=0, le=1e9)] | None,
+        Meta(description="Seconds a task may take; then it is stopped and its analysis fails."),
+    ] = None
+    grid: Annotated[
+        Grid | None, Meta(description="Values of {placeholders} anywhere in the study.")
+    ] = None
+    estimators: Annotated[
+        tuple[EstimatorConfig, ...], Meta(description="Tables [[estimators]].")
+    ] = ()
+    analyses: dict[str, Analysis] = {}
+    scenes: tuple[SceneConfig, ...] = ()
+
+    @property
+    def entries(self) -> tuple[EstimatorConfig | SceneConfig, ...]:
+        """Estimators, then scenes: all that has samplers, in the order of the file."""
+        return *self.estimators, *self.scenes
+
+    def samplers_of(self, entry: EstimatorConfig | SceneConfig) -> tuple[str, ...]:
+        """The samplers of an entry: its own, or the study's."""
+        return self.samplers if entry.samplers is None else entry.samplers
+
+
+def analysis_tables() -> dict[str, type[Analysis]]:
+    """Analyses by the keys of their tables: the name, and ``maps`` for ``map``, which is of a scene.
+
+    Those of other packages that cannot be loaded are left out.
+    """
+    found = {}
+    for name in sorted(_names()):
+        with contextlib.suppress(MissingDependency):
+            kind = ANALYSES.load(name)
+            found[f"{name}s" if kind.about == "scene" else name] = kind
+    return found
+
+
+def _names() -> frozenset[str]:
+    """Names of analyses that can be keys of a study: other packages' may not hide its own keys."""
+    own = {*StudyConfig.__struct_fields__, *EstimatorConfig.__struct_fields__}
+    return frozenset(n for n in ANALYSES if _TABLE_NAME.fullmatch(n) and n not in own)
+
+
+def read_study(path: str | Path, overrides: Sequence[str] = ()) -> StudyConfig:
+    """Read and check a study file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    overrides
+        Changes ``key=value``, as of ``mcspectra run --set``: `apply_overrides`.
+
+    Raises
+    ------
+    ConfigError
+        Missing or unreadable file, not TOML, or not a study; the message names the place.
+    """
+    given: Any = path
+    if not isinstance(given, str | Path) or "\0" in str(given):
+        raise ConfigError(f"{given!r} is not the path of a study file; give that of a .toml file.")
+    file = Path(path)
+    try:
+        if file.exists() and not file.is_file():
+            raise ConfigError(f"{str(file)!r} is not a file; give the path of a .toml file.")
+        if file.stat().st_size > _LARGEST_FILE:
+            raise ConfigError(f"{str(file)!r} is larger than a study file can be (4 MiB).")
+        text = file.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise ConfigError(
+            f"There is no study file {str(file)!r}; give the path of a .toml file."
+        ) from None
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        raise ConfigError(f"The study file {str(file)!r} cannot be read: {reason}.") from None
+    return decode_study(text, str(file), overrides)
+
+
+def decode_study(text: str, source: str = "study", overrides: Sequence[str] = ()) -> StudyConfig:
+    """Check the text of a study file; `source` names it in messages. Grids are expanded.
+
+    Raises
+    ------
+    ConfigError
+        As of `read_study`.
+    """
+    if not isinstance(text, str):
+        raise ConfigError(f"{source} is {type(text).__name__}, not the text of a study file.")
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{source} is not valid TOML: {error}.") from None
+    except RecursionError:
+        raise ConfigError(f"{source} is nested too deeply for a study.") from None
+    except ValueError:  # tomllib hands on what int() says of 5000 digits
+        raise ConfigError(f"{source} holds a number that is too long.") from None
+    return study_of(expand_grids(apply_overrides(table, overrides), source), source)
+
+
+def study_of(table: Mapping[str, Any], source: str = "study") -> StudyConfig:
+    """Return the study of a table without grids: the inverse of `plain_study`.
+
+    Raises
+    ------
+    ConfigError
+        It is none; the message names the place.
+    """
+    try:
+        config = _Reader().study(table)
+        _check_study(config)
+    except McspectraError as error:
+        raise ConfigError(f"{source}: {error}") from None
+    return config
+
+
+def plain_study(config: StudyConfig) -> dict[str, Any]:
+    """Return a study as plain values, with the keys of a file: grids are expanded.
+
+    Keys of the study and of estimators that have their default are left out, options of analyses are
+    all there: what a study computes does not depend on which analyses are installed beside its own.
+    """
+    plain: dict[str, Any] = msgspec.to_builtins(config)
+    for entry in (plain, *plain.get("estimators", ())):
+        entry |= entry.pop("analyses", {})
+    for entry in plain.pop("scenes", ()):
+        listed = plain.setdefault(f"{entry.pop('kind')}s", [])
+        listed.append({**entry, **entry.pop("analysis")})
+    return plain
+
+
+# Types: each table is made the struct that it is.
+
+
+@final
+class _Reader:
+    """Makes structs of the tables of one study; equal options of analyses are checked once."""
+
+    def __init__(self) -> None:
+        self._names = _names()
+        self._kinds: dict[str, type[Analysis]] = {}
+        self._clean: set[tuple[str, str, str]] = set()
+
+    def study(self, table: Mapping[str, Any]) -> StudyConfig:
+        """A whole study."""
+        if not isinstance(table, dict):
+            raise ConfigError(f"a study is a table, not {table!r}.")
+        lists = {key: name for key in table if (name := self._scene(key))}
+        rest = {k: v for k, v in table.items() if k not in lists and k != "estimators"}
+        config = self._with_analyses(rest, StudyConfig, "")
+        estimators = tuple(
+            self._with_analyses(entry, EstimatorConfig, place)
+            for entry, place in _entries("estimators", table.get("estimators", []))
+        )
+        scenes = tuple(
+            self._of_scene(name, entry, place)
+            for key, name in lists.items()
+            for entry, place in _entries(key, table[key])
+        )
+        return msgspec.structs.replace(config, estimators=estimators, scenes=scenes)
+
+    def _scene(self, key: str) -> str:
+        """Name of the analysis of scenes whose entries a key lists, ``map`` of ``maps``, or nothing."""
+        name = key.removesuffix("s")
+        listed = key not in self._names and name != key and name in self._names
+        return name if listed and self._kind(name).about == "scene" else ""
+
+    def _kind(self, name: str) -> type[Analysis]:
+        if name not in self._kinds:  # the registry asks all packages each time
+            self._kinds[name] = ANALYSES.load(name)
+        return self._kinds[name]
+
+    def _with_analyses(self, table: Any, kind: type[Struct], place: str) -> Struct:
+        """A table that may have tables of analyses in it."""
+        asked = [key for key in table if key in self._names] if isinstance(table, dict) else ()
+        if not asked:
+            return _struct(table, kind, place)
+        made = _struct({k: v for k, v in table.items() if k not in self._names}, kind, place)
+        analyses = {}
+        for key in asked:
+            inside = f"{place}.{key}" if place else key
+            if self._kind(key).about == "scene":
+                raise ConfigError(f"{inside} is an analysis of scenes; list tables [[{key}s]].")
+            analyses[key] = self._analysis(key, table[key], inside)
+        return msgspec.structs.replace(made, analyses=analyses)
+
+    def _of_scene(self, name: str, entry: Any, place: str) -> SceneConfig:
+        """An entry of ``[[maps]]``."""
+        if not isinstance(entry, dict):
+            return _struct(entry, SceneConfig, place)
+        keys = ("name", "samplers")
+        made = _struct({key: entry[key] for key in keys if key in entry}, SceneConfig, place)
+        options = {key: value for key, value in entry.items() if key not in keys}
+        analysis = self._analysis(name, options, place, keys)
+        return msgspec.structs.replace(made, kind=name, analysis=analysis)
+
+    def _analysis(
+        self, name: str, table: Any, place: str, beside: tuple[str, ...] = ()
+    ) -> Analysis:
+        kind = self._kind(name)
+        made: Analysis = _struct(table, kind, place, beside)
+        for option in options_of(kind):  # what types cannot say
+            value = getattr(made, option.name)
+            key = name, option.name, repr(value)
+            if key not in self._clean:
+                option.check(value, f"{place}.{option.name}")
+                self._clean.add(key)
+        return made
+
+
+def _entries(key: str, entries: Any) -> Iterator[tuple[Any, str]]:
+    """Entries of a list of tables, with their places."""
+    if not isinstance(entries, list | tuple):
+        raise ConfigError(f"{key}: expected array, got {type(entries).__name__}.")
+    return ((entry, f"{key}[{i}]") for i, entry in enumerate(entries))
+
+
+def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] = ()) -> Struct:
+    """A table as a struct; `beside` are keys of its place that are not its own.
+
+    Raises
+    ------
+    ConfigError
+        A key is unknown, or a value has the wrong type or breaks its limits.
+    """
+    known = _keys_of(kind)
+    unknown = [key for key in table if key not in known] if isinstance(table, dict) else []
+    where = f"{place}: " if place else ""
+    if unknown:
+        tables = analysis_tables() if "analyses" in kind.__struct_fields__ else {}
+        top = kind is StudyConfig
+        allowed = [
+            *beside,
+            *known,
+            *(key for key, each in tables.items() if top or each.about != "scene"),
+        ]
+        hint, close = close_match_hint(unknown[0], allowed)
+        sentence = f"{where}there is no key {unknown[0]!r}; allowed here: {', '.join(allowed)}."
+        raise ConfigError(sentence + (hint if close else ""))
+    try:
+        return msgspec.convert(table, kind, strict=True)
+    except msgspec.ValidationError as error:
+        # "Expected `int`, got `str` - at `$.n`" becomes a sentence.
+        what, _, inner = str(error).partition(" - at `$")
+        path = inner.rstrip("`").lstrip(".")
+        where = f"{place}{'.' if place and path else ''}{path}"
+        name = re.split(r"[.\[]", path)[0]
+        if "enum value" in what:  # say what there is to choose from
+            (option,) = (each for each in options_of(kind) if each.name == name)
+            with contextlib.suppress(TypeError):
+                option.check(table[name], f"{place}.{name}" if place else name)
+        words = f"{what[:1].lower()}{what[1:].replace('`', '')}."
+        raise ConfigError(f"{where}: {words}" if where else words) from None
+
+
+@functools.cache
+def _keys_of(kind: type[msgspec.Struct]) -> tuple[str, ...]:
+    """Keys of a table but for its tables of analyses."""
+    hidden = RESERVED if issubclass(kind, _Table) else ()
+    return tuple(key for key in kind.__struct_fields__ if key not in hidden)
+
+
+# What tables must keep among each other, beyond the types of their keys.
+
+
+def _check_study(config: StudyConfig) -> None:
+    """Refuse names that repeat, missing samplers and keys that contradict each other."""
+    if not config.entries:
+        raise ConfigError("there is nothing to study; give [[estimators]] or [[maps]].")
+    (name, times), *_ = Counter(entry.name for entry in config.entries).most_common(1)
+    if times > 1:
+        raise ConfigError(f"two estimators are called {name!r}; names must differ.")
+    seen = set()
+    for entry in config.entries:
+        samplers = config.samplers_of(entry)
+        if not samplers:
+            raise ConfigError(f"{entry.name!r} has no samplers; list some there or at the top.")
+        if id(samplers) not in seen and len(set(samplers)) < len(samplers):
+            raise ConfigError(f"{entry.name!r} lists a sampler twice.")
+        seen.add(id(samplers))  # most share one list
+    for estimator in config.estimators:
+        for complaint in _complaints(estimator):
+            raise ConfigError(f"the estimator {estimator.name!r} {complaint}")
+
+
+def _complaints(e: EstimatorConfig) -> Iterator[str]:
+    """What is wrong with the keys of an estimator, as the rest of a sentence."""
+    several = e.densities is not None or e.integrands is not None
+    if (e.integrand is None) == (e.integrands is None):
+        yield "needs either integrand or integrands."
+    if e.density is not None and e.densities is not None:
+        yield "has density and densities; give one of them."
+    if e.densities is None and e.heuristic is not None:
+        yield "has a heuristic, which weights densities; give densities, or leave it out."
+    if e.technique_counts is not None and (not several or e.one_sample):
+        yield (
+            "has technique_counts but one technique; give densities or integrands, or leave it out."
+        )
+    if e.integrands is not None and (e.density is not None or e.densities is not None):
+        yield "has integrands, which carry their densities inside; leave density and densities out."
+    if e.integrands is not None and e.smoothed is not None:
+        yield "has integrands, which cannot be smoothed; leave smoothed out."
+    if e.sets is not None and (not several or e.one_sample):
+        yield "has sets, which belong to several techniques; leave it out."
+
+    # Choosing one of the techniques
+    if e.one_sample and e.densities is None:
+        yield "has one_sample but no densities to choose from; give densities."
+    if not e.one_sample and (e.probabilities is not None or e.selection is not None):
+        yield "has probabilities or selection, which belong to one_sample = true."
+
+    # Densities of colour channels
+    if e.channels == "one" and e.density is None:
+        yield 'has channels = "one", which needs density.'
+    if e.channels not in (None, "one") and e.densities is None:
+        yield f'has channels = "{e.channels}", which needs densities, one for each channel.'
+    if e.channels is not None and e.one_sample:
+        yield "has channels and one_sample; give one of them."
+    given = (e.heuristic, e.technique_counts, e.sets)
+    if e.channels in ("own", "shared") and any(value is not None for value in given):
+        yield f'has channels = "{e.channels}", which takes no heuristic, technique_counts or sets.'
+
+
+# Changes from the command line: ``convergence.realizations=100``, values as in TOML.
+
+
+def apply_overrides(table: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+    """Return a study's table with changes made to it, in their order.
+
+    Parameters
+    ----------
+    table
+        The study as TOML gives it; left as it is.
+    overrides
+        Texts ``path=value``: the path is keys between dots with indices from 0, such as
+        ``estimators[0].density``; the value is one of TOML. A table that is missing is made.
+
+    Raises
+    ------
+    ConfigError
+        A path cannot be read or leads nowhere, or a value is not one of TOML. Whether a study has
+        such a key is checked later, with the study.
+    """
+    given: Any = overrides
+    if not isinstance(given, list | tuple) or not all(isinstance(text, str) for text in given):
+        raise ConfigError(f"The changes are {given!r}; give a list of texts key=value.")
+    changed = copy.deepcopy(table) if overrides else table
+    for text in overrides:
+        path, equals, value = text.partition("=")
+        if not equals:
+            raise ConfigError(f"--set {text!r} has no '='; write key=value.")
+
+        # Read the place: keys between dots, each with its indices
+        steps: list[str | int] = []
+        for part in path.strip().split("."):
+            match = _STEP.fullmatch(part)
+            if match is None:
+                raise ConfigError(
+                    f"--set {text!r}: {path.strip()!r} is not a place in a study; write for example "
+                    "seed, samplers[0] or estimators[0].density."
+                )
+            steps += [match[1], *map(int, re.findall(r"\d+", match[2]))]
+
+        # Read the value, one of TOML and nothing after it
+        try:
+            found = tomllib.loads(f"value = {value}\n")
+        except (ValueError, RecursionError):
+            found = {}
+        if list(found) != ["value"]:
+            raise ConfigError(
+                f"--set {text!r}: {value.strip()!r} is not a value of TOML; strings need quotes: "
+                "key='\"text\"'."
+            )
+
+        # Put it there
+        place: Any = changed
+        for i, step in enumerate(steps):
+            lack = ""
+            if isinstance(step, str) and not isinstance(place, dict):
+                lack = f"there is no table that could hold {step!r}"
+            elif isinstance(step, int) and not isinstance(place, list):
+                lack = f"there is no list that could hold [{step}]; count from 0"
+            elif isinstance(step, int) and step >= len(place):
+                entries = "1 entry" if len(place) == 1 else f"{len(place)} entries"
+                lack = f"there is no [{step}], the list has {entries}; count from 0"
+            if lack:
+                raise ConfigError(f"--set {text!r}: {lack}.")
+            if i == len(steps) - 1:
+                place[step] = found["value"]
+            else:
+                place = place.setdefault(step, {}) if isinstance(place, dict) else place[step]
+    return changed
+
+
+# Grids: ``{placeholders}`` in a study stand for lists of values, and every combination is made.
+
+
+def expand_grids(table: dict[str, Any], source: str = "study") -> dict[str, Any]:
+    """Return a study's table without grids: all combinations written out.
+
+    Estimators, maps and samplers are repeated for each combination of the placeholders in them, and
+    in the study's tables of analyses that they take; a text that is nothing but a placeholder becomes
+    the value itself, a number for a number, a list for a list.
+
+    Parameters
+    ----------
+    table
+        The study as TOML gives it. A table ``grid`` at the top serves the whole study, one in an
+        estimator that estimator, before the one at the top. A table of an analysis with placeholders
+        at the top goes into each estimator that has none of its own.
+    source
+        What messages call the study.
+
+    Raises
+    ------
+    ConfigError
+        A grid is no table of lists, a placeholder is not in it, or where there can be one value only,
+        or the grid has one that nothing uses, or there would be more than `MOST_ENTRIES` entries, or
+        more text than a study can have: both are counted before anything is made.
+    """
+    try:
+        return _Grids(table).expanded()
+    except ConfigError as error:
+        raise ConfigError(f"{source}: {error}") from None
+
+
+@final
+class _Grids:
+    """The grids of one study."""
+
+    def __init__(self, table: dict[str, Any]) -> None:
+        self._table = table
+        self._shared = _grid_values(table.get("grid"), "grid")
+        self._used: set[str] = set()
+        self._made: Counter[str] = Counter()  # entries of each list of tables
+
+    def expanded(self) -> dict[str, Any]:
+        """The study without grids."""
+        names = _names()
+        lists = [k for k in self._table if k not in names and k.removesuffix("s") in names]
+        lists = ["estimators", *lists]
+        made = self._inherited({k: v for k, v in self._table.items() if k != "grid"}, names, lists)
+        for key in _SINGLE:
+            if any(_placeholders(made.get(key))):
+                raise ConfigError(
+                    f"{key} is {made[key]!r}, and a study has one; take a study for each value, as "
+                    f"with --set {key}=..."
+                )
+        for key in lists:
+            if isinstance(made.get(key), list):
+                made[key] = [
+                    each
+                    for i, entry in enumerate(made[key])
+                    for each in self._entry(entry, key, f"{key}[{i}]")
+                ]
+        if isinstance(made.get("samplers"), list):
+            made["samplers"] = self._listed(made["samplers"], self._shared, self._used, "samplers")
+        _check_used(self._shared, self._used, "")
+        return made
+
+    def _inherited(
+        self, table: dict[str, Any], names: Collection[str], lists: Sequence[str]
+    ) -> dict[str, Any]:
+        """Move tables of analyses with placeholders into the estimators that have none of their own.
+
+        So too a placeholder in place of the list of samplers, which maps take as well.
+        """
+        takers = {
+            key: [e for e in table[key] if isinstance(e, dict)]
+            for key in lists
+            if isinstance(table.get(key), list)
+        }
+        asked = {k: v for k, v in table.items() if k in names and isinstance(v, dict)}
+        moved = {
+            k: v for k, v in asked.items() if takers.get("estimators") and any(_placeholders(v))
+        }
+        samplers = table.get("samplers")
+        whole = isinstance(samplers, str) and _PLACEHOLDER.fullmatch(samplers)
+        listed = {"samplers": samplers} if whole and any(takers.values()) else {}
+        kept = {key: value for key, value in table.items() if key not in {**moved, **listed}}
+        for key in takers:
+            given = {**moved, **listed} if key == "estimators" else listed
+            kept[key] = [{**given, **e} if isinstance(e, dict) else e for e in kept[key]]
+        return kept
+
+    def _entry(self, entry: Any, key: str, place: str) -> Iterator[Any]:
+        """An estimator or a map, repeated over the placeholders outside its list of samplers."""
+        if not isinstance(entry, dict):
+            yield entry  # a wrong type, which the types of a study report
+            return
+        own = _grid_values(entry.get("grid"), f"{place}.grid")
+        values = {**self._shared, **own}
+        listed = isinstance(entry.get("samplers"), list)
+        samplers = entry["samplers"] if listed else []
+        apart = ("grid", "samplers") if listed else ("grid",)
+        body = {name: value for name, value in entry.items() if name not in apart}
+        keys = _keys_in(body, values, place)
+        used = {*keys, *_keys_in(samplers, values, place)}
+        _check_used(own, used, f"{place}: ")
+        self._used |= used - own.keys()
+        self._made[key] += math.prod(len(values[name]) for name in keys)
+        _check_size(self._made[key], 0, key)
+        mentioned = set(_placeholders(body.get("name")))
+        for choice in _choices(keys, values, entry, place):
+            made = _filled(body, choice)
+            rest = [f"{k}={v}" for k, v in choice.items() if k not in mentioned]
+            if rest and isinstance(made.get("name"), str):
+                made["name"] += f" ({', '.join(rest)})"
+            if listed:
+                chosen = {**values, **{k: [value] for k, value in choice.items()}}
+                made["samplers"] = self._listed(samplers, chosen, set(), place)
+            yield made
+
+    def _listed(self, texts: list[Any], values: Values, used: set[str], place: str) -> list[Any]:
+        """Samplers: each repeated over its own placeholders."""
+        if not any(_placeholders(texts)):
+            return texts
+        made: list[Any] = []
+        for text in texts:
+            keys = _keys_in(text, values, place)
+            used |= set(keys)
+            made += [_filled(text, choice) for choice in _choices(keys, values, text, place)]
+            _check_size(len(made), 0, place)
+        return made
+
+
+def _check_used(values: Values, used: Collection[str], place: str) -> None:
+    for key in values:
+        if key not in used:
+            _, close = close_match_hint(key, used)
+            offer = f" Did you mean {' or '.join(map(repr, close))}?" if close else ""
+            raise ConfigError(
+                f"{place}nothing uses grid.{key}; write {{{key}}} where its values go, or leave it "
+                f"out.{offer}"
+            )
+
+
+def _choices(keys: list[str], values: Values, body: Any, place: str) -> Iterator[dict[str, Any]]:
+    """All combinations of values for a body, unless it makes too many or too long ones."""
+    number = math.prod(len(values[key]) for key in keys)
+    longest = sum(max(len(str(value)) for value in values[key]) for key in keys)
+    size = len(repr(body)) + longest * (1 + len([*_placeholders(body)]))
+    _check_size(number, number * size if keys else 0, place)
+    return (
+        dict(zip(keys, chosen, strict=True))
+        for chosen in itertools.product(*(values[key] for key in keys))
+    )
+
+
+def _check_size(number: int, size: int, place: str) -> None:
+    if number > MOST_ENTRIES or size > _MOST_TEXT:
+        long = f" with {size:.2g} characters" if size > _MOST_TEXT else ""
+        raise ConfigError(
+            f"{place}: the grid makes {number:,} entries{long}; at most {MOST_ENTRIES:,} are made, with "
+            f"{_MOST_TEXT:.0e} characters, so take fewer values, or several studies."
+        )
+
+
+def _keys_in(value: Any, values: Values, place: str) -> list[str]:
+    """Placeholders in a value, in the order in which the grid lists them."""
+    found = set(_placeholders(value))
+    for key in sorted(found - set(values)):
+        if values:
+            offer, _ = close_match_hint(key, values)
+            raise ConfigError(f"{place}: there is no grid.{key} for {{{key}}}.{offer}")
+        raise ConfigError(f"{place}: {{{key}}} needs a grid: grid = {{ {key} = [...] }}.")
+    return [key for key in values if key in found]
+
+
+def _placeholders(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield from _PLACEHOLDER.findall(value)
+    elif isinstance(value, dict):
+        for item in value.values():
+            yield from _placeholders(item)
+    elif isinstance(value, list):
+        for item in value:
+            yield from _placeholders(item)
+
+
+def _filled(value: Any, choice: Mapping[str, Any]) -> Any:
+    """The value with its placeholders replaced."""
+    if isinstance(value, str):
+        if "{" not in value:
+            return value
+        whole = _PLACEHOLDER.fullmatch(value)
+        if whole is not None and whole[1] in choice:
+            return choice[whole[1]]
+        return _PLACEHOLDER.sub(lambda match: str(choice[match[1]]), value)
+    if isinstance(value, dict):
+        return {key: _filled(item, choice) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_filled(item, choice) for item in value]
+    return value
+
+
+def _grid_values(grid: Any, place: str) -> dict[str, list[Any]]:
+    """Check a table ``grid``."""
+    if grid is None:
+        return {}
+    if not isinstance(grid, dict):
+        raise ConfigError(f"{place} is {grid!r}; give a table of lists, {{ width = [0.1, 0.2] }}.")
+    for key, values in grid.items():
+        if not _KEY.fullmatch(key):
+            raise ConfigError(f"{place}: {key!r} is not a name of letters, digits and '_'.")
+        if not isinstance(values, list) or not values:
+            raise ConfigError(f"{place}.{key} is {values!r}; give a list of one or more values.")
+        for value in values:
+            _check_grid_value(value, f"{place}.{key}")
+    return grid
+
+
+def _check_grid_value(value: Any, place: str) -> None:
+    if isinstance(value, list):
+        for item in value:
+            _check_grid_value(item, place)
+    elif not isinstance(value, str | int | float | bool):
+        raise ConfigError(f"{place} holds {value!r}; give numbers, strings, or lists of them.")
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise ConfigError(f"{place} holds {value!r}; give finite numbers.")

@@ -1,0 +1,913 @@
+"""The ledger of a study: ``DIR/study.sqlite``, for one writer and any number of readers.
+
+All that a run knows is rows of one SQLite file: which study it is, its cells in their order, states of
+tasks whose cells are not finished, sentences of cells that failed, results. SQLite gives atomic commits
+and recovery after a crash; ours are the schema, the commit interval and the digests. Each row has a
+SHA-256 over all that it says, which is checked whenever it is read, and the row ``tally`` has the
+number of finished cells and the exclusive or of their digests, so that a row that damage makes vanish
+is noticed too. A resumed run keeps what is sound of a damaged file, names the rest, and computes it
+again.
+
+The file has a rollback journal, which network file systems support as well. The right to write is
+SQLite's lock on ``DIR/study.lock``, an empty file: it ends with its process, whatever the ledger notes
+of a holder.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import datetime as dt
+import functools
+import hashlib
+import os
+import socket
+import sqlite3
+import threading
+import time
+from collections.abc import Collection, Iterable, Iterator, KeysView, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeAlias, TypeVar, final
+
+import msgspec
+import numpy as np
+
+from mcspectra.core.analysis import Chunk
+from mcspectra.core.errors import OtherVersionsWarning, StorageError, StoreError, warn
+from mcspectra.core.results import package_versions
+from mcspectra.studies.files import StudyConfig, plain_study
+from mcspectra.studies.vetting import check_inputs
+
+__all__ = [
+    "FORMAT",
+    "LEDGER_NAME",
+    "STORE_NAME",
+    "Holder",
+    "Ledger",
+    "StudyNote",
+    "Tally",
+    "check_links",
+    "is_held",
+    "linked",
+]
+
+FORMAT = 3
+"""Of ledgers and stores; 1 and 2 were stores of zarr that grew while their studies ran."""
+
+LEDGER_NAME = "study.sqlite"
+STORE_NAME = "results.zarr"
+_LOCK_NAME = "study.lock"
+_WRITTEN = (LEDGER_NAME, _LOCK_NAME, STORE_NAME, "report.html", "figures")
+
+_COMMIT_SECONDS = 1.0  # so much work is lost by a kill or a power failure, at most
+_COMMIT_BYTES = 2**25
+_BUSY_SECONDS = 60.0  # for which commits wait for readers, and readers for commits
+_NOTE_SECONDS = 0.5  # from a lock to the note of its holder, at most
+_MOST_SENTENCE = 10_000  # characters
+
+_SCHEMA = (
+    "CREATE TABLE study (name TEXT PRIMARY KEY, text TEXT, digest BLOB) WITHOUT ROWID",
+    "CREATE TABLE cells (place INTEGER PRIMARY KEY, path TEXT UNIQUE, digest BLOB)",
+    "CREATE TABLE results (place INTEGER PRIMARY KEY, payload BLOB)",
+    """CREATE TABLE tasks (path TEXT, run TEXT, first INTEGER, blocks INTEGER, seconds REAL,
+    host TEXT, digest BLOB, payload BLOB, PRIMARY KEY (path, run, first, blocks))""",
+    "CREATE TABLE failures (path TEXT PRIMARY KEY, sentence TEXT, digest BLOB)",
+)
+_PUT_NOTE = "INSERT OR REPLACE INTO study VALUES (?, ?, ?)"
+_PUT_RESULT = "INSERT OR REPLACE INTO results SELECT place, ? FROM cells WHERE path = ?"
+_PUT_DIGEST = "UPDATE cells SET digest = ? WHERE path = ?"
+_PUT_TASK = "INSERT OR REPLACE INTO tasks VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
+_PUT_FAILURE = "INSERT OR REPLACE INTO failures VALUES (?, ?, ?)"
+_RESULT = (
+    "SELECT path, digest, payload FROM cells LEFT JOIN results USING (place) WHERE cells.{} = ?"
+)
+_ONE_TASK = "SELECT * FROM tasks WHERE path = ? AND run = ? AND first = ? AND blocks = ?"
+
+_DAMAGE = "its digest does not match"
+_REMEDY = "`mcspectra run` with --resume keeps what is sound and computes the rest again"
+_RENEW = (
+    "put back what was, give another --out, or --resume --retry to compute what depends on it again"
+)
+
+_Step: TypeAlias = tuple[str, tuple[Any, ...]]
+"""A statement of SQL and its values."""
+
+_Note = TypeVar("_Note", bound=msgspec.Struct)
+
+
+class StudyNote(msgspec.Struct, frozen=True, kw_only=True):
+    """Which study a ledger holds.
+
+    Attributes
+    ----------
+    title, seed
+        Of the study.
+    config
+        All of it, as JSON.
+    study_hash
+        SHA-256 of its canonical JSON, without what results do not depend on.
+    versions
+        Of this package and of those that numbers depend on: `mcspectra.core.results.package_versions`.
+    inputs
+        SHA-256 of the files that its results depend on, by names for people.
+    """
+
+    title: str
+    seed: int
+    config: str
+    study_hash: str
+    versions: dict[str, str]
+    inputs: dict[str, str]
+
+    @staticmethod
+    def of(config: StudyConfig, inputs: Mapping[str, str]) -> StudyNote:
+        """The note of a study that this process computes; its time limit is not in the hash."""
+        hashed = msgspec.json.encode(
+            msgspec.structs.replace(config, time_limit=None), order="sorted"
+        )
+        return StudyNote(
+            title=config.title,
+            seed=config.seed,
+            config=msgspec.json.encode(plain_study(config)).decode(),
+            study_hash=hashlib.sha256(hashed).hexdigest(),
+            versions=package_versions(),
+            inputs=dict(inputs),
+        )
+
+
+class Holder(msgspec.Struct, frozen=True):
+    """Who writes into a folder, or did when it ended without a word: host, process, since when."""
+
+    host: str
+    pid: int
+    since: str
+
+    @property
+    def in_words(self) -> str:
+        """For messages: ``process 12 on host 'a' since …``."""
+        return f"process {self.pid} on host {self.host!r} since {self.since}"
+
+
+class Tally(msgspec.Struct, frozen=True, kw_only=True):
+    """What changes with every commit.
+
+    Attributes
+    ----------
+    done, size, digest
+        Finished cells: how many, bytes of their results, exclusive or of their digests.
+    started, finished
+        When the study was begun, and when its last cell was finished: UTC, ISO 8601.
+    hosts
+        Machines that began it, went on with it or computed for it.
+    holder
+        The process that writes; None once it has ended in good order.
+    """
+
+    done: int = 0
+    size: int = 0
+    digest: str = f"{0:064x}"
+    started: str | None = None
+    finished: str | None = None
+    hosts: tuple[str, ...] = ()
+    holder: Holder | None = None
+
+    def plus(self, digest: bytes, size: int) -> Tally:
+        """With a finished cell more."""
+        either = int(self.digest, 16) ^ int.from_bytes(digest, "big")
+        return msgspec.structs.replace(
+            self, done=self.done + 1, size=self.size + size, digest=f"{either:064x}"
+        )
+
+
+class _Header(msgspec.Struct, frozen=True, kw_only=True):
+    """What never changes but for inputs: the study, its number of cells, SHA-256 of their paths."""
+
+    study: StudyNote
+    cells: int
+    plan: str
+
+
+@dataclass(frozen=True)
+class _Sound:
+    """What of a ledger is as it was written: places of results, rows of tasks, failures."""
+
+    results: dict[str, int] = field(default_factory=dict)
+    tasks: dict[int, str] = field(default_factory=dict)
+    failures: dict[str, str] = field(default_factory=dict)
+
+
+@final
+class Ledger:
+    """What is known of a study: made by `create`, `resume` or `read`, a context manager.
+
+    What a writer is told is committed once a second, by a thread of its own, and by `close`.
+
+    Attributes
+    ----------
+    folder
+        Where it lies.
+    tally
+        How far it was at the last commit.
+    damaged
+        What was found damaged, in words, by paths of cells, keys of tasks, or names of parts.
+    """
+
+    def __init__(self, folder: Path, lock: sqlite3.Connection | None = None) -> None:
+        self.folder = folder
+        self.tally = Tally()
+        self.damaged: dict[str, str] = {}
+        self._file = folder / LEDGER_NAME
+        self._lock = lock
+        self._connection: sqlite3.Connection | None = None
+        self._guard = threading.RLock()
+        # What is not committed: statements with the digest and size of a result, and states.
+        self._pending: list[tuple[tuple[_Step, ...], bytes | None, int]] = []
+        self._fresh: dict[tuple[str, str, Chunk], bytes] = {}
+        self._waiting = 0  # bytes
+        self._closed = threading.Event()
+        self._broken: StoreError | None = None  # what a commit of the thread has met
+        self._holds = False
+
+    @staticmethod
+    def create(folder: Path, study: StudyNote, paths: Sequence[str]) -> Ledger:
+        """Begin the ledger of a study in a folder, which is made if it is not there.
+
+        Parameters
+        ----------
+        paths
+            Of all cells, in the order in which they are listed.
+
+        Raises
+        ------
+        StoreError
+            There are results already, another process writes into the folder, it has symbolic links
+            where a run writes, or it cannot be written (StorageError).
+        """
+        return _writer(folder, study, paths, None)
+
+    @staticmethod
+    def resume(
+        folder: Path, study: StudyNote, paths: Sequence[str], *, outdated: Collection[str] = ()
+    ) -> Ledger:
+        """Go on with the ledger of a folder, all of which is verified; without one, begin it.
+
+        Parameters
+        ----------
+        outdated
+            Paths of cells to be computed again, as files that they depend on have changed; without
+            any, changed files are refused.
+
+        Raises
+        ------
+        StoreError
+            As of `create`; the ledger is of another study, format or version of this package, or so
+            damaged that it does not say of which.
+
+        Warns
+        -----
+        OtherVersionsWarning
+            It was begun with other versions of packages that numbers depend on.
+        """
+        return _writer(folder, study, paths, outdated)
+
+    @staticmethod
+    def read(folder: str | Path) -> Ledger:
+        """Look into the ledger of a folder, which may be in use; nothing is changed.
+
+        Raises
+        ------
+        StoreError
+            There is none, it is of another format, or damaged.
+        """
+        ledger = Ledger(Path(folder))
+        try:
+            ledger._open()
+        except BaseException:
+            ledger.close()
+            raise
+        return ledger
+
+    @property
+    def study(self) -> StudyNote:
+        """The study, as it was when the ledger was begun."""
+        return self._header.study
+
+    @property
+    def paths(self) -> Sequence[str]:
+        """Paths of all cells of the study, in their order."""
+        return self._listing[0]
+
+    @property
+    def done(self) -> KeysView[str]:
+        """Paths of the finished cells: those of earlier runs in their order, then new ones."""
+        return self._listing[1].keys()
+
+    def failures(self) -> dict[str, str]:
+        """Sentences of the cells that failed, by their paths."""
+        return dict(self._failures)
+
+    def tasks(self, path: str) -> list[tuple[str, Chunk]]:
+        """What is recorded of a cell that is not finished: keys of runs, and blocks of them."""
+        return list(self._recorded.get(path, ()))
+
+    @property
+    def recorded(self) -> int:
+        """Number of recorded states."""
+        return sum(map(len, self._recorded.values()))
+
+    def state(self, path: str, run: str, chunk: Chunk) -> bytes | None:
+        """The recorded state of a task; None if it was never recorded, or is `damaged`."""
+        with self._guard:
+            fresh = self._fresh.get((path, run, chunk))
+            if fresh is not None:
+                return fresh
+            for row in self._rows(_ONE_TASK, (path, run, *chunk)):
+                if self._is_sound("task", row[:6], row[7], row[6]):
+                    return bytes(row[7])
+            if self._recorded.get(path, {}).pop((run, chunk), False) is None:
+                self.damaged[_task_name(path, run, *chunk)] = _DAMAGE
+            return None
+
+    def result(self, path: str) -> bytes:
+        """The result of a finished cell.
+
+        Raises
+        ------
+        StoreError
+            The study has no such cell, it is not finished, or its result is damaged.
+        """
+        self.commit()
+        rows = self._rows(_RESULT.format("path"), (path,))
+        if not rows:
+            raise StoreError(f"The study in {str(self.folder)!r} has no cell {path!r}.")
+        _, digest, payload = rows[0]
+        if digest is None:
+            reason = self._failures.get(path, "it is not finished.")
+            raise StoreError(f"{str(self.folder)!r} has no result of {path}: {reason}")
+        if not self._is_sound("result", (path,), payload, digest):
+            raise StoreError(
+                f"The cell {path} in {str(self._file)!r} is damaged: {_DAMAGE}; {_REMEDY}."
+            )
+        return bytes(payload)
+
+    def record(
+        self,
+        path: str,
+        run: str,
+        chunk: Chunk,
+        payload: bytes,
+        seconds: float = 0.0,
+        host: str = "",
+    ) -> None:
+        """Keep the state of a task of a cell that is not finished.
+
+        Parameters
+        ----------
+        run, chunk
+            Key of the run, and which of its blocks.
+        seconds, host
+            How long it took, and where.
+
+        Raises
+        ------
+        StorageError
+            What was told cannot be written; so of all that write.
+        """
+        values = (path, run, *chunk, float(seconds), host)
+        step = _PUT_TASK, (*values, self._digest("task", values, payload), payload)
+        with self._guard:
+            if host and host not in self.tally.hosts:
+                self.tally = msgspec.structs.replace(self.tally, hosts=(*self.tally.hosts, host))
+            self._fresh[path, run, chunk] = payload
+            self._recorded.setdefault(path, {})[run, chunk] = None
+            self._tell(step, size=len(payload))
+
+    def finish(self, path: str, payload: bytes) -> None:
+        """Keep the result of a cell; what was recorded of it goes in the same transaction.
+
+        Raises
+        ------
+        StoreError
+            It is finished already.
+        """
+        digest = self._digest("result", (path,), payload)
+        with self._guard:
+            if path in self.done:
+                raise StoreError(f"The cell {path} in {str(self.folder)!r} is finished already.")
+            put = (_PUT_RESULT, (payload, path)), (_PUT_DIGEST, (digest, path))
+            self._tell(*put, *self._forgetting(path), digest=digest, size=len(payload))
+            self._listing[1][path] = None
+
+    def fail(self, path: str, sentence: str) -> None:
+        """Note why a cell has failed."""
+        text = sentence[:_MOST_SENTENCE].encode("utf-8", "replace").decode()
+        digest = self._digest("failure", (path,), text.encode())
+        with self._guard:
+            self._failures[path] = text
+            self._tell((_PUT_FAILURE, (path, text, digest)))
+
+    def forget(self, paths: Iterable[str]) -> None:
+        """Drop failures and recorded states of cells, which are to be tried again."""
+        with self._guard:
+            self._tell(*(step for path in paths for step in self._forgetting(path)))
+
+    def commit(self) -> None:
+        """Write what was told since the last commit, all of it or nothing."""
+        with self._guard:
+            if self._broken is not None:
+                raise self._broken
+            if self._pending:
+                tally = self.tally
+                for _, digest, size in self._pending:
+                    tally = tally if digest is None else tally.plus(digest, size)
+                if tally.done == self._header.cells and tally.finished is None:
+                    tally = msgspec.structs.replace(tally, finished=_now())
+                self._write((step for steps, *_ in self._pending for step in steps), tally)
+                # No call stands between these, so that no signal can come between them.
+                self.tally, self._pending, self._fresh, self._waiting = tally, [], {}, 0
+
+    def verify(self) -> dict[str, str]:
+        """Read everything: what is `damaged`, in words."""
+        self.commit()
+        self._sound_rows(self.paths)
+        return dict(self.damaged)
+
+    def close(self) -> None:
+        """Commit, note that this process has ended, give the folder free; again, do nothing."""
+        self._closed.set()
+        try:
+            if self._holds:
+                self._holds = False
+                self.commit()
+                self._write((), msgspec.structs.replace(self.tally, holder=None))
+        finally:
+            with self._guard, contextlib.suppress(sqlite3.Error):
+                for connection in (self._connection, self._lock):
+                    if connection is not None:
+                        connection.close()
+                self._connection = self._lock = None
+
+    def __enter__(self) -> Ledger:
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        # What ended the run is what there is to say.
+        with contextlib.nullcontext() if kind is None else contextlib.suppress(StoreError):
+            self.close()
+
+    def _tell(self, *steps: _Step, digest: bytes | None = None, size: int = 0) -> None:
+        if self._broken is not None:
+            raise self._broken
+        self._pending.append((steps, digest, size))
+        self._waiting += size
+        if self._waiting > _COMMIT_BYTES:
+            self.commit()
+
+    def _forgetting(self, path: str) -> list[_Step]:
+        steps: list[_Step] = []
+        if self._recorded.pop(path, None) is not None:
+            steps.append(("DELETE FROM tasks WHERE path = ?", (path,)))
+        if self._failures.pop(path, None) is not None:
+            steps.append(("DELETE FROM failures WHERE path = ?", (path,)))
+        return steps
+
+    def _begin(self, study: StudyNote, paths: Sequence[str]) -> None:
+        self._set_header(_Header(study=study, cells=len(paths), plan=_plan_digest(paths)))
+        self.tally = Tally(started=_now())
+        self._replace(paths, _Sound())
+
+    def _continue(self, study: StudyNote, paths: Sequence[str], outdated: Collection[str]) -> None:
+        """Check that the ledger is of this study; keep what is sound and not outdated."""
+        self._open()
+        whose = f"The results in {str(self.folder)!r} are"
+        if (study.study_hash, _plan_digest(paths)) != (self.study.study_hash, self._header.plan):
+            raise StoreError(
+                f"{str(self._file)!r} belongs to another study or another version of this one; "
+                "give another --out."
+            )
+        _check_versions(self.study.versions, study.versions, whose)
+        if not outdated:
+            check_inputs(self.study.inputs, study.inputs, whose, _RENEW)
+        sound = self._sound_rows(paths)
+        if not self.damaged and not outdated:
+            self._listing = list(paths), dict.fromkeys(sound.results)
+            return
+        changed = msgspec.structs.replace(self.study, inputs=study.inputs)
+        self._set_header(msgspec.structs.replace(self._header, study=changed))
+        for path in outdated:
+            sound.results.pop(path, None)
+            sound.failures.pop(path, None)
+        tasks = {row: path for row, path in sound.tasks.items() if path not in outdated}
+        self._replace(paths, _Sound(sound.results, tasks, sound.failures))
+
+    def _hold(self) -> None:
+        """Note who writes from now on, and commit once a second what is told."""
+        host = socket.gethostname()
+        hosts = tuple(dict.fromkeys((*self.tally.hosts, host)))
+        holder = Holder(host, os.getpid(), _now())
+        self.tally = msgspec.structs.replace(self.tally, hosts=hosts, holder=holder)
+        self._write((), self.tally)
+        self._holds = True
+        threading.Thread(target=self._commit_in_time, daemon=True).start()
+
+    def _commit_in_time(self) -> None:
+        while not self._closed.wait(_COMMIT_SECONDS):
+            try:
+                self.commit()
+            except StoreError as error:
+                self._broken = error
+                return
+
+    def _write(self, steps: Iterable[_Step], tally: Tally) -> None:
+        """Carry out statements and note the tally, all of it or nothing."""
+        connection = self._opened
+        with _writing(self._file):
+            try:
+                connection.execute("BEGIN IMMEDIATE")
+                for statement, values in steps:
+                    connection.execute(statement, values)
+                connection.execute(_PUT_NOTE, self._row("tally", tally))
+                connection.execute("COMMIT")
+            except BaseException:
+                if connection.in_transaction:
+                    connection.execute("ROLLBACK")
+                raise
+
+    def _replace(self, paths: Sequence[str], sound: _Sound) -> None:
+        """Write the ledger anew beside its place, with what is sound, and put it there."""
+        partial = self.folder / f".{LEDGER_NAME}.partial"
+        tally = msgspec.structs.replace(
+            self.tally, done=0, size=0, digest=Tally().digest, finished=None
+        )
+        digests: dict[str, bytes] = {}
+        with _writing(self._file):
+            for file in (partial, partial.with_name(f"{partial.name}-journal")):
+                file.unlink(missing_ok=True)
+            new = _connected(partial, "rwc")
+            try:
+                new.execute("PRAGMA page_size = 8192")
+                new.execute(f"PRAGMA user_version = {FORMAT}")
+                new.execute("BEGIN")
+                for statement in _SCHEMA:
+                    new.execute(statement)
+                for path, place in sound.results.items():
+                    ((_, digests[path], payload),) = self._rows(_RESULT.format("place"), (place,))
+                    new.execute("INSERT INTO results VALUES (?, ?)", (place, payload))
+                    tally = tally.plus(digests[path], len(payload))
+                cells = ((place, path, digests.get(path)) for place, path in enumerate(paths))
+                new.executemany("INSERT INTO cells VALUES (?, ?, ?)", cells)
+                for row in sound.tasks:
+                    (task,) = self._rows("SELECT * FROM tasks WHERE rowid = ?", (row,))
+                    new.execute(_PUT_TASK, task)
+                for path, text in sound.failures.items():
+                    digest = self._digest("failure", (path,), text.encode())
+                    new.execute(_PUT_FAILURE, (path, text, digest))
+                new.execute(_PUT_NOTE, self._row("note", self._header))
+                new.execute(_PUT_NOTE, self._row("tally", tally))
+                new.execute("COMMIT")
+            finally:
+                new.close()
+            if self._connection is not None:
+                self._connection.close()
+            self._file.with_name(f"{LEDGER_NAME}-journal").unlink(missing_ok=True)
+            partial.replace(self._file)
+            self._connection = _connected(self._file, "rw")
+        self.tally = tally
+        self._listing = list(paths), dict.fromkeys(sound.results)
+        for name in ("_recorded", "_failures"):
+            self.__dict__.pop(name, None)
+
+    def _open(self) -> None:
+        """Open the file, and read which study it holds."""
+        for file in (self._file, self._file.with_name(f"{LEDGER_NAME}-journal")):
+            if file.is_symlink():
+                raise linked(str(file))
+        if not self._file.is_file():
+            raise StoreError(f"There are no results in {str(self.folder)!r}.")
+        try:
+            # Without the right to write SQLite opens it for reading; what a crash left it undoes.
+            self._connection = _connected(self._file, "rw")
+            if self._lock is None:
+                self._connection.execute("PRAGMA query_only = ON")
+        except sqlite3.Error as error:
+            raise self._unreadable(error) from None
+        ((version,),) = self._rows("PRAGMA user_version")
+        if version != FORMAT:
+            raise StoreError(
+                f"{str(self._file)!r} has store format {version}; this version reads {FORMAT}: open "
+                "it with the version that wrote it."
+            )
+        schema = self._rows("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY rowid")
+        header = self._note("note", _Header) if tuple(s for (s,) in schema) == _SCHEMA else None
+        if header is None:
+            raise StoreError(
+                f"{str(self._file)!r} is damaged where it says of which study it is, or it is no "
+                "ledger: give another folder."
+            )
+        self.tally = self._noted_tally()
+
+    def _set_header(self, header: _Header) -> None:
+        self._header = header
+        self._salt = hashlib.sha256(header.study.study_hash.encode())
+
+    def _note(self, name: str, kind: type[_Note]) -> _Note | None:
+        """What a row of the table ``study`` says; None if it is damaged."""
+        for text, digest in self._rows("SELECT text, digest FROM study WHERE name = ?", (name,)):
+            with contextlib.suppress(msgspec.MsgspecError, TypeError, AttributeError):
+                note = msgspec.json.decode(text, type=kind)
+                if isinstance(note, _Header):
+                    self._set_header(note)
+                if self._is_sound("study", (name,), text.encode(), digest):
+                    return note
+        return None
+
+    def _noted_tally(self) -> Tally:
+        tally = self._note("tally", Tally)
+        if tally is None:
+            self.damaged["tally"] = _DAMAGE
+        return tally or Tally()
+
+    @functools.cached_property
+    def _listing(self) -> tuple[list[str], dict[str, None]]:
+        """All paths, and those of finished cells, in their order: checked against the tally."""
+        self._rows("BEGIN")  # else a commit might come between
+        try:
+            self.tally = self._noted_tally()
+            rows = self._rows("SELECT path, digest FROM cells ORDER BY place")
+        finally:
+            self._opened.rollback()
+        paths = [path for path, _ in rows]
+        done = dict.fromkeys(path for path, digest in rows if digest is not None)
+        try:
+            digests = np.frombuffer(b"".join(d for _, d in rows if d is not None), np.uint64)
+            either = np.bitwise_xor.reduce(digests.reshape(len(done), 4), axis=0)
+            found = either.tobytes().hex(), _plan_digest(paths)
+        except (TypeError, ValueError):  # values of other types than were written
+            found = "", ""
+        if found != (self.tally.digest, self._header.plan):
+            self.damaged["list of cells"] = "it is not as it was written"
+        return paths, done
+
+    @functools.cached_property
+    def _recorded(self) -> dict[str, dict[tuple[str, Chunk], None]]:
+        found: dict[str, dict[tuple[str, Chunk], None]] = {}
+        for path, run, *chunk in self._rows("SELECT path, run, first, blocks FROM tasks"):
+            found.setdefault(path, {})[run, (chunk[0], chunk[1])] = None
+        return found
+
+    @functools.cached_property
+    def _failures(self) -> dict[str, str]:
+        found = {}
+        for path, text, digest in self._rows("SELECT path, sentence, digest FROM failures"):
+            content = text.encode() if isinstance(text, str) else None
+            if self._is_sound("failure", (path,), content, digest):
+                found[path] = text
+            else:
+                self.damaged[f"failure of {path}"] = _DAMAGE
+        return found
+
+    def _sound_rows(self, paths: Sequence[str]) -> _Sound:
+        """Read everything, as far as it can be read; what is not sound goes to `damaged`."""
+        sound, tally, before = _Sound(), Tally(), len(self.damaged)
+        try:
+            ((first, *_), *_) = self._rows("PRAGMA integrity_check(1)")
+            if first != "ok":
+                self.damaged["file"] = " ".join(str(first).split())
+        except StoreError as error:
+            self.damaged["file"] = str(error)
+        for place, path in enumerate(paths):
+            try:
+                rows = self._rows(_RESULT.format("place"), (place,))
+            except StoreError:
+                rows = []
+            if not rows or rows[0][0] != path:
+                self.damaged[path] = "its row cannot be read"
+            elif rows[0][1] is not None:
+                if self._is_sound("result", (path,), rows[0][2], rows[0][1]):
+                    sound.results[path] = place
+                    tally = tally.plus(rows[0][1], len(rows[0][2]))
+                else:
+                    self.damaged[path] = _DAMAGE
+        # Of a reader's list it is known already; meanwhile there may have been a commit.
+        if self._lock and len(self.damaged) == before and tally.digest != self.tally.digest:
+            self.damaged["list of cells"] = "finished cells are missing in it"
+        try:
+            for (row,) in self._rows("SELECT rowid FROM tasks"):
+                for found in self._rows("SELECT * FROM tasks WHERE rowid = ?", (row,)):
+                    *values, digest, payload = found
+                    if self._is_sound("task", tuple(values), payload, digest):
+                        sound.tasks[row] = values[0]
+                    else:
+                        self.damaged[_task_name(*values[:4])] = _DAMAGE
+            sound.failures.update(self._failures)
+        except StoreError as error:
+            self.damaged["recorded tasks and failures"] = str(error)
+        return sound
+
+    @property
+    def _opened(self) -> sqlite3.Connection:
+        if self._connection is None:
+            raise StoreError(f"The ledger {str(self._file)!r} is closed.")
+        return self._connection
+
+    def _rows(self, statement: str, values: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+        """What a statement finds.
+
+        Raises
+        ------
+        StoreError
+            The file cannot be read, or is damaged.
+        """
+        try:
+            return self._opened.execute(statement, values).fetchall()
+        except (sqlite3.Error, MemoryError, OverflowError) as error:
+            raise self._unreadable(error) from None
+
+    def _unreadable(self, error: BaseException) -> StoreError:
+        remedy = _REMEDY if self._lock is None else "give another --out"
+        return StoreError(f"{str(self._file)!r} cannot be read: {error}; {remedy}.")
+
+    def _row(self, name: str, note: msgspec.Struct) -> tuple[str, str, bytes]:
+        text = msgspec.json.encode(note)
+        return name, text.decode(), self._digest("study", (name,), text)
+
+    def _digest(self, kind: str, key: tuple[Any, ...], content: bytes) -> bytes:
+        """SHA-256 of a row, which is one of this study."""
+        digest = self._salt.copy()
+        digest.update(repr((kind, *key)).encode("utf-8", "surrogatepass"))
+        digest.update(content)
+        return digest.digest()
+
+    def _is_sound(self, kind: str, key: tuple[Any, ...], content: Any, digest: Any) -> bool:
+        return isinstance(content, bytes) and self._digest(kind, key, content) == digest
+
+
+def is_held(folder: Path) -> bool:
+    """Whether a process writes into a folder: SQLite's lock says so, which ends with it."""
+    lock = folder / _LOCK_NAME
+    if not lock.is_file():
+        return False
+    with contextlib.closing(_connected(lock, "ro", 0.0)) as connection:
+        try:
+            connection.execute("SELECT 1 FROM sqlite_master")
+        except sqlite3.OperationalError as error:
+            return error.sqlite_errorname == "SQLITE_BUSY"
+        except sqlite3.DatabaseError:
+            return False
+    return False
+
+
+def check_links(folder: Path) -> None:
+    """Refuse an output folder in which what a run writes is a symbolic link, or has one inside.
+
+    A stranger's could lead anywhere. The folder itself may be one, and so may files of others in it.
+
+    Raises
+    ------
+    StoreError
+        It names the link, or the folder cannot be read.
+    """
+    try:
+        entries = list(os.scandir(folder))
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    except OSError as error:
+        raise StoreError(f"{str(folder)!r} cannot be read: {error.strerror}.") from None
+    for entry in entries:
+        if entry.name.removeprefix(".").startswith(_WRITTEN):
+            inside = (
+                os.path.join(base, name)  # noqa: PTH118 - of many thousands
+                for base, *names in os.walk(entry.path)
+                for name in (*names[0], *names[1])
+            )
+            for place in (entry.path, *inside):
+                if os.path.islink(place):  # noqa: PTH114
+                    raise linked(place)
+
+
+def _writer(
+    folder: Path, study: StudyNote, paths: Sequence[str], outdated: Collection[str] | None
+) -> Ledger:
+    """A ledger that is locked: a new one if `outdated` is None."""
+    check_links(folder)
+    ledger = Ledger(folder, _locked(folder))
+    try:
+        exists = (folder / LEDGER_NAME).exists()
+        if (exists or (folder / STORE_NAME).exists()) and outdated is None:
+            raise StoreError(
+                f"{str(folder)!r} holds results already; "
+                "give another --out, or --resume to continue them."
+            )
+        if not exists and (folder / STORE_NAME).exists():
+            raise StoreError(
+                f"{str(folder)!r} holds results and no {LEDGER_NAME}: they are of an earlier version, "
+                "which alone can continue them; give another --out."
+            )
+        if exists:
+            ledger._continue(study, paths, outdated or ())
+        else:
+            ledger._begin(study, paths)
+        ledger._hold()
+    except BaseException:
+        ledger.close()
+        raise
+    return ledger
+
+
+def _locked(folder: Path) -> sqlite3.Connection:
+    """The right to write into a folder: an exclusive transaction on an empty file, which never ends."""
+    with _writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = _connected(folder / _LOCK_NAME, "rwc", 1.0)  # those who look hold it for a moment
+        try:
+            lock.execute("BEGIN EXCLUSIVE")
+        except sqlite3.Error as error:
+            lock.close()
+            if getattr(error, "sqlite_errorname", "") != "SQLITE_BUSY":
+                raise
+            raise StoreError(
+                f"{str(folder)!r} is being written by {_holder_in_words(folder)}; wait for it, or "
+                "give another --out."
+            ) from None
+    return lock
+
+
+def _holder_in_words(folder: Path) -> str:
+    """Who has the lock of a folder: they may be about to note it."""
+    end = time.monotonic() + _NOTE_SECONDS
+    while time.monotonic() < end:
+        with contextlib.suppress(StoreError), Ledger.read(folder) as ledger:
+            if ledger.tally.holder is not None:
+                return ledger.tally.holder.in_words
+        time.sleep(0.01)
+    return "another process"
+
+
+def _connected(file: Path, mode: str, patience: float = _BUSY_SECONDS) -> sqlite3.Connection:
+    connection = sqlite3.connect(
+        f"{file.absolute().as_uri()}?mode={mode}",
+        uri=True,
+        timeout=patience,
+        isolation_level=None,
+        check_same_thread=False,
+    )
+    # A schema is data; pages stay in memory until the commit, so that readers are not kept out.
+    for pragma in ("trusted_schema = OFF", "cell_size_check = ON", "cache_spill = OFF"):
+        connection.execute(f"PRAGMA {pragma}")
+    return connection
+
+
+@contextlib.contextmanager
+def _writing(place: Path) -> Iterator[None]:
+    """Make one sentence of what keeps a place from being written."""
+    try:
+        yield
+    except (OSError, sqlite3.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise StorageError(
+            f"{str(place)!r} cannot be written: {reason}; what was finished is kept, and --resume "
+            "continues it."
+        ) from None
+
+
+def _check_versions(before: Mapping[str, str], now: Mapping[str, str], whose: str) -> None:
+    """Refuse results of another version of this package, warn of others of those it uses."""
+    others = {
+        name.removeprefix("version_"): (before[name], version)
+        for name, version in now.items()
+        if before.get(name, version) != version
+    }
+    if "mcspectra" in others:
+        old, new = others["mcspectra"]
+        raise StoreError(
+            f"{whose} of mcspectra {old}, and this is {new}, whose numbers may differ: resume them "
+            "with the version that began them, or give another --out."
+        )
+    if others:
+        changes = ", ".join(f"{name} {old} (now {new})" for name, (old, new) in others.items())
+        warn(
+            f"{whose} begun with {changes}: the last bits of those to come may differ from an "
+            "uninterrupted run's.",
+            OtherVersionsWarning,
+        )
+
+
+def _plan_digest(paths: Iterable[str]) -> str:
+    return hashlib.sha256("\n".join(paths).encode()).hexdigest()
+
+
+def _task_name(path: str, run: str, first: int, blocks: int) -> str:
+    return f"task {path}/{run}/{first}+{blocks}"
+
+
+def linked(place: str) -> StoreError:
+    """The error that refuses a symbolic link."""
+    return StoreError(
+        f"{place!r} is a symbolic link, and might lead to files of others; results hold files only: "
+        "remove it, or take another folder."
+    )
+
+
+def _now() -> str:
+    """The time, UTC, ISO 8601; for people, nothing depends on it."""
+    return dt.datetime.now(dt.UTC).isoformat(timespec="seconds")

@@ -1,0 +1,907 @@
+"""Results of studies for reading: opened, counted, and written for others.
+
+A study's folder is read from its ledger. ``results.zarr``, which a run writes at its end, and exported
+stores are for other programs; each has the SHA-256 of its whole tree as the attribute ``tree_sha256``
+of its root, which is checked here before anything of it is looked at. A store from a stranger is data:
+its arrays are one chunk of bytes as they are, so that nothing decompresses, and what is claimed to be
+there is there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import fnmatch
+import hashlib
+import importlib
+import importlib.util
+import itertools
+import json
+import math
+import os
+import shutil
+import warnings
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.display import register_accessor
+from mcspectra.core.errors import (
+    McspectraError,
+    MissingDependency,
+    ParameterError,
+    StorageError,
+    StoreError,
+)
+from mcspectra.core.memory import available_memory, check_memory, shown_bytes
+from mcspectra.core.records import unpack
+from mcspectra.studies.ledger import (
+    FORMAT,
+    LEDGER_NAME,
+    STORE_NAME,
+    Holder,
+    Ledger,
+    StudyNote,
+    check_links,
+    is_held,
+    linked,
+)
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "FORMATS",
+    "AnalysisCount",
+    "StudyStatus",
+    "export_results",
+    "open_results",
+    "output_folder",
+    "result_paths",
+    "study_status",
+    "write_zarr",
+]
+
+FORMATS = (".csv", ".parquet", ".nc", ".json", ".zarr.zip", ".zarr")
+"""Ends of names of files that results are exported to."""
+
+_FIXED = ("estimator", "sampler", "analysis", "variable", "units")  # columns before the coordinates
+_VALUES = ("value", "imaginary")  # columns after them
+_KEY = "mcspectra"  # of metadata of Parquet
+_DIGEST = "tree_sha256"
+_DOCUMENT = "zarr.json"
+_MOST_CELLS = 2000  # that a run writes as a store at its end: xarray takes some 20 ms for each
+_MOST_DOCUMENTS = 100_000  # that readers take all at once, from the root
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # the first that a zip file can hold: same results, same bytes
+_GROUP = {"attributes": {}, "zarr_format": 3, "node_type": "group"}
+_INLINE = {"kind": "inline", "must_understand": False}
+
+
+class AnalysisCount(msgspec.Struct, frozen=True):
+    """Numbers of cells of one analysis."""
+
+    done: int = 0
+    failed: int = 0
+    missing: int = 0
+    damaged: int = 0
+
+
+class StudyStatus(msgspec.Struct, frozen=True, kw_only=True):
+    """State of a study's folder.
+
+    Attributes
+    ----------
+    title, study_hash, seed, versions
+        Of the study, and of what computed it.
+    format
+        Of the ledger.
+    state
+        ``running`` while a process writes into it, ``finished`` when all cells are there,
+        ``unfinished`` otherwise.
+    holder
+        Who writes into it, or did when it ended without a word.
+    hosts, started, finished
+        Where it was computed, when it was begun, and when all cells were there: UTC, ISO 8601.
+    done, missing
+        Paths of cells.
+    failed, damaged
+        Sentences by the paths of cells; damage of tasks and other parts too, whose names have blanks.
+    recorded
+        Number of states of tasks that wait for their cells.
+    results_bytes, ledger_bytes
+        Sizes: of the results, and of the file.
+    verified
+        Whether all of the ledger, and ``results.zarr``, were checked against their digests.
+    """
+
+    title: str
+    study_hash: str
+    seed: int
+    versions: dict[str, str]
+    format: int
+    state: str
+    holder: Holder | None
+    hosts: tuple[str, ...]
+    started: str | None
+    finished: str | None
+    done: tuple[str, ...]
+    failed: dict[str, str]
+    missing: tuple[str, ...]
+    damaged: dict[str, str]
+    recorded: int
+    results_bytes: int
+    ledger_bytes: int
+    verified: bool
+
+    @property
+    def analyses(self) -> dict[str, AnalysisCount]:
+        """Numbers by the analysis: the last part of a cell's path."""
+        counts: dict[str, dict[str, int]] = {}
+        for kind in ("done", "failed", "missing", "damaged"):
+            for path in getattr(self, kind):
+                if " " not in path:
+                    of = counts.setdefault(path[path.rfind("/") + 1 :], {})
+                    of[kind] = of.get(kind, 0) + 1
+        return {name: AnalysisCount(**of) for name, of in sorted(counts.items())}
+
+
+def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
+    """Open the results of a study as a tree of datasets.
+
+    Parameters
+    ----------
+    source
+        Output folder of a study, whose ledger is read, running or not; a ``.zarr`` folder, a
+        ``.zarr.zip`` file, or a URL such as ``s3://bucket/x.zarr`` that fsspec opens.
+    select
+        Path of a cell, or a pattern such as ``"estimator/*"``; all cells by default. Those alone are
+        read from a ledger; of stores, which are checked as a whole, all is.
+
+    Raises
+    ------
+    StoreError
+        There are no results, they are damaged, changed or of a format that this version does not read,
+        no cell matches, or they hold what results never hold.
+    MissingDependency
+        A URL is given, and fsspec or what it needs for it is not installed.
+    """
+    import xarray as xr
+
+    register_accessor()
+    ledger = _ledger(source)
+    if ledger is None:
+        files = _checked(_files(source), str(source))
+        root = json.loads(files[_DOCUMENT])["attributes"]
+        root.pop(_DIGEST)
+        cells = _read_store(files, str(source), select)
+    else:
+        with ledger:
+            root = _root_attributes(ledger.study)
+            cells = {path: _read_cell(ledger, path) for path in _selected(ledger, select)}
+    if select is not None and not cells:
+        raise StoreError(f"No cell of {str(source)!r} matches {select!r}; paths are a/b/analysis.")
+    return xr.DataTree.from_dict({"/": xr.Dataset(attrs=root), **cells})
+
+
+def result_paths(source: str | Path) -> tuple[str, ...]:
+    """Paths of all cells that are there, of a study's folder in their order.
+
+    Raises
+    ------
+    StoreError
+        There are no results, or they cannot be read.
+    """
+    ledger = _ledger(source)
+    if ledger is None:
+        return tuple(_read_store(_checked(_files(source), str(source)), str(source), None))
+    with ledger:
+        return tuple(_selected(ledger, None))
+
+
+def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
+    """Look at a study's folder, which may be in use; nothing in it is changed.
+
+    Parameters
+    ----------
+    verify
+        Check all of the ledger, and ``results.zarr``, against their digests.
+
+    Raises
+    ------
+    StoreError
+        There are no results, they are of a format that this version does not read, or so damaged that
+        they do not say of which study they are.
+    """
+    root = Path(folder)
+    if _is_url(folder) or root.is_file():
+        raise StoreError(
+            f"{str(folder)!r} is not the output folder of a run; only such a folder has a status."
+        )
+    ledger = _ledger(folder)
+    if ledger is None:
+        _checked(_files(folder), str(folder))
+        raise StoreError(
+            f"{str(folder)!r} is an exported store; only a study's folder has a status."
+        )
+    with ledger:
+        done, failed = ledger.done, ledger.failures()
+        recorded, tally = ledger.recorded, ledger.tally
+        damaged = ledger.verify() if verify else dict(ledger.damaged)
+        missing = tuple(path for path in ledger.paths if path not in done and path not in failed)
+    if verify and (root / STORE_NAME).exists():
+        try:
+            _checked(_files(root / STORE_NAME), str(root / STORE_NAME))
+        except StoreError as error:
+            damaged[f"the store {STORE_NAME}"] = str(error)
+    running, lacking = is_held(root), failed or missing or damaged
+    return StudyStatus(
+        title=ledger.study.title,
+        study_hash=ledger.study.study_hash,
+        seed=ledger.study.seed,
+        versions={
+            name.removeprefix("version_"): text for name, text in ledger.study.versions.items()
+        },
+        format=FORMAT,
+        state="running" if running else "unfinished" if lacking else "finished",
+        holder=tally.holder,
+        hosts=tally.hosts,
+        started=tally.started,
+        finished=tally.finished,
+        done=tuple(path for path in done if path not in damaged) if damaged else tuple(done),
+        failed=failed,
+        missing=tuple(path for path in missing if path not in damaged),
+        damaged=damaged,
+        recorded=recorded,
+        results_bytes=tally.size,
+        ledger_bytes=(root / LEDGER_NAME).stat().st_size,
+        verified=verify,
+    )
+
+
+def write_zarr(folder: Path) -> Path | None:
+    """Write ``results.zarr`` of a study's folder from its ledger, in place of an earlier one.
+
+    Returns
+    -------
+    Path or None
+        The store; None for a study of more than 2,000 cells, which a tree of some thirty files a cell
+        is no help for: `export_results` writes it, or a part, for who wants it.
+
+    Raises
+    ------
+    StorageError
+        It cannot be written; the ledger has all of it.
+    """
+    check_links(folder)
+    target = folder / STORE_NAME
+    with Ledger.read(folder) as ledger:
+        if len(ledger.done) > _MOST_CELLS:
+            with contextlib.suppress(FileNotFoundError):
+                shutil.rmtree(target)  # of fewer cells
+            return None
+        cells = ((path, _read_cell(ledger, path)) for path in _selected(ledger, None))
+        attributes = _root_attributes(ledger.study)
+        return _replaced(
+            target, lambda partial: _write_folder(_store_files(attributes, cells), partial)
+        )
+
+
+def export_results(source: str | Path, file: str | Path, select: str | None = None) -> Path | str:
+    """Write results to a file whose format its name's end tells.
+
+    ``.csv`` and ``.parquet`` are one long table, a row for each number; ``.json`` has a list of cells
+    with their arrays; ``.nc`` is netCDF 3 with variables ``<path of the cell>.<variable>``, slashes
+    as dots; ``.zarr.zip`` and ``.zarr`` are stores in a zip file, in a folder, or at a URL that fsspec
+    writes to. Numbers are written exactly, attributes are kept: in CSV as a first line that is a
+    comment, in Parquet as metadata.
+
+    Parameters
+    ----------
+    source
+        What `open_results` takes.
+    file
+        A file is replaced if it is there, as a whole or not at all; a ``.zarr`` must not be there.
+    select
+        Path of a cell, or a pattern; all by default.
+
+    Returns
+    -------
+    Path or str
+        What was written; a str if it is a URL.
+
+    Raises
+    ------
+    ParameterError
+        The name has another end, or a URL is given for something else than ``.zarr``.
+    StoreError
+        The results cannot be read, are damaged, or a netCDF file cannot hold them.
+    StorageError
+        The file cannot be written.
+    MissingDependency
+        Parquet without pyarrow, URLs without fsspec.
+    """
+    name = str(file).lower()
+    end = next((end for end in FORMATS if name.endswith(end)), None)
+    if end is None:
+        raise ParameterError(
+            f"{str(file)!r} has none of the ends {', '.join(FORMATS)}; the end chooses the format."
+        )
+    if _is_url(file) and end != ".zarr":
+        raise ParameterError(
+            f"{str(file)!r} is a URL, where only a store can be written, with the end .zarr; export "
+            "to a file of this machine, and copy it."
+        )
+    if _is_url(file):
+        _upload(open_results(source, select), str(file))
+        return str(file)
+    target = Path(file)
+    if end == ".zarr" and target.exists():
+        raise StorageError(f"{str(target)!r} exists already; give another name.")
+    tree = open_results(source, select)
+    return _replaced(target, lambda partial: _WRITERS[end](tree, partial))
+
+
+def output_folder(out: str | Path) -> Path:
+    """Check where a study is to run: its ledger needs a folder of a file system.
+
+    Raises
+    ------
+    ParameterError
+        It is a URL, a file, or named as a store that `export_results` makes.
+    """
+    folder = Path(out)
+    if _is_url(out):
+        raise ParameterError(
+            f"The output folder {str(out)!r} is a URL, and a study runs in a folder of this machine: "
+            "give --out DIR, then `mcspectra export DIR --to URL/results.zarr`."
+        )
+    if folder.suffix.lower() in (".zarr", ".zip"):
+        raise ParameterError(
+            f"The output folder {str(out)!r} is named as an exported store: give --out DIR, then "
+            f"`mcspectra export DIR --to {folder.name}`."
+        )
+    if folder.exists() and not folder.is_dir():
+        raise ParameterError(f"The output folder {str(out)!r} is a file; give another --out.")
+    return folder
+
+
+def _ledger(source: str | Path) -> Ledger | None:
+    """The ledger of a source, if that is a study's folder."""
+    if _is_url(source) or not os.path.lexists(Path(source) / LEDGER_NAME):
+        return None
+    return Ledger.read(source)
+
+
+def _selected(ledger: Ledger, select: str | None) -> Iterable[str]:
+    """Paths of finished cells that match; a list that damage has changed is refused."""
+    if select is not None and not any(sign in select for sign in "*?["):
+        return [select]
+    done = ledger.done
+    if ledger.damaged:
+        name, reason = next(iter(ledger.damaged.items()))
+        raise StoreError(
+            f"The ledger in {str(ledger.folder)!r} is damaged, {name}: {reason}; `mcspectra run` with "
+            "--resume keeps what is sound and computes the rest again."
+        )
+    if select is None and ledger.tally.size > available_memory():
+        raise StoreError(
+            f"The results in {str(ledger.folder)!r} are {shown_bytes(ledger.tally.size)}, more than "
+            "the memory of this machine: select a part."
+        )
+    return done if select is None else fnmatch.filter(done, select)
+
+
+def _read_cell(ledger: Ledger, path: str) -> xr.Dataset:
+    """A cell as it is in a store too: texts as attributes, for which Zarr v3 has no stable type.
+
+    Labels of a coordinate become ``labels_<name>``; those of ``bound``, in all cells the same, are the
+    root's.
+    """
+    import xarray as xr
+
+    try:
+        cell: xr.Dataset = unpack(xr.Dataset, ledger.result(path))
+    except StoreError:
+        raise
+    except McspectraError as error:
+        raise StoreError(f"The cell {path} in {str(ledger.folder)!r} is damaged: {error}") from None
+    texts = [str(name) for name, values in cell.variables.items() if values.dtype.kind in "UOT"]
+    labels = {f"labels_{name}": cell[name].values.tolist() for name in texts if name != "bound"}
+    return cell.drop_vars(texts).assign_attrs(labels)
+
+
+def _root_attributes(study: StudyNote) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "study": json.loads(study.config),
+        "study_hash": study.study_hash,
+        "bound": ["low", "high"],
+        **study.versions,
+    }
+
+
+def _store_files(
+    attributes: Mapping[Any, Any], cells: Iterable[tuple[str, xr.Dataset]]
+) -> Iterator[tuple[str, bytes]]:
+    """Files of a store, which xarray writes into memory cell by cell; those of the root come last."""
+    from zarr.codecs import Crc32cCodec
+    from zarr.storage import MemoryStore
+
+    documents: dict[str, Any] = {}
+    digests: dict[str, str] = {}
+    for path, cell in cells:
+        encoding = {
+            # One chunk as it is; plain readers notice most changes of it by its checksum.
+            name: {"compressors": [Crc32cCodec()], "chunks": variable.shape, "_FillValue": None}
+            for name, variable in cell.variables.items()
+        }
+        kept: dict[str, Any] = {}
+        with warnings.catch_warnings(action="ignore"):  # of types that Zarr has not specified
+            cell.drop_encoding().to_zarr(
+                MemoryStore(kept),
+                mode="w",
+                zarr_format=3,
+                consolidated=False,
+                encoding=encoding,
+                write_empty_chunks=True,
+            )
+        order = {str(name): place for place, name in enumerate(cell.variables)}
+        names = sorted(kept, key=lambda name: (order.get(name.partition("/")[0], -1), name))
+        files = {f"{path}/{name}": kept[name].to_bytes() for name in names}
+        for parent in map(str, Path(path).parents):
+            if parent != "." and parent not in documents:
+                files[f"{parent}/{_DOCUMENT}"] = json.dumps(_GROUP).encode()
+        for name, content in files.items():
+            if "\\" in name or ":" in name or not {"", ".", ".."}.isdisjoint(name.split("/")):
+                raise StoreError(
+                    f"The results have a cell {path[:100]!r}, which is no path in a store."
+                )
+            digests[name] = hashlib.sha256(content).hexdigest()
+            if name.endswith(_DOCUMENT):
+                documents[name.removesuffix(f"/{_DOCUMENT}")] = json.loads(content)
+            yield name, content
+    root: dict[str, Any] = {**_GROUP, "attributes": dict(attributes)}
+    if len(documents) < _MOST_DOCUMENTS:
+        for document in documents.values():
+            if document["node_type"] == "group":
+                document["consolidated_metadata"] = {**_INLINE, "metadata": {}}
+        root["consolidated_metadata"] = {**_INLINE, "metadata": documents}
+    root["attributes"][_DIGEST] = _tree_digest(root, digests)
+    yield _DOCUMENT, json.dumps(root).encode()
+
+
+def _write_folder(files: Iterable[tuple[str, bytes]], folder: Path) -> None:
+    folder.mkdir()
+    for name, content in files:
+        file = folder / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(content)
+
+
+def _tree_digest(root: Mapping[str, Any], digests: Mapping[str, str]) -> str:
+    """SHA-256 of a store: of its root's metadata without this, and of all other files."""
+    attributes = {key: value for key, value in root["attributes"].items() if key != _DIGEST}
+    whole = {"root": {**root, "attributes": attributes}, "files": dict(digests)}
+    return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()
+
+
+def _checked(files: dict[str, bytes], source: str) -> dict[str, bytes]:
+    """The files of a store, if they are those that were written, all of them."""
+    try:
+        root = json.loads(files[_DOCUMENT])
+        found, version = root["attributes"].get(_DIGEST), root["attributes"].get("format")
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        raise StoreError(f"{source!r} is damaged: its {_DOCUMENT} cannot be read.") from None
+    if version != FORMAT:
+        raise StoreError(
+            f"{source!r} has store format {version!r}; this version reads {FORMAT}. "
+            "xarray.open_datatree reads stores of formats 1 and 2 as they are; for reports and exports "
+            "of them take the version that wrote them, or run the study again into another folder."
+        )
+    digests = {name: hashlib.sha256(files[name]).hexdigest() for name in files if name != _DOCUMENT}
+    if found != _tree_digest(root, digests):
+        raise StoreError(
+            f"{source!r} is not as it was written: files of it are changed, gone or new. "
+            "`mcspectra export` of the study's folder writes it anew."
+        )
+    return files
+
+
+def _read_store(
+    files: Mapping[str, bytes], source: str, select: str | None
+) -> dict[str, xr.Dataset]:
+    """Cells of a store that match; refuses arrays that results never hold.
+
+    An array is one chunk of its numbers as they are, with a checksum of four bytes, so that it takes no
+    more memory than its file.
+    """
+    import xarray as xr
+    from zarr.core.buffer import cpu
+    from zarr.storage import MemoryStore
+
+    cells: dict[str, dict[str, bytes]] = {}
+    names: dict[str, list[str]] = {}
+    try:
+        # The root has all arrays in the order in which they were written, if they are not too many.
+        root = json.loads(files[_DOCUMENT]).get("consolidated_metadata", {"metadata": {}})
+        found = sorted(
+            n.removesuffix(f"/{_DOCUMENT}") for n in files if n.endswith(f"/{_DOCUMENT}")
+        )
+        for path in dict.fromkeys([*root["metadata"], *found]):
+            document = json.loads(files[f"{path}/{_DOCUMENT}"])
+            cell = path.rpartition("/")[0]
+            if document["node_type"] == "array" and (
+                select is None or fnmatch.fnmatch(cell, select)
+            ):
+                chunk = "/".join([path, "c", *("0" for _ in document["shape"])])
+                size = math.prod(document["shape"]) * np.dtype(document["data_type"]).itemsize
+                codecs = [codec["name"] for codec in document["codecs"]]
+                if codecs != ["bytes", "crc32c"] or len(files.get(chunk, b"")) != size + 4 * (
+                    size > 0
+                ):
+                    raise StoreError(
+                        f"{source}: the array {path} is not one chunk of {shown_bytes(size)}, with a "
+                        "checksum and without compression, as results are written."
+                    )
+                group = cells.setdefault(cell, {_DOCUMENT: files[f"{cell}/{_DOCUMENT}"]})
+                group[f"{path[len(cell) + 1 :]}/{_DOCUMENT}"] = files[f"{path}/{_DOCUMENT}"]
+                if size:
+                    group[chunk[len(cell) + 1 :]] = files[chunk]
+                names.setdefault(cell, []).append(path[len(cell) + 1 :])
+        opened = {}
+        for cell, group in cells.items():
+            buffers: Any = {key: cpu.Buffer.from_bytes(value) for key, value in group.items()}
+            opened[cell] = xr.open_dataset(
+                MemoryStore(buffers),  # type: ignore[arg-type]
+                engine="zarr",
+                zarr_format=3,
+                consolidated=False,
+                mask_and_scale=False,
+                decode_times=False,
+            ).load()[names[cell]]
+        return opened
+    except (ValueError, KeyError, TypeError, OSError, RuntimeError, RecursionError) as error:
+        if isinstance(error, StoreError):
+            raise
+        raise StoreError(f"{source!r} is damaged: {_first_line(error)}.") from None
+
+
+def _files(source: str | Path) -> dict[str, bytes]:
+    """All files of a store in a folder, a zip file, or at a URL, by their names in it.
+
+    Raises
+    ------
+    StoreError
+        There is none, it has links, is compressed or larger than memory, or cannot be read.
+    """
+    if _is_url(source):
+        return _downloaded(str(source))
+    place = Path(source)
+    if place.suffix == ".zip" and place.is_file():
+        return _unzipped(place)
+    tree = place if place.suffix == ".zarr" else place / STORE_NAME
+    if not (tree / _DOCUMENT).exists():
+        raise StoreError(f"There are no results in {str(source)!r}.")
+    try:
+        names = [
+            Path(base, name)
+            for base, folders, found in os.walk(tree)
+            for name in (*folders, *found)
+        ]
+        for name in names:
+            if name.is_symlink():
+                raise linked(str(name))
+        files = [name for name in names if name.is_file()]
+        _check_size(sum(file.stat().st_size for file in files), str(source))
+        return {file.relative_to(tree).as_posix(): file.read_bytes() for file in files}
+    except OSError as error:
+        raise StoreError(f"{str(source)!r} cannot be read: {error.strerror}.") from None
+
+
+def _unzipped(file: Path) -> dict[str, bytes]:
+    try:
+        with zipfile.ZipFile(file) as archive:
+            members = [info for info in archive.infolist() if not info.is_dir()]
+            if any(info.compress_type != zipfile.ZIP_STORED for info in members):
+                raise StoreError(
+                    f"{str(file)!r} is compressed, as `mcspectra export` does not: what it holds might "
+                    "take any memory."
+                )
+            _check_size(sum(info.file_size for info in members), str(file))
+            return {info.filename: archive.read(info) for info in members}
+    except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, RuntimeError) as error:
+        if isinstance(error, StoreError):
+            raise
+        raise StoreError(f"{str(file)!r} is damaged: {_first_line(error)}.") from None
+
+
+def _downloaded(url: str) -> dict[str, bytes]:
+    files, base = _url_files(url)
+    try:
+        for tree in (base, f"{base}/{STORE_NAME}"):
+            if files.exists(f"{tree}/{_DOCUMENT}"):
+                sizes = files.find(tree, detail=True)
+                _check_size(sum(about.get("size") or 0 for about in sizes.values()), url)
+                return {
+                    name.removeprefix(f"{tree}/"): content
+                    for name, content in files.cat(list(sizes)).items()
+                }
+    except ImportError as error:
+        raise MissingDependency(f"Opening {url!r} needs more: {_first_line(error)}.") from None
+    except StoreError:
+        raise
+    except Exception as error:  # noqa: BLE001 - file systems of fsspec raise what their libraries do
+        raise StoreError(f"{url!r} cannot be opened: {_first_line(error)}.") from None
+    raise StoreError(f"There are no results in {url!r}.")
+
+
+def _upload(tree: xr.DataTree, url: str) -> None:
+    """Write a store to where fsspec writes; what fails on the way is removed, where that can be done."""
+    files, base = _url_files(url)
+    try:
+        if files.exists(base):
+            raise StoreError(f"There is something at {url!r} already; give another --to.")
+        try:
+            for name, content in _store_files(tree.attrs, _cells(tree)):
+                files.makedirs(f"{base}/{name}".rpartition("/")[0], exist_ok=True)
+                files.pipe(f"{base}/{name}", content)
+        except BaseException:
+            with contextlib.suppress(Exception):
+                files.rm(base, recursive=True)
+            raise
+    except StoreError:
+        raise
+    except ImportError as error:
+        raise MissingDependency(f"Writing to {url!r} needs more: {_first_line(error)}.") from None
+    except Exception as error:  # noqa: BLE001 - file systems of fsspec raise what their libraries do
+        raise StorageError(f"{url!r} cannot be written: {_first_line(error)}.") from None
+
+
+def _is_url(place: str | Path) -> bool:
+    """Whether a place is a URL, such as ``s3://bucket/out``, or a chain of them."""
+    return isinstance(place, str) and ("://" in place or "::" in place)
+
+
+def _url_files(url: str) -> tuple[Any, str]:
+    """The file system of a URL, and the path in it without a slash at its end."""
+    if importlib.util.find_spec("fsspec") is None:
+        raise MissingDependency(
+            f"Opening {url!r} needs fsspec, which is not installed: pip install 'mcspectra[remote]'."
+        )
+    import fsspec  # type: ignore[import-untyped]
+
+    try:
+        files, path = fsspec.core.url_to_fs(url)
+    except ImportError as error:
+        raise MissingDependency(f"Opening {url!r} needs more: {_first_line(error)}.") from None
+    except (OSError, ValueError) as error:
+        raise StoreError(f"{url!r} cannot be opened: {_first_line(error)}.") from None
+    return files, path.rstrip("/")
+
+
+def _check_size(size: int, source: str) -> None:
+    if size > available_memory():
+        raise StoreError(
+            f"{source!r} has {shown_bytes(size)}, more than the memory of this machine."
+        )
+
+
+def _first_line(error: BaseException) -> str:
+    """What an error says, in one line without its full stop."""
+    return " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__
+
+
+def _replaced(target: Path, write: Callable[[Path], Any]) -> Path:
+    """Write a file, or a folder, beside its place and put it there when it is whole."""
+    partial = target.with_name(f".{target.name}.partial")
+    try:
+        _remove(partial)
+        write(partial)
+        if partial.is_dir():
+            _remove(target)
+        partial.replace(target)
+    except OSError as error:
+        raise StorageError(f"{str(target)!r} cannot be written: {error.strerror}.") from None
+    finally:
+        _remove(partial)
+    return target
+
+
+def _remove(place: Path) -> None:
+    with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+        if place.is_dir() and not place.is_symlink():
+            shutil.rmtree(place)
+        else:
+            place.unlink()
+
+
+def _cells(tree: xr.DataTree) -> Iterator[tuple[str, xr.Dataset]]:
+    for node in tree.leaves:
+        if node.has_data:
+            yield node.path.lstrip("/"), node.to_dataset(inherit=False)
+
+
+def _write_zip(tree: xr.DataTree, file: Path) -> None:
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
+        for name, content in _store_files(tree.attrs, _cells(tree)):
+            archive.writestr(zipfile.ZipInfo(name, _EPOCH), content)
+
+
+def _write_csv(tree: xr.DataTree, file: Path) -> None:
+    columns = (*_FIXED, *_columns(tree), *_VALUES)
+    with file.open("w", encoding="utf-8", newline="") as stream:
+        stream.write(f"# {_json(_attributes(tree), ascii_only=True)}\n")
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        for table in _tables(tree):
+            given = [np.asarray(table[c]).tolist() if c in table else None for c in columns]
+            length = len(table["value"])
+            writer.writerows(zip(*(g or itertools.repeat("", length) for g in given), strict=True))
+
+
+def _write_parquet(tree: xr.DataTree, file: Path) -> None:
+    if importlib.util.find_spec("pyarrow") is None:
+        raise MissingDependency(
+            "Parquet needs pyarrow, which is not installed: pip install 'mcspectra[parquet]'."
+        )
+    pa, parquet = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
+    texts = dict.fromkeys(_FIXED, True) | _columns(tree) | dict.fromkeys(_VALUES, False)
+    schema = pa.schema(
+        [(name, pa.string() if text else pa.float64()) for name, text in texts.items()],
+        metadata={_KEY: _json(_attributes(tree), ascii_only=True)},
+    )
+    with parquet.ParquetWriter(file, schema) as writer:
+        for table in _tables(tree):
+            # Text or float64; None where a variable has no such coordinate.
+            columns = {
+                name: [None] * len(table["value"])
+                if name not in table
+                else [str(v) for v in table[name]]
+                if text
+                else np.asarray(table[name], dtype=np.float64)
+                for name, text in texts.items()
+            }
+            writer.write_table(pa.table(columns, schema=schema))
+
+
+def _write_json(tree: xr.DataTree, file: Path) -> None:
+    with file.open("w", encoding="utf-8") as stream:
+        stream.write(f'{{"attributes": {_json(dict(tree.attrs))}, "cells": [')
+        for i, (path, cell) in enumerate(_cells(tree)):
+            variables = {
+                str(name): {
+                    "dims": list(map(str, variable.dims)),
+                    "attributes": dict(variable.attrs),
+                    "values": _nested(np.asarray(variable.values)),
+                }
+                for name, variable in cell.variables.items()
+            }
+            document = {"path": path, "attributes": dict(cell.attrs), "variables": variables}
+            stream.write(f"{',' if i else ''}\n{_json(document)}")
+        stream.write("\n]}\n")
+
+
+def _nested(values: Array) -> Any:
+    """Lists of numbers: NaN and infinities as texts, complex numbers as pairs."""
+    if values.dtype.kind == "c":
+        return _nested(np.stack([values.real, values.imag], axis=-1))
+    if values.dtype.kind != "f" or np.isfinite(values).all():
+        return values.tolist()
+    plain = values.astype(object)
+    plain[~np.isfinite(values)] = [str(v) for v in values[~np.isfinite(values)]]
+    return plain.tolist()
+
+
+def _write_netcdf(tree: xr.DataTree, file: Path) -> None:
+    import xarray as xr
+
+    check_memory(2 * sum(cell.nbytes for _, cell in _cells(tree)), "The netCDF file")
+    attributes = {key: _netcdf_attribute(value) for key, value in tree.attrs.items()}
+    variables: dict[str, Any] = {}
+    for path, cell in _cells(tree):
+        prefix = path.replace("/", ".")
+        attributes[prefix] = _json(dict(cell.attrs))
+        for name, variable in cell.variables.items():
+            dims = [f"{prefix}.{dim}" for dim in variable.dims]
+            own = {key: _netcdf_attribute(value) for key, value in variable.attrs.items()}
+            for end, values in _netcdf_arrays(np.asarray(variable.values)):
+                variables[f"{prefix}.{name}{end}"] = (dims, values, own)
+    xr.Dataset(variables, attrs=attributes).to_netcdf(
+        file,
+        engine="scipy",
+        format="NETCDF3_64BIT",
+        encoding={name: {"_FillValue": None} for name in variables},
+    )
+
+
+def _netcdf_arrays(values: Array) -> Iterator[tuple[str, Array]]:
+    """Values in the types that netCDF 3 has, with the ends of their names."""
+    if values.dtype.kind == "c":
+        yield ".real", values.real.astype(np.float64)
+        yield ".imag", values.imag.astype(np.float64)
+    elif values.dtype.kind == "b":
+        yield "", values.astype(np.int8)
+    elif values.dtype.kind in "iu":
+        low, high = (int(values.min()), int(values.max())) if values.size else (0, 0)
+        small = low >= -(2**31) and high < 2**31
+        if max(-low, high) > 2**53:
+            raise StoreError("netCDF 3 holds no whole numbers beyond 2⁵³; export to .json instead.")
+        yield "", values.astype(np.int32 if small else np.float64)
+    else:
+        yield "", values.astype(np.float64 if values.dtype.itemsize > 4 else np.float32)
+
+
+def _netcdf_attribute(value: Any) -> Any:
+    """Texts, floats and whole numbers of 32 bits as they are, all else as JSON."""
+    whole = isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**31
+    return value if whole or isinstance(value, str | float) else _json(value)
+
+
+def _attributes(tree: xr.DataTree) -> dict[str, Any]:
+    """Attributes of the study and of its cells."""
+    return {"study": dict(tree.attrs), "cells": {p: dict(c.attrs) for p, c in _cells(tree)}}
+
+
+def _columns(tree: xr.DataTree) -> dict[str, bool]:
+    """Names of all dimensions of a tree, in order; whether any cell has texts along it."""
+    columns: dict[str, bool] = {}
+    for _, cell in _cells(tree):
+        for dim in map(str, cell.dims):
+            columns[dim] = columns.get(dim, False) or _labels(tree, cell, dim) is not None
+    return columns
+
+
+def _tables(tree: xr.DataTree) -> Iterator[dict[str, Any]]:
+    """Long tables, one for each variable of each cell: arrays of equal length by columns' names."""
+    for _, cell in _cells(tree):
+        about = cell.attrs
+        names = (about.get("estimator_name"), about.get("sampler_spec"), about.get("analysis"))
+        for name, variable in cell.variables.items():
+            if name in cell.dims:
+                continue  # it is a column of the others
+            values = np.asarray(variable.values)
+            fixed = (*names, name, variable.attrs.get("units"))
+            table: dict[str, Any] = {
+                column: [str(text or "")] * values.size
+                for column, text in zip(_FIXED, fixed, strict=True)
+            }
+            for axis, dim in enumerate(map(str, variable.dims)):
+                labels = _labels(tree, cell, dim)
+                along = np.asarray(
+                    cell[dim].values if dim in cell.coords else range(cell.sizes[dim])
+                )
+                along = along if labels is None else np.array(labels, dtype=object)
+                shape = [-1 if i == axis else 1 for i in range(values.ndim)]
+                table[dim] = np.broadcast_to(along.reshape(shape), values.shape).ravel()
+            flat = values.ravel()
+            if flat.dtype.kind == "c":
+                yield table | {"value": flat.real, "imaginary": flat.imag}
+            else:
+                yield table | {"value": flat.astype(np.int8) if flat.dtype.kind == "b" else flat}
+
+
+def _labels(tree: xr.DataTree, cell: xr.Dataset, dim: str) -> list[str] | None:
+    """Texts along a dimension: an attribute of the cell, or of the root for ``bound``."""
+    labels = cell.attrs.get(f"labels_{dim}", tree.attrs.get(dim) if dim == "bound" else None)
+    if isinstance(labels, list) and len(labels) == cell.sizes[dim]:
+        return [str(label) for label in labels]
+    return None
+
+
+def _json(value: Any, *, ascii_only: bool = False) -> str:
+    return json.dumps(value, ensure_ascii=ascii_only)
+
+
+_WRITERS: dict[str, Callable[[xr.DataTree, Path], None]] = {
+    ".csv": _write_csv,
+    ".parquet": _write_parquet,
+    ".json": _write_json,
+    ".nc": _write_netcdf,
+    ".zarr.zip": _write_zip,
+    ".zarr": lambda tree, folder: _write_folder(_store_files(tree.attrs, _cells(tree)), folder),
+}

@@ -1,0 +1,271 @@
+"""What a study from a stranger may reach: files and functions, and what is in them.
+
+A study file is data: specs are parsed, never evaluated. Files are read from the study's own folder
+and from folders that the caller allows; Python functions are imported only if the caller names them.
+What the results depend on is known by its SHA-256: with a changed file it is another study.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import os
+import re
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias, final
+
+import msgspec
+
+from mcspectra.core.analysis import Analysis
+from mcspectra.core.errors import ConfigError, McspectraError, StoreError
+from mcspectra.core.spec import Call, parse_chain
+from mcspectra.studies.foreign_code import explain
+
+__all__ = ["Inputs", "Trust", "Vetting", "changed_inputs", "check_inputs"]
+
+Inputs: TypeAlias = tuple[str, ...]
+"""Names of files, ascending."""
+
+_FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+# Files of point sets and images, of Mitsuba's plugins, of digital nets, and of QMCPy's generators.
+_FILES = ("path", "filename", "matrices", "generating_matrices", "generating_vector")
+_NAMED = 3  # in a message
+
+
+@final
+@dataclass(frozen=True)
+class Trust:
+    """What a study may reach beyond its own folder.
+
+    Parameters
+    ----------
+    code
+        Functions ``module:function`` that specs ``python(function='module:function')`` may name.
+        Modules are looked for where Python looks (PYTHONPATH), not in the study's folder.
+    folders
+        Further folders that files may be read from.
+
+    Raises
+    ------
+    ConfigError
+        A function is not written as ``module:function``, or a folder is not a path.
+    """
+
+    code: tuple[str, ...] = ()
+    folders: tuple[Path, ...] = ()
+
+    def __post_init__(self) -> None:
+        given: tuple[Any, Any] = self.code, self.folders
+        if not all(isinstance(each, list | tuple) for each in given):
+            raise ConfigError(f"Allowed are {given}; give a list of functions and one of folders.")
+        for name in given[0]:
+            if not isinstance(name, str) or not _FUNCTION.fullmatch(name):
+                raise ConfigError(f"--allow-code is {name!r}; write module:function.")
+        for folder in given[1]:
+            if not isinstance(folder, Path):
+                raise ConfigError(f"--allow-path is {folder!r}; give the path of a folder.")
+
+
+@final
+class Vetting:
+    """Vets each text of a study once: what comes out is trusted from there on.
+
+    Parameters
+    ----------
+    folder
+        Relative paths start there. Files below it are named from there, others by their whole path,
+        modules by their names, since they lie elsewhere on every machine.
+    trust
+        What may be reached beyond it.
+
+    Attributes
+    ----------
+    inputs
+        SHA-256 of all files that were named so far, by names for people: files of specs, what scenes
+        refer to, sources of functions. What is no file, or cannot be read, is for its reader to
+        refuse.
+    """
+
+    def __init__(self, folder: Path, trust: Trust) -> None:
+        self.inputs: dict[str, str] = {}
+        self._folder = folder
+        self._trust = trust
+        self._roots = [root.resolve() for root in (folder, *trust.folders)]
+        self._digests: dict[Path, str] = {}
+        self._calls: dict[str, tuple[list[Call], Inputs]] = {}
+
+    def calls(self, text: str) -> tuple[list[Call], Inputs]:
+        """Parse a spec; paths in it, and in specs inside it, become those of files that may be read.
+
+        Raises
+        ------
+        SpecError
+            It cannot be read.
+        ConfigError
+            A file is outside the folders that may be read.
+        """
+        if text not in self._calls:
+            files: dict[Path, str] = {}
+            found = [self._call(call, files) for call in parse_chain(text)]
+            self._calls[text] = found, self._names(files)
+        return self._calls[text]
+
+    def options(self, analysis: Analysis) -> tuple[Analysis, Inputs]:
+        """Vet the options of an analysis as the arguments of a spec.
+
+        Raises
+        ------
+        ConfigError
+            As of `calls`.
+        """
+        files: dict[Path, str] = {}
+        changed: dict[str, Any] = {}
+        for key in analysis.__struct_fields__:
+            given = getattr(analysis, key)
+            found = self._argument(key, given, files)
+            found = tuple(found) if isinstance(given, tuple) else found
+            changed |= {} if found == given else {key: found}
+        return msgspec.structs.replace(analysis, **changed), self._names(files)
+
+    def function(self, text: str, call: Call) -> tuple[Callable[..., Any], Inputs]:
+        """Import the function of a call ``python(function='module:function')``, written as `text`.
+
+        Raises
+        ------
+        ConfigError
+            It is written otherwise, is not allowed, cannot be imported, or is no function.
+        """
+        if set(call.arguments) != {"function"}:
+            raise ConfigError(f"{text!r}: write python(function='module:function').")
+        name = call.arguments["function"]
+        if not isinstance(name, str) or not _FUNCTION.fullmatch(name):
+            raise ConfigError(f"python(function={name!r}): write 'module:function'.")
+        if name not in self._trust.code:
+            raise ConfigError(
+                f"The study names the Python function {name!r}, and a study file may not run code: if "
+                f"you trust it, allow it by --allow-code {name}."
+            )
+        module, _, attribute = name.partition(":")
+        try:
+            found = getattr(importlib.import_module(module), attribute)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # whatever the code of others does
+            raise ConfigError(
+                f"The function {name!r} cannot be imported: {explain(error)}"
+            ) from error
+        if not callable(found):
+            raise ConfigError(f"{name!r} is {found!r}, not a function.")
+
+        # The modules that it was named in and that define it; what these import is not followed.
+        modules = {module, str(getattr(found, "__module__", module))}
+        sources = {each: getattr(sys.modules.get(each), "__file__", None) for each in modules}
+        files = {Path(file): f"module {each}" for each, file in sources.items() if file is not None}
+        return found, self._names(files)
+
+    def _call(self, call: Call, files: dict[Path, str]) -> Call:
+        given = call.arguments.items()
+        return Call(call.name, {key: self._argument(key, value, files) for key, value in given})
+
+    def _argument(self, key: str, value: Any, files: dict[Path, str]) -> Any:
+        if isinstance(value, list | tuple):
+            # Only of paths may there be several; the rows of a net's matrices are digits.
+            return [self._argument(key if key == "path" else "", item, files) for item in value]
+        if isinstance(value, dict):
+            return {k: self._argument(str(k), item, files) for k, item in value.items()}
+        if not isinstance(value, str):
+            return value
+        if key in _FILES or (key == "scene" and _is_file(value)):
+            return str(self._file(value, files))
+        try:
+            given = parse_chain(value)
+        except McspectraError:
+            return value
+        found = [self._call(call, files) for call in given]
+        return value if found == given else " | ".join(map(_written, found))
+
+    def _file(self, path: str, files: dict[Path, str]) -> Path:
+        """The file, found from the folder; links are followed to see where it is.
+
+        A study may not look around on the disk of who runs it.
+        """
+        if "\0" in path:
+            raise ConfigError(f"{path!r} is not the name of a file.")
+        file = self._folder / path
+        try:
+            inside = any(file.resolve().is_relative_to(root) for root in self._roots)
+        except (OSError, RuntimeError):  # a loop of links
+            inside = False
+        if not inside:
+            raise ConfigError(
+                f"The file {path!r} is outside the study's folder; move it there, or allow its folder "
+                f"by --allow-path {file.parent}."
+            )
+        files[file] = ""
+        if file.suffix.lower() == ".xml":
+            from mcspectra.rendering._scene_files import referenced_files
+
+            files.update(dict.fromkeys(referenced_files(file), ""))
+        return file
+
+    def _names(self, files: Mapping[Path, str]) -> Inputs:
+        """Names of the files that can be read, which become inputs; pipes and devices cannot."""
+        found = set()
+        for file, name in files.items():
+            path = file.resolve()
+            if not (path.is_file() and os.access(path, os.R_OK)):
+                continue
+            if path not in self._digests:
+                with path.open("rb") as stream:
+                    self._digests[path] = hashlib.file_digest(stream, "sha256").hexdigest()
+            root = self._roots[0]
+            inside = path.is_relative_to(root)
+            name = name or (path.relative_to(root).as_posix() if inside else str(path))
+            self.inputs[name] = self._digests[path]
+            found.add(name)
+        return tuple(sorted(found))
+
+
+def changed_inputs(before: Mapping[str, str] | None, now: Mapping[str, str]) -> Inputs:
+    """Names of files that have changed, come or gone; none if it is not known what there was."""
+    if before is None:
+        return ()
+    return tuple(name for name in sorted({*before, *now}) if before.get(name) != now.get(name))
+
+
+def check_inputs(
+    before: Mapping[str, str] | None, now: Mapping[str, str], whose: str, remedy: str
+) -> None:
+    """Refuse files that have changed.
+
+    Parameters
+    ----------
+    whose
+        What has, or had, the files of `before`.
+    remedy
+        What to do about it.
+
+    Raises
+    ------
+    StoreError
+        It names the first few of them.
+    """
+    changed = changed_inputs(before, now)
+    if changed:
+        more = f" and {len(changed) - _NAMED} more" if len(changed) > _NAMED else ""
+        names = ", ".join(map(repr, changed[:_NAMED])) + more
+        what = "the file" if len(changed) == 1 else "the files"
+        raise StoreError(f"{whose} not of {what} {names} as found now: {remedy}.")
+
+
+def _is_file(scene: str) -> bool:
+    """Whether a scene is a file rather than a name with parameters."""
+    return scene.lower().endswith(".xml") or "/" in scene.partition("(")[0] or "\\" in scene
+
+
+def _written(call: Call) -> str:
+    shown = ", ".join(f"{key}={value!r}" for key, value in call.arguments.items())
+    return f"{call.name}({shown})" if shown else call.name

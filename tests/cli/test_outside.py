@@ -1,0 +1,159 @@
+"""Verbs of analyses are derived: an outsider's options, help, text and JSON, and our own table of verbs."""
+
+import json
+import re
+import sys
+
+import pytest
+
+from mcspectra.cli.main import _ANALYSES, _VERBS, main
+from mcspectra.core.analysis import ANALYSES
+
+MODULE = '''
+"""Gaps of one-dimensional sets."""
+
+from typing import Annotated, Literal, final
+
+import numpy as np
+import xarray as xr
+from msgspec import Meta
+
+from mcspectra.core.analysis import Analysis, whole
+from mcspectra.core.options import COUNT, REALIZATIONS
+from mcspectra.core.results import Variable
+
+
+@final
+class Gaps(Analysis, frozen=True, kw_only=True):
+    """Gaps between neighbours of one-dimensional sets.
+
+    No part of its help.
+    """
+
+    verb = "gaps"
+    about = "sampler"
+    variables = (
+        Variable("largest gap", "1", (), name="largest"),
+        Variable("95 % interval of it", "1", ("bound",), name="largest_ci"),
+        Variable("mean gap", "1", ("place",), name="gap"),
+        Variable("many numbers", "1", ("place", "row"), name="many"),
+    )
+
+    n: Annotated[int, COUNT]
+    realizations: Annotated[int, REALIZATIONS] = 10
+    ends: Annotated[Literal["wrap", "open"], Meta(description="What happens at 100 %.")] = "open"
+    names: Annotated[tuple[str, ...] | None, Meta(description="Names of gaps.")] = None
+    weights: Annotated[tuple[float, ...], Meta(description="Weights of gaps.")] = (1.0, 0.5)
+    sort: Annotated[bool, Meta(description="Sort the gaps.")] = True
+
+    def reduction(self, subject, stream):
+        def gaps():
+            x = np.sort(subject.sampler.draw_stream(self.n, stream, 0, self.realizations)[..., 0])
+            gap = np.diff(x).mean(0) * self.weights[0]
+            gap = np.sort(gap) if self.sort else gap
+            found = {
+                "largest": ((), gap.max(), {"long_name": "largest gap", "units": "1"}),
+                "largest_ci": (("bound",), np.array([0.25, 0.5])),
+                "gap": (("place",), gap),
+                "many": (("place", "row"), np.ones((len(gap), 20_000))),
+            }
+            about = {"sampler": subject.sampler.spec, "n": self.n, "names": str(self.names)}
+            return xr.Dataset(found, attrs=about | {"realizations": self.realizations})
+
+        return whole(gaps)
+'''
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch, capsys):
+    """Run the command beside an installed package that registers two analyses, one of them broken."""
+    (tmp_path / "their_gaps.py").write_text(MODULE, encoding="utf-8")
+    about = tmp_path / "their_gaps-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: their-gaps\nVersion: 1.0\n")
+    entries = "[mcspectra.analyses]\ngap-widths = their_gaps:Gaps\nbroken = their_nothing:Nothing\n"
+    (about / "entry_points.txt").write_text(entries)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def call(*arguments):
+        code = main([str(a) for a in arguments])
+        return (code, *capsys.readouterr())
+
+    yield call
+    sys.modules.pop("their_gaps", None)
+
+
+def test_an_analysis_of_another_package_is_a_verb(run):
+    code, out, err = run("--help")
+    assert (code, err) == (0, "")
+    assert re.search(
+        r"^  gaps +Gaps between neighbours of one-dimensional sets\.$", out, re.MULTILINE
+    )
+    assert "broken" not in out
+    code, out, _ = run("list", "analyses")
+    assert code == 0
+    assert "mcspectra gaps" in out
+    assert "not available: The analysis 'broken' (their_nothing:Nothing)" in out
+
+
+def test_its_help_is_derived_from_its_options(run):
+    code, out, _ = run("gaps", "--help")
+    assert code == 0
+    assert "No part of its help" not in out
+    lines = " ".join(out.split())
+    assert "-n N points of each technique" in lines
+    assert "-m R, --realizations R independent realisations" in lines
+    assert "default 10, or all sets of points that are given" in lines
+    assert "--ends ENDS what happens at 100 %: open, wrap; default open" in lines
+    assert "--names NAMES names of gaps; repeatable" in lines
+    assert "--weights W weights of gaps; default 1,0.5" in lines
+    assert "--no-sort sort the gaps; on by default" in lines
+    assert all(option in out for option in ("--density", "--json", "--seed", "--out"))
+
+
+def test_its_result_is_shown_without_code_for_it(run, tmp_path):
+    arguments = ("gaps", "random", "-d", 1, "-n", 4, "--names", "a,b", "--names", "c")
+    code, out, err = run(*arguments, "--no-sort", "--weights", "2,1")
+    assert (code, err) == (0, "")
+    title, header, _, number, columns, *_ = out.splitlines()
+    assert title == "random,  n = 4"
+    assert header.split() == ["unit", "value", "95", "%"]
+    assert number.split()[:2] == ["largest", "gap"]
+    assert number.endswith("0.25 … 0.5")
+    assert columns.split() == ["place", "gap"]
+    assert out.splitlines()[-1] == "many: over place, row; --out writes it"
+    code, out, _ = run(*arguments, "--json", "--out", tmp_path / "gaps.npz")
+    data = json.loads(out)
+    assert (data["names"], data["realizations"]) == ("('a,b', 'c')", 10)
+    assert data["largest_ci"] == [0.25, 0.5]
+    assert len(data["gap"]) == 3
+    assert "many" not in data
+    assert (tmp_path / "gaps.npz").stat().st_size > 400_000
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("-n", "x"), "-n is 'x'; give a whole number"),
+        (("-n", 4, "-m", 1), "--realizations is 1"),
+        (("-n", 4, "--ends", "round"), "--ends is 'round'; it must be one of open, wrap"),
+        (("-n", 4, "--weights", "1,x"), "--weights is 'x'"),
+        ((), "required: -n"),
+        (("-n", 4, "--out", "gaps.gif"), "must end in .npz, .png or .pdf"),
+        (("-n", 4, "--out", "gaps.png"), "no picture shows gap-widths"),
+        (("-n", 4, "--out", "no/such/gaps.npz"), "cannot be written"),
+    ],
+)
+def test_what_its_options_refuse_is_one_sentence(run, options, words):
+    code, out, err = run("gaps", "random", "-d", 1, *options)
+    assert (code, out) == (2, "")
+    assert words in err
+    assert err.count("\n") == 1
+
+
+def test_our_table_of_verbs_is_that_of_the_analyses():
+    own = {name for name, target in ANALYSES.items() if target.startswith("mcspectra.")}
+    verbs = {ANALYSES.load(name).verb: name for name in own}
+    assert {verb: name for verb, name in verbs.items() if verb not in ("", "map")} == _ANALYSES
+    assert set(verbs) - {""} <= set(_VERBS)

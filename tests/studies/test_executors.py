@@ -1,0 +1,190 @@
+"""Executors hand back every task once, hold few, and survive what tasks do."""
+
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import dask
+import msgspec
+import pytest
+
+from mcspectra.core.errors import NotPowerOfTwoWarning, ParameterError
+from mcspectra.studies.executors import ClusterError, Threads, check_time_limit, processes
+from mcspectra.studies.files import decode_study
+from mcspectra.studies.plan import make_plan
+from mcspectra.studies.tasks import StudyText, Task, attempt
+from mcspectra.studies.vetting import Trust
+
+STUDY = """
+title = "t"
+samplers = ["random"]
+[convergence]
+counts = [4]
+realizations = 10
+[[estimators]]
+name = "a"
+integrand = "python(function='misbehaving:{name}')"
+dims = 1
+"""
+
+
+def _task(estimator="a"):
+    return Task(path=f"{estimator}/random/convergence", run=None)
+
+
+def _text(name):
+    trust = Trust((f"misbehaving:{name}",))
+    return StudyText.of(decode_study(STUDY.format(name=name)), Path(), trust)
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_every_task_comes_back_once(workers):
+    threads = set()
+
+    def compute():
+        threads.add(threading.current_thread())
+        time.sleep(0.001)
+        return threads
+
+    executor = Threads(workers)
+    assert executor.workers == workers
+    assert list(executor.outcomes()) == []
+    for i in range(20):
+        executor.submit(_task(str(i)), compute)
+    found = []
+    for outcome in executor.outcomes():
+        assert outcome.state is threads  # an object, no bytes
+        assert outcome.payload is None
+        found.append(outcome.task)
+        if len(found) == 5:
+            executor.submit(_task("late"), compute)
+    assert len(found) == 21
+    assert {task.path for task in found} == {_task(str(i)).path for i in (*range(20), "late")}
+    executor.close(cancel=False)
+    assert len(threads) <= workers
+    assert not any(thread.is_alive() for thread in threads)
+
+
+def test_cancelled_tasks_do_not_begin():
+    begun = []
+    gate = threading.Event()
+
+    def compute():
+        begun.append(True)
+        gate.wait(10)
+
+    executor = Threads(1)
+    for i in range(50):
+        executor.submit(_task(str(i)), compute)
+    threading.Timer(0.1, gate.set).start()
+    executor.close(cancel=True)
+    assert len(begun) <= 1
+
+
+@pytest.mark.parametrize("raised", [KeyboardInterrupt, SystemExit, ValueError])
+def test_what_a_thread_raises_becomes_a_sentence(raised):
+    def compute():
+        raise raised("no")
+
+    executor = Threads(1)
+    for _ in range(2):
+        executor.submit(_task(), compute)
+    assert [each.error for each in executor.outcomes()] == [f"It raised {raised.__name__}: no."] * 2
+    executor.close(cancel=False)
+
+
+@pytest.mark.parametrize("value", [0, -1.0, float("nan"), float("inf"), "3", True, 1e10])
+def test_time_limits_that_are_none(value):
+    with pytest.raises(ParameterError, match="time_limit"):
+        check_time_limit(value)
+
+
+def test_time_limits():
+    assert check_time_limit(None) is None
+    assert check_time_limit(3) == 3.0
+
+
+def test_workers_that_cannot_build_the_study_are_an_error(misbehaving):
+    text = msgspec.structs.replace(_text("good"), code=())
+    executor = processes(text, 1)
+    executor.submit(_task())
+    try:
+        with pytest.raises(ClusterError, match="--allow-code misbehaving:good"):
+            next(executor.outcomes())
+    finally:
+        executor.close(cancel=True)
+    assert misbehaving.exists()
+
+
+MASKS = """
+import multiprocessing, signal
+from mcspectra.studies.executors import deaf
+
+def masked():
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+def tell(pipe):
+    pipe.send(masked())
+
+if __name__ == "__main__":
+    context = multiprocessing.get_context("spawn")
+    for _ in range(2):
+        ours, theirs = context.Pipe()
+        with deaf():
+            context.Process(target=tell, args=(theirs,), daemon=True).start()
+        print(ours.recv())
+    print(masked())
+"""
+
+
+def test_processes_begin_deaf_to_ctrl_c(tmp_path):
+    """The first one too: before it, multiprocessing starts a process, and then unblocks Ctrl-C."""
+    (tmp_path / "masks.py").write_text(MASKS)
+    found = subprocess.run(
+        [sys.executable, "masks.py"], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert found.stdout.splitlines() == ["True", "True", "False"]
+
+
+def test_processes_do_not_repeat_the_warnings_of_planning(capfd):
+    study = STUDY.replace("python(function='misbehaving:{name}')", "gaussian")
+    study = decode_study(study.replace('"random"', '"sobol | owen"').replace("[4]", "[100]"))
+    with pytest.warns(NotPowerOfTwoWarning):
+        make_plan(study, Path())
+    executor = processes(StudyText.of(study, Path()), 1)
+    executor.submit(Task(path="a/sobol-owen/convergence", run=None))
+    assert next(executor.outcomes()).error is None
+    executor.close(cancel=False)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_process_that_is_stopped_or_dies_is_replaced(misbehaving):
+    """One worker: a task that hangs, one whose worker dies once, and one that just works."""
+    names = ("hangs", "dies_once", "good", "dies")
+    study = decode_study(
+        STUDY.format(name="hangs")
+        + "".join(
+            f"[[estimators]]\nname = '{name}'\ndims = 1\n"
+            f"integrand = \"python(function='misbehaving:{name}')\"\n"
+            for name in names[1:]
+        )
+    )
+    text = StudyText.of(study, Path(), Trust(tuple(f"misbehaving:{name}" for name in names)))
+    (misbehaving / "hang").touch()
+    tasks = {name: _task(name.replace("_", "-")) for name in names[1:]} | {"hangs": _task()}
+    with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
+        executor = processes(text, 1, 5.0)
+    for name in names:
+        executor.submit(tasks[name])
+    found = {outcome.task: outcome for outcome in executor.outcomes()}
+    executor.close(cancel=False)
+    outcomes = {name: found.pop(task) for name, task in tasks.items()}
+    assert not found
+    assert outcomes["hangs"].error == "It took longer than the time limit of 5 s and was stopped."
+    assert outcomes["dies"].error.startswith("2 workers died while computing it")
+    assert (misbehaving / "died").exists()
+    # dies_once and good have the same values, hence the same moments.
+    assert outcomes["dies_once"].error is outcomes["good"].error is None
+    assert outcomes["good"].payload == attempt(text, tasks["good"]).payload

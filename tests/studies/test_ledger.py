@@ -1,0 +1,595 @@
+"""The ledger: what is told is kept, whatever ends the process; no damage gives a wrong value."""
+
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from mcspectra.core.errors import OtherVersionsWarning, StorageError, StoreError
+from mcspectra.core.results import package_versions
+from mcspectra.studies import ledger as ledger_module
+from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote, check_links, is_held
+
+NOTE = StudyNote(
+    title="t",
+    seed=5,
+    config='{"title":"t"}',
+    study_hash="ab" * 32,
+    versions=package_versions(),
+    inputs={"data/a.npy": "0" * 64},
+)
+PATHS = tuple(f"{e}/{s}/{a}" for e in "abcd" for s in "xyz" for a in ("convergence", "terms"))
+RUN = "0-0-10"
+
+
+def payload(path: str, size: int = 3000) -> bytes:
+    """Bytes that stand for the result of a cell."""
+    return random.Random(path).randbytes(size)
+
+
+@pytest.fixture
+def running(tmp_path: Path) -> Path:
+    """A ledger of which half is finished, a cell has failed, and tasks are recorded."""
+    with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
+        for path in PATHS[:12]:
+            ledger.finish(path, payload(path))
+        ledger.fail(PATHS[12], "It gave NaN.")
+        for block in range(4):
+            ledger.record(PATHS[13], RUN, (block, 1), payload(str(block), 500), 0.5, "worker")
+    return tmp_path
+
+
+@pytest.fixture
+def finished(tmp_path: Path) -> Path:
+    with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
+        for path in PATHS:
+            ledger.finish(path, payload(path))
+    return tmp_path
+
+
+def test_what_is_told_is_read(running: Path) -> None:
+    with Ledger.read(running) as ledger:
+        assert ledger.study == NOTE
+        assert tuple(ledger.paths) == PATHS
+        assert tuple(ledger.done) == PATHS[:12]
+        assert ledger.failures() == {PATHS[12]: "It gave NaN."}
+        assert ledger.tasks(PATHS[13]) == [(RUN, (block, 1)) for block in range(4)]
+        assert ledger.tasks(PATHS[14]) == []
+        assert ledger.recorded == 4
+        assert ledger.state(PATHS[13], RUN, (2, 1)) == payload("2", 500)
+        assert ledger.state(PATHS[13], RUN, (9, 1)) is None
+        assert ledger.result(PATHS[3]) == payload(PATHS[3])
+        assert ledger.verify() == {}
+        for path, words in {
+            PATHS[12]: "no result of .*: It gave NaN",
+            PATHS[13]: "not finished",
+            "e/x/terms": "has no cell 'e/x/terms'",
+        }.items():
+            with pytest.raises(StoreError, match=words):
+                ledger.result(path)
+        assert "worker" in ledger.tally.hosts
+        assert (ledger.tally.holder, ledger.tally.finished) == (None, None)
+
+
+def test_what_is_not_yet_committed_can_be_read_by_its_writer(tmp_path: Path) -> None:
+    with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
+        ledger.record(PATHS[0], RUN, (0, 2), b"state")
+        assert ledger.state(PATHS[0], RUN, (0, 2)) == b"state"
+        ledger.finish(PATHS[0], b"result")
+        assert ledger.result(PATHS[0]) == b"result"
+        assert ledger.tasks(PATHS[0]) == []
+        with pytest.raises(StoreError, match="is finished already"):
+            ledger.finish(PATHS[0], b"other")
+
+
+def test_a_resumed_ledger_goes_on(running: Path) -> None:
+    with Ledger.resume(running, NOTE, PATHS) as ledger:
+        assert ledger.damaged == {}
+        assert tuple(ledger.done) == PATHS[:12]
+        assert len(ledger.tasks(PATHS[13])) == 4
+        ledger.forget([PATHS[12]])
+        for path in PATHS[12:]:
+            ledger.finish(path, payload(path))
+        assert ledger.failures() == {}
+    with Ledger.read(running) as ledger:
+        assert tuple(ledger.done) == PATHS
+        assert ledger.recorded == 0
+        assert ledger.tally.finished is not None
+        assert all(ledger.result(path) == payload(path) for path in PATHS)
+    with Ledger.resume(running / "new", NOTE, PATHS) as ledger:
+        assert not ledger.done
+
+
+def test_the_last_sentence_and_state_count_and_are_bounded(tmp_path: Path) -> None:
+    with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
+        for text in ("first", "\ud800" + "much " * 10**5):
+            ledger.fail(PATHS[0], text)
+            ledger.record(PATHS[1], RUN, (0, 1), text[:3].encode("utf-8", "replace"))
+    with Ledger.read(tmp_path) as ledger:
+        assert len(ledger.failures()[PATHS[0]]) == 10_000
+        assert ledger.state(PATHS[1], RUN, (0, 1)) == b"?mu"
+
+
+def test_commits_come_by_themselves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ledger_module, "_COMMIT_SECONDS", 0.02)
+    with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
+        ledger.finish(PATHS[0], b"first")
+        end = time.monotonic() + 30
+        while ledger.tally.done == 0:
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        with Ledger.read(tmp_path) as reader:
+            assert reader.result(PATHS[0]) == b"first"
+
+
+def test_much_is_committed_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ledger_module, "_COMMIT_SECONDS", 1000.0)
+    with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
+        ledger.finish(PATHS[0], bytes(2**25 + 1))
+        assert ledger.tally.done == 1
+
+
+def test_results_are_not_written_over(running: Path) -> None:
+    with pytest.raises(StoreError, match="holds results already; give another --out, or --resume"):
+        Ledger.create(running, NOTE, PATHS)
+    Ledger.resume(running, NOTE, PATHS).close()  # it has been given free
+
+
+def test_another_study_is_refused(running: Path) -> None:
+    other = msgspec.structs.replace(NOTE, study_hash="0" * 64)
+    for note, paths in ((other, PATHS), (NOTE, PATHS[1:])):
+        with pytest.raises(StoreError, match="belongs to another study or another version"):
+            Ledger.resume(running, note, paths)
+
+
+def test_another_version_is_refused_and_of_other_packages_is_said(running: Path) -> None:
+    for name, refused in (("mcspectra", True), ("scipy", False)):
+        other = msgspec.structs.replace(NOTE, versions=NOTE.versions | {f"version_{name}": "0.0.1"})
+        context = pytest.raises(StoreError, match=r"this is 0\.0\.1, whose numbers may differ")
+        if not refused:
+            context = pytest.warns(OtherVersionsWarning, match=r"scipy .* \(now 0\.0\.1\)")
+        with context:
+            Ledger.resume(running, other, PATHS).close()
+
+
+def test_changed_inputs_are_refused_or_their_cells_forgotten(running: Path) -> None:
+    other = msgspec.structs.replace(NOTE, inputs={"data/a.npy": "1" * 64})
+    with pytest.raises(StoreError, match=r"not of the file 'data/a.npy' as found now: .*--retry"):
+        Ledger.resume(running, other, PATHS)
+    outdated = {PATHS[0], PATHS[12], PATHS[13]}
+    with Ledger.resume(running, other, PATHS, outdated=outdated) as ledger:
+        assert tuple(ledger.done) == PATHS[1:12]
+        assert (ledger.failures(), ledger.recorded, ledger.damaged) == ({}, 0, {})
+        ledger.finish(PATHS[0], b"new")
+    with Ledger.read(running) as ledger:
+        assert ledger.study.inputs == other.inputs
+        assert ledger.result(PATHS[0]) == b"new"
+        assert ledger.result(PATHS[1]) == payload(PATHS[1])
+        assert ledger.verify() == {}
+
+
+def test_a_second_writer_is_refused_and_told_of_the_first(running: Path) -> None:
+    with Ledger.resume(running, NOTE, PATHS) as first:
+        assert is_held(running)
+        with pytest.raises(StoreError, match=f"written by process {os.getpid()} on host"):
+            Ledger.resume(running, NOTE, PATHS)
+        first.finish(PATHS[20], b"goes on")
+    assert not is_held(running)
+    Ledger.resume(running, NOTE, PATHS).close()
+
+
+def test_a_note_of_a_holder_is_no_lock(running: Path) -> None:
+    code = (
+        "import os, sys\nfrom tests.studies.test_ledger import *\n"
+        f"ledger = Ledger.resume(Path({str(running)!r}), NOTE, PATHS)\nos.kill(os.getpid(), 9)\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], check=False, cwd=Path(__file__).parents[2])
+    assert ended.returncode == -signal.SIGKILL
+    assert not is_held(running)
+    with Ledger.read(running) as ledger:
+        assert ledger.tally.holder is not None
+        assert ledger.tally.holder.pid != os.getpid()
+    with Ledger.resume(running, NOTE, PATHS) as ledger:
+        assert ledger.tally.holder is not None
+        assert ledger.tally.holder.pid == os.getpid()
+
+
+def test_readers_see_whole_commits_while_it_is_written(tmp_path: Path) -> None:
+    over = threading.Event()
+    seen: list[int] = []
+
+    def look() -> None:
+        while not over.is_set():
+            with Ledger.read(tmp_path) as reader:
+                assert not reader.damaged
+                done = tuple(reader.done)
+                assert reader.damaged == {}
+                assert len(done) % 4 == 0
+                seen.append(len(done))
+                for path in done[-1:]:
+                    assert reader.result(path) == payload(path)
+                assert reader.verify() == {}
+
+    with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
+        thread = threading.Thread(target=look)
+        thread.start()
+        for first in range(0, len(PATHS), 4):
+            with ledger._guard:
+                for path in PATHS[first : first + 4]:
+                    ledger.record(path, RUN, (0, 1), b"state")
+                ledger.commit()
+                for path in PATHS[first : first + 4]:
+                    ledger.finish(path, payload(path))
+                ledger.commit()
+            time.sleep(0.02)
+        over.set()
+        thread.join()
+    assert seen == sorted(seen)
+    assert len(set(seen)) > 2
+
+
+KILLED = """
+import os, random, sys, threading, time
+from tests.studies.test_ledger import *
+import mcspectra.studies.ledger as module
+module._COMMIT_SECONDS = 0.001
+out, seed = Path(sys.argv[1]), sys.argv[2]
+chosen = random.Random(seed)
+def kill(moment=chosen.random() * 0.06):
+    time.sleep(moment)
+    os.kill(os.getpid(), 9)
+threading.Thread(target=kill, daemon=True).start()
+with Ledger.resume(out, NOTE, PATHS) as ledger:
+    for path in PATHS:
+        if path in ledger.done:
+            assert not ledger.tasks(path)
+            continue
+        for block in range(5):
+            state = payload(f"{path}{block}", 20_000)
+            if (RUN, (block, 1)) in ledger.tasks(path):
+                assert ledger.state(path, RUN, (block, 1)) == state
+            else:
+                ledger.record(path, RUN, (block, 1), state)
+            time.sleep(0.0003)
+        ledger.finish(path, payload(path))
+"""
+
+
+def killed_at_moments(folder: Path, kills: int) -> None:
+    """Kill writers at random moments; the ledger is always sound, and grows."""
+    killed = done = 0
+    while killed < kills:
+        ended = subprocess.run(
+            [sys.executable, "-c", KILLED, str(folder), str(killed)],
+            capture_output=True,
+            text=True,
+            check=False,
+            cwd=Path(__file__).parents[2],
+        )
+        assert ended.stderr == ""
+        assert ended.returncode in (0, -signal.SIGKILL)
+        killed += ended.returncode != 0
+        if (folder / LEDGER_NAME).exists():
+            with Ledger.read(folder) as ledger:
+                assert ledger.verify() == {}
+                assert len(ledger.done) >= done
+                assert all(ledger.result(path) == payload(path) for path in ledger.done)
+                done = len(ledger.done)
+        if done == len(PATHS):
+            shutil.rmtree(folder)
+            done = 0
+
+
+def test_killed_at_any_moment_it_is_sound(tmp_path: Path) -> None:
+    killed_at_moments(tmp_path / "out", 6)
+
+
+@pytest.mark.endurance
+def test_killed_at_150_moments_it_is_sound(tmp_path: Path) -> None:
+    killed_at_moments(tmp_path / "out", 150)
+
+
+def mutated(file: Path, chosen: random.Random) -> None:
+    """Change, zero or cut off random bytes."""
+    content = bytearray(file.read_bytes())
+    at = chosen.randrange(len(content))
+    kind = chosen.choice(("flip", "flip", "flip", "zero", "cut", "page"))
+    if kind == "flip":
+        content[at] ^= 1 << chosen.randrange(8)
+    elif kind == "zero":
+        length = chosen.choice((1, 8, 512, 8192))
+        content[at : at + length] = bytes(len(content[at : at + length]))
+    elif kind == "cut":
+        del content[at:]
+    else:
+        first, second = (8192 * chosen.randrange(len(content) // 8192) for _ in range(2))
+        content[first : first + 8192] = content[second : second + 8192]
+    file.write_bytes(content)
+
+
+def check_mutation(folder: Path) -> str:
+    """What came of a damaged ledger: each value is the right one, or it is said that it is not."""
+    noticed = False
+    try:
+        with Ledger.read(folder) as ledger:
+            done = list(ledger.done)
+            noticed = bool(ledger.damaged)
+            for path in done:
+                try:
+                    assert ledger.result(path) == payload(path)
+                except StoreError:
+                    noticed = True
+            for path in PATHS:
+                for run, chunk in ledger.tasks(path):
+                    state = ledger.state(path, run, chunk)
+                    assert state in (None, payload(str(chunk[0]), 500))
+            ledger.failures()
+            states = [ledger.state(PATHS[13], RUN, (block, 1)) for block in range(4)]
+            verified = ledger.verify()
+            whole = len(done) == len(PATHS) or (
+                len(done) == 12 and None not in states and len(ledger.failures()) == 1
+            )
+            assert whole or noticed or verified
+            noticed = noticed or bool(verified)
+    except StoreError:
+        noticed = True
+    try:
+        with Ledger.resume(folder, NOTE, PATHS) as ledger:
+            lost = len(ledger.done) not in (12, len(PATHS)) or (
+                len(ledger.done) == 12 and (ledger.recorded, len(ledger.failures())) != (4, 1)
+            )
+            assert ledger.damaged or not lost
+            for path in PATHS:
+                if path in ledger.done:
+                    assert ledger.result(path) == payload(path)
+                else:
+                    ledger.finish(path, payload(path))
+        with Ledger.read(folder) as ledger:
+            assert ledger.verify() == {}
+            assert tuple(ledger.done) == PATHS
+            assert all(ledger.result(path) == payload(path) for path in PATHS)
+    except StoreError:
+        assert noticed
+        return "refused"
+    return "noticed" if noticed else "without effect"
+
+
+def check_mutations(folder: Path, work: Path, number: int, seed: int) -> dict[str, int]:
+    """Damage copies of a ledger; how many were refused, noticed, or without effect."""
+    chosen, found = random.Random(seed), {"refused": 0, "noticed": 0, "without effect": 0}
+    for _ in range(number):
+        shutil.rmtree(work, ignore_errors=True)
+        work.mkdir()
+        shutil.copy(folder / LEDGER_NAME, work)
+        mutated(work / LEDGER_NAME, chosen)
+        found[check_mutation(work)] += 1
+    return found
+
+
+@pytest.mark.parametrize("kind", ["running", "finished"])
+def test_no_damage_gives_a_wrong_value(
+    request: pytest.FixtureRequest, tmp_path: Path, kind: str
+) -> None:
+    found = check_mutations(request.getfixturevalue(kind), tmp_path / "work", 20, 1)
+    assert found["noticed"] > 5
+
+
+@pytest.mark.endurance
+@pytest.mark.parametrize("kind", ["running", "finished"])
+def test_no_damage_of_many_gives_a_wrong_value(
+    request: pytest.FixtureRequest, tmp_path: Path, kind: str
+) -> None:
+    print(kind, check_mutations(request.getfixturevalue(kind), tmp_path / "work", 500, 2))
+
+
+LIMITED = """
+import resource, sys
+from tests.studies.test_ledger import *
+import mcspectra.studies.ledger as module
+module._COMMIT_SECONDS = 0.001
+folder, limit = Path(sys.argv[1]), int(sys.argv[2])
+resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+try:
+    with Ledger.resume(folder, NOTE, PATHS) as ledger:
+        for path in PATHS:
+            if path not in ledger.done:
+                ledger.finish(path, payload(path))
+                time.sleep(0.005)
+except StorageError as error:
+    print(error)
+    sys.exit(1)
+"""
+
+
+def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path: Path) -> None:
+    out, done = tmp_path / "out", 0
+    for limit in (10_000, 80_000, 100_000, 10**6):
+        ended = subprocess.run(
+            [sys.executable, "-c", LIMITED, str(out), str(limit)],
+            capture_output=True,
+            text=True,
+            check=False,
+            cwd=Path(__file__).parents[2],
+        )
+        assert ended.stderr == ""
+        assert ended.returncode == (limit < 10**6)
+        assert (
+            ended.stdout.count("cannot be written") == ended.stdout.count("\n") == (limit < 10**6)
+        )
+        if (out / LEDGER_NAME).exists():
+            with Ledger.read(out) as ledger:
+                assert ledger.verify() == {}
+                assert len(ledger.done) >= done
+                done = len(ledger.done)
+                assert all(ledger.result(path) == payload(path) for path in ledger.done)
+        assert limit < 80_000 or done > 0
+    assert done == len(PATHS)
+
+
+def test_what_a_commit_of_the_thread_meets_ends_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ledger_module, "_COMMIT_SECONDS", 0.01)
+
+    def finish_all(ledger: Ledger) -> None:
+        monkeypatch.setattr(ledger_module, "_PUT_NOTE", "INSERT INTO none VALUES (?, ?, ?)")
+        for path in PATHS:
+            ledger.finish(path, payload(path))
+            time.sleep(0.02)
+
+    with (
+        pytest.raises(
+            StorageError, match=r"cannot be written: no such table.*is kept, and --resume"
+        ),
+        Ledger.create(tmp_path, NOTE, PATHS) as ledger,
+    ):
+        finish_all(ledger)
+    monkeypatch.undo()
+    assert not is_held(tmp_path)
+    Ledger.resume(tmp_path, NOTE, PATHS).close()
+
+
+def test_an_interrupted_commit_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C while it is being written: nothing of it is there, and closing writes it."""
+    monkeypatch.setattr(ledger_module, "_COMMIT_SECONDS", 1000.0)
+    write = Ledger._write
+
+    def interrupted(self: Ledger, steps: object, tally: object) -> None:
+        def steps_then_signal() -> object:
+            yield from steps
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(Ledger, "_write", write)
+        write(self, steps_then_signal(), tally)
+
+    def run() -> None:
+        with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
+            ledger.finish(PATHS[0], payload(PATHS[0]))
+            monkeypatch.setattr(Ledger, "_write", interrupted)
+            ledger.commit()
+
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    with Ledger.read(tmp_path) as ledger:
+        assert tuple(ledger.done) == PATHS[:1]
+        assert ledger.verify() == {}
+        assert ledger.tally.holder is None
+
+
+def test_folders_that_cannot_be_written_are_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="cannot be written: Not a directory"):
+        Ledger.create(tmp_path / "file" / "out", NOTE, PATHS)
+    with pytest.raises(StoreError, match="There are no results in"):
+        Ledger.read(tmp_path)
+
+
+SHUT = """
+import os, sys
+from tests.studies.test_ledger import *
+if os.getuid() == 0: os.setuid(65534)
+for look in (lambda: Ledger.create(Path(sys.argv[1]), NOTE, PATHS), lambda: check_links(Path(sys.argv[2]))):
+    try: look()
+    except StoreError as error: print(error)
+"""
+
+
+def test_folders_that_are_shut_are_a_sentence() -> None:
+    """Of a user without root's rights, who does not reach pytest's folders."""
+    with tempfile.TemporaryDirectory() as name:
+        for part, mode in (("", 0o755), ("closed", 0o000), ("read-only", 0o555)):
+            Path(name, part).mkdir(exist_ok=True)
+            Path(name, part).chmod(mode)
+        ended = subprocess.run(
+            [sys.executable, "-c", SHUT, f"{name}/read-only", f"{name}/closed"],
+            capture_output=True,
+            text=True,
+            check=False,
+            cwd=Path(__file__).parents[2],
+        )
+        Path(name, "closed").chmod(0o700)
+    assert "read-only' cannot be written: unable to open database file" in ended.stdout
+    assert "closed' cannot be read: Permission denied." in ended.stdout, ended.stderr
+
+
+def test_a_finished_ledger_is_read_without_the_right_to_write(
+    finished: Path, tmp_path: Path
+) -> None:
+    (finished / LEDGER_NAME).chmod(0o444)
+    with Ledger.read(finished) as ledger:
+        assert ledger.result(PATHS[0]) == payload(PATHS[0])
+
+
+@pytest.mark.parametrize(
+    ("link", "target"),
+    [
+        ("study.sqlite", "key"),
+        ("study.sqlite-journal", "key"),
+        (".study.sqlite.partial", "key"),
+        ("study.lock", "key"),
+        ("results.zarr", ""),
+        ("results.zarr/a/random", ""),
+        ("results.zarr/zarr.json", "key"),
+        (".results.zarr.partial", ""),
+        ("report.html", "key"),
+        ("figures", ""),
+        ("figures/x.svg", "key"),
+        ("figures", "nothing-there"),
+    ],
+)
+def test_a_folder_with_links_is_not_written(
+    running: Path, tmp_path_factory: pytest.TempPathFactory, link: str, target: str
+) -> None:
+    secret = tmp_path_factory.mktemp("secret")
+    (secret / "key").write_text("mine")
+    place = running / link
+    place.parent.mkdir(parents=True, exist_ok=True)
+    place.unlink(missing_ok=True)
+    place.symlink_to(secret / target)
+    with pytest.raises(StoreError, match=rf"{link}' is a symbolic link"):
+        Ledger.resume(running, NOTE, PATHS)
+    if link.startswith("study.sqlite"):
+        with pytest.raises(StoreError, match=rf"{link}' is a symbolic link"):
+            Ledger.read(running)
+    assert {file.name: file.read_text() for file in secret.iterdir()} == {"key": "mine"}
+
+
+def test_what_whoever_runs_it_has_linked_is_fine(running: Path, tmp_path: Path) -> None:
+    """The output folder itself, and other files in the folder."""
+    (tmp_path / "scratch").symlink_to(running)
+    (running / "notes").symlink_to(tmp_path)
+    with Ledger.resume(tmp_path / "scratch", NOTE, PATHS) as ledger:
+        assert PATHS[0] in ledger.done
+    check_links(tmp_path / "none")
+    check_links(running / LEDGER_NAME)
+
+
+def test_a_stranger_is_no_ledger(tmp_path: Path) -> None:
+    import sqlite3
+
+    (tmp_path / LEDGER_NAME).write_bytes(b"text")
+    with pytest.raises(StoreError, match="cannot be read: file is not a database"):
+        Ledger.read(tmp_path)
+    (tmp_path / LEDGER_NAME).unlink()
+    with sqlite3.connect(tmp_path / LEDGER_NAME) as connection:
+        connection.execute("CREATE VIEW cells AS SELECT 1 AS place, zeroblob(10) AS path")
+        connection.execute("PRAGMA user_version = 3")
+    connection.close()
+    with pytest.raises(StoreError, match="or it is no ledger: give another folder"):
+        Ledger.read(tmp_path)
+    connection = sqlite3.connect(tmp_path / LEDGER_NAME)
+    connection.execute("PRAGMA user_version = 4")
+    connection.close()
+    with pytest.raises(StoreError, match="has store format 4; this version reads 3"):
+        Ledger.read(tmp_path)

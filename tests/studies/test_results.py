@@ -1,0 +1,745 @@
+"""Results as they are opened, counted and exported: the numbers of the ledger, or a sentence."""
+
+import csv
+import json
+import os
+import random
+import shutil
+import warnings
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import fsspec
+import numpy as np
+import pandas as pd
+import pyarrow.parquet
+import pytest
+import xarray as xr
+import zarr
+
+from mcspectra.core.errors import MissingDependency, ParameterError, StorageError, StoreError
+from mcspectra.core.records import pack
+from mcspectra.core.results import dataset, package_versions
+from mcspectra.studies import results
+from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote
+from mcspectra.studies.results import (
+    export_results,
+    open_results,
+    output_folder,
+    result_paths,
+    study_status,
+    write_zarr,
+)
+
+NOTE = StudyNote(
+    title="t ü",
+    seed=5,
+    config=json.dumps({"title": "t ü", "samplers": ["random"]}),
+    study_hash="ab" * 32,
+    versions=package_versions(),
+    inputs={},
+)
+VARIANCE = np.array([[0.1, 1 / 3, np.nan], [np.inf, -0.0, 1e-300]])
+PATHS = ("a/random/convergence", "b/random/terms", "b/jittered/terms")
+
+
+def convergence() -> xr.Dataset:
+    return xr.Dataset(
+        {
+            "variance": (("n", "channel"), VARIANCE, {"units": "f²", "long_name": "variance"}),
+            "variance_ci": (("n", "bound"), np.arange(4.0).reshape(2, 2)),
+            "rate": ((), -1.5),
+        },
+        coords={
+            "n": [4, 2**31 + 5],
+            "bound": ["low", "high"],
+            "channel": ["red", "green", "blue"],
+        },
+        attrs={
+            "estimator_name": 'the, "a"',
+            "sampler_spec": "random",
+            "analysis": "convergence",
+            "seed": 3,
+        },
+    )
+
+
+def terms() -> xr.Dataset:
+    return xr.Dataset(
+        {"coefficient": (("m",), np.array([1 + 2j, -0.5j])), "found": (("m",), [True, False])},
+        coords={"m": [-1, 1]},
+        attrs={"estimator_name": "b", "sampler_spec": "random", "analysis": "terms"},
+    )
+
+
+def numbers(seed: int = 0) -> xr.Dataset:
+    """Numbers of all kinds that results have."""
+    rng = np.random.default_rng(seed)
+    found = dataset({"variance": (("n",), rng.random(3))}, {"n": [4, 16, 64]}, seed=seed)
+    return found.assign(
+        scalar=((), np.nan),
+        flags=(("n",), np.array([True, False, True]), {"units": "1", "of": [1, 2]}),
+        waves=(("m",), np.array([1 + 2j, np.nan, np.inf])),
+        counts=(("m",), np.array([0, -(2**40), 3])),
+        single=(("n",), np.float32([0.1, 0.0, -0.0])),
+        half=(("n",), np.float16([0.1, 0.0, -0.0])),
+        none=(("a", "b"), np.zeros((0, 3))),
+        zeros=(("b",), np.zeros(3)),
+        days=(("b",), np.arange(3.0), {"units": "days"}),
+    ).assign_coords(alone=("n", [0.5, np.nan, 1.5]))
+
+
+def written(folder: Path, cells: dict[str, xr.Dataset], paths: tuple[str, ...] = ()) -> Path:
+    """A study's folder with these cells, and its store."""
+    with Ledger.create(folder, NOTE, paths or tuple(cells)) as ledger:
+        for path, cell in cells.items():
+            ledger.finish(path, pack(cell))
+    write_zarr(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    cells = {PATHS[0]: convergence(), PATHS[1]: terms()}
+    return written(tmp_path_factory.mktemp("study"), cells, PATHS)
+
+
+@pytest.fixture
+def copy(folder: Path, tmp_path: Path) -> Path:
+    """The study's folder, to be damaged."""
+    return Path(shutil.copytree(folder, tmp_path / "out"))
+
+
+@pytest.fixture
+def memory() -> Iterator[str]:
+    """A URL of memory, empty again afterwards."""
+    yield "memory://results-test"
+    files = fsspec.filesystem("memory")
+    if files.exists("memory://results-test"):
+        files.rm("memory://results-test", recursive=True)
+
+
+def same_results(found: str | Path, expected: str | Path) -> None:
+    one, two = open_results(found), open_results(expected)
+    assert one.attrs == two.attrs
+    assert sorted(node.path for node in one.leaves) == sorted(node.path for node in two.leaves)
+    for node in one.leaves:
+        identical(node.to_dataset(), two[node.path].to_dataset())
+
+
+def identical(found: xr.Dataset, expected: xr.Dataset) -> None:
+    xr.testing.assert_identical(found, expected)
+    for name in expected.variables:
+        assert found[name].dtype == expected[name].dtype
+        assert found[name].values.tobytes() == expected[name].values.tobytes()
+
+
+def test_numbers_are_read_bit_for_bit_from_the_ledger_and_from_the_store(tmp_path: Path) -> None:
+    cells = {f"a/s{seed}/terms": numbers(seed) for seed in range(3)}
+    out = written(tmp_path, cells)
+    for source in (out, out / "results.zarr"):
+        tree = open_results(source)
+        assert tree.attrs["format"] == 3
+        assert tree.attrs["bound"] == ["low", "high"]
+        assert tree.attrs["study"]["title"] == "t ü"
+        for path, cell in cells.items():
+            identical(tree[path].to_dataset(), cell)
+    assert result_paths(out) == tuple(cells)
+
+
+@pytest.mark.parametrize("consolidated", [True, False])
+def test_xarray_and_zarr_alone_read_the_store(folder: Path, consolidated: bool) -> None:
+    store = folder / "results.zarr"
+    tree = xr.open_datatree(store, engine="zarr", consolidated=consolidated)
+    found = tree[PATHS[0]].to_dataset()
+    assert found["variance"].values.tobytes() == VARIANCE.tobytes()
+    assert found.attrs["labels_channel"] == ["red", "green", "blue"]
+    assert found["variance"].attrs["units"] == "f²"
+    assert xr.open_datatree(store).attrs["study_hash"] == NOTE.study_hash
+    root = zarr.open_group(store, mode="r", use_consolidated=consolidated)
+    assert sorted(root.group_keys()) == ["a", "b"]
+    assert root[f"{PATHS[1]}/found"].shape == (2,)
+
+
+def test_consolidated_metadata_are_those_that_zarr_writes(copy: Path) -> None:
+    document = copy / "results.zarr" / "zarr.json"
+    ours = json.loads(document.read_text())["consolidated_metadata"]["metadata"]
+    with warnings.catch_warnings(action="ignore"):
+        zarr.consolidate_metadata(str(copy / "results.zarr"))
+    theirs = json.loads(document.read_text())["consolidated_metadata"]["metadata"]
+    assert sorted(ours) == sorted(theirs)
+    for path, expected in theirs.items():
+        for key in ("shape", "attributes", "node_type", "codecs", "dimension_names"):
+            assert ours[path].get(key) == expected.get(key)
+
+
+def test_texts_become_labels(folder: Path) -> None:
+    cell = open_results(folder)[PATHS[0]].to_dataset()
+    assert sorted(cell.coords) == ["n"]
+    assert cell.attrs["labels_channel"] == ["red", "green", "blue"]
+    assert "labels_bound" not in cell.attrs
+
+
+def test_a_part_can_be_opened(folder: Path) -> None:
+    for source in (folder, folder / "results.zarr"):
+        for select in ("b/*", PATHS[1], "b/random/terms"):
+            tree = open_results(source, select)
+            assert [node.path for node in tree.leaves] == [f"/{PATHS[1]}"]
+        with pytest.raises(StoreError, match="No cell of .* matches 'x/"):
+            open_results(source, "x/*")
+    with pytest.raises(StoreError, match="has no cell 'x/y'"):
+        open_results(folder, "x/y")
+    with pytest.raises(StoreError, match=f"no result of {PATHS[2]}: it is not finished"):
+        open_results(folder, PATHS[2])
+
+
+def test_results_of_a_running_study_are_read(tmp_path: Path) -> None:
+    with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
+        ledger.finish(PATHS[1], pack(terms()))
+        ledger.commit()
+        assert result_paths(tmp_path) == (PATHS[1],)
+        identical(open_results(tmp_path)[PATHS[1]].to_dataset(), terms())
+        assert study_status(tmp_path).state == "running"
+
+
+def test_a_damaged_ledger_is_not_opened_in_silence(copy: Path) -> None:
+    content = (copy / LEDGER_NAME).read_bytes()
+    at = content.index(np.float64(1 / 3).tobytes())
+    (copy / LEDGER_NAME).write_bytes(content[:at] + b"!" + content[at + 1 :])
+    with pytest.raises(StoreError, match=f"The cell {PATHS[0]} .* is damaged: .*--resume"):
+        open_results(copy)
+    identical(open_results(copy, PATHS[1])[PATHS[1]].to_dataset(), terms())
+    with pytest.raises(StoreError, match="is damaged"):
+        export_results(copy, copy / "x.csv")
+    (copy / LEDGER_NAME).write_bytes(b"SQLite format 3\0" + bytes(5000))
+    with pytest.raises(StoreError, match="study.sqlite"):
+        open_results(copy)
+
+
+def changed(tree: Path, chosen: random.Random) -> str:
+    """Change, remove, add or exchange a file of a store; what was done."""
+    files = sorted(file for file in tree.rglob("*") if file.is_file())
+    file, other = chosen.sample(files, 2)
+    content, kind = (
+        bytearray(file.read_bytes()),
+        chosen.choice(["change", "cut", "gone", "new", "swap"]),
+    )
+    if kind == "change":
+        at = chosen.randrange(len(content))
+        content[at] ^= 1 << chosen.randrange(8)
+        if file == tree / "zarr.json":  # blanks, and the case of \u00fc, say nothing
+            old = json.loads(file.read_bytes())
+            try:
+                if json.loads(bytes(content)) == old:
+                    return "nothing"
+            except ValueError:
+                pass
+        file.write_bytes(content)
+    elif kind == "cut":
+        file.write_bytes(content[: chosen.randrange(len(content))])
+    elif kind == "gone":
+        file.unlink()
+    elif kind == "new":
+        file.with_name("more").write_bytes(b"")
+    elif content == other.read_bytes():
+        return "nothing"
+    else:
+        file.write_bytes(other.read_bytes())
+        other.write_bytes(content)
+    return f"{kind} {file.relative_to(tree)}"
+
+
+def check_changes(store: Path, work: Path, number: int, seed: int) -> None:
+    chosen = random.Random(seed)
+    for _ in range(number):
+        shutil.rmtree(work, ignore_errors=True)
+        shutil.copytree(store, work)
+        done = changed(work, chosen)
+        if done != "nothing":
+            try:
+                open_results(work)
+            except StoreError:
+                continue
+            pytest.fail(done)
+
+
+def test_every_change_of_a_store_is_noticed(folder: Path, tmp_path: Path) -> None:
+    check_changes(folder / "results.zarr", tmp_path / "x.zarr", 60, 3)
+
+
+@pytest.mark.endurance
+def test_every_change_of_many_of_a_store_is_noticed(folder: Path, tmp_path: Path) -> None:
+    check_changes(folder / "results.zarr", tmp_path / "x.zarr", 1000, 4)
+
+
+def test_a_flipped_number_is_noticed_by_plain_readers(copy: Path) -> None:
+    chunk = copy / "results.zarr" / PATHS[0] / "variance" / "c" / "0" / "0"
+    content = chunk.read_bytes()
+    chunk.write_bytes(b"!" + content[1:])
+    with pytest.raises(ValueError, match="checksum"):
+        xr.open_datatree(copy / "results.zarr")[PATHS[0]]["variance"].load()
+    assert study_status(copy).damaged == {}
+    assert list(study_status(copy, verify=True).damaged) == ["the store results.zarr"]
+    write_zarr(copy)  # from the ledger
+    assert chunk.read_bytes() == content
+    assert study_status(copy, verify=True).damaged == {}
+
+
+def stranger(folder: Path, change: Any) -> Path:
+    """A store of one array that somebody has made, with a digest, after `change` of its files."""
+    cell = xr.Dataset({"x": ("n", np.arange(30.0))})
+    files = dict(results._store_files({"format": 3}, [("a/b/terms", cell)]))
+    change(files)
+    root = json.loads(files["zarr.json"])
+    digests = {
+        name: results.hashlib.sha256(content).hexdigest()
+        for name, content in files.items()
+        if name != "zarr.json"
+    }
+    root["attributes"]["tree_sha256"] = results._tree_digest(root, digests)
+    files["zarr.json"] = json.dumps(root).encode()
+    results._write_folder(files.items(), folder)
+    return folder
+
+
+def with_metadata(**more: Any) -> Any:
+    def change(files: dict[str, bytes]) -> None:
+        name = "a/b/terms/x/zarr.json"
+        files[name] = json.dumps(json.loads(files[name]) | more).encode()
+
+    return change
+
+
+GRID = {"name": "regular", "configuration": {"chunk_shape": [10**13]}}
+PLAIN = {"name": "bytes", "configuration": {"endian": "little"}}
+ZSTD = {"name": "zstd", "configuration": {"level": 0, "checksum": True}}
+CRC = {"name": "crc32c"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"shape": [10**13]}, "not one chunk of 80 TB"),
+        ({"shape": [10**13], "chunk_grid": GRID}, "not one chunk of 80 TB"),
+        ({"chunk_grid": GRID}, "damaged|not one chunk"),
+        ({"codecs": [PLAIN, ZSTD]}, "not one chunk of 240 B, with a checksum and without"),
+        ({"codecs": [PLAIN, CRC, ZSTD]}, "not one chunk"),
+        ({"codecs": [PLAIN, {"name": "pickle"}]}, "not one chunk"),
+        ({"codecs": 3}, "is damaged"),
+        ({"data_type": "object"}, "damaged|not one chunk"),
+        ({"data_type": "string"}, "damaged|not one chunk"),
+        ({"shape": [-1]}, "damaged|not one chunk"),
+        ({"shape": [31]}, "not one chunk"),
+        ({"dimension_names": 3}, "is damaged"),
+    ],
+)
+def test_arrays_that_results_never_hold_are_refused(
+    tmp_path: Path, changes: dict[str, Any], sentence: str
+) -> None:
+    open_results(stranger(tmp_path / "sound.zarr", lambda _: None))
+    with pytest.raises(StoreError, match=sentence):
+        open_results(stranger(tmp_path / "x.zarr", with_metadata(**changes)))
+
+
+@pytest.mark.parametrize("number", [0, 1, 2, 4, "3", None, [2]])
+def test_other_formats_are_refused_and_earlier_ones_told_how_to_read(
+    copy: Path, number: Any
+) -> None:
+    file = copy / "results.zarr" / "zarr.json"
+    document = json.loads(file.read_text())
+    document["attributes"]["format"] = number
+    file.write_text(json.dumps(document))
+    (copy / LEDGER_NAME).unlink()
+    for look in (open_results, study_status, result_paths):
+        with pytest.raises(StoreError, match="has store format .*; this version reads 3"):
+            look(copy)
+    with pytest.raises(StoreError, match="of an earlier version, which alone can continue"):
+        Ledger.resume(copy, NOTE, PATHS)
+
+
+def test_what_is_no_store_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "bad.zip").write_bytes(b"PK\x03\x04 and no more")
+    with zipfile.ZipFile(tmp_path / "empty.zip", "w"):
+        pass
+    with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("zarr.json", bytes(2**24))
+    for source, sentence in {
+        tmp_path: "no results",
+        tmp_path / "none.zarr": "no results",
+        tmp_path / "none.zip": "no results",
+        tmp_path / "bad.zip": "is damaged: File is not a zip file",
+        tmp_path / "empty.zip": "zarr.json cannot be read",
+        tmp_path / "bomb.zip": "is compressed",
+        "strange://host/x": "cannot be opened: Protocol not known",
+        "memory://elsewhere": "no results in 'memory://elsewhere'",
+    }.items():
+        with pytest.raises(StoreError, match=sentence):
+            open_results(source)
+
+    def missing(_: str) -> None:
+        raise ImportError("Install s3fs\n to access S3.")
+
+    monkeypatch.setattr("fsspec.core.url_to_fs", missing)
+    with pytest.raises(MissingDependency, match=r"needs more: Install s3fs to access S3\.$"):
+        open_results("s3://x")
+    monkeypatch.setattr(results.importlib.util, "find_spec", lambda _: None)
+    with pytest.raises(ImportError, match="needs fsspec, which is not installed"):
+        open_results("memory://x")
+
+
+def test_what_is_larger_than_memory_is_refused(
+    folder: Path, tmp_path: Path, memory: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = export_results(folder, tmp_path / "x.zarr.zip")
+    url = export_results(folder, f"{memory}/x.zarr")
+    monkeypatch.setattr(results, "available_memory", lambda: 100)
+    for source in (file, url, folder, folder / "results.zarr"):
+        with pytest.raises(StoreError, match="more than the memory of this machine"):
+            open_results(source)
+    assert open_results(folder, PATHS[1]).leaves
+
+
+@pytest.mark.parametrize("link", ["a", "b/random/terms", "b/random/terms/m/c/0", "zarr.json"])
+def test_links_inside_a_store_are_not_read(copy: Path, tmp_path: Path, link: str) -> None:
+    inside = copy / "results.zarr" / link
+    inside.rename(tmp_path / "elsewhere")  # the same bytes: nothing but the link can be the reason
+    inside.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(StoreError, match=rf"{link}' is a symbolic link"):
+        open_results(copy / "results.zarr")
+    (tmp_path / "some.zarr").symlink_to(copy / "results.zarr")  # whoever opens it has named it
+    with pytest.raises(StoreError, match=rf"{link}' is a symbolic link"):
+        open_results(tmp_path / "some.zarr")
+
+
+def test_a_study_of_many_cells_has_no_store_at_its_end(
+    folder: Path, copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(results, "_MOST_CELLS", 1)
+    assert write_zarr(copy) is None
+    assert not (copy / "results.zarr").exists()
+    same_results(export_results(copy, copy / "x.zarr"), folder)
+
+
+def test_a_store_that_cannot_be_written_leaves_the_earlier_one(
+    copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(results, "_write_folder", failing)
+    with pytest.raises(StorageError, match="results.zarr' cannot be written: No space left"):
+        write_zarr(copy)
+    assert open_results(copy / "results.zarr").leaves
+
+
+def check_table(table: pd.DataFrame) -> None:
+    """The long table against the datasets, a row at a time."""
+    of = table[table["variable"] == "variance"]
+    assert len(of) == 6
+    for (i, j), expected in np.ndenumerate(VARIANCE):
+        row = of[(of["n"] == [4, 2**31 + 5][i]) & (of["channel"] == ["red", "green", "blue"][j])]
+        assert len(row) == 1
+        assert np.float64(row["value"].iloc[0]).tobytes() == expected.tobytes()
+        assert list(row[["estimator", "sampler", "analysis", "units"]].iloc[0]) == [
+            'the, "a"',
+            "random",
+            "convergence",
+            "f²",
+        ]
+    low = table[(table["variable"] == "variance_ci") & (table["bound"] == "low")]
+    assert low["value"].tolist() == [0.0, 2.0]
+    rate = table[table["variable"] == "rate"]
+    assert rate["value"].tolist() == [-1.5]
+    assert rate[["n", "bound", "channel", "m"]].isna().all(axis=None)
+    waves = table[table["variable"] == "coefficient"]
+    assert waves["m"].tolist() == [-1, 1]
+    assert waves["value"].tolist() == [1.0, 0.0]
+    assert waves["imaginary"].tolist() == [2.0, -0.5]
+    assert table[table["variable"] == "found"]["value"].tolist() == [1, 0]
+    assert len(table) == 6 + 4 + 1 + 2 + 2
+
+
+def check_attributes(attributes: dict[str, Any]) -> None:
+    assert attributes["study"]["study"]["title"] == "t ü"
+    assert attributes["cells"][PATHS[0]]["seed"] == 3
+    assert attributes["cells"][PATHS[0]]["labels_channel"] == ["red", "green", "blue"]
+
+
+def test_csv(folder: Path, tmp_path: Path) -> None:
+    file = export_results(folder, tmp_path / "out.csv")
+    first = file.read_text(encoding="utf-8").partition("\n")[0]
+    check_attributes(json.loads(first.removeprefix("# ")))
+    table = pd.read_csv(file, skiprows=1, converters={"value": float})
+    check_table(table)
+    with file.open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.reader(stream))[1:]
+    values = {row[rows[0].index("value")] for row in rows[1:]}
+    assert {"0.1", "0.3333333333333333", "nan", "inf", "-0.0", "1e-300"} <= values
+
+
+def test_parquet(folder: Path, tmp_path: Path) -> None:
+    file = export_results(str(folder), str(tmp_path / "out.parquet"))
+    table = pyarrow.parquet.read_table(file)
+    check_attributes(json.loads(table.schema.metadata[b"mcspectra"]))
+    check_table(table.to_pandas())
+
+
+def test_json(folder: Path, tmp_path: Path) -> None:
+    def refuse(text: str) -> None:
+        raise AssertionError(text)
+
+    file = export_results(folder, tmp_path / "out.json")
+    found = json.loads(file.read_text(encoding="utf-8"), parse_constant=refuse)
+    assert found["attributes"]["study"]["title"] == "t ü"
+    cells = {each["path"]: each for each in found["cells"]}
+    assert sorted(cells) == sorted(PATHS[:2])
+    variance = cells[PATHS[0]]["variables"]["variance"]
+    assert variance["dims"] == ["n", "channel"]
+    assert variance["attributes"]["units"] == "f²"
+    assert np.array(variance["values"], dtype=float).tobytes() == VARIANCE.tobytes()
+    assert cells[PATHS[0]]["attributes"]["seed"] == 3
+    assert cells[PATHS[1]]["variables"]["coefficient"]["values"] == [[1.0, 2.0], [0.0, -0.5]]
+    assert cells[PATHS[1]]["variables"]["found"]["values"] == [True, False]
+
+
+def test_netcdf(folder: Path, tmp_path: Path) -> None:
+    file = export_results(folder, tmp_path / "out.nc")
+    with xr.open_dataset(file, engine="scipy") as found:
+        name = "a.random.convergence"
+        variance = found[f"{name}.variance"]
+        assert variance.values.tobytes() == VARIANCE.tobytes()
+        assert variance.dims == (f"{name}.n", f"{name}.channel")
+        assert variance.attrs["units"] == "f²"
+        assert found[f"{name}.n"].values.tolist() == [4, 2**31 + 5]
+        assert found["b.random.terms.coefficient.real"].values.tolist() == [1.0, 0.0]
+        assert found["b.random.terms.coefficient.imag"].values.tolist() == [2.0, -0.5]
+        assert found["b.random.terms.found"].values.tolist() == [1, 0]
+        assert found.attrs["format"] == 3
+        assert json.loads(found.attrs["study"])["title"] == "t ü"
+        assert json.loads(found.attrs[name])["labels_channel"] == ["red", "green", "blue"]
+
+
+def test_netcdf_refuses_whole_numbers_that_it_would_round(tmp_path: Path) -> None:
+    written(tmp_path / "out", {"a/b/terms": xr.Dataset({"x": ("n", np.array([2**53 + 1]))})})
+    with pytest.raises(StoreError, match="no whole numbers beyond"):
+        export_results(tmp_path / "out", tmp_path / "out.nc")
+    assert not (tmp_path / "out.nc").exists()
+
+
+def test_zip_is_the_store_and_the_same_bytes_each_time(folder: Path, tmp_path: Path) -> None:
+    one = export_results(folder, tmp_path / "one.zarr.zip")
+    two = export_results(folder, tmp_path / "two.zarr.zip")
+    assert one.read_bytes() == two.read_bytes()
+    same_results(one, folder)
+    with zipfile.ZipFile(one) as archive:
+        assert archive.testzip() is None
+        names = archive.namelist()
+    assert names[-1] == "zarr.json"  # what is cut off before it is no store
+    with zarr.storage.ZipStore(one, mode="r") as store:
+        assert zarr.open_group(store, mode="r")[f"{PATHS[0]}/rate"][()] == -1.5
+    table = export_results(one, tmp_path / "from-zip.csv")
+    assert table.read_bytes() == export_results(folder, tmp_path / "out.csv").read_bytes()
+
+
+def test_a_part_can_be_exported(folder: Path, tmp_path: Path) -> None:
+    found = json.loads(export_results(folder, tmp_path / "b.json", "b/*").read_text("utf-8"))
+    assert [each["path"] for each in found["cells"]] == [PATHS[1]]
+    part = export_results(folder, tmp_path / "b.zarr.zip", "b/*")
+    assert result_paths(part) == (PATHS[1],)
+    with pytest.raises(StoreError, match="matches"):
+        export_results(folder, tmp_path / "b.csv", "c/*")
+
+
+@pytest.mark.parametrize("name", ["out.txt", "out", "csv", "out.zip"])
+def test_other_ends_are_refused(folder: Path, tmp_path: Path, name: str) -> None:
+    with pytest.raises(ParameterError, match="has none of the ends"):
+        export_results(folder, tmp_path / name)
+
+
+def test_what_cannot_be_written_is_a_sentence_and_leaves_nothing(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(StorageError, match="cannot be written: No such file"):
+        export_results(folder, tmp_path / "none" / "out.csv")
+    with pytest.raises(StoreError, match="no results"):
+        export_results(tmp_path, tmp_path / "out.csv")
+    old = tmp_path / "out.json"
+    old.write_text("old")
+
+    def failing(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setitem(results._WRITERS, ".json", failing)
+    with pytest.raises(StorageError, match="No space left"):
+        export_results(folder, old)
+    assert old.read_text() == "old"
+    monkeypatch.setattr(results.importlib.util, "find_spec", lambda _: None)
+    with pytest.raises(MissingDependency, match="needs pyarrow"):
+        export_results(folder, tmp_path / "out.parquet")
+    assert [path.name for path in tmp_path.iterdir()] == ["out.json"]
+
+
+def test_a_store_goes_to_a_folder_and_to_a_url_and_back(
+    folder: Path, tmp_path: Path, memory: str
+) -> None:
+    local = export_results(folder, tmp_path / "copy.zarr")
+    assert local == tmp_path / "copy.zarr"
+    same_results(local, folder)
+    url = f"{memory}/deep/copy.zarr"
+    assert export_results(folder, url) == url
+    same_results(url, folder)
+    for source in (url, f"{memory}/deep/copy.zarr/", local):
+        back = export_results(source, tmp_path / "back.zarr.zip")
+        same_results(back, folder)
+        again = export_results(back, f"{memory}/from-zip.zarr")
+        same_results(again, folder)
+        fsspec.filesystem("memory").rm(f"{memory}/from-zip.zarr", recursive=True)
+    table = export_results(url, tmp_path / "x.csv")
+    assert Path(table).read_bytes() == export_results(folder, tmp_path / "y.csv").read_bytes()
+    fsspec.filesystem("memory").put(
+        str(folder / "results.zarr"), "/results-test/study/results.zarr", recursive=True
+    )
+    same_results(f"{memory}/study", folder)
+
+
+def test_a_store_that_is_there_is_not_written_over(
+    folder: Path, tmp_path: Path, memory: str
+) -> None:
+    (tmp_path / "x.zarr").mkdir()
+    with pytest.raises(StorageError, match="exists already"):
+        export_results(folder, tmp_path / "x.zarr")
+    export_results(folder, f"{memory}/x.zarr")
+    with pytest.raises(StoreError, match="something at .* already"):
+        export_results(folder, f"{memory}/x.zarr")
+    same_results(f"{memory}/x.zarr", folder)
+
+
+def test_urls_take_stores_only(folder: Path) -> None:
+    for name in ("memory://x.csv", "s3://bucket/x.zarr.zip"):
+        with pytest.raises(ParameterError, match="is a URL, where only a store can be written"):
+            export_results(folder, name)
+    with pytest.raises(StoreError, match="cannot be opened"):
+        export_results(folder, "strange://x.zarr")
+
+
+def test_a_url_that_fails_has_no_half_of_a_store(
+    folder: Path, memory: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = fsspec.filesystem("memory")
+    piped, done = type(files).pipe, []
+
+    def failing(self: Any, path: str, value: bytes) -> None:
+        done.append(path)
+        if len(done) > 3:
+            raise RuntimeError("no space\nleft.")
+        piped(self, path, value)
+
+    monkeypatch.setattr(type(files), "pipe", failing)
+    with pytest.raises(StorageError, match=r"x.zarr' cannot be written: no space left\.$"):
+        export_results(folder, f"{memory}/x.zarr")
+    monkeypatch.undo()
+    assert not files.exists(f"{memory}/x.zarr")
+
+
+@pytest.mark.parametrize("path", ["../evil/terms", "a/../../evil", "c:/evil", "a\\..\\evil/x"])
+def test_names_that_lead_out_of_a_store_are_not_followed(tmp_path: Path, path: str) -> None:
+    with Ledger.create(tmp_path / "out", NOTE, (path,)) as ledger:
+        ledger.finish(path, pack(terms()))
+    with pytest.raises(StoreError, match="which is no path in a store|may not contain"):
+        write_zarr(tmp_path / "out")
+    assert sorted(file.name for file in tmp_path.rglob("*")) == ["out", "study.lock", LEDGER_NAME]
+
+
+def test_the_status_says_what_is_done_failed_and_missing(tmp_path: Path) -> None:
+    with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
+        ledger.finish(PATHS[0], pack(convergence()))
+        ledger.fail(PATHS[1], "It gave NaN.")
+        ledger.record(PATHS[2], "0-0-10", (0, 1), b"half")
+    status = study_status(tmp_path)
+    assert (status.title, status.seed, status.format) == ("t ü", 5, 3)
+    assert (status.state, status.holder, status.finished) == ("unfinished", None, None)
+    assert (status.done, status.missing) == (PATHS[:1], PATHS[2:])
+    assert status.failed == {PATHS[1]: "It gave NaN."}
+    assert (status.recorded, status.damaged, status.verified) == (1, {}, False)
+    assert status.results_bytes == len(pack(convergence()))
+    assert status.ledger_bytes == (tmp_path / LEDGER_NAME).stat().st_size
+    assert status.versions["mcspectra"]
+    assert status.analyses["terms"] == results.AnalysisCount(failed=1, missing=1)
+    with Ledger.resume(tmp_path, NOTE, PATHS) as ledger:
+        running = study_status(tmp_path)
+        assert running.state == "running"
+        assert running.holder is not None
+        assert running.holder.pid == os.getpid()
+        for path in PATHS[1:]:
+            ledger.forget([path])
+            ledger.finish(path, pack(terms()))
+    status = study_status(tmp_path, verify=True)
+    assert (status.state, status.missing, status.failed) == ("finished", (), {})
+    assert status.finished is not None
+
+
+def test_damage_is_counted_when_it_is_looked_for(copy: Path) -> None:
+    content = (copy / LEDGER_NAME).read_bytes()
+    at = content.index(np.float64(1 / 3).tobytes())
+    (copy / LEDGER_NAME).write_bytes(content[:at] + b"!" + content[at + 1 :])
+    assert study_status(copy).damaged == {}
+    status = study_status(copy, verify=True)
+    assert status.damaged == {PATHS[0]: "its digest does not match"}
+    assert (status.done, status.missing) == (PATHS[1:2], PATHS[2:])
+    assert status.analyses["convergence"] == results.AnalysisCount(damaged=1)
+
+
+def test_only_a_studys_folder_has_a_status(folder: Path, tmp_path: Path) -> None:
+    file = export_results(folder, tmp_path / "x.zarr.zip")
+    store = export_results(folder, tmp_path / "x.zarr")
+    for place in ("memory://x", file, store):
+        with pytest.raises(StoreError, match="folder of a run|only a study's folder has a status"):
+            study_status(place)
+    with pytest.raises(StoreError, match="There are no results in"):
+        study_status(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("out", "sentence"),
+    [
+        ("memory://foo", "is a URL, .*mcspectra export DIR --to"),
+        ("s3://bucket/x.zarr", "is a URL"),
+        ("zip::file:///tmp/x", "is a URL"),
+        ("x.zarr", "export DIR --to x.zarr"),
+        ("x.zarr.zip", "export DIR --to x.zarr.zip"),
+        ("x.ZIP", "export DIR --to x.ZIP"),
+        (__file__, r"is a file; give another --out\."),
+    ],
+)
+def test_studies_run_in_folders(out: str, sentence: str) -> None:
+    with pytest.raises(ParameterError, match=sentence):
+        output_folder(out)
+    assert output_folder("out/some.thing") == Path("out/some.thing")
+
+
+@pytest.mark.endurance
+def test_a_million_cells_are_listed_and_opened_by_one(tmp_path: Path) -> None:
+    import resource
+    import time
+
+    paths = [f"e{i // 1000}/s{i % 1000}/terms" for i in range(10**6)]
+    content = pack(terms())
+    begun = time.process_time()
+    with Ledger.create(tmp_path, NOTE, paths) as ledger:
+        for path in paths:
+            ledger.finish(path, content)
+    assert time.process_time() - begun < 0.5e-3 * 10**6
+    open_results(tmp_path, paths[0])
+    begun = time.process_time()
+    open_results(tmp_path, paths[777_777])
+    opened, begun = time.process_time() - begun, time.process_time()
+    status = study_status(tmp_path)
+    listed = time.process_time() - begun
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    print(f"opened {opened:.4f} s, status {listed:.2f} s, {peak / 1e6:.2f} GB")
+    assert len(status.done) == 10**6
+    assert opened < 0.02
+    assert listed < 2.0
+    assert peak < 1e6
