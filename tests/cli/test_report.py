@@ -6,26 +6,25 @@ from pathlib import Path
 import pytest
 
 from mcspectra.cli.main import main
-from mcspectra.studies import decode_study, run_study
+from mcspectra.studies.files import decode_study
+from mcspectra.studies.ledger import Ledger, StudyNote
 
 STUDY = """
 title = "t"
 samplers = ["random"]
 [[estimators]]
 name = "e"
-integrand = "linear"
+integrand = "x"
 [estimators.terms]
 n = 4
-half_width = 2
-realizations = 4
 """
 
 
 @pytest.fixture(name="folders")
 def _folders(tmp_path: Path) -> list[str]:
-    """Two studies of one analysis."""
+    """Two ledgers without any results yet."""
     for name in "ab":
-        run_study(decode_study(STUDY), tmp_path / name)
+        Ledger.create(tmp_path / name, StudyNote.of(decode_study(STUDY), {}), ()).close()
     return [str(tmp_path / name) for name in "ab"]
 
 

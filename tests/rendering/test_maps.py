@@ -387,9 +387,8 @@ def test_tiles_measured_apart_change_nothing(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_a_study_cuts_a_map_into_tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from mcspectra.studies.files import decode_study
-
     from mcspectra.studies import open_results, run_study
+    from mcspectra.studies.files import decode_study
 
     monkeypatch.setattr(tiles, "TILE_LANES", 8 * 8)
     study = """

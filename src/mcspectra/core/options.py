@@ -165,9 +165,10 @@ class Option:
         label = label or self.name
         if self.extra.get("python") and not isinstance(value, str):
             return value
+        nothing = value is None and any(isinstance(k, inspect.NoneType) for k in _kinds(self.kind))
+        if self.extra.get("choices") and not nothing:
+            return as_choice(label, value, self.choices)
         clean = _clean(label, self.kind, value)
-        if self.extra.get("choices") and isinstance(clean, str):
-            return as_choice(label, clean, self.choices)
         several = self.extra.get("ascending") and isinstance(clean, tuple)
         if several and any(b <= a for a, b in itertools.pairwise(clean)):
             raise ParameterError(f"{label} is {list(clean)}; give ascending numbers of points.")

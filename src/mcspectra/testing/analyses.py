@@ -106,7 +106,7 @@ def _computed(analysis: Analysis, subject: Subject, who: str, size: int) -> Any:
                 part = called(who, "part", analysis.part, subject, stream, each.key)
                 states.append(_merged(part if size else each, who, size))
     except StopIteration as end:
-        return called(who, "its variables", finished, analysis, end.value)
+        return called(who, "its variables", finished, analysis, end.value, _SEED)
 
 
 def _merged(reduction: Reduction[Any], who: str, size: int) -> Any:
