@@ -64,8 +64,8 @@ def any_pictures(
             panels = [panel for (panel,) in blocks]
         for (sampler, each), panel in zip(drawn.items(), itertools.cycle(panels), strict=False):
             if values.ndim == 2:
-                drawn = each[name].plot.imshow(ax=panel, add_colorbar=False)
-                quiet_colorbar(figure.colorbar(drawn, ax=panel), str(name))
+                image = each[name].plot.imshow(ax=panel, add_colorbar=False)
+                quiet_colorbar(figure.colorbar(image, ax=panel), str(name))
                 entitle(panel, names[sampler])
                 continue
             style, curve = styles[sampler], with_labels(each, str(values.dims[0]))[name]
