@@ -61,7 +61,8 @@ class AnalysisVerb:
             if not self._takes or "density" in self._takes:
                 add("--density SPEC", "importance density")
         for option in self._options:
-            add_option(parser, self._analysis, option)
+            more = ", or all sets of points that are given" if self._all_sets else ""
+            add_option(parser, option, more if option.name == "realizations" else "")
         default, *others = self._views
         if others:
             shown = [f"{name}: {self._views[name].__doc__}" for name in others]
@@ -103,7 +104,7 @@ class AnalysisVerb:
         self._check_file(options.out)
         given = given_options(options, self._analysis)
         subject = self._subject(options)
-        if self._analysis.about == "sampler" and isinstance(subject.sampler, GivenPoints):
+        if self._all_sets and isinstance(subject.sampler, GivenPoints):
             given = {"realizations": len(subject.sampler.points), **given}
         result = compute(self._analysis(**given), subject, options.seed or 0)
         if options.out is not None:
@@ -111,6 +112,12 @@ class AnalysisVerb:
                 _write(result, options.out)
         text, data = self._views[view](result)
         return Answer(text, {**data_of(result), **data})
+
+    @property
+    def _all_sets(self) -> bool:
+        """Whether an analysis of point sets takes all that are given, unless it is told how many."""
+        counted = any(option.name == "realizations" for option in self._options)
+        return counted and self._analysis.about == "sampler"
 
     @property
     def _default_sampler(self) -> str | None:
@@ -149,8 +156,8 @@ class AnalysisVerb:
             )
 
 
-def add_option(parser: argparse.ArgumentParser, analysis: type[Analysis], option: Option) -> None:
-    """Add an option of an analysis; without a value it is left to the analysis."""
+def add_option(parser: argparse.ArgumentParser, option: Option, default_note: str = "") -> None:
+    """Add an option of an analysis, which has its default; the note stands behind that in the help."""
     own = option.extra.get("flag", option.flag)
     text = option.meaning.rstrip(".")
     text = text[:1].lower() + text[1:] if text[1:2].islower() else text
@@ -171,9 +178,7 @@ def add_option(parser: argparse.ArgumentParser, analysis: type[Analysis], option
     default = option.default
     values = default if isinstance(default, tuple) else (default,)
     shown = ",".join(f"{each:g}" if isinstance(each, float) else str(each) for each in values)
-    said = "" if option.required or default is None else f"default {shown}"
-    if option.name == "realizations" and analysis.about == "sampler":
-        said += ", or all sets of points that are given"
+    said = "" if option.required or default is None else f"default {shown}{default_note}"
     listed = option.lists_texts
 
     def read(name: str, given: str) -> Any:

@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--workers N", "threads; all processors by default", whole())
     for option in options_of(Map):
         if option.name != "scene":
-            add_option(parser, Map, option)
+            add_option(parser, option)
 
 
 def run(options: argparse.Namespace) -> Answer:
