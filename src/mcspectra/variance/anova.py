@@ -216,13 +216,22 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
     n: Annotated[int, COUNT]
     order: Annotated[int, Meta(ge=1, le=3, description="Subsets of up to so many axes.")] = 2
     frequencies: Annotated[
-        int, Meta(ge=2 * _BATCHES, le=_MAX_FREQUENCIES, description="Of each subset.")
+        int,
+        Meta(
+            ge=2 * _BATCHES, le=_MAX_FREQUENCIES, description="Frequencies sampled of each subset."
+        ),
     ] = 1024
     half_width: Annotated[
         int, Meta(ge=1, le=2**20, description="Largest |m_i|: what is beyond is left out.")
     ] = 4096
     realizations: Annotated[
-        int, Meta(ge=2 * _BATCHES, le=10**9, description="Point sets, where no power is known.")
+        int,
+        Meta(
+            ge=2 * _BATCHES,
+            le=10**9,
+            description="Point sets in all, where no power is known.",
+            extra={"flag": "-m", "metavar": "R"},
+        ),
     ] = 64
 
     def need(self, subject: Subject) -> Need:

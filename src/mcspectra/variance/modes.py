@@ -86,7 +86,7 @@ class Modes(Analysis, frozen=True, kw_only=True):
 
     n: Annotated[int, COUNT]
     half_width: Annotated[int, HALF_WIDTH] = 32
-    modes: Annotated[int, Meta(ge=1, le=2**62, description="How many.")] = 8
+    modes: Annotated[int, Meta(ge=1, le=2**62, description="How many modes.")] = 8
     weighted: Annotated[
         bool,
         Meta(
@@ -104,7 +104,10 @@ class Modes(Analysis, frozen=True, kw_only=True):
     ] = None
     channel: Annotated[int, Meta(ge=0, le=2**31, description="Channel of the integrand.")] = 0
     passes: Annotated[
-        int, Meta(ge=2, le=100, description="Over the realisations: more part close eigenvalues.")
+        int,
+        Meta(
+            ge=2, le=100, description="Passes over the realisations: more part close eigenvalues."
+        ),
     ] = 3
     realizations: Annotated[int, REALIZATIONS] = 1000
     basis: Annotated[str, BASIS] = "fourier"
@@ -174,7 +177,59 @@ class Modes(Analysis, frozen=True, kw_only=True):
             (found,) = yield [product(number, vectors)]
             vectors = np.linalg.qr(found.product)[0]
         (found,) = yield [product(self.passes - 1, vectors)]
-        return self._labelled(found.eigenpairs(vectors), coordinates, view, subject, stream)
+        pairs = found.eigenpairs(vectors)
+
+        # Patterns over the frequencies; each vector's sign is such that the mode adds to the estimate
+        modes, basis, techniques = self.modes, view.basis, len(view.transforms)
+        values, vectors = pairs.values[:modes], pairs.vectors[:, :modes]
+        amplitude = coordinates.direction @ vectors
+        vectors = vectors * np.where(amplitude < 0, -1.0, 1.0)
+        stored = coordinates.stored(vectors, techniques * basis.stored)
+        place, conjugate = basis.whole()
+        patterns = stored.reshape(modes, techniques, basis.stored)[..., place]
+        patterns = np.where(conjugate, patterns.conj(), patterns)
+        patterns = patterns.reshape(modes, techniques, *basis.shape)
+        trace, size = float(pairs.diagonal.sum()), coordinates.size
+        # Largest sample eigenvalue of a flat spectrum of the same trace, by Marchenko and Pastur: with D
+        # coordinates that vary, λ (1 + √(D/(R − 1)))² in the limit of many of both [Marchenko1967]_
+        least = _ROUNDING * pairs.diagonal.max(initial=0.0)
+        varying = int(np.count_nonzero(pairs.diagonal > least))
+        level = trace / varying if varying else 0.0
+        edge = level * (1.0 + math.sqrt(varying / (self.realizations - 1))) ** 2
+        mode = ("mode", np.arange(modes), {"long_name": "mode, by eigenvalue", "units": "1"})
+        note = (
+            f"{self.realizations} realisations of {size} coefficients: eigenvalues are those of the "
+            "sample, the largest too large; compare noise_edge, which a flat spectrum would reach."
+        )
+        return dataset(
+            {
+                "eigenvalue": (("mode",), values),
+                "eigenvalue_se": (("mode",), pairs.errors[:modes]),
+                "eigenvalue_residual": (("mode",), pairs.residuals[:modes]),
+                "eigenvalue_share": (("mode",), values / trace if trace else values * np.nan),
+                "mode_contribution": (("mode",), values * amplitude**2),
+                "mode_vector": (("mode", "technique", *basis.names), patterns),
+                "band_trace": ((), trace),
+                "noise_edge": ((), edge),
+            },
+            {"mode": mode, **basis.coords},
+            drop=("technique",) if techniques == 1 else (),
+            estimator=subject.estimator.spec,
+            sampler=subject.sampler.spec,
+            n=self.n,
+            realizations=self.realizations,
+            basis=basis.name,
+            space=view.space,
+            weighted=int(self.weighted),
+            channel=self.channel if subject.estimator.channels else None,
+            band=self.band if self.band is None or isinstance(self.band, str) else list(self.band),
+            passes=self.passes,
+            real_coefficients=size,
+            note=None if self.realizations >= _MANY * size else note,
+            stream_key=f"{stream.key:#x}",
+            engine=view.engine,
+            eps=self.eps,
+        )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
         """A pass, whose vectors take those before it: they are made again."""
@@ -203,60 +258,6 @@ class Modes(Analysis, frozen=True, kw_only=True):
         if not inside.any():
             raise ParameterError(f"The bands {given} hold no coefficient; give others.")
         return inside
-
-    def _labelled(
-        self,
-        pairs: Eigenpairs,
-        coordinates: _Coordinates,
-        view: View,
-        subject: Subject,
-        stream: Stream,
-    ) -> xr.Dataset:
-        """Make the dataset; each vector's sign is such that the mode adds to the estimate."""
-        modes, basis, techniques = self.modes, view.basis, len(view.transforms)
-        values, vectors = pairs.values[:modes], pairs.vectors[:, :modes]
-        amplitude = coordinates.direction @ vectors
-        vectors = vectors * np.where(amplitude < 0, -1.0, 1.0)
-        stored = coordinates.stored(vectors, techniques * basis.stored)
-        place, conjugate = basis.whole()
-        patterns = stored.reshape(modes, techniques, basis.stored)[..., place]
-        patterns = np.where(conjugate, patterns.conj(), patterns)
-        patterns = patterns.reshape(modes, techniques, *basis.shape)
-        trace, size = float(pairs.diagonal.sum()), coordinates.size
-        number = ("mode", np.arange(modes), {"long_name": "mode, by eigenvalue", "units": "1"})
-        note = (
-            f"{self.realizations} realisations of {size} coefficients: eigenvalues are those of the "
-            "sample, the largest too large; compare noise_edge, which a flat spectrum would reach."
-        )
-        return dataset(
-            {
-                "eigenvalue": (("mode",), values),
-                "eigenvalue_se": (("mode",), pairs.errors[:modes]),
-                "eigenvalue_residual": (("mode",), pairs.residuals[:modes]),
-                "eigenvalue_share": (("mode",), values / trace if trace else values * np.nan),
-                "mode_contribution": (("mode",), values * amplitude**2),
-                "mode_vector": (("mode", "technique", *basis.names), patterns),
-                "band_trace": ((), trace),
-                "noise_edge": ((), _flat_edge(pairs.diagonal, self.realizations)),
-            },
-            {"mode": number, **basis.coords},
-            drop=("technique",) if techniques == 1 else (),
-            estimator=subject.estimator.spec,
-            sampler=subject.sampler.spec,
-            n=self.n,
-            realizations=self.realizations,
-            basis=basis.name,
-            space=view.space,
-            weighted=int(self.weighted),
-            channel=self.channel if subject.estimator.channels else None,
-            band=self.band if self.band is None or isinstance(self.band, str) else list(self.band),
-            passes=self.passes,
-            real_coefficients=size,
-            note=None if self.realizations >= _MANY * size else note,
-            stream_key=f"{stream.key:#x}",
-            engine=view.engine,
-            eps=self.eps,
-        )
 
 
 def covariance_modes(
@@ -493,16 +494,3 @@ class Eigenpairs:
     residuals: Array
     errors: Array
     diagonal: Array
-
-
-def _flat_edge(diagonal: Array, realizations: int) -> float:
-    """Largest sample eigenvalue of a flat spectrum of the same trace, by Marchenko and Pastur.
-
-    With D coordinates that vary and R − 1 degrees of freedom, λ (1 + √(D/(R − 1)))² in the limit of many
-    of both [Marchenko1967]_, where the eigenvalues of the covariance itself are all λ.
-    """
-    varying = int(np.count_nonzero(diagonal > _ROUNDING * diagonal.max(initial=0.0)))
-    if not varying:
-        return 0.0
-    level = float(diagonal.sum()) / varying
-    return level * (1.0 + math.sqrt(varying / (realizations - 1))) ** 2

@@ -77,21 +77,24 @@ class Remedies(Analysis, frozen=True, kw_only=True):
     variables = (*_DIMS, "rank_by_rate")
 
     budget: Annotated[
-        int, Meta(ge=1, le=2**24, description="Evaluations of the integrand an estimate.")
+        int,
+        Meta(
+            ge=1,
+            le=2**24,
+            description="Evaluations of the integrand an estimate.",
+            extra={"metavar": "B"},
+        ),
     ]
     kinds: Annotated[
         Annotated[tuple[Kind, ...], Meta(min_length=1)] | None,
-        Meta(
-            description="Changes to try; all by default.",
-            extra={"flag": "--kind", "metavar": "KIND"},
-        ),
+        Meta(description="Changes to try; all by default."),
     ] = None
     realizations: Annotated[
         int,
         Meta(
             ge=100,
             le=100_000,
-            description="Of each change at each of five budgets.",
+            description="Realisations of each change at each of five budgets.",
             extra={"flag": "-m", "metavar": "R"},
         ),
     ] = 1000
