@@ -49,9 +49,9 @@ _Window = tuple[int, int, int, int]
 class Map(Analysis, frozen=True, kw_only=True):
     """Variance, rate and bottleneck at every pixel of a scene; needs the extra render."""
 
-    function: ClassVar[str] = "variance_map"
-    verb: ClassVar[str] = "map"
-    about: ClassVar[Literal["scene"]] = "scene"  # type: ignore[misc]
+    function = "rendering.variance_map"
+    verb = "map"
+    about: ClassVar[Literal["estimator", "sampler", "scene"]] = "scene"
     variables = tuple(DIMS)
 
     scene: Annotated[

@@ -433,7 +433,8 @@ class _Pairs:
     def _uniform(self) -> bool:
         """Whether the sampler makes the same set of any stream: it has no independent partner."""
         streams = (self.stream, self.stream.child(_PARTNER))
-        return np.array_equal(*(self.sampler.draw_stream(self.n, s, 0, 1) for s in streams))
+        one, other = (self.sampler.draw_stream(self.n, s, 0, 1) for s in streams)
+        return np.array_equal(one, other)
 
     def _partners(self, block: Block) -> list[Array]:
         """Independent sets, each in an order of its own; random ones where there are none."""

@@ -147,19 +147,19 @@ def exact_variance(
     1.0
     """
     subject = as_subject(estimator, sampler)
-    estimator, source = subject.estimator, subject.sampler
-    n = source.check_count(n)
-    estimator.check_sampler(source, n)
-    estimator.check_independent()
+    given: AbstractEstimator = subject.estimator
+    n = subject.sampler.check_count(n)
+    given.check_sampler(subject.sampler, n)
+    given.check_independent()
     # What a sequence does to its own digits, as the randomisation that does the same
-    source = estimator.randomized(source)
+    source = given.randomized(subject.sampler)
     if isinstance(source, Halton | VanDerCorput) and source.scramble == "owen":
         source = replace(source, scramble="none").then(Owen())
     total: Any = 0.0
-    for technique, count in enumerate(estimator.counts):
-        g = estimator.primary_integrand(technique)
+    for technique, count in enumerate(given.counts):
+        g = given.primary_integrand(technique)
         total = total + _converged(source, n * count, g)
-    return total if estimator.channels else float(np.squeeze(total))
+    return total if given.channels else float(np.squeeze(total))
 
 
 def _converged(sampler: Sampler, n: int, g: Integrand) -> Array:

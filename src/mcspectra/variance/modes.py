@@ -179,11 +179,12 @@ class Modes(Analysis, frozen=True, kw_only=True):
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
         """A pass, whose vectors take those before it: they are made again."""
         steps = self.reduction(subject, stream)
-        assert not isinstance(steps, Reduction)
-        (found,) = next(steps)
-        while found.key != key:
-            (found,) = steps.send([compute_chunk(found, (0, found.blocks))])
-        return found
+        states = None
+        while True:
+            (found,) = next(steps) if states is None else steps.send(states)
+            if found.key == key:
+                return found
+            states = [compute_chunk(found, (0, found.blocks))]
 
     def _inside(self, basis: Basis) -> Array:
         """Which stored coefficients belong to the bands of these labels: bool (H,)."""

@@ -220,17 +220,16 @@ class _Routes:
 
     def _row(self, found: _Found) -> _Rows:
         shape = (1, max(1, self.estimator.channels))
-        *numbers, source = found
-        return _Rows(
-            *(np.broadcast_to(np.asarray(v, float), shape) for v in numbers), np.array([source])
-        )
+        value, low, high, share = (np.broadcast_to(np.asarray(v, float), shape) for v in found[:4])
+        return _Rows(value, low, high, share, np.array([found[4]]))
 
     def with_terms(self, apart: _Rows, terms: xr.Dataset) -> _Rows:
         """The rows apart, then the spectral route and what was measured."""
         if apart.source[-1] == _SAMPLED:
             value, se = terms["power_term"].to_numpy(), terms["power_term_se"].to_numpy()
             sampled = self._row(_normal(value, se, apart.share[-1:], _SAMPLED))
-            apart = merged(_Rows(*(getattr(apart, f.name)[:-1] for f in fields(apart))), sampled)
+            known = {f.name: getattr(apart, f.name)[:-1] for f in fields(apart)}
+            apart = merged(_Rows(**known), sampled)
         share: Any = np.nan
         f = self.estimator.domain_integrand
         if f is not None:

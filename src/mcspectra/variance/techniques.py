@@ -217,7 +217,7 @@ class Techniques(Analysis, frozen=True, kw_only=True):
 def technique_terms(
     estimator: AbstractEstimator | Integrand | str,
     sampler: Sampler | str,
-    n: int | Sequence[int],
+    counts: int | Sequence[int],
     *,
     half_width: int = 64,
     realizations: int = 1000,
@@ -235,8 +235,8 @@ def technique_terms(
     ----------
     estimator, sampler
         What is analysed: `MultipleImportance`, `TechniqueSum`, or any other estimator.
-    n
-        Points of each technique in units of its ``counts``; a list of ascending numbers adds the dim
+    counts
+        Points n of each technique in units of its ``counts``; a list of ascending numbers adds the dim
         n, rates and the bottleneck.
     half_width, basis, engine, eps, workers
         As for `variance_terms`.
@@ -289,7 +289,7 @@ def technique_terms(
     'technique 1'
     """
     analysis = Techniques(
-        counts=n,  # type: ignore[arg-type]
+        counts=counts,  # type: ignore[arg-type]
         half_width=half_width,
         realizations=realizations,
         basis=basis,
