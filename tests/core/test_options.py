@@ -27,7 +27,6 @@ from mcspectra.core.options import (
     options_of,
 )
 
-
 HALF = Meta(description="How far.", extra={"unit": "cycles per unit"})
 
 
