@@ -275,9 +275,11 @@ def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
             return bool(value)
         case inspect.LiteralType(values=allowed):
             return as_choice(label, value, tuple(map(str, allowed)))
-        case inspect.StrType():
+        case inspect.StrType(max_length=most):
             if not isinstance(value, str) or not value:
                 raise ParameterError(f"{label} is {value!r}; give a text.")
+            if most is not None and len(value) > most:
+                raise ParameterError(f"{label} has {len(value)} characters; {most} are the most.")
             return value
         case inspect.VarTupleType(item_type=item) | inspect.TupleType(item_types=(item, *_)):
             return _clean_list(label, fitting, item, value)
@@ -285,15 +287,19 @@ def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
 
 
 def _clean_list(label: str, kind: inspect.Type, item: inspect.Type, value: Any) -> tuple[Any, ...]:
-    flat = isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)
-    if not flat or any(np.ndim(each) > 0 for each in value if not isinstance(each, str)):
+    several = isinstance(value, Sequence) or (isinstance(value, np.ndarray) and value.ndim > 0)
+    if not several or isinstance(value, str | bytes):
         raise ParameterError(f"{label} is {value!r}; give one flat list.")
-    wanted = len(kind.item_types) if isinstance(kind, inspect.TupleType) else None
-    if not len(value) or (wanted is not None and len(value) != wanted):
-        number = "one or more" if wanted is None else str(wanted)
-        raise ParameterError(f"{label} has {len(value)} values; give {number}.")
-    if isinstance(kind, inspect.VarTupleType) and len(value) > (kind.max_length or _NO_LIMIT):
-        raise ParameterError(f"{label} has {len(value)} values; {kind.max_length} are the most.")
+    # The length first: a range may have any.
+    size = len(value)
+    if isinstance(kind, inspect.TupleType) and size != len(kind.item_types):
+        raise ParameterError(f"{label} has {size} values; give {len(kind.item_types)}.")
+    if isinstance(kind, inspect.VarTupleType) and size > (kind.max_length or _NO_LIMIT):
+        raise ParameterError(f"{label} has {size} values; {kind.max_length} are the most.")
+    if any(np.ndim(each) > 0 for each in value if not isinstance(each, str)):
+        raise ParameterError(f"{label} is {value!r}; give one flat list.")
+    if not size:
+        raise ParameterError(f"{label} has no values; give one or more.")
     return tuple(_clean(label, item, each) for each in value)
 
 

@@ -117,5 +117,5 @@ def _merged(reduction: Reduction[Any], who: str, size: int) -> Any:
             payload = called(who, "a state as bytes", pack, state)
             state = called(who, "a state from bytes", unpack, reduction.kind, payload)
             demand(pack(state) == payload, who, "has a state that bytes do not hold")
-        tree.add(state, chunk[1])
-    return tree.total()
+        called(who, "merging states", tree.add, state, chunk[1])
+    return called(who, "merging states", tree.total)
