@@ -360,7 +360,7 @@ class _Reader:
     def _analysis(
         self, name: str, table: Any, place: str, beside: tuple[str, ...] = ()
     ) -> Analysis:
-        kind = ANALYSES.load(name)
+        kind: Any = ANALYSES.load(name)
         made: Analysis = _struct(table, kind, place, beside)
         for option in options_of(kind):  # type: ignore[arg-type]  # what types cannot say
             value = getattr(made, option.name)
