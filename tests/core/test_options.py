@@ -130,8 +130,8 @@ WRONG = [
     ("basis", "fourrier", "one of fourier, cosine.*Did you mean"),
     ("basis", None, "one of fourier"),
     ("window", 1, "at least 2"),
-    ("window", "all", "give a number, or auto"),
-    ("half_width", "wide", "give a number, or auto"),
+    ("window", "all", "give a whole number of at least [02], or 'auto'"),
+    ("half_width", "wide", "give a whole number of at least [02], or 'auto'"),
     ("half_width", -1, "at least 0"),
     ("counts", [], "has no values; give one or more"),
     ("counts", [16, 4], "ascending"),
@@ -195,7 +195,11 @@ def test_texts_are_read(name, text, clean):
     [
         ("n", "many", "^--n is 'many'; give a whole number"),
         ("n", "", "^--n is ''"),
-        ("half_width", "wide", "^--half-width is 'wide'; give a number, or auto"),
+        (
+            "half_width",
+            "wide",
+            "^--half-width is 'wide'; give a whole number of at least [02], or 'auto'",
+        ),
         ("share", "nan", "^--share is nan; give a finite number"),
         ("counts", "16,4", r"^--counts is \[16, 4\]; give ascending"),
         ("counts", "4,x", "^--counts is 'x'; give a whole number"),

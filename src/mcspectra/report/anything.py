@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mcspectra.core.analysis import ANALYSES
+from mcspectra.core.errors import McspectraError
 from mcspectra.report.figures.panels import blocks_of, rows_of
 from mcspectra.report.formatting import interval, number, slug
 from mcspectra.report.further_pictures import with_labels
@@ -29,7 +31,15 @@ from mcspectra.report.tables import Cell, Table
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["any_pictures", "any_table"]
+__all__ = ["any_pictures", "any_table", "summary_of"]
+
+
+def summary_of(analysis: str) -> str:
+    """Summary of an analysis; its name where its package is not installed here."""
+    try:
+        return ANALYSES.load(analysis).summary()
+    except McspectraError:
+        return f"{analysis.capitalize()}."
 
 
 def any_table(data: Mapping[str, xr.Dataset]) -> Table | None:
@@ -86,7 +96,7 @@ def any_pictures(
         over = f"{values.attrs.get('long_name', name)}, over {' and '.join(map(str, values.dims))}"
         yield Picture(
             kind=slug(f"{analysis}-{name}"),
-            caption=f"{over[:1].upper()}{over[1:]}.",
+            caption=f"{summary_of(analysis)} {over[:1].upper()}{over[1:]}.",
             alt=f"{over}, for {', '.join(drawn)}.",
             figure=figure,
         )
