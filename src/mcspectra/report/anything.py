@@ -37,7 +37,7 @@ __all__ = ["any_pictures", "any_table", "summary_of"]
 def summary_of(analysis: str) -> str:
     """Summary of an analysis; its name where its package is not installed here."""
     try:
-        return ANALYSES.load(analysis).summary()
+        return str(ANALYSES.load(analysis).summary())
     except McspectraError:
         return f"{analysis.capitalize()}."
 

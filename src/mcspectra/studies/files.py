@@ -362,7 +362,7 @@ class _Reader:
     ) -> Analysis:
         kind: Any = ANALYSES.load(name)
         made: Analysis = _struct(table, kind, place, beside)
-        for option in options_of(kind):  # type: ignore[arg-type]  # what types cannot say
+        for option in options_of(kind):  # what types cannot say
             value = getattr(made, option.name)
             key = name, option.name, repr(value)
             if key not in self._clean:
