@@ -24,7 +24,7 @@ from mcspectra.core.records import SUM
 from mcspectra.core.results import Variable
 from mcspectra.core.streams import Stream
 from mcspectra.studies import StudyConfig, decode_study, run_study
-from mcspectra.studies.executors import Threads, processes
+from mcspectra.studies.executors import Cluster, Dask, Threads
 from mcspectra.studies.plan import Cell
 from mcspectra.studies.run import MakeExecutor, Progress, drive
 from mcspectra.studies.schedule import Schedule
@@ -69,11 +69,11 @@ def workers() -> None:
     config = _study(16)
     for count in (1, 2):
         with _timed(f"16 short cells on {count} worker processes, their start included"):
-            _run(config, lambda text, count=count: processes(text, count))
+            _run(config, lambda text, count=count: Dask(text, Cluster(workers=count)))
     with _timed("the same on 1 thread"):
         _run(config, lambda _: Threads(1))
     with _timed("400 short cells on 2 worker processes", 400):
-        _run(_study(400), lambda text: processes(text, 2))
+        _run(_study(400), lambda text: Dask(text, Cluster(workers=2)))
 
 
 def efficiency() -> None:

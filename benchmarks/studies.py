@@ -21,7 +21,7 @@ import msgspec
 
 from benchmarks.scaling import Napping
 from mcspectra.studies import StudyConfig, decode_study, make_plan, run_study
-from mcspectra.studies.executors import Threads, processes
+from mcspectra.studies.executors import Cluster, Dask, Threads
 from mcspectra.studies.run import MakeExecutor
 
 SECONDS = 0.5
@@ -130,7 +130,7 @@ def _napping(workers: int) -> MakeExecutor:
 
 
 def _processes(workers: int) -> MakeExecutor:
-    return lambda text: processes(text, workers)
+    return lambda text: Dask(text, Cluster(workers=workers))
 
 
 def _loop(config: StudyConfig) -> float:
