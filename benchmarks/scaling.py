@@ -1,6 +1,6 @@
-"""Scaling of studies: overhead of tasks and workers, efficiency, throughput and sizes of what is kept.
+"""Scaling of studies: overhead of tasks and workers, efficiency, memory.
 
-Parts by name: ``python -m benchmarks.scaling tasks records``; all of them without. Wall times depend on
+Parts by name: ``python -m benchmarks.scaling tasks workers``; all of them without. Wall times depend on
 what else the machine does, processor times hardly; both are printed.
 """
 
@@ -16,14 +16,11 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-import xarray as xr
-
-from mcspectra.studies import Store, StudyConfig, decode_study, open_results, run_study
 from mcspectra.studies.engines import Engine, LocalEngine, Outcome, attempt
-from mcspectra.studies.journal import Journal
 from mcspectra.studies.processes import ProcessEngine
+
+from mcspectra.studies import StudyConfig, decode_study, run_study
 from mcspectra.studies.run import Progress
-from mcspectra.studies.status import study_status
 from mcspectra.studies.tasks import StudyText, Task
 
 _NAP = 0.2  # seconds of a calibrated task
@@ -47,8 +44,6 @@ def main(*names: str) -> None:
         "tasks": tasks,
         "workers": workers,
         "efficiency": efficiency,
-        "records": records,
-        "cells": cells,
         "memory": memory,
     }
     for name in names or parts:
@@ -89,37 +84,6 @@ def efficiency() -> None:
         )
 
 
-def records() -> None:
-    """Throughput and size of the journal, of records of 1 kB and 100 kB."""
-    for count, size in ((1000, 1000), (10_000, 1000), (100_000, 1000), (1000, 100_000)):
-        with tempfile.TemporaryDirectory() as folder:
-            with _timed(f"journal: append {count:,} records of {size:,} bytes", count):
-                _append(Path(folder), count, size)
-            log = Path(folder, "journal", "log").stat().st_size
-            with _timed(f"journal: resume, verified ({log / count:.0f} bytes a record)", count):
-                Journal.resume(folder, {}).close()
-
-
-def cells() -> None:
-    """Throughput and size of the store, and what opening it takes."""
-    for count in (1000, 4000):
-        with tempfile.TemporaryDirectory() as name:
-            folder = Path(name)
-            paths = [f"e{i // 100}/s{i % 100}/convergence" for i in range(count)]
-            store = Store.create(folder, decode_study(_text(1)), paths=paths)
-            with _timed(f"store: write {count:,} cells of 10 arrays", count):
-                for path in paths:
-                    store.write(path, _cell())
-            store.finish()
-            print(f"store: {_disk(folder) / count / 1000:.1f} kB a cell, {_files(folder)} files")
-            with _timed("store: status (manifest and journal)"):
-                study_status(folder)
-            with _timed("store: open one estimator of 100 cells"):
-                open_results(folder, "e3/*")
-            with _timed("store: verify all", count):
-                study_status(folder, verify=True)
-
-
 def memory() -> None:
     """Memory of the command while a study of ten thousand cells goes on."""
     count = 10_000
@@ -134,9 +98,10 @@ def memory() -> None:
 
 
 def _drive_many(count: int) -> None:
+    from mcspectra.studies.scheduling import Pace, Schedule
+
     from mcspectra.studies.plan import Cell
     from mcspectra.studies.run import drive
-    from mcspectra.studies.scheduling import Pace, Schedule
 
     source = _Numbers(count)
     cell = Cell("a/s/k", "k", "a", "s", None, None, None, 1.0)  # type: ignore[arg-type]
@@ -184,26 +149,6 @@ def _dask(config: StudyConfig, count: int) -> None:
         _run(config, lambda text: DaskEngine(text, options))
     with _timed("400 short cells more", 400):
         _run(_study(400), lambda text: DaskEngine(text, options))
-
-
-def _append(folder: Path, count: int, size: int) -> None:
-    with Journal.create(folder, {}) as journal:
-        for index in range(count):
-            journal.append(f"estimator/sampler/analysis/{index}", bytes(size), None, {})
-
-
-def _cell() -> xr.Dataset:
-    values = {f"v{i}": ("n", np.linspace(i, 1.0, 8)) for i in range(8)}
-    return xr.Dataset({**values, "ci": (("n", "bound"), np.ones((8, 2)))}, {"n": np.arange(8)})
-
-
-def _disk(folder: Path) -> int:
-    """Bytes of blocks that the files take."""
-    return sum(512 * path.stat().st_blocks for path in folder.rglob("*") if path.is_file())
-
-
-def _files(folder: Path) -> int:
-    return sum(path.is_file() for path in folder.rglob("*"))
 
 
 def _napping(text: StudyText, task: Task) -> Outcome:

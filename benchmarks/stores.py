@@ -1,8 +1,9 @@
-"""Stores of many cells: seconds to write, open, list and verify them; and the journal's."""
+"""Ledgers of many cells: seconds to write, resume, list and open them, and to write them for others."""
 
 from __future__ import annotations
 
-import shutil
+import resource
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -10,99 +11,73 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import xarray as xr
 
-from mcspectra.studies import Store, decode_study, open_results, result_paths, study_status
-from mcspectra.studies.checksums import checksum
-from mcspectra.studies.journal import Journal
-from mcspectra.studies.manifest import CellLine, now, read_manifest, write_manifest
+import mcspectra as mcs
+from mcspectra.core.records import pack
+from mcspectra.core.results import package_versions
+from mcspectra.studies import export_results, open_results, study_status
+from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote
 
-_STUDY = """
-title = "many"
-samplers = ["random"]
-[convergence]
-counts = [4]
-[[estimators]]
-name = "a"
-integrand = "linear"
-dims = 1
-"""
-_MANY = 100_000
-_WRITTEN = 500
+_NOTE = StudyNote(
+    title="many", seed=0, config="{}", study_hash="0" * 64, versions=package_versions(), inputs={}
+)
 
 
-def main() -> None:
-    """Print a line for each step."""
-    folder = Path(tempfile.mkdtemp())
-    try:
-        _cells(folder / "some")
-        _index(folder / "many")
-        _journal(folder / "journal")
-    finally:
-        shutil.rmtree(folder)
+def main(*counts: str) -> None:
+    """Print a line for each step, for each number of cells; by default 1,000 and 100,000."""
+    curve = mcs.convergence(
+        mcs.Estimator(mcs.integrand("gaussian", dims=2)),
+        mcs.sampler("random", dims=2),
+        [16, 64, 256],
+    )
+    with _timed("pack the result of a convergence", 1000):
+        for _ in range(1000):
+            payload = pack(curve)
+    for count in map(int, counts or ("1000", "100000")):
+        with tempfile.TemporaryDirectory() as folder:
+            _cells(Path(folder), count, payload)
+    with tempfile.TemporaryDirectory() as folder:
+        _states(Path(folder), 20_000, 1000)
+    with tempfile.TemporaryDirectory() as folder:
+        _states(Path(folder), 1000, 100_000)
 
 
-def _cell() -> xr.Dataset:
-    n = np.arange(8)
-    values = {f"v{i}": ("n", np.linspace(i, 1.0, 8)) for i in range(8)}
-    return xr.Dataset({**values, "ci": (("n", "bound"), np.ones((8, 2)))}, coords={"n": n})
-
-
-def _cells(folder: Path) -> None:
-    """What a cell costs, of 10 arrays: written here and by xarray, checked, opened."""
-    cell, paths = _cell(), [f"e{i // 25}/s{i % 25}/convergence" for i in range(_WRITTEN)]
-    store = Store.create(folder, decode_study(_STUDY), paths=paths)
-    with _timed("write a cell (checksum, manifest, rename)", _WRITTEN):
+def _cells(folder: Path, count: int, payload: bytes) -> None:
+    paths = [f"e{i // 100}/s{i % 100}/convergence" for i in range(count)]
+    print(f"{count:,} cells of {len(payload):,} bytes")
+    with _timed("begin", count), Ledger.create(folder, _NOTE, paths):
+        pass
+    with _timed("resume and finish all", count), Ledger.resume(folder, _NOTE, paths) as ledger:
         for path in paths:
-            store.write(path, cell)
-    with _timed("the same arrays by Dataset.to_zarr", 50):
-        for i in range(50):
-            cell.to_zarr(folder / "x" / str(i), zarr_format=3, consolidated=False)
-    with _timed("consolidate, a cell", _WRITTEN):
-        store.finish()
-    with _timed("resume: verify a cell", _WRITTEN):
-        again = Store.create(folder, decode_study(_STUDY), resume=True, paths=paths)
-        assert all(again.done(path) for path in paths)
-    again.finish()
-    with _timed("open_results, a cell of the tree", _WRITTEN):
-        open_results(folder)
-    with _timed("open_results with select, a cell", 25):
+            ledger.finish(path, payload)
+    print(f"  file: {(folder / LEDGER_NAME).stat().st_size / count:.0f} bytes a cell")
+    with _timed("resume, all verified", count):
+        Ledger.resume(folder, _NOTE, paths).close()
+    with _timed("status"):
+        study_status(folder)
+    with _timed("open a cell", 25):
+        for path in paths[:: count // 25][:25]:
+            open_results(folder, path)
+    with _timed("open an estimator of 100 cells"):
         open_results(folder, "e3/*")
+    with _timed("write these as a store", 100):
+        export_results(folder, folder / "x.zarr", "e3/*")
+    with _timed("open the store", 100):
+        open_results(folder / "x.zarr")
+    print(f"  memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000:.0f} MB at most")
 
 
-def _index(folder: Path) -> None:
-    """A store of 100,000 cells: their list, their status, and a part of the tree."""
-    paths = [f"e{i // 1000}/s{i % 1000}/convergence" for i in range(_MANY)]
-    store = Store.create(folder, decode_study(_STUDY), paths=paths)
-    for first in range(0, _MANY, 1000):
-        store.write(paths[first], _cell())
-    model = store.path / paths[0]
-    line, manifest = checksum(model), read_manifest(folder)
-    assert manifest is not None
-    assert manifest.study is not None
-    for path in paths:  # metadata of the group alone: a whole cell has twenty files more
-        (store.path / path).mkdir(parents=True, exist_ok=True)
-        if not (store.path / path / "zarr.json").exists():
-            shutil.copyfile(model / "zarr.json", store.path / path / "zarr.json")
-    lines = (CellLine(path, line.sha256, line.parts, line.bytes, now()) for path in paths)
-    write_manifest(folder, manifest.study, paths, lines)
-    with _timed("100,000 cells: read the manifest (budget 2 s)"):
-        read_manifest(folder)
-    with _timed("100,000 cells: result_paths (budget 2 s)"):
-        assert len(result_paths(folder)) == _MANY
-    with _timed("100,000 cells: open_results(select) of one (budget 2 s)"):
-        open_results(folder, paths[0])
-    with _timed("100,000 cells: study_status (budget 2 s)"):
-        assert len(study_status(folder).done) == _MANY
-
-
-def _journal(folder: Path) -> None:
-    """100,000 records of 1 kB: append, resume with all checksums."""
-    with Journal.create(folder, {}) as journal, _timed("append a record of 1 kB", _MANY):
-        for i in range(_MANY):
-            journal.append(f"estimator/sampler/{i}", bytes(1000), None, {})
-    with _timed("100,000 records: resume, verified (budget 2 s)"):
-        Journal.resume(folder, {}).close()
+def _states(folder: Path, count: int, size: int) -> None:
+    payload = np.random.default_rng(0).bytes(size)
+    with (
+        _timed(f"record {count:,} states of {size:,} bytes", count),
+        Ledger.create(folder, _NOTE, ["a/b/c"]) as ledger,
+    ):
+        for block in range(count):
+            ledger.record("a/b/c", "0-0-10", (block, 1), payload)
+    print(f"  file: {(folder / LEDGER_NAME).stat().st_size / count:.0f} bytes a state")
+    with _timed("resume, all verified", count):
+        Ledger.resume(folder, _NOTE, ["a/b/c"]).close()
 
 
 @contextmanager
@@ -110,10 +85,11 @@ def _timed(what: str, times: int = 1) -> Iterator[None]:
     wall, processor = time.perf_counter(), time.process_time()
     yield
     wall, processor = time.perf_counter() - wall, time.process_time() - processor
-    unit = "s" if times == 1 else "ms"
-    scale = 1.0 if times == 1 else 1000.0 / times
-    print(f"{what:60s} {wall * scale:8.3f} {unit}, processor {processor * scale:8.3f} {unit}")
+    unit, scale = ("s", 1.0) if times == 1 else ("ms each", 1000.0 / times)
+    print(
+        f"  {what:44s} {wall * scale:8.3f} {unit}, processor {processor * scale:8.3f}", flush=True
+    )
 
 
 if __name__ == "__main__":
-    main()
+    main(*sys.argv[1:])

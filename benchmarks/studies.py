@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-
-from mcspectra.studies import StudyConfig, decode_study, make_plan, run_study
 from mcspectra.studies.cells import compute_cell
 from mcspectra.studies.engines import Engine, LocalEngine, Outcome, attempt
 from mcspectra.studies.processes import ProcessEngine
+
+from mcspectra.studies import StudyConfig, decode_study, make_plan, run_study
 from mcspectra.studies.tasks import StudyText, Task
 
 SECONDS = 0.5

@@ -58,13 +58,13 @@ from .variance.convergence import realizations_needed as realizations_needed
 from .variance.exact import exact_variance as exact_variance
 from .variance.mirror_study import mirror_study as mirror_study
 from .variance.modes import covariance_modes as covariance_modes
-from .variance.pair_route import variance_from_pair_correlation as variance_from_pair_correlation
 from .variance.prediction import DecayFit as DecayFit
 from .variance.prediction import fitted_decay as fitted_decay
 from .variance.prediction import integrand_decay as integrand_decay
 from .variance.prediction import predicted_rate as predicted_rate
 from .variance.primary import primary_picture as primary_picture
 from .variance.remedies import remedies as remedies
+from .variance.routes import variance_from_pair_correlation as variance_from_pair_correlation
 from .variance.routes import variance_routes as variance_routes
 from .variance.smoothing import smoothing_scan as smoothing_scan
 from .variance.techniques import technique_terms as technique_terms

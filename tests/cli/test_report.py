@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from mcspectra.cli.main import main
-from mcspectra.studies import Store
-from mcspectra.studies.files import decode_study
+from mcspectra.studies import decode_study, run_study
 
 STUDY = """
 title = "t"
@@ -22,9 +21,9 @@ n = 4
 
 @pytest.fixture(name="folders")
 def _folders(tmp_path: Path) -> list[str]:
-    """Two stores without any results yet."""
+    """Two studies of one analysis."""
     for name in "ab":
-        Store.create(tmp_path / name, decode_study(STUDY)).finish()
+        run_study(decode_study(STUDY), tmp_path / name)
     return [str(tmp_path / name) for name in "ab"]
 
 

@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from mcspectra.core.records import pack
 from mcspectra.core.results import dataset
 from mcspectra.report.formatting import slug
-from mcspectra.studies import Store, StudyConfig
+from mcspectra.studies import StudyConfig
 from mcspectra.studies.files import decode_study
+from mcspectra.studies.ledger import Ledger, StudyNote
 
 Z = 1.959963984540054
 SAMPLERS = ("random", "jittered", "jittered | shift")
@@ -209,9 +211,9 @@ Cells = dict[tuple[str, str], dict[str, xr.Dataset]]
 
 
 def write_study(folder: Path, cells: Cells, title: str = "A study") -> Path:
-    """Write a result store as `run_study` does; `cells` by (estimator, sampler) and analysis."""
-    store = Store.create(folder, study_config(title, cells))
+    """Write a ledger as `run_study` does; `cells` by (estimator, sampler) and analysis."""
     slugs: dict[str, str] = {}
+    found: dict[str, bytes] = {}
     for (estimator, sampler), analyses in cells.items():
         for text in (estimator, sampler):
             slugs.setdefault(text, f"{len(slugs)}-{slug(text)}")
@@ -219,8 +221,11 @@ def write_study(folder: Path, cells: Cells, title: str = "A study") -> Path:
             named = result.assign_attrs(
                 estimator_name=estimator, sampler_spec=sampler, analysis=analysis
             )
-            store.write(f"{slugs[estimator]}/{slugs[sampler]}/{analysis}", named)
-    store.finish()
+            found[f"{slugs[estimator]}/{slugs[sampler]}/{analysis}"] = pack(named)
+    note = StudyNote.of(study_config(title, cells), {})
+    with Ledger.create(folder, note, tuple(found)) as ledger:
+        for path, payload in found.items():
+            ledger.finish(path, payload)
     return folder
 
 

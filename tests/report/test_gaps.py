@@ -24,9 +24,9 @@ def _folder(make: Make, tmp_path: Path) -> Path:
 def lacking(failed: dict[str, str], missing: tuple[str, ...] = ()) -> StudyStatus:
     """A status with one finished cell beside these."""
     return StudyStatus(
-        title="t", study_hash="", seed=1, versions={}, format=2, state="unfinished", holder=None,
-        host=None, started=None, finished=None, done=("e/random/points",), failed=failed,
-        missing=missing, damaged={}, recorded=0, results_bytes=0, journal_bytes=0, verified=False,
+        title="t", study_hash="", seed=1, versions={}, format=3, state="unfinished", holder=None,
+        hosts=(), started=None, finished=None, done=("e/random/points",), failed=failed,
+        missing=missing, damaged={}, recorded=0, results_bytes=0, ledger_bytes=0, verified=False,
     )  # fmt: skip
 
 
@@ -78,13 +78,13 @@ def test_thousands_are_not_listed(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "2950 more rows" in found.table.caption
 
 
-def test_an_unreadable_journal_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unreadable_ledger_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(_: Path) -> StudyStatus:
-        raise StoreError("The journal has format 9 <x>.")
+        raise StoreError("The ledger has format 9 <x>.")
 
     monkeypatch.setattr(gaps, "study_status", refuse)
     text = write_report(folder).read_text(encoding="utf-8")
-    assert "Whether analyses failed is unknown. The journal has format 9 &lt;x&gt;." in text
+    assert "Whether analyses failed is unknown. The ledger has format 9 &lt;x&gt;." in text
 
 
 def test_the_page_has_the_reasons(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,6 @@ import pytest
 import mcspectra as mcs
 from mcspectra.report import write_report
 from mcspectra.studies import make_plan, open_results, run_study, summarize
-from mcspectra.studies.cells import compute_cell, labels_of
 from mcspectra.studies.files import decode_study
 
 STUDY = """
@@ -73,7 +72,7 @@ def test_cells_are_what_the_functions_return(finished):
             assert np.array_equal(stored[name], expected[name], equal_nan=True), (path, name)
         for name, coord in expected.coords.items():
             if coord.dtype.kind == "U" and name != "bound":
-                assert labels_of(stored, name) == coord.values.tolist()
+                assert stored.attrs[f"labels_{name}"] == coord.values.tolist()
                 assert name not in stored.coords
 
 
@@ -132,13 +131,13 @@ realizations = 6
 predict_every = 0
 """
     (cell,) = make_plan(decode_study(text), tmp_path).cells
-    stored = compute_cell(cell, 3)
+    stored = cell.compute(3)
     direct = variance_map(
         "penumbra", ["mis"], "jittered", [4, 16], 6, size=(4, 4), crop=(1, 2, 2, 2), rng=3,
         predict_every=0,
     )  # fmt: skip
     for name in direct.data_vars:
         assert np.array_equal(stored[name], direct[name], equal_nan=True), name
-    assert labels_of(stored, "strategy") == direct["strategy"].values.tolist()
+    assert stored["strategy"].values.tolist() == direct["strategy"].values.tolist()
     run_study(decode_study(text), tmp_path, workers=1)
     assert "<h3>Map</h3>" in write_report(tmp_path).read_text(encoding="utf-8")

@@ -1,5 +1,6 @@
 """Plans: every study is planned within seconds, or refused with an estimate before it is built."""
 
+import re
 import subprocess
 import sys
 import time
@@ -15,13 +16,14 @@ from mcspectra.studies.files import apply_overrides, plain_study, study_of
 HEAD = 'title = "t"\nsamplers = ["random"]\n'
 POINTS = "[points]\nn = 16\n"
 ESTIMATOR = '[[estimators]]\nname = "a"\ndims = 2\nintegrand = "gaussian"\n'
+COUNTS = f"convergence = {{ counts = {[*range(1, 10_000)]} }}"
 MANY = [*range(10, 56)]
 FEW = 5.0  # seconds
 
 
 def _planned(text, folder, **options):
     """A plan, or the sentence that refuses the study: in time, and in little memory."""
-    start = time.perf_counter()
+    start = time.process_time()
     tracemalloc.start()
     try:
         return make_plan(decode_study(text), folder, **options)
@@ -31,7 +33,7 @@ def _planned(text, folder, **options):
         assert tracemalloc.get_traced_memory()[1] < 1e9
         tracemalloc.stop()
         # Tracing costs several times what it traces
-        assert time.perf_counter() - start < 6 * FEW
+        assert time.process_time() - start < 6 * FEW
 
 
 def _estimators(number):
@@ -65,8 +67,7 @@ def _jitters(number):
             "1 estimators and 1 pairs of estimator and sampler, which would take about 20 s",
         ),
         (
-            f'title = "t"\nsamplers = [{_jitters(300)}]\n{_estimators(300)}'
-            f"convergence = {{ counts = {[*range(1, 10_000)]} }}",
+            f'title = "t"\nsamplers = [{_jitters(300)}]\n{_estimators(300)}{COUNTS}',
             "pairs of estimator and sampler, which would take about",
         ),
         (
@@ -82,8 +83,6 @@ def _jitters(number):
     ids=["grid", "pairs", "densities", "counts", "terms", "spectrum", "pcf"],
 )  # fmt: skip
 def test_what_takes_too_long_or_too_much_is_refused_with_an_estimate(tmp_path, text, words):
-    import re
-
     assert re.search(words, _planned(text, tmp_path))
 
 
@@ -91,16 +90,15 @@ def test_what_takes_too_long_or_too_much_is_refused_with_an_estimate(tmp_path, t
     "text",
     [
         f'title = "t"\nsamplers = [{_jitters(300)}]\n{POINTS}{_estimators(300)}',
-        f"{HEAD}{ESTIMATOR}densities = {['linear(slope=1)'] * 10_000}\n"
-        "convergence = { counts = [4], realizations = 10 }",
+        f"{HEAD}[exact]\ncounts = [4]\n{ESTIMATOR}densities = {['linear(slope=1)'] * 10_000}",
         f"{HEAD}{ESTIMATOR}convergence = {{ counts = [4], realizations = 1000000000 }}",
     ],
     ids=["pairs", "densities", "realizations"],
 )
 def test_large_studies_are_planned_within_seconds(tmp_path, text):
-    start = time.perf_counter()
+    start = time.process_time()
     plan = make_plan(decode_study(text), tmp_path)
-    assert time.perf_counter() - start < FEW
+    assert time.process_time() - start < FEW
     assert len(plan.cells) in (1, 90_000)
 
 

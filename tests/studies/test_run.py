@@ -291,7 +291,8 @@ def test_interrupting_the_command_exits_130_and_loses_nothing(
     (misbehaving / "slow").touch()
     command = [sys.executable, "-m", "mcspectra", "run", str(study), "--out", str(tmp_path / "out")]
     command += [item for name in trust.code for item in ("--allow-code", name)]
-    environment = {**os.environ, "PYTHONPATH": str(misbehaving)}
+    modules = os.pathsep.join([str(misbehaving), os.environ.get("PYTHONPATH", "")])
+    environment = {**os.environ, "PYTHONPATH": modules}
     process = subprocess.Popen(
         [*command, "--workers", "2"], env=environment, stderr=subprocess.PIPE, text=True
     )

@@ -178,7 +178,9 @@ def test_what_is_recorded_on_the_way_restores_all_of_it(blocks):
         assert all(word == compute_chunk(run, chunk) for chunk, word in recorded.items())
         again = PartialRun(run)
         again.restore(recorded, recorded.get)
-        left = {i for a, n in iter(lambda: again.next_chunk(8), None) for i in range(a, a + n)}
+        left = set()
+        while (chunk := again.next_chunk(8)) is not None:
+            left |= set(range(chunk[0], sum(chunk)))
         assert left == set(range(blocks)) - done
 
 
@@ -206,7 +208,7 @@ def test_sizes_follow_the_measured_pace():
     slow = schedule.next_work()
     assert slow[0].chunk == (16, 8)
     schedule.take(outcome(slow, 8 * 100.0))
-    for seconds in (1.0,) * 12:
+    for _ in range(12):
         work = schedule.next_work()
         schedule.take(Outcome(task=work[0], state=work[1](), seconds=2.0**-3 * work[0].chunk[1]))
     assert schedule.next_work()[0].chunk[1] >= 4

@@ -158,7 +158,9 @@ def test_tables_of_analyses_are_the_registered_analyses():
             assert found["description"] == option.meaning
             assert (option.name in own.get("required", ())) == option.required
             if not option.required:
-                wanted = list(option.default) if isinstance(option.default, tuple) else option.default
+                wanted = (
+                    list(option.default) if isinstance(option.default, tuple) else option.default
+                )
                 assert found["default"] == wanted
 
 

@@ -100,7 +100,9 @@ FUNCTION = STUDY.replace('"linear"', "\"python(function='misbehaving:{}')\"").re
 
 
 def _misbehaving(name):
-    return StudyText.of(decode_study(FUNCTION.format(name)), Path(), Trust((f"misbehaving:{name}",)))
+    return StudyText.of(
+        decode_study(FUNCTION.format(name)), Path(), Trust((f"misbehaving:{name}",))
+    )
 
 
 @pytest.mark.parametrize(

@@ -203,7 +203,7 @@ def test_hostile_names_stay_in_the_store(tmp_path, name):
     run_study(decode_study(text), folder / "out", workers=1)
     assert [p.name for p in tmp_path.iterdir()] == ["x"]
     assert [p.name for p in folder.iterdir()] == ["out"]
-    names = {"journal", "manifest.jsonl", "results.zarr"}
+    names = {"results.zarr", "study.lock", "study.sqlite"}
     assert {p.name for p in (folder / "out").iterdir()} == names
     (cell,) = make_plan(decode_study(text), tmp_path).cells
     assert (folder / "out/results.zarr" / cell.path / "variance").is_dir()

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from mcspectra.estimators import AbstractEstimator
 
-__all__ = ["AnalysisVerb"]
+__all__ = ["AnalysisVerb", "add_option", "given_options"]
 
 _COMPARE = ("convergence",)  # analyses that take several samplers
 _FILES = (".npz", ".png", ".pdf")
@@ -41,7 +41,7 @@ class AnalysisVerb:
     def __init__(self, name: str) -> None:
         self._name = name
         self._analysis: type[Analysis] = ANALYSES.load(name)
-        self._options = options_of(self._analysis)
+        self._options = options_of(self._analysis)  # type: ignore[arg-type]
         self._views = VIEWS.get(name, {"": table_of_anything})
         # What the public function takes says what its verb does
         door = getattr(mcs, self._analysis.function, None)
@@ -63,7 +63,7 @@ class AnalysisVerb:
             if not self._takes or "density" in self._takes:
                 parser.add_argument("--density", metavar="SPEC", help="importance density")
         for option in self._options:
-            _add_option(parser, self._analysis, option)
+            add_option(parser, self._analysis, option)
         if len(self._views) > 1:
             default, *others = self._views
             shown = [f"{name}: {self._views[name].__doc__}" for name in others]
@@ -78,11 +78,7 @@ class AnalysisVerb:
             "--show", getattr(options, "show", next(iter(self._views))), tuple(self._views)
         )
         self._check_file(options.out)
-        given = {
-            option.name: getattr(options, option.name)
-            for option in self._options
-            if getattr(options, option.name) is not None
-        }
+        given = given_options(options, self._analysis)
         subject = self._subject(options)
         if self._analysis.about == "sampler" and isinstance(subject.sampler, GivenPoints):
             given = {"realizations": len(subject.sampler.points), **given}
@@ -125,15 +121,15 @@ class AnalysisVerb:
 
     def _subject(self, options: argparse.Namespace) -> Subject:
         if self._analysis.about == "sampler":
-            from mcspectra.densities import as_density
+            from mcspectra.densities import as_warp
 
             source = read_sampler(options.sampler, options.dims)
-            density = as_density(getattr(options, "density", None), source.dims)
+            density = as_warp(getattr(options, "density", None), source.dims)
             return Subject(None, source, density)
         from mcspectra.estimators import as_subject
 
         estimator = _estimator(options)
-        texts = options.sampler or self._default_sampler
+        texts = options.sampler or self._default_sampler or ""
         if isinstance(texts, list):
             samplers = [read_sampler(text, estimator.dims) for text in texts]
             return as_subject(estimator, samplers, lists=True)
@@ -144,7 +140,9 @@ class AnalysisVerb:
         if file is None or Path(file).suffix == ".npz":
             return
         if Path(file).suffix not in _FILES:
-            raise ParameterError(f"--out is {file!r}; it must end in {', '.join(_FILES)}.")
+            raise ParameterError(
+                f"--out is {file!r}; it must end in {', '.join(_FILES[:-1])} or {_FILES[-1]}."
+            )
         from mcspectra.report.accessor import has_picture
 
         if not has_picture(self._analysis.variables):
@@ -153,7 +151,7 @@ class AnalysisVerb:
             )
 
 
-def _add_option(parser: argparse.ArgumentParser, analysis: type[Analysis], option: Option) -> None:
+def add_option(parser: argparse.ArgumentParser, analysis: type[Analysis], option: Option) -> None:
     """Add an option of an analysis; without a value it is left to the analysis."""
     own = option.extra.get("flag", option.flag)
     text = option.meaning.rstrip(".")
@@ -203,6 +201,12 @@ def _add_option(parser: argparse.ArgumentParser, analysis: type[Analysis], optio
         metavar=option.extra.get("metavar", letter),
         help=_escaped("; ".join(filter(None, (text, "repeatable" if listed else "", said)))),
     )
+
+
+def given_options(options: argparse.Namespace, analysis: type[Analysis]) -> dict[str, Any]:
+    """The options of an analysis that were given; the analysis has defaults for the others."""
+    found = {each.name: getattr(options, each.name, None) for each in options_of(analysis)}
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def _escaped(text: str) -> str:

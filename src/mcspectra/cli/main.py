@@ -195,7 +195,7 @@ def _run(module: Any, parser: argparse.ArgumentParser, rest: list[str]) -> int:
     return int(code)
 
 
-_FAILED_RUNS = ("CellFailed", "ClusterLost", "EngineFailed", "StorageError")
+_FAILED_RUNS = ("CellFailed", "ClusterLost", "StorageError")
 """Errors that are nobody's input."""
 
 

@@ -18,12 +18,14 @@ from mcspectra.core.errors import ParameterError
 
 if TYPE_CHECKING:
     from mcspectra.studies import CellEstimate, SummaryRow
-    from mcspectra.studies.run import MakeEngine, Progress
+    from mcspectra.studies.executors import Dask
+    from mcspectra.studies.run import MakeExecutor, Progress
+    from mcspectra.studies.tasks import StudyText
 
 __all__ = ["add_arguments", "estimate_text", "run", "summary_text"]
 
 _FAR = 0.5
-_OF_CLUSTERS = ("listen", "dashboard", "tls_ca", "tls_cert", "tls_key")
+_OF_CLUSTERS = ("listen", "dashboard")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a Python function that the study may name")  # fmt: skip
     add("--allow-path", repeated="all", default=[], metavar="DIR",
         help="a folder, beside the study's own, that it may read files from")  # fmt: skip
-    group = parser.add_argument_group("dask", "needs: pip install 'mcspectra[cluster]'")
+    group = parser.add_argument_group("dask", "TLS is set in dask's own configuration")
     add = functools.partial(group.add_argument, action=Read)
     add("--cluster", metavar="ADDRESS",
         help="compute on dask: tcp://HOST:PORT or tls://HOST:PORT of a scheduler, the .json file "
@@ -54,14 +56,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="with --cluster local: where its scheduler listens (default: 127.0.0.1, this machine)")  # fmt: skip
     add("--dashboard", read=whole(0), metavar="PORT",
         help="with --cluster local: port of dask's dashboard (default: any that is free)")  # fmt: skip
-    add("--tls-ca", read=_path, metavar="FILE", help="certificate authority, .pem")
-    add("--tls-cert", read=_path, metavar="FILE", help="certificate, .pem")
-    add("--tls-key", read=_path, metavar="FILE", help="its key, .pem")
-
-
-def _path(name: str, text: str) -> Path:
-    del name
-    return Path(text)
 
 
 def run(options: argparse.Namespace) -> Answer:
@@ -121,7 +115,7 @@ def run(options: argparse.Namespace) -> Answer:
     return Answer(f"{summary_text(rows)}\n\nreport: {page}", data, 0 if failed is None else 1)
 
 
-def _cluster_engine(options: argparse.Namespace, time_limit: float | None) -> MakeEngine | None:
+def _cluster_engine(options: argparse.Namespace, time_limit: float | None) -> MakeExecutor | None:
     """What makes the engine that the options ask for; None without --cluster."""
     if options.cluster is None:
         for name in _OF_CLUSTERS:
@@ -129,21 +123,18 @@ def _cluster_engine(options: argparse.Namespace, time_limit: float | None) -> Ma
                 flag = name.replace("_", "-")
                 raise ParameterError(f"--{flag} is for clusters; give --cluster too.")
         return None
-    from mcspectra.studies.cluster import ClusterOptions, DaskEngine
+    from mcspectra.studies.executors import Cluster, Dask
 
-    settings = ClusterOptions(
+    cluster = Cluster(
         address=options.cluster,
         workers=options.workers,
         host=options.listen or "127.0.0.1",
         dashboard=options.dashboard or 0,
-        tls_ca=options.tls_ca,
-        tls_cert=options.tls_cert,
-        tls_key=options.tls_key,
         time_limit=time_limit,
     )
 
-    def make(text: Any) -> DaskEngine:
-        engine = DaskEngine(text, settings)
+    def make(text: StudyText) -> Dask:
+        engine = Dask(text, cluster)
         if not (options.quiet or options.json):
             where = f", dashboard: {engine.dashboard}" if engine.dashboard else ""
             print(f"dask: {engine.address}{where}", file=sys.stderr)

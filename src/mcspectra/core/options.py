@@ -229,6 +229,13 @@ def _kinds(kind: inspect.Type) -> list[inspect.Type]:
     return [kind]
 
 
+def _in_words(kind: inspect.Type) -> str:
+    """What a number may be."""
+    if isinstance(kind, inspect.IntType):
+        return "a whole number" if kind.ge is None else f"a whole number of at least {kind.ge}"
+    return "a number"
+
+
 def _words(kinds: list[inspect.Type]) -> tuple[str, ...]:
     literal = [kind for kind in kinds if isinstance(kind, inspect.LiteralType)]
     return tuple(v for kind in literal for v in kind.values if isinstance(v, str))
@@ -245,11 +252,13 @@ def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
     if value is None and any(isinstance(each, inspect.NoneType) for each in kinds):
         return None
     kinds = [each for each in kinds if not isinstance(each, inspect.NoneType)]
-    words = [v for each in kinds if isinstance(each, inspect.LiteralType) for v in each.values]
-    if len(kinds) > 1 and isinstance(value, str) and words and value not in words:
-        raise ParameterError(
-            f"{label} is {value!r}; give a number, or {' or '.join(map(str, words))}."
-        )
+    words = _words(kinds)
+    if len(kinds) > 1 and words and value not in words:
+        others = [each for each in kinds if not isinstance(each, inspect.LiteralType)]
+        offer = " or ".join(map(repr, words))
+        if isinstance(value, str):
+            raise ParameterError(f"{label} is {value!r}; give {_in_words(others[0])}, or {offer}.")
+        kinds = others
     fitting = next((each for each in kinds if _fits(each, value)), kinds[0])
     match fitting:
         case inspect.IntType(ge=least, le=most):

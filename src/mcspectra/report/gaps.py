@@ -36,7 +36,7 @@ def gaps_of(root: Path) -> Gaps | None:
 
     Notes
     -----
-    A journal that cannot be read hides which analyses failed, but not the results: that is said.
+    A store alone, without its ledger, does not say which analyses failed: that is said.
     """
     try:
         status = study_status(root)

@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Meta
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute, whole
-from mcspectra.core.checks import MAX_FREQUENCY, Array
+from mcspectra.core.checks import MAX_FREQUENCY, Array, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNT, ENGINE, EPS, HALF_WIDTH, SETS
@@ -181,6 +181,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
         """Refuse sets that are too large, and engines that do not work in these dims."""
         source, p = _warped(subject)
         source.check_count(self.n)
+        as_integer("half_width", self.half_width, least=1)
         dims = max(source.dims, p.dims if p else 0)
         if self.n * dims > _MOST_COORDINATES:
             raise ParameterError(

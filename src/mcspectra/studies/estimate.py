@@ -26,7 +26,7 @@ from mcspectra.studies.schedule import task_seconds
 
 __all__ = ["CellEstimate", "estimate_study", "wall_time"]
 
-_FEW, _MORE = 4, 36  # realisations of tries
+_FEW, _MORE = 4, (36, 324, 2916, 26_244)  # realisations of tries
 _PATIENCE = 20.0  # seconds that a try may take beyond its time, as for the compilation of a kernel
 _NOMINAL = 1e-7  # seconds for a unit of cost, where nothing was tried
 _ARRAY_BYTES = 1500  # of metadata for every stored array
@@ -141,16 +141,22 @@ def _measured(cell: Cell, seed: int, left: float) -> tuple[float, int] | None:
     realizations: int = cell.analysis.realizations  # type: ignore[attr-defined]
     if cell.need.cost / realizations * _FEW * _NOMINAL > left:
         return None
+    few = min(_FEW, realizations)
     try:
-        first, size = _timed(cell, min(_FEW, realizations), seed)  # pays what is paid once
-        few, _ = _timed(cell, min(_FEW, realizations), seed)
-        if few * _MORE / _FEW > 0.1 * left:
-            return first + few * realizations / _FEW, size
-        more, _ = _timed(cell, min(_MORE, realizations), seed)
+        first, size = _timed(cell, few, seed)  # pays what is paid once
+        again, _ = _timed(cell, few, seed)
+        if 2 * again > left:
+            return first + again * realizations / few, size
+        # As many realisations as it takes to see what they cost beside what is paid each time
+        for more in _MORE if _MORE[0] / _FEW * again < 0.1 * left else (2 * _FEW,):
+            count = min(more, realizations)
+            seconds, _ = _timed(cell, count, seed)
+            if count == realizations or seconds > min(2 * again, 0.01 * left):
+                break
     except BaseException:  # noqa: BLE001 - whatever the code of others does
         return None
-    each = max(0.0, more - few) / (_MORE - _FEW)
-    return more + each * max(0, realizations - _MORE), size
+    each = (seconds - again) / (count - few) if seconds > again and count > few else seconds / count
+    return seconds + each * (realizations - count), size
 
 
 def _timed(cell: Cell, realizations: int, seed: int) -> tuple[float, int]:

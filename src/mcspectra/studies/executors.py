@@ -446,11 +446,12 @@ def _connected(options: Cluster, opened: contextlib.ExitStack) -> Any:
     """A client of a cluster that is started here, or of one that runs; `opened` closes both."""
     import distributed
 
+    make: Any = distributed.Client
     try:
         target: Any = _local_cluster(options) if options.local else _address(options)
         if options.local:
             opened.callback(target.close, timeout=_CLOSING)
-        client = distributed.Client(target, timeout=options.patience, set_as_default=False)
+        client = make(target, timeout=options.patience, set_as_default=False)
     except (OSError, RuntimeError, ValueError, TypeError) as error:
         if isinstance(error, McspectraError):
             raise

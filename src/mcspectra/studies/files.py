@@ -28,7 +28,7 @@ from msgspec import Meta
 
 from mcspectra.core.analysis import ANALYSES, Analysis
 from mcspectra.core.errors import ConfigError, McspectraError, MissingDependency, close_match_hint
-from mcspectra.core.options import Positive, Text, checked, options_of
+from mcspectra.core.options import Positive, Text, options_of
 
 __all__ = [
     "MOST_ENTRIES",
@@ -226,8 +226,9 @@ def read_study(path: str | Path, overrides: Sequence[str] = ()) -> StudyConfig:
     ConfigError
         Missing or unreadable file, not TOML, or not a study; the message names the place.
     """
-    if not isinstance(path, str | Path):
-        raise ConfigError(f"{path!r} is not the path of a study file; give that of a .toml file.")
+    given: Any = path
+    if not isinstance(given, str | Path) or "\0" in str(given):
+        raise ConfigError(f"{given!r} is not the path of a study file; give that of a .toml file.")
     file = Path(path)
     try:
         if file.exists() and not file.is_file():
@@ -239,7 +240,7 @@ def read_study(path: str | Path, overrides: Sequence[str] = ()) -> StudyConfig:
         raise ConfigError(
             f"There is no study file {str(file)!r}; give the path of a .toml file."
         ) from None
-    except (OSError, ValueError) as error:
+    except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise ConfigError(f"The study file {str(file)!r} cannot be read: {reason}.") from None
     return decode_study(text, str(file), overrides)
@@ -309,11 +310,12 @@ def _flat(plain: dict[str, Any]) -> dict[str, Any]:
 
 @final
 class _Reader:
-    """Makes structs of the tables of one study; each distinct table of an analysis is made once."""
+    """Makes structs of the tables of one study; equal options of analyses are checked once."""
 
     def __init__(self) -> None:
         self._names = _names()
-        self._known: dict[tuple[str, str], Analysis] = {}
+        self._kinds: dict[str, type[Analysis]] = {}
+        self._clean: set[tuple[str, str, str]] = set()
 
     def study(self, table: Mapping[str, Any]) -> StudyConfig:
         """A whole study."""
@@ -337,7 +339,12 @@ class _Reader:
         """Name of the analysis of scenes whose entries a key lists, ``map`` of ``maps``, or nothing."""
         name = key.removesuffix("s")
         listed = key not in self._names and name != key and name in self._names
-        return name if listed and ANALYSES.load(name).about == "scene" else ""
+        return name if listed and self._kind(name).about == "scene" else ""
+
+    def _kind(self, name: str) -> type[Analysis]:
+        if name not in self._kinds:  # the registry asks all packages each time
+            self._kinds[name] = ANALYSES.load(name)
+        return self._kinds[name]
 
     def _with_analyses(self, table: Any, kind: type[Struct], place: str) -> Struct:
         """A table that may have tables of analyses in it."""
@@ -348,7 +355,7 @@ class _Reader:
         analyses = {}
         for key in asked:
             inside = f"{place}.{key}" if place else key
-            if ANALYSES.load(key).about == "scene":
+            if self._kind(key).about == "scene":
                 raise ConfigError(f"{inside} is an analysis of scenes; list tables [[{key}s]].")
             analyses[key] = self._analysis(key, table[key], inside)
         return msgspec.structs.replace(made, analyses=analyses)
@@ -364,14 +371,15 @@ class _Reader:
         return msgspec.structs.replace(made, kind=name, analysis=analysis)
 
     def _analysis(self, name: str, table: Any, place: str) -> Analysis:
-        key = (name, repr(table))
-        if key not in self._known:
-            made = _struct(table, ANALYSES.load(name), place)
-            try:
-                self._known[key] = checked(made)
-            except McspectraError as error:
-                raise ConfigError(f"{place}: {error}") from None
-        return self._known[key]
+        kind = self._kind(name)
+        made: Analysis = _struct(table, kind, place)
+        for option in options_of(kind):  # what types cannot say
+            value = getattr(made, option.name)
+            key = name, option.name, repr(value)
+            if key not in self._clean:
+                option.check(value, f"{place}.{option.name}")
+                self._clean.add(key)
+        return made
 
 
 def _entries(key: str, entries: Any) -> Iterator[tuple[Any, str]]:

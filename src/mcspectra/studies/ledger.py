@@ -226,6 +226,7 @@ class Ledger:
         self._waiting = 0  # bytes
         self._closed = threading.Event()
         self._broken: StoreError | None = None  # what a commit of the thread has met
+        self._holds = False
 
     @staticmethod
     def create(folder: Path, study: StudyNote, paths: Sequence[str]) -> Ledger:
@@ -435,7 +436,8 @@ class Ledger:
         """Commit, note that this process has ended, give the folder free; again, do nothing."""
         self._closed.set()
         try:
-            if self.tally.holder is not None and self._lock is not None:
+            if self._holds:
+                self._holds = False
                 self.commit()
                 self._write((), msgspec.structs.replace(self.tally, holder=None))
         finally:
@@ -505,6 +507,7 @@ class Ledger:
         holder = Holder(host, os.getpid(), _now())
         self.tally = msgspec.structs.replace(self.tally, hosts=hosts, holder=holder)
         self._write((), self.tally)
+        self._holds = True
         threading.Thread(target=self._commit_in_time, daemon=True).start()
 
     def _commit_in_time(self) -> None:
@@ -656,14 +659,12 @@ class Ledger:
     def _failures(self) -> dict[str, str]:
         found = {}
         for path, text, digest in self._rows("SELECT path, sentence, digest FROM failures"):
-            if self._is_sound_text(path, text, digest):
+            content = text.encode() if isinstance(text, str) else None
+            if self._is_sound("failure", (path,), content, digest):
                 found[path] = text
             else:
                 self.damaged[f"failure of {path}"] = _DAMAGE
         return found
-
-    def _is_sound_text(self, path: Any, text: Any, digest: Any) -> bool:
-        return isinstance(text, str) and self._is_sound("failure", (path,), text.encode(), digest)
 
     def _sound_rows(self, paths: Sequence[str]) -> _Sound:
         """Read everything, as far as it can be read; what is not sound goes to `damaged`."""
@@ -687,19 +688,19 @@ class Ledger:
                     tally = tally.plus(rows[0][1], len(rows[0][2]))
                 else:
                     self.damaged[path] = _DAMAGE
-        if len(self.damaged) == before and tally.digest != self.tally.digest:
+        # Of a reader's list it is known already; meanwhile there may have been a commit.
+        if self._lock and len(self.damaged) == before and tally.digest != self.tally.digest:
             self.damaged["list of cells"] = "finished cells are missing in it"
         try:
             for (row,) in self._rows("SELECT rowid FROM tasks"):
-                ((*values, digest, payload),) = self._rows(
-                    "SELECT * FROM tasks WHERE rowid = ?", (row,)
-                )
-                if self._is_sound("task", tuple(values), payload, digest):
-                    sound.tasks[row] = values[0]
-                else:
-                    self.damaged[_task_name(*values[:4])] = _DAMAGE
+                for found in self._rows("SELECT * FROM tasks WHERE rowid = ?", (row,)):
+                    *values, digest, payload = found
+                    if self._is_sound("task", tuple(values), payload, digest):
+                        sound.tasks[row] = values[0]
+                    else:
+                        self.damaged[_task_name(*values[:4])] = _DAMAGE
             sound.failures.update(self._failures)
-        except (StoreError, ValueError) as error:
+        except StoreError as error:
             self.damaged["recorded tasks and failures"] = str(error)
         return sound
 
@@ -723,7 +724,8 @@ class Ledger:
             raise self._unreadable(error) from None
 
     def _unreadable(self, error: BaseException) -> StoreError:
-        return StoreError(f"{str(self._file)!r} cannot be read: {error}; {_REMEDY}.")
+        remedy = _REMEDY if self._lock is None else "give another --out"
+        return StoreError(f"{str(self._file)!r} cannot be read: {error}; {remedy}.")
 
     def _row(self, name: str, note: msgspec.Struct) -> tuple[str, str, bytes]:
         text = msgspec.json.encode(note)

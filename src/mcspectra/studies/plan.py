@@ -54,7 +54,7 @@ MOST_EVALUATIONS = 10**15
 # searched for gaps), of a sampler of an estimator, of a cell, of a count (or another item of a list) of
 # its analysis; and most that are not forced.
 _SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 3e-4, 2e-3
-_PAIR, _CELL, _COUNT = 5e-6, 3e-5, 6e-6
+_PAIR, _CELL, _COUNT = 3e-6, 2.5e-5, 3e-6
 _MOST_SECONDS = 5.0
 _RESERVED = frozenset({"zarr.json", "c"})
 
@@ -221,6 +221,14 @@ class _Sampler(NamedTuple):
     inputs: Inputs
 
 
+class _Asked(NamedTuple):
+    """An analysis that is asked for, by its name."""
+
+    name: str
+    analysis: Analysis
+    inputs: Inputs
+
+
 @final
 class _Planner:
     """Makes the cells of one study; what several cells share is made once."""
@@ -231,7 +239,7 @@ class _Planner:
         self._slugs = _Slugs()
         self._one: dict[tuple[str, int | None], tuple[Sampler, Inputs]] = {}
         self._lists: dict[tuple[tuple[str, ...], int | None], list[_Sampler]] = {}
-        self._vetted: dict[int, tuple[Analysis, Inputs]] = {}
+        self._vetted: dict[int, list[_Asked]] = {}
 
     def cells(self, entry: EstimatorConfig | SceneConfig) -> Iterator[Cell]:
         """Cells of an estimator, or of a scene, with all its samplers."""
@@ -271,23 +279,28 @@ class _Planner:
                     inputs=tuple(sorted(inputs.union(of_sampler, of_analysis))),
                 )
 
-    def _asked(
-        self, entry: EstimatorConfig | SceneConfig
-    ) -> Iterator[tuple[str, Analysis, Inputs]]:
-        """Analyses of an entry by their names, their options vetted: its own, or the study's."""
+    def _asked(self, entry: EstimatorConfig | SceneConfig) -> Iterator[_Asked]:
+        """Analyses of an entry: the study's, or its own, and companions without a table."""
         if isinstance(entry, SceneConfig):
             tables = {entry.kind: entry.analysis}
         else:
             tables = {**self._config.analyses, **entry.analyses}
         for name, table in tables.items():
             if id(table) not in self._vetted:  # tables live as long as the study
-                self._vetted[id(table)] = self.vetting.options(table)
-            analysis, inputs = self._vetted[id(table)]
-            yield name, analysis, inputs
-            for other in (each for each in analysis.companions if each not in tables):
-                kind = ANALYSES.load(other)
-                shared = {*kind.__struct_fields__} & {*analysis.__struct_fields__}
-                yield other, kind(**{key: getattr(analysis, key) for key in shared}), inputs
+                self._vetted[id(table)] = list(self._with_companions(name, table))
+            for asked in self._vetted[id(table)]:
+                if asked.name == name or asked.name not in tables:
+                    yield asked
+
+    def _with_companions(self, name: str, table: Analysis) -> Iterator[_Asked]:
+        """An analysis, its options vetted, and its companions with those options that they have."""
+        analysis, inputs = self.vetting.options(table)
+        yield _Asked(name, analysis, inputs)
+        for other in analysis.companions:
+            kind = ANALYSES.load(other)
+            shared = {*kind.__struct_fields__} & {*analysis.__struct_fields__}
+            made = kind(**{key: getattr(analysis, key) for key in shared})
+            yield _Asked(other, made, inputs)
 
     def _samplers(self, entry: EstimatorConfig | SceneConfig, dims: int | None) -> list[_Sampler]:
         """Samplers of an entry; those that entries share are the same objects."""

@@ -34,9 +34,7 @@ Work = tuple[Task, Callable[[], Any]]
 
 _TARGET = 1.0  # seconds of a chunk
 _OF_LIMIT = 0.2  # and at most this part of the time limit
-_RECORDED_AFTER = (
-    1.0  # seconds of a cell's work that a kill may lose: below, a record costs too much
-)
+_RECORDED_AFTER = 1.0  # seconds of a cell's work, which a kill may lose: recording costs too
 _INSTANT = 1e-9  # seconds: what takes less counts as this
 # An interrupt in this thread is the user's; what else ends a thread is of the code of others.
 _FAILURES = (Exception, SystemExit, asyncio.CancelledError)

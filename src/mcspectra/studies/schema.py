@@ -143,7 +143,8 @@ def _type(value: dict[str, Any]) -> str:
     kind = str(value.get("type", "value"))
     if kind == "array":
         items: dict[str, Any] = value.get("items") or next(iter(value.get("prefixItems", ())), {})
-        return f"list of {_type(items) if items else 'values'}"
+        inner = _type(items) if items else "values"
+        return f"list of ({inner})" if " or " in inner else f"list of {inner}"
     words = {"object": "table", "boolean": "true or false", "string": "text"}
     return words.get(kind, kind) + _range(value)
 

@@ -285,7 +285,7 @@ def compute_elsewhere(
     if compute is attempt:
         try:
             _prepare(text)
-        except BaseException as error:
+        except BaseException as error:  # noqa: BLE001 - whatever the code of others does
             raise WorkerRefused(
                 f"The worker on {_host()} cannot build the study: {explain(error)}"
             ) from None
@@ -294,8 +294,8 @@ def compute_elsewhere(
     try:
         return within(limit, functools.partial(compute, text, task)), False
     except TookTooLong:
-        error = f"It took longer than the time limit of {limit:g} s and was stopped."
-        return Outcome(task=task, error=error, seconds=limit, host=_host()), True
+        sentence = f"It took longer than the time limit of {limit:g} s and was stopped."
+        return Outcome(task=task, error=sentence, seconds=limit, host=_host()), True
 
 
 def _prepare(text: StudyText) -> None:
