@@ -217,9 +217,19 @@ def best_alignment(
     stream, threads = Stream.from_rng(rng), available_workers(workers)
     found = _Offsets.of(plain, source, [n], method, count, stream.child(0), threads)
 
+    # Offset of the least predicted variance: the best of a grid, then a pattern search about it
+    values = {o: found.total(o, n) for o in itertools.product(places, repeat=source.dims)}
+    offset = min(values, key=lambda o: values[o])
+    value, step = values[offset], 0.5 / len(places)
+    for _ in range(_HALVINGS):
+        for axis, sign in itertools.product(range(source.dims), (1.0, -1.0)):
+            moved = tuple((o + sign * step * (i == axis)) % 1.0 for i, o in enumerate(offset))
+            if (there := found.total(moved, n)) < value:
+                offset, value = moved, there
+        step *= 0.5
+
     # Set-ups, their offsets, and the variances predicted for them (NaN where none is)
     zero = (0.0,) * source.dims
-    offset, value = _searched(found, n, places)
     candidates = [
         ("unshifted", plain, source, zero, found.total(zero, n)),
         ("offset", plain, found.displaced(offset), offset, value),
@@ -230,7 +240,7 @@ def best_alignment(
         except NoClosedForm:
             expected = math.nan
         candidates.append(("aligned", bent, source, zero, expected))
-    names, estimators, samplers, moved, predicted = zip(*candidates, strict=True)
+    names, estimators, samplers, shifts, predicted = zip(*candidates, strict=True)
 
     # Measured: variances summed over channels, relative standard errors at most, rounding floors
     moments = [
@@ -254,7 +264,7 @@ def best_alignment(
     over = ("candidate",)
     return dataset(
         {
-            "strata_offset": ((*over, "axis"), np.array(moved)),
+            "strata_offset": ((*over, "axis"), np.array(shifts)),
             "predicted_variance": (over, np.array(predicted)),
             "measured_variance": (over, measured),
             "measured_variance_ci": ((*over, "bound"), variance_interval(measured, relative)),
@@ -398,20 +408,6 @@ class _Offsets:
     def total(self, offset: Sequence[float], n: int) -> float:
         """Variance at one offset, summed over channels."""
         return float(self.at(offset, n).value.sum())
-
-
-def _searched(found: _Offsets, n: int, places: list[float]) -> tuple[tuple[float, ...], float]:
-    """Offset of the least predicted variance: the best of a grid, then a pattern search about it."""
-    values = {o: found.total(o, n) for o in itertools.product(places, repeat=found.sampler.dims)}
-    best = min(values, key=lambda o: values[o])
-    value, step = values[best], 0.5 / len(places)
-    for _ in range(_HALVINGS):
-        for axis, sign in itertools.product(range(len(best)), (1.0, -1.0)):
-            moved = tuple((o + sign * step * (i == axis)) % 1.0 for i, o in enumerate(best))
-            if (there := found.total(moved, n)) < value:
-                best, value = moved, there
-        step *= 0.5
-    return best, value
 
 
 def _checked_offsets(offsets: Any, dims: int) -> list[float]:

@@ -56,7 +56,6 @@ from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import as_subject
-from mcspectra.spectra.bases import Basis
 from mcspectra.variance.bands import check_bands, make_bands
 from mcspectra.variance.sums import BATCHES, spread
 from mcspectra.variance.views import Frequencies, View
@@ -144,7 +143,23 @@ class Modes(Analysis, frozen=True, kw_only=True):
                 f"∫1/p diverges for {estimator.spec}: its covariances are infinite; use "
                 "space='primary'."
             )
-        inside = self._inside(frequencies.basis)
+
+        # Which stored coefficients belong to the bands of these labels
+        partition = make_bands(self.bands, frequencies.basis)
+        inside = np.ones(frequencies.basis.stored, bool)
+        if self.band is not None:
+            given: Any = [self.band] if isinstance(self.band, str) else self.band
+            listed = isinstance(given, list | tuple) and all(isinstance(b, str) for b in given)
+            if not listed or not given:
+                raise ParameterError(
+                    f"band is {self.band!r}; give labels of bands as text, such as "
+                    f"{partition.labels[-1]!r}, or None for all."
+                )
+            wanted = [partition.labels.index(as_choice("band", b, partition.labels)) for b in given]
+            inside = np.isin(partition.of, wanted)
+            if not inside.any():
+                raise ParameterError(f"The bands {given} hold no coefficient; give others.")
+
         view = View.of(frequencies, n, self.engine, self.eps)
         coordinates = _Coordinates.of(view, inside, self.channel, weighted=self.weighted)
         as_integer("modes", self.modes, least=1, most=coordinates.size)
@@ -240,24 +255,6 @@ class Modes(Analysis, frozen=True, kw_only=True):
             if found.key == key:
                 return found
             states = [compute_chunk(found, (0, found.blocks))]
-
-    def _inside(self, basis: Basis) -> Array:
-        """Which stored coefficients belong to the bands of these labels: bool (H,)."""
-        partition = make_bands(self.bands, basis)
-        if self.band is None:
-            return np.ones(basis.stored, bool)
-        given: Any = [self.band] if isinstance(self.band, str) else self.band
-        listed = isinstance(given, list | tuple) and all(isinstance(b, str) for b in given)
-        if not listed or not given:
-            raise ParameterError(
-                f"band is {self.band!r}; give labels of bands as text, such as "
-                f"{partition.labels[-1]!r}, or None for all."
-            )
-        wanted = [partition.labels.index(as_choice("band", b, partition.labels)) for b in given]
-        inside = np.isin(partition.of, wanted)
-        if not inside.any():
-            raise ParameterError(f"The bands {given} hold no coefficient; give others.")
-        return inside
 
 
 def covariance_modes(
