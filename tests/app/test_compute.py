@@ -71,15 +71,15 @@ def test_the_spectrum_does_not_wait_for_an_integrand() -> None:
 def test_cancelling_ends_an_analysis_between_its_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     begun, go, told = threading.Event(), threading.Event(), []
 
-    def slow(setup: Setup, realizations: int) -> None:
-        del setup, realizations
+    def slow(setup: Setup) -> None:
+        del setup
         begun.set()
         go.wait(30)
         for k in range(5):
             report("terms", k / 5)
             told.append(k)
 
-    monkeypatch.setitem(module._MAKERS, "points", slow)
+    monkeypatch.setattr(module, "_points", slow)
     sentences: list[str] = []
     job = Job(replace(SMALL, seed=5), told.append, sentences.append).start()
     assert begun.wait(30)

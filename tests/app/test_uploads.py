@@ -54,9 +54,13 @@ def test_broken_pictures_are_refused(data: bytes, name: str, said: str, tmp_path
     assert not list(tmp_path.glob("uploads/*"))
 
 
-def test_pictures_of_too_many_pixels_are_refused_before_they_are_unpacked() -> None:
+def test_pictures_of_too_many_pixels_are_refused() -> None:
+    with pytest.raises(FileFormatError, match="^The picture, of .* make a smaller version"):
+        keep_upload(png(5000, 4000), "a.png")  # before it is unpacked
+    data = io.BytesIO()
+    np.savez_compressed(data, image=np.zeros((4200, 4000), np.uint8))
     with pytest.raises(FileFormatError, match="16777216 at most"):
-        keep_upload(png(5000, 4000), "a.png")
+        keep_upload(data.getvalue(), "a.npz")
 
 
 def test_nan_is_refused() -> None:

@@ -123,16 +123,16 @@ def test_options_reach_the_map(tmp_path: Path, capsys: pytest.CaptureFixture[str
     [
         (("veech",), "veach"),
         (("none.xml",), "no scene file"),
-        (("veach", "--crop", "1,2,3"), "give x0, y0, width, height"),
+        (("veach", "--crop", "1,2,3"), "--crop has 3 values; give 4"),
         (("veach", "--crop", "0,0,9999,1"), "leaves the grid"),
         (("veach", "--crop", "a,b,c,d"), "--crop is 'a'"),
-        (("veach", "--crop=-1,0,2,2"), "--crop is '-1'"),
-        (("veach", "--size", "0,4"), "size width is 0"),
-        (("veach", "--strategies", "path"), "must be one of light"),
-        (("veach", "--strategies", ""), "must be one of light"),
+        (("veach", "--crop=-1,0,2,2"), "crop x0 is -1"),
+        (("veach", "--size", "0,4"), "--size is 0; give a whole number from 1"),
+        (("veach", "--strategies", "path"), "must be one of bsdf, light"),
+        (("veach", "--strategies", ""), "must be one of bsdf, light"),
         (("veach", "--counts", "4,5"), "cannot make 5 points"),
         (("veach", "--counts", "four"), "--counts is 'four'"),
-        (("veach", "-m", "1"), "--realizations is '1'"),
+        (("veach", "-m", "1"), "--realizations is 1; give a whole number from 2"),
         (("veach", "-m", "nan"), "--realizations is 'nan'"),
         (("veach", "--sampler", "jit"), "jit"),
         (("veach", "--light", "moon"), "no light 'moon'"),
@@ -140,7 +140,7 @@ def test_options_reach_the_map(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (("veach", "--heuristic", "best"), "balance, power"),
         (("veach", "--channel", "rgb"), "channel is 'rgb'"),
         (("veach", "--dims", "7"), "from 2 to 3"),
-        (("veach", "--points", "all"), "shared, own"),
+        (("veach", "--points", "all"), "own, shared"),
         (("veach", "--smoothing", "4"), "odd"),
         (("veach", "--workers", "0"), "--workers is '0'"),
         (("veach", "--seed", "-1"), "--seed"),
@@ -163,9 +163,9 @@ def test_folders_that_cannot_take_a_map(
     folder, _ = made
     (tmp_path / "file").write_text("")
     for target, more, sentence in (
-        (folder, (), "holds a map already"),
-        (folder, ("--resume", "--seed", 4), "other settings"),
-        (tmp_path / "file", (), "cannot be written"),
+        (folder, (), "holds results already"),
+        (folder, ("--resume", "--seed", 4), "belongs to another study"),
+        (tmp_path / "file", (), "is a file"),
     ):
         code, out, err = run(capsys, "veach", *SMALL, "--out", target, *more)
         assert (code, out) == (2, "")

@@ -6,25 +6,26 @@ from pathlib import Path
 import pytest
 
 from mcspectra.cli.main import main
-from mcspectra.studies.files import decode_study
-from mcspectra.studies.ledger import Ledger, StudyNote
+from mcspectra.studies import decode_study, run_study
 
 STUDY = """
 title = "t"
 samplers = ["random"]
 [[estimators]]
 name = "e"
-integrand = "x"
+integrand = "linear"
 [estimators.terms]
 n = 4
+half_width = 2
+realizations = 4
 """
 
 
 @pytest.fixture(name="folders")
 def _folders(tmp_path: Path) -> list[str]:
-    """Two ledgers without any results yet."""
+    """Two studies of one analysis."""
     for name in "ab":
-        Ledger.create(tmp_path / name, StudyNote.of(decode_study(STUDY), {}), ()).close()
+        run_study(decode_study(STUDY), tmp_path / name)
     return [str(tmp_path / name) for name in "ab"]
 
 

@@ -1,16 +1,46 @@
-"""Analyses and their doors in Python: every option is an argument with the same default."""
+"""Analyses: their doors in Python, and the same merge tree whatever the chunks and threads."""
 
 from __future__ import annotations
 
 import inspect
+import random
+import sys
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint
+from operator import attrgetter
+from types import SimpleNamespace
+from typing import Annotated, ClassVar
 
 import msgspec
+import numpy as np
 import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from msgspec import Meta
 
 import mcspectra as mcs
-from mcspectra.core.analysis import ANALYSES
-from mcspectra.core.errors import MissingDependency
+from mcspectra.core import registry
+from mcspectra.core.analysis import (
+    ANALYSES,
+    Analysis,
+    MergeTree,
+    Need,
+    Reduction,
+    Subject,
+    chunks,
+    compute,
+    compute_chunk,
+    finished,
+    in_step,
+    steps_of,
+    whole,
+)
+from mcspectra.core.errors import ConfigError, MissingDependency, ParameterError, UnknownName
 from mcspectra.core.options import options_of
+from mcspectra.core.progress import listening
+from mcspectra.core.results import Variable, check_variables, dataset
+from mcspectra.core.streams import Stream
 
 
 def _with_functions():
@@ -30,7 +60,7 @@ CASES = dict(_with_functions())
 @pytest.mark.parametrize("name", CASES)
 def test_functions_have_the_options_with_their_defaults(name):
     analysis = CASES[name]
-    parameters = inspect.signature(getattr(mcs, analysis.function)).parameters
+    parameters = inspect.signature(attrgetter(analysis.function)(mcs)).parameters
     options = {
         option.name: inspect.Parameter.empty if option.required else option.default
         for option in options_of(analysis)
@@ -44,3 +74,329 @@ def test_defaults_are_clean(name):
     for option in options_of(CASES[name]):
         if option.default is not msgspec.NODEFAULT:
             assert option.check(option.default) == option.default
+
+
+# --- the merge tree ---------------------------------------------------------------------------------
+
+
+@dataclass
+class Words:
+    """A state that says how it was merged; reuses its left states."""
+
+    said: list[str]
+
+    def merge(self, other: Words) -> Words:
+        self.said[0] = f"({self.said[0]}{other.said[0]})"
+        return self
+
+
+@dataclass
+class Skewed:
+    """A merge of floats that is neither associative nor commutative."""
+
+    value: float
+
+    def merge(self, other: Skewed) -> Skewed:
+        return Skewed(self.value + 0.7 * other.value)
+
+
+def _tree(states):
+    tree = MergeTree()
+    for state in states:
+        tree.add(state)
+    return tree.total()
+
+
+def _names(blocks):
+    return [f"{i}," for i in range(blocks)]
+
+
+def _by_definition(names):
+    """Left subtree of the largest power of two below the number: the tree, written recursively."""
+    if len(names) == 1:
+        return names[0]
+    half = 1 << ((len(names) - 1).bit_length() - 1)
+    return f"({_by_definition(names[:half])}{_by_definition(names[half:])})"
+
+
+@settings(deadline=None)
+@given(st.integers(1, 200))
+def test_the_tree_is_the_left_balanced_one(blocks):
+    assert _tree(Words([name]) for name in _names(blocks)).said == [_by_definition(_names(blocks))]
+
+
+@settings(deadline=None)
+@given(st.integers(1, 150), st.integers(0, 8))
+def test_chunks_of_one_size_change_nothing(blocks, power):
+    computed = []
+
+    def block(index):
+        computed.append(index)
+        return Words([f"{index},"])
+
+    found, tree = Reduction(kind=Words, block=block, blocks=blocks), MergeTree()
+    for chunk in chunks(blocks, 2**power):
+        tree.add(compute_chunk(found, chunk), chunk[1])
+    assert computed == list(range(blocks))
+    assert tree.total().said == [_by_definition(_names(blocks))]
+
+
+def _mixed(blocks, choose):
+    """Chunks of mixed sizes: each any power of two that divides its first block, and tails."""
+    first = 0
+    while first < blocks:
+        sizes = [2**k for k in range(9) if first % 2**k == 0]
+        size = min(choose(sizes), blocks - first)
+        yield first, size
+        first += size
+
+
+@settings(deadline=None)
+@given(st.integers(1, 150), st.integers(0, 2**32))
+def test_chunks_of_mixed_sizes_change_nothing(blocks, seed):
+    choose = random.Random(seed).choice
+    values = [0.1 * (i + 1) ** 0.5 for i in range(blocks)]
+    tree, said = MergeTree(), MergeTree()
+    for first, size in _mixed(blocks, choose):
+        own = range(first, first + size)
+        tree.add(_tree(Skewed(values[i]) for i in own), size)
+        said.add(_tree(Words([f"{i},"]) for i in own), size)
+    assert tree.total() == _tree(map(Skewed, values))
+    assert said.total().said == [_by_definition(_names(blocks))]
+
+
+def test_a_tree_holds_few_states():
+    tree = MergeTree()
+    for i in range(1000):
+        tree.add(Skewed(float(i)))
+        assert len(tree._nodes) <= 10  # ⌊log₂ 1000⌋ + 1
+
+
+def test_chunks_cover_all_blocks():
+    assert list(chunks(10, 4)) == [(0, 4), (4, 4), (8, 2)]
+    assert list(chunks(1, 8)) == [(0, 1)]
+    assert list(chunks(0, 8)) == []
+
+
+# --- steps ------------------------------------------------------------------------------------------
+
+
+def _counting(part, steps):
+    total = 0
+    for step in range(steps):
+        total += yield Reduction(kind=int, block=int, key=f"{part}-{step}")
+    return part, total
+
+
+def _drive(generator, answer):
+    """Steps of a generator of reductions, and what it returns."""
+    steps, states = [], None
+    try:
+        while True:
+            steps.append(generator.send(states))
+            states = [answer(each) for each in steps[-1]]
+    except StopIteration as end:
+        return steps, end.value
+
+
+def test_generators_go_in_step():
+    together = in_step([_counting(p, s) for p, s in enumerate([2, 0, 3, 1])])
+    steps, results = _drive(together, lambda each: 10 ** int(each.key[2:]))
+    assert results == [(0, 11), (1, 0), (2, 111), (3, 1)]
+    found = [[each.key for each in step] for step in steps]
+    assert found == [["0-0", "2-0", "3-0"], ["0-1", "2-1"], ["2-2"]]
+
+
+def test_no_generators_need_no_step():
+    assert _drive(in_step([]), None) == ([], [])
+
+
+SUBJECT = Subject(None, mcs.sampler("random", dims=2))
+
+
+class Said(Analysis, frozen=True, kw_only=True):
+    """Words of all blocks, in two steps of two reductions."""
+
+    variables: ClassVar = (Variable("blocks of both steps", "1", ("step",), "i", name="blocks"),)
+
+    blocks: Annotated[int, Meta(ge=1, le=100, description="Blocks of a reduction.")] = 9
+    memory: Annotated[int, Meta(ge=0, description="Bytes that it needs.")] = 0
+
+    def need(self, subject):
+        if subject.sampler.dims > 2:
+            raise ParameterError("Only two dims.")
+        return Need(cost=4.0 * self.blocks, memory=self.memory)
+
+    def reduction(self, subject, stream):
+        texts = []
+        for step in "ab":
+            states = yield [self._words(f"{step}{k}") for k in (0, 1)]
+            texts.append("|".join(state.said[0] for state in states))
+        return dataset({}, words=";".join(texts)).assign(blocks=("step", [self.blocks] * 2))
+
+    def _words(self, key):
+        def block(index):
+            return Words([f"{key}{index},"])
+
+        return Reduction(kind=Words, block=block, blocks=self.blocks, key=key)
+
+
+@pytest.mark.parametrize("workers", [None, 1, 2, 5])
+def test_threads_change_nothing(workers):
+    found = compute(Said(), SUBJECT, rng=4, workers=workers)
+    one, two = (
+        "|".join(_by_definition([f"{step}{k}{i}," for i in range(9)]) for k in (0, 1))
+        for step in "ab"
+    )
+    assert found.attrs["words"] == f"{one};{two}"
+    assert (found["blocks"].values.tolist(), found.attrs["seed"]) == ([9, 9], 4)
+
+
+def test_a_reduction_is_found_by_its_key():
+    part = Said().part(SUBJECT, Stream.from_rng(0), "a1")
+    assert part.block(3).said == ["a13,"]
+
+
+def test_progress_grows_to_the_end_in_every_step():
+    heard = []
+    with listening(lambda *each: heard.append(each)):
+        compute(Said(blocks=4), SUBJECT)
+    assert {name for name, _ in heard} == {"Said"}
+    assert [done for _, done in heard] == [k / 8 for k in range(1, 9)] * 2
+
+
+def test_an_error_in_a_block_comes_through_from_threads():
+    class Fails(Analysis, frozen=True, kw_only=True):
+        """It fails."""
+
+        def reduction(self, subject, stream):
+            def block(index):
+                if index == 3:
+                    raise ValueError("no such integrand")
+                return Skewed(1.0)
+
+            return Reduction(kind=Skewed, block=block, blocks=9)
+
+    for workers in (1, 2):
+        with pytest.raises(ValueError, match="no such integrand"):
+            compute(Fails(), SUBJECT, workers=workers)
+
+
+def test_options_are_checked_before_the_subject_and_this_before_anything_runs():
+    with pytest.raises(ParameterError, match="blocks is 0"):
+        compute(Said(blocks=0), Subject(None, mcs.sampler("random", dims=3)))
+    with pytest.raises(ParameterError, match="Only two dims"):
+        compute(Said(), Subject(None, mcs.sampler("random", dims=3)))
+    for workers in (0, -1, 2.5, "two"):
+        with pytest.raises(ParameterError, match="workers"):
+            compute(Said(), SUBJECT, workers=workers)
+    with pytest.raises(ParameterError):
+        compute(Said(), SUBJECT, rng="nonsense")
+
+
+def test_more_memory_than_there_is_is_refused(monkeypatch):
+    with pytest.raises(ConfigError, match=r"Said would take about 1e\+03 PB of memory"):
+        compute(Said(memory=10**18), SUBJECT)
+    monkeypatch.setattr("mcspectra.core.memory.available_memory", lambda: 10**6)
+    compute(Said(memory=10**6), SUBJECT)
+    with pytest.raises(ConfigError, match="this machine has 1 MB; ask for fewer"):
+        compute(Said(memory=10**6 + 1), SUBJECT)
+
+
+# --- what cannot be cut, and what comes back ----------------------------------------------------------
+
+
+def _small():
+    return dataset({"variance": (("n",), np.ones(2))}, {"n": [4, 16]}, seed=1)
+
+
+def test_a_whole_is_its_dataset():
+    class Whole(Analysis, frozen=True, kw_only=True):
+        """All at once."""
+
+        variables: ClassVar = ("variance",)
+
+        def reduction(self, subject, stream):
+            return whole(_small, cost=3.0)
+
+    found = Whole().reduction(SUBJECT, Stream.from_rng(0))
+    assert (found.blocks, found.cost) == (1, 3.0)
+    xr.testing.assert_identical(compute(Whole(), SUBJECT, rng=1, workers=2), _small())
+    steps = steps_of(Whole(), SUBJECT, Stream.from_rng(0))
+    assert [each.cost for each in next(steps)] == [3.0]
+
+
+def test_a_seed_is_an_attribute_where_the_result_can_be_had_again():
+    class Variances(Said, frozen=True, kw_only=True):
+        """Variances."""
+
+        variables: ClassVar = ("variance",)
+
+    unseeded = _small().drop_attrs()
+    assert finished(Variances(), unseeded, 7).attrs == {"seed": 7}
+    for rng in (np.random.default_rng(3), None):
+        assert finished(Variances(), unseeded, rng).attrs == {}
+    with pytest.raises(TypeError, match="Said gives the variable 'variance'.*not declare"):
+        finished(Said(), _small(), 0)
+
+
+@pytest.mark.parametrize(
+    ("variable", "words"),
+    [
+        ({"variance": ("n", np.ones(2, int))}, "variance holds int64, declared is 'f'"),
+        ({"variance": (("x", "n"), np.ones((1, 2)))}, r"has the dims \['x', 'n'\]"),
+        ({"rate": ("n", np.ones(2))}, r"has the dims \['n'\]"),
+        ({"mean": ("n", np.ones(2))}, "which it does not declare"),
+    ],
+)
+def test_results_are_held_against_what_is_declared(variable, words):
+    declared = ("variance", "rate", Variable("its own", "1", ("m", "k?"), "if", name="own"))
+    with pytest.raises(TypeError, match=words):
+        check_variables(xr.Dataset(variable), declared, "An analysis")
+    for dims in (("m0", "m1"), ("m0", "k"), ("k",), ("channel", "m0"), ()):
+        own = xr.Dataset({"own": (dims, np.ones((2,) * len(dims), int))})
+        check_variables(own, declared, "An analysis")
+    for dims in (("k", "m0"), ("m0", "k", "k2"), ("l0",)):
+        with pytest.raises(TypeError, match="own has the dims"):
+            check_variables(xr.Dataset({"own": (dims, np.ones((2,) * len(dims)))}), declared, "It")
+
+
+def test_variances_of_channels_and_of_many_fit_too():
+    values = xr.Dataset({"variance": (("estimator", "sampler", "n", "channel"), np.ones((1,) * 4))})
+    check_variables(values, ("variance",), "It")
+
+
+# --- the registry -----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def outsiders(monkeypatch):
+    """Other packages' entry points, of things that are in this module."""
+    place = "mcspectra_analyses_of_others"
+    entries = [
+        EntryPoint(name, f"{place}:{found}", "mcspectra.analyses")
+        for name, found in {"said": "Said", "gone": "Gone", "odd": "CASES", "terms": "Said"}.items()
+    ]
+    monkeypatch.setattr(registry, "entry_points", lambda group: entries)
+    monkeypatch.setitem(sys.modules, place, SimpleNamespace(Said=Said, CASES=CASES))
+
+
+def test_analyses_of_others_are_found_by_name(outsiders):
+    assert ANALYSES.load("said") is Said
+    assert "said" in list(ANALYSES)
+    assert ANALYSES.load("terms") is not Said  # a built-in name always wins
+    assert Said.summary() == "Words of all blocks, in two steps of two reductions."
+    with pytest.raises(MissingDependency, match="'gone'.*cannot be loaded"):
+        ANALYSES.load("gone")
+    with pytest.raises(MissingDependency, match="'odd'.*not a class"):
+        ANALYSES.load("odd")
+    with pytest.raises(UnknownName, match="no analysis called 'sad'.*Did you mean 'said'"):
+        ANALYSES.load("sad")
+
+
+def test_options_that_are_none_of_an_analysis_are_refused():
+    with pytest.raises(TypeError, match="block"):
+        Said(block=3)
+    assert Said(blocks=3) == Said(blocks=3)
+    with pytest.raises(AttributeError):
+        Said().blocks = 3

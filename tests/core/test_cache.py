@@ -9,7 +9,7 @@ import pytest
 
 from mcspectra.core import cache
 from mcspectra.core.cache import cache_folder, cache_size, cached_array
-from mcspectra.core.errors import CacheWarning
+from mcspectra.core.errors import CacheWarning, ParameterError
 
 VALUES = np.random.default_rng(1).random((50, 2))
 
@@ -131,3 +131,9 @@ def entry_size(folder):
 def test_the_folder_is_the_platform_s_unless_chosen(monkeypatch):
     monkeypatch.delenv("MCSPECTRA_CACHE")
     assert cache_folder().name == "mcspectra"
+
+
+@pytest.mark.parametrize(("key", "make"), [(3, Maker()), (None, Maker()), ("key", VALUES)])
+def test_what_is_no_key_or_no_function(key, make):
+    with pytest.raises(ParameterError, match="a text and a function"):
+        cached_array(key, make)

@@ -5,8 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mcspectra.core.environments import directions, row_solid_angles, synthetic_sky
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.environments import (
+    directions,
+    environment_pixels,
+    row_solid_angles,
+    synthetic_sky,
+)
+from mcspectra.core.errors import FileFormatError, ParameterError
 
 
 def test_directions_by_hand():
@@ -44,3 +49,24 @@ def test_the_sky_has_a_high_range_and_colors():
 def test_bad_sizes(size):
     with pytest.raises(ParameterError, match="give a whole number from 1 to 16384"):
         synthetic_sky(*size)
+
+
+@pytest.mark.parametrize("x", [None, "ab", 0.5, [0.1, 0.2, 0.3], [[0.1, 0.2], [0.3]]])
+def test_directions_of_what_is_no_point(x):
+    with pytest.raises(ParameterError, match="^x "):
+        directions(x)
+
+
+@pytest.mark.parametrize("height", [None, "4", 0, 2.5])
+def test_rows_of_no_number(height):
+    with pytest.raises(ParameterError, match="height"):
+        row_solid_angles(height)
+
+
+@pytest.mark.parametrize("values", ["ab", 3, [[1, [2]]], np.ones(4), np.ones((0, 2)), [[-1.0]]])
+def test_values_that_are_no_radiance(values):
+    with pytest.raises(ParameterError, match="values|radiance"):
+        environment_pixels(None, values)
+    for path in (3, b"a.png"):
+        with pytest.raises(FileFormatError, match="is not a path"):
+            environment_pixels(path, None)

@@ -43,3 +43,15 @@ def test_solid_angles():
         assert triangle_angle(volume, a, b, c) == pytest.approx(expected, abs=1e-12)
     a, b, c = np.array([[1.0, 0, 0], [1, 1e-9, 0], [1, 0, 1e-9]])
     assert triangle_angle(np.array(1e-18), a, b, c) == pytest.approx(0.5e-18, rel=1e-15)
+
+
+@pytest.mark.parametrize("given", [None, "abc", 3.0, [1, 2], [[1, 2, 3], [1]], np.ones(3, complex)])
+def test_what_is_no_vector(given):
+    good = np.eye(3)
+    for call in (
+        lambda: norm(given),
+        lambda: check_light("light", good[0], given, good[2]),
+        lambda: triangle_angle(np.array(1.0), good[0], given, good[2]),
+    ):
+        with pytest.raises(ParameterError, match="[Vv]ectors"):
+            call()

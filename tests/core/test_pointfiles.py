@@ -90,6 +90,7 @@ def test_dat_text_is_that_of_utk():
         ("x,y\n0.5,0.25\n", [[[0.5, 0.25]]]),
         ('"x", "y"\r\n"0.5", 0.25\r\n', [[[0.5, 0.25]]]),
         ("\ufeffx;y\n0,5;0,25\n", [[[0.5, 0.25]]]),
+        ("0.5\r0.25\r\r0.75", [[[0.5], [0.25]], [[0.75]]]),
         ("# made by hand\n0.5\n\n0.25\n0.75\n\n\n", [[[0.5]], [[0.25], [0.75]]]),
         (
             "x,set,y\n0.5,a,0.1\n0.25,b,0.2\n0.75,a,0.3\n",
@@ -175,24 +176,22 @@ BAD_FILES = [
     ("p.bin", binary(points=0, data=b""), "each must be at least 1"),
     ("p.bin", binary(sets=2**32 - 1, points=2**32 - 1, dims=2**32 - 1), "announces 4294967295"),
     ("p.bin", binary(data=struct.pack("<4d", 0, 1, np.nan, 0)), "coordinate 0 of point 1 of set 0"),
-    ("p.npz", b"", "not a sound .npz"),
-    ("p.npz", b"PK\x03\x04 and so on", "not a sound .npz"),
-    ("p.npz", npz(points=np.zeros((2, 2)))[:-40], "not a sound .npz"),
+    ("p.npz", b"", "cannot be read as a point set"),
+    ("p.npz", b"PK\x03\x04 and so on", "cannot be read as a point set"),
+    ("p.npz", npz(points=np.zeros((2, 2)))[:-40], "cannot be read as a point set"),
     ("p.npz", npz(x=np.zeros((2, 2))), "no array 'points'; it holds 'x'"),
     ("p.npz", npz(points=np.zeros(4)), r"shape \(4,\)"),
     ("p.npz", npz(points=np.zeros((0, 2))), r"shape \(0, 2\)"),
     ("p.npz", npz(points=np.array([["a", "b"]])), "type <U1"),
     ("p.npz", npz(points=np.array([[1j, 0]])), "type complex128"),
     ("p.npz", npz(points=np.array([[0.5, np.inf]])), "coordinate 1 of point 0 of set 0"),
-    ("p.npz", npz_of(HUGE), "announces 'points' of shape"),
+    ("p.npz", npz_of(HUGE), "announces an array of shape"),
     ("p.npz", npz_of(PICKLED, b"cos\nsystem\n" * 8), "allow_pickle"),
-    ("p.npz", npz_of("{'descr': 'no type'}"), "not a sound .npz"),
-    (
-        "p.xyz",
-        "0.1 0.2\n",
-        "extension '.xyz'; point sets are .dat, .bin, .npz, .csv, .parquet files",
-    ),
-    ("points", "0.1 0.2\n", "no extension"),
+    ("p.npz", npz_of("{'descr': 'no type'}"), "cannot be read as a point set"),
+    ("p.xyz", "0.1 0.2\n", "does not end in one of .dat, .bin, .npz, .csv, .parquet"),
+    ("points", "0.1 0.2\n", "does not end in one of"),
+    ("p.dat", "0 " * 2**21 + "\n", "line 1, is longer than 4194304 bytes"),
+    ("p.csv", "x,set,y\n0.1,1,0.2\n0.3,1\n", "line 3, has 1 numbers"),
 ]
 
 
@@ -262,3 +261,38 @@ def test_sets_of_different_sizes_do_not_fit_binary_formats(tmp_path):
             write_points(tmp_path / name, sets)
     with pytest.raises(FileFormatError, match="same dims"):
         write_points(tmp_path / "p.csv", [np.zeros((1, 2)), np.zeros((1, 3))])
+
+
+def test_long_sets_are_read_in_blocks(save):
+    """A set is of one width, and whole, over the blocks that it is read in."""
+    points = np.random.default_rng(2).random((100_000, 3))
+    text = format_dat([points[:70_000], points[70_000:]])
+    first, second = read_points(save("p.dat", text))
+    np.testing.assert_array_equal(np.concatenate([first, second]), points)
+    assert len(first) == 70_000
+    lines = text.splitlines()
+    with pytest.raises(FileFormatError, match="line 70000, has 2 numbers, but .* 3 on line 1;"):
+        parse_dat("\n".join([*lines[:69_999], "0.5 0.5", *lines[70_000:]]), "text")
+    with pytest.raises(FileFormatError, match="line 99999: 'x' is not"):
+        parse_dat("0.5\n" * 99_998 + "x\n", "text")
+
+
+@pytest.mark.parametrize("call", [lambda x: parse_dat(x, "text"), read_points, format_dat])
+@pytest.mark.parametrize("given", [None, 3, b"0.5", object(), ["a", 1], np.array(0.5)])
+def test_helpers_given_something_else_raise_an_error_of_the_package(call, given):
+    with pytest.raises(FileFormatError) as caught:
+        call(given)
+    assert_one_sentence(caught.value)
+
+
+@pytest.mark.parametrize("sets", [3, None, np.array(0.5)])
+def test_what_is_no_list_of_sets_is_not_written(tmp_path, sets):
+    with pytest.raises(FileFormatError, match="give a list of arrays"):
+        write_points(tmp_path / "p.dat", sets)
+    with pytest.raises(FileFormatError, match="JSON can hold"):
+        write_points(tmp_path / "p.dat", random_sets(), meta=3)
+
+
+def test_text_that_is_no_unicode_is_refused():
+    with pytest.raises(FileFormatError, match="byte 4 is no character"):
+        parse_dat("0.1 \udcff\n", "standard input")

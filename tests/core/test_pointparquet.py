@@ -43,6 +43,18 @@ def test_sets_come_in_the_order_of_their_first_rows(tmp_path):
     assert [x.ravel().tolist() for x in read_points(path)] == [[0.1, 0.3], [0.2]]
 
 
+def test_sets_of_several_row_groups_and_dictionaries(tmp_path):
+    """Each row group has its own dictionary, and one may name a label twice."""
+    labels = ["b", "a", "a", "c", "b", "c"]
+    table = pa.table({"x": np.arange(6) / 8, "set": labels})
+    parquet.write_table(table, tmp_path / "p.parquet", row_group_size=2)
+    expected = [[0.0, 0.5], [0.125, 0.25], [0.375, 0.625]]
+    assert [x.ravel().tolist() for x in read_points(tmp_path / "p.parquet")] == expected
+    twice = pa.DictionaryArray.from_arrays([0, 1, 2, 1], ["b", "a", "b"])
+    path = save(tmp_path / "q.parquet", x=[0.0, 0.25, 0.5, 0.75], set=twice)
+    assert [x.ravel().tolist() for x in read_points(path)] == [[0.0, 0.5], [0.25, 0.75]]
+
+
 @pytest.mark.parametrize(
     ("columns", "words"),
     [
@@ -67,7 +79,7 @@ def test_truncated_files_are_one_sentence(tmp_path, share):
     write_points(path, [np.random.default_rng(0).random((500, 3))])
     data = path.read_bytes()
     path.write_bytes(data[: int(share * len(data))])
-    with pytest.raises(FileFormatError, match="is not a sound .parquet file") as caught:
+    with pytest.raises(FileFormatError, match="cannot be read as a point set") as caught:
         read_points(path)
     assert "\n" not in str(caught.value)
 

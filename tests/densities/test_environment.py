@@ -142,7 +142,7 @@ def test_the_default_is_the_synthetic_sky():
         ({"values": [[1, 2], [3]]}, ParameterError, "not an array of numbers"),
         ({"values": SKY * 1j}, ParameterError, "not an array of numbers"),
         ({"values": np.broadcast_to(1.0, (10**6, 10**6))}, ParameterError, "read at most"),
-        ({"path": 3}, ParameterError, "path is 3"),
+        ({"path": 3}, FileFormatError, "3 is not a path"),
         ({"path": "no-such.exr"}, FileFormatError, "no file"),
     ],
 )

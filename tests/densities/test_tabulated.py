@@ -174,7 +174,7 @@ def test_channels_and_floor(tmp_path):
     ("options", "error", "says"),
     [
         ({"path": "none.png"}, FileFormatError, "no file"),
-        ({"path": None}, FileFormatError, "not the path"),
+        ({"path": None}, FileFormatError, "is not a path"),
         ({"channel": 3}, ParameterError, "channel is 3"),
         ({"channel": -1}, ParameterError, "channel is -1"),
         ({"channel": "red"}, ParameterError, "channel is 'red'"),

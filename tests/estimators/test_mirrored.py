@@ -342,7 +342,7 @@ def test_the_study_of_an_edge_keeps_its_rate_under_mirroring():
         ({"mirrorings": ["fold"]}, "original, integrand, random, uniform"),
         ({"sampler": "jittered | shift"}, "homogenised already"),
         ({"counts": [9]}, "cannot make"),
-        ({"counts": []}, "ascending"),
+        ({"counts": []}, "one or more"),
         ({"realizations": 1}, "realizations is 1"),
     ],
 )

@@ -1,29 +1,21 @@
-"""Statistics of maps against one fit a pixel, and the store of finished tiles."""
+"""Statistics of maps against one fit a pixel."""
 
 from __future__ import annotations
-
-import json
-import zipfile
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy.stats import norm, t
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import CacheWarning, StoreError
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import _map_prediction as prediction
 from mcspectra.rendering import _map_results as results
 from mcspectra.rendering import _map_statistics as statistics
-from mcspectra.rendering._map_store import TileStore
+from mcspectra.rendering._map_tiles import Maps
 from mcspectra.samplers import sampler
 from mcspectra.variance.fit import fit_rate
 
 NS = np.array([4, 9, 16, 36, 64])
-SETTINGS = {"scene": "veach", "counts": (4, 16), "stream": 2**63}
-TILE = {"variance": np.arange(6.0).reshape(2, 3), "status": np.array([0, 1, 2], np.int8)}
 
 
 def random_curves(strategies: int = 2, height: int = 3, width: int = 4) -> tuple[Array, Array]:
@@ -229,13 +221,15 @@ def test_strategies_that_met_less_light_than_another_are_found() -> None:
 
 def test_ratios_of_what_was_missed_are_left_out() -> None:
     shape = (1, 1, 3)
-    maps = {
-        "predicted": np.full(shape, 2.0),
-        "predicted_se": np.full(shape, 0.1),
-        "variance": np.full((1, 2, 1, 3), 1.0),
-        "relative_se": np.full((1, 2, 1, 3), 0.1),
-    }
-    maps["predicted_se"][0, 0, 2] = np.inf
+    maps = Maps(
+        status=np.zeros((1, 3), np.int8),
+        mean=np.full((1, 2, 1, 3), 1.0),
+        variance=np.full((1, 2, 1, 3), 1.0),
+        relative_se=np.full((1, 2, 1, 3), 0.1),
+        predicted=np.full(shape, 2.0),
+        predicted_se=np.full(shape, 0.1),
+    )
+    maps.predicted_se[0, 0, 2] = np.inf
     found = results._predicted(maps, 0.5, np.array([[[False, True, False]]]))
     assert np.array_equal(found["predicted_ratio"], [[[2.0, np.nan, np.nan]]], equal_nan=True)
     assert np.isnan(found["predicted_ratio_ci"][0, 0, 1:]).all()
@@ -248,71 +242,6 @@ def test_unequal_strata_and_three_dims() -> None:
     assert value == pytest.approx(1 / 48 / 16, rel=0.01)
     assert prediction.prediction_for(sampler("jittered", 3), 27, Stream(1)) is not None
     assert prediction.prediction_for(sampler("jittered | shift", 3), 27, Stream(1)) is None
-
-
-def test_tiles_come_back_as_they_were(tmp_path: Path) -> None:
-    TileStore(tmp_path / "new" / "map", SETTINGS, resume=False).save(3, TILE)
-    again = TileStore(tmp_path / "new" / "map", dict(reversed(SETTINGS.items())), resume=True)
-    stored = again.load(3)
-    assert stored is not None
-    assert stored.keys() == TILE.keys()
-    for name, values in TILE.items():
-        assert np.array_equal(stored[name], values)
-        assert stored[name].dtype == values.dtype
-    assert again.load(2) is None
-    assert not [p for p in (tmp_path / "new" / "map").iterdir() if p.suffix == ".partial"]
-
-
-@pytest.mark.parametrize("damage", ["truncated", "flipped", "empty", "text", "other"])
-def test_damaged_tiles_are_found(tmp_path: Path, damage: str) -> None:
-    store = TileStore(tmp_path, SETTINGS, resume=False)
-    store.save(0, TILE)
-    path = tmp_path / "tile-000000.npz"
-    content = bytearray(path.read_bytes())
-    if damage == "flipped":
-        with zipfile.ZipFile(path) as archive:
-            info = archive.getinfo("variance.npy")
-            content[info.header_offset + 200] ^= 1
-    changed = {
-        "truncated": bytes(content[: len(content) // 2]),
-        "flipped": bytes(content),
-        "empty": b"",
-        "text": b"no archive",
-    }
-    if damage == "other":
-        TileStore(tmp_path / "other", {"scene": "sky"}, resume=False).save(0, TILE)
-        changed["other"] = (tmp_path / "other" / path.name).read_bytes()
-    path.write_bytes(changed[damage])
-    with pytest.warns(CacheWarning, match="tile-000000.npz is damaged"):
-        assert store.load(0) is None
-    store.save(0, TILE)
-    assert store.load(0) is not None
-
-
-@pytest.mark.parametrize(
-    ("settings", "resume", "sentence"),
-    [
-        (SETTINGS, False, "holds a map already"),
-        ({**SETTINGS, "counts": (4, 25)}, True, "other settings"),
-    ],
-)
-def test_other_maps_are_refused(
-    tmp_path: Path, settings: dict[str, Any], resume: bool, sentence: str
-) -> None:
-    TileStore(tmp_path, SETTINGS, resume=False)
-    with pytest.raises(StoreError, match=sentence):
-        TileStore(tmp_path, settings, resume=resume)
-
-
-def test_damaged_manifests_and_files_in_the_way_are_refused(tmp_path: Path) -> None:
-    TileStore(tmp_path / "map", SETTINGS, resume=False)
-    for text in ("{", "[]", json.dumps({"settings": 1})):
-        (tmp_path / "map" / "manifest.json").write_text(text)
-        with pytest.raises(StoreError, match="is damaged"):
-            TileStore(tmp_path / "map", SETTINGS, resume=True)
-    (tmp_path / "file").write_text("")
-    with pytest.raises(StoreError, match="cannot be written"):
-        TileStore(tmp_path / "file", SETTINGS, resume=True)
 
 
 def test_errors_of_few_strata_take_students_t() -> None:

@@ -1,4 +1,4 @@
-"""Maps against the same pixels measured one by one, tiles, resumption, bad input."""
+"""Maps against the same pixels measured one by one, tiles, bad input."""
 
 from __future__ import annotations
 
@@ -10,29 +10,31 @@ import pytest
 import xarray as xr
 
 import mcspectra as mcs
+from mcspectra.core.analysis import Subject, compute
 from mcspectra.core.errors import (
-    CacheWarning,
     CountError,
     FileFormatError,
     McspectraError,
     ParameterError,
-    StoreError,
     UnknownName,
 )
+from mcspectra.core.options import checked
 from mcspectra.core.progress import listening
 from mcspectra.rendering import _map_tiles as tiles
-from mcspectra.rendering import variance_map, veach
-from mcspectra.rendering._map_checks import check_crop, check_memory
+from mcspectra.rendering import variance_map
 from mcspectra.rendering._map_kernel import Lighting, Receivers
 from mcspectra.rendering._map_tiles import Measurement
 from mcspectra.rendering.builtin.figure1 import figure1
+from mcspectra.rendering.maps import Map
 from mcspectra.samplers import sampler
+from mcspectra.testing import check_analysis
 
 pytestmark = pytest.mark.render
 
 COUNTS = (4, 16, 36)
 SMALL: dict[str, Any] = {"size": (24, 16), "counts": COUNTS, "realizations": 32, "rng": 7}
 PLATE = (16, 10)  # of the film of SMALL
+SUBJECT = Subject(None, sampler("jittered", 2))
 SCENE = "veach(width=24, height=16)"
 
 
@@ -198,47 +200,6 @@ def test_own_points_do_not_depend_on_tiles(monkeypatch: pytest.MonkeyPatch) -> N
     assert not identical(other, whole)
 
 
-def test_interrupted_maps_go_on(
-    small: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(tiles, "TILE_LANES", 100 * 32)  # four tiles
-    measure, done = Measurement.tile, []
-
-    def interrupted(self: Measurement, *arguments: Any) -> Any:
-        if len(done) == 2:
-            raise KeyboardInterrupt
-        done.append(arguments)
-        return measure(self, *arguments)
-
-    monkeypatch.setattr(Measurement, "tile", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        variance_map("veach", out=tmp_path, **SMALL)
-    monkeypatch.setattr(Measurement, "tile", lambda *a: done.append(a) or measure(*a))
-    with pytest.raises(StoreError, match="holds a map already"):
-        variance_map("veach", out=tmp_path, **SMALL)
-    assert identical(variance_map("veach", out=tmp_path, resume=True, **SMALL), small)
-    assert len(done) == 4
-    path = tmp_path / "tile-000001.npz"
-    path.write_bytes(path.read_bytes()[:1000])
-    with pytest.warns(CacheWarning, match="tile-000001"):
-        again = variance_map("veach", out=tmp_path, resume=True, **SMALL)
-    assert identical(again, small)
-    assert len(done) == 5
-    with pytest.raises(StoreError, match="other settings"):
-        variance_map("veach", out=tmp_path, resume=True, **{**SMALL, "rng": 8})
-
-
-def test_a_changed_scene_file_is_another_map(scene_files: dict[str, str], tmp_path: Path) -> None:
-    scene = tmp_path / "scene.xml"
-    text = Path(scene_files["textured"]).read_text()
-    options: dict[str, Any] = {"crop": (20, 18, 1, 1), "counts": (1, 8), "dims": 3}
-    scene.write_text(text)
-    variance_map(scene, realizations=4, out=tmp_path / "map", **options)
-    scene.write_text(text.replace("0.2, 0.9, 0.2", "0.3, 0.9, 0.2"))
-    with pytest.raises(StoreError, match="other settings"):
-        variance_map(scene, realizations=4, out=tmp_path / "map", resume=True, **options)
-
-
 def test_lobes_take_a_third_dimension(scene_files: dict[str, str]) -> None:
     scene, place = scene_files["textured"], {"crop": (18, 16, 4, 2), "realizations": 200}
     with pytest.raises(ParameterError, match="give dims=3"):
@@ -342,24 +303,24 @@ def test_values_that_are_not_finite_are_refused(monkeypatch: pytest.MonkeyPatch)
     [
         ({"scene": "veech"}, UnknownName, "veach"),
         ({"scene": "none.xml"}, FileFormatError, "no scene file"),
-        ({"strategies": ("light", "path")}, ParameterError, "must be one of light, bsdf"),
-        ({"strategies": ()}, ParameterError, "give some of"),
-        ({"strategies": 3}, ParameterError, "give some of"),
+        ({"strategies": ("light", "path")}, ParameterError, "must be one of bsdf, light"),
+        ({"strategies": ()}, ParameterError, "give one or more"),
+        ({"strategies": 3}, ParameterError, "one flat list"),
         ({"sampler": "jitterd"}, UnknownName, "jittered"),
         ({"counts": (4, 5)}, CountError, "cannot make 5 points"),
         ({"counts": (4,)}, ParameterError, "two or more ascending"),
         ({"counts": (16, 4)}, ParameterError, "ascending"),
         ({"counts": (4, np.nan)}, ParameterError, "whole number"),
-        ({"counts": "4,16"}, ParameterError, "give a list"),
+        ({"counts": "4,16"}, ParameterError, "one flat list"),
         ({"counts": (4, 2**60)}, CountError, "n is"),
         ({"realizations": 1}, ParameterError, "at least|from 2"),
         ({"realizations": np.inf}, ParameterError, "whole number"),
         ({"crop": (0, 0, 25, 3)}, ParameterError, "leaves the grid of 24 × 16"),
         ({"crop": (-1, 0, 2, 2)}, ParameterError, "crop x0 is -1"),
         ({"crop": (0, 0, 0, 2)}, ParameterError, "crop width is 0"),
-        ({"crop": (0, 0, 2)}, ParameterError, "give x0, y0, width, height"),
-        ({"crop": "0,0,2,2"}, ParameterError, "give x0, y0, width, height"),
-        ({"size": (0, 4)}, ParameterError, "size width is 0"),
+        ({"crop": (0, 0, 2)}, ParameterError, "crop has 3 values; give 4"),
+        ({"crop": "0,0,2,2"}, ParameterError, "one flat list"),
+        ({"size": (0, 4)}, ParameterError, "size is 0"),
         ({"size": (10**6, 4)}, ParameterError, "from 1 to 65536"),
         ({"size": (65_536, 65_536)}, ParameterError, "give a crop or a smaller size"),
         ({"light": "lamp"}, ParameterError, "has no light 'lamp'"),
@@ -367,13 +328,12 @@ def test_values_that_are_not_finite_are_refused(monkeypatch: pytest.MonkeyPatch)
         ({"channel": "rgb"}, ParameterError, "channel is 'rgb'"),
         ({"channel": True}, ParameterError, "channel is True"),
         ({"dims": 4}, ParameterError, "from 2 to 3"),
-        ({"points": "mine"}, ParameterError, "shared, own"),
+        ({"points": "mine"}, ParameterError, "own, shared"),
         ({"smoothing": 2}, ParameterError, "odd"),
         ({"smoothing": 99}, ParameterError, "from 1 to 31"),
         ({"predict_every": -1}, ParameterError, "at least 0"),
         ({"rng": -1}, ParameterError, "rng"),
         ({"workers": 0}, ParameterError, "workers is 0"),
-        ({"scene": veach(), "out": "never"}, ParameterError, "not of dictionaries"),
     ],
 )
 def test_bad_input_is_one_sentence(
@@ -401,7 +361,74 @@ def test_pixels_that_see_nothing_useful(scene_files: dict[str, str]) -> None:
             variance_map(scene_files[scene], counts=(4, 16), realizations=4, crop=crop)
 
 
-def test_checks_accept_the_limits() -> None:
-    assert check_crop(None, (24, 16)) == (0, 0, 24, 16)
-    assert check_crop(np.array([23, 15, 1, 1]), (24, 16)) == (23, 15, 1, 1)
-    check_memory((0, 0, 1024, 1024), 5, 5)
+def test_crops_may_touch_the_borders() -> None:
+    plan = Map(scene="veach", crop=(23, 15, 1, 1), size=(24, 16))
+    assert checked(plan).need(SUBJECT).cost == sum(plan.counts) * 64 * 4
+    whole = Map(scene="veach", size=(1024, 1024))
+    assert checked(whole).need(SUBJECT).memory < 2**30
+
+
+def test_tiles_measured_apart_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tiles, "TILE_LANES", 8 * 8)  # eight pixels, which cross rows
+    plan = Map(
+        scene="penumbra",
+        strategies=("light", "bsdf", "mis"),
+        counts=(4, 16),
+        realizations=8,
+        size=(8, 6),
+        crop=(1, 0, 7, 6),
+        predict_every=2,
+    )
+    check_analysis(plan)
+    found = compute(plan, SUBJECT, 3, workers=2)
+    assert float(found["variance"].max()) > 0
+    monkeypatch.undo()
+    xr.testing.assert_identical(compute(plan, SUBJECT, 3, workers=1), found)
+
+
+def test_a_study_cuts_a_map_into_tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from mcspectra.studies import open_results, run_study
+    from mcspectra.studies.files import decode_study
+
+    monkeypatch.setattr(tiles, "TILE_LANES", 8 * 8)
+    study = """
+title = "map"
+seed = 3
+samplers = ["jittered"]
+[[maps]]
+name = "m"
+scene = "penumbra"
+strategies = ["light", "bsdf", "mis"]
+counts = [4, 16]
+realizations = 8
+size = [8, 6]
+crop = [1, 0, 7, 6]
+predict_every = 2
+"""
+    run_study(decode_study(study), tmp_path, workers=2)
+    stored = open_results(tmp_path)["m/jittered/map"]
+    direct = variance_map(
+        "penumbra", ("light", "bsdf", "mis"), counts=(4, 16), realizations=8, size=(8, 6),
+        crop=(1, 0, 7, 6), predict_every=2, rng=3,
+    )  # fmt: skip
+    for name in direct.data_vars:
+        assert np.array_equal(stored[name], direct[name], equal_nan=True), name
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"realizations": 1},
+        {"counts": (16, 4)},
+        {"counts": (4, float("nan"))},
+        {"crop": (0, 0, 9, 9), "size": (8, 6)},
+        {"smoothing": 2},
+        {"dims": 4},
+        {"size": (10**9, 10**9)},
+        {"size": (65_536, 65_536)},
+        {"channel": "rgb"},
+    ],
+)
+def test_what_cannot_be_is_refused_without_the_scene(changes: dict[str, Any]) -> None:
+    with pytest.raises(ParameterError):
+        checked(Map(scene="never-read.xml", **changes)).need(SUBJECT)

@@ -204,7 +204,7 @@ def test_analyses_work() -> None:
 
 def test_remedies_try_every_heuristic_and_each_technique() -> None:
     given = Setup(pixel_mis(**PLATE), as_sampler("jittered", 2))
-    budget = Budget(256, 100, Stream.from_rng(1), 1)
+    budget = Budget(256, 100, Stream.from_rng(1))
     names = {o.name for o in other_setups(given, ("heuristic", "techniques"), budget)}
     heuristics = {f"heuristic: {h}" for h in HEURISTICS if h != "balance"}
     assert names == heuristics | {"only light", "only bsdf"}

@@ -187,7 +187,7 @@ def test_bad_files(tmp_path, text):
 
 
 def test_missing_and_binary_files(tmp_path):
-    with pytest.raises(FileFormatError, match="cannot be read"):
+    with pytest.raises(FileFormatError, match="There is no file"):
         DigitalNet(matrices=str(tmp_path / "none.txt"))
     (tmp_path / "net.bin").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(FileFormatError, match="cannot be read"):

@@ -241,7 +241,7 @@ def test_auto_knows_what_a_mirrored_estimator_makes_of_points(mode, sampler, spa
 
 @pytest.mark.parametrize("given", [None, 1, ["fourier"]])
 def test_a_basis_has_a_name(given):
-    with pytest.raises(ParameterError, match="give the name of one: fourier, cosine"):
+    with pytest.raises(ParameterError, match="it must be one of fourier, cosine"):
         mcs.variance_terms("gaussian", "random", 16, half_width=4, basis=given)
 
 

@@ -12,7 +12,7 @@ from mcspectra import (
     plane_frequencies,
     subset_frequencies,
 )
-from mcspectra.core.errors import CountError, ParameterError
+from mcspectra.core.errors import ConfigError, CountError, ParameterError
 from mcspectra.spectra import transforms
 from mcspectra.spectra._listed_kernels import unit_phases
 from mcspectra.spectra.listed import listed_transform
@@ -263,3 +263,11 @@ def test_bad_step(step):
 def test_bad_signs(signs):
     with pytest.raises(ParameterError, match="signs"):
         diagonal_frequencies(2, 3, signs=signs)
+
+
+def test_points_that_fit_no_memory_are_refused_at_once(monkeypatch):
+    monkeypatch.setattr("mcspectra.core.memory.available_memory", lambda: 2**30)
+    with pytest.raises(ConfigError, match="power_at would take about"):
+        mcs.power_at("random", 2**30, [[1, 0]], realizations=2)
+    with pytest.raises(ConfigError, match="power_spectrum would take about"):
+        mcs.power_spectrum("random", 4, half_width=2000, realizations=2)

@@ -7,7 +7,7 @@ import xarray as xr
 import mcspectra as mcs
 from mcspectra.core.analysis import Subject
 from mcspectra.core.errors import NoClosedForm, ParameterError
-from mcspectra.spectra.pair_correlation import PairCorrelation, count_pairs, mean_of_realizations
+from mcspectra.spectra.pair_correlation import PairCorrelation, count_pairs
 from mcspectra.testing import check_analysis
 
 
@@ -198,19 +198,6 @@ def test_chunks_and_threads_change_nothing(boundary):
     ]
     xr.testing.assert_identical(*found)
     assert float(found[0]["pair_correlation_se"].max()) > 0
-
-
-def test_mean_and_error_are_those_of_numpy():
-    values = np.random.default_rng(1).random((9, 4))
-    mean, se = mean_of_realizations(lambda i: values[i], 9, 2)
-    np.testing.assert_allclose(mean, values.mean(axis=0), rtol=1e-14)
-    np.testing.assert_allclose(se, values.std(axis=0, ddof=1) / 3, rtol=1e-12)
-
-
-def test_one_realization_has_no_error():
-    mean, se = mean_of_realizations(lambda _: np.array([2.0]), 1, 1)
-    assert mean.tolist() == [2.0]
-    assert np.isnan(se).all()
 
 
 def test_cost_grows_with_the_pairs():

@@ -217,12 +217,16 @@ def test_readers_see_whole_commits_while_it_is_written(tmp_path: Path) -> None:
                 seen.append(len(done))
                 for path in done[-1:]:
                     assert reader.result(path) == payload(path)
+                assert reader.verify() == {}
 
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
         thread = threading.Thread(target=look)
         thread.start()
         for first in range(0, len(PATHS), 4):
             with ledger._guard:
+                for path in PATHS[first : first + 4]:
+                    ledger.record(path, RUN, (0, 1), b"state")
+                ledger.commit()
                 for path in PATHS[first : first + 4]:
                     ledger.finish(path, payload(path))
                 ledger.commit()

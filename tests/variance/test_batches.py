@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 import mcspectra as mcs
-from mcspectra.variance.batches import RunningSpread, spread
+from mcspectra.variance.sums import RunningSpread, spread
 
 RUNS = 60
 

@@ -5,8 +5,9 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core import parallel
+from mcspectra.core.analysis import compute_chunk
 from mcspectra.core.streams import Stream
-from mcspectra.variance.stopping import count_moments, joint_moments
+from mcspectra.variance.convergence import MomentsCell, count_moments
 
 ESTIMATORS = [
     mcs.Estimator("gaussian", dims=2),
@@ -17,7 +18,8 @@ ESTIMATORS = [
 
 def test_moments_of_shared_points_are_those_of_each():
     source, stream = mcs.sampler("jittered", dims=2), Stream.from_rng(4)
-    joint = joint_moments(ESTIMATORS, source, 64, 700, stream, workers=2, first=3)
+    run = MomentsCell(tuple(ESTIMATORS), source, 64, stream).run(0, 3, 700)
+    joint = compute_chunk(run, (0, run.blocks))
     for estimator, moments in zip(ESTIMATORS, joint, strict=True):
         alone = count_moments(estimator, source, 64, 700, stream, first=3)
         values = estimator.estimate([source.draw_stream(64, stream, 3, 700)])

@@ -5,7 +5,7 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
-from mcspectra.variance.subspace import CovarianceProduct, leading_eigenpairs
+from mcspectra.variance.modes import CovarianceProduct
 
 ARGUMENTS = {"realizations": 200, "rng": 3}
 F1 = mcs.Estimator("linear", dims=1)
@@ -164,15 +164,15 @@ def test_product_in_parts_is_that_of_the_whole():
     rng = np.random.default_rng(0)
     z = 100.0 + rng.standard_normal((50, 6)) * np.arange(1, 7)
     matrix = np.cov(z.T)
-
-    def product(vectors):
-        parts = (CovarianceProduct.of(part, vectors) for part in np.split(z, [7, 30]))
-        return CovarianceProduct.merged(parts, vectors)
-
-    assert np.allclose(product(np.eye(6)).product / 49, matrix, rtol=1e-10)
-    pairs = leading_eigenpairs(product, rng.standard_normal((6, 6)), 2)
+    vectors = np.linalg.qr(rng.standard_normal((6, 6)))[0]
+    first, second, third = (CovarianceProduct.of(part, vectors) for part in np.split(z, [7, 30]))
+    whole = first.merge(second.merge(third))
+    assert np.allclose(whole.product / 49, matrix @ vectors, rtol=1e-10)
+    assert np.allclose(whole.along, z.mean(axis=0) @ vectors, rtol=1e-12)
+    pairs = whole.eigenpairs(vectors)
     assert np.allclose(pairs.values, np.linalg.eigvalsh(matrix)[::-1], rtol=1e-10)
-    assert pairs.trace == pytest.approx(np.trace(matrix))
+    assert pairs.diagonal.sum() == pytest.approx(np.trace(matrix))
+    assert np.isnan(pairs.errors).all()  # of no batch
 
 
 @pytest.mark.parametrize(

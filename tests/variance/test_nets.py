@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 import mcspectra as mcs
-from mcspectra.variance._nets import level_variances
+from mcspectra.variance.exact import level_variances
 
 REALIZATIONS = 3000
 

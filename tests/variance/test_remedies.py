@@ -28,7 +28,7 @@ def _setup(estimator, sampler):
 
 
 def _found(estimator, sampler, *kinds):
-    budget = Budget(256, 100, Stream.from_rng(0), 1)
+    budget = Budget(256, 100, Stream.from_rng(0))
     return list(other_setups(_setup(estimator, sampler), kinds or tuple(KINDS), budget))
 
 

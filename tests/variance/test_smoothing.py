@@ -100,7 +100,7 @@ def test_channels_and_densities():
         ({"widths": [np.nan]}, "finite"),
         ({"widths": np.linspace(0, 0.3, 10**6)}, "256 at most"),
         ({"counts": 10}, "cannot make 10"),
-        ({"counts": []}, "ascending"),
+        ({"counts": []}, "one or more"),
         ({"counts": [64, 16]}, "ascending"),
         ({"sampler": "jittereed"}, "jittereed"),
         ({"realizations": 1}, "realizations"),

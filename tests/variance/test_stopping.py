@@ -6,7 +6,7 @@ import pytest
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
-from mcspectra.variance.stopping import count_moments
+from mcspectra.variance.convergence import count_moments
 
 LINEAR = mcs.Estimator("linear", dims=1)
 
@@ -103,9 +103,9 @@ def test_workers_and_stages_do_not_matter():
 @pytest.mark.parametrize(
     ("changes", "error", "words"),
     [
-        ({"relative_error": 0}, ParameterError, "greater than 0"),
+        ({"relative_error": 0}, ParameterError, "at least 0.0001"),
         ({"relative_error": 2.0}, ParameterError, "at most 1"),
-        ({"relative_error": 1e-9}, ParameterError, "1e-4"),
+        ({"relative_error": 1e-9}, ParameterError, "at least 0.0001"),
         ({"relative_error": float("nan")}, ParameterError, "finite"),
         ({"relative_error": "5 %"}, ParameterError, "finite number"),
         ({"max_realizations": 1}, ParameterError, "from 2 to"),

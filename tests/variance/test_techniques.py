@@ -11,7 +11,7 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError
-from mcspectra.variance.bottleneck import UNDECIDED
+from mcspectra.variance.techniques import UNDECIDED
 
 TERMS = ("dc_term", "power_term", "cross_term")
 CUBIC = mcs.integrand("polynomial(coefficients=[1, -3, 0, 3])", dims=1)
@@ -246,7 +246,7 @@ def test_infinite_weights_are_said():
     ("n", "options", "words"),
     [
         (0, {}, "at least 1|from 1"),
-        ([], {}, "ascending"),
+        ([], {}, "one or more"),
         ([8, 8], {}, "ascending"),
         ([8, 4], {}, "ascending"),
         ([4, float("nan")], {}, "whole number"),

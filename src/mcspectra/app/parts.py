@@ -6,7 +6,7 @@ import threading
 import warnings
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import final
+from typing import Any, Literal, final
 
 from mcspectra.app.parameters import changed
 from mcspectra.app.specs import UPLOAD, techniques
@@ -38,7 +38,7 @@ class Parts:
     density: Density | None
     estimator: AbstractEstimator
     sampler: Sampler
-    space: str
+    space: Literal["domain", "primary"]
     notes: tuple[str, ...]
 
 
@@ -144,7 +144,11 @@ def analyses_of(setup: Setup) -> dict[str, Analysis]:
     McspectraError
         The set-up cannot be made.
     """
-    common = {"n": setup.n, "half_width": setup.half_width, "realizations": setup.realizations}
+    common: dict[str, Any] = {
+        "n": setup.n,
+        "half_width": setup.half_width,
+        "realizations": setup.realizations,
+    }
     return {
         "spectrum": Spectrum(**common, frequency_step=setup.frequency_step),
         "convergence": Convergence(counts=tuple(ladder(setup)), realizations=setup.realizations),

@@ -239,7 +239,7 @@ def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
     return found.result(state)
 
 
-def finished(analysis: Analysis, result: xr.Dataset, rng: RngLike) -> xr.Dataset:
+def finished(analysis: Analysis, result: xr.Dataset, rng: RngLike = None) -> xr.Dataset:
     """Check a result against the variables that its analysis declares; return it with its seed.
 
     The seed is an attribute where `rng` is a whole number, by which the result can be had again.

@@ -13,13 +13,14 @@ import math
 import os
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import CacheWarning, warn
+from mcspectra.core.errors import CacheWarning, ParameterError, warn
 
 __all__ = ["cache_folder", "cache_size", "cached_array"]
 
@@ -41,8 +42,8 @@ def cache_folder() -> Path:
 
 def cache_size() -> tuple[int, int]:
     """Return the number of entries and their bytes."""
-    sizes = [_size(entry) for entry in cache_folder().glob("*/*.array")]
-    return len(sizes), sum(sizes)
+    entries = _entries(cache_folder())
+    return len(entries), sum(size for _, size, _ in entries)
 
 
 def cached_array(key: str, make: Callable[[], Array]) -> Array:
@@ -55,37 +56,30 @@ def cached_array(key: str, make: Callable[[], Array]) -> Array:
     make
         What makes it, when there is no sound entry.
 
+    Raises
+    ------
+    ParameterError
+        The key is no text, or `make` cannot be called.
+
     Warns
     -----
     CacheWarning
         An entry is damaged (it is made again), or the folder cannot be written (once).
     """
-    file = _file(key)
-    found = _read(file, key)
-    if found is not None:
-        return found
+    if not (isinstance(key, str) and callable(make)):  # type: ignore[redundant-expr]
+        raise ParameterError(f"{key!r:.80} and {make!r:.80} are not a text and a function.")
+    digest = hashlib.sha256(key.encode()).hexdigest()
+    file = cache_folder() / digest[:2] / f"{digest[2:34]}.array"
+    with suppress(OSError):  # there is no entry, or none that can be read
+        found = _decoded(file.read_bytes(), key)
+        if found is not None:
+            return found
+        warn(f"The cache entry {file} is damaged; it is made again.", CacheWarning)
     start = time.perf_counter()
     made = make()
     if time.perf_counter() - start > _WORTH_KEEPING:
         _keep(file, key, made)
     return made
-
-
-def _file(key: str) -> Path:
-    digest = hashlib.sha256(key.encode()).hexdigest()
-    return cache_folder() / digest[:2] / f"{digest[2:34]}.array"
-
-
-def _read(file: Path, key: str) -> Array | None:
-    """Return the entry if there is a sound one; say so if it is not sound."""
-    try:
-        content = file.read_bytes()
-    except OSError:
-        return None
-    found = _decoded(content, key)
-    if found is None:
-        warn(f"The cache entry {file} is damaged; it is made again.", CacheWarning)
-    return found
 
 
 def _decoded(content: bytes, key: str) -> Array | None:
@@ -127,28 +121,23 @@ def _digest(key: str, shape: tuple[int, ...], data: bytes) -> str:
 @lru_cache
 def _drop_oldest(folder: Path) -> None:
     """Keep the cache below its limit; looked at once a process, at its first new entry."""
-    entries = sorted(folder.glob("*/*.array"), key=lambda entry: -_time(entry))
     total = 0
-    for entry in entries:
-        total += _size(entry)
+    for _, size, entry in sorted(_entries(folder), reverse=True):
+        total += size
         if total > _LIMIT:
             entry.unlink(missing_ok=True)
+
+
+def _entries(folder: Path) -> list[tuple[float, int, Path]]:
+    """Time, bytes and file of each entry."""
+    found = []
+    for entry in folder.glob("*/*.array"):
+        with suppress(OSError):  # another process has just removed it
+            status = entry.stat()
+            found.append((status.st_mtime, status.st_size, entry))
+    return found
 
 
 @lru_cache
 def _say_once(sentence: str) -> None:
     warn(sentence, CacheWarning)
-
-
-def _size(file: Path) -> int:
-    try:
-        return file.stat().st_size
-    except OSError:  # another process has just removed it
-        return 0
-
-
-def _time(file: Path) -> float:
-    try:
-        return file.stat().st_mtime
-    except OSError:
-        return 0.0

@@ -60,7 +60,10 @@ def as_real(
     rules += [f"less than {below:g}"] if below is not None else []
     number = isinstance(value, int | float | np.integer | np.floating)
     if number and not isinstance(value, bool):
-        x = float(value)  # type: ignore[arg-type]
+        try:
+            x = float(value)  # type: ignore[arg-type]
+        except OverflowError:
+            x = math.inf
         enough = (above is None or x > above) and (least is None or x >= least)
         few = (most is None or x <= most) and (below is None or x < below)
         if math.isfinite(x) and enough and few:

@@ -9,7 +9,6 @@ last: ω = (sin θ cos φ, sin θ sin φ, cos θ). A solid angle is dω = sin θ
 from __future__ import annotations
 
 import math
-import os
 
 import numpy as np
 
@@ -18,8 +17,7 @@ from mcspectra.core.errors import DomainError, ParameterError
 
 __all__ = ["directions", "environment_pixels", "row_solid_angles", "synthetic_sky"]
 
-_MOST_VALUES = 2**28  # as of picture files
-_DEFAULT_SIZE = (32, 64)
+_MOST_VALUES = 2**28  # 2 GiB, as of picture files
 _SUN = (0.62, 0.31, 14.0, 400.0)  # x_0, x_1, sharpness as of a von Mises-Fisher lobe, radiance
 _PATCHES = (  # x_0, x_1, half sizes, color
     (0.15, 0.30, 0.04, 0.06, (9.0, 1.0, 0.5)),
@@ -53,17 +51,17 @@ def synthetic_sky(height: int = 32, width: int = 64) -> Array:
     sky = np.where(up > 0, above, below)
     for a, b, half_0, half_1, color in _PATCHES:
         sky[(np.abs(x_0 - a) < half_0) & (np.abs(x_1 - b) < half_1)] = color
-    return np.asarray(sky + _sun(np.stack([x_0, x_1], axis=-1))[..., None] * [1.0, 0.85, 0.6])
-
-
-def _sun(x: Array) -> Array:
     a, b, sharpness, radiance = _SUN
-    cosine = directions(x) @ directions(np.array([a, b]))
-    return np.asarray(radiance * np.exp(sharpness**2 * (cosine - 1.0)))
+    cosine = directions(np.stack([x_0, x_1], axis=-1)) @ directions(np.array([a, b]))
+    sun = radiance * np.exp(sharpness**2 * (cosine - 1.0))
+    return np.asarray(sky + sun[..., None] * [1.0, 0.85, 0.6])
 
 
 def directions(x: Array) -> Array:
     """Unit vectors (..., 3) of points x (..., 2)."""
+    x = as_real_array("x", x)
+    if x.shape[-1:] != (2,):
+        raise ParameterError(f"x has shape {x.shape}; give points of shape (..., 2).")
     phi, theta = 2 * np.pi * x[..., 0], np.pi * x[..., 1]
     sine = np.sin(theta)
     return np.stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)], axis=-1)
@@ -74,6 +72,7 @@ def row_solid_angles(height: int) -> Array:
 
     ½ (cos θ_j − cos θ_{j+1}) = sin θ sin(π/2h) at the row's centre θ: exact, and without cancellation.
     """
+    height = as_integer("height", height, least=1)
     centers = (np.arange(height) + 0.5) / height
     return np.asarray(np.sin(np.pi * centers) * math.sin(np.pi / (2 * height)))
 
@@ -89,42 +88,26 @@ def environment_pixels(path: object, values: object) -> Array:
         The file is missing or cannot be read.
     """
     if path is None and values is None:
-        return synthetic_sky(*_DEFAULT_SIZE)
-    if values is None:
-        return _not_negative(_from_file(path))
-    if path is not None:
+        return synthetic_sky()
+    if path is not None and values is not None:
         raise ParameterError("environment needs path, of a picture file, or values, not both.")
-    return _not_negative(_from_values(values))
+    if values is None:
+        from mcspectra.core.images import read_image
 
-
-def _from_file(path: object) -> Array:
-    if not isinstance(path, str | os.PathLike):
-        raise ParameterError(f"path is {path!r}; give the name of a picture file.")
-    from mcspectra.core.images import read_image
-
-    return read_image(path)
-
-
-def _from_values(values: object) -> Array:
-    try:
-        given = as_real_array("values", np.asarray(values))
-    except (DomainError, ValueError):
-        raise ParameterError(
-            "values are not an array of numbers; give (h, w) or (h, w, channels)."
-        ) from None
-    if given.size > _MOST_VALUES:
-        raise ParameterError(
-            f"values have shape {given.shape}; {_MOST_VALUES:.3g} numbers are read at most."
-        )
-    pixels = np.array(given)
-    if pixels.ndim not in (2, 3) or pixels.size == 0:
-        raise ParameterError(
-            f"values have shape {pixels.shape}; give pixels of shape (h, w) or (h, w, channels)."
-        )
-    return pixels.reshape(*pixels.shape[:2], -1)
-
-
-def _not_negative(pixels: Array) -> Array:
+        pixels = read_image(path)  # type: ignore[arg-type]
+    else:
+        try:
+            given = as_real_array("values", np.asarray(values))
+        except (DomainError, ValueError):
+            raise ParameterError(
+                "values are not an array of numbers; give (h, w) or (h, w, channels)."
+            ) from None
+        if given.ndim not in (2, 3) or not 0 < given.size <= _MOST_VALUES:
+            raise ParameterError(
+                f"values have shape {given.shape}; give pixels of shape (h, w) or (h, w, channels); "
+                f"{_MOST_VALUES:.3g} numbers are read at most."
+            )
+        pixels = np.array(given).reshape(*given.shape[:2], -1)
     if not np.isfinite(pixels).all() or pixels.min() < 0:
         raise ParameterError(
             f"The radiance runs from {pixels.min():g} to {pixels.max():g}; "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_reals
+from mcspectra.core.checks import Array, as_real_array, as_reals
 from mcspectra.core.errors import ParameterError
 
 __all__ = ["as_vector", "check_light", "norm", "triangle_angle"]
@@ -30,7 +30,16 @@ def as_vector(name: str, value: object) -> tuple[float, float, float]:
 
 def norm(v: Array) -> Array:
     """Length of vectors (..., 3)."""
+    v = _vectors(v)
     return np.asarray(np.sqrt(np.einsum("...i,...i->...", v, v)))
+
+
+def _vectors(v: Array) -> Array:
+    """Return vectors (..., 3) as float64."""
+    vectors = as_real_array("vectors", v)
+    if vectors.shape[-1:] != (3,):
+        raise ParameterError(f"Vectors have shape {vectors.shape}; give shape (..., 3).")
+    return vectors
 
 
 def check_light(what: str, corner: Array, edge0: Array, edge1: Array) -> float:
@@ -51,6 +60,7 @@ def check_light(what: str, corner: Array, edge0: Array, edge1: Array) -> float:
         The light has no area, is too small for its distance, or lies in a plane with the point:
         lower than 1e-6 of the largest distance to it.
     """
+    corner, edge0, edge1 = map(_vectors, (corner, edge0, edge1))
     lengths = norm(np.stack([edge0, edge1]))
     normal = np.cross(edge0, edge1)
     if not norm(normal) > _FLAT * lengths.prod():
@@ -84,6 +94,7 @@ def triangle_angle(volume: Array, a: Array, b: Array, c: Array) -> Array:
     ----------
     A. van Oosterom, J. Strackee (1983), "The solid angle of a plane triangle", eq. 8.
     """
+    volume, (a, b, c) = as_real_array("volume", volume), map(_vectors, (a, b, c))
     la, lb, lc = norm(a), norm(b), norm(c)
     ab, bc, ca = (np.einsum("...i,...i->...", *pair) for pair in ((a, b), (b, c), (c, a)))
     return np.asarray(2.0 * np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb))

@@ -165,9 +165,10 @@ class Option:
         label = label or self.name
         if self.extra.get("python") and not isinstance(value, str):
             return value
+        nothing = value is None and any(isinstance(k, inspect.NoneType) for k in _kinds(self.kind))
+        if self.extra.get("choices") and not nothing:
+            return as_choice(label, value, self.choices)
         clean = _clean(label, self.kind, value)
-        if self.extra.get("choices") and isinstance(clean, str):
-            return as_choice(label, clean, self.choices)
         several = self.extra.get("ascending") and isinstance(clean, tuple)
         if several and any(b <= a for a, b in itertools.pairwise(clean)):
             raise ParameterError(f"{label} is {list(clean)}; give ascending numbers of points.")
@@ -252,7 +253,7 @@ def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
         return None
     kinds = [each for each in kinds if not isinstance(each, inspect.NoneType)]
     words = _words(kinds)
-    if len(kinds) > 1 and words and value not in words:
+    if len(kinds) > 1 and words and not (isinstance(value, str) and value in words):
         others = [each for each in kinds if not isinstance(each, inspect.LiteralType)]
         offer = " or ".join(map(repr, words))
         if isinstance(value, str):
@@ -262,10 +263,9 @@ def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
     match fitting:
         case inspect.IntType(ge=least, le=most):
             limit = None if most is None or most >= _NO_LIMIT else most
-            number = as_integer(
-                label, value, least=-(2**63) if least is None else least, most=limit
-            )
-            return number if most is None else as_integer(label, number, least=-(2**63), most=most)
+            least = -(2**63) if least is None else least
+            number = as_integer(label, value, least=least, most=limit)
+            return number if most is None else as_integer(label, number, least=least, most=most)
         case inspect.FloatType(gt=above, ge=least, lt=below, le=most):
             return as_real(label, value, above=above, least=least, below=below, most=most)
         case inspect.BoolType():
@@ -274,9 +274,11 @@ def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
             return bool(value)
         case inspect.LiteralType(values=allowed):
             return as_choice(label, value, tuple(map(str, allowed)))
-        case inspect.StrType():
+        case inspect.StrType(max_length=most):
             if not isinstance(value, str) or not value:
                 raise ParameterError(f"{label} is {value!r}; give a text.")
+            if most is not None and len(value) > most:
+                raise ParameterError(f"{label} has {len(value)} characters; {most} are the most.")
             return value
         case inspect.VarTupleType(item_type=item) | inspect.TupleType(item_types=(item, *_)):
             return _clean_list(label, fitting, item, value)
@@ -284,15 +286,19 @@ def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
 
 
 def _clean_list(label: str, kind: inspect.Type, item: inspect.Type, value: Any) -> tuple[Any, ...]:
-    flat = isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)
-    if not flat or any(np.ndim(each) > 0 for each in value if not isinstance(each, str)):
+    several = isinstance(value, Sequence) or (isinstance(value, np.ndarray) and value.ndim > 0)
+    if not several or isinstance(value, str | bytes):
         raise ParameterError(f"{label} is {value!r}; give one flat list.")
-    wanted = len(kind.item_types) if isinstance(kind, inspect.TupleType) else None
-    if not len(value) or (wanted is not None and len(value) != wanted):
-        number = "one or more" if wanted is None else str(wanted)
-        raise ParameterError(f"{label} has {len(value)} values; give {number}.")
-    if isinstance(kind, inspect.VarTupleType) and len(value) > (kind.max_length or _NO_LIMIT):
-        raise ParameterError(f"{label} has {len(value)} values; {kind.max_length} are the most.")
+    # The length first: a range may have any.
+    size = len(value)
+    if isinstance(kind, inspect.TupleType) and size != len(kind.item_types):
+        raise ParameterError(f"{label} has {size} values; give {len(kind.item_types)}.")
+    if isinstance(kind, inspect.VarTupleType) and size > (kind.max_length or _NO_LIMIT):
+        raise ParameterError(f"{label} has {size} values; {kind.max_length} are the most.")
+    if any(np.ndim(each) > 0 for each in value if not isinstance(each, str)):
+        raise ParameterError(f"{label} is {value!r}; give one flat list.")
+    if not size:
+        raise ParameterError(f"{label} has no values; give one or more.")
     return tuple(_clean(label, item, each) for each in value)
 
 

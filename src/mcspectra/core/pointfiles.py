@@ -22,23 +22,39 @@ The sets of a file may differ in size; whether coordinates lie in [0,1) is for s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import importlib.util
+import io
+import itertools
+import json
+import math
+import struct
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from os import PathLike
-from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
-from mcspectra.core._pointbytes import format_bin, format_npz, read_bin, read_npz
-from mcspectra.core._pointparquet import format_parquet, read_parquet
-from mcspectra.core._pointtext import format_csv, format_dat, parse_dat, read_csv, read_dat
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import FileFormatError
+from mcspectra.core.decoding import check_decoded_size, known_path, opened, read_npz
+from mcspectra.core.errors import FileFormatError, MissingDependency
 
 __all__ = ["EXTENSIONS", "format_dat", "parse_dat", "read_points", "write_points"]
 
 EXTENSIONS = (".dat", ".bin", ".npz", ".csv", ".parquet")
 """The file name extensions that `read_points` and `write_points` know."""
+
+_SET_BYTES = 4096  # that count for a set besides its coordinates: many tiny ones take long, too
+
+# UTK text and comma-separated values
+_LONGEST_LINE = 2**22  # bytes
+_BLOCK_FIELDS = 2**16  # that are Python's strings at a time
+_VALUE_BYTES = 24  # of a number in text: in its block, in its set, and in the order of sets
+
+# UTK binary
+_MAGIC = 0x214B5455
+_HEADER_BYTES = 20
+_TYPES = ("i4", "i8", "u4", "u8", "f4", "f8")
 
 
 def read_points(path: str | PathLike[str]) -> list[Array]:
@@ -47,20 +63,12 @@ def read_points(path: str | PathLike[str]) -> list[Array]:
     Raises
     ------
     FileFormatError
-        The file is missing, empty, truncated, of an unknown or another format, or holds
-        something else than finite numbers; the message names the line or the byte.
+        The file is missing, empty, truncated, of an unknown or another format, takes too much
+        memory (see `mcspectra.core.decoding`), or holds something else than finite numbers; the
+        message names the line or the byte.
     """
-    file, extension = _file(path)
-    try:
-        if file.exists() and not (file.is_file() or file.is_dir()):
-            raise FileFormatError(f"{file} is a device or a pipe; give a point-set file.")
-        return _READERS[extension](file)
-    except FileNotFoundError:
-        raise FileFormatError(f"There is no file {file}; give the path of a point set.") from None
-    except IsADirectoryError:
-        raise FileFormatError(f"{file} is a folder; give a point-set file.") from None
-    except OSError as error:
-        raise FileFormatError(f"{file} cannot be read: {error.strerror or error}.") from None
+    with opened(path, "a point set", EXTENSIONS) as (stream, size, name, extension):
+        return _FORMATS[extension][0](stream, size, name)
 
 
 def write_points(
@@ -83,30 +91,41 @@ def write_points(
     FileFormatError
         Unknown extension, sets that do not fit the format, or a file that cannot be written.
     """
-    file, extension = _file(path)
-    content = _encoded(extension, _clean_sets(sets, str(file)), meta, str(file))
+    file = known_path(path, "a point set", EXTENSIONS)
+    name = str(file)
+    content = _FORMATS[file.suffix.lower()][1](*_clean(sets, meta, name), name)
     try:
         file.write_bytes(content)
     except OSError as error:
         raise FileFormatError(f"{file} cannot be written: {error.strerror or error}.") from None
 
 
-def _file(path: object) -> tuple[Path, str]:
-    """Return the path and its extension, one of `EXTENSIONS`."""
-    if not isinstance(path, str | PathLike) or "\0" in str(path):
-        raise FileFormatError(f"{path!r} is not a path; give the name of a point-set file.")
-    file = Path(path)
-    extension = file.suffix.lower()
-    if extension not in EXTENSIONS:
-        given = f"the extension {file.suffix!r}" if file.suffix else "no extension"
-        raise FileFormatError(f"{file} has {given}; point sets are {', '.join(EXTENSIONS)} files.")
-    return file, extension
+def parse_dat(text: str, name: str) -> list[Array]:
+    """Read UTK text, as `read_points` does; `name` is what messages call its source."""
+    if not isinstance(text, str):
+        raise FileFormatError(f"{name} is {type(text).__name__}, not text; give lines of numbers.")
+    data = text.encode(errors="surrogatepass")  # refused where it is decoded
+    return _read_dat(io.BytesIO(data), len(data), name)
 
 
-def _clean_sets(sets: Iterable[object], name: str) -> list[Array]:
-    """Return the sets as float64 arrays (n, d)."""
+def format_dat(sets: Iterable[object], meta: Mapping[str, Any] | None = None) -> str:
+    """Write UTK text, as `write_points` does; every float64 is read back to the same bits."""
+    return _dat(*_clean(sets, meta, "UTK text"), "UTK text").decode()
+
+
+def _clean(
+    sets: Iterable[object], meta: Mapping[str, Any] | None, name: str
+) -> tuple[list[Array], str]:
+    """Return the sets as float64 arrays (n, d), and what is said about them as JSON."""
+    try:
+        numbered, text = enumerate(sets), json.dumps(dict(meta or {}), default=str)
+    except (TypeError, ValueError):
+        raise FileFormatError(
+            f"What is given for {name} is {sets!r:.80} and {meta!r:.80}; give a list of arrays "
+            "(n, d), and names with values that JSON can hold."
+        ) from None
     clean = []
-    for k, points in enumerate(sets):
+    for k, points in numbered:
         try:
             array = np.asarray(points, dtype=np.float64)
         except (TypeError, ValueError):
@@ -118,23 +137,357 @@ def _clean_sets(sets: Iterable[object], name: str) -> list[Array]:
         clean.append(array)
     if not clean:
         raise FileFormatError(f"There are no sets to write to {name}; give at least one.")
-    return clean
+    return clean, text
 
 
-def _encoded(extension: str, sets: list[Array], meta: Mapping[str, Any] | None, name: str) -> bytes:
-    if extension == ".dat":
-        return format_dat(sets, meta).encode()
-    if extension == ".csv":
-        return format_csv(sets, name).encode()
-    if extension == ".parquet":
-        return format_parquet(sets, meta or {}, name)
-    return format_npz(sets, meta or {}, name) if extension == ".npz" else format_bin(sets, name)
+# ---- Text: UTK's, and comma- or semicolon-separated values
 
 
-_READERS: dict[str, Callable[[Path], list[Array]]] = {
-    ".dat": read_dat,
-    ".bin": read_bin,
-    ".npz": read_npz,
-    ".csv": read_csv,
-    ".parquet": read_parquet,
+def _read_dat(stream: IO[bytes], size: int, name: str) -> list[Array]:
+    lines = ((number, line.split()) for number, line in _lines(stream, size, name))
+    rows = ((number, None if words[0][0] == "#" else words) for number, words in lines if words)
+    return _sets_of_rows(rows, size, name)
+
+
+def _read_csv(stream: IO[bytes], size: int, name: str) -> list[Array]:
+    labels: dict[str, int] = {}
+    set_of_row: list[int] = []
+
+    def rows() -> Iterator[tuple[int, list[str] | None]]:
+        lines = _lines(stream, size, name)
+        lines = ((number, line) for number, line in lines if not line.lstrip().startswith("#"))
+        semicolons, at_top, column = False, True, None
+        for number, line in lines:
+            # "1,5;2,5" is how spreadsheets of half the world write two numbers.
+            semicolons = semicolons or (at_top and ";" in line)
+            cells = line.replace(",", ".").split(";") if semicolons else line.split(",")
+            fields = [cell.strip().strip('"') for cell in cells]
+            if not any(fields):
+                if column is None:
+                    yield number, None
+                continue
+            if at_top:
+                at_top = False
+                if not any(map(_is_number, fields)):
+                    column = _set_column(fields, name)
+                    continue
+            if column is not None:
+                label = fields.pop(column) if column < len(fields) else ""
+                if label not in labels:
+                    labels[label] = len(labels)
+                    check_decoded_size(name, size, _SET_BYTES * len(labels))
+                set_of_row.append(labels[label])
+            yield number, fields
+
+    sets = _sets_of_rows(rows(), size, name)
+    return _split(sets[0], np.array(set_of_row)) if labels else sets
+
+
+def _lines(stream: IO[bytes], size: int, name: str) -> Iterator[tuple[int, str]]:
+    """Lines of text with their numbers, from 1, after a check of the memory their numbers take."""
+    fields = 0
+    while data := stream.read(2**20):
+        block = np.frombuffer(data, np.uint8)
+        blank = (block <= ord(" ")) | (block == ord(",")) | (block == ord(";"))
+        fields += 1 + int(np.count_nonzero(blank[:-1] & ~blank[1:]))
+        check_decoded_size(name, size, _VALUE_BYTES * fields)
+    stream.seek(0)
+    number = at = 0
+    while raw := stream.readline(_LONGEST_LINE + 1):
+        if len(raw) > _LONGEST_LINE:
+            raise FileFormatError(
+                f"{name}, line {number + 1}, is longer than {_LONGEST_LINE} bytes; split it."
+            )
+        try:
+            text = raw.decode("utf-8" if at else "utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise FileFormatError(
+                f"{name} is not text: byte {at + error.start} is no character."
+            ) from None
+        at += len(raw)
+        for line in text.splitlines():
+            number += 1
+            yield number, line
+
+
+def _sets_of_rows(
+    rows: Iterable[tuple[int, list[str] | None]], size: int, name: str
+) -> list[Array]:
+    """Make an array of each set of rows: numbers of lines, and fields or, before a set, None."""
+    sets: list[Array] = []
+    blocks: list[Array] = []
+    block: list[tuple[int, list[str]]] = []
+    start, width = 0, 0
+    for number, fields in itertools.chain(rows, [(0, None)]):
+        if fields is not None:
+            if not (blocks or block):
+                start, width = number, len(fields)
+            if not width:
+                raise FileFormatError(f"{name} has no coordinates; give a column for each axis.")
+            if len(fields) != width:
+                raise FileFormatError(
+                    f"{name}, line {number}, has {len(fields)} numbers, but the set began with "
+                    f"{width} on line {start}; give all points of a set the same number of dims."
+                )
+            block.append((number, fields))
+        if block and (fields is None or len(block) * width >= _BLOCK_FIELDS):
+            blocks.append(_numbers(block, name))
+            block = []
+        if blocks and fields is None:
+            sets.append(np.concatenate(blocks))
+            blocks = []
+            check_decoded_size(name, size, _SET_BYTES * len(sets))
+    if not sets:
+        raise FileFormatError(f"{name} holds no points; give a line of coordinates for each.")
+    return sets
+
+
+def _numbers(rows: list[tuple[int, list[str]]], name: str) -> Array:
+    with suppress(ValueError):
+        points = np.array([fields for _, fields in rows], dtype=np.float64)
+        # Python reads 1_0 as 10, nobody else does.
+        if np.isfinite(points).all() and not any("_" in x for _, fields in rows for x in fields):
+            return points
+    number, text = next(
+        (number, x)
+        for number, fields in rows
+        for x in fields
+        if "_" in x or not _is_number(x) or not math.isfinite(float(x))
+    )
+    raise FileFormatError(f"{name}, line {number}: {text[:40]!r} is not a finite number.")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _set_column(names: list[str], file: str) -> int | None:
+    """Place of the column ``set`` among the names of columns, if there is one."""
+    names = [name.lower() for name in names]
+    if "" in names:
+        raise FileFormatError(
+            f"{file} has a column without a name, such as the index that pandas writes; "
+            "write it with index=False, or name all columns."
+        )
+    if names.count("set") > 1:
+        raise FileFormatError(f"{file} has two columns 'set'; name each column differently.")
+    return names.index("set") if "set" in names else None
+
+
+def _split(points: Array, set_of_row: Array) -> list[Array]:
+    """Split rows into sets by the numbers, from 0, of their sets."""
+    order = np.argsort(set_of_row, kind="stable")
+    return np.split(points[order], np.cumsum(np.bincount(set_of_row))[:-1])
+
+
+def _dat(sets: list[Array], meta: str, _name: str) -> bytes:
+    comment = f"# {meta}\n" if meta != "{}" else ""
+    return (comment + "#\n".join(_text(points, " ") for points in sets)).encode()
+
+
+def _csv(sets: list[Array], _meta: str, name: str) -> bytes:
+    """A column for each dim and, where there are several sets, a first one ``set``."""
+    header = ",".join(f"x{i}" for i in range(_same_dims(sets, name)))
+    if len(sets) == 1:
+        return f"{header}\n{_text(sets[0], ',')}".encode()
+    rows = "".join(_text(points, ",", f"{k},") for k, points in enumerate(sets))
+    return f"set,{header}\n{rows}".encode()
+
+
+def _text(points: Array, blank: str, start: str = "") -> str:
+    return "".join(start + blank.join(map(repr, row)) + "\n" for row in points.tolist())
+
+
+def _same_dims(sets: list[Array], name: str) -> int:
+    if len({points.shape[1] for points in sets}) > 1:
+        raise FileFormatError(f"{name} needs sets of the same dims; write them to several files.")
+    return int(sets[0].shape[1])
+
+
+# ---- Bytes: UTK binary and NumPy's archives
+
+
+def _read_bin(stream: IO[bytes], size: int, name: str) -> list[Array]:
+    data = stream.read(_HEADER_BYTES)
+    if len(data) < _HEADER_BYTES:
+        raise FileFormatError(f"{name} ends at byte {len(data)}, within the header of 20 bytes.")
+    order = next((o for o in "<>" if struct.unpack_from(o + "I", data)[0] == _MAGIC), None)
+    if order is None:
+        raise FileFormatError(
+            f"{name} starts with {data[:4].hex()}, not with the magic word 55544b21 (UTK!) of UTK "
+            "binary files."
+        )
+    code, shape = data[4], struct.unpack_from(order + "3I", data, 8)
+    if code >= len(_TYPES):
+        raise FileFormatError(f"{name}, byte 4: {code} is no type code; UTK has 0 to 5.")
+    announced = f"{name} announces {shape[0]} sets of {shape[1]} points in {shape[2]} dims"
+    if 0 in shape:
+        raise FileFormatError(f"{announced}; each must be at least 1.")
+    dtype = np.dtype(order + _TYPES[code])
+    count = shape[0] * shape[1] * shape[2]
+    if size - _HEADER_BYTES != count * dtype.itemsize:
+        raise FileFormatError(
+            f"{announced}, that is {count * dtype.itemsize} bytes after the header, but has "
+            f"{size - _HEADER_BYTES}."
+        )
+    copies = 1 if dtype.kind == "f" else 3  # of integers in this machine's order, and shifted
+    check_decoded_size(name, size, count * (copies * dtype.itemsize + 17) + shape[0] * _SET_BYTES)
+    values = np.fromfile(stream, dtype, count).reshape(shape)
+    if dtype.kind != "f":  # integers are fractions of their range (UTK's integer nets fill it)
+        bits = 8 * dtype.itemsize - (dtype.kind == "i")
+        spare = max(0, bits - 53)  # drop what a double cannot hold, lest 2^64 - 1 becomes 1.0
+        shifted = values.astype(dtype.newbyteorder("=")) >> spare
+        values = np.ldexp(shifted.astype(np.float64), spare - bits)
+    return _finite_sets(values, name)
+
+
+def _read_npz(stream: IO[bytes], size: int, name: str) -> list[Array]:
+    points = read_npz(stream, size, name, "points")
+    if points.dtype.kind not in "fiu" or points.ndim not in (2, 3) or points.size == 0:
+        raise FileFormatError(
+            f"{name} holds 'points' of type {points.dtype} and shape {points.shape}; give numbers "
+            "of shape (n, d) or (R, n, d)."
+        )
+    points = points if points.ndim == 3 else points[None]
+    check_decoded_size(name, size, len(points) * _SET_BYTES)
+    return _finite_sets(points, name)
+
+
+def _finite_sets(points: Array, name: str) -> list[Array]:
+    """Split (R, n, d) into sets of float64 after a check for NaN and infinity."""
+    points = points.astype(np.float64, copy=False)
+    good = np.isfinite(points)
+    if not good.all():
+        where = [int(i) for i in np.argwhere(~good)[0]]
+        raise FileFormatError(
+            f"{name}: coordinate {where[2]} of point {where[1]} of set {where[0]} (from 0) is "
+            f"{points[tuple(where)]}; give finite numbers."
+        )
+    return list(points)
+
+
+def _bin(sets: list[Array], _meta: str, name: str) -> bytes:
+    points = _stacked(sets, name)
+    return (
+        struct.pack("<5I", _MAGIC, _TYPES.index("f8"), *points.shape)
+        + points.astype("<f8").tobytes()
+    )
+
+
+def _npz(sets: list[Array], meta: str, name: str) -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, points=_stacked(sets, name), meta=np.array(meta))
+    return buffer.getvalue()
+
+
+def _stacked(sets: Sequence[Array], name: str) -> Array:
+    if len({points.shape for points in sets}) > 1:
+        raise FileFormatError(
+            f"{name} needs sets of equal shape; write sets of different sizes as .dat or .csv."
+        )
+    return np.stack(sets)
+
+
+# ---- Tables: Parquet, through pyarrow
+
+
+def _read_parquet(stream: IO[bytes], size: int, file: str) -> list[Array]:
+    """Read all columns but ``set`` as coordinates, one array (n, d) for each value of that one."""
+    pyarrow = _pyarrow()
+    types, table = pyarrow.types, pyarrow.parquet.ParquetFile(stream)
+    schema, rows = table.schema_arrow, table.metadata.num_rows
+
+    # Tell coordinates and sets by the schema; pandas keeps an index in columns of its own
+    names = [name for name in schema.names if not name.startswith("__index_level_")]
+    tells = [name for name in names if name.lower() == "set"]
+    if len(set(names)) < len(names) or len(tells) > 1:
+        raise FileFormatError(f"{file} has two columns of one name; name each differently.")
+    names = [name for name in names if name not in tells]
+    if not names or not rows:
+        raise FileFormatError(f"{file} holds no points; give a column of numbers for each axis.")
+    for name in names:
+        kind = schema.field(name).type
+        if not (types.is_integer(kind) or types.is_floating(kind)):
+            raise FileFormatError(
+                f"{file}: column {name!r} holds {kind}; all columns but 'set' must be numbers."
+            )
+
+    # Coordinates in a batch, in their array, and in the order of sets; pages, and text of sets once
+    groups = [table.metadata.row_group(k) for k in range(table.metadata.num_row_groups)]
+    chunks = [group.column(i) for group in groups for i in range(group.num_columns)]
+    pages = sum(chunk.total_uncompressed_size for chunk in chunks)
+    check_decoded_size(file, size, rows * (24 * len(names) + 40) + pages * (3 if tells else 1))
+    for name in tells:
+        kind, texts = schema.field(name).type, [c for c in chunks if c.path_in_schema == name]
+        if any("DELTA_BYTE_ARRAY" in chunk.encodings for chunk in texts):
+            kind = "texts as differences, of unknown length"
+        elif not (types.is_nested(kind) or types.is_binary(kind) or types.is_large_binary(kind)):
+            continue
+        raise FileFormatError(f"{file}: column {name!r} holds {kind}; give text or numbers.")
+
+    points, at = np.empty((rows, len(names))), 0
+    for batch in table.iter_batches(columns=names, use_threads=False):
+        for i, name in enumerate(names):
+            numbers = batch.column(name).to_numpy(zero_copy_only=False)
+            points[at : at + len(numbers), i] = numbers
+            bad = np.flatnonzero(~np.isfinite(points[at : at + len(numbers), i]))
+            if bad.size:
+                raise FileFormatError(
+                    f"{file}: column {name!r}, row {at + bad[0]} (from 0) is empty or not finite; "
+                    "give finite numbers."
+                )
+        at += len(batch)
+    if at != rows:
+        raise ValueError(f"it has {at} of {rows} rows")
+    if not tells:
+        return [points]
+
+    # Number the sets in the order of their first rows
+    table = pyarrow.parquet.ParquetFile(stream, read_dictionary=tells)
+    labels = table.read(columns=tells, use_threads=False).column(0)
+    if labels.null_count:
+        raise FileFormatError(
+            f"{file}: column {tells[0]!r} is empty in a row; give the set of each."
+        )
+    labels = labels.dictionary_encode().unify_dictionaries().combine_chunks()
+    texts = labels.dictionary.dictionary_encode()  # may name one twice
+    numbers = texts.indices.take(labels.indices).dictionary_encode()
+    check_decoded_size(file, size, _SET_BYTES * len(numbers.dictionary))
+    return _split(points, numbers.indices.to_numpy())
+
+
+def _parquet(sets: list[Array], meta: str, name: str) -> bytes:
+    """Columns ``x0``, ``x1``, … and, for several sets, a first one ``set``."""
+    pyarrow = _pyarrow()
+    dims = _same_dims(sets, name)
+    points = np.concatenate(sets)
+    columns = {f"x{i}": points[:, i] for i in range(dims)}
+    if len(sets) > 1:
+        columns = {"set": np.repeat(np.arange(len(sets)), [len(x) for x in sets]), **columns}
+    table = pyarrow.table(columns).replace_schema_metadata({"mcspectra": meta})
+    buffer = pyarrow.BufferOutputStream()
+    pyarrow.parquet.write_table(table, buffer)
+    return bytes(buffer.getvalue())
+
+
+def _pyarrow() -> Any:
+    if importlib.util.find_spec("pyarrow") is None:
+        raise MissingDependency(
+            "Files .parquet need the package pyarrow; install it with: "
+            "pip install 'mcspectra[parquet]'"
+        )
+    importlib.import_module("pyarrow.parquet")
+    return importlib.import_module("pyarrow")
+
+
+_FORMATS = {
+    ".dat": (_read_dat, _dat),
+    ".bin": (_read_bin, _bin),
+    ".npz": (_read_npz, _npz),
+    ".csv": (_read_csv, _csv),
+    ".parquet": (_read_parquet, _parquet),
 }

@@ -9,6 +9,7 @@ header in MessagePack with names, types and shapes, then the numbers; no pickle,
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from types import UnionType
@@ -97,20 +98,26 @@ def standard_error(spread: Array, count: int) -> Array:
 
 
 _MAGIC = b"mcs1"
+_Shape: TypeAlias = tuple[Annotated[int, msgspec.Meta(ge=0)], ...]
+_Kind: TypeAlias = Annotated[str, msgspec.Meta(pattern=r"^[<>|][biufcU]\d{1,9}$")]
+_HEADER = msgspec.msgpack.Decoder(tuple[Any, list[tuple[_Kind, _Shape]]])
+_MOST_LETTER = 0x10FFFF  # of Unicode
 _UNIONS = (Union, UnionType)
 
 
 def merged(left: Any, right: Any) -> Any:
     """State of two neighbours together; may reuse the memory of `left`."""
     own = getattr(left, "merge", None)
-    if own is not None and not isinstance(left, dict):
+    if own is not None:
         return own(right)
     if isinstance(left, list | tuple):
         return type(left)(merged(a, b) for a, b in zip(left, right, strict=True))
-    rules = _rules(type(left))  # type: ignore[arg-type]
-    return type(left)(**{
+    if not is_dataclass(left):
+        raise TypeError(f"A {type(left).__name__} has no rule to merge; make it part of a record.")
+    kind: Any = type(left)
+    return kind(**{
         name: _merge_field(rule, getattr(left, name), getattr(right, name))
-        for name, rule in rules.items()
+        for name, rule in _rules(kind).items()
     })  # fmt: skip
 
 
@@ -171,20 +178,26 @@ def unpack(kind: Any, payload: bytes) -> Any:
         if payload[:4] != _MAGIC:
             raise ValueError("not a state")
         start = 12 + int.from_bytes(payload[4:12], "little")
-        tree, described = msgspec.msgpack.decode(payload[12:start])
+        tree, described = _HEADER.decode(payload[12:start])
         arrays = []
         for text, shape in described:
-            dtype = np.dtype(text)
-            if dtype.kind not in "biufcU" or min(shape, default=0) < 0:
-                raise ValueError(f"an array of {text} with shape {shape}")
-            count = int(np.prod(shape, dtype=object))
+            dtype, count = np.dtype(text), math.prod(shape)
             values = np.frombuffer(payload, dtype, count, start) if count else np.empty(0, dtype)
+            if dtype.kind == "U" and np.max(values.view(f"{text[0]}u4"), initial=0) > _MOST_LETTER:
+                raise ValueError("a text with letters that there are not")
             arrays.append(values.reshape(shape).copy())
             start += count * dtype.itemsize
         if start != len(payload):
             raise ValueError("bytes are missing or left over")
         return _restored(kind, tree, arrays)
-    except (ValueError, TypeError, KeyError, IndexError, msgspec.MsgspecError) as error:
+    except (
+        ValueError,
+        TypeError,
+        LookupError,
+        AttributeError,
+        OverflowError,
+        RecursionError,
+    ) as error:
         raise FileFormatError(f"A stored result cannot be read: {error}.") from None
 
 

@@ -48,14 +48,13 @@ class Variable(NamedTuple):
 
 _FREE_DIMS = frozenset({"estimator", "sampler", "channel"})
 
-VARIABLES: Mapping[str, Variable] = {
+_VARIABLES: Mapping[str, Variable] = {
     # name: meaning, unit, dims, kind
     "anisotropy": Variable("variance of power over direction / (mean power)²", "1", ("radius",)),
     "anova_share": Variable("c_u / variance", "1", ("subset",)),
     "anova_variance": Variable(
         "c_u, part of the variance that subset u of the axes makes", "f²", ("subset",)
     ),
-    "anova_variance_se": Variable("standard error of c_u", "f²", ("subset",)),
     "anisotropy_db": Variable(
         "variance of power over direction / (mean power)²", "dB", ("radius",)
     ),
@@ -63,45 +62,29 @@ VARIABLES: Mapping[str, Variable] = {
     "band_covariance": Variable(
         "covariance of band-limited estimates", "f²", ("band", "band_other")
     ),
-    "band_covariance_se": Variable(
-        "standard error of the covariance of band-limited estimates", "f²", ("band", "band_other")
-    ),
     "band_trace": Variable("sum of all eigenvalues of the covariance within the band", "f²", ()),
     "best_width": Variable("width of smoothed edges with the least mean squared error", "1"),
     "best_width_range": Variable("widths that may have the least mean squared error", "1"),
     "bias_squared": Variable("(integral of the smoothed integrand minus the original)²", "f²"),
-    "bias_squared_ci": Variable("bounds of the squared bias, from those of the integrals", "f²"),
     "bias": Variable("mean estimate minus the integral", "f", ("n",)),
-    "bias_se": Variable("standard error of the bias, that of the integral in it", "f", ("n",)),
     "bottleneck": Variable("technique of the slowest rate; −1: undecided", "1", ("y?", "x?"), "if"),
     "captured": Variable("predicted / measured variance", "1", ("n?",)),
-    "captured_ci": Variable("95 % interval of predicted / measured variance", "1", ("bound",)),
     "captured_by_half_width": Variable(
         "predicted / measured variance, truncated at each half width", "1", ("half_width",)
     ),
     "centered_discrepancy": Variable("centred L2 discrepancy", "1"),
     "coefficient_covariance": Variable("C_ml, covariance of S_m and S_l", "1", ("m", "l"), "fc"),
-    "coefficient_covariance_se": Variable(
-        "standard error of C_ml, root of the mean |error|²", "1", ("m", "l")
-    ),
     "contribution": Variable(
         "c_m, contribution of frequency m to the variance", "f²", ("technique?", "m")
     ),
-    "contribution_se": Variable("standard error of c_m", "f²", ("technique?", "m")),
     "cross_matrix": Variable("conj(f_m) f_l C_ml", "f²", ("m", "l"), "fc"),
-    "cross_matrix_se": Variable("standard error of conj(f_m) f_l C_ml", "f²", ("m", "l")),
     "cross_term": Variable("cross term Σ_{m≠l} conj(f_m) f_l C_ml", "f²", ("n?",)),
-    "cross_term_se": Variable("standard error of the cross term", "f²", ()),
-    "cross_term_ci": Variable("95 % interval of the cross term", "f²", ("bound",)),
-    "dc_term_se": Variable("standard error of the dc term", "f²", ()),
-    "dc_term_ci": Variable("95 % interval of the dc term", "f²", ("bound",)),
     "dc_term": Variable("dc term |f_0|² C_00", "f²", ("n?",)),
     "cost": Variable("evaluations of the integrand in an estimate", "1", ("remedy", "step")),
     "error": Variable("variance at the budget, mean squared error where biased", "f²", ("remedy",)),
     "error_at_cost": Variable(
         "variance at each cost, mean squared error where biased", "f²", ("remedy", "step")
     ),
-    "error_ci": Variable("95 % interval of the error", "f²", ("remedy", "bound")),
     "error_ratio": Variable("error / that of the set-up as given", "1", ("remedy",)),
     "error_ratio_ci": Variable(
         "simultaneous 95 % interval of the ratio of errors", "1", ("remedy", "bound")
@@ -112,7 +95,6 @@ VARIABLES: Mapping[str, Variable] = {
         "simultaneous 95 % interval of the difference of rates", "1", ("remedy", "bound")
     ),
     "eigenvalue": Variable("eigenvalue of the covariance, variance of a mode", "f²", ("mode",)),
-    "eigenvalue_se": Variable("standard error of the variance along the mode", "f²", ("mode",)),
     "eigenvalue_residual": Variable("bound of the distance to an eigenvalue", "f²", ("mode",)),
     "eigenvalue_share": Variable("eigenvalue / trace", "1", ("mode",)),
     "diaphony": Variable("diaphony, spectrum weighted by 1/Π max(1, m²)", "1"),
@@ -135,9 +117,7 @@ VARIABLES: Mapping[str, Variable] = {
     "gain": Variable("gain coefficient Γ of nested scrambling, random points: 1", "1"),
     "generalized_l2_discrepancy": Variable("generalised L2 discrepancy, over all projections", "1"),
     "higher_order_variance": Variable("part of the variance of all larger subsets", "f²", ()),
-    "higher_order_variance_se": Variable("standard error of that part", "f²", ()),
     "image": Variable("mean radiance of each pixel", "W/(m² sr)"),
-    "image_se": Variable("standard error of the mean radiance", "W/(m² sr)"),
     "improvement": Variable("variance less than as given (1), more (−1), undecided (0)", "1"),
     "incident_radiance": Variable(
         "radiance of the lights that count, from each direction", "W/(m² sr)"
@@ -145,7 +125,6 @@ VARIABLES: Mapping[str, Variable] = {
     "kurtosis": Variable("kurtosis of the estimates; normal: 3", "1", ()),
     "l2_star_discrepancy": Variable("L2 star discrepancy", "1"),
     "low_frequency_exponent": Variable("b of power ∝ |m|^b at low frequencies", "1", ()),
-    "low_frequency_exponent_ci": Variable("95 % interval of b", "1", ("bound",)),
     "mean": Variable("mean estimate", "f", ("strategy?", "n?", "y?", "x?")),
     "mean_dimension": Variable("mean size of subsets, weighted by c_u", "1", ()),
     "mean_coefficient": Variable(
@@ -154,20 +133,11 @@ VARIABLES: Mapping[str, Variable] = {
         ("m", "frequency?"),
         "c",
     ),
-    "mean_coefficient_se": Variable(
-        "standard error of ⟨S_m⟩, root of the mean |error|²", "1", ("m", "frequency?")
-    ),
     "mean_nearest_distance": Variable("mean toroidal distance to the nearest point", "1"),
     "mean_projected_diaphony": Variable("mean diaphony of the 2-D projections", "1"),
     "mean_projected_discrepancy": Variable("mean star discrepancy of the 2-D projections", "1"),
     "mean_projected_distance": Variable("mean minimum distance of the 2-D projections", "1"),
-    "mean_se": Variable(
-        "standard error of the mean estimate", "f", ("strategy?", "n?", "y?", "x?")
-    ),
     "measured_variance": Variable("measured variance of the estimate (ddof = 1)", "f²", ("n?",)),
-    "measured_variance_ci": Variable(
-        "95 % interval of the measured variance", "f²", ("n?", "bound")
-    ),
     "minimum_distance": Variable("smallest toroidal distance of two points", "1"),
     "mixture_discrepancy": Variable("mixture L2 discrepancy", "1"),
     "mode_contribution": Variable(
@@ -180,48 +150,28 @@ VARIABLES: Mapping[str, Variable] = {
         "fc",
     ),
     "mse": Variable("mean squared error against the integral", "f²", ("n",)),
-    "mse_ci": Variable("95 % interval of the mean squared error", "f²"),
     "noise_edge": Variable(
         "largest sample eigenvalue of a flat spectrum of the same trace", "f²", ()
     ),
     "pair_correlation": Variable("pair correlation g(r), 1 for random points", "1", ("r",)),
-    "pair_correlation_se": Variable("standard error of g(r) over realisations", "1", ("r",)),
     "points": Variable("points of one realisation", "1", ("point", "axis")),
     "power": Variable("expected power ⟨|S_m|²⟩; random points: ∫1/p / n", "1", ("m", "frequency?")),
-    "power_se": Variable(
-        "standard error of the expected power over realisations", "1", ("m", "frequency?")
-    ),
     "power_contribution": Variable(
         "|f_m|² C_mm, the diagonal part of the contribution", "f²", ("technique?", "m")
     ),
-    "power_term_se": Variable("standard error of the power term", "f²", ()),
-    "power_term_ci": Variable("95 % interval of the power term", "f²", ("bound",)),
     "power_term": Variable("power term Σ_{m≠0} |f_m|² C_mm", "f²", ("n?",)),
     "predicted_variance": Variable("predicted variance, dc + power + cross", "f²", ("n?",)),
-    "predicted_variance_ci": Variable("95 % interval of the predicted variance", "f²", ("bound",)),
     "radial_power": Variable("expected power, mean over directions", "1", ("radius",)),
-    "radial_power_se": Variable(
-        "standard error of the radial power over realisations", "1", ("radius",)
-    ),
     "rate": Variable(
         "fitted exponent of variance in n; random sampling: −1",
         "1",
         ("remedy?", "strategy?", "y?", "x?"),
     ),
-    "rate_ci": Variable(
-        "95 % interval of the rate", "1", ("remedy?", "strategy?", "y?", "x?", "bound")
-    ),
     "reached": Variable("whether the wanted precision was reached (1: yes)", "1", ("n?",), "i"),
     "realizations_used": Variable("realisations used", "1", ("n?",), "i"),
     "relative_minimum_distance": Variable("minimum distance / that of the densest packing", "1"),
     "slice_power": Variable("expected power along a direction", "1", ("slice", "multiple")),
-    "slice_power_se": Variable(
-        "standard error of the expected power over realisations", "1", ("slice", "multiple")
-    ),
     "route_variance": Variable("variance by this route", "f²", ("route",)),
-    "route_variance_ci": Variable(
-        "95 % interval of the variance by this route", "f²", ("route", "bound")
-    ),
     "skewness": Variable("skewness of the estimates; normal: 0", "1", ()),
     "smoothing_bias": Variable("integral of the smoothed integrand minus the original", "f"),
     "star_discrepancy": Variable("star discrepancy", "1"),
@@ -232,49 +182,24 @@ VARIABLES: Mapping[str, Variable] = {
         "f²",
         ("n?", "technique", "technique_other"),
     ),
-    "technique_covariance_se": Variable(
-        "standard error of that covariance", "f²", ("n?", "technique", "technique_other")
-    ),
     "technique_cross_term": Variable(
         "cross term of two techniques", "f²", ("n?", "technique", "technique_other")
-    ),
-    "technique_cross_term_se": Variable(
-        "standard error of the cross term of two techniques",
-        "f²",
-        ("n?", "technique", "technique_other"),
     ),
     "technique_dc_term": Variable(
         "dc term of two techniques", "f²", ("n?", "technique", "technique_other")
     ),
-    "technique_dc_term_se": Variable(
-        "standard error of the dc term of two techniques",
-        "f²",
-        ("n?", "technique", "technique_other"),
-    ),
     "technique_power_term": Variable(
         "power term of two techniques", "f²", ("n?", "technique", "technique_other")
-    ),
-    "technique_power_term_se": Variable(
-        "standard error of the power term of two techniques",
-        "f²",
-        ("n?", "technique", "technique_other"),
     ),
     "technique_rate": Variable(
         "fitted exponent of the technique's own variance in n", "1", ("technique",)
     ),
-    "technique_rate_ci": Variable(
-        "95 % interval of the technique's rate", "1", ("technique", "bound")
-    ),
     "technique_variance": Variable(
         "variance of the technique's part of the estimate", "f²", ("n?", "technique")
-    ),
-    "technique_variance_ci": Variable(
-        "95 % interval of the technique's variance", "f²", ("n?", "technique", "bound")
     ),
     "total_variance": Variable(
         "part of the variance of all subsets that hold the axis", "f²", ("axis",)
     ),
-    "total_variance_se": Variable("standard error of that part", "f²", ("axis",)),
     "transport_cost": Variable("mean squared distance of moving uniform mass to the points", "1"),
     "truncation_share": Variable("share of the variance of the first axes", "1", ("axes",)),
     "truncated_variance": Variable(
@@ -283,17 +208,11 @@ VARIABLES: Mapping[str, Variable] = {
     "variance": Variable(
         "variance of the estimate (ddof = 1)", "f²", ("strategy?", "n?", "y?", "x?")
     ),
-    "variance_ci": Variable("95 % interval of the variance", "f²", ("n?", "bound")),
     "variance_ratio": Variable("variance / variance of the estimate as given", "1"),
-    "variance_ratio_ci": Variable("interval of that ratio", "1"),
     "variance_relative_se": Variable(
         "standard error of the variance / variance", "1", ("strategy?", "n?", "y?", "x?")
     ),
     "wedge_power": Variable("expected power, mean over a wedge of directions", "1", ("angle",)),
-    "wedge_power_se": Variable(
-        "standard error of the wedge power over realisations", "1", ("angle",)
-    ),
-    "variance_se": Variable("standard error of the variance", "f²"),
     "distortion": Variable(
         "diameter of a small square's image / that of a square of its area", "1"
     ),
@@ -326,16 +245,26 @@ VARIABLES: Mapping[str, Variable] = {
     "mis_gain": Variable(
         "variance of the better single strategy / variance of MIS", "1", ("y", "x")
     ),
-    "mis_gain_ci": Variable("95 % interval of that ratio", "1", ("y", "x", "bound")),
     "predicted_ratio": Variable(
         "predicted / measured variance at the largest n", "1", ("strategy", "y", "x")
     ),
-    "predicted_ratio_ci": Variable(
-        "95 % interval of predicted / measured variance", "1", ("strategy", "y", "x", "bound")
-    ),
-    "rate_se": Variable("standard error of the rate", "1", ("strategy", "y", "x")),
     "wraparound_discrepancy": Variable("wrap-around L2 discrepancy", "1"),
 }
+
+VARIABLES: Mapping[str, Variable] = {
+    **{
+        f"{n}_se": Variable(f"standard error: {v.meaning}", v.units, v.dims)
+        for n, v in _VARIABLES.items()
+    },
+    **{
+        f"{n}_ci": Variable(
+            f"95 % interval: {v.meaning}", v.units, None if v.dims is None else (*v.dims, "bound")
+        )
+        for n, v in _VARIABLES.items()
+    },
+    **_VARIABLES,
+}
+"""Variables by name; those with ``_se`` and ``_ci`` are the errors and intervals of the others."""
 
 
 def dataset(

@@ -49,9 +49,9 @@ _Window = tuple[int, int, int, int]
 class Map(Analysis, frozen=True, kw_only=True):
     """Variance, rate and bottleneck at every pixel of a scene; needs the extra render."""
 
-    function: ClassVar[str] = "variance_map"
-    verb: ClassVar[str] = "map"
-    about: ClassVar[Literal["scene"]] = "scene"  # type: ignore[misc]
+    function = "rendering.variance_map"
+    verb = "map"
+    about: ClassVar[Literal["estimator", "sampler", "scene"]] = "scene"
     variables = tuple(DIMS)
 
     scene: Annotated[
@@ -59,7 +59,10 @@ class Map(Analysis, frozen=True, kw_only=True):
     ]
     strategies: Annotated[
         Annotated[tuple[_Strategy, ...], Meta(min_length=1)] | _Strategy,
-        Meta(description="Some of light, bsdf, mis-light, mis-bsdf, mis."),
+        Meta(
+            description="Some of light, bsdf, mis-light, mis-bsdf, mis.",
+            extra={"metavar": "NAME,…"},
+        ),
     ] = MAP_STRATEGIES
     counts: Annotated[Counts, COUNTS] = (4, 9, 16, 36, 64)
     realizations: Annotated[int, REALIZATIONS] = 64
@@ -72,7 +75,10 @@ class Map(Analysis, frozen=True, kw_only=True):
         tuple[_Side, _Side] | None,
         Meta(description="Pixels of the image; those of the film.", extra={"metavar": "W,H"}),
     ] = None
-    light: Annotated[int | str | None, Meta(description="The one light that counts; all.")] = None
+    light: Annotated[
+        int | str | None,
+        Meta(description="The one light that counts; all by default.", extra={"metavar": "NAME"}),
+    ] = None
     heuristic: Annotated[Literal["balance", "power"], Meta(description="balance or power.")] = (
         "balance"
     )
@@ -80,7 +86,13 @@ class Map(Analysis, frozen=True, kw_only=True):
         int | str, Meta(description="luminance, 0, 1 or 2.", extra={"python": True})
     ] = "luminance"
     dims: Annotated[
-        int, Meta(ge=2, le=3, description="2, or 3 to choose lights and lobes by a third.")
+        int,
+        Meta(
+            ge=2,
+            le=3,
+            description="2, or 3 to choose lights and lobes by a third.",
+            extra={"flag": "-d", "metavar": "D"},
+        ),
     ] = 2
     points: Annotated[
         Literal["shared", "own"],

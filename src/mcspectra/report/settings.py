@@ -46,7 +46,7 @@ def _setting(analysis: str, data: xr.Dataset) -> str:
     elif "n" in known:
         counts = f"n = {known['n']}"
     else:
-        n = data["n"].values if "n" in data else []
+        n = data["n"].values.tolist() if "n" in data else []
         counts = f"n = {n[0]} … {n[-1]}" if len(n) > 1 else ", ".join(f"n = {k}" for k in n)
     parts = [
         *filter(None, [counts]),

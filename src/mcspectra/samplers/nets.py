@@ -10,12 +10,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import Any, ClassVar, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.decoding import check_decoded_size, opened
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
@@ -263,10 +263,9 @@ def _matrix(j: int, matrix: tuple[Any, ...], base: int, digits: int | None) -> A
 @lru_cache(maxsize=16)
 def _net_of_file(path: str) -> tuple[int, Array]:
     """Base and columns (d, m, rows) of a text file of generator matrices."""
-    try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileFormatError(f"{path} cannot be read as generator matrices: {error}.") from None
+    with opened(path, "generator matrices") as (stream, size, name, _):
+        check_decoded_size(name, size, 128 * size)  # words of a digit, and their integers
+        lines = stream.read().decode().splitlines()
     kept = [line.partition("#")[0].split() for line in lines]
     kept = [words for words in kept if words]
     try:

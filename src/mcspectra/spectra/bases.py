@@ -78,7 +78,7 @@ class Basis(ABC):
     @property
     def size(self) -> int:
         """M, the number of functions."""
-        return self.side**self.dims
+        return int(self.side**self.dims)
 
     @property
     def stored(self) -> int:

@@ -36,6 +36,7 @@ from mcspectra.core.checks import (
     as_real,
 )
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.memory import check_memory, memory_of
 from mcspectra.core.parallel import (
     MAX_REALIZATIONS,
     Block,
@@ -117,6 +118,8 @@ def power_at(
     ------
     ParameterError
         A value is out of range, or dims disagree.
+    ConfigError
+        It needs more memory than there is.
 
     Notes
     -----
@@ -142,6 +145,7 @@ def power_at(
         )
     n = source.check_count(n)
     realizations = as_integer("realizations", realizations, least=1, most=MAX_REALIZATIONS)
+    check_memory(memory_of(n, max(source.dims, nu.shape[1]), 1, len(nu)), "power_at")
     transform, chosen = listed_transform(nu, n, engine=engine, eps=eps)
     stream = Stream.from_rng(rng)
 

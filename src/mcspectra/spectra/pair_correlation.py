@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any, Literal, final
+from typing import TYPE_CHECKING, Annotated, Any, final
 
 import numpy as np
 from msgspec import Meta
 
-from mcspectra.core.analysis import Analysis, MergeTree, Need, Reduction, Subject, compute
+from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
 from mcspectra.core.checks import Array, as_integer, as_real_array
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNT, SETS
-from mcspectra.core.parallel import map_in_order
 from mcspectra.core.records import MeanSums
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
@@ -28,7 +26,6 @@ __all__ = [
     "PairCorrelation",
     "closed_form_pair_correlation",
     "count_pairs",
-    "mean_of_realizations",
     "pair_correlation",
 ]
 
@@ -82,7 +79,7 @@ def pair_correlation(
         n=n,
         bins=bins,
         realizations=realizations,
-        boundary=boundary,  # type: ignore[arg-type]
+        boundary=boundary,
         max_distance=max_distance,
     )
     return compute(analysis, Subject(None, as_sampler(sampler)), rng, workers)
@@ -101,8 +98,11 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
     bins: Annotated[int, Meta(ge=1, le=10**6, description="Equal bins of the distance.")] = 100
     realizations: Annotated[int, SETS] = 16
     boundary: Annotated[
-        Literal["toroidal", "border"],
-        Meta(description="toroidal: distances wrap around; border: corrected near the faces."),
+        str,
+        Meta(
+            description="toroidal: distances wrap around; border: corrected near the faces.",
+            extra={"choices": ("toroidal", "border")},
+        ),
     ] = "toroidal"
     max_distance: Annotated[
         Annotated[float, Meta(gt=0.0, le=0.5)] | None,
@@ -256,13 +256,3 @@ def _check_pairs(sampler: Sampler, n: int) -> int:
             "give fewer points."
         )
     return count
-
-
-def mean_of_realizations(
-    one: Callable[[int], Array], realizations: int, workers: int
-) -> tuple[Array, Array]:
-    """Mean over realisations and its standard error, NaN for a single one."""
-    tree: MergeTree[MeanSums] = MergeTree()
-    for values in map_in_order(one, range(realizations), workers):
-        tree.add(MeanSums.of(values))
-    return tree.total().mean_and_error()

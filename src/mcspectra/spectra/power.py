@@ -107,6 +107,8 @@ def power_spectrum(
     ParameterError
         A value is out of range, the grid too large, or dims disagree; or a set has more than 2^26
         coordinates.
+    ConfigError
+        It needs more memory than there is.
 
     Notes
     -----

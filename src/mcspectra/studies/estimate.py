@@ -18,6 +18,7 @@ from dataclasses import replace
 import msgspec
 
 from mcspectra.core.analysis import steps_of
+from mcspectra.core.checks import as_real
 from mcspectra.core.errors import ConfigError
 from mcspectra.core.streams import Stream
 from mcspectra.studies.foreign_code import TookTooLong, within
@@ -26,7 +27,7 @@ from mcspectra.studies.schedule import task_seconds
 
 __all__ = ["CellEstimate", "estimate_study", "wall_time"]
 
-_FEW, _MORE = 4, 36  # realisations of tries
+_FEW, _MORE = 4, (36, 324, 2916, 26_244)  # realisations of tries
 _PATIENCE = 20.0  # seconds that a try may take beyond its time, as for the compilation of a kernel
 _NOMINAL = 1e-7  # seconds for a unit of cost, where nothing was tried
 _ARRAY_BYTES = 1500  # of metadata for every stored array
@@ -73,6 +74,7 @@ def estimate_study(plan: Plan, *, probe_seconds: float = 10.0) -> list[CellEstim
     """
     if not isinstance(plan, Plan):
         raise ConfigError(f"{plan!r} is not a plan; give what make_plan returns.")
+    probe_seconds = as_real("probe_seconds", probe_seconds, least=0.0)
     seed = plan.config.seed
     tried = _tried(plan.cells, seed, probe_seconds)
     known = [(cell, *found) for cell in plan.cells if (found := tried.get(cell.path))]
@@ -87,7 +89,10 @@ def estimate_study(plan: Plan, *, probe_seconds: float = 10.0) -> list[CellEstim
         guess = pace * cell.need.cost, sizes.get(name, _CELL_BYTES)
         seconds, storage = tried.get(cell.path, guess)
         if seconds > target and name not in cut:
-            cut[name] = _can_be_cut(cell, seed)
+            cut[name] = False
+            with contextlib.suppress(Exception):  # then it fails in the run too, as one task
+                steps = steps_of(cell.analysis, cell.subject, Stream.from_rng(seed))
+                cut[name] = sum(each.blocks for each in next(steps)) > 1
         estimates.append(
             CellEstimate(
                 path=cell.path,
@@ -147,12 +152,16 @@ def _measured(cell: Cell, seed: int, left: float) -> tuple[float, int] | None:
         again, _ = _timed(cell, few, seed)
         if 2 * again > left:
             return first + again * realizations / few, size
-        more = min(_MORE if again * _MORE / few < 0.1 * left else 2 * few, realizations)
-        seconds, _ = _timed(cell, more, seed)
+        # As many realisations as it takes to see what they cost beside what is paid each time
+        for more in _MORE if _MORE[0] / _FEW * again < 0.1 * left else (2 * _FEW,):
+            count = min(more, realizations)
+            seconds, _ = _timed(cell, count, seed)
+            if count == realizations or seconds > min(2 * again, 0.01 * left):
+                break
     except BaseException:  # noqa: BLE001 - whatever the code of others does
         return None
-    each = max(0.0, seconds - again) / max(1, more - few)
-    return seconds + each * (realizations - more), size
+    each = (seconds - again) / (count - few) if seconds > again and count > few else seconds / count
+    return seconds + each * (realizations - count), size
 
 
 def _timed(cell: Cell, realizations: int, seed: int) -> tuple[float, int]:
@@ -171,11 +180,3 @@ def _medians(values: list[tuple[str, float]]) -> dict[str, float]:
         groups.setdefault(analysis, []).append(value)
         groups.setdefault("", []).append(value)
     return {name: statistics.median(group) for name, group in groups.items()}
-
-
-def _can_be_cut(cell: Cell, seed: int) -> bool:
-    try:
-        first = next(steps_of(cell.analysis, cell.subject, Stream.from_rng(seed)))
-    except Exception:  # noqa: BLE001 - then it fails in the run too, as one task
-        return False
-    return sum(each.blocks for each in first) > 1

@@ -659,14 +659,12 @@ class Ledger:
     def _failures(self) -> dict[str, str]:
         found = {}
         for path, text, digest in self._rows("SELECT path, sentence, digest FROM failures"):
-            if self._is_sound_text(path, text, digest):
+            content = text.encode() if isinstance(text, str) else None
+            if self._is_sound("failure", (path,), content, digest):
                 found[path] = text
             else:
                 self.damaged[f"failure of {path}"] = _DAMAGE
         return found
-
-    def _is_sound_text(self, path: Any, text: Any, digest: Any) -> bool:
-        return isinstance(text, str) and self._is_sound("failure", (path,), text.encode(), digest)
 
     def _sound_rows(self, paths: Sequence[str]) -> _Sound:
         """Read everything, as far as it can be read; what is not sound goes to `damaged`."""
@@ -690,19 +688,19 @@ class Ledger:
                     tally = tally.plus(rows[0][1], len(rows[0][2]))
                 else:
                     self.damaged[path] = _DAMAGE
-        if len(self.damaged) == before and tally.digest != self.tally.digest:
+        # Of a reader's list it is known already; meanwhile there may have been a commit.
+        if self._lock and len(self.damaged) == before and tally.digest != self.tally.digest:
             self.damaged["list of cells"] = "finished cells are missing in it"
         try:
             for (row,) in self._rows("SELECT rowid FROM tasks"):
-                ((*values, digest, payload),) = self._rows(
-                    "SELECT * FROM tasks WHERE rowid = ?", (row,)
-                )
-                if self._is_sound("task", tuple(values), payload, digest):
-                    sound.tasks[row] = values[0]
-                else:
-                    self.damaged[_task_name(*values[:4])] = _DAMAGE
+                for found in self._rows("SELECT * FROM tasks WHERE rowid = ?", (row,)):
+                    *values, digest, payload = found
+                    if self._is_sound("task", tuple(values), payload, digest):
+                        sound.tasks[row] = values[0]
+                    else:
+                        self.damaged[_task_name(*values[:4])] = _DAMAGE
             sound.failures.update(self._failures)
-        except (StoreError, ValueError) as error:
+        except StoreError as error:
             self.damaged["recorded tasks and failures"] = str(error)
         return sound
 

@@ -8,7 +8,7 @@ Terms, the bottleneck and remedies are those of one sampler, the first that is n
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias, final
@@ -25,7 +25,7 @@ from mcspectra.rendering.backend import LOCK
 from mcspectra.rendering.draws import View
 from mcspectra.rendering.hemisphere import incident_light
 from mcspectra.rendering.pixel import Pixel, check_view, describe_pixel
-from mcspectra.rendering.pixel_mis import PixelMIS, pixel_mis
+from mcspectra.rendering.pixel_mis import pixel_mis
 from mcspectra.rendering.scene_checks import camera_rays
 from mcspectra.rendering.scenes import (
     Scene,
@@ -173,123 +173,115 @@ def analyse_pixel(
     """
     import xarray as xr
 
-    place = _find(scene, x, y)
-    measured = _Pixel.of(scene, place, light, channel, dims)
-    plan = _Plan.of(dims, samplers, counts, realizations, budget, effort, rng, workers)
+    # Find the pixel, and check the plan before any work
+    x, y = _find(scene, x, y)
+    request = as_scene(scene)
+    as_integer("dims", dims, least=2, most=3)
+    if channel == "rgb":
+        raise ParameterError("channel is 'rgb'; give 'luminance', 0, 1 or 2, one at a time.")
+    view = check_view(View(request, x, y, light, channel, dims), bsdf=True)
+    chosen = EFFORTS[as_choice("effort", effort, tuple(EFFORTS))]
+    sources = _check_samplers(samplers, dims)
+    ns = _check_counts(sources, chosen.counts[dims] if counts is None else counts)
+    number = chosen.realizations if realizations is None else realizations
+    options: dict[str, Any] = {
+        "realizations": as_integer("realizations", number, least=4),
+        "rng": as_integer("rng", rng, least=0),
+        "workers": available_workers(workers),
+    }
+    total = 2 * ns[-1] if budget is None else budget
+    total = as_integer("budget", total, least=_LEAST_BUDGET, most=2**24)
+    explained = next((s for s in sources if s.spec != "random"), sources[0])
+
+    # Make the strategies, each once, so that its quadratures are done once
+    given: dict[str, Any] = {"light": light, "channel": view.channel, "dims": dims}
+    singles = {
+        s: Pixel(scene=request, x=view.x, y=view.y, strategy=s, **given) for s in _TECHNIQUES
+    }
+    combined = {h: pixel_mis(request, view.x, view.y, heuristic=h, **given) for h in _HEURISTICS}
+    strategies: dict[str, AbstractEstimator] = {s: Estimator(g) for s, g in singles.items()}
+    strategies |= combined
+
+    # Measure; remedies, which take longest, beside all others
     with ThreadPoolExecutor(1) as beside:
-        searched = beside.submit(_remedies, measured, plan) if remedies else None
-        parts = _measured(measured, plan)
+        searched = (
+            beside.submit(
+                find_remedies,
+                combined["balance"],
+                explained,
+                total,
+                kinds=chosen.remedies,
+                **{**options, "realizations": max(_FEWEST, options["realizations"])},
+            )
+            if remedies
+            else None
+        )
+        report("pixel: rates", 0.0)
+        parts: Parts = {"convergence": _curves(strategies, sources, ns, options)}
+        report("pixel: terms", 0.25)
+        terms = {"half_width": chosen.half_width[dims], "space": "primary", **options}
+        # The middle count: a spectrum of a given half width captures more of the noise of few strata
+        middle = ns[(len(ns) - 1) // 2]
+        for strategy, estimator in strategies.items():
+            for basis in _BASES:
+                found = variance_terms(estimator, explained, middle, basis=basis, **terms)
+                parts[f"terms/{strategy}/{basis}"] = found
+        report("pixel: techniques", 0.5)
+        parts["techniques"] = technique_terms(
+            strategies["balance"], explained, ns, basis="auto", **terms
+        )
+        report("pixel: pictures", 0.75)
+        parts |= _pictures(view, strategies, chosen.resolution)
         if searched is not None:
             parts["remedies"] = searched.result()
     report("pixel", 1.0)
+
+    # Say what was measured, and what costs each strategy its rate
     tree: xr.DataTree = xr.DataTree.from_dict(dict(parts))
-    tree.attrs = {**measured.attributes, **plan.attributes, **_diagnoses(measured, plan, parts)}
+    with LOCK:
+        lights = emitter_names(request)
+    wraps = any(
+        isinstance(step, Shift) for s in sources if isinstance(s, Randomized) for step in s.steps
+    )
+    tree.attrs = {
+        "scene": scene_name(request).strip("'"),
+        "x": view.x,
+        "y": view.y,
+        **describe_pixel(request, view.x, view.y),
+        "camera": camera_rays(request),
+        "light": "all" if light is None else light,
+        "lights": lights,
+        "channel": view.channel,
+        "dims": dims,
+        "value": float(singles["light"].integral),
+        "sampler": explained.spec,
+        "counts": list(ns),
+        "realizations": options["realizations"],
+        "rng": options["rng"],
+    }
+    for strategy in strategies:
+        diagnosis = Diagnosis(
+            wraps=wraps,
+            unbounded=False,
+            slow=None,
+            slow_name="",
+            boundary=_jumps(strategy, "boundary", parts),
+            inside=_jumps(strategy, "interior", parts),
+        )
+        tree.attrs[f"diagnosis_{strategy}"] = diagnosis.text
     return tree
 
 
-@dataclass(frozen=True)
-class _Pixel:
-    """A pixel with its strategies, each kept so that its quadratures are done once."""
-
-    view: View
-    combined: dict[str, PixelMIS]
-    strategies: dict[str, AbstractEstimator]
-    attributes: dict[str, Any]
-
-    @staticmethod
-    def of(
-        scene: Scene, place: tuple[int, int], light: int | str | None, channel: Any, dims: int
-    ) -> _Pixel:
-        request = as_scene(scene)
-        as_integer("dims", dims, least=2, most=3)
-        if channel == "rgb":
-            raise ParameterError("channel is 'rgb'; give 'luminance', 0, 1 or 2, one at a time.")
-        view = check_view(View(request, *place, light, channel, dims), bsdf=True)
-        x, y, channel = view.x, view.y, view.channel
-        given: dict[str, Any] = {"light": light, "channel": channel, "dims": dims}
-        singles = {s: Pixel(scene=request, x=x, y=y, strategy=s, **given) for s in _TECHNIQUES}
-        combined = {h: pixel_mis(request, x, y, heuristic=h, **given) for h in _HEURISTICS}
-        strategies: dict[str, AbstractEstimator] = {s: Estimator(g) for s, g in singles.items()}
-        strategies |= combined
-        about = {
-            "scene": scene_name(request).strip("'"),
-            "x": x,
-            "y": y,
-            **describe_pixel(request, x, y),
-            "camera": camera_rays(request),
-            "light": "all" if light is None else light,
-            "lights": _lights(request),
-            "channel": channel,
-            "dims": dims,
-            "value": float(singles["light"].integral),
-        }
-        return _Pixel(view, combined, strategies, about)
+def _check_samplers(samplers: Sequence[Sampler | str], dims: int) -> tuple[Sampler, ...]:
+    if isinstance(samplers, str) or not samplers:
+        raise ParameterError(f"samplers is {samplers!r}; give a list of samplers.")
+    made = tuple(as_sampler(s, dims) for s in samplers)
+    if len({s.spec for s in made}) < len(made):
+        raise ParameterError(f"samplers is {list(samplers)!r:.80}; give each only once.")
+    return made
 
 
-@dataclass(frozen=True)
-class _Plan:
-    """What is measured, and how well."""
-
-    samplers: tuple[Sampler, ...]
-    counts: tuple[int, ...]
-    options: dict[str, Any]
-    budget: int
-    effort: Effort
-    half_width: int
-
-    @staticmethod
-    def of(
-        dims: int,
-        samplers: Sequence[Sampler | str],
-        counts: Sequence[int] | None,
-        realizations: int | None,
-        budget: int | None,
-        effort: str,
-        rng: int,
-        workers: int | None,
-    ) -> _Plan:
-        chosen = EFFORTS[as_choice("effort", effort, tuple(EFFORTS))]
-        if isinstance(samplers, str) or not samplers:
-            raise ParameterError(f"samplers is {samplers!r}; give a list of samplers.")
-        made = tuple(as_sampler(s, dims) for s in samplers)
-        if len({s.spec for s in made}) < len(made):
-            raise ParameterError(f"samplers is {list(samplers)!r:.80}; give each only once.")
-        ns = _checked_counts(made, chosen.counts[dims] if counts is None else counts)
-        number = chosen.realizations if realizations is None else realizations
-        options = {
-            "realizations": as_integer("realizations", number, least=4),
-            "rng": as_integer("rng", rng, least=0),
-            "workers": available_workers(workers),
-        }
-        total = 2 * int(ns[-1]) if budget is None else budget
-        total = as_integer("budget", total, least=_LEAST_BUDGET, most=2**24)
-        return _Plan(made, ns, options, total, chosen, chosen.half_width[dims])
-
-    @property
-    def explained(self) -> Sampler:
-        """The sampler of terms, bottleneck and remedies."""
-        return next((s for s in self.samplers if s.spec != "random"), self.samplers[0])
-
-    @property
-    def terms_count(self) -> int:
-        """The count at which the terms are taken, the middle one: a spectrum of a given half width
-        captures more of the noise of few strata."""
-        return self.counts[(len(self.counts) - 1) // 2]
-
-    @property
-    def wraps(self) -> bool:
-        """Whether a sampler shifts points around the torus."""
-        randomized = [s for s in self.samplers if isinstance(s, Randomized)]
-        return any(isinstance(step, Shift) for s in randomized for step in s.steps)
-
-    @property
-    def attributes(self) -> dict[str, Any]:
-        """What results say of it."""
-        known = {k: v for k, v in self.options.items() if k != "workers"}
-        return {"sampler": self.explained.spec, "counts": list(self.counts), **known}
-
-
-def _checked_counts(samplers: Sequence[Sampler], counts: Sequence[int]) -> tuple[int, ...]:
+def _check_counts(samplers: Sequence[Sampler], counts: Sequence[int]) -> tuple[int, ...]:
     """Counts that every sampler can do, before any work."""
     ns = [as_integer("counts", n, least=1, most=_MOST_SAMPLES) for n in counts]
     for source in samplers:
@@ -316,102 +308,35 @@ def _find(scene: Scene, x: int | str, y: int | None) -> tuple[int, int]:
     )
 
 
-def _measured(pixel: _Pixel, plan: _Plan) -> Parts:
-    """All parts but the remedies."""
-    stages: dict[str, Callable[[], Parts]] = {
-        "rates": lambda: {"convergence": _curves(pixel, plan)},
-        "terms": lambda: _terms(pixel, plan),
-        "techniques": lambda: {"techniques": _techniques(pixel, plan)},
-        "pictures": lambda: _pictures(pixel, plan),
-    }
-    parts: Parts = {}
-    for done, (name, stage) in enumerate(stages.items()):
-        report(f"pixel: {name}", done / len(stages))
-        parts |= stage()
-    return parts
-
-
-def _lights(scene: Scene) -> list[str]:
-    with LOCK:
-        return emitter_names(scene)
-
-
-def _curves(pixel: _Pixel, plan: _Plan) -> xr.Dataset:
-    found = convergence(
-        list(pixel.strategies.values()), list(plan.samplers), plan.counts, **plan.options
-    )
-    specs = [estimator.spec for estimator in pixel.strategies.values()]
-    named = found.rename(estimator="strategy").assign_coords(strategy=list(pixel.strategies))
+def _curves(
+    strategies: dict[str, AbstractEstimator],
+    samplers: tuple[Sampler, ...],
+    counts: tuple[int, ...],
+    options: dict[str, Any],
+) -> xr.Dataset:
+    """Variance against n of all strategies with all samplers, by the strategies' names."""
+    found = convergence(list(strategies.values()), list(samplers), counts, **options)
+    specs = [estimator.spec for estimator in strategies.values()]
+    named = found.rename(estimator="strategy").assign_coords(strategy=list(strategies))
     return named.assign_coords(spec=("strategy", specs))
 
 
-def _terms(pixel: _Pixel, plan: _Plan) -> Parts:
-    return {
-        f"terms/{strategy}/{basis}": variance_terms(
-            estimator,
-            plan.explained,
-            plan.terms_count,
-            half_width=plan.half_width,
-            space="primary",
-            basis=basis,
-            **plan.options,
-        )
-        for strategy, estimator in pixel.strategies.items()
-        for basis in _BASES
-    }
-
-
-def _techniques(pixel: _Pixel, plan: _Plan) -> xr.Dataset:
-    return technique_terms(
-        pixel.strategies["balance"],
-        plan.explained,
-        plan.counts,
-        half_width=plan.half_width,
-        space="primary",
-        basis="auto",
-        **plan.options,
-    )
-
-
-def _pictures(pixel: _Pixel, plan: _Plan) -> Parts:
+def _pictures(view: View, strategies: dict[str, AbstractEstimator], side: int) -> Parts:
     """The light that arrives and, in two dims, g of every strategy."""
-    v, side = pixel.view, plan.effort.resolution
+    v = view
     incident = incident_light(
         v.scene, v.x, v.y, light=v.light, channel=v.channel, resolution=2 * side
     )
     parts = {"incident": incident}
-    if v.dims > 2:
+    if view.dims > 2:
         return parts
-    for strategy, estimator in pixel.strategies.items():
+    for strategy, estimator in strategies.items():
         for t in range(len(estimator.counts)):
             share = strategy in _HEURISTICS
             name = f"{strategy}-{_TECHNIQUES[t]}" if share else strategy
             picture = primary_picture(estimator, technique=t, resolution=side)
             parts[f"pictures/{name}"] = _without_rounding(picture)
     return parts
-
-
-def _remedies(pixel: _Pixel, plan: _Plan) -> xr.Dataset:
-    options = {**plan.options, "realizations": max(_FEWEST, plan.options["realizations"])}
-    kinds = plan.effort.remedies
-    return find_remedies(
-        pixel.combined["balance"], plan.explained, plan.budget, kinds=kinds, **options
-    )
-
-
-def _diagnoses(pixel: _Pixel, plan: _Plan, parts: Parts) -> dict[str, str]:
-    """What costs each strategy its rate, from the pictures that were made."""
-    return {
-        f"diagnosis_{strategy}": Diagnosis(
-            wraps=plan.wraps,
-            unbounded=False,
-            slow=None,
-            slow_name="",
-            boundary=_jumps(strategy, "boundary", parts),
-            inside=_jumps(strategy, "interior", parts),
-        ).text
-        for strategy in pixel.strategies
-    }
 
 
 def _jumps(strategy: str, kind: str, parts: Parts) -> Jumps | None:

@@ -38,7 +38,12 @@ from mcspectra.estimators import (
 from mcspectra.integrands import INTEGRANDS
 from mcspectra.integrands.smoothing import smoothed
 from mcspectra.samplers import Sampler, sampler_from_calls
-from mcspectra.studies.files import EstimatorConfig, SceneConfig, StudyConfig
+from mcspectra.studies.files import (
+    EstimatorConfig,
+    SceneConfig,
+    StudyConfig,
+    analysis_tables,
+)
 from mcspectra.studies.foreign_code import FunctionFailed, probed
 from mcspectra.studies.vetting import Inputs, Trust, Vetting
 
@@ -53,8 +58,8 @@ MOST_EVALUATIONS = 10**15
 # Seconds of planning: of a spec, of an estimator with densities and of each of these (1-D warps are
 # searched for gaps), of a sampler of an estimator, of a cell, of a count (or another item of a list) of
 # its analysis; and most that are not forced.
-_SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 3e-4, 2e-3
-_PAIR, _CELL, _COUNT = 5e-6, 3e-5, 6e-6
+_SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 5e-4, 2e-3
+_PAIR, _CELL, _COUNT = 3e-6, 2.5e-5, 3e-6
 _MOST_SECONDS = 5.0
 _RESERVED = frozenset({"zarr.json", "c"})
 
@@ -171,7 +176,7 @@ def make_plan(
     cells = tuple(cell for entry in config.entries for cell in planner.cells(entry))
     if not cells:
         raise ConfigError(
-            f"The study asks for no analysis; give a table, one of {', '.join(ANALYSES)}."
+            f"The study asks for no analysis; give a table, one of {', '.join(analysis_tables())}."
         )
     total = sum(cell.need.cost for cell in cells)
     if total > MOST_EVALUATIONS and not force:
@@ -201,8 +206,9 @@ def _check_number(config: StudyConfig) -> None:
     seconds += _SPEC * len(texts)
     if seconds > _MOST_SECONDS:
         raise ConfigError(
-            f"The study has {len(config.entries):,} estimators and {pairs:,} pairs of estimator and sampler, which "
-            f"would take about {seconds:.2g} s to plan alone; take several studies, or give --force."
+            f"The study has {len(config.entries):,} estimators and {pairs:,} pairs of estimator and "
+            f"sampler, which would take about {seconds:.2g} s to plan alone; take several studies, or "
+            "give --force."
         )
 
 
@@ -221,6 +227,14 @@ class _Sampler(NamedTuple):
     inputs: Inputs
 
 
+class _Asked(NamedTuple):
+    """An analysis that is asked for, by its name."""
+
+    name: str
+    analysis: Analysis
+    inputs: Inputs
+
+
 @final
 class _Planner:
     """Makes the cells of one study; what several cells share is made once."""
@@ -231,11 +245,11 @@ class _Planner:
         self._slugs = _Slugs()
         self._one: dict[tuple[str, int | None], tuple[Sampler, Inputs]] = {}
         self._lists: dict[tuple[tuple[str, ...], int | None], list[_Sampler]] = {}
-        self._vetted: dict[int, tuple[Analysis, Inputs]] = {}
+        self._vetted: dict[int, list[_Asked]] = {}
 
     def cells(self, entry: EstimatorConfig | SceneConfig) -> Iterator[Cell]:
         """Cells of an estimator, or of a scene, with all its samplers."""
-        kind = "Estimator" if isinstance(entry, EstimatorConfig) else "Map"
+        kind = "Estimator" if isinstance(entry, EstimatorConfig) else entry.kind.capitalize()
         try:
             yield from self._cells(entry, f"{kind} {entry.name!r}")
         except ConfigError:
@@ -259,7 +273,13 @@ class _Planner:
         for text, slug, sampler, of_sampler in self._samplers(entry, dims):
             subject = Subject(estimator, sampler)
             for name, analysis, of_analysis in asked:
-                need = Need(cost=0.0) if error else _need(analysis, subject, f"{whose}, {name}")
+                need = Need(cost=0.0)
+                if error is None:  # refuse what it cannot do, or this machine has no memory for
+                    try:
+                        need = analysis.need(subject)
+                    except McspectraError as refusal:
+                        raise ConfigError(f"{whose}, {name}: {refusal}") from refusal
+                    check_memory(need.memory, f"{whose}, {name}")
                 yield Cell(
                     path=f"{parent}/{slug}/{name}",
                     analysis=analysis,
@@ -271,23 +291,28 @@ class _Planner:
                     inputs=tuple(sorted(inputs.union(of_sampler, of_analysis))),
                 )
 
-    def _asked(
-        self, entry: EstimatorConfig | SceneConfig
-    ) -> Iterator[tuple[str, Analysis, Inputs]]:
-        """Analyses of an entry by their names, their options vetted: its own, or the study's."""
+    def _asked(self, entry: EstimatorConfig | SceneConfig) -> Iterator[_Asked]:
+        """Analyses of an entry: the study's, or its own, and companions without a table."""
         if isinstance(entry, SceneConfig):
             tables = {entry.kind: entry.analysis}
         else:
             tables = {**self._config.analyses, **entry.analyses}
         for name, table in tables.items():
             if id(table) not in self._vetted:  # tables live as long as the study
-                self._vetted[id(table)] = self.vetting.options(table)
-            analysis, inputs = self._vetted[id(table)]
-            yield name, analysis, inputs
-            for other in (each for each in analysis.companions if each not in tables):
-                kind = ANALYSES.load(other)
-                shared = {*kind.__struct_fields__} & {*analysis.__struct_fields__}
-                yield other, kind(**{key: getattr(analysis, key) for key in shared}), inputs
+                self._vetted[id(table)] = list(self._with_companions(name, table))
+            for asked in self._vetted[id(table)]:
+                if asked.name == name or asked.name not in tables:
+                    yield asked
+
+    def _with_companions(self, name: str, table: Analysis) -> Iterator[_Asked]:
+        """An analysis, its options vetted, and its companions with those options that they have."""
+        analysis, inputs = self.vetting.options(table)
+        yield _Asked(name, analysis, inputs)
+        for other in analysis.companions:
+            kind = ANALYSES.load(other)
+            shared = {*kind.__struct_fields__} & {*analysis.__struct_fields__}
+            made = kind(**{key: getattr(analysis, key) for key in shared})
+            yield _Asked(other, made, inputs)
 
     def _samplers(self, entry: EstimatorConfig | SceneConfig, dims: int | None) -> list[_Sampler]:
         """Samplers of an entry; those that entries share are the same objects."""
@@ -359,16 +384,6 @@ def _built(
 
     made = unmirrored()
     return made if entry.mirror is None else Mirrored(made, entry.mirror)
-
-
-def _need(analysis: Analysis, subject: Subject, whose: str) -> Need:
-    """Refuse what an analysis cannot do, or this machine has no memory for."""
-    try:
-        need = analysis.need(subject)
-    except McspectraError as error:
-        raise ConfigError(f"{whose}: {error}") from error
-    check_memory(need.memory, whose)
-    return need
 
 
 @final

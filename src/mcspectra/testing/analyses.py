@@ -39,7 +39,7 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
         merging is tried too.
     estimator, sampler
         What it is tried on, or specs of them: an estimator or integrand, `gaussian` in two dims by
-        default, and a sampler.
+        default, and a sampler; lists for analyses that take them.
 
     Raises
     ------
@@ -63,12 +63,10 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
 
 
 def _subject(analysis: Analysis, estimator: Any, sampler: Any) -> Subject:
-    from mcspectra.estimators import as_estimator
-    from mcspectra.samplers import as_sampler
+    from mcspectra.estimators import as_subject
 
-    made = as_estimator("gaussian" if estimator is None else estimator)
-    own = made if analysis.about == "estimator" else None
-    return Subject(own, as_sampler(sampler, made.dims))
+    subject = as_subject("gaussian" if estimator is None else estimator, sampler, lists=True)
+    return subject if analysis.about == "estimator" else Subject(None, subject.sampler)
 
 
 def _check_options(analysis: Analysis, who: str) -> Analysis:
@@ -108,7 +106,7 @@ def _computed(analysis: Analysis, subject: Subject, who: str, size: int) -> Any:
                 part = called(who, "part", analysis.part, subject, stream, each.key)
                 states.append(_merged(part if size else each, who, size))
     except StopIteration as end:
-        return called(who, "its variables", finished, analysis, end.value)
+        return called(who, "its variables", finished, analysis, end.value, _SEED)
 
 
 def _merged(reduction: Reduction[Any], who: str, size: int) -> Any:
@@ -119,5 +117,5 @@ def _merged(reduction: Reduction[Any], who: str, size: int) -> Any:
             payload = called(who, "a state as bytes", pack, state)
             state = called(who, "a state from bytes", unpack, reduction.kind, payload)
             demand(pack(state) == payload, who, "has a state that bytes do not hold")
-        tree.add(state, chunk[1])
-    return tree.total()
+        called(who, "merging states", tree.add, state, chunk[1])
+    return called(who, "merging states", tree.total)

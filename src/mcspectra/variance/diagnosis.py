@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from mcspectra.core.errors import McspectraError
-from mcspectra.core.parallel import Block, map_in_order, realization_blocks
+from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator, Mirrored, Moments
 from mcspectra.samplers import Sampler, Shift
@@ -28,6 +28,7 @@ __all__ = ["Diagnosis", "Jumps", "diagnose", "jumps_of"]
 
 _RESOLUTION = 128
 _REALIZATIONS = 500
+_FEWER = 0.9  # of the length of jumps: less is a reason
 
 
 @dataclass(frozen=True)
@@ -91,20 +92,19 @@ class Diagnosis:
             found.append(
                 f"Technique {self.slow}{name} has the slowest rate, which becomes that of the sum."
             )
-        return " ".join(found + self._about_jumps())
-
-    def _about_jumps(self) -> list[str]:
         if self.boundary is None or self.inside is None:
-            return ["Jumps of g are looked for in 1 and 2 dims only."]
-        found = []
-        if self.boundary and self.wraps:
-            found.append(
+            return " ".join([*found, "Jumps of g are looked for in 1 and 2 dims only."])
+        jumps = []
+        if self._wrapped_jump:
+            jumps.append(
                 f"g differs between opposite sides {self.boundary.text}, and the shift carries "
                 "that jump into the strata."
             )
         if self.inside:
-            found.append(f"g jumps inside {self.inside.text}.")
-        return found or ["No jump of g was found that the samples would see."]
+            jumps.append(f"g jumps inside {self.inside.text}.")
+        return " ".join(
+            [*found, *(jumps or ["No jump of g was found that the samples would see."])]
+        )
 
     def reason(self, column: Mapping[str, Any]) -> str:
         """Why a change that was measured is better; what the measurement says where it is not."""
@@ -116,12 +116,56 @@ class Diagnosis:
             return "Its interval does not tell it from the set-up as given."
         if column["verdict"] == "worse":
             return "Its error is larger."
-        reason = _REASONS[column["kind"]](self, column)
-        return reason or _by_rate(column)
+        reason = self._reason_of_kind(column)
+        if reason or math.isnan(column["rate"]):
+            return reason
+        if column["rate_verdict"] == "better":
+            return f"Its rate is better, {column['rate']:.2f}."
+        return "By how much its rate differs, the intervals leave open."
 
     @property
     def _wrapped_jump(self) -> bool:
         return self.wraps and bool(self.boundary)
+
+    def _reason_of_kind(self, column: Mapping[str, Any]) -> str:
+        """What a kind of change mends that was found; which property of a sampler it is, is not known."""
+        kind, name, wrapped = column["kind"], str(column["name"]), self._wrapped_jump
+        inside: Jumps | None = column["inside"]
+        match kind:
+            case "unshifted" if wrapped:
+                return "Without the shift no stratum holds the jump between opposite sides."
+            case "mirrored" if wrapped:
+                return "Reflected, g is continuous across the sides, and wrap-around meets no jump."
+            case "mirrored" if name.endswith("uniform"):
+                return "The images of a sample are antithetic: what is odd in g cancels."
+            case "aligned" if self.inside:
+                return "Borders of strata lie where g jumps, so that fewer strata hold a jump."
+            case "aligned" if wrapped:
+                return (
+                    "Strata that stay where they are do not wrap around the jump between opposite "
+                    "sides."
+                )
+            case "smoothed" if self.inside and column["biased"]:
+                return "The jump inside becomes a ramp, for a bias that the error contains."
+            case "smoothed" if self.inside:
+                return "The jump inside becomes a ramp; means over boxes keep the integral."
+            case "warp" if self.unbounded and not column["unbounded"]:
+                return "Its 1/p is bounded."
+            case "warp" if self.inside and inside is not None and not inside:
+                return "Its g does not jump inside."
+            case "warp" if (
+                self.inside and inside is not None and inside.length < _FEWER * self.inside.length
+            ):
+                return f"Its g jumps less: {inside.text}."
+            case "heuristic" if self.slow is not None:
+                return f"It changes what technique {self.slow}, the slowest, contributes."
+            case "techniques" if self.slow is not None and not name.endswith(self.slow_name):
+                return f"It leaves out technique {self.slow}, the slowest."
+            case "channels" if name.endswith("combined"):
+                return "No channel is left to the samples of a density of another shape."
+            case "channels":
+                return "Each channel is divided by a density of its own shape."
+        return ""
 
 
 def diagnose(
@@ -139,10 +183,19 @@ def diagnose(
         Random numbers for that.
     """
     boundary, inside = jumps_of(estimator)
-    slow = _slowest(estimator, sampler, counts, stream)
+    # What is mirrored is shifted before it is folded
+    steps = sampler.steps if isinstance(sampler, Randomized) else ()
+    shifted = any(isinstance(step, Shift) for step in steps)
+    # The bottleneck among techniques, of all channels alike
+    chosen: set[int] = set()
+    if len(estimator.counts) > 1 and len(counts) > 1:
+        moments = [_technique_moments(estimator, sampler, n, stream.child(n)) for n in counts]
+        _, choice = technique_rates(counts, moments, len(counts))
+        chosen = {int(t) for t in choice} - {UNDECIDED}
+    slow = chosen.pop() if len(chosen) == 1 else None
     parts = getattr(estimator, "densities", None) or getattr(estimator, "integrands", None)
     return Diagnosis(
-        wraps=_wraps(estimator, sampler),
+        wraps=shifted and not isinstance(estimator, Mirrored),
         unbounded=estimator.infinite_weights,
         slow=slow,
         slow_name="" if slow is None or parts is None else parts[slow].spec,
@@ -162,150 +215,29 @@ def jumps_of(estimator: AbstractEstimator) -> tuple[Jumps | None, Jumps | None]:
         ]
     except McspectraError:  # g cannot be drawn, as where p is 0 between the samples
         return None, None
-    boundary, inside = (
-        _summed([p.sel(kind=kind) for p in pictures], estimator.dims)
-        for kind in ("boundary", "interior")
-    )
-    return boundary, inside
-
-
-def _summed(pictures: list[Any], dims: int) -> Jumps:
-    lengths = [float(p["primary_jump_length"]) for p in pictures]
-    heights = [float(p["primary_jump_height"]) for p in pictures]
-    total = sum(lengths)
-    weighted = sum(length * h for length, h in zip(lengths, heights, strict=True) if length > 0)
-    return Jumps(total, weighted / total if total > 0 else 0.0, dims)
-
-
-def _wraps(estimator: AbstractEstimator, sampler: Sampler) -> bool:
-    """Whether points are shifted; what is mirrored is shifted before it is folded."""
-    steps = sampler.steps if isinstance(sampler, Randomized) else ()
-    return any(isinstance(step, Shift) for step in steps) and not isinstance(estimator, Mirrored)
-
-
-def _slowest(
-    estimator: AbstractEstimator, sampler: Sampler, counts: Sequence[int], stream: Stream
-) -> int | None:
-    """The bottleneck among techniques, of all channels alike; None where it is not decided."""
-    if len(estimator.counts) < 2 or len(counts) < 2:
-        return None
-    moments = [
-        _technique_moments(estimator, sampler, n, _REALIZATIONS, stream.child(n)) for n in counts
-    ]
-    _, choice = technique_rates(list(counts), moments, len(counts))
-    chosen = set(choice) - {UNDECIDED}
-    return int(chosen.pop()) if len(chosen) == 1 else None
-
-
-def _by_rate(column: Mapping[str, Any]) -> str:
-    if math.isnan(column["rate"]):
-        return ""
-    if column["rate_verdict"] == "better":
-        return f"Its rate is better, {column['rate']:.2f}."
-    return "By how much its rate differs, the intervals leave open."
-
-
-def _why_unshifted(diagnosis: Diagnosis, column: Mapping[str, Any]) -> str:
-    del column
-    wrapped = "Without the shift no stratum holds the jump between opposite sides."
-    return wrapped if diagnosis._wrapped_jump else ""
-
-
-def _why_mirrored(diagnosis: Diagnosis, column: Mapping[str, Any]) -> str:
-    if diagnosis._wrapped_jump:
-        return "Reflected, g is continuous across the sides, and wrap-around meets no jump."
-    if column["name"].endswith("uniform"):
-        return "The images of a sample are antithetic: what is odd in g cancels."
-    return ""
-
-
-def _why_aligned(diagnosis: Diagnosis, column: Mapping[str, Any]) -> str:
-    del column
-    if diagnosis.inside:
-        return "Borders of strata lie where g jumps, so that fewer strata hold a jump."
-    wrapped = "Strata that stay where they are do not wrap around the jump between opposite sides."
-    return wrapped if diagnosis._wrapped_jump else ""
-
-
-def _why_smoothed(diagnosis: Diagnosis, column: Mapping[str, Any]) -> str:
-    if not diagnosis.inside:
-        return ""
-    if column["biased"]:
-        return "The jump inside becomes a ramp, for a bias that the error contains."
-    return "The jump inside becomes a ramp; means over boxes keep the integral."
-
-
-def _why_warped(diagnosis: Diagnosis, column: Mapping[str, Any]) -> str:
-    if diagnosis.unbounded and not column["unbounded"]:
-        return "Its 1/p is bounded."
-    inside: Jumps | None = column["inside"]
-    if diagnosis.inside and inside is not None and inside.length < 0.9 * diagnosis.inside.length:
-        if not inside:
-            return "Its g does not jump inside."
-        return f"Its g jumps less: {inside.text}."
-    return ""
-
-
-def _why_combined(diagnosis: Diagnosis, column: Mapping[str, Any]) -> str:
-    del column
-    if diagnosis.slow is None:
-        return ""
-    return f"It changes what technique {diagnosis.slow}, the slowest, contributes."
-
-
-def _why_alone(diagnosis: Diagnosis, column: Mapping[str, Any]) -> str:
-    slow = diagnosis.slow
-    if slow is None or column["name"].endswith(diagnosis.slow_name):
-        return ""
-    return f"It leaves out technique {slow}, the slowest."
-
-
-def _why_channels(diagnosis: Diagnosis, column: Mapping[str, Any]) -> str:
-    del diagnosis
-    if column["name"].endswith("combined"):
-        return "No channel is left to the samples of a density of another shape."
-    return "Each channel is divided by a density of its own shape."
-
-
-def _why_sampler(diagnosis: Diagnosis, column: Mapping[str, Any]) -> str:
-    del diagnosis, column
-    return ""  # which of a sampler's properties it is has not been looked at
-
-
-_REASONS = {
-    "unshifted": _why_unshifted,
-    "mirrored": _why_mirrored,
-    "aligned": _why_aligned,
-    "smoothed": _why_smoothed,
-    "warp": _why_warped,
-    "heuristic": _why_combined,
-    "techniques": _why_alone,
-    "channels": _why_channels,
-    "sampler": _why_sampler,
-}
+    found = []
+    for kind in ("boundary", "interior"):
+        of_kind = [p.sel(kind=kind) for p in pictures]
+        lengths = [float(p["primary_jump_length"]) for p in of_kind]
+        heights = [float(p["primary_jump_height"]) for p in of_kind]
+        total = sum(lengths)
+        weighted = sum(k * h for k, h in zip(lengths, heights, strict=True) if k > 0)
+        found.append(Jumps(total, weighted / total if total > 0 else 0.0, estimator.dims))
+    return found[0], found[1]
 
 
 def _technique_moments(
-    estimator: AbstractEstimator,
-    sampler: Sampler,
-    n: int,
-    realizations: int,
-    stream: Stream,
-    workers: int = 1,
+    estimator: AbstractEstimator, sampler: Sampler, n: int, stream: Stream
 ) -> Moments:
     """Moments (C, T + 1) of the parts of the estimate that techniques make, and of their sum."""
-
-    def of_block(block: Block) -> Moments:
-        points = estimator.draw(sampler, n, stream, *block)
+    total: Moments | None = None
+    numbers = n * estimator.dims * sum(estimator.counts)
+    for block in realization_blocks(_REALIZATIONS, numbers):
         parts = [
             estimator.primary_values(t, u).mean(axis=1).reshape(block[1], -1)
-            for t, u in enumerate(points)
+            for t, u in enumerate(estimator.draw(sampler, n, stream, *block))
         ]
-        return Moments.of(np.stack([*parts, sum(parts[1:], parts[0])], axis=2))
-
-    numbers = n * estimator.dims * sum(estimator.counts)
-    found = map_in_order(of_block, realization_blocks(realizations, numbers), workers)
-    total = next(found)
-    for moments in found:
-        total = total.merge(moments)
+        own = Moments.of(np.stack([*parts, sum(parts[1:], parts[0])], axis=2))
+        total = own if total is None else total.merge(own)
+    assert total is not None
     return total

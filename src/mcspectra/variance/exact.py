@@ -2,13 +2,41 @@
 
 For independent points u_j uniform in strata of equal volume, Var(I_n) = n^-2 Σ_j Var_j(g) with g
 the primary-space integrand; random sampling is one stratum; a shared random offset δ of all strata
-is averaged over: E_δ[Var | δ] + Var_δ(E | δ). Nets have a finite sum over levels or over the dual net
-(`mcspectra.variance._nets`). Quadratures of two orders must agree, else NoClosedForm.
+is averaged over: E_δ[Var | δ] + Var_δ(E | δ). Sets that are known on a grid of cells have finite sums:
+
+* Nested uniform scrambling [Owen1997]_: Var = (1/n) Σ_l Γ_l σ²_l. Once the coordinates of all points
+  differ within L digits of each axis, the levels beyond L have Γ_l = 1, so that with ω² the mean over
+  cells of b^-L to a side of the variance within one,
+
+      Var = (1/n) [ω² + Σ_{0 < l ≤ L} Γ_l σ²_l],
+
+  a finite sum of squares. σ²_l follows from the means of the cells.
+* Digital shift in base 2, coordinates whole multiples of 2^-L: the shift is one of L bits and, below
+  them, an offset δ uniform in a cell that all points share. For given δ the values of g over the grid
+  have a Walsh spectrum ĝ_m(δ), the points ŝ_m = (1/n) Σ_k wal_m(x_k), of which |ŝ_m|² is 1 on the dual
+  net and 0 elsewhere for digital nets, and
+
+      Var = E_δ [Σ_{m ≠ 0} ĝ_m² ŝ_m²] + Var_δ ĝ_0.
+* Latin hypercubes: on each axis two points are in different ones of n strata. With ω² the mean variance
+  within n^d cells and σ²_v the ANOVA parts of the means of the cells, v a subset of the axes,
+
+      Var = (1/n) [ω² + Σ_{v ≠ ∅} (1 + (n − 1) (−1/(n − 1))^|v|) σ²_v],
+
+  without what varies along single axes from stratum to stratum [Stein1987]_.
+* Antithetic jittered: a pair u, u' of a cell, reflected through its centre, contributes
+  h(u) = (g(u) + g(u'))/2, so that the variance is that of one jittered point for each cell with h in the
+  place of g [Haber1967]_.
+* Mirrored: folded points see the folded integrand; images of all n/2^d points see the average ḡ of g
+  over reflections, and so do, on average over the coins, points reflected at random. The coins add
+  E[Var(g | point)]/n = (Var g − Var ḡ)/n if each point is uniform.
+
+Quadratures of two orders must agree, else NoClosedForm.
 """
 
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, final
 
@@ -17,17 +45,19 @@ from msgspec import Meta
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import NoClosedForm
+from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNTS, Counts
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator, as_subject
+from mcspectra.estimators.reflected import FoldedIntegrand, SymmetrizedIntegrand
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import (
     Halton,
     Jittered,
     LatinHypercube,
+    Mirror,
     Owen,
     Random,
     Randomized,
@@ -38,20 +68,27 @@ from mcspectra.samplers import (
     UniformJitter,
     VanDerCorput,
 )
-from mcspectra.variance._antithetic import antithetic_variance
-from mcspectra.variance._nets import net_variance, scrambling
-from mcspectra.variance._reflections import mirrored_variance, without_mirror
-from mcspectra.variance._squares import mean_square
-from mcspectra.variance._strata import grid_mean, offset_rule, spread_within_strata
+from mcspectra.spectra.gain import gain_coefficients
+from mcspectra.variance.quadrature import (
+    DerivedIntegrand,
+    check_cells,
+    grid_values,
+    mean_square,
+    offset_rule,
+    orders_of,
+    spread_within_strata,
+    stratum_moments,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Exact", "exact_variance"]
+__all__ = ["Exact", "exact_variance", "level_variances"]
 
-_ORDERS = ((12, 20), (6, 10), (4, 6))
-_MANY = 400  # nets in 2-D have n² cells: 10² nodes in each of more are too many
 _TOLERANCE = 1e-6
+_KEEP_LAW = frozenset({"digital-shift", "permute"})  # of nested scrambling, too
+_LATIN = ("latin-hypercube", "n-rooks")
+_MOST_BITS = 24
 
 
 @final
@@ -147,24 +184,24 @@ def exact_variance(
     1.0
     """
     subject = as_subject(estimator, sampler)
-    estimator, source = subject.estimator, subject.sampler
-    n = source.check_count(n)
-    estimator.check_sampler(source, n)
-    estimator.check_independent()
+    given: AbstractEstimator = subject.estimator
+    n = subject.sampler.check_count(n)
+    given.check_sampler(subject.sampler, n)
+    given.check_independent()
     # What a sequence does to its own digits, as the randomisation that does the same
-    source = estimator.randomized(source)
+    source = given.randomized(subject.sampler)
     if isinstance(source, Halton | VanDerCorput) and source.scramble == "owen":
         source = replace(source, scramble="none").then(Owen())
     total: Any = 0.0
-    for technique, count in enumerate(estimator.counts):
-        g = estimator.primary_integrand(technique)
-        total = total + _converged(source, n * count, g)
-    return total if estimator.channels else float(np.squeeze(total))
+    for technique, count in enumerate(given.counts):
+        g = given.primary_integrand(technique)
+        total = total + _of_integrand(source, n * count, g)
+    return total if given.channels else float(np.squeeze(total))
 
 
-def _converged(sampler: Sampler, n: int, g: Integrand) -> Array:
+def _of_integrand(sampler: Sampler, n: int, g: Integrand) -> Array:
     """Variance on which two orders agree, 0 where it is all rounding; (channels,) or (1,)."""
-    low, high = (_variance(sampler, n, g, order) for order in _orders(n, g.dims))
+    low, high = (_variance(sampler, n, g, order) for order in orders_of(n, g.dims))
     agree = np.abs(high - low) <= _TOLERANCE * np.abs(high)
     if agree.all():
         return high
@@ -183,23 +220,47 @@ def _converged(sampler: Sampler, n: int, g: Integrand) -> Array:
     return np.where(vanishes, 0.0, high)
 
 
-def _orders(n: int, dims: int) -> tuple[int, int]:
-    """Orders of two rules to compare; in 2-D and up lower, and for many points lower still."""
-    return _ORDERS[0] if dims == 1 else _ORDERS[1] if n < _MANY else _ORDERS[2]
-
-
 def _variance(sampler: Sampler, n: int, g: Integrand, order: int) -> Array:
-    """Variance of the mean of g over a stratified set; (channels,) or (1,)."""
-    mode, inner = without_mirror(sampler)
-    if mode is not None:
-        of_inner = functools.partial(_variance, order=order)
-        return mirrored_variance(of_inner, mode, inner, n, g)
+    """Variance of the mean of g over a set; (channels,) or (1,)."""
+    base, steps = (
+        (sampler.base, sampler.steps) if isinstance(sampler, Randomized) else (sampler, ())
+    )
+    if steps and isinstance(steps[-1], Mirror):
+        inner = Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
+        return _mirrored(steps[-1].mode, inner, n, g, order)
+    names = {step.name for step in steps}
     if sampler.name == "antithetic-jittered":
-        return antithetic_variance(g, n, order)
-    kind = scrambling(sampler)
-    if kind is not None:
-        return net_variance(sampler, n, g, order, kind)
-    base, offset, shifted = _decompose(sampler, g.dims)
+        return _antithetic(g, n, order)
+    if base.name in _LATIN and getattr(base, "strength", 1) == 1 and sampler.dims > 1:
+        if names <= {"shift", "shuffle"}:
+            return _latin(sampler, n, g, order, shifted="shift" in names)
+    elif steps and base.fixed:
+        # In the base of the net: others do not fit it
+        points = functools.partial(base.draw_stream, n, Stream.from_rng(0), 0, 1)
+        if "owen" in names and names <= _KEEP_LAW | {"owen"}:
+            return _nested(base, points()[0], g, order)
+        # In base 2 there are two permutations of a digit: permute is the same thing
+        if set(base.digit_bases) == {2} and names <= _KEEP_LAW:
+            return _digitally_shifted(base, points()[0], g, order)
+    return _stratified(sampler, base, steps, n, g, order)
+
+
+def _stratified(
+    sampler: Sampler, base: Any, steps: tuple[Any, ...], n: int, g: Integrand, order: int
+) -> Array:
+    """One point in each stratum, or a grid, with fixed and random offsets."""
+    known = isinstance(base, Random | Jittered | Regular | UniformJitter)
+    known = known or (isinstance(base, LatinHypercube) and g.dims == 1)
+    if not known or not all(isinstance(step, Shift | StrataShift) for step in steps):
+        raise NoClosedForm(
+            f"No exact variance is known for {sampler.spec} in {g.dims} dims; "
+            "use convergence or variance_terms."
+        )
+    offset = np.zeros(g.dims)
+    for step in steps:
+        if isinstance(step, StrataShift):
+            offset = offset + np.asarray(step.offset, float)
+    offset, shifted = offset % 1.0, any(isinstance(step, Shift) for step in steps)
     if isinstance(base, Random):
         return spread_within_strata(g, (1,) * g.dims, np.zeros(g.dims), order) / n
     sides = (n,) if isinstance(base, LatinHypercube) else base.sides(n)
@@ -213,24 +274,161 @@ def _variance(sampler: Sampler, n: int, g: Integrand, order: int) -> Array:
         spreads = np.stack([spread_within_strata(g, sides, d, order) for d in nodes])
         return np.asarray(weights @ spreads) / n
     # A grid with one random offset: the variance of its mean over the offset
-    means = np.stack([grid_mean(g, sides, d) for d in nodes])
+    flat = (math.prod(sides), -1)
+    means = np.stack([grid_values(g, sides, d).reshape(flat).mean(axis=0) for d in nodes])
     return np.asarray(weights @ (means - weights @ means) ** 2)
 
 
-def _decompose(sampler: Sampler, dims: int) -> tuple[Any, Array, bool]:
-    """Return the base, its fixed offset in strata, and whether a random shift follows."""
-    base, steps = (
-        (sampler.base, sampler.steps) if isinstance(sampler, Randomized) else (sampler, ())
-    )
-    known = isinstance(base, Random | Jittered | Regular | UniformJitter)
-    known = known or (isinstance(base, LatinHypercube) and dims == 1)
-    if not known or not all(isinstance(step, Shift | StrataShift) for step in steps):
+def _mirrored(mode: str, inner: Sampler, n: int, g: Integrand, order: int) -> Array:
+    """The variance of the sampler inside with another integrand."""
+    if mode == "fold":
+        return _variance(inner, n, FoldedIntegrand(g), order)
+    average = SymmetrizedIntegrand(g)
+    if mode == "uniform":
+        return _variance(inner, n >> g.dims, average, order)
+    if not inner.unbiased:
         raise NoClosedForm(
-            f"No exact variance is known for {sampler.spec} in {dims} dims; "
-            "use convergence or variance_terms."
+            f"No exact variance is known for random reflections of {inner.spec}, whose points are "
+            "not uniform; use convergence or variance_terms."
         )
-    offset = np.zeros(dims)
-    for step in steps:
-        if isinstance(step, StrataShift):
-            offset = offset + np.asarray(step.offset, float)
-    return base, offset % 1.0, any(isinstance(step, Shift) for step in steps)
+    one = Random(dims=g.dims)
+    coins = np.maximum(_variance(one, 1, g, order) - _variance(one, 1, average, order), 0.0)
+    return np.asarray(_variance(inner, n, average, order) + coins / n)
+
+
+def _antithetic(g: Integrand, n: int, order: int) -> Array:
+    """One jittered point in each of n/2 cells, with the mean of g at it and at its reflection."""
+    side = round((n // 2) ** (1.0 / g.dims))
+
+    def reflected(x: Array) -> Array:
+        cell = np.minimum(np.floor(x * side), side - 1.0)
+        return np.asarray(np.clip((2.0 * cell + 1.0) / side - x, 0.0, 1.0))
+
+    breaks = tuple(
+        tuple(sorted({*axis, *reflected(np.asarray(axis, float)).tolist()})) for axis in g.breaks
+    )
+    mean = DerivedIntegrand(
+        g, lambda x: 0.5 * (g(x) + g(reflected(x))), breaks, f"{g.spec}, symmetrised in cells"
+    )
+    spread = spread_within_strata(mean, (side,) * g.dims, np.zeros(g.dims), order)
+    return np.asarray(spread / (n // 2))
+
+
+def _latin(sampler: Sampler, n: int, g: Integrand, order: int, *, shifted: bool) -> Array:
+    """Over the offset of the cells the mean: the points are uniform for each, and nothing is added."""
+    sides, what = (n,) * g.dims, f"The exact variance of {sampler.spec}"
+    nodes, weights = np.zeros((1, g.dims)), np.ones(1)
+    if shifted:  # a mean over all cells is smooth
+        nodes, weights = offset_rule(g, sides, order // 2 + 2)
+    check_cells(what, float(n) ** g.dims * (len(nodes) * order**g.dims if shifted else 1))
+    found = []
+    for offset in nodes:
+        means, squares = stratum_moments(g, sides, offset, order)
+        total = np.maximum(squares - means**2, 0.0).mean(axis=0)
+        if n > 1:
+            varying = np.indices((2,) * g.dims).sum(axis=0)  # |v|
+            gains = np.where(varying > 0, 1.0 + (n - 1.0) * (-1.0 / (n - 1.0)) ** varying, 0.0)
+            parts = level_variances(means.reshape(*sides, -1), sides)  # one digit in base n
+            total = (total + np.tensordot(gains, parts, axes=g.dims)) / n
+        found.append(total)
+    return np.asarray(weights @ np.stack(found))
+
+
+def _nested(net: Sampler, points: Array, g: Integrand, order: int) -> Array:
+    """Nested uniform scrambling of a net."""
+    n, bases = len(points), net.digit_bases
+    # For each axis the number of digits in which all coordinates differ
+    digits = []
+    for axis, base in enumerate(bases):
+        level, limit = 0, math.floor(_MOST_BITS / math.log2(base))
+        # As in spectra.gain: coordinates rounded down to below a digit count as that digit
+        x = points[:, axis] + (0.0 if base & (base - 1) == 0 else 2.0**-50)
+        while len(np.unique(np.floor(x * base**level))) < n:
+            level += 1
+            if level > limit:
+                raise NoClosedForm(
+                    f"Axis {axis} of {net.spec} has coordinates that coincide or nearly so; the "
+                    "exact variance of nested scrambling is known for distinct ones only."
+                )
+        digits.append(level)
+    sides = tuple(b**level for b, level in zip(bases, digits, strict=True))
+    check_cells(f"The exact variance of {net.spec}", math.prod(map(float, sides)))
+    try:
+        gains = gain_coefficients(net, n, levels=max(1, *digits))["gain"].to_numpy()
+    except ParameterError as error:
+        raise NoClosedForm(f"{error} Or use convergence or variance_terms.") from None
+    gains = gains[tuple(slice(level + 1) for level in digits)]
+    means, squares = stratum_moments(g, sides, np.zeros(g.dims), order)
+    within = np.maximum(squares - means**2, 0.0).mean(axis=0)
+    levels = level_variances(means.reshape(*sides, -1), bases)
+    return np.asarray((within + np.tensordot(gains, levels, axes=g.dims)) / n)
+
+
+def _digitally_shifted(net: Sampler, points: Array, g: Integrand, order: int) -> Array:
+    """A digital shift of a net in base 2."""
+    whole = (
+        2**bits
+        for bits in range(_MOST_BITS + 1)
+        if np.array_equal(points * 2**bits, np.floor(points * 2**bits))
+    )
+    cells = next(whole, None)
+    if cells is None:
+        raise NoClosedForm(
+            f"Coordinates of {net.spec} have more than {_MOST_BITS} bits; use convergence or "
+            "variance_terms."
+        )
+    sides = (cells,) * g.dims
+    check_cells(f"The exact variance of {g.spec}", (float(cells) * order) ** g.dims)
+    nodes, weights = offset_rule(g, sides, order)
+    counts = np.zeros(sides)
+    np.add.at(counts, tuple(np.rint(points * cells).astype(np.int64).T), 1.0 / len(points))
+    spectrum = _hadamard(counts, g.dims) ** 2
+    spectrum[(0,) * g.dims] = 0.0
+    means, within = [], []
+    for offset in nodes:
+        walsh = _hadamard(grid_values(g, sides, offset), g.dims) / cells**g.dims
+        means.append(walsh[(0,) * g.dims])
+        within.append(np.tensordot(spectrum, walsh**2, axes=g.dims))
+    of_offset = np.array(means)
+    spread = (of_offset - weights @ of_offset) ** 2
+    return np.asarray(weights @ (np.array(within) + spread))
+
+
+def _hadamard(values: Array, dims: int) -> Array:
+    """Σ_x values(x) wal_m(x) along the first `dims` axes, m in the order of the butterflies."""
+    for axis in range(dims):
+        step = 1
+        while step < values.shape[axis]:
+            shape = (*values.shape[:axis], -1, 2, step, *values.shape[axis + 1 :])
+            left, right = np.moveaxis(values.reshape(shape), axis + 1, 0)
+            values = np.stack([left + right, left - right], axis=axis + 1).reshape(values.shape)
+            step *= 2
+    return values
+
+
+def level_variances(means: Array, bases: tuple[int, ...], axis: int = 0) -> Array:
+    """σ²_l of all levels up to those of the cells, from the means of a function over the cells.
+
+    Parameters
+    ----------
+    means
+        float64 (b_0^L_0, b_1^L_1, …, channels).
+    bases
+        b_i, the base of each axis.
+    axis
+        Split along this axis into what each digit adds, then along those after it.
+
+    Returns
+    -------
+    ndarray
+        float64 (L_0 + 1, L_1 + 1, …, channels); at level 0 of all axes the square of the mean.
+    """
+    if axis == len(bases):
+        return np.asarray((means**2).mean(axis=tuple(range(axis))))
+    base, parts = bases[axis], []
+    while means.shape[axis] > 1:
+        shape = [*means.shape[:axis], -1, base, *means.shape[axis + 1 :]]
+        coarse = means.reshape(shape).mean(axis=axis + 1)
+        parts.append(means - np.repeat(coarse, base, axis=axis))
+        means = coarse
+    return np.stack([level_variances(p, bases, axis + 1) for p in [means, *reversed(parts)]])

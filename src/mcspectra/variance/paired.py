@@ -84,7 +84,15 @@ class Errors:
         tolerance
             How well the integral is known, relative to it.
         """
-        parts = [_spread(values, integral if biased else None) for values in estimates]
+        # Mean squared errors and influences (R,), about the integral or the mean
+        parts = []
+        for values in estimates:
+            count = len(values)
+            centre = integral if biased else values.mean(axis=0)
+            squares = ((values - centre) ** 2).sum(axis=1)
+            mean = squares.mean()
+            influence = squares / mean - 1.0 if mean > 0 else np.zeros(count)
+            parts.append((float(squares.sum() / (count if biased else count - 1)), influence))
         error = np.array([error for error, _ in parts])
         bias = np.stack([values.mean(axis=0) - integral for values in estimates])
         noise = np.array([rounding_floor(np.abs(v).mean(axis=0)).sum() for v in estimates])
@@ -95,9 +103,13 @@ class Errors:
                 for v, f in zip(estimates, noise, strict=True)
             ]
         )
-        influence = np.stack([influence for _, influence in parts])
         return Errors(
-            np.asarray(cost, np.float64), error, bias, influence, noise, alike & miss & (not biased)
+            cost=np.asarray(cost, np.float64),
+            error=error,
+            bias=bias,
+            influence=np.stack([influence for _, influence in parts]),
+            noise=noise,
+            blind=alike & miss & (not biased),
         )
 
     @property
@@ -144,14 +156,9 @@ class Errors:
         if gap == 0.0:
             return log_error, influence
         rate, slope = self.rate()
-        return (
-            (log_error, influence)
-            if math.isnan(rate)
-            else (
-                log_error + gap * rate,
-                influence + gap * slope,
-            )
-        )
+        if math.isnan(rate):
+            return log_error, influence
+        return log_error + gap * rate, influence + gap * slope
 
 
 @dataclass(frozen=True)
@@ -210,16 +217,6 @@ def simultaneous_z(comparisons: int, confidence: float = 0.95) -> float:
 
     single = confidence ** (1.0 / max(1, comparisons))
     return float(ndtri(0.5 * (1.0 + single)))
-
-
-def _spread(values: Array, truth: Array | None) -> tuple[float, Array]:
-    """Mean squared error and influences (R,) of estimates (R, C); about their mean by default."""
-    count = len(values)
-    centre = values.mean(axis=0) if truth is None else truth
-    squares = ((values - centre) ** 2).sum(axis=1)
-    error = float(squares.sum() / (count - 1 if truth is None else count))
-    mean = squares.mean()
-    return error, squares / mean - 1.0 if mean > 0 else np.zeros(count)
 
 
 def _standard_error(influence: Array, prior: int = _PRIOR) -> float:

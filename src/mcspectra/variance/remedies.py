@@ -10,9 +10,8 @@ set-up that is given out.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, final
 
 import numpy as np
@@ -39,7 +38,7 @@ from mcspectra.variance.counterfactuals import (
 )
 from mcspectra.variance.diagnosis import Diagnosis, Jumps, diagnose, jumps_of
 from mcspectra.variance.fit import RateFit
-from mcspectra.variance.paired import Comparison, Errors, compare, estimates_of, simultaneous_z
+from mcspectra.variance.paired import Errors, compare, estimates_of, simultaneous_z
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -78,21 +77,24 @@ class Remedies(Analysis, frozen=True, kw_only=True):
     variables = (*_DIMS, "rank_by_rate")
 
     budget: Annotated[
-        int, Meta(ge=1, le=2**24, description="Evaluations of the integrand an estimate.")
+        int,
+        Meta(
+            ge=1,
+            le=2**24,
+            description="Evaluations of the integrand an estimate.",
+            extra={"metavar": "B"},
+        ),
     ]
     kinds: Annotated[
         Annotated[tuple[Kind, ...], Meta(min_length=1)] | None,
-        Meta(
-            description="Changes to try; all by default.",
-            extra={"flag": "--kind", "metavar": "KIND"},
-        ),
+        Meta(description="Changes to try; all by default."),
     ] = None
     realizations: Annotated[
         int,
         Meta(
             ge=100,
             le=100_000,
-            description="Of each change at each of five budgets.",
+            description="Realisations of each change at each of five budgets.",
             extra={"flag": "-m", "metavar": "R"},
         ),
     ] = 1000
@@ -116,21 +118,67 @@ class Remedies(Analysis, frozen=True, kw_only=True):
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Trials]:
         """The set-up as given, then the changes of a kind after the other."""
         given = Setup(subject.estimator, subject.sampler)
-        measure = _Measure(self.budget, self.realizations, stream, given)
+        start = Counterfactual("given", "as given", "leave everything as it is", given)
         search = Budget(self.budget, self.realizations, stream.child(_SEARCH))
 
-        def trials(index: int) -> _Trials:
-            if index == 0:
-                return measure.as_given()
-            kind = self._kinds[index - 1]
-            return measure.others(other_setups(given, (kind,), search))
+        def of_kind(index: int) -> _Trials:
+            kinds = self._kinds[index - 1 : index] if index else ()
+            tried, not_tried = [], []
+            for change in other_setups(given, kinds, search) if index else [start]:
+                if isinstance(change, NotTried):
+                    not_tried.append(change)
+                elif (trial := self._measured(change, given, stream)) is not None:
+                    tried.append(trial)
+                else:
+                    reason = change.setup.too_dear(self.budget)
+                    not_tried.append(NotTried(change.kind, change.name, reason))
+            if index:
+                return _Trials(tried, not_tried, None)
+            counts = [int(cost - given.overhead) // given.cost for cost in tried[0].errors.cost]
+            own = stream.child(_SEARCH + 1)
+            return _Trials(tried, [], diagnose(given.estimator, given.sampler, counts, own))
 
         return Reduction(
             kind=_Trials,
-            block=trials,
+            block=of_kind,
             blocks=1 + len(self._kinds),
             cost=self.need(subject).cost,
             result=lambda found: self._ranked(found, subject, stream),
+        )
+
+    def _measured(self, change: Counterfactual, given: Setup, stream: Stream) -> _Trial | None:
+        """Errors at the counts that fit into each step's budget; None where two do not."""
+        setup = change.setup
+        cost: list[int] = []
+        estimates: list[Array] = []
+        for step, n in _affordable(setup, self.budget).items():
+            try:
+                estimator = setup.at(n)
+            except McspectraError:  # strata too few for the edges
+                continue
+            cost.append(n * setup.cost + setup.overhead)
+            own = stream.child(step)
+            estimates.append(estimates_of(estimator, setup.sampler, n, self.realizations, own))
+        if len(cost) < 2:
+            return None
+
+        # How well the integral is known, relative to it
+        integral, tolerance = np.atleast_1d(np.asarray(given.estimator.integral, float)), _EXACT
+        if given.estimator.integral_source != "exact":
+            size = float(np.abs(integral).max())
+            error = _SIGMAS * given.estimator.integral_error / size if size else 0.0
+            tolerance = max(_BY_QUADRATURE, error)
+        biased = change.biased or not setup.unbiased
+        warp = change.kind == "warp"
+        return _Trial(
+            kind=change.kind,
+            name=change.name,
+            change=change.change,
+            setup=change.key,
+            biased=change.biased,
+            errors=Errors.of(cost, estimates, integral, biased=biased, tolerance=tolerance),
+            unbounded=warp and setup.estimator.infinite_weights,
+            inside=jumps_of(setup.estimator)[1] if warp else None,
         )
 
     @property
@@ -142,15 +190,15 @@ class Remedies(Analysis, frozen=True, kw_only=True):
         start, diagnosis = found.tried[0], found.diagnosis
         assert diagnosis is not None
         # What two kinds make alike was tried twice and counts once
-        tried = list({trial.setup: trial for trial in reversed(found.tried)}.values())[::-1]
+        first: dict[str, _Trial] = {}
+        for trial in found.tried:
+            first.setdefault(trial.setup, trial)
+        tried = list(first.values())
         z = simultaneous_z(2 * (len(tried) - 1))  # of the errors and of the rates
         ordered = sorted(
             tried, key=lambda t: np.nan_to_num(t.errors.at(self.budget)[0], nan=np.inf)
         )
-        columns = [
-            _columns(t, compare(t.errors, start.errors, self.budget), self.budget, z)
-            for t in ordered
-        ]
+        columns = [t.column(start.errors, self.budget, z) for t in ordered]
         for column in columns:
             column["reason"] = diagnosis.reason(column)
         reasons = [f"{n.name}: {n.reason}" for n in found.not_tried]
@@ -271,6 +319,40 @@ class _Trial:
     unbounded: bool
     inside: Jumps | None
 
+    def column(self, reference: Errors, budget: int, z: float) -> dict[str, Any]:
+        """All that is said of it, beside the set-up as given."""
+        errors, found = self.errors, compare(self.errors, reference, budget)
+        log_error, influence = errors.at(budget)
+        spread = max(math.sqrt(float(np.mean(influence**2)) / len(influence)), 1e-9)
+        fit = _NO_RATE if self.biased else errors.fit()
+        is_given = self.kind == "given"
+        ratio = _interval(found.log_ratio, z * found.log_ratio_se)
+        difference = math.nan if self.biased else found.rate_difference
+        slope = _interval(difference, z * found.rate_difference_se)
+        return {
+            "name": self.name,
+            "kind": self.kind,
+            "change": self.change,
+            "unbounded": self.unbounded,
+            "inside": self.inside,
+            "biased": self.biased,
+            "blind": bool(errors.blind[-1]),
+            "error": math.exp(log_error),
+            "error_ci": variance_interval(
+                np.asarray(math.exp(log_error)), np.asarray(spread)
+            ).tolist(),
+            "error_ratio": math.exp(found.log_ratio),
+            "error_ratio_ci": [math.exp(b) for b in ratio],
+            "rate": fit.rate,
+            "rate_ci": list(fit.interval),
+            "rate_difference": difference,
+            "rate_difference_ci": slope,
+            "verdict": "given" if is_given else _verdict(ratio),
+            "rate_verdict": "given" if is_given else _verdict(slope),
+            "cost": _padded(errors.cost),
+            "error_at_cost": _padded(errors.error),
+        }
+
 
 @dataclass(frozen=True)
 class _Trials:
@@ -286,84 +368,6 @@ class _Trials:
         return _Trials(self.tried + other.tried, self.not_tried + other.not_tried, diagnosis)
 
 
-@dataclass(frozen=True)
-class _Measure:
-    """How set-ups are measured: at five budgets, on random numbers that all share."""
-
-    budget: int
-    realizations: int
-    stream: Stream
-    given: Setup
-
-    def as_given(self) -> _Trials:
-        """The set-up as given, with its diagnosis."""
-        given = self.given
-        start = Counterfactual("given", "as given", "leave everything as it is", given)
-        trial = self._trial(start)
-        assert trial is not None  # `Remedies.need` has found two counts
-        counts = [int(cost - given.overhead) // given.cost for cost in trial.errors.cost]
-        own = self.stream.child(_SEARCH + 1)
-        return _Trials([trial], [], diagnose(given.estimator, given.sampler, counts, own))
-
-    def others(self, changes: Iterable[Counterfactual | NotTried]) -> _Trials:
-        """Changes, and why some are none."""
-        tried, not_tried = [], []
-        for change in changes:
-            if isinstance(change, NotTried):
-                not_tried.append(change)
-            elif (trial := self._trial(change)) is not None:
-                tried.append(trial)
-            else:
-                reason = _too_dear(change.setup, self.budget)
-                not_tried.append(NotTried(change.kind, change.name, reason))
-        return _Trials(tried, not_tried, None)
-
-    def _trial(self, change: Counterfactual) -> _Trial | None:
-        """Errors at the counts that fit into each step's budget; None where two do not."""
-        setup = change.setup
-        cost: list[int] = []
-        estimates: list[Array] = []
-        for step, n in _affordable(setup, self.budget).items():
-            try:
-                estimator = setup.at(n)
-            except McspectraError:  # strata too few for the edges
-                continue
-            cost.append(n * setup.cost + setup.overhead)
-            own = self.stream.child(step)
-            estimates.append(estimates_of(estimator, setup.sampler, n, self.realizations, own))
-        if len(cost) < 2:
-            return None
-        integral = self.given.estimator.integral
-        biased = change.biased or not setup.unbiased
-        warp = change.kind == "warp"
-        return _Trial(
-            kind=change.kind,
-            name=change.name,
-            change=change.change,
-            setup=change.key,
-            biased=change.biased,
-            errors=Errors.of(
-                cost,
-                estimates,
-                np.atleast_1d(np.asarray(integral, np.float64)),
-                biased=biased,
-                tolerance=self._tolerance,
-            ),
-            unbounded=warp and setup.estimator.infinite_weights,
-            inside=jumps_of(setup.estimator)[1] if warp else None,
-        )
-
-    @cached_property
-    def _tolerance(self) -> float:
-        """How well the integral is known, relative to it."""
-        estimator = self.given.estimator
-        if estimator.integral_source == "exact":
-            return _EXACT
-        size = float(np.abs(estimator.integral).max())
-        own = _SIGMAS * estimator.integral_error / size if size else 0.0
-        return max(_BY_QUADRATURE, own)
-
-
 def _affordable(setup: Setup, budget: int) -> dict[int, int]:
     """The counts that fit into the budgets of the steps, each larger than the last."""
     found: dict[int, int] = {}
@@ -372,39 +376,6 @@ def _affordable(setup: Setup, budget: int) -> dict[int, int]:
         if n and n > max(found.values(), default=0):
             found[step] = n
     return found
-
-
-def _columns(tried: _Trial, found: Comparison, budget: int, z: float) -> dict[str, Any]:
-    """All that is said of one set-up."""
-    errors = tried.errors
-    log_error, influence = errors.at(budget)
-    spread = max(math.sqrt(float(np.mean(influence**2)) / len(influence)), 1e-9)
-    fit = _NO_RATE if tried.biased else errors.fit()
-    is_given = tried.kind == "given"
-    ratio = _interval(found.log_ratio, z * found.log_ratio_se)
-    difference = math.nan if tried.biased else found.rate_difference
-    slope = _interval(difference, z * found.rate_difference_se)
-    return {
-        "name": tried.name,
-        "kind": tried.kind,
-        "change": tried.change,
-        "unbounded": tried.unbounded,
-        "inside": tried.inside,
-        "biased": tried.biased,
-        "blind": bool(errors.blind[-1]),
-        "error": math.exp(log_error),
-        "error_ci": variance_interval(np.asarray(math.exp(log_error)), np.asarray(spread)).tolist(),
-        "error_ratio": math.exp(found.log_ratio),
-        "error_ratio_ci": [math.exp(b) for b in ratio],
-        "rate": fit.rate,
-        "rate_ci": list(fit.interval),
-        "rate_difference": difference,
-        "rate_difference_ci": slope,
-        "verdict": "given" if is_given else _verdict(ratio),
-        "rate_verdict": "given" if is_given else _verdict(slope),
-        "cost": _padded(errors.cost),
-        "error_at_cost": _padded(errors.error),
-    }
 
 
 def _interval(centre: float, half: float) -> list[float]:
@@ -420,15 +391,6 @@ def _verdict(interval: list[float]) -> str:
 def _padded(values: Array) -> list[float]:
     """Values of the last steps, NaN for those whose budget was too small."""
     return [math.nan] * (_STEPS - len(values)) + [float(v) for v in values]
-
-
-def _too_dear(setup: Setup, budget: int) -> str:
-    if setup.overhead >= budget:
-        return f"Its pilot alone takes {setup.overhead} evaluations, {budget} are the budget."
-    if setup.cost > sum(setup.estimator.counts):
-        points = setup.cost // sum(setup.estimator.counts)
-        return f"Each of its samples takes {points} evaluations: too few fit into {budget}."
-    return f"{setup.sampler.spec} has no two counts within {budget} evaluations."
 
 
 def _recommendation(columns: list[dict[str, Any]], budget: int, reasons: list[str]) -> str:

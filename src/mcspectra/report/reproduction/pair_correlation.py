@@ -83,7 +83,7 @@ def _pairs(name: str, realizations: int, seed: int) -> xr.Dataset:
 def _routes(name: str, realizations: int, seed: int) -> tuple[xr.Dataset, xr.Dataset]:
     """The variance from counted pairs, and measured with other random numbers."""
     from mcspectra.variance.convergence import convergence
-    from mcspectra.variance.pair_route import variance_from_pair_correlation
+    from mcspectra.variance.routes import variance_from_pair_correlation
 
     found = variance_from_pair_correlation(
         _SMOOTH, name, _N, realizations=2 * realizations, rng=seed
@@ -154,7 +154,7 @@ def _transform(name: str) -> Finding:
 
 def _formula_in_one_dim() -> Finding:
     from mcspectra.estimators.importance import Estimator
-    from mcspectra.variance.pair_route import variance_from_pair_correlation
+    from mcspectra.variance.routes import variance_from_pair_correlation
 
     n = 16
     value = float(
@@ -169,7 +169,7 @@ def _formula_in_one_dim() -> Finding:
 
 def _known_pairs(name: str) -> Finding:
     from mcspectra.variance.exact import exact_variance
-    from mcspectra.variance.pair_route import variance_from_pair_correlation
+    from mcspectra.variance.routes import variance_from_pair_correlation
 
     value = float(variance_from_pair_correlation(_SMOOTH, name, _N)["variance"])
     return identity(

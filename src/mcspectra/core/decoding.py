@@ -1,0 +1,146 @@
+"""Files of strangers: opened by the rules for all of them, and no larger in memory than is sensible.
+
+A few kilobytes of a compressed format can hold gigabytes. Every reader works out from the headers what
+decoding, with the conversion to float64, takes at its peak, and asks `check_decoded_size` first.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import stat
+import zipfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from os import PathLike
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import FileFormatError, McspectraError
+
+__all__ = ["check_decoded_size", "known_path", "opened", "read_npy", "read_npz"]
+
+_MOST_BYTES = 2**31
+_MOST_RATIO = 64  # bytes of memory for each byte of a file
+_ALWAYS_READ = 2**28  # bytes, whatever the ratio: a flat picture of 3840 x 2160 pixels
+_NPY_HEADER = 2**14  # bytes: NumPy itself refuses headers of more than 10,000 characters
+
+
+def known_path(path: object, what: str, extensions: Sequence[str] = ()) -> Path:
+    """Return the path of a file that ends in one of the extensions, if given; `what` is such a file.
+
+    Raises
+    ------
+    FileFormatError
+        It is no path, or ends otherwise.
+    """
+    if not isinstance(path, str | PathLike) or not str(path) or "\0" in str(path):
+        raise FileFormatError(f"{path!r:.80} is not a path; give the path of {what}.")
+    file = Path(path)
+    if extensions and file.suffix.lower() not in extensions:
+        raise FileFormatError(
+            f"{file} does not end in one of {', '.join(extensions)}; give {what}."
+        )
+    return file
+
+
+@contextmanager
+def opened(
+    path: object, what: str, extensions: Sequence[str] = ()
+) -> Iterator[tuple[IO[bytes], int, str, str]]:
+    """Open a file for a parser: its stream, its bytes, what messages call it, and its extension.
+
+    Raises
+    ------
+    FileFormatError
+        As of `known_path`; no such file, a folder or a device, or whatever error of the parser.
+    """
+    file = known_path(path, what, extensions)
+    try:
+        status = file.stat()
+        if not stat.S_ISREG(status.st_mode):
+            kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a device or a pipe"
+            raise FileFormatError(f"{file} is {kind}; give the path of {what}.")
+        with file.open("rb") as stream:
+            yield stream, status.st_size, str(file), file.suffix.lower()
+    except McspectraError:
+        raise
+    except FileNotFoundError:
+        raise FileFormatError(f"There is no file {file}; give the path of {what}.") from None
+    except Exception as error:  # noqa: BLE001 - whatever a parser makes of a broken file
+        said = " ".join(str(error).split()).rstrip(".")[:200]
+        reason = f"it is truncated, damaged or of another format ({said or type(error).__name__})"
+        if isinstance(error, OSError) and error.strerror:
+            reason = error.strerror
+        raise FileFormatError(f"{file} cannot be read as {what}: {reason}.") from None
+
+
+def check_decoded_size(name: object, size: int, decoded: float) -> None:
+    """Refuse a file of `size` bytes that takes `decoded` bytes of memory at the peak of reading it.
+
+    Raises
+    ------
+    FileFormatError
+        These are more than 2 GiB, or more than 256 MiB and 64 times the file's size.
+    """
+    most = min(_MOST_BYTES, max(_ALWAYS_READ, _MOST_RATIO * size))
+    if decoded > most:
+        raise FileFormatError(
+            f"{name}, of {size} bytes, would take {decoded / 1e6:,.0f} MB of memory to read; a file "
+            f"of this size may take {most / 1e6:,.0f} MB: make a smaller version of it."
+        )
+
+
+def read_npy(stream: IO[bytes], size: int, name: str, held: int | None = None) -> Array:
+    """Return the array of a .npy stream of a file of `size` bytes, `held` in the stream if not all.
+
+    Raises
+    ------
+    FileFormatError
+        The array takes too much memory, or the header announces more bytes than there are.
+    ValueError
+        It is no .npy stream, or holds Python objects.
+    """
+    header = io.BytesIO(stream.read(_NPY_HEADER))
+    first = np.lib.format.read_magic(header) == (1, 0)
+    read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(header)
+    count, held = math.prod(shape), size if held is None else held
+    if min(shape, default=0) < 0 or count * dtype.itemsize > held:
+        raise FileFormatError(
+            f"{name} announces an array of shape {shape}, {count * dtype.itemsize} bytes, but has "
+            f"{held}."
+        )
+    # The array, its float64 values if it has others, and two masks of them
+    check_decoded_size(name, size, count * (dtype.itemsize + 8 * (dtype != np.float64) + 2))
+    stream.seek(0)
+    return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
+
+
+def read_npz(
+    stream: IO[bytes], size: int, name: str, array: str, *, or_only: bool = False
+) -> Array:
+    """Return an array of a .npz file by its name, or else the only one there is.
+
+    Raises
+    ------
+    FileFormatError
+        There is no such array, it is compressed by another method than NumPy's, or as of `read_npy`.
+    """
+    with zipfile.ZipFile(stream) as archive:
+        names = [entry[:-4] for entry in archive.namelist() if entry.endswith(".npy")]
+        if or_only and len(names) == 1:
+            array = names[0]
+        if array not in names:
+            found = ", ".join(map(repr, names))[:200] or "nothing"
+            raise FileFormatError(
+                f"{name} has no array {array!r}; it holds {found}: call the one to read {array!r}."
+            )
+        member = archive.getinfo(f"{array}.npy")
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # unbounded
+            raise FileFormatError(f"{name} is not compressed as NumPy does; use savez_compressed.")
+        with archive.open(member) as content:
+            return read_npy(content, size, name, member.file_size)

@@ -1,0 +1,270 @@
+"""Quadrature of primary-space integrands: means over strata and shifted grids, and ∫g².
+
+Strata are cut at the discontinuities that the integrand declares (`breaks`) and at the seam of the
+torus, more finely towards 0 and 1, where warps have their singularities, and integrated by
+Gauss-Legendre or, for integrands that know their moments over boxes, exactly. ∫g² has an estimate of its
+error, and is infinite where it diverges.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import NoClosedForm
+from mcspectra.densities.adaptive import positive_integral
+from mcspectra.integrands import Integrand
+from mcspectra.integrands.base import integral_accuracy, numeric_integral
+
+__all__ = [
+    "DerivedIntegrand",
+    "check_cells",
+    "grid_values",
+    "mean_square",
+    "offset_rule",
+    "orders_of",
+    "spread_within_strata",
+    "square_integral",
+    "stratum_moments",
+]
+
+_MOST_EVALUATIONS = 2**25  # of an integrand: beyond, a quadrature is refused
+_ORDERS = ((12, 20), (6, 10), (4, 6))
+_MANY = 400  # nets in 2-D have n² cells: 10² nodes in each of more are too many
+_LEAST_PANELS = 32  # of the whole axis, where offsets of few strata are integrated over
+_FEW_CELLS = 2**13  # of a level: enough for curves of jumps, and an eighth of the time
+_SUSPECT = 0.01  # relative error, beyond which there may be a pole, and all levels are worth it
+
+# √u near 0 is integrated to 1e-6 with panels down to 2^-20; in 2-D every panel costs a row of them.
+_GRADED = {
+    dims: tuple(x for k in range(1, depth) for x in (0.5**k, 1.0 - 0.5**k))
+    for dims, depth in ((1, 40), (2, 14))
+}
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class DerivedIntegrand(Integrand):
+    """What is made of an integrand point by point.
+
+    Attributes
+    ----------
+    values
+        Of points.
+    cuts
+        Its breaks.
+    text
+        Its spec, for messages.
+    """
+
+    name: ClassVar[str] = "derived"
+    integrand: Integrand
+    values: Callable[[Array], Array]
+    cuts: tuple[tuple[float, ...], ...]
+    text: str
+
+    @property
+    def dims(self) -> int:  # type: ignore[override]
+        """Number of dims of the integrand."""
+        return self.integrand.dims
+
+    @property
+    def channels(self) -> int:  # type: ignore[override]
+        """Channels of the integrand."""
+        return self.integrand.channels
+
+    @property
+    def spec(self) -> str:
+        """Text for messages."""
+        return self.text
+
+    @property
+    def breaks(self) -> tuple[tuple[float, ...], ...]:
+        """Where it may jump, along each axis."""
+        return self.cuts
+
+    def _evaluate(self, x: Array) -> Array:
+        return np.asarray(self.values(x))
+
+
+def orders_of(cells: int, dims: int) -> tuple[int, int]:
+    """Orders of two rules to compare; in 2-D and up lower, and for many cells lower still."""
+    return _ORDERS[0] if dims == 1 else _ORDERS[1] if cells < _MANY else _ORDERS[2]
+
+
+def check_cells(what: str, cells: float, unit: str = "cells") -> None:
+    """Refuse what would take too many evaluations of an integrand; `what` begins the sentence."""
+    if cells > _MOST_EVALUATIONS:
+        raise NoClosedForm(
+            f"{what} would take {cells:.2g} {unit}, more than {_MOST_EVALUATIONS:.2g}; use "
+            "convergence or variance_terms."
+        )
+
+
+@dataclass(frozen=True)
+class _Axis:
+    """Pieces of one axis between strata borders and breaks: ends, stratum, share of the stratum."""
+
+    low: Array
+    high: Array
+    stratum: Array
+    share: Array
+
+    @staticmethod
+    def cut(sides: int, offset: float, breaks: tuple[float, ...]) -> _Axis:
+        """Cut [0,1) at strata borders (j + offset)/sides, at `breaks` and at the seam 0."""
+        borders = (np.arange(sides) / sides + offset) % 1.0
+        inner = [b for b in breaks if 0 < b < 1]
+        ends = np.unique(np.concatenate([[0.0, 1.0], borders, inner]))
+        low, high = ends[:-1], ends[1:]
+        wide = high - low > 1e-15
+        low, high = low[wide], high[wide]
+        stratum = np.floor((0.5 * (low + high) - offset) % 1.0 * sides).astype(np.int64)
+        return _Axis(low, high, np.minimum(stratum, sides - 1), (high - low) * sides)
+
+
+def spread_within_strata(g: Integrand, sides: tuple[int, ...], offset: Array, order: int) -> Array:
+    """Mean over strata, displaced by `offset` on the torus, of the variance within one: (channels,)."""
+    check_cells(f"The quadrature of the strata of {g.spec}", float(math.prod(sides)), "evaluations")
+    means, squares = stratum_moments(g, sides, offset, order)
+    # Second pass about the stratum means would cost a second evaluation; clip what cancels.
+    return np.asarray(np.maximum(squares - means * means, 0.0).mean(axis=0))
+
+
+def stratum_moments(
+    g: Integrand, sides: tuple[int, ...], offset: Array, order: int
+) -> tuple[Array, Array]:
+    """Means of g and g² over strata, displaced by `offset` on the torus: (strata, channels or 1)."""
+
+    def cut(breaks: Sequence[tuple[float, ...]]) -> list[_Axis]:
+        places = zip(sides, offset, breaks, strict=True)
+        return [_Axis.cut(s, float(o), b) for s, o, b in places]
+
+    # Means over all pieces from closed forms, if g has them: (pieces, channels)
+    axes = cut(g.breaks)
+    low, high = (
+        np.stack(np.meshgrid(*ends, indexing="ij"), axis=-1)
+        for ends in ([a.low for a in axes], [a.high for a in axes])
+    )
+    moments = g.box_moments(low, high)
+    if moments is None:
+        graded = _GRADED.get(g.dims, ())
+        axes = cut([(*b, *graded) for b in g.breaks])
+        moments = _gauss_moments(g, axes, order)
+    return _gather(moments[0], axes, sides), _gather(moments[1], axes, sides)
+
+
+def _gauss_moments(g: Integrand, axes: list[_Axis], order: int) -> tuple[Array, Array]:
+    """Means of g and g² over all pieces by a tensor Gauss-Legendre rule: (pieces, channels)."""
+    dims, pieces = len(axes), [len(a.low) for a in axes]
+    check_cells(
+        f"The stratum quadrature of {g.spec}", float(np.prod(pieces)) * order**dims, "evaluations"
+    )
+    node, weight = np.polynomial.legendre.leggauss(order)
+    node, weight = 0.5 * (node + 1.0), 0.5 * weight
+    grids = [a.low[:, None] + (a.high - a.low)[:, None] * node for a in axes]
+    mean: Any = 0.0
+    square: Any = 0.0
+    for q in itertools.product(range(order), repeat=dims):
+        x = np.stack(
+            np.meshgrid(*(grid[:, i] for grid, i in zip(grids, q, strict=True)), indexing="ij"),
+            axis=-1,
+        )
+        values = g(x).reshape(int(np.prod(pieces)), -1)
+        w = float(np.prod(weight[list(q)]))
+        mean = mean + w * values
+        square = square + w * values**2
+    return mean, square
+
+
+def _gather(piece_means: Array, axes: list[_Axis], sides: tuple[int, ...]) -> Array:
+    """Means over strata from means over pieces: (strata, channels)."""
+    values = piece_means.reshape(*(len(a.low) for a in axes), -1)
+    for i, axis in enumerate(axes):
+        shape = [1] * values.ndim
+        shape[i] = -1
+        gathered = np.zeros((*values.shape[:i], sides[i], *values.shape[i + 1 :]))
+        where: Any = (slice(None),) * i + (axis.stratum,)
+        np.add.at(gathered, where, values * axis.share.reshape(shape))
+        values = gathered
+    return np.asarray(values.reshape(math.prod(sides), -1))
+
+
+def offset_rule(g: Integrand, sides: tuple[int, ...], order: int) -> tuple[Array, Array]:
+    """Gauss nodes and weights for an offset uniform in one stratum, cut where breaks line up."""
+    node, weight = np.polynomial.legendre.leggauss(order)
+    per_axis = []
+    for s, breaks in zip(sides, g.breaks, strict=True):
+        side = 1.0 / s
+        folded = [b % side for b in breaks]
+        panels = max(1, _LEAST_PANELS // s) if g.dims == 1 else 1
+        cuts = [*folded, *(np.arange(1, panels) / panels * side)]
+        ends = np.unique([0.0, side, *(b for b in cuts if 1e-14 < b < side - 1e-14)])
+        low, width = ends[:-1, None], np.diff(ends)[:, None]
+        nodes = (low + width * 0.5 * (node + 1.0)).ravel()
+        per_axis.append((nodes, (width / side * 0.5 * weight).ravel()))
+    combos = list(itertools.product(*(zip(*axis, strict=True) for axis in per_axis)))
+    nodes = np.array([[x for x, _ in combo] for combo in combos])
+    return nodes, np.array([np.prod([w for _, w in combo]) for combo in combos])
+
+
+def grid_values(g: Integrand, sides: tuple[int, ...], offset: Array) -> Array:
+    """Values of g on the grid (j + offset·sides)/sides: (*sides, channels or 1)."""
+    axes = [(np.arange(s) / s + o) % 1.0 for s, o in zip(sides, offset, strict=True)]
+    x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    return np.asarray(g(x)).reshape(*sides, -1)
+
+
+def mean_square(g: Integrand) -> Array:
+    """∫g², (channels or 1,); infinite where it diverges."""
+    return square_integral(g)[0]
+
+
+def square_integral(g: Integrand) -> tuple[Array, Array]:
+    """∫g² and an estimate of its absolute error, both (channels or 1,).
+
+    Notes
+    -----
+    Boxes cut at the breaks of g; in 1-D and 2-D also quadrature that records how much each level
+    leaves unresolved (`mcspectra.densities.adaptive`): the integral is infinite where that does not
+    shrink, else the smaller error counts. Boxes alone do not see a divergence: rounding of T(u)
+    stops it somewhere. In more dims it shows as a large error at best.
+    """
+    found = g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims)))
+    if found is not None:
+        exact = np.asarray(found[1], float).reshape(-1)
+        return exact, np.zeros(exact.shape)
+
+    def square(x: Array) -> Array:
+        with np.errstate(over="ignore"):  # next to a pole
+            return np.asarray(g(x) ** 2)
+
+    # By quadrature that records what each level leaves unresolved
+    by_levels, level_errors = (
+        np.full(max(1, g.channels), np.nan),
+        np.full(max(1, g.channels), np.inf),
+    )
+    for c in range(len(by_levels) if g.dims <= 2 else 0):
+
+        def of_channel(x: Array, c: int = c) -> Array:
+            return np.asarray(square(x).reshape(*x.shape[:-1], -1)[..., c])
+
+        found_c = positive_integral(of_channel, g.dims, most_cells=_FEW_CELLS)
+        if found_c[1] > _SUSPECT * found_c[0]:
+            found_c = positive_integral(of_channel, g.dims)
+        by_levels[c], level_errors[c] = found_c
+    if np.isinf(by_levels).all():
+        return by_levels, level_errors
+
+    # By boxes
+    squared = DerivedIntegrand(g, square, g.breaks, f"square of {g.spec}")
+    value = np.atleast_1d(np.asarray(numeric_integral(squared), float))
+    error = np.full(value.shape, integral_accuracy(squared)[1])
+    better = (level_errors < error) | np.isinf(by_levels)
+    return np.where(better, by_levels, value), np.where(better, level_errors, error)
