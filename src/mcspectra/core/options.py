@@ -253,7 +253,7 @@ def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
         return None
     kinds = [each for each in kinds if not isinstance(each, inspect.NoneType)]
     words = _words(kinds)
-    if len(kinds) > 1 and words and value not in words:
+    if len(kinds) > 1 and words and not (isinstance(value, str) and value in words):
         others = [each for each in kinds if not isinstance(each, inspect.LiteralType)]
         offer = " or ".join(map(repr, words))
         if isinstance(value, str):

@@ -76,7 +76,7 @@ def mirror_study(
     ------
     CountError, ParameterError
         A sampler cannot do a count (``"uniform"`` needs multiples of 2^d), a mirroring is unknown or
-        listed twice, the sampler ends with a shift already.
+        listed twice, the sampler ends with a shift already, `exact` is neither True nor False.
 
     Examples
     --------
@@ -87,6 +87,8 @@ def mirror_study(
     >>> [round(float(r), 1) for r in study["rate"].sel(mirroring="integrand")]
     [-3.0, -3.0]
     """
+    if not isinstance(exact, bool):
+        raise ParameterError(f"exact is {exact!r}; give True or False.")
     plain = as_estimator(estimator, getattr(sampler, "dims", None))
     source = as_sampler(sampler, plain.dims)
     names = _check_mirrorings(mirrorings)
