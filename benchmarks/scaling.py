@@ -12,16 +12,23 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-import msgspec
 import numpy as np
-from mcspectra.studies.engines import Engine, LocalEngine, Outcome, attempt
-from mcspectra.studies.processes import ProcessEngine
+import xarray as xr
 
+from mcspectra.core.analysis import Analysis, Need, Reduction, Subject
+from mcspectra.core.records import SUM
+from mcspectra.core.results import Variable
+from mcspectra.core.streams import Stream
 from mcspectra.studies import StudyConfig, decode_study, run_study
-from mcspectra.studies.run import Progress
-from mcspectra.studies.tasks import StudyText, Task
+from mcspectra.studies.executors import Cluster, Dask, Threads
+from mcspectra.studies.plan import Cell
+from mcspectra.studies.run import MakeExecutor, Progress, drive
+from mcspectra.studies.schedule import Schedule
+from mcspectra.studies.tasks import Task
 
 _NAP = 0.2  # seconds of a calibrated task
 _STUDY = """
@@ -53,7 +60,7 @@ def main(*names: str) -> None:
 def tasks() -> None:
     """What a task costs beyond its computation: one cell of thousands of chunks that take no time."""
     for count in (10_000, 40_000):
-        with _timed(f"{count:,} one-block tasks through schedule, engine and merge", count):
+        with _timed(f"{count:,} one-block tasks through schedule, thread and merge", count):
             _drive_many(count)
 
 
@@ -62,11 +69,11 @@ def workers() -> None:
     config = _study(16)
     for count in (1, 2):
         with _timed(f"16 short cells on {count} worker processes, their start included"):
-            _run(config, lambda text, count=count: ProcessEngine(text, count))
+            _run(config, lambda text, count=count: Dask(text, Cluster(workers=count)))
     with _timed("the same on 1 thread"):
-        _run(config, lambda text: LocalEngine(text, 1))
-    for count in (1, 2):
-        _dask(config, count)
+        _run(config, lambda _: Threads(1))
+    with _timed("400 short cells on 2 worker processes", 400):
+        _run(_study(400), lambda text: Dask(text, Cluster(workers=2)))
 
 
 def efficiency() -> None:
@@ -75,7 +82,7 @@ def efficiency() -> None:
     one = None
     for count in (1, 2, 4, 8):
         start = time.perf_counter()
-        _run(config, lambda text, count=count: LocalEngine(text, count, _napping))
+        _run(config, lambda _, count=count: Napping(count, _NAP))
         seconds = time.perf_counter() - start
         one = one or seconds
         print(
@@ -97,65 +104,65 @@ def memory() -> None:
         run_study(_study(count), folder, workers=1, report=told)
 
 
+@dataclass
+class _Count:
+    """How many blocks there were."""
+
+    blocks: SUM
+
+
+class _Blocks(Analysis, frozen=True, kw_only=True):
+    """An analysis of many blocks that counts them."""
+
+    variables = (Variable("number of blocks", "1", None, "f", "blocks"),)
+    blocks: int
+
+    def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Count]:  # noqa: ARG002
+        return Reduction(
+            kind=_Count,
+            block=lambda _: _Count(np.ones(1)),
+            blocks=self.blocks,
+            cost=float(self.blocks),
+            result=lambda state: xr.Dataset({"blocks": ((), state.blocks[0])}),
+        )
+
+
+class _Nothing:
+    """Records of a study that has none and keeps none."""
+
+    def tasks(self, path: str) -> list[Any]:  # noqa: ARG002
+        return []
+
+    def record(self, *_: object) -> None:
+        pass
+
+
 def _drive_many(count: int) -> None:
-    from mcspectra.studies.scheduling import Pace, Schedule
-
-    from mcspectra.studies.plan import Cell
-    from mcspectra.studies.run import drive
-
-    source = _Numbers(count)
-    cell = Cell("a/s/k", "k", "a", "s", None, None, None, 1.0)  # type: ignore[arg-type]
-    schedule = Schedule([cell], source, {}, Pace(1e-12))  # type: ignore[arg-type]
-    text = StudyText(config_json="", folder="", seed=0, version="")
-    engine = LocalEngine(text, 1, source.compute)
-    (settled,) = drive(schedule, engine, lambda _: None)
-    engine.close(cancel=False)
-    assert settled.result == count
+    cell = Cell("a/s/k", _Blocks(blocks=count), "a", "s", Subject(None, None), Need(cost=count))
+    schedule = Schedule([cell], 0, _Nothing(), 1e-12)  # type: ignore[arg-type]
+    threads = Threads(1)
+    (settled,) = drive(schedule, threads)
+    threads.close(cancel=False)
+    assert settled.error is None
 
 
-class _Numbers:
-    """An analysis of many blocks that counts them, and where a schedule gets it from."""
+class Napping:
+    """Threads whose tasks take so many seconds and hardly any processor."""
 
-    def __init__(self, blocks: int) -> None:
-        from mcspectra.core.staged import Run
+    def __init__(self, workers: int, seconds: float) -> None:
+        self._threads = Threads(workers)
+        self._seconds = seconds
+        self.workers = workers
+        self.outcomes, self.close = self._threads.outcomes, self._threads.close
 
-        self._run = Run(part=0, first=0, realizations=blocks, blocks=blocks, cost=float(blocks))
+    def submit(self, task: Task, compute: Callable[[], Any]) -> None:
+        def nap() -> Any:
+            start = time.perf_counter()
+            state = compute()
+            time.sleep(max(0.0, self._seconds - (time.perf_counter() - start)))
+            return state
 
-    def analysis(self, _: object) -> _Numbers:
-        return self
-
-    def stages(self):  # type: ignore[no-untyped-def]
-        (total,) = yield [self._run]
-        return total
-
-    def merge(self, left: int, right: int) -> int:
-        return left + right
-
-    def unpack(self, arrays: dict[str, np.ndarray]) -> int:
-        return int(arrays["n"])
-
-    def compute(self, _: StudyText, task: Task) -> Outcome:
-        from mcspectra.studies.tasks import pack_payload
-
-        payload = pack_payload({"n": np.array(task.chunk_blocks)})
-        return Outcome(key=task.key, payload=payload, seconds=1.0)
-
-
-def _dask(config: StudyConfig, count: int) -> None:
-    from mcspectra.studies.cluster import ClusterOptions, DaskEngine
-
-    options = ClusterOptions(address="local", workers=count)
-    with _timed(f"the same on {count} dask workers of this machine, their start included"):
-        _run(config, lambda text: DaskEngine(text, options))
-    with _timed("400 short cells more", 400):
-        _run(_study(400), lambda text: DaskEngine(text, options))
-
-
-def _napping(text: StudyText, task: Task) -> Outcome:
-    start = time.perf_counter()
-    outcome = attempt(text, task)
-    time.sleep(max(0.0, _NAP - (time.perf_counter() - start)))
-    return msgspec.structs.replace(outcome, seconds=_NAP)
+        self._threads.submit(task, nap)
 
 
 def _text(count: int) -> str:
@@ -166,7 +173,7 @@ def _study(count: int) -> StudyConfig:
     return decode_study(_text(count))
 
 
-def _run(config: StudyConfig, engine: Callable[[StudyText], Engine]) -> None:
+def _run(config: StudyConfig, engine: MakeExecutor) -> None:
     with tempfile.TemporaryDirectory() as folder:
         run_study(config, folder, engine=engine)
 

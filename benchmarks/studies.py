@@ -1,6 +1,6 @@
 """Studies: what a cell costs beyond its own time, and what two workers gain.
 
-Overhead: cells of about half a second through tasks, journal and store, against a bare loop over the
+Overhead: cells of about half a second through tasks and ledger, against a bare loop over the
 same cells. Efficiency: time with one worker over that with w, divided by w; for tasks that sleep, which
 shows what the scheduling costs, and for real ones, which share Python's lock (threads) and a memory bus.
 What two processors of the machine give at most is shown by two processes that loop over half of the
@@ -18,12 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from mcspectra.studies.cells import compute_cell
-from mcspectra.studies.engines import Engine, LocalEngine, Outcome, attempt
-from mcspectra.studies.processes import ProcessEngine
 
+from benchmarks.scaling import Napping
 from mcspectra.studies import StudyConfig, decode_study, make_plan, run_study
-from mcspectra.studies.tasks import StudyText, Task
+from mcspectra.studies.executors import Cluster, Dask, Threads
+from mcspectra.studies.run import MakeExecutor
 
 SECONDS = 0.5
 LONG = 1.5  # seconds of a cell of a study for which it is worth starting processes
@@ -47,9 +46,8 @@ def study(realizations: int) -> StudyConfig:
     """A study of equal cells."""
     widths = ", ".join(f"{0.2 + 0.01 * i:.2f}" for i in range(CELLS))
     config = decode_study(STUDY.replace("WIDTHS", widths))
-    assert config.convergence is not None
-    table = msgspec.structs.replace(config.convergence, realizations=realizations)
-    return msgspec.structs.replace(config, convergence=table)
+    table = msgspec.structs.replace(config.analyses["convergence"], realizations=realizations)
+    return msgspec.structs.replace(config, analyses={"convergence": table})
 
 
 def calibrated(seconds: float) -> StudyConfig:
@@ -58,12 +56,6 @@ def calibrated(seconds: float) -> StudyConfig:
     _loop(study(few))  # compile
     each = min(_loop(study(few)) for _ in range(ROUNDS)) / CELLS
     return study(max(2, round(few * seconds / each)))
-
-
-def napping(text: StudyText, task: Task) -> Outcome:
-    """A task that takes `SECONDS` and no processor."""
-    time.sleep(SECONDS)
-    return attempt(text, task)
 
 
 def main() -> None:
@@ -76,9 +68,9 @@ def main() -> None:
         f"{run / loop - 1:+.1%} ({1e3 * (run - loop) / CELLS:.0f} ms a cell)"
     )
     naps = study(2)
-    one = _run(naps, _napping_threads(1))
+    one = _run(naps, _napping(1))
     for workers in (2, 4, 8):
-        _print_efficiency("sleeping, threads", one, _run(naps, _napping_threads(workers)), workers)
+        _print_efficiency("sleeping, threads", one, _run(naps, _napping(workers)), workers)
     _print_real(real, ROUNDS)
     _print_real(calibrated(LONG), 2)
 
@@ -123,33 +115,33 @@ def _side_by_side(config: StudyConfig) -> float:
 
 def _half(config: StudyConfig, first: int, gate: Any) -> None:
     plan = make_plan(config, Path())
-    compute_cell(make_plan(study(2), Path()).cells[0], config.seed)  # import and compile
+    make_plan(study(2), Path()).cells[0].compute(config.seed)  # import and compile
     gate.wait()
     for cell in plan.cells[first::2]:
-        compute_cell(cell, config.seed)
+        cell.compute(config.seed)
 
 
-def _threads(workers: int) -> Callable[[StudyText], Engine]:
-    return lambda text: LocalEngine(text, workers)
+def _threads(workers: int) -> MakeExecutor:
+    return lambda _: Threads(workers)
 
 
-def _napping_threads(workers: int) -> Callable[[StudyText], Engine]:
-    return lambda text: LocalEngine(text, workers, napping)
+def _napping(workers: int) -> MakeExecutor:
+    return lambda _: Napping(workers, SECONDS)
 
 
-def _processes(workers: int) -> Callable[[StudyText], Engine]:
-    return lambda text: ProcessEngine(text, workers)
+def _processes(workers: int) -> MakeExecutor:
+    return lambda text: Dask(text, Cluster(workers=workers))
 
 
 def _loop(config: StudyConfig) -> float:
     plan = make_plan(config, Path())
     start = time.perf_counter()
     for cell in plan.cells:
-        compute_cell(cell, config.seed)
+        cell.compute(config.seed)
     return time.perf_counter() - start
 
 
-def _run(config: StudyConfig, engine: Callable[[StudyText], Engine]) -> float:
+def _run(config: StudyConfig, engine: MakeExecutor) -> float:
     with tempfile.TemporaryDirectory() as folder:
         start = time.perf_counter()
         run_study(config, folder, engine=engine)

@@ -9,6 +9,7 @@ from mcspectra.studies import open_results
 
 MODULE = '''
 import asyncio
+import itertools
 import multiprocessing
 import os
 import pathlib
@@ -81,6 +82,12 @@ def hangs(x):
         (FOLDER / "begun").touch()
     while sampled(x) and (FOLDER / "hang").exists():
         time.sleep(0.01)
+    return x[..., 0]
+
+
+def holds_the_lock(x):
+    if sampled(x):
+        sum(itertools.repeat(0))
     return x[..., 0]
 
 

@@ -7,11 +7,12 @@ import time
 from pathlib import Path
 
 import dask
+import distributed  # noqa: F401 - whose configuration must be there before it is changed
 import msgspec
 import pytest
 
 from mcspectra.core.errors import NotPowerOfTwoWarning, ParameterError
-from mcspectra.studies.executors import ClusterError, Threads, check_time_limit, processes
+from mcspectra.studies.executors import Cluster, ClusterError, Dask, Threads, check_time_limit
 from mcspectra.studies.files import decode_study
 from mcspectra.studies.plan import make_plan
 from mcspectra.studies.tasks import StudyText, Task, attempt
@@ -108,7 +109,7 @@ def test_time_limits():
 
 def test_workers_that_cannot_build_the_study_are_an_error(misbehaving):
     text = msgspec.structs.replace(_text("good"), code=())
-    executor = processes(text, 1)
+    executor = Dask(text, Cluster(workers=1))
     executor.submit(_task())
     try:
         with pytest.raises(ClusterError, match="--allow-code misbehaving:good"):
@@ -153,7 +154,7 @@ def test_processes_do_not_repeat_the_warnings_of_planning(capfd):
     study = decode_study(study.replace('"random"', '"sobol | owen"').replace("[4]", "[100]"))
     with pytest.warns(NotPowerOfTwoWarning):
         make_plan(study, Path())
-    executor = processes(StudyText.of(study, Path()), 1)
+    executor = Dask(StudyText.of(study, Path()), Cluster(workers=1))
     executor.submit(Task(path="a/sobol-owen/convergence", run=None))
     assert next(executor.outcomes()).error is None
     executor.close(cancel=False)
@@ -175,7 +176,7 @@ def test_a_process_that_is_stopped_or_dies_is_replaced(misbehaving):
     (misbehaving / "hang").touch()
     tasks = {name: _task(name.replace("_", "-")) for name in names[1:]} | {"hangs": _task()}
     with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
-        executor = processes(text, 1, 5.0)
+        executor = Dask(text, Cluster(workers=1, time_limit=5.0))
     for name in names:
         executor.submit(tasks[name])
     found = {outcome.task: outcome for outcome in executor.outcomes()}
@@ -188,3 +189,14 @@ def test_a_process_that_is_stopped_or_dies_is_replaced(misbehaving):
     # dies_once and good have the same values, hence the same moments.
     assert outcomes["dies_once"].error is outcomes["good"].error is None
     assert outcomes["good"].payload == attempt(text, tasks["good"]).payload
+
+
+def test_code_that_never_gives_python_back_fails_alone(misbehaving):
+    """The worker cannot notice that its time is over: it is ended from within, and replaced."""
+    with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
+        executor = Dask(_text("holds_the_lock"), Cluster(workers=1, time_limit=2.0))
+    executor.submit(_task())
+    (outcome,) = executor.outcomes()
+    executor.close(cancel=False)
+    assert outcome.error.startswith("2 workers died while computing it")
+    assert misbehaving.exists()

@@ -20,7 +20,7 @@ from mcspectra.core.errors import StoreError
 from mcspectra.core.records import SUM, unpack
 from mcspectra.studies import Trust, foreign_code, make_plan, open_results, run_study
 from mcspectra.studies import schedule as schedule_module
-from mcspectra.studies.executors import Threads, processes
+from mcspectra.studies.executors import Cluster, Dask, Threads
 from mcspectra.studies.files import decode_study
 from mcspectra.studies.ledger import Ledger
 from mcspectra.studies.run import CellFailed, drive
@@ -130,7 +130,7 @@ def test_chunks_of_one_block_give_the_same_bits(finished, tmp_path, stored_value
 
 
 def test_processes_give_the_same_bits(finished, tmp_path, stored_values):
-    run_study(decode_study(STUDY), tmp_path, engine=lambda text: processes(text, 2))
+    run_study(decode_study(STUDY), tmp_path, engine=lambda text: Dask(text, Cluster(workers=2)))
     _assert_equal(stored_values(tmp_path), finished)
 
 

@@ -54,7 +54,6 @@ __all__ = [
     "Executor",
     "Threads",
     "check_time_limit",
-    "processes",
 ]
 
 _GRACE = 5.0  # seconds that cancelled threads have to finish: most chunks take about 1 s
@@ -165,7 +164,8 @@ class Cluster:
     dashboard
         Port of dask's dashboard, for ``local``; 0 takes a free one.
     time_limit
-        Seconds after which a task has failed and its worker is restarted.
+        Seconds after which a task has failed and its worker is restarted. The compilation of a kernel
+        that is used for the first time on a machine counts.
     patience
         Seconds to wait for the scheduler, at the start and when the connection is lost.
 
@@ -204,22 +204,6 @@ class Cluster:
     def local(self) -> bool:
         """Whether the cluster is started for this study, on this machine."""
         return self.address == "local"
-
-
-def processes(text: StudyText, workers: int | None, time_limit: float | None = None) -> Dask:
-    """Processes of this machine, replaced when they die or a task is over the time limit.
-
-    Parameters
-    ----------
-    text
-        The study.
-    workers
-        Number of processes.
-    time_limit
-        Seconds that a task may take; None is no limit. The compilation of a kernel that is used for
-        the first time on a machine counts.
-    """
-    return Dask(text, Cluster(workers=workers, time_limit=time_limit))
 
 
 class _Pending(NamedTuple):

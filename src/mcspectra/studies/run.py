@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ import msgspec
 
 from mcspectra.core.errors import DamagedResultsWarning, McspectraError, StoreError, warn
 from mcspectra.core.parallel import available_workers
-from mcspectra.studies.executors import Executor, Threads, check_time_limit, processes
+from mcspectra.studies.executors import Cluster, Dask, Executor, Threads, check_time_limit
 from mcspectra.studies.files import StudyConfig
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote
 from mcspectra.studies.plan import Cell, Plan, make_plan
@@ -124,17 +123,19 @@ def run_study(
         failed = ledger.failures()
         missing = [c for c in plan.cells if c.path not in ledger.done and c.path not in failed]
         if missing:
-            told = _teller(plan, missing, report)
             schedule = Schedule(missing, config.seed, ledger, task_seconds(limit))
-            make = engine or functools.partial(_executor, workers=count, limit=limit)
-            with contextlib.closing(_computed(schedule, make(text))) as cells:
-                for settled in cells:
+            executor = _executor(text, count, limit) if engine is None else engine(text)
+            total, left = (sum(c.need.cost for c in cells) for cells in (plan.cells, missing))
+            with contextlib.closing(_computed(schedule, executor)) as computed:
+                for done, settled in enumerate(computed, len(plan.cells) - len(missing) + 1):
+                    cell = settled.cell
                     if settled.payload is None:
-                        reason = settled.error or "It failed without a reason."
-                        ledger.fail(settled.cell.path, reason)
+                        ledger.fail(cell.path, settled.error or "It failed without a reason.")
                     else:
-                        ledger.finish(settled.cell.path, settled.payload)
-                    told(settled.cell)
+                        ledger.finish(cell.path, settled.payload)
+                    left -= cell.need.cost
+                    if report is not None:
+                        report(Progress(cell, done, len(plan.cells), total - left, total))
         failed = ledger.failures()
         ledger.commit()
         write_zarr(out)
@@ -179,7 +180,9 @@ def _computed(schedule: Schedule, executor: Executor) -> Generator[Settled]:
 
 
 def _executor(text: StudyText, workers: int, limit: float | None) -> Executor:
-    return Threads(workers) if limit is None else processes(text, workers, limit)
+    if limit is None:
+        return Threads(workers)
+    return Dask(text, Cluster(workers=workers, time_limit=limit))
 
 
 def _ledger(plan: Plan, out: Path, *, resume: bool, retry: bool) -> Ledger:
@@ -218,20 +221,3 @@ def _warn_of_damage(ledger: Ledger) -> None:
             f"again: {', '.join(names[:_NAMED])}{more}.",
             DamagedResultsWarning,
         )
-
-
-def _teller(
-    plan: Plan, missing: list[Cell], report: Callable[[Progress], Any] | None
-) -> Callable[[Cell], None]:
-    """What tells `report` of each cell that is done or has failed."""
-    total = sum(cell.need.cost for cell in plan.cells)
-    left, left_cost = len(missing), sum(cell.need.cost for cell in missing)
-
-    def told(cell: Cell) -> None:
-        nonlocal left, left_cost
-        left, left_cost = left - 1, left_cost - cell.need.cost
-        if report is not None:
-            cells = len(plan.cells)
-            report(Progress(cell, cells - left, cells, total - left_cost, total))
-
-    return told

@@ -14,7 +14,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar, final
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, final
 
 import xarray as xr
 
@@ -26,7 +26,10 @@ from mcspectra.studies.foreign_code import explain
 from mcspectra.studies.plan import Cell
 from mcspectra.studies.tasks import Outcome, Task
 
-__all__ = ["PartialRun", "Records", "Schedule", "Settled", "Work", "task_seconds"]
+if TYPE_CHECKING:
+    from mcspectra.studies.ledger import Ledger
+
+__all__ = ["PartialRun", "Schedule", "Settled", "Work", "task_seconds"]
 
 State = TypeVar("State")
 Work = tuple[Task, Callable[[], Any]]
@@ -138,21 +141,6 @@ class PartialRun(Generic[State]):
             self._gaps.append((first, stop - first))
 
 
-class Records(Protocol):
-    """Where states of unfinished cells are kept: `mcspectra.studies.ledger.Ledger`."""
-
-    def tasks(self, path: str) -> list[tuple[str, Chunk]]:
-        """What is recorded of a cell: keys of its reductions, and blocks of them."""
-
-    def state(self, path: str, run: str, chunk: Chunk) -> bytes | None:
-        """A recorded state; None if it is damaged."""
-
-    def record(
-        self, path: str, run: str, chunk: Chunk, payload: bytes, seconds: float, host: str
-    ) -> None:
-        """Keep a state."""
-
-
 @final
 @dataclass(frozen=True)
 class Settled:
@@ -177,18 +165,18 @@ class Settled:
 class _Active:
     """A cell under way: its analysis, driven step by step, or all of it as one task."""
 
-    def __init__(self, cell: Cell, seed: int, records: Records, *, whole: bool) -> None:
+    def __init__(self, cell: Cell, seed: int, ledger: Ledger, *, whole: bool) -> None:
         self.cell = cell
         self.payload: bytes | None = None
         self.pace: float | None = None  # seconds for a unit of cost
         self._seed = seed
-        self._records = records
+        self._ledger = ledger
         self._parts: dict[str, PartialRun[Any]] = {}
         self._whole = whole
         self._unrecorded = 0.0  # seconds
         if not whole:
             self._found: dict[str, list[Chunk]] = {}
-            for key, chunk in records.tasks(cell.path):
+            for key, chunk in ledger.tasks(cell.path):
                 self._found.setdefault(key, []).append(chunk)
             self._steps = steps_of(cell.analysis, cell.subject, Stream.from_rng(seed))
             self.advance(None)
@@ -234,9 +222,7 @@ class _Active:
             for key, part in self._parts.items():
                 for chunk, state in part.fresh():
                     payload = pack(state)
-                    self._records.record(
-                        self.cell.path, key, chunk, payload, self._unrecorded, host
-                    )
+                    self._ledger.record(self.cell.path, key, chunk, payload, self._unrecorded, host)
             self._unrecorded = 0.0
 
     def advance(self, states: list[Any] | None) -> None:
@@ -264,7 +250,7 @@ class _Active:
         part = PartialRun(reduction)
 
         def load(chunk: Chunk) -> Any:
-            payload = self._records.state(self.cell.path, reduction.key, chunk)
+            payload = self._ledger.state(self.cell.path, reduction.key, chunk)
             return None if payload is None else unpack(reduction.kind, payload)
 
         part.restore(self._found.get(reduction.key, ()), load)
@@ -283,18 +269,18 @@ class Schedule:
         In any order.
     seed
         Of all realisations.
-    records
+    ledger
         What earlier runs left, and where states go that took long.
     seconds
         That a task should take: 2^k blocks come within √2 of it, unless one takes longer.
     """
 
     def __init__(
-        self, cells: Iterable[Cell], seed: int, records: Records, seconds: float = _TARGET
+        self, cells: Iterable[Cell], seed: int, ledger: Ledger, seconds: float = _TARGET
     ) -> None:
         self._waiting = deque(sorted(cells, key=lambda cell: -cell.need.cost))
         self._seed = seed
-        self._records = records
+        self._ledger = ledger
         self._target = seconds
         self._paces: dict[str, float] = {}  # seconds for a unit of cost, by the analysis
         self._active: dict[str, _Active] = {}
@@ -356,13 +342,11 @@ class Schedule:
         seconds = self._paces.get(type(cell.analysis).__name__, math.inf) * cell.need.cost
         # A wanted precision may take any number of realisations, whatever the first ones took.
         whole = (
-            seconds <= self._target
-            and not _is_adaptive(cell)
-            and not self._records.tasks(cell.path)
+            seconds <= self._target and not _is_adaptive(cell) and not self._ledger.tasks(cell.path)
         )
 
         def begin() -> None:
-            self._active[cell.path] = _Active(cell, self._seed, self._records, whole=whole)
+            self._active[cell.path] = _Active(cell, self._seed, self._ledger, whole=whole)
 
         if not self._guarded(cell, begin):  # the estimator, in what comes before the first task
             return False
@@ -390,7 +374,7 @@ class Schedule:
         """Do what calls the code of others; what it raises fails the cell."""
         try:
             step()
-        except StoreError:  # of the records
+        except StoreError:  # of the ledger
             raise
         except _FAILURES as error:
             self._settle(cell, error=explain(error))

@@ -7,15 +7,17 @@ sends back states as `mcspectra.core.records` packs them.
 
 from __future__ import annotations
 
+import faulthandler
 import functools
 import importlib
 import json
+import os
 import socket
 import threading
 import time
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias, final
 
@@ -39,12 +41,12 @@ __all__ = [
     "WorkerRefused",
     "attempt",
     "compute_elsewhere",
-    "compute_task",
     "timed",
 ]
 
 _PLANS = 2  # kept in a process: the one that runs, and one that has just ended
 _REDUCTIONS = 32  # kept in a process; those under way are few
+_HELD = 2.0  # seconds beyond its time limit that a task may keep the worker from noticing
 _WARM = ("numba", "scipy.stats", "xarray")  # what every task needs
 
 
@@ -71,11 +73,8 @@ class Task(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def key(self) -> str:
         """Unique within the study: ``path/run/first+blocks``, or the path."""
-        return self.path if self.run is None else f"{self.path}/{self.run}/{_blocks(self.chunk)}"
-
-
-def _blocks(chunk: Chunk) -> str:
-    return f"{chunk[0]}+{chunk[1]}"
+        first, count = self.chunk
+        return self.path if self.run is None else f"{self.path}/{self.run}/{first}+{count}"
 
 
 @final
@@ -107,21 +106,17 @@ class Outcome:
     host: str = ""
 
 
-def timed(task: Task, compute: Callable[[], Any], *, packed: bool = False) -> Outcome:
+def timed(task: Task, compute: Callable[[], Any]) -> Outcome:
     """Compute a task in this thread; whatever it raises becomes a sentence."""
     start = time.perf_counter()
-    state, payload, error = None, None, None
+    state, error = None, None
     try:
         state = compute()
-        if packed:
-            state, payload = None, pack(state)
     # An interrupt of the run reaches the main thread alone: here it is the integrand's own.
     except BaseException as raised:  # noqa: BLE001 - whatever the code of others does
-        state, error = None, explain(raised)
+        error = explain(raised)
     seconds = time.perf_counter() - start
-    return Outcome(
-        task=task, state=state, payload=payload, error=error, seconds=seconds, host=_host()
-    )
+    return Outcome(task=task, state=state, error=error, seconds=seconds, host=_host())
 
 
 @functools.cache
@@ -203,13 +198,17 @@ class StudyText(msgspec.Struct, frozen=True, kw_only=True):
 
 
 _lock = threading.Lock()
-_cells = functools.lru_cache(maxsize=_PLANS)(StudyText.cells)
+_kept = functools.lru_cache(maxsize=_PLANS)(StudyText.cells)
+
+
+def _cells(text: StudyText) -> dict[str, Cell]:
+    """Cells of a study, whose plan is built once in a process."""
+    with _lock:  # one thread builds the plan, the others wait for it
+        return _kept(text)
 
 
 def _cell(text: StudyText, path: str) -> Cell:
-    """A cell of a study, whose plan is built once in a process."""
-    with _lock:  # one thread builds the plan, the others wait for it
-        cell = _cells(text).get(path)
+    cell = _cells(text).get(path)
     if cell is None:
         raise StoreError(f"The study has no cell {path!r}; its text or its files have changed.")
     return cell
@@ -222,28 +221,20 @@ def _reduction(text: StudyText, path: str, run: str) -> Reduction[Any]:
     return cell.analysis.part(cell.subject, Stream.from_rng(text.seed), run)
 
 
-def compute_task(text: StudyText, task: Task) -> Any:
-    """State of a task's chunk, or the dataset of its cell.
-
-    Raises
-    ------
-    StoreError
-        The study has no such cell.
-    Exception
-        Whatever the estimator raises.
-    """
-    if task.run is None:
-        return _cell(text, task.path).compute(text.seed)
-    return compute_chunk(_reduction(text, task.path, task.run), task.chunk)
-
-
 Compute: TypeAlias = Callable[[StudyText, Task], Outcome]
 """What computes a task on a worker, and raises nothing: `attempt`."""
 
 
 def attempt(text: StudyText, task: Task) -> Outcome:
-    """Compute a task of another process in this thread."""
-    return timed(task, functools.partial(compute_task, text, task), packed=True)
+    """Compute a task from text alone, in this thread: the outcome has bytes, as for other processes."""
+
+    def compute() -> bytes:
+        if task.run is None:
+            return pack(_cell(text, task.path).compute(text.seed))
+        return pack(compute_chunk(_reduction(text, task.path, task.run), task.chunk))
+
+    outcome = timed(task, compute)
+    return replace(outcome, state=None, payload=outcome.state)
 
 
 class WorkerRefused(McspectraError, RuntimeError):
@@ -284,22 +275,22 @@ def compute_elsewhere(
         )
     if compute is attempt:
         try:
-            _prepare(text)
+            for name in _WARM:
+                importlib.import_module(name)
+            _cells(text)
         except BaseException as error:  # noqa: BLE001 - whatever the code of others does
             raise WorkerRefused(
                 f"The worker on {_host()} cannot build the study: {explain(error)}"
             ) from None
     if limit is None:
         return compute(text, task), False
-    try:
-        return within(limit, functools.partial(compute, text, task)), False
-    except TookTooLong:
-        sentence = f"It took longer than the time limit of {limit:g} s and was stopped."
-        return Outcome(task=task, error=sentence, seconds=limit, host=_host()), True
-
-
-def _prepare(text: StudyText) -> None:
-    for name in _WARM:
-        importlib.import_module(name)
-    with _lock:
-        _cells(text)
+    with Path(os.devnull).open("w") as nowhere:
+        # Ends the process where code holds Python's lock, so that nothing here would notice.
+        faulthandler.dump_traceback_later(limit + _HELD, exit=True, file=nowhere)
+        try:
+            return within(limit, functools.partial(compute, text, task)), False
+        except TookTooLong:
+            sentence = f"It took longer than the time limit of {limit:g} s and was stopped."
+            return Outcome(task=task, error=sentence, seconds=limit, host=_host()), True
+        finally:
+            faulthandler.cancel_dump_traceback_later()
