@@ -161,20 +161,12 @@ def closed_form_covariance(
 @final
 @dataclass(frozen=True)
 class Moments:
-    """Exact moments of S_ν.
+    """Exact moments of S_ν."""
 
-    Attributes
-    ----------
-    mean
-        ⟨S_ν⟩ of frequencies (..., d): complex (...).
-    covariance
-        C_ml of two arrays of frequencies of the same shape (..., d): complex (...).
-    integer
-        Whether they hold at integer frequencies only: points wrapped around the torus.
-    """
-
-    mean: Callable[[Array], Array]
+    mean: Callable[[Array], Array]  # ⟨S_ν⟩ of frequencies (..., d): complex (...)
+    # C_ml of two arrays of frequencies of the same shape (..., d): complex (...)
     covariance: Callable[[Array, Array], Array]
+    # Whether they hold at integer frequencies only: points wrapped around the torus
     integer: bool = False
 
     def power(self, nu: Array) -> Array:

@@ -331,21 +331,13 @@ class _Variances:
 
 @dataclass(frozen=True)
 class _Offsets:
-    """Variance of an estimator as a function of the offset of the sampler's strata.
+    """Variance of an estimator as a function of the offset of the sampler's strata."""
 
-    Attributes
-    ----------
-    estimator, sampler
-        What is displaced.
-    exact
-        Whether variances are exact, else measured on realisations that all offsets share.
-    realizations, stream, workers
-        How they are measured.
-    """
-
+    # What is displaced
     estimator: AbstractEstimator
     sampler: Sampler
-    exact: bool
+    exact: bool  # whether variances are exact, else measured on realisations that all offsets share
+    # How they are measured
     realizations: int
     stream: Stream
     workers: int

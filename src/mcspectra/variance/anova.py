@@ -452,18 +452,10 @@ def _subsets(dims: int, order: int) -> list[tuple[int, ...]]:
 
 @dataclass(frozen=True)
 class _Subsets:
-    """The subsets of axes that are frozen.
+    """The subsets of axes that are frozen."""
 
-    Attributes
-    ----------
-    masks
-        All of them, each once, the full and the empty set first: bool (S, d).
-    listed
-        Those of up to `order` axes, by size.
-    """
-
-    masks: Array
-    listed: tuple[tuple[int, ...], ...]
+    masks: Array  # all of them, each once, the full and the empty set first: bool (S, d)
+    listed: tuple[tuple[int, ...], ...]  # those of up to `order` axes, by size
 
     @staticmethod
     def of(dims: int, order: int) -> _Subsets:

@@ -59,18 +59,12 @@ _SCAN_REALIZATIONS = 300
 
 @dataclass(frozen=True)
 class Setup:
-    """An estimator with its sampler.
+    """An estimator with its sampler."""
 
-    Attributes
-    ----------
-    estimator, sampler
-        What is sampled and how.
-    at_count
-        Makes the estimator for n points, where it depends on them.
-    """
-
+    # What is sampled and how
     estimator: AbstractEstimator
     sampler: Sampler
+    # Makes the estimator for n points, where it depends on them
     at_count: Callable[[int], AbstractEstimator] | None = None
 
     def at(self, n: int) -> AbstractEstimator:
@@ -104,45 +98,22 @@ class Setup:
 
 @dataclass(frozen=True)
 class Budget:
-    """What searches for the best of a family may use.
+    """What searches for the best of a family may use."""
 
-    Attributes
-    ----------
-    evaluations
-        Of the integrand, in an estimate.
-    realizations
-        Estimates to measure with.
-    stream
-        Random numbers of their own: what was chosen is measured again on others.
-    """
-
-    evaluations: int
-    realizations: int
-    stream: Stream
+    evaluations: int  # of the integrand, in an estimate
+    realizations: int  # estimates to measure with
+    stream: Stream  # random numbers of their own: what was chosen is measured again on others
 
 
 @dataclass(frozen=True)
 class Counterfactual:
-    """A set-up that differs from the one given in one respect.
+    """A set-up that differs from the one given in one respect."""
 
-    Attributes
-    ----------
-    kind
-        One of `KINDS`, or ``"given"``.
-    name
-        Short label, unique among those compared.
-    change
-        What to do, as an imperative.
-    setup
-        The changed set-up.
-    biased
-        Whether it estimates something else, so that the error is taken about the given integral.
-    """
-
-    kind: str
-    name: str
-    change: str
-    setup: Setup
+    kind: str  # one of `KINDS`, or ``"given"``
+    name: str  # short label, unique among those compared
+    change: str  # what to do, as an imperative
+    setup: Setup  # the changed set-up
+    # Whether it estimates something else, so that the error is taken about the given integral
     biased: bool = False
 
     @property

@@ -56,26 +56,14 @@ class Jumps:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found about a set-up.
+    """What was found about a set-up."""
 
-    Attributes
-    ----------
-    wraps
-        Whether the sampler shifts points around the torus.
-    unbounded
-        Whether ∫1/p diverges.
-    slow
-        The technique whose rate is slower than all others'; None where none is known to be.
-    slow_name
-        Its density or integrand, where it has one.
-    boundary, inside
-        Jumps of g, of all techniques together; None where they were not looked for.
-    """
-
-    wraps: bool
-    unbounded: bool
+    wraps: bool  # whether the sampler shifts points around the torus
+    unbounded: bool  # whether ∫1/p diverges
+    # The technique whose rate is slower than all others'; None where none is known to be
     slow: int | None
-    slow_name: str
+    slow_name: str  # its density or integrand, where it has one
+    # Jumps of g, of all techniques together; None where they were not looked for
     boundary: Jumps | None
     inside: Jumps | None
 

@@ -51,23 +51,13 @@ _GRADED = {
 @final
 @dataclass(frozen=True, eq=False)
 class DerivedIntegrand(Integrand):
-    """What is made of an integrand point by point.
-
-    Attributes
-    ----------
-    values
-        Of points.
-    cuts
-        Its breaks.
-    text
-        Its spec, for messages.
-    """
+    """What is made of an integrand point by point."""
 
     name: ClassVar[str] = "derived"
     integrand: Integrand
-    values: Callable[[Array], Array]
-    cuts: tuple[tuple[float, ...], ...]
-    text: str
+    values: Callable[[Array], Array]  # of points
+    cuts: tuple[tuple[float, ...], ...]  # its breaks
+    text: str  # its spec, for messages
 
     @property
     def dims(self) -> int:  # type: ignore[override]

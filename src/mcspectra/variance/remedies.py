@@ -322,22 +322,15 @@ def remedies(
 
 @dataclass(frozen=True)
 class _Trial:
-    """A set-up that was measured, and what was seen of it.
-
-    Attributes
-    ----------
-    setup
-        Texts of estimator and sampler, and the name of a change that depends on n.
-    unbounded, inside
-        Of other warps: whether ∫1/p diverges, and the jumps of g inside.
-    """
+    """A set-up that was measured, and what was seen of it."""
 
     kind: str
     name: str
     change: str
-    setup: str
+    setup: str  # texts of estimator and sampler, and the name of a change that depends on n
     biased: bool
     errors: Errors
+    # Of other warps: whether ∫1/p diverges, and the jumps of g inside
     unbounded: bool
     inside: Jumps | None
 
@@ -467,30 +460,14 @@ def _given(columns: list[dict[str, Any]]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of one set-up at several costs.
+    """Errors of one set-up at several costs."""
 
-    Attributes
-    ----------
-    cost
-        Evaluations of the integrand in an estimate, (N,).
-    error
-        Mean squared error v, summed over channels, (N,).
-    bias
-        Mean estimate minus the integral, (N, C).
-    influence
-        ψ, (N, R).
-    noise
-        v below which the estimates differ by rounding only, (N,).
-    blind
-        Whether the estimates are all alike, but not the integral, (N,).
-    """
-
-    cost: Array
-    error: Array
-    bias: Array
-    influence: Array
-    noise: Array
-    blind: Array
+    cost: Array  # evaluations of the integrand in an estimate, (N,)
+    error: Array  # mean squared error v, summed over channels, (N,)
+    bias: Array  # mean estimate minus the integral, (N, C)
+    influence: Array  # ψ, (N, R)
+    noise: Array  # v below which the estimates differ by rounding only, (N,)
+    blind: Array  # whether the estimates are all alike, but not the integral, (N,)
 
     @staticmethod
     def of(
@@ -593,18 +570,12 @@ class Errors:
 
 @dataclass(frozen=True)
 class Comparison:
-    """One set-up against another: the ratio of errors at a budget, and the difference of rates.
+    """One set-up against another: the ratio of errors at a budget, and the difference of rates."""
 
-    Attributes
-    ----------
-    log_ratio, log_ratio_se
-        log(v/v_reference) and its standard error.
-    rate_difference, rate_difference_se
-        Rate minus the reference's, and its standard error; NaN where a rate is.
-    """
-
+    # log(v/v_reference) and its standard error
     log_ratio: float
     log_ratio_se: float
+    # Rate minus the reference's, and its standard error; NaN where a rate is
     rate_difference: float
     rate_difference_se: float
 

@@ -300,19 +300,11 @@ def technique_terms(
 
 @dataclass(frozen=True)
 class _Total:
-    """Sums over realisations, and what each block says by itself, for standard errors.
-
-    Attributes
-    ----------
-    weights
-        Degrees of freedom of each block: (B,).
-    values
-        Dc, power, cross and measured: (B, 4, C, T, T).
-    """
+    """Sums over realisations, and what each block says by itself, for standard errors."""
 
     sums: TechniqueSums
-    weights: JOIN
-    values: JOIN
+    weights: JOIN  # degrees of freedom of each block: (B,)
+    values: JOIN  # dc, power, cross and measured: (B, 4, C, T, T)
 
 
 def _variables(total: _Total, view: View) -> Variables:

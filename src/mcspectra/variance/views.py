@@ -29,16 +29,10 @@ MAX_MATRIX = 4096
 @final
 @dataclass(frozen=True)
 class Frequencies:
-    """The basis functions of an analysis, in the domain or in primary space.
-
-    Attributes
-    ----------
-    space
-        ``"domain"`` or ``"primary"``.
-    """
+    """The basis functions of an analysis, in the domain or in primary space."""
 
     estimator: AbstractEstimator
-    space: str
+    space: str  # ``"domain"`` or ``"primary"``
     basis: Basis
 
     @staticmethod
@@ -88,25 +82,15 @@ class Frequencies:
 
 @dataclass(frozen=True)
 class View:
-    """Domain or primary view: which integrand coefficients meet which point spectra.
-
-    Attributes
-    ----------
-    transforms
-        Of the points of each technique, or of all together.
-    integrand_coefficients
-        f^t, (C, T, H).
-    source
-        Where they come from.
-    """
+    """Domain or primary view: which integrand coefficients meet which point spectra."""
 
     estimator: AbstractEstimator
     space: str
     basis: Basis
-    transforms: tuple[Coefficients, ...]
+    transforms: tuple[Coefficients, ...]  # of the points of each technique, or of all together
     engine: str
-    integrand_coefficients: Array
-    source: str
+    integrand_coefficients: Array  # f^t, (C, T, H)
+    source: str  # where they come from
 
     @staticmethod
     def of(
