@@ -1,17 +1,8 @@
 """Expected power spectra and covariances of S_m that are known exactly, one sampler after another.
 
-With sinc(x) = sin x / x, n points, s = n^(1/d) strata a side, real frequencies ν, for example:
-
-* random, density p:   ⟨|S_ν|²⟩ = (1/n) ∫1/p + ((n−1)/n) Π_i sinc²(πν_i),
-  and at integers C_ml = (1/n) ((1/p)^_{m−l} − δ_m0 δ_l0)
-* jittered:            ⟨|S_ν|²⟩ = (1/n)(1 − Π_i sinc²(πν_i/s)) + Π_i sinc²(πν_i), and at integers
-  C_ml = (1/n)(δ_ml − Π_i (−1)^((m_i−l_i)/s) sinc(πm_i/s) sinc(πl_i/s)) where s divides m − l, else 0
-* regular and uniform-jitter: ⟨|S_ν|²⟩ = Π_i (sin(πν_i) / (s sin(πν_i/s)))²
-* Latin hypercube:     ⟨|S_ν|²⟩ = 1/n + ((n−1)/n) Π_i (n sinc²(πν_i) − sinc²(πν_i/n))/(n−1)
-* rank-1 lattice, integer m: 1 where m·z ≡ 0 (mod n), else 0
-
-At *integer* m a Cranley-Patterson shift multiplies S_m by a random phase: it leaves the power as it is and
-makes C_ml diagonal. Importance-sampled sets are in `closed_weighted`.
+Random, jittered and lattice points are derived in docs/theory.md, "Closed forms". At *integer* m a
+Cranley-Patterson shift multiplies S_m by a random phase: it leaves the power as it is and makes C_ml
+diagonal. Importance-sampled sets are in `closed_weighted`.
 
 Method
 ------

@@ -1,20 +1,10 @@
 """Exact means and covariances of S_m for importance-sampled points, x = T(u), weights 1/(n p).
 
-Let p be a product over the axes with monotone warps T. On one axis, the points u of a stratum
-[t, t + 1/s) of the primary space fill the interval from T(t) to T(t + 1/s), where they have
+docs/theory.md, "Closed forms", has the derivation for densities that are products over the axes with
+monotone warps: M_t(m) of the stratum that starts at t, *same* and *apart* of two points, their means
+taken over the strata, or over all t where a random shift follows. A grid with one offset δ has
 
-    M_t(m) = s ∫ exp(−2πi m T(u)) / p(T(u)) du = s ∫ exp(−2πi m x) dx,
-
-the density being gone. So, with <·> the mean over the strata, or over all t where a random shift
-follows, at integer m and l
-
-    same(m, l) = <M_t(m) conj M_t(l)>     two independent points of one of s strata
-    free(m, l) = δ_m0 δ_l0                two independent points
-    apart      = (s free − same)/(s − 1)  points of two different strata
-
-    random, jittered:  C_ml = (1/n) [(1/p)^_{m−l} − Π_i same_i]          (random: s = 1)
-    Latin hypercube:   C_ml = (1/n) (1/p)^_{m−l} + (1 − 1/n) Π_i apart_i − δ_m0 δ_l0
-    grid, one offset:  C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0 δ_l0
+    C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0 δ_l0
 
 with A_δ(m) the S_m of the grid of offset δ on one axis.
 """

@@ -1,27 +1,18 @@
 """ANOVA of a variance in many dims: which axes, alone or together, the noise comes from.
 
-With the ANOVA decomposition f = Σ_u f_u over subsets u of the axes, an estimate is the sum of the means I_u
-of f_u over the points, and Var(I) = Σ_u c_u, c_u = Cov(I_u, I): as the contribution map does for frequencies.
-For random points c_u = σ²_u/n; a sampler that is good in a projection takes c_u away.
+Of the parts f_u of an integrand over subsets u of the axes (docs/theory.md, "Analysis by axes"), each adds
+c_u = Cov(I_u, I) to the variance.
 
-Method: pick-freeze [Sobol2001]_ of whole point sets. Keep the coordinates u of all points, and
-replace the others by those of an independent set of the same sampler, its points in random order. Given
-the first set, the mean over the second is Σ_{v⊆u} I_v; so the covariance of the two estimates is
-Σ_{v⊆u} c_v, and inclusion-exclusion leaves c_u. That of the empty u is 0, but its sample is taken off
-all others: most of their errors are in it too, and shares near 1 are then precise. No coefficient
-of f is needed, d may be large, and the error is that of a covariance over realisations.
+`anova_variances`: pick-freeze [Sobol2001]_ of whole point sets. Keep the coordinates u of all points, and
+replace the others by those of an independent set of the same sampler, its points in random order: the
+covariance of the two estimates is Σ_{v⊆u} c_v, and inclusion-exclusion leaves c_u. That of the empty u is 0,
+but its sample is taken off all others: most of their errors are in it too, and shares near 1 are then
+precise. Effective dimensions are those of [Caflisch1997]_.
 
-Effective dimension [Caflisch1997]_: in the truncation sense the least s such that the first s axes, in
-the superposition sense such that subsets of up to s axes, hold 99 % of the variance.
-
-By sampled frequencies, `anova_spectrum`: those that involve the axes u and no others make up the ANOVA part
-f_u, and the part of the variance of points that are the same after any translation is
-
-    c_u = Σ_{m: m_i ≠ 0 for i ∈ u only} |f_m|² ⟨|S_m|²⟩.
-
-The sum has (2K)^|u| terms. It is estimated from a few: m is drawn with a probability q(m) = Π_{i∈u} q_1(m_i),
-q_1(k) ∝ 1/k² up to K, and the mean of |f_m|² ⟨|S_m|²⟩ / q(m) is unbiased. |f_m|² of a function with
-jumps or a boundary term falls like 1/m_i² on each axis, so that the terms are bounded.
+`anova_spectrum`: c_u of points that are the same after any translation is the sum of |f_m|² ⟨|S_m|²⟩ over
+the frequencies of these axes and no others, estimated from a few: m is drawn with a probability
+q(m) = Π_{i∈u} q_1(m_i), q_1(k) ∝ 1/k² up to K, since |f_m|² of a function with jumps or a boundary term falls
+like 1/m_i² on each axis, so that the terms are bounded.
 """
 
 from __future__ import annotations

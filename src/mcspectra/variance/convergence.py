@@ -1,13 +1,9 @@
 """Convergence: measured variance against n and its fitted rate.
 
-The rate is the slope of log variance against log n (`mcspectra.variance.fit`). The variance is that of
-the realisations, a sample variance with ddof = 1, which is unbiased for the variance of the estimator;
-its relative standard error, √((κ − 1)/R) for R estimates of kurtosis κ, is its weight in the fit.
-
-How many realisations: a given number, or until the variance is known well enough. 5 % takes 800 of
-normal estimates, and many more where few estimates carry most of the spread. κ is not known in advance, so
-that the number is found by going on: sequentially, in stages fixed by what was seen so far, hence the
-same bits for any number of workers.
+How many realisations: a given number, or until the variance is known well enough, which takes about
+(κ − 1)/ε² for estimates of kurtosis κ (docs/theory.md, "Intervals of variances, and stopping"). κ is not
+known in advance, so that the number is found by going on: sequentially, in stages fixed by what was seen so
+far, hence the same bits for any number of workers.
 
 What has not been seen cannot be counted. A stop is believed only when the next stage, at least a
 quarter longer, confirms it, because the first stop of a skewed sample tends to be a moment at which κ

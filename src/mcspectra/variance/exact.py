@@ -1,16 +1,8 @@
 """Exact variances of random and stratified sampling and of scrambled nets, by quadrature.
 
-For independent points u_j uniform in strata of equal volume, Var(I_n) = n^-2 Σ_j Var_j(g) with g
-the primary-space integrand; random sampling is one stratum; a shared random offset δ of all strata
-is averaged over: E_δ[Var | δ] + Var_δ(E | δ). Sets that are known on a grid of cells have finite sums:
+Strata, with and without a common offset, are in docs/theory.md, "Exact variances of strata", as is
+nested uniform scrambling ("Gains of scrambled nets"). Beyond these:
 
-* Nested uniform scrambling [Owen1997]_: Var = (1/n) Σ_l Γ_l σ²_l. Once the coordinates of all points
-  differ within L digits of each axis, the levels beyond L have Γ_l = 1, so that with ω² the mean over
-  cells of b^-L to a side of the variance within one,
-
-      Var = (1/n) [ω² + Σ_{0 < l ≤ L} Γ_l σ²_l],
-
-  a finite sum of squares. σ²_l follows from the means of the cells.
 * Digital shift in base 2, coordinates whole multiples of 2^-L: the shift is one of L bits and, below
   them, an offset δ uniform in a cell that all points share. For given δ the values of g over the grid
   have a Walsh spectrum ĝ_m(δ), the points ŝ_m = (1/n) Σ_k wal_m(x_k), of which |ŝ_m|² is 1 on the dual
@@ -23,9 +15,8 @@ is averaged over: E_δ[Var | δ] + Var_δ(E | δ). Sets that are known on a grid
       Var = (1/n) [ω² + Σ_{v ≠ ∅} (1 + (n − 1) (−1/(n − 1))^|v|) σ²_v],
 
   without what varies along single axes from stratum to stratum [Stein1987]_.
-* Antithetic jittered: a pair u, u' of a cell, reflected through its centre, contributes
-  h(u) = (g(u) + g(u'))/2, so that the variance is that of one jittered point for each cell with h in the
-  place of g [Haber1967]_.
+* Antithetic jittered [Haber1967]_: one jittered point for each cell, with h(u) = (g(u) + g(u'))/2 in the
+  place of g, u' reflected through the centre of the cell.
 * Mirrored: folded points see the folded integrand; images of all n/2^d points see the average ḡ of g
   over reflections, and so do, on average over the coins, points reflected at random. The coins add
   E[Var(g | point)]/n = (Var g − Var ḡ)/n if each point is uniform.

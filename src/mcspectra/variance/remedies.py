@@ -2,19 +2,12 @@
 
 Every counterfactual (`mcspectra.variance.counterfactuals`) is run at the same budgets of integrand
 evaluations on the same random numbers as the set-up that is given, and compared with it realisation by
-realisation. Intervals of all comparisons hold together, so that the best
-of many is not one that was lucky: a remedy is recommended only where its interval leaves the
-set-up that is given out.
+realisation. Intervals of all comparisons hold together, so that the best of many is not one that was lucky:
+a remedy is recommended only where its interval leaves the set-up that is given out.
 
-Realisation r of every set-up uses the random numbers of realisation r of every other (as far as they
-use them alike), and so do all counts. What an error measure log v, or a slope fitted to several, owes to
-realisation r is its *influence*; the influence of a difference is the difference of influences, and its
-standard error the root of their mean square over √R. Correlation, between set-ups and between counts,
-is thereby in the error, whichever way it goes: no pairing has to be assumed.
-
-For the mean squared error v = Σ_c mean_r (e_rc − I_c)² the influence on log v is
-ψ_r = Σ_c (e_rc − I_c)²/v − 1; for an unbiased estimator I_c is the mean of the estimates, and v the
-variance, summed over channels.
+What the log of an error, or a slope fitted to several, owes to realisation r is its *influence*; that of a
+difference is the difference of influences, so that correlation between set-ups and between counts is in
+the error, whichever way it goes (docs/theory.md, "Intervals of variances, and stopping").
 
 Estimates that are all alike have no variance, or none of them has met what makes it: a rare event. The
 integral tells the two apart. Where they miss it their error is unknown (NaN), not 0.

@@ -12,16 +12,9 @@ The three spectral routes see the frequencies within a half width only; `energy_
 
 The route by pairs
 ------------------
-With g the primary-space integrand, I its integral and G the density of pairs of different points,
-
-    Var = (1/n) ∫g² + (1 − 1/n) ∬ g(u) g(v) G(u, v) du dv − I².
-
-* Random points have G = 1: Var = (∫g² − I²)/n.
-* Jittered points have G = n/(n−1) in different cells and 0 within one, so that
-  Var = (1/n) ∫g² − Σ_j (∫_cell j g)².
-* A stationary set has G(v − u), and ∬ g g G = ∫ A(h) G(h) dh with A(h) = ∫ g(u) g(u + h) du on the torus.
-  Its pairs are counted in full, not by distance only: Var is the mean over realisations of
-  (1/n) ∫g² + (1/n²) Σ_{i≠k} A(x_i − x_k) − I². A is tabulated, and linear between the entries.
+docs/theory.md, "Pair correlation", has the formula. Random and jittered points have pairs of known density;
+those of a stationary set are counted in full, not by distance only, and add up A(x_i − x_k) with the
+autocorrelation A of the integrand on the torus, tabulated and linear between the entries.
 
 Averaging A over directions, so that g(|h|) would do, is exact for isotropic sets only: measured at n = 16,
 it gives 1.7 to 3.7 times the variance of smooth integrands for latin-hypercube with shift.

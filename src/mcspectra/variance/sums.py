@@ -4,7 +4,7 @@ With R realisations the sums hold, about the running means (Chan, Golub & LeVequ
 
     Σ|S_m − S̄_m|²,  Σ(S_m − S̄_m)(I − Ī),  Σ(I_a − Ī_a)(I_b − Ī_b),  moments of the truncated I,
 
-from which the power term, the contribution map and the band covariance follow (DESIGN §1).
+from which the power term, the contribution map and the band covariance follow (docs/theory.md).
 
 Errors are by batch means: every block of realisations says by itself what the spectra say. Covariances
 within a block are unbiased, so that the terms of B blocks are B independent estimates of the same
