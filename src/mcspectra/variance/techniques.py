@@ -46,14 +46,14 @@ from mcspectra.estimators.moments import rounding_floor
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler
 from mcspectra.variance.convergence import count_stream
-from mcspectra.variance.fit import check_window, fit_rate
+from mcspectra.variance.fit import check_window, fit_rates
 from mcspectra.variance.sums import BATCHES, Variables, spread
 from mcspectra.variance.views import Frequencies, View
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["UNDECIDED", "Techniques", "technique_rates", "technique_terms"]
+__all__ = ["UNDECIDED", "Techniques", "technique_estimates", "technique_rates", "technique_terms"]
 
 UNDECIDED = -1
 """What ``bottleneck`` says where the intervals of the slowest rates overlap."""
@@ -347,9 +347,8 @@ class TechniqueSums:
         # What each technique adds to the estimate, (R, C, T), truncated and in full
         weighted = view.integrand_coefficients.conj() * view.basis.double
         truncated = np.stack([(s @ weighted[:, t].T).real for t, s in enumerate(parts)], axis=2)
-        each = [view.estimator.primary_values(t, u).mean(axis=1) for t, u in enumerate(points)]
-        full = np.stack([v.reshape(len(v), -1) for v in each], axis=2)
-        s, values = np.stack(parts, axis=1), np.stack([truncated, full], axis=1)
+        full = technique_estimates(view.estimator, points)
+        s, values = np.stack(parts, axis=1), np.stack([truncated, full[..., :-1]], axis=1)
         mean, values_mean = s.mean(axis=0), values.mean(axis=0)
         deviation, off = s - mean, values - values_mean
         return TechniqueSums(
@@ -358,7 +357,7 @@ class TechniqueSums:
             products=np.einsum("rth,rsh->tsh", deviation, deviation.conj()),
             values_mean=values_mean,
             values_products=np.einsum("rkct,rkcs->kcts", off, off),
-            moments=Moments.of(np.concatenate([full, full.sum(axis=2, keepdims=True)], axis=2)),
+            moments=Moments.of(full),
         )
 
     def merge(self, other: TechniqueSums) -> TechniqueSums:
@@ -395,6 +394,13 @@ class TechniqueSums:
         return np.stack([dc, power, total - dc - power, measured])
 
 
+def technique_estimates(estimator: AbstractEstimator, points: list[Array]) -> Array:
+    """What each technique adds to the estimates of a block, then their sum: (R, C, T + 1)."""
+    each = [estimator.primary_values(t, u).mean(axis=1) for t, u in enumerate(points)]
+    parts = np.stack([v.reshape(len(v), -1) for v in each], axis=2)
+    return np.concatenate([parts, parts.sum(axis=2, keepdims=True)], axis=2)
+
+
 def _paired(f: Array, products: Array) -> Array:
     """Re Σ_h conj(f^t_h) f^s_h products^ts_h: (C, T, T)."""
     return np.stack([np.einsum("th,sh,tsh->ts", g.conj(), g, products).real for g in f])
@@ -405,38 +411,25 @@ def technique_rates(
 ) -> tuple[Variables, list[int]]:
     """Rates of all techniques and of the whole estimate, and the bottleneck of each channel.
 
-    Parameters
-    ----------
-    ns, moments, window
-        Counts, for each the moments (C, T + 1) of the techniques' parts and of the whole estimate, and
-        what to fit (`mcspectra.variance.fit.check_window`).
+    `moments` are, for each count, those of `technique_estimates`.
     """
     variance = np.stack([m.variance for m in moments])  # (N, C, T + 1)
     relative = np.stack([m.relative_se for m in moments])
     # What is noise is measured against the whole estimate: a part of it may be 0.
     size = np.stack([np.abs(m.mean).max(axis=1, keepdims=True) for m in moments])
     floor = np.broadcast_to(rounding_floor(size), variance.shape)
-    counts = np.array(ns)
-    channels, columns = variance.shape[1:]
-    fits = [
-        [
-            fit_rate(counts, variance[:, c, t], relative[:, c, t], floor[:, c, t], window)
-            for t in range(columns)
-        ]
-        for c in range(channels)
-    ]
-    rate = np.array([[fit.rate for fit in row] for row in fits])
-    interval = np.array([[fit.interval for fit in row] for row in fits])
+    fits = fit_rates(np.array(ns), variance, relative, floor, window)
+    rate, interval = fits["rate"], fits["interval"]
     still = np.asarray((variance <= floor)[:, :, :-1].all(axis=0))
     choice = []
-    for row, own in zip(fits, still, strict=True):
+    for rates, intervals, own in zip(rate, interval, still, strict=True):
         # The technique whose interval lies above those of all others that vary
         moving = np.flatnonzero(~own).tolist()
         slowest = max(
-            moving, key=lambda t: np.nan_to_num(row[t].rate, nan=-math.inf), default=UNDECIDED
+            moving, key=lambda t: np.nan_to_num(rates[t], nan=-math.inf), default=UNDECIDED
         )
-        low = row[slowest].interval[0]
-        others = [row[t].interval[1] for t in moving if t != slowest]
+        low = intervals[slowest, 0]
+        others = [intervals[t, 1] for t in moving if t != slowest]
         # A rate that could not be fitted compares false: undecided.
         decided = moving and math.isfinite(low) and all(high < low for high in others)
         choice.append(slowest if decided else UNDECIDED)
