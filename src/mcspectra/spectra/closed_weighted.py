@@ -42,13 +42,7 @@ def weighted_covariance(
     other: Array,
     density: Density,
 ) -> Array:
-    """C_ml of importance-sampled points at integers m, l of one shape (..., d): complex (...).
-
-    Raises
-    ------
-    NoClosedForm
-        None is known for this sampler with this density.
-    """
+    """C_ml of importance-sampled points at integers m, l of one shape (..., d): complex (...)."""
     zero = np.all(m == 0, axis=-1) & np.all(other == 0, axis=-1)
     shifted = any(isinstance(step, Shift) for step in moves)
     if base.name in ("regular", "uniform-jitter"):
@@ -174,13 +168,7 @@ def _highest(m: Array, other: Array) -> int:
 
 
 def _factors(density: Density) -> list[Density]:
-    """The density of each axis.
-
-    Raises
-    ------
-    NoClosedForm
-        It is not known to be a product over the axes, or the warp of one is not monotone.
-    """
+    """The density of each axis, if it is known to be a product over them with monotone warps."""
     if density.dims == 1:
         factors = [density]
     elif isinstance(density, Linear):

@@ -183,13 +183,7 @@ def power_at(
 def listed_transform(
     frequencies: Array, n: int, *, engine: str = "auto", eps: float = 1e-9
 ) -> tuple[Listed, str]:
-    """Return what transforms sets of n points to S at frequencies (F, d), and its engine.
-
-    Raises
-    ------
-    ParameterError
-        The engine cannot work in these dims, or eps is out of range.
-    """
+    """Return what transforms sets of n points to S at frequencies (F, d), and its engine."""
     as_choice("engine", engine, _ENGINES)
     eps = as_real("eps", eps, least=1e-14, most=0.1)
     dims = frequencies.shape[1]

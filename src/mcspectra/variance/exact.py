@@ -400,19 +400,9 @@ def _hadamard(values: Array, dims: int) -> Array:
 def level_variances(means: Array, bases: tuple[int, ...], axis: int = 0) -> Array:
     """σ²_l of all levels up to those of the cells, from the means of a function over the cells.
 
-    Parameters
-    ----------
-    means
-        float64 (b_0^L_0, b_1^L_1, …, channels).
-    bases
-        b_i, the base of each axis.
-    axis
-        Split along this axis into what each digit adds, then along those after it.
-
-    Returns
-    -------
-    ndarray
-        float64 (L_0 + 1, L_1 + 1, …, channels); at level 0 of all axes the square of the mean.
+    Means (b_0^L_0, b_1^L_1, …, channels) in the bases b_i of the axes become (L_0 + 1, L_1 + 1, …, channels),
+    at level 0 of all axes the square of the mean. They are split along `axis` into what each digit adds,
+    then along those after it.
     """
     if axis == len(bases):
         return np.asarray((means**2).mean(axis=tuple(range(axis))))

@@ -219,8 +219,6 @@ def mean_square(g: Integrand) -> Array:
 def square_integral(g: Integrand) -> tuple[Array, Array]:
     """∫g² and an estimate of its absolute error, both (channels or 1,).
 
-    Notes
-    -----
     Boxes cut at the breaks of g; in 1-D and 2-D also quadrature that records how much each level
     leaves unresolved (`mcspectra.densities.adaptive`): the integral is infinite where that does not
     shrink, else the smaller error counts. Boxes alone do not see a divergence: rounding of T(u)

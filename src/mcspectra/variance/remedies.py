@@ -471,18 +471,10 @@ class Errors:
         biased: bool = False,
         tolerance: float = 1e-9,
     ) -> Errors:
-        """Errors of estimates (R, C) at each cost.
+        """Errors of estimates (R, C), one array for each cost, of the integral (C,).
 
-        Parameters
-        ----------
-        cost, estimates
-            One array (R, C) for each cost.
-        integral
-            What is estimated, (C,).
-        biased
-            Take the error about the integral; else about the mean of the estimates.
-        tolerance
-            How well the integral is known, relative to it.
+        What is `biased` has its error about the integral, else about the mean of the estimates;
+        `tolerance` is how well the integral is known, relative to it.
         """
         # Mean squared errors and influences (R,), about the integral or the mean
         parts = []

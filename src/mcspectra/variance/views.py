@@ -41,11 +41,6 @@ class Frequencies:
 
         The basis ``"auto"`` is the one that fits the points that an estimator makes. A mirrored
         integrand has folded points in the domain, in primary space those of the sampler.
-
-        Raises
-        ------
-        ParameterError
-            The grid would be too large, or there is no domain to work in.
         """
         estimator = subject.estimator
         domain = estimator.domain_integrand
