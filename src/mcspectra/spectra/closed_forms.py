@@ -38,7 +38,7 @@ from mcspectra.samplers import Randomized, Sampler, Shift, StrataShift, as_sampl
 from mcspectra.samplers._grid import root
 from mcspectra.spectra.closed_weighted import weighted_covariance
 
-__all__ = ["Moments", "closed_form_covariance", "closed_form_power", "moments_of"]
+__all__ = ["Moments", "closed_form_covariance", "closed_form_power", "moments_of", "points_at"]
 
 _MAX_WORK = 2**32  # points times frequencies summed directly: about half a minute
 
@@ -80,8 +80,9 @@ def closed_form_power(
     >>> closed_form_power("random", 10, [[3, 0], [0, 0]])
     array([0.1, 1. ])
     """
-    source, n, nu, p = _checked(sampler, n, frequencies, density)
-    if p is None:
+    source, p, nu = points_at(sampler, frequencies, density)
+    n = source.check_count(n)
+    if p is None or isinstance(p, Uniform):
         return moments_of(source, n, nu).power(nu)
     reciprocal = p.reciprocal_integral()
     if not np.isfinite(reciprocal):
@@ -128,7 +129,8 @@ def closed_form_covariance(
     >>> closed_form_covariance("jittered", 4, [[1], [1]], [[1], [-3]]).real.round(3)
     array([0.047, 0.068])
     """
-    source, n, m, p = _checked(sampler, n, frequencies, density)
+    source, p, m = points_at(sampler, frequencies, density)
+    n = source.check_count(n)
     other = as_frequencies(others, m.shape[-1])
     try:
         m, other = np.broadcast_arrays(m, other)
@@ -137,7 +139,7 @@ def closed_form_covariance(
             f"frequencies and others have shapes {m.shape} and {other.shape}, which do not "
             "broadcast; give one l for each m, or insert axes of length 1."
         ) from None
-    if p is None:
+    if p is None or isinstance(p, Uniform):
         return moments_of(source, n, m, other).covariance(m, other)
     base, moves = _translations(source)
     _check_integers(source, m, other)
@@ -183,17 +185,16 @@ def moments_of(sampler: Sampler, n: int, *frequencies: Array) -> Moments:
     return moments
 
 
-def _checked(
-    sampler: Sampler | str, n: int, frequencies: Any, density: Density | str | None
-) -> tuple[Sampler, int, Array, Density | None]:
+def points_at(
+    sampler: Sampler | str, frequencies: Any, density: Density | str | None = None
+) -> tuple[Sampler, Density | None, Array]:
+    """The sampler, with the dims of the frequencies where it is a spec, the density, and these."""
     # An empty list has no dims: it is refused as such, not for them.
     dims = np.shape(frequencies)[-1] or None if np.ndim(frequencies) else None
     drawn = getattr(density, "primary_dims", dims)
     source = as_sampler(sampler, None if isinstance(sampler, Sampler) else drawn)
-    n = source.check_count(n)
     p = as_warp(density, source.dims)
-    nu = as_frequencies(frequencies, source.dims if p is None else p.dims)
-    return source, n, nu, None if isinstance(p, Uniform) else p
+    return source, p, as_frequencies(frequencies, source.dims if p is None else p.dims)
 
 
 def _translations(sampler: Sampler) -> tuple[Sampler, tuple[Shift | StrataShift, ...]]:

@@ -54,7 +54,7 @@ def weighted_covariance(
         highest, power = _highest(m, other), np.ones(m.shape[:-1])
         for i, (p, s) in enumerate(zip(_factors(density), base.sides(n), strict=True)):
             axis = _Axis(p, s, *_all_offsets(p, s, 1.0 / s, highest))
-            power = power * axis.grid(m[..., i], other[..., i])
+            power = power * axis.mean_product(axis.of_grid, m[..., i], other[..., i])
         return np.asarray(power - zero)
     reciprocal = _reciprocal(density, m - other)
     if base.name == "random":
@@ -75,7 +75,7 @@ def weighted_covariance(
     for i, (p, s) in enumerate(zip(_factors(density), sides, strict=True)):
         rule = np.remainder(np.arange(s) / s + offset[i], 1.0), np.full(s, 1.0 / s)
         axis = _Axis(p, s, *(_all_offsets(p, s, 1.0, highest) if shifted else rule))
-        same = axis.same(m[..., i], other[..., i])
+        same = axis.mean_product(axis.of_stratum, m[..., i], other[..., i])
         if latin:  # points of two different strata; one stratum has no such pair
             free = (m[..., i] == 0) & (other[..., i] == 0)
             same = (n * free - same) / max(n - 1, 1)
@@ -95,16 +95,8 @@ class _Axis:
     starts: Array
     weights: Array
 
-    def same(self, m: Array, other: Array) -> Array:
-        """<M_t(m) conj M_t(l)>."""
-        return self._mean_product(self._of_stratum, m, other)
-
-    def grid(self, m: Array, other: Array) -> Array:
-        """<A_δ(m) conj A_δ(l)>, the starts being the offsets."""
-        return self._mean_product(self._of_grid, m, other)
-
-    def _mean_product(self, of: Callable[[Array], Array], m: Array, other: Array) -> Array:
-        """Mean over the starts; each frequency is transformed once."""
+    def mean_product(self, of: Callable[[Array], Array], m: Array, other: Array) -> Array:
+        """Mean of of(m) conj of(l) over the starts; each frequency is transformed once."""
         known, back = np.unique(np.stack([m, other]), return_inverse=True)
         row, column = back.reshape(2, -1)
         if float(self.starts.size) * max(row.size, known.size * self.sides) > _MAX_WORK:
@@ -120,15 +112,15 @@ class _Axis:
             out[i : i + block] = np.einsum("ij,ij,j->i", left, np.conj(right), self.weights)
         return out.reshape(m.shape)
 
-    def _of_stratum(self, m: Array) -> Array:
+    def of_stratum(self, m: Array) -> Array:
         """M_t(m): (frequencies, starts); strata beyond 1 go on at 0."""
         end = self.starts + 1.0 / self.sides
         over = np.maximum(end - 1.0, 0.0)
         first = _interval(m, self._warp(self.starts), self._warp(np.minimum(end, 1.0)))
         return np.asarray(self.sides * (first + _interval(m, np.zeros(1), self._warp(over))))
 
-    def _of_grid(self, m: Array) -> Array:
-        """A_δ(m): (frequencies, offsets)."""
+    def of_grid(self, m: Array) -> Array:
+        """A_δ(m), the starts being the offsets: (frequencies, offsets)."""
         total = np.zeros((m.size, self.starts.size), complex)
         for j in range(self.sides):
             x = self._warp(self.starts + j / self.sides)

@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_frequencies, as_integer
+from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
 from mcspectra.integrands import Integrand, as_integrand
 from mcspectra.samplers import Randomized, Sampler, as_sampler
 from mcspectra.spectra.bases import Walsh
+from mcspectra.spectra.closed_forms import points_at
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -143,11 +144,8 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
     >>> closed_form_walsh_power("sobol | digital-shift", 4, [[1, 1], [2, 2], [3, 1]])
     array([0., 1., 1.])
     """
-    # An empty list has no dims: it is refused as such, not for them.
-    dims = np.shape(indices)[-1] or None if np.ndim(indices) else None
-    source = as_sampler(sampler, None if isinstance(sampler, Sampler) else dims)
+    source, _, given = points_at(sampler, indices)
     n = source.check_count(n)
-    given = as_frequencies(indices, source.dims)
     if not np.array_equal(given, np.rint(given)) or given.min() < 0 or given.max() >= 2.0**_BITS:
         raise ParameterError(
             "Walsh indices are whole numbers from 0 to 2^32 − 1; those given are not."

@@ -65,13 +65,8 @@ class Anova(Analysis, frozen=True, kw_only=True):
     function = "anova_variances"
     verb = "anova"
     variables = (
-        *(
-            "anova_variance",
-            "anova_variance_se",
-            "anova_share",
-            "total_variance",
-            "total_variance_se",
-        ),
+        *("anova_variance", "anova_variance_se", "anova_share"),
+        *("total_variance", "total_variance_se"),
         *("higher_order_variance", "higher_order_variance_se", "truncation_share"),
         *("effective_dimension_truncation", "effective_dimension_superposition", "mean_dimension"),
         *("variance", "variance_ci"),

@@ -59,6 +59,7 @@ from mcspectra.samplers import (
     UniformJitter,
     VanDerCorput,
 )
+from mcspectra.spectra.bases import hadamard
 from mcspectra.spectra.gain import gain_coefficients
 from mcspectra.variance.quadrature import (
     DerivedIntegrand,
@@ -386,14 +387,9 @@ def _digitally_shifted(net: Sampler, points: Array, g: Integrand, order: int) ->
 
 
 def _hadamard(values: Array, dims: int) -> Array:
-    """Σ_x values(x) wal_m(x) along the first `dims` axes, m in the order of the butterflies."""
+    """`hadamard` along each of the first `dims` axes."""
     for axis in range(dims):
-        step = 1
-        while step < values.shape[axis]:
-            shape = (*values.shape[:axis], -1, 2, step, *values.shape[axis + 1 :])
-            left, right = np.moveaxis(values.reshape(shape), axis + 1, 0)
-            values = np.stack([left + right, left - right], axis=axis + 1).reshape(values.shape)
-            step *= 2
+        values = np.moveaxis(hadamard(np.moveaxis(values, axis, -1)), -1, axis)
     return values
 
 

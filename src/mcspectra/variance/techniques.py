@@ -78,12 +78,8 @@ class Techniques(Analysis, frozen=True, kw_only=True):
         *_PARTS,
         *(f"{name}_se" for name in _PARTS),
         *("dc_term", "power_term", "cross_term", "predicted_variance", "captured", "mean"),
-        *(
-            "measured_variance",
-            "measured_variance_ci",
-            "technique_variance",
-            "technique_variance_ci",
-        ),
+        *("measured_variance", "measured_variance_ci"),
+        *("technique_variance", "technique_variance_ci"),
         *("technique_rate", "technique_rate_ci", "rate", "rate_ci", "bottleneck"),
     )
 
