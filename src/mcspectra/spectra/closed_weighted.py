@@ -203,15 +203,12 @@ def _reciprocal(density: Density, k: Array) -> Array:
             integral=density.reciprocal_integral(),
         )
         return whole.fourier(k)
-    return np.asarray(
-        np.prod([_reciprocal_1d(p, k[..., i]) for i, p in enumerate(factors)], axis=0)
-    )
-
-
-def _reciprocal_1d(density: Density, k: Array) -> Array:
-    known, back = np.unique(k, return_inverse=True)
-    count = 1 << (max(2**14, _ORDER * _highest(known, known)) - 1).bit_length()
-    jumps = density.sample(np.array(density.breaks[0], float)[:, None])[:, 0]
-    rule = AxisRule.make(count, _ORDER, tuple(jumps.tolist()))
-    values = rule.transform(1.0 / density.pdf(rule.nodes[:, None]), known)
-    return np.asarray(values[back].reshape(k.shape))
+    found = np.ones(k.shape[:-1], complex)
+    for i, p in enumerate(factors):
+        known, back = np.unique(k[..., i], return_inverse=True)
+        count = 1 << (max(2**14, _ORDER * _highest(known, known)) - 1).bit_length()
+        jumps = p.sample(np.array(p.breaks[0], float)[:, None])[:, 0]
+        rule = AxisRule.make(count, _ORDER, tuple(jumps.tolist()))
+        values = rule.transform(1.0 / p.pdf(rule.nodes[:, None]), known)
+        found *= values[back].reshape(k.shape[:-1])
+    return found

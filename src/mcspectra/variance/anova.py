@@ -277,9 +277,22 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
         f, n, dims = subject.estimator.integrand, self.n, subject.estimator.dims
         subsets = _subsets(dims, min(self.order, dims))
         count = self.frequencies // _BATCHES
+        # Law of one component: ±k with probability ∝ 1/k², k = 1 … K
+        cumulative = np.cumsum(np.arange(1.0, self.half_width + 1) ** -2)
 
         def batch(index: int) -> _Batches:
-            m, q = _drawn(subsets, dims, self.half_width, count, stream.child(2 * index))
+            # Frequencies of each subset, (U count, d), and their probabilities, (U count,)
+            m: Array = np.zeros((len(subsets), count, dims))
+            q: Array = np.ones((len(subsets), count))
+            for place, subset in enumerate(subsets):
+                own = stream.child(2 * index).uniforms(place, 1, count * len(subset))
+                u = 2.0 * own.reshape(count, -1)
+                sign, u = np.where(u < 1.0, -1.0, 1.0), np.mod(u, 1.0)
+                k = np.searchsorted(cumulative, u * cumulative[-1], side="right") + 1.0
+                k = np.minimum(k, self.half_width)
+                m[place][:, list(subset)] = sign * k
+                q[place] = np.prod(0.5 / (k * k * cumulative[-1]), axis=1)
+            m, q = m.reshape(-1, dims), q.ravel()
             try:
                 power, source = closed_form_power(subject.sampler, n, m), "closed form"
             except NoClosedForm:
@@ -472,23 +485,3 @@ def _least(shares: Array) -> Array:
     """Least number, from 1, whose share (s, channels) is enough; NaN where none is."""
     enough = shares >= EFFECTIVE_SHARE
     return np.where(enough.any(axis=0), enough.argmax(axis=0) + 1.0, np.nan)
-
-
-def _drawn(
-    subsets: list[tuple[int, ...]], dims: int, half_width: int, count: int, stream: Stream
-) -> tuple[Array, Array]:
-    """`count` frequencies of each subset, (U count, d), and their probabilities (U count,).
-
-    Law of one component: ±k with probability ∝ 1/k², k = 1 … K.
-    """
-    cumulative = np.cumsum(np.arange(1.0, half_width + 1) ** -2)
-    m, q = np.zeros((len(subsets), count, dims)), np.ones((len(subsets), count))
-    whole = cumulative[-1]
-    for place, subset in enumerate(subsets):
-        u = 2.0 * stream.uniforms(place, 1, count * len(subset)).reshape(count, -1)
-        sign, u = np.where(u < 1.0, -1.0, 1.0), np.mod(u, 1.0)
-        k = np.searchsorted(cumulative, u * whole, side="right") + 1.0
-        k = np.minimum(k, half_width)
-        m[place][:, list(subset)] = sign * k
-        q[place] = np.prod(0.5 / (k * k * whole), axis=1)
-    return m.reshape(-1, dims), q.ravel()

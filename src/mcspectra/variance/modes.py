@@ -174,7 +174,13 @@ class Modes(Analysis, frozen=True, kw_only=True):
                     points = estimator.draw(subject.sampler, n, stream, *blocks[place])
                     z = coordinates.real(view.coefficients(points))
                     tree.add(CovarianceProduct.of(z, vectors))
-                return tree.total().as_batch(vectors)
+                # The same as one batch; a single realisation has no covariance and says nothing
+                total = tree.total()
+                some, least = slice(0, int(total.count > 1)), max(total.count - 1, 1)
+                projected = (vectors.T @ total.product / least)[None][some]
+                return replace(
+                    total, degrees=np.array([total.count - 1.0])[some], projected=projected
+                )
 
             return Reduction(
                 kind=CovarianceProduct,
@@ -415,13 +421,6 @@ class CovarianceProduct:
         squares = (deviation**2).sum(axis=0)
         none = np.zeros(0), np.zeros((0, width, width))
         return CovarianceProduct(len(z), mean, mean @ vectors, product, squares, *none)
-
-    def as_batch(self, vectors: Array) -> CovarianceProduct:
-        """The same as one batch; a single realisation has no covariance and says nothing."""
-        some = slice(0, int(self.count > 1))
-        degrees = np.array([self.count - 1.0])[some]
-        projected = (vectors.T @ self.product / max(self.count - 1, 1))[None][some]
-        return replace(self, degrees=degrees, projected=projected)
 
     def merge(self, other: CovarianceProduct) -> CovarianceProduct:
         """Sums over the realisations of both, about their common mean."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, final
 
@@ -27,6 +27,7 @@ __all__ = [
     "check_cells",
     "grid_values",
     "mean_square",
+    "mesh",
     "offset_rule",
     "orders_of",
     "spread_within_strata",
@@ -106,17 +107,10 @@ class _Axis:
     stratum: Array
     share: Array
 
-    @staticmethod
-    def cut(sides: int, offset: float, breaks: tuple[float, ...]) -> _Axis:
-        """Cut [0,1) at strata borders (j + offset)/sides, at `breaks` and at the seam 0."""
-        borders = (np.arange(sides) / sides + offset) % 1.0
-        inner = [b for b in breaks if 0 < b < 1]
-        ends = np.unique(np.concatenate([[0.0, 1.0], borders, inner]))
-        low, high = ends[:-1], ends[1:]
-        wide = high - low > 1e-15
-        low, high = low[wide], high[wide]
-        stratum = np.floor((0.5 * (low + high) - offset) % 1.0 * sides).astype(np.int64)
-        return _Axis(low, high, np.minimum(stratum, sides - 1), (high - low) * sides)
+
+def mesh(*axes: Array) -> Array:
+    """All points of a grid with these coordinates along the axes: (…, d)."""
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
 def spread_within_strata(g: Integrand, sides: tuple[int, ...], offset: Array, order: int) -> Array:
@@ -132,20 +126,25 @@ def stratum_moments(
 ) -> tuple[Array, Array]:
     """Means of g and g² over strata, displaced by `offset` on the torus: (strata, channels or 1)."""
 
-    def cut(breaks: Sequence[tuple[float, ...]]) -> list[_Axis]:
-        places = zip(sides, offset, breaks, strict=True)
-        return [_Axis.cut(s, float(o), b) for s, o, b in places]
+    def cut(graded: tuple[float, ...] = ()) -> list[_Axis]:
+        """Cut every axis at strata borders (j + offset)/sides, at breaks and at the seam 0."""
+        axes = []
+        for s, displaced, breaks in zip(sides, map(float, offset), g.breaks, strict=True):
+            borders = (np.arange(s) / s + displaced) % 1.0
+            inner = [b for b in (*breaks, *graded) if 0 < b < 1]
+            ends = np.unique(np.concatenate([[0.0, 1.0], borders, inner]))
+            wide = np.diff(ends) > 1e-15
+            low, high = ends[:-1][wide], ends[1:][wide]
+            stratum = np.floor((0.5 * (low + high) - displaced) % 1.0 * s).astype(np.int64)
+            axes.append(_Axis(low, high, np.minimum(stratum, s - 1), (high - low) * s))
+        return axes
 
     # Means over all pieces from closed forms, if g has them: (pieces, channels)
-    axes = cut(g.breaks)
-    low, high = (
-        np.stack(np.meshgrid(*ends, indexing="ij"), axis=-1)
-        for ends in ([a.low for a in axes], [a.high for a in axes])
-    )
+    axes = cut()
+    low, high = mesh(*(a.low for a in axes)), mesh(*(a.high for a in axes))
     moments = g.box_moments(low, high)
     if moments is None:
-        graded = _GRADED.get(g.dims, ())
-        axes = cut([(*b, *graded) for b in g.breaks])
+        axes = cut(_GRADED.get(g.dims, ()))
         moments = _gauss_moments(g, axes, order)
     return _gather(moments[0], axes, sides), _gather(moments[1], axes, sides)
 
@@ -162,10 +161,7 @@ def _gauss_moments(g: Integrand, axes: list[_Axis], order: int) -> tuple[Array, 
     mean: Any = 0.0
     square: Any = 0.0
     for q in itertools.product(range(order), repeat=dims):
-        x = np.stack(
-            np.meshgrid(*(grid[:, i] for grid, i in zip(grids, q, strict=True)), indexing="ij"),
-            axis=-1,
-        )
+        x = mesh(*(grid[:, i] for grid, i in zip(grids, q, strict=True)))
         values = g(x).reshape(int(np.prod(pieces)), -1)
         w = float(np.prod(weight[list(q)]))
         mean = mean + w * values
@@ -206,8 +202,7 @@ def offset_rule(g: Integrand, sides: tuple[int, ...], order: int) -> tuple[Array
 
 def grid_values(g: Integrand, sides: tuple[int, ...], offset: Array) -> Array:
     """Values of g on the grid (j + offset·sides)/sides: (*sides, channels or 1)."""
-    axes = [(np.arange(s) / s + o) % 1.0 for s, o in zip(sides, offset, strict=True)]
-    x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    x = mesh(*((np.arange(s) / s + o) % 1.0 for s, o in zip(sides, offset, strict=True)))
     return np.asarray(g(x)).reshape(*sides, -1)
 
 
@@ -234,10 +229,8 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
             return np.asarray(g(x) ** 2)
 
     # By quadrature that records what each level leaves unresolved
-    by_levels, level_errors = (
-        np.full(max(1, g.channels), np.nan),
-        np.full(max(1, g.channels), np.inf),
-    )
+    by_levels = np.full(max(1, g.channels), np.nan)
+    level_errors = np.full(by_levels.shape, np.inf)
     for c in range(len(by_levels) if g.dims <= 2 else 0):
 
         def of_channel(x: Array, c: int = c) -> Array:

@@ -59,6 +59,7 @@ from mcspectra.variance._pair_kernels import pair_sum_1d, pair_sum_2d
 from mcspectra.variance.exact import exact_variance
 from mcspectra.variance.quadrature import (
     mean_square,
+    mesh,
     orders_of,
     square_integral,
     stratum_moments,
@@ -344,8 +345,7 @@ class _Routes:
 
 def _frequencies(dims: int, half_width: int) -> Array:
     """All m of a grid: (M, dims)."""
-    axis = np.arange(-half_width, half_width + 1)
-    return np.stack(np.meshgrid(*[axis] * dims, indexing="ij"), axis=-1).reshape(-1, dims)
+    return mesh(*[np.arange(-half_width, half_width + 1)] * dims).reshape(-1, dims)
 
 
 def _certain(value: Any, share: Any, source: str) -> _Found:
@@ -488,8 +488,7 @@ def _of_counted_pairs(
             f"{n} points have too many pairs to count; give {_MOST_POINTS} at most."
         )
     # A(h) at h = k/N on the torus, from values at cell centers: (channels or 1, N, …)
-    axis = (np.arange(_GRID[g.dims]) + 0.5) / _GRID[g.dims]
-    x = np.stack(np.meshgrid(*[axis] * g.dims, indexing="ij"), axis=-1)
+    x = mesh(*[(np.arange(_GRID[g.dims]) + 0.5) / _GRID[g.dims]] * g.dims)
     values = np.moveaxis(np.asarray(g(x)).reshape(*x.shape[:-1], -1), -1, 0)
     axes = tuple(range(1, g.dims + 1))
     power = np.abs(np.fft.rfftn(values, axes=axes)) ** 2

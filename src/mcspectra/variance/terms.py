@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import InfiniteWeightVarianceWarning, warn
+from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError, warn
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import (
     BANDS,
@@ -45,7 +45,10 @@ from mcspectra.variance.views import Frequencies, View
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Terms", "variance_terms"]
+__all__ = ["MAX_MATRIX", "Terms", "variance_terms"]
+
+MAX_MATRIX = 4096
+"""Most frequencies of a full cross matrix: two of that size take 0.5 GiB."""
 
 _TERMS = ("dc_term", "power_term", "cross_term")
 _WITH_ERROR = ("contribution", "band_covariance", "coefficient_covariance", "cross_matrix")
@@ -84,8 +87,11 @@ class Terms(Analysis, frozen=True, kw_only=True):
         frequencies = Frequencies.of(subject, self.space, self.basis, self.half_width)
         check_bands(self.bands, frequencies.basis)
         size, evaluations = frequencies.size, sum(estimator.counts)
-        if self.cross_matrix:
-            frequencies.check_matrix()
+        if self.cross_matrix and size > MAX_MATRIX:
+            raise ParameterError(
+                f"The cross matrix of {size} frequencies takes {32 * size**2 / 2**30:.3g} GiB; ask "
+                f"for at most {MAX_MATRIX} frequencies, or use contribution and band_covariance."
+            )
         kept = size + (2 * size * size if self.cross_matrix else 0)
         return Need(
             cost=float(self.realizations * (evaluations * self.n + size)),

@@ -20,10 +20,7 @@ from mcspectra.samplers.mirror import Mirror
 from mcspectra.spectra.bases import Basis, Coefficients, fitting_basis, make_basis
 from mcspectra.variance.sums import Partition
 
-__all__ = ["MAX_MATRIX", "Frequencies", "View"]
-
-MAX_MATRIX = 4096
-"""Most frequencies of a full cross matrix: two of that size take 0.5 GiB."""
+__all__ = ["Frequencies", "View"]
 
 
 @final
@@ -64,15 +61,6 @@ class Frequencies:
         """Number of coefficients: in primary space of each technique."""
         techniques = len(self.estimator.counts) if self.space == "primary" else 1
         return self.basis.size * techniques
-
-    def check_matrix(self) -> None:
-        """Raise if a full cross matrix would be too large."""
-        if self.size > MAX_MATRIX:
-            raise ParameterError(
-                f"The cross matrix of {self.size} frequencies takes "
-                f"{32 * self.size**2 / 2**30:.3g} GiB; ask for at most {MAX_MATRIX} frequencies, or "
-                "use contribution and band_covariance."
-            )
 
 
 @dataclass(frozen=True)
