@@ -37,7 +37,7 @@ from mcspectra.samplers import Randomized, Sampler
 from mcspectra.samplers.base import Structure
 from mcspectra.samplers.mirror import Mirror
 from mcspectra.spectra._kernels import bin_weights
-from mcspectra.spectra.transforms import FrequencyGrid, Transform
+from mcspectra.spectra.transforms import FrequencyGrid, Transform, given_or_equal
 
 __all__ = [
     "BASES",
@@ -285,11 +285,8 @@ class _Dyadic(Basis):
         as_choice("engine", engine, ("auto", "direct"))
 
         def coefficients(points: Array, weights: Array | None) -> Array:
-            sets, n, _ = points.shape
-            if weights is None:
-                weights = np.broadcast_to(1.0 / n, (sets, n))
-            cells = np.zeros((sets, self.size))
-            bin_weights(points, weights, len(self.axis), cells)
+            cells = np.zeros((len(points), self.size))
+            bin_weights(points, given_or_equal(weights, points), len(self.axis), cells)
             return self._of_cells(cells)
 
         return coefficients, "butterflies"

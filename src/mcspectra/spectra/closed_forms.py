@@ -231,13 +231,11 @@ def _known_moments(sampler: Any, n: int) -> Moments | None:
             return _single(sampler.sides(n), n, _interval)
         case "box-jitter":
             width = sampler.width
-            return _single(
-                _cube(sampler, n), n, lambda a: _center(a) * np.sinc(width * a), width > 1.0
-            )
+            cells = _cube(sampler, n)
+            return _single(cells, n, lambda a: _center(a) * np.sinc(width * a), width > 1.0)
         case "gaussian-jitter":
-            return _single(
-                _cube(sampler, n), n, lambda a: _center(a) * _gauss(sampler.width, a), True
-            )
+            cells = _cube(sampler, n)
+            return _single(cells, n, lambda a: _center(a) * _gauss(sampler.width, a), True)
         case "antithetic-jittered":
 
             def second(a: Array, b: Array) -> Array:
@@ -245,8 +243,7 @@ def _known_moments(sampler: Any, n: int) -> Moments | None:
                 mean = 0.5 * (_product(np.sinc(a - b)) + _product(np.sinc(a + b)))
                 return np.asarray(_product(_center(a - b)) * mean)
 
-            cells = n // 2
-            return _motifs(_cube(sampler, cells), cells, lambda a: _product(_interval(a)), second)
+            return _motifs(_cube(sampler, n // 2), n // 2, lambda a: _product(_interval(a)), second)
         case "uniform-jitter":
             return _offset_grid(np.asarray(sampler.sides(n), float))
         case "perturbed-lattice":

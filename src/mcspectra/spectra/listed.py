@@ -51,6 +51,7 @@ from mcspectra.samplers import Sampler
 from mcspectra.spectra._listed_kernels import phase_sum, product_sum
 from mcspectra.spectra.closed_forms import points_at
 from mcspectra.spectra.power import PowerSums, spectrum_attributes, weighted_points
+from mcspectra.spectra.transforms import given_or_equal
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -147,8 +148,7 @@ def power_at(
     def block_sums(block: Block) -> PowerSums:
         points, weights = weighted_points(source, p, n, stream, block)
         sums = PowerSums.zeros(len(nu), True)
-        for r, x in enumerate(points):
-            w = np.full(n, 1.0 / n) if weights is None else weights[r]
+        for x, w in zip(points, given_or_equal(weights, points), strict=True):
             sums.take(transform(x, w))
         return sums
 

@@ -90,7 +90,7 @@ class _HalfSpectrum:
     @property
     def length(self) -> Array:
         """|ν| / step."""
-        return np.asarray(np.sqrt((self.index**2).sum(axis=1)))
+        return np.asarray(np.linalg.norm(self.index, axis=1))
 
     def mean_by(self, label: Array, size: int) -> tuple[Array, Array, Array]:
         """Mean power, its standard error and the number of frequencies of each label; −1 is left out."""

@@ -45,6 +45,7 @@ __all__ = [
     "FrequencyGrid",
     "Transform",
     "direct_sum",
+    "given_or_equal",
     "gpu_description",
 ]
 
@@ -192,8 +193,7 @@ class Transform:
         weights
             Real weights (R, n); None means 1/n each.
         """
-        if weights is None:
-            weights = np.broadcast_to(1.0 / points.shape[1], points.shape[:2])
+        weights = given_or_equal(weights, points)
         out = np.empty((len(points), self.grid.half_size), np.complex128)
         r = 0
         for packed, pair in self._packed(points, weights):
@@ -234,8 +234,7 @@ class Transform:
         Each is valid until the next is asked for; of a single set at least the half grid is there.
         """
         sets, n, dims = points.shape
-        if weights is None:
-            weights = np.broadcast_to(1.0 / n, (sets, n))
+        weights = given_or_equal(weights, points)
         paired = sets - sets % 2 if self._packs else 0
         strengths = weights[:paired].reshape(paired // 2, 2 * n).astype(np.complex128)
         strengths[:, n:] *= 1j
@@ -323,6 +322,11 @@ class Transform:
             phase = np.exp((-2j * np.pi * grid.step) * np.outer(x, index))
             found = (found[:, :, None] * phase[:, None, :]).reshape(len(points), -1)
         return found
+
+
+def given_or_equal(weights: Array | None, points: Array) -> Array:
+    """The weights (R, n) of points (R, n, d): 1/n each if none are given."""
+    return np.broadcast_to(1.0 / points.shape[1], points.shape[:2]) if weights is None else weights
 
 
 def direct_sum(points: Array, frequencies: Array, weights: Array | None = None) -> Array:

@@ -81,9 +81,7 @@ class Anova(Analysis, frozen=True, kw_only=True):
         estimator = subject.estimator
         estimator.check_sampler(subject.sampler, self.n)
         dims = as_integer("dims", estimator.dims, least=1, most=_MAX_DIMS)
-        # Those listed, those without one axis, and the first s axes: see `_frozen`
-        sizes = range(dims + 1)
-        subsets = sum(math.comb(dims, s) if s <= self.order or s >= dims - 1 else 1 for s in sizes)
+        subsets = len(_frozen(dims, self.order))
         values = subsets * max(1, estimator.channels) * self.realizations
         if values > _MAX_VALUES:
             raise ParameterError(
@@ -260,7 +258,7 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
                 "anova_variances."
             )
         dims = as_integer("dims", estimator.dims, least=1, most=_MAX_DIMS)
-        subsets = sum(math.comb(dims, size) for size in range(1, self.order + 1))
+        subsets = len(_subsets(dims, self.order))
         total = self.frequencies * subsets
         if total > _MAX_FREQUENCIES:
             raise ParameterError(
@@ -275,7 +273,7 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Batches]:
         """Batches of frequencies and sets, independent of each other."""
         f, n, dims = subject.estimator.integrand, self.n, subject.estimator.dims
-        subsets = _subsets(dims, min(self.order, dims))
+        subsets = _subsets(dims, self.order)
         count = self.frequencies // _BATCHES
         # Law of one component: ±k with probability ∝ 1/k², k = 1 … K
         cumulative = np.cumsum(np.arange(1.0, self.half_width + 1) ** -2)

@@ -62,10 +62,10 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
     labels: tuple[str, ...] | list[str]
     match bands if isinstance(bands, str) else None:
         case "radial":
-            of = np.rint(_length(basis)).astype(np.int64)
+            of = np.rint(np.linalg.norm(basis.oscillations(), axis=1)).astype(np.int64)
             labels, meaning = tuple(map(str, range(int(of.max()) + 1))), "radial: |m| rounded"
         case "dyadic":  # 0; then [1, 2), [2, 4), [4, 8), …
-            length = _length(basis)
+            length = np.linalg.norm(basis.oscillations(), axis=1)
             of = np.where(length > 0, np.frexp(np.maximum(length, 1.0))[1], 0).astype(np.int64)
             labels = ["0", *(f"{2**k}–{2 ** (k + 1)}" for k in range(int(of.max())))]
             meaning = "dyadic: range of |m|"
@@ -116,7 +116,3 @@ def _given(labels: Array, basis: Basis) -> Array:
             "bands must be the same for m and −m, so that band estimates are real."
         )
     return stored
-
-
-def _length(basis: Basis) -> Array:
-    return np.asarray(np.sqrt((basis.oscillations() ** 2).sum(axis=1)))

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.linalg import norm
 
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
@@ -94,9 +95,9 @@ def primary_picture(
             np.stack([g(np.insert(along, axis, end, axis=1)) for end in (gap, 1.0 - gap)])
             for gap in (_NEAR, _NEARER)
         )
-        before, after = (_length(ends[1] - ends[0]) for ends in (near, nearer))
+        before, after = (norm(ends[1] - ends[0], axis=-1) for ends in (near, nearer))
         jump = (after > _STAYS * before) & (after > _NEGLIGIBLE * scale)
-        sizes, growing = (_length(ends).max(axis=0) for ends in (near, nearer))
+        sizes, growing = (norm(ends, axis=-1).max(axis=0) for ends in (near, nearer))
         face_poles[axis] = (growing > _GROWS * sizes) & (growing > _NEGLIGIBLE * scale)
         faces[axis] = np.where(face_poles[axis], np.inf, np.where(jump, after, 0.0))
     finite = faces[(faces > 0) & np.isfinite(faces)]
@@ -135,7 +136,3 @@ def primary_picture(
         technique=number,
         resolution=side,
     )
-
-
-def _length(values: Array) -> Array:
-    return np.asarray(np.sqrt((values**2).sum(axis=-1)))

@@ -185,7 +185,7 @@ class Terms(Analysis, frozen=True, kw_only=True):
             kind=TermSums,
             block=block,
             blocks=len(blocks),
-            cost=float(self.realizations * (n * sum(estimator.counts) + frequencies.size)),
+            cost=self.need(subject).cost,
             result=result,
         )
 

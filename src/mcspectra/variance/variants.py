@@ -28,6 +28,7 @@ from mcspectra.integrands.smoothing import BoxSmoothed, smoothed
 from mcspectra.samplers import Sampler, Shift
 from mcspectra.variance.convergence import convergence
 from mcspectra.variance.exact import exact_variance
+from mcspectra.variance.sums import Variables
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -124,13 +125,11 @@ def smoothing_scan(
     best, columns, each = total.argmin(axis=0), range(total.shape[1]), np.array(places)
     candidates = [each[ci[:, i, 0] <= ci[best[i], i, 1]] for i in columns]
     axes = ("width", "channel")[: bias.ndim]
-    dims = _dims(measured["variance"])
+    found = _of(measured, "variance", "variance_ci", "rate", "rate_ci")
+    dims, _ = found["variance"]
     return dataset(
         {
-            **{
-                name: (_dims(measured[name]), measured[name].values)
-                for name in ("variance", "variance_ci", "rate", "rate_ci")
-            },
+            **found,
             "smoothing_bias": (axes, bias),
             "bias_squared": (axes, bias**2),
             "bias_squared_ci": ((*axes, "bound"), square_ci),
@@ -222,10 +221,7 @@ def mirror_study(
     measured = convergence(
         estimators, samplers, counts, realizations=realizations, rng=rng, workers=workers
     ).rename(estimator="mirroring", sampler="homogenized")
-    variables: dict[str, tuple[tuple[str, ...], Any]] = {
-        name: (_dims(measured[name]), measured[name].values)
-        for name in ("variance", "variance_ci", "mean", "mean_se", "rate", "rate_ci")
-    }
+    variables = _of(measured, "variance", "variance_ci", "mean", "mean_se", "rate", "rate_ci")
     if exact:
 
         def known(e: AbstractEstimator, s: Sampler, n: int) -> Any:
@@ -251,5 +247,6 @@ def mirror_study(
     )
 
 
-def _dims(array: xr.DataArray) -> tuple[str, ...]:
-    return tuple(map(str, array.dims))
+def _of(measured: xr.Dataset, *names: str) -> Variables:
+    """Some of the variables that were measured, to be part of another dataset."""
+    return {name: (tuple(map(str, measured[name].dims)), measured[name].values) for name in names}
