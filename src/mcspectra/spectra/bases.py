@@ -34,7 +34,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.integrands import Integrand
 from mcspectra.integrands.products import axis_rules, cell_integrals, product_coefficients
 from mcspectra.samplers import Randomized, Sampler
-from mcspectra.samplers.base import Structure
+from mcspectra.samplers.base import Randomization, Structure
 from mcspectra.samplers.mirror import Mirror
 from mcspectra.spectra._kernels import bin_weights
 from mcspectra.spectra.transforms import FrequencyGrid, Transform, given_or_equal
@@ -49,6 +49,7 @@ __all__ = [
     "fitting_basis",
     "hadamard",
     "make_basis",
+    "parts_of",
 ]
 
 Coefficients = Callable[[Array, "Array | None"], Array]
@@ -377,6 +378,11 @@ def make_basis(name: str, dims: int, half_width: int) -> Basis:
 _DYADIC_STEPS = ("digital-shift", "owen", "lms", "permute")
 
 
+def parts_of(sampler: Sampler) -> tuple[Sampler, tuple[Randomization, ...]]:
+    """The sampler inside its randomisations, and these in their order."""
+    return (sampler.base, sampler.steps) if isinstance(sampler, Randomized) else (sampler, ())
+
+
 def fitting_basis(sampler: Sampler, half_width: int) -> str:
     """Name a basis that fits what was random about a sampler last.
 
@@ -390,7 +396,7 @@ def fitting_basis(sampler: Sampler, half_width: int) -> str:
     much as in Fourier (a disk, n = 64: −0.40 of the variance). Strata of 2^k to a side leave none
     in Haar and Walsh, in which sums of smooth functions converge slowly.
     """
-    steps = sampler.steps if isinstance(sampler, Randomized) else ()
+    base, steps = parts_of(sampler)
     dyadic = not half_width & (half_width - 1) and set(sampler.digit_bases) == {2}
     mirrored = False
     for step in reversed(steps):
@@ -400,7 +406,6 @@ def fitting_basis(sampler: Sampler, half_width: int) -> str:
             return "cosine" if mirrored else "fourier"
         elif step.name in _DYADIC_STEPS and dyadic:
             return "walsh"
-    base = sampler.base if isinstance(sampler, Randomized) else sampler
     if mirrored:
         return "walsh" if dyadic and base.structure is not Structure.TORUS else "cosine"
     stationary = sampler.structure is Structure.TORUS and sampler.unbiased and not steps

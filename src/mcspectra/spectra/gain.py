@@ -19,8 +19,8 @@ from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
 from mcspectra.integrands import Integrand, as_integrand
-from mcspectra.samplers import Randomized, Sampler, as_sampler
-from mcspectra.spectra.bases import Walsh
+from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.spectra.bases import Walsh, parts_of
 from mcspectra.spectra.closed_forms import points_at
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
             "Walsh indices are whole numbers from 0 to 2^32 − 1; those given are not."
         )
     m = given.astype(np.uint64)
-    steps = {step.name for step in source.steps} if isinstance(source, Randomized) else set()
+    steps = {step.name for step in parts_of(source)[1]}
     columns = _columns(_net_inside(source), n)
     if steps == {"digital-shift"}:
         # On the dual net Σ_j (digits of m_j) · (column c of matrix j) is even for every column c
@@ -177,8 +177,7 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
 
 def _net_inside(sampler: Sampler) -> Sampler:
     """Return the net inside randomisations of its digits, which keep which digits agree."""
-    base = sampler.base if isinstance(sampler, Randomized) else sampler
-    steps = sampler.steps if isinstance(sampler, Randomized) else ()
+    base, steps = parts_of(sampler)
     if not base.fixed or not all(step.name in _NESTED for step in steps):
         raise NoClosedForm(
             f"No gain coefficients are known for {sampler.spec}; give a net that is the same every "

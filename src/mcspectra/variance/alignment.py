@@ -25,7 +25,8 @@ from mcspectra.densities.aligned import AlignedStrata
 from mcspectra.estimators import AbstractEstimator, Estimator, as_estimator, as_subject
 from mcspectra.estimators.moments import rounding_floor, variance_interval
 from mcspectra.integrands import Integrand
-from mcspectra.samplers import Randomized, Sampler, Shift, StrataShift
+from mcspectra.samplers import Sampler, Shift, StrataShift
+from mcspectra.spectra.bases import parts_of
 from mcspectra.variance.convergence import count_moments, count_stream
 from mcspectra.variance.exact import exact_variance
 from mcspectra.variance.fit import fit_rates
@@ -336,8 +337,7 @@ class _Offsets:
         workers: int,
     ) -> _Offsets:
         """What gives variances at offsets; ``"auto"`` is exact where that is known for all counts."""
-        steps = sampler.steps if isinstance(sampler, Randomized) else ()
-        if any(isinstance(step, Shift) for step in steps):
+        if any(isinstance(step, Shift) for step in parts_of(sampler)[1]):
             raise ParameterError(
                 f"{sampler.spec} is shifted at random, which averages over all offsets; leave the "
                 "shift out."

@@ -23,8 +23,9 @@ from mcspectra.estimators.heuristics import HEURISTICS, as_heuristic
 from mcspectra.estimators.mirrored import MIRRORINGS
 from mcspectra.integrands.smoothing import BoxSmoothed, smoothed
 from mcspectra.samplers import Jittered, Sampler, Shift, StrataShift
-from mcspectra.samplers.base import Randomized, Structure
+from mcspectra.samplers.base import Structure
 from mcspectra.samplers.registry import sampler as make_sampler
+from mcspectra.spectra.bases import parts_of
 from mcspectra.variance.alignment import aligned, best_alignment
 from mcspectra.variance.diagnosis import jumps_of
 from mcspectra.variance.variants import smoothing_scan
@@ -230,10 +231,10 @@ def leave_shift_out(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
 
 def _without_shift(sampler: Sampler) -> Sampler | None:
     """The sampler without its shifts; None where it has none."""
-    if not isinstance(sampler, Randomized) or not any(isinstance(s, Shift) for s in sampler.steps):
+    plain, steps = parts_of(sampler)
+    if not any(isinstance(step, Shift) for step in steps):
         return None
-    plain = sampler.base
-    for step in sampler.steps:
+    for step in steps:
         plain = plain if isinstance(step, Shift) else plain.then(step)
     return plain
 

@@ -19,7 +19,7 @@ from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator, Mirrored, Moments
 from mcspectra.samplers import Sampler, Shift
-from mcspectra.samplers.base import Randomized
+from mcspectra.spectra.bases import parts_of
 from mcspectra.variance.primary import primary_picture
 from mcspectra.variance.techniques import UNDECIDED, technique_estimates, technique_rates
 
@@ -161,8 +161,7 @@ def diagnose(
     """Look for the causes of noise; the rates of techniques are compared at ascending counts."""
     boundary, inside = jumps_of(estimator)
     # What is mirrored is shifted before it is folded
-    steps = sampler.steps if isinstance(sampler, Randomized) else ()
-    shifted = any(isinstance(step, Shift) for step in steps)
+    shifted = any(isinstance(step, Shift) for step in parts_of(sampler)[1])
     # The bottleneck among techniques, of all channels alike
     chosen: set[int] = set()
     if len(estimator.counts) > 1 and len(counts) > 1:

@@ -39,6 +39,7 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNTS, Counts
+from mcspectra.core.records import JOIN
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator, as_subject
@@ -59,7 +60,7 @@ from mcspectra.samplers import (
     UniformJitter,
     VanDerCorput,
 )
-from mcspectra.spectra.bases import hadamard
+from mcspectra.spectra.bases import hadamard, parts_of
 from mcspectra.spectra.gain import gain_coefficients
 from mcspectra.variance.quadrature import (
     DerivedIntegrand,
@@ -109,7 +110,7 @@ class Exact(Analysis, frozen=True, kw_only=True):
                 value, note = exact_variance(estimator, sampler, self.counts[index]), ""
             except NoClosedForm as error:
                 value, note = np.full(max(1, estimator.channels), np.nan), str(error)
-            return _Variances(np.reshape(value, (1, -1)), note)
+            return _Variances(np.reshape(value, (1, -1)), np.array([note]))
 
         def result(found: _Variances) -> xr.Dataset:
             return dataset(
@@ -118,7 +119,7 @@ class Exact(Analysis, frozen=True, kw_only=True):
                 drop=() if estimator.channels else ("channel",),
                 estimator=estimator.spec,
                 sampler=sampler.spec,
-                note=found.note or None,
+                note=next(filter(None, map(str, found.notes[::-1])), None),
             )
 
         return Reduction(
@@ -132,15 +133,10 @@ class Exact(Analysis, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class _Variances:
-    """Of counts, (N, channels or 1), and why the last that is not known is not known."""
+    """Of counts, (N, channels or 1), and why each is not known, empty where it is."""
 
-    values: Array
-    note: str
-
-    def merge(self, other: _Variances) -> _Variances:
-        """Those of both."""
-        values = np.concatenate([self.values, other.values])
-        return _Variances(values, other.note or self.note)
+    values: JOIN
+    notes: JOIN
 
 
 def exact_variance(
@@ -214,9 +210,7 @@ def _of_integrand(sampler: Sampler, n: int, g: Integrand) -> Array:
 
 def _variance(sampler: Sampler, n: int, g: Integrand, order: int) -> Array:
     """Variance of the mean of g over a set; (channels,) or (1,)."""
-    base, steps = (
-        (sampler.base, sampler.steps) if isinstance(sampler, Randomized) else (sampler, ())
-    )
+    base, steps = parts_of(sampler)
     if steps and isinstance(steps[-1], Mirror):
         inner = Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
         return _mirrored(steps[-1].mode, inner, n, g, order)

@@ -50,9 +50,9 @@ from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Estimator, as_subject
 from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.integrands import Integrand
-from mcspectra.samplers import Randomized, Sampler
+from mcspectra.samplers import Sampler
 from mcspectra.samplers.base import Structure
-from mcspectra.spectra.bases import fitting_basis
+from mcspectra.spectra.bases import fitting_basis, parts_of
 from mcspectra.spectra.closed_forms import closed_form_covariance, closed_form_power
 from mcspectra.spectra.transforms import FrequencyGrid
 from mcspectra.variance._pair_kernels import pair_sum_1d, pair_sum_2d
@@ -413,8 +413,7 @@ def variance_from_pair_correlation(
 
     # Whether pairs are known, or may be counted
     exact = source.name in ("random", "jittered")
-    steps = source.steps if isinstance(source, Randomized) else ()
-    base = source.base if isinstance(source, Randomized) else source
+    base, steps = parts_of(source)
     alone = source.structure is Structure.TORUS and source.unbiased and not steps
     stationary = alone or (bool(steps) and steps[-1].stationary)
     moved_only = all(step.name in _MOVES for step in steps)
