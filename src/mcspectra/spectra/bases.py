@@ -1,8 +1,8 @@
 """Orthonormal bases of functions on the unit cube, in which a variance is decomposed.
 
 With an orthonormal basis φ_m of L²([0,1]^d), f_m = ∫ f conj(φ_m) and S_m = Σ_k w_k conj(φ_m(x_k)), the
-estimate is Σ_m conj(f_m) S_m and its variance dc + power + cross, in any basis (docs/theory.md). What differs is
-how much of it is cross term, that is how badly the basis fits the sampler's randomisation, and how fast
+estimate is Σ_m conj(f_m) S_m and its variance dc + power + cross, in any basis (docs/theory.md). What
+differs is how much of it is cross term, that is how badly the basis fits the sampler's randomisation, and how fast
 the sum over m converges:
 
 =========  ==========================================  =====================================

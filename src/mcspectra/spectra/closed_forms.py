@@ -168,7 +168,7 @@ class Moments:
 
 
 def moments_of(sampler: Sampler, n: int, *frequencies: Array) -> Moments:
-    """Return the exact moments of a sampler, valid at the given frequencies; raise where none are known."""
+    """Return the exact moments of a sampler, if they are known at the given frequencies."""
     base, steps = _translations(sampler)
     integer = all(np.array_equal(nu, np.rint(nu)) for nu in frequencies)
     moments = _known_moments(base, n)

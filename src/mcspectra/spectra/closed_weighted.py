@@ -1,8 +1,9 @@
 """Exact means and covariances of S_m for importance-sampled points, x = T(u), weights 1/(n p).
 
-docs/theory.md, "Closed forms", has the derivation for densities that are products over the axes with
-monotone warps: M_t(m) of the stratum that starts at t, *same* and *apart* of two points, their means
-taken over the strata, or over all t where a random shift follows. A grid with one offset δ has
+docs/theory.md, "Closed forms", has the derivation for densities that are products over the axes
+with monotone warps: M_t(m) of the stratum that starts at t, *same* and *apart* of two points, their
+means taken over the strata, or over all t where a random shift follows. A grid with one offset δ
+has
 
     C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0 δ_l0
 

@@ -1,10 +1,11 @@
 """Scrambled nets in exact terms: gain coefficients, nested variances, and power in the Walsh basis.
 
-Owen [Owen1997]_ splits f into parts ν_l, l = (l_1, …, l_d), by the digits of the coordinates that it varies
-with (docs/theory.md, "Gains of scrambled nets"). (His u is {j: l_j > 0}, and his k_j is l_j − 1.) In base 2,
-ν_l is the part of f in the Walsh functions of index 2^(l_j − 1) ≤ m_j < 2^l_j, and all these have the
-expected power Γ_l / n. A digital shift leaves the power of each as it is: 1 on the dual net, the indices to
-which all columns of the generator matrices are orthogonal, and 0 elsewhere.
+Owen [Owen1997]_ splits f into parts ν_l, l = (l_1, …, l_d), by the digits of the coordinates that
+it varies with (docs/theory.md, "Gains of scrambled nets"). (His u is {j: l_j > 0}, and his k_j is
+l_j − 1.) In base 2, ν_l is the part of f in the Walsh functions of index 2^(l_j − 1) ≤ m_j < 2^l_j,
+and all these have the expected power Γ_l / n. A digital shift leaves the power of each as it is: 1
+on the dual net, the indices to which all columns of the generator matrices are orthogonal, and 0
+elsewhere.
 """
 
 from __future__ import annotations

@@ -354,7 +354,7 @@ def direct_sum(points: Array, frequencies: Array, weights: Array | None = None) 
 
 @final
 class _GpuTransform:
-    """Transforms on one frequency grid of one to three axes, with one plan and one set of device arrays.
+    """Transforms on one grid of up to three axes, with one plan and one set of device arrays.
 
     Threads take turns: one transform keeps the device busy.
     """
@@ -378,7 +378,7 @@ class _GpuTransform:
             raise ParameterError(_no_room(shape, error)) from error
 
     def transforms(self, points: Array, strengths: Array) -> Iterator[Array]:
-        """Transform sets (T, n, d) of complex strengths (T, n) to full grids in C order, (M,), on the host.
+        """Transform sets (T, n, d) of strengths (T, n) to full grids in C order, (M,), on the host.
 
         They are computed one by one and copied back in blocks.
         """

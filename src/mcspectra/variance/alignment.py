@@ -336,7 +336,7 @@ class _Offsets:
         stream: Stream,
         workers: int,
     ) -> _Offsets:
-        """What gives variances at offsets; ``"auto"`` is exact where that is known for all counts."""
+        """Variances at offsets; ``"auto"`` is exact where that is known for all counts."""
         if any(isinstance(step, Shift) for step in parts_of(sampler)[1]):
             raise ParameterError(
                 f"{sampler.spec} is shifted at random, which averages over all offsets; leave the "
@@ -360,7 +360,7 @@ class _Offsets:
         return self.sampler.then(StrataShift(offset=tuple(offset)))
 
     def at(self, offset: Sequence[float], n: int) -> tuple[Array, Array, Array, Array]:
-        """Variances (C,) at an offset, relative standard errors, rounding floors, intervals (C, 2)."""
+        """Variances (C,) at an offset, relative errors, rounding floors, intervals (C, 2)."""
         source = self.displaced(offset)
         size = np.abs(np.atleast_1d(self.estimator.integral))
         if self.exact:

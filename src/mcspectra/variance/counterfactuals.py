@@ -1,7 +1,8 @@
 """What else could have been done: an estimator and a sampler, changed in one respect each.
 
-A *kind* of change is a function from the set-up that is given to offers, each with the imperative that
-says how; where it has nothing to offer, it raises the reason. `other_setups` makes the set-ups.
+A *kind* of change is a function from the set-up that is given to offers, each with the imperative
+that says how; where it has nothing to offer, it raises the reason. `other_setups` makes the
+set-ups.
 """
 
 from __future__ import annotations

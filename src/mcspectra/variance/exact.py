@@ -3,10 +3,10 @@
 Strata, with and without a common offset, are in docs/theory.md, "Exact variances of strata", as is
 nested uniform scrambling ("Gains of scrambled nets"). Beyond these:
 
-* Digital shift in base 2, coordinates whole multiples of 2^-L: the shift is one of L bits and, below
-  them, an offset δ uniform in a cell that all points share. For given δ the values of g over the grid
-  have a Walsh spectrum ĝ_m(δ), the points ŝ_m = (1/n) Σ_k wal_m(x_k), of which |ŝ_m|² is 1 on the dual
-  net and 0 elsewhere for digital nets, and
+* Digital shift in base 2, coordinates whole multiples of 2^-L: the shift is one of L bits and,
+  below them, an offset δ uniform in a cell that all points share. For given δ the values of g over
+  the grid have a Walsh spectrum ĝ_m(δ), the points ŝ_m = (1/n) Σ_k wal_m(x_k), of which |ŝ_m|² is 1
+  on the dual net and 0 elsewhere for digital nets, and
 
       Var = E_δ [Σ_{m ≠ 0} ĝ_m² ŝ_m²] + Var_δ ĝ_0.
 * Latin hypercubes: on each axis two points are in different ones of n strata. With ω² the mean variance
@@ -15,8 +15,8 @@ nested uniform scrambling ("Gains of scrambled nets"). Beyond these:
       Var = (1/n) [ω² + Σ_{v ≠ ∅} (1 + (n − 1) (−1/(n − 1))^|v|) σ²_v],
 
   without what varies along single axes from stratum to stratum [Stein1987]_.
-* Antithetic jittered [Haber1967]_: one jittered point for each cell, with h(u) = (g(u) + g(u'))/2 in the
-  place of g, u' reflected through the centre of the cell.
+* Antithetic jittered [Haber1967]_: one jittered point for each cell, with h(u) = (g(u) + g(u'))/2
+  in the place of g, u' reflected through the centre of the cell.
 * Mirrored: folded points see the folded integrand; images of all n/2^d points see the average ḡ of g
   over reflections, and so do, on average over the coins, points reflected at random. The coins add
   E[Var(g | point)]/n = (Var g − Var ḡ)/n if each point is uniform.
@@ -390,9 +390,9 @@ def _hadamard(values: Array, dims: int) -> Array:
 def level_variances(means: Array, bases: tuple[int, ...], axis: int = 0) -> Array:
     """σ²_l of all levels up to those of the cells, from the means of a function over the cells.
 
-    Means (b_0^L_0, b_1^L_1, …, channels) in the bases b_i of the axes become (L_0 + 1, L_1 + 1, …, channels),
-    at level 0 of all axes the square of the mean. They are split along `axis` into what each digit adds,
-    then along those after it.
+    Means (b_0^L_0, b_1^L_1, …, channels) in the bases b_i of the axes become
+    (L_0 + 1, L_1 + 1, …, channels), at level 0 of all axes the square of the mean. They are split
+    along `axis` into what each digit adds, then along those after it.
     """
     if axis == len(bases):
         return np.asarray((means**2).mean(axis=tuple(range(axis))))

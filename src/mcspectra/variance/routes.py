@@ -7,17 +7,17 @@
 * spectral: dc + power + cross from realisations, `variance_terms`.
 * measured: the variance of the estimates over the same realisations.
 
-The three spectral routes see the frequencies within a half width only; `energy_share` says how much of
-∫f² these hold. Where it is 1, all routes lead to the same number.
+The three spectral routes see the frequencies within a half width only; `energy_share` says how much
+of ∫f² these hold. Where it is 1, all routes lead to the same number.
 
 The route by pairs
 ------------------
-docs/theory.md, "Pair correlation", has the formula. Random and jittered points have pairs of known density;
-those of a stationary set are counted in full, not by distance only, and add up A(x_i − x_k) with the
-autocorrelation A of the integrand on the torus, tabulated and linear between the entries.
+docs/theory.md, "Pair correlation", has the formula. Random and jittered points have pairs of known
+density; those of a stationary set are counted in full, not by distance only, and add up A(x_i − x_k)
+with the autocorrelation A of the integrand on the torus, tabulated and linear between the entries.
 
-Averaging A over directions, so that g(|h|) would do, is exact for isotropic sets only: measured at n = 16,
-it gives 1.7 to 3.7 times the variance of smooth integrands for latin-hypercube with shift.
+Averaging A over directions, so that g(|h|) would do, is exact for isotropic sets only: measured at
+n = 16, it gives 1.7 to 3.7 times the variance of smooth integrands for latin-hypercube with shift.
 """
 
 from __future__ import annotations
