@@ -378,6 +378,7 @@ def outsiders(monkeypatch):
         for name, found in {"said": "Said", "gone": "Gone", "odd": "CASES", "terms": "Said"}.items()
     ]
     monkeypatch.setattr(registry, "entry_points", lambda group: entries)
+    monkeypatch.setattr(registry, "_registered", registry._registered.__wrapped__)
     monkeypatch.setitem(sys.modules, place, SimpleNamespace(Said=Said, CASES=CASES))
 
 
