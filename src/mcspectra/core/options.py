@@ -269,9 +269,10 @@ def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
             raise ParameterError(f"{label} is {value!r}; give {wanted}, or {offer}.")
 
     # Of several types, take the one that is of the value's sort, whatever its limits
-    fitting = next(
-        (each for each in kinds if isinstance(value, _SORTS.get(type(each), ()))), kinds[0]
-    )
+    fits = [each for each in kinds if isinstance(value, _SORTS.get(type(each), ()))]
+    if isinstance(value, str):  # a sequence, but no list
+        fits = [each for each in fits if not isinstance(each, _LISTS)]
+    fitting = (fits or kinds)[0]
     match fitting:
         case inspect.IntType(ge=least, le=most):
             limit = None if most is None or most >= _NO_LIMIT else most
