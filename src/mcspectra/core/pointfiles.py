@@ -67,7 +67,35 @@ def read_points(path: str | PathLike[str]) -> list[Array]:
         message names the line or the byte.
     """
     with opened(path, "a point set", EXTENSIONS) as (stream, size, name, extension):
-        return _READERS[extension](stream, size, name)
+        match extension:
+            case ".dat":
+                return _read_dat(stream, size, name)
+            case ".csv":
+                return _read_csv(stream, size, name)
+            case ".parquet":
+                return _read_parquet(stream, size, name)
+            case ".bin":
+                points = _read_bin(stream, size, name)
+            case _:
+                points = read_npz(stream, size, name, "points")
+                if points.dtype.kind not in "fiu" or points.ndim not in (2, 3) or points.size == 0:
+                    raise FileFormatError(
+                        f"{name} holds 'points' of type {points.dtype} and shape {points.shape}; "
+                        "give numbers of shape (n, d) or (R, n, d)."
+                    )
+                points = points if points.ndim == 3 else points[None]
+                check_decoded_size(name, size, len(points) * _SET_BYTES)
+
+        # Split (R, n, d) into sets of float64 after a check for NaN and infinity
+        points = points.astype(np.float64, copy=False)
+        good = np.isfinite(points)
+        if not good.all():
+            where = [int(i) for i in np.argwhere(~good)[0]]
+            raise FileFormatError(
+                f"{name}: coordinate {where[2]} of point {where[1]} of set {where[0]} (from 0) is "
+                f"{points[tuple(where)]}; give finite numbers."
+            )
+        return list(points)
 
 
 def write_points(
@@ -308,10 +336,11 @@ def _split(points: Array, set_of_row: Array) -> list[Array]:
     return np.split(points[order], np.cumsum(np.bincount(set_of_row))[:-1])
 
 
-# ---- Bytes: UTK binary and NumPy's archives
+# ---- Bytes: UTK binary
 
 
-def _read_bin(stream: IO[bytes], size: int, name: str) -> list[Array]:
+def _read_bin(stream: IO[bytes], size: int, name: str) -> Array:
+    """Read all sets, (R, n, d)."""
     data = stream.read(_HEADER_BYTES)
     if len(data) < _HEADER_BYTES:
         raise FileFormatError(f"{name} ends at byte {len(data)}, within the header of 20 bytes.")
@@ -342,32 +371,7 @@ def _read_bin(stream: IO[bytes], size: int, name: str) -> list[Array]:
         spare = max(0, bits - 53)  # drop what a double cannot hold, lest 2^64 - 1 becomes 1.0
         shifted = values.astype(dtype.newbyteorder("=")) >> spare
         values = np.ldexp(shifted.astype(np.float64), spare - bits)
-    return _finite_sets(values, name)
-
-
-def _read_npz(stream: IO[bytes], size: int, name: str) -> list[Array]:
-    points = read_npz(stream, size, name, "points")
-    if points.dtype.kind not in "fiu" or points.ndim not in (2, 3) or points.size == 0:
-        raise FileFormatError(
-            f"{name} holds 'points' of type {points.dtype} and shape {points.shape}; give numbers "
-            "of shape (n, d) or (R, n, d)."
-        )
-    points = points if points.ndim == 3 else points[None]
-    check_decoded_size(name, size, len(points) * _SET_BYTES)
-    return _finite_sets(points, name)
-
-
-def _finite_sets(points: Array, name: str) -> list[Array]:
-    """Split (R, n, d) into sets of float64 after a check for NaN and infinity."""
-    points = points.astype(np.float64, copy=False)
-    good = np.isfinite(points)
-    if not good.all():
-        where = [int(i) for i in np.argwhere(~good)[0]]
-        raise FileFormatError(
-            f"{name}: coordinate {where[2]} of point {where[1]} of set {where[0]} (from 0) is "
-            f"{points[tuple(where)]}; give finite numbers."
-        )
-    return list(points)
+    return values
 
 
 # ---- Tables: Parquet, through pyarrow
@@ -446,12 +450,3 @@ def _pyarrow() -> Any:
         )
     importlib.import_module("pyarrow.parquet")
     return importlib.import_module("pyarrow")
-
-
-_READERS = {
-    ".dat": _read_dat,
-    ".bin": _read_bin,
-    ".npz": _read_npz,
-    ".csv": _read_csv,
-    ".parquet": _read_parquet,
-}

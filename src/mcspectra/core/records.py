@@ -120,15 +120,16 @@ def merged(left: Any, right: Any) -> Any:
 def _rules(kind: Any) -> dict[str, Any]:
     """The rule of every field of a record; None for those that merge themselves."""
     hints = get_type_hints(kind, include_extras=True)
-    return {field.name: _rule(hints[field.name]) for field in fields(kind)}
-
-
-def _rule(hint: Any) -> Any:
-    if get_origin(hint) in _UNIONS:
-        return next((_rule(each) for each in get_args(hint) if each is not type(None)), None)
-    if get_origin(hint) is Annotated:
-        return get_args(hint)[1]
-    return "sum" if hint in (int, float) else None
+    rules: dict[str, Any] = {}
+    for field in fields(kind):
+        hint = hints[field.name]
+        if get_origin(hint) in _UNIONS:
+            hint = next(each for each in get_args(hint) if each is not type(None))
+        annotated = get_origin(hint) is Annotated
+        rules[field.name] = (
+            get_args(hint)[1] if annotated else "sum" if hint in (int, float) else None
+        )
+    return rules
 
 
 def pack(state: Any) -> bytes:
