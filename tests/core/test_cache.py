@@ -21,7 +21,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(cache, "_WORTH_KEEPING", -1.0)
     cache._drop_oldest.cache_clear()
-    cache._say_once.cache_clear()
+    cache._warn_once.cache_clear()
     return tmp_path / "cache"
 
 

@@ -1,7 +1,8 @@
 """Arrays that take seconds to make, kept in the user's cache folder under a key that says it all.
 
-An entry is one file: the SHA-256 of what follows, then a record (`mcspectra.core.records`) of the key
-and the array. What is read is checked against both; a damaged entry is made again. The folder is the platform's cache folder, or ``MCSPECTRA_CACHE``.
+An entry is one file: the SHA-256 of what follows, then the key and the array as bytes of
+`mcspectra.core.records`. What is read is checked against both; a damaged entry is made again. The
+folder is the platform's cache folder, or ``MCSPECTRA_CACHE``.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ __all__ = ["cache_folder", "cache_size", "cached_array"]
 _FORMAT = "2 "  # before every key: entries of other formats have other names
 _WORTH_KEEPING = 0.05  # seconds: what is made faster is not written
 _LIMIT = 2**30  # bytes: beyond them the entries that are oldest go
+_warn_once = lru_cache(warn)
 
 
 def cache_folder() -> Path:
@@ -76,13 +78,15 @@ def cached_array(key: str, make: Callable[[], Array]) -> Array:
                 found: Array = unpack(dict[str, Array], content[32:])[key]
                 return found
         warn(f"The cache entry {file} is damaged; it is made again.", CacheWarning)
+
+    # Make it
     start = time.perf_counter()
     made = make()
     if time.perf_counter() - start <= _WORTH_KEEPING:
         return made
 
     # Keep what took long: other processes see all of an entry or nothing
-    packed = pack({key: np.ascontiguousarray(made, np.float64)})
+    packed = pack({key: np.asarray(made, np.float64)})
     part = file.with_suffix(f".{os.getpid()}-{time.monotonic_ns()}.part")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -91,7 +95,8 @@ def cached_array(key: str, make: Callable[[], Array]) -> Array:
         _drop_oldest(cache_folder())
     except OSError as error:
         part.unlink(missing_ok=True) if file.parent.is_dir() else None
-        _say_once(f"Sets are not kept in {cache_folder()}: {error.strerror or error}.")
+        sentence = f"Sets are not kept in {cache_folder()}: {error.strerror or error}."
+        _warn_once(sentence, CacheWarning)
     return made
 
 
@@ -113,8 +118,3 @@ def _entries(folder: Path) -> list[tuple[float, int, Path]]:
             status = entry.stat()
             found.append((status.st_mtime, status.st_size, entry))
     return found
-
-
-@lru_cache
-def _say_once(sentence: str) -> None:
-    warn(sentence, CacheWarning)

@@ -179,7 +179,7 @@ def unpack(kind: Any, payload: bytes) -> Any:
         TypeError,
         LookupError,
         AttributeError,
-        ArithmeticError,
+        OverflowError,
         RecursionError,
     ) as error:
         raise FileFormatError(f"A stored result cannot be read: {error}.") from None
