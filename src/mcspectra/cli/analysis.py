@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 
 __all__ = ["analysis_verb", "declared", "given_options"]
 
-_COMPARE = ("convergence",)  # analyses that take several samplers
 _FILES = (".npz", ".png", ".pdf")
 _ESTIMATOR = (
     option("integrand", "integrand spec, e.g. 'gaussian(width=0.25)'"),
@@ -87,7 +86,7 @@ def analysis_verb(name: str) -> Verb:
     all_sets = False
     declarations: list[Declaration]
     if analysis.about == "estimator":
-        several = name in _COMPARE
+        several = name == "convergence"  # which compares samplers
         about = f"sampler spec{'; repeatable' if several else ''}"
         about += f" (default {default_sampler})" if default_sampler else ""
         repeated, required = "all" if several else "once", default_sampler is None

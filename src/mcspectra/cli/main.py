@@ -78,6 +78,11 @@ _ANALYSES = {
 }
 """Verbs of our analyses, which are not loaded to know them: to their names in the registry."""
 
+_FAILED_RUNS = ("CellFailed", "ClusterLost", "StorageError")
+"""Errors that are nobody's input."""
+
+_LONGEST = 1000  # characters of an unexpected error's own text
+
 _EPILOG = """\
 Specs name samplers, densities and integrands: name(key=value, ...); samplers chain randomizations:
   mcspectra converge 'christensen-gaussian' --sampler jittered --sampler 'jittered | shift' \\
@@ -115,7 +120,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if "--debug" in given:
             raise
-        return _explain(error)
+        code, sentence = _explained(error)
+        print(f"mcspectra: {sentence}", file=sys.stderr)
+        return code
+
+
+def _explained(error: Exception) -> tuple[int, str]:
+    """The exit code, 2 for what the user can mend, and the sentence for an error."""
+    from mcspectra.core.errors import McspectraError
+
+    if isinstance(error, McspectraError):
+        return (1 if type(error).__name__ in _FAILED_RUNS else 2), str(error)
+    if isinstance(error, MemoryError):
+        return 2, "Not enough memory; ask for fewer points, dims or frequencies."
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
+        return 1, f"The output cannot be written: {error.strerror}."
+    text = " ".join(str(error)[:_LONGEST].split()) or "no message"
+    return 1, f"Unexpected {type(error).__name__}: {text}; run again with --debug for details."
 
 
 def _dispatch(given: list[str]) -> int:
@@ -205,34 +226,3 @@ def _outside_verbs() -> dict[str, str]:
         with suppress(McspectraError):  # `mcspectra list analyses` says what is wrong
             found[ANALYSES.load(name).verb] = name
     return {verb: name for verb, name in found.items() if verb and verb not in _VERBS}
-
-
-_FAILED_RUNS = ("CellFailed", "ClusterLost", "StorageError")
-"""Errors that are nobody's input."""
-
-
-_LONGEST = 1000  # characters of an unexpected error's own text
-
-
-def _explain(error: Exception) -> int:
-    """Print one sentence; 2 for what the user can mend, 1 for the rest."""
-    from mcspectra.core.errors import McspectraError
-
-    if isinstance(error, McspectraError):
-        print(f"mcspectra: {error}", file=sys.stderr)
-        return 1 if type(error).__name__ in _FAILED_RUNS else 2
-    if isinstance(error, MemoryError):
-        print(
-            "mcspectra: Not enough memory; ask for fewer points, dims or frequencies.",
-            file=sys.stderr,
-        )
-        return 2
-    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
-        print(f"mcspectra: The output cannot be written: {error.strerror}.", file=sys.stderr)
-        return 1
-    text = " ".join(str(error)[:_LONGEST].split()) or "no message"
-    print(
-        f"mcspectra: Unexpected {type(error).__name__}: {text}; run again with --debug for details.",
-        file=sys.stderr,
-    )
-    return 1

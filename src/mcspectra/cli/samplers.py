@@ -44,13 +44,28 @@ def list_(options: argparse.Namespace) -> Answer:
     rows: list[dict[str, Any]] = []
     for name in registry:
         try:
-            rows.append(_described(kind, registry, name))
-            continue
-        except MissingDependency as error:
-            reason = str(error)
+            cls = registry.load(name)
+            row = {
+                "name": name,
+                "summary": (inspect.getdoc(cls) or cls.__name__).splitlines()[0],
+                "parameters": [
+                    p.name.rstrip("_") + ("" if p.default is p.empty else f"={p.default!r}")
+                    for p in inspect.signature(cls).parameters.values()
+                ],
+            }
+            if kind == "samplers":
+                from mcspectra.samplers.facts import sampler_facts
+
+                facts = sampler_facts(name)
+                row |= {"dims": facts.dims, "counts": facts.counts}
+            if kind == "analyses":
+                row |= {"verb": cls.verb, "function": cls.function, "about": cls.about}
         except Exception as error:  # noqa: BLE001 - components from elsewhere may raise anything
             reason = f"{registry[name]} is no {registry.kind} ({type(error).__name__})"
-        rows.append({"name": name, "summary": f"not available: {reason}", "parameters": []})
+            if isinstance(error, MissingDependency):
+                reason = str(error)
+            row = {"name": name, "summary": f"not available: {reason}", "parameters": []}
+        rows.append(row)
 
     # Show the summary of each, its parameters, and its verb or the dims and counts it has
     widest, lines = max(len(row["name"]) for row in rows), []
@@ -63,27 +78,6 @@ def list_(options: argparse.Namespace) -> Answer:
             more.append(f"dims: {row['dims']}; n: {row['counts']}")
         lines += [f"{'':{widest}}    {line}" for line in more if line]
     return Answer("\n".join(lines), rows)
-
-
-def _described(kind: str, registry: Any, name: str) -> dict[str, Any]:
-    """What JSON says of a component."""
-    cls = registry.load(name)
-    row: dict[str, Any] = {
-        "name": name,
-        "summary": (inspect.getdoc(cls) or cls.__name__).splitlines()[0],
-        "parameters": [
-            p.name.rstrip("_") if p.default is p.empty else f"{p.name.rstrip('_')}={p.default!r}"
-            for p in inspect.signature(cls).parameters.values()
-        ],
-    }
-    if kind == "samplers":
-        from mcspectra.samplers.facts import sampler_facts
-
-        facts = sampler_facts(name)
-        row |= {"dims": facts.dims, "counts": facts.counts}
-    if kind == "analyses":
-        row |= {"verb": cls.verb, "function": cls.function, "about": cls.about}
-    return row
 
 
 @verb(

@@ -167,6 +167,8 @@ def _compare(
             raise ParameterError(f"--compare renders all strategies once; leave out --{name}.")
     if options.reference:
         raise ParameterError("--compare renders a reference too; leave out --reference.")
+
+    # Render, and write
     spp = options.spp or _COMPARED_SPP
     count = options.reference_spp or _REFERENCE_SPP
     images = compare_strategies(scene, spp, reference_spp=count, **settings)
@@ -176,6 +178,8 @@ def _compare(
         else:
             with writing(file):
                 file.write_bytes(encode_exact(strategy_images(images, exposure=options.exposure)))
+
+    # Say how far each is off
     data, table = {}, []
     for name, image in images.items():
         mean = image["image"].mean(("y", "x")).values
@@ -227,6 +231,7 @@ def pixel_(options: argparse.Namespace) -> Answer:
         x = whole(0)("X", options.x)
     elif options.x.lstrip("-").isdecimal():
         raise ParameterError(f"The pixel has a column, {x}, and no row; give X and Y.")
+
     # Options that are not given are left to the function
     passed = ("light", "channel", "dims", "samplers", "counts", "realizations", "budget")
     given = {name: getattr(options, name) for name in passed}
@@ -322,11 +327,13 @@ def map_(options: argparse.Namespace) -> Answer:
     from mcspectra.studies import StudyConfig, Trust, open_results, run_study
     from mcspectra.studies.files import SceneConfig
 
-    analysis = checked(Map(**given_options(options, Map)))
     # Refuse what cannot be before there is a folder
+    analysis = checked(Map(**given_options(options, Map)))
     subject = Subject(None, read_sampler(options.sampler, analysis.dims))
     analysis.need(subject)
     analysis.reduction(subject, Stream.from_rng(0))
+
+    # Measure as a study of one map, and write
     entry = SceneConfig(name="map", samplers=(options.sampler,), kind="map", analysis=analysis)
     study = StudyConfig(title=f"Map of {options.scene}", seed=options.seed or 0, scenes=(entry,))
     trust = Trust((), (Path(options.scene).parent,))
@@ -339,14 +346,6 @@ def map_(options: argparse.Namespace) -> Answer:
     rows = [[name, "", *(f"{v:.4g}" for v in row.values())] for name, row in shown.items()]
     table = text_table(["strategy", "", *next(iter(shown.values()))], rows)
     return Answer(f"{table}\n{map_note(summary)}\nmap: {page}", {**summary, "report": page})
-
-
-def _definition(name: str, text: str) -> tuple[tuple[str, str]]:
-    """Read KEY=VALUE, as the one item that it adds to the list of all."""
-    key, equals, value = text.partition("=")
-    if not (key and equals):
-        raise ParameterError(f"{name} is {text!r}; give KEY=VALUE.")
-    return ((key, value),)
 
 
 @verb(
@@ -362,8 +361,8 @@ def _definition(name: str, text: str) -> tuple[tuple[str, str]]:
     option(
         "-D, --define KEY=VALUE",
         "value of $KEY in the file; may be given several times",
-        _definition,
         repeated="all",
+        default=[],
     ),
 )
 def mitsuba_(options: argparse.Namespace) -> Answer:
@@ -374,6 +373,12 @@ def mitsuba_(options: argparse.Namespace) -> Answer:
     """
     from mcspectra.rendering.stock import render_file
 
+    definitions = {}
+    for text in options.define:
+        key, equals, value = text.partition("=")
+        if not (key and equals):
+            raise ParameterError(f"--define is {text!r}; give KEY=VALUE.")
+        definitions[key] = value
     out = Path(options.out) if options.out else Path(options.scene).with_suffix(".exr")
     start = time.perf_counter()
     image = render_file(
@@ -382,7 +387,7 @@ def mitsuba_(options: argparse.Namespace) -> Answer:
         spp=options.spp,
         seed=options.seed or 0,
         sensor=options.sensor,
-        definitions=dict(options.define or []),
+        definitions=definitions,
         out=out,
     )
     height, width, channels = image.shape
