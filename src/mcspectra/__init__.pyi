@@ -49,14 +49,13 @@ from .spectra.shapes import slices as slices
 from .spectra.shapes import variance_from_spectrum as variance_from_spectrum
 from .spectra.shapes import wedge_means as wedge_means
 from .variance.alignment import aligned as aligned
+from .variance.alignment import best_alignment as best_alignment
 from .variance.alignment import strata_shift_scan as strata_shift_scan
 from .variance.anova import anova_spectrum as anova_spectrum
 from .variance.anova import anova_variances as anova_variances
-from .variance.best_alignment import best_alignment as best_alignment
 from .variance.convergence import convergence as convergence
 from .variance.convergence import realizations_needed as realizations_needed
 from .variance.exact import exact_variance as exact_variance
-from .variance.mirror_study import mirror_study as mirror_study
 from .variance.modes import covariance_modes as covariance_modes
 from .variance.prediction import DecayFit as DecayFit
 from .variance.prediction import fitted_decay as fitted_decay
@@ -66,9 +65,10 @@ from .variance.primary import primary_picture as primary_picture
 from .variance.remedies import remedies as remedies
 from .variance.routes import variance_from_pair_correlation as variance_from_pair_correlation
 from .variance.routes import variance_routes as variance_routes
-from .variance.smoothing import smoothing_scan as smoothing_scan
 from .variance.techniques import technique_terms as technique_terms
 from .variance.terms import variance_terms as variance_terms
+from .variance.variants import mirror_study as mirror_study
+from .variance.variants import smoothing_scan as smoothing_scan
 from .version import __version__ as __version__
 
 __all__ = [

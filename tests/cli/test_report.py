@@ -13,9 +13,11 @@ title = "t"
 samplers = ["random"]
 [[estimators]]
 name = "e"
-integrand = "x"
+integrand = "linear"
 [estimators.terms]
 n = 4
+half_width = 2
+realizations = 4
 """
 
 

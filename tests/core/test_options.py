@@ -195,7 +195,11 @@ def test_texts_are_read(name, text, clean):
     [
         ("n", "many", "^--n is 'many'; give a whole number"),
         ("n", "", "^--n is ''"),
-        ("half_width", "wide", "^--half-width is 'wide'; give a whole number of at least 0, or 'auto'"),
+        (
+            "half_width",
+            "wide",
+            "^--half-width is 'wide'; give a whole number of at least 0, or 'auto'",
+        ),
         ("share", "nan", "^--share is nan; give a finite number"),
         ("counts", "16,4", r"^--counts is \[16, 4\]; give ascending"),
         ("counts", "4,x", "^--counts is 'x'; give a whole number"),

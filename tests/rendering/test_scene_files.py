@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from mcspectra.core.errors import StoreError
-from mcspectra.rendering import _scene_files, variance_map
-from mcspectra.rendering._scene_files import referenced_files, scene_state, watched_state
+from mcspectra.rendering import _scene_files
+from mcspectra.rendering._scene_files import referenced_files, watched_state
 
 SCENE = """<scene version="3.0.0">
   <default name="image" value="wall.png"/>
@@ -41,16 +40,13 @@ def scene(tmp_path: Path) -> Path:
 
 def test_files_of_includes_paths_and_defaults_are_found(scene: Path) -> None:
     assert referenced_files(scene) == {(scene.parent / name).resolve() for name in NAMES}
-    state = scene_state(scene)
-    assert list(state) == NAMES
-    assert [size for size, _ in state.values()] == [len(LIGHTS), 3, 3]
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_every_change_shows(scene: Path, name: str) -> None:
-    before = scene_state(scene)
-    os.utime(scene.parent / name, ns=(1, 1))
-    assert scene_state(scene) == before | {name: (before[name][0], 1)}
+    sizes = {path.name: size for path, size, _ in watched_state(scene)}
+    assert sizes == {
+        "scene.xml": len(SCENE),
+        "lights.xml": len(LIGHTS),
+        "sky.exr": 3,
+        "wall.png": 3,
+    }
 
 
 @pytest.mark.parametrize("name", [*NAMES, "scene.xml"])
@@ -83,37 +79,14 @@ def test_only_changed_scenes_are_read_again(scene: Path, monkeypatch: pytest.Mon
 def test_what_is_no_xml_refers_to_nothing(tmp_path: Path, text: str) -> None:
     file = tmp_path / "scene.xml"
     file.write_text(text, encoding="utf-8")
-    assert scene_state(file) == {}
+    assert referenced_files(file) == set()
 
 
-def test_files_elsewhere_keep_their_whole_path(tmp_path: Path) -> None:
+def test_files_elsewhere_are_found(tmp_path: Path) -> None:
     folder = tmp_path / "scene"
     folder.mkdir()
     (tmp_path / "a.png").write_text("any")
     (folder / "scene.xml").write_text(
         "<scene><string name='filename' value='../a.png'/></scene>", encoding="utf-8"
     )
-    assert list(scene_state(folder / "scene.xml")) == [(tmp_path / "a.png").resolve().as_posix()]
-
-
-@pytest.mark.render
-def test_tiles_of_another_texture_are_not_resumed(
-    scene_files: dict[str, str], tmp_path: Path
-) -> None:
-    part, file = tmp_path / "part.xml", tmp_path / "scene.xml"
-    part.write_text("<scene version='3.0.0'/>", encoding="utf-8")
-    text = Path(scene_files["textured"]).read_text(encoding="utf-8")
-    included = text.replace("</scene>", "<include filename='part.xml'/></scene>")
-    file.write_text(included, encoding="utf-8")
-
-    def measured() -> object:
-        return variance_map(
-            file, ["light"], counts=(1, 8), realizations=2, dims=3, light="screen",
-            predict_every=0, size=(4, 3), out=tmp_path / "tiles", resume=True,
-        )  # fmt: skip
-
-    measured()
-    measured()
-    os.utime(part, ns=(1, 1))
-    with pytest.raises(StoreError, match="other settings"):
-        measured()
+    assert referenced_files(folder / "scene.xml") == {(tmp_path / "a.png").resolve()}

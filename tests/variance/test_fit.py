@@ -5,6 +5,9 @@ import pytest
 from scipy import stats
 
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.options import checked
+from mcspectra.estimators import as_subject
+from mcspectra.variance.convergence import Convergence
 from mcspectra.variance.fit import CURVATURE, LACK_OF_FIT, check_window, fit_rate
 
 NS = np.array([4, 16, 64, 256, 1024, 4096])
@@ -127,5 +130,6 @@ def test_windows_that_are_taken():
 
 @pytest.mark.parametrize("window", [0, 1, 6, 2.5, True, "all", [3], float("nan")])
 def test_windows_that_are_refused(window):
+    analysis = Convergence(counts=(4, 16, 64, 256, 1024), fit_last=window)
     with pytest.raises(ParameterError, match="fit_last"):
-        check_window(window, 5)
+        checked(analysis).need(as_subject("gaussian", "jittered"))

@@ -8,15 +8,15 @@ options of `mcspectra.core.options.options_of`. `mcspectra.cli.texts` shows the 
 from __future__ import annotations
 
 import argparse
-import functools
 import inspect
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import mcspectra as mcs
-from mcspectra.cli.common import Answer, Read, read_sampler, whole, wholes, writing
+from mcspectra.cli.common import Answer, Read, adder, read_sampler, whole, wholes, writing
 from mcspectra.cli.texts import VIEWS, data_of, table_of_anything
 from mcspectra.core.analysis import ANALYSES, Analysis, Subject, compute
 from mcspectra.core.checks import as_choice
@@ -52,25 +52,49 @@ class AnalysisVerb:
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Add what is analysed, the options of the analysis, and those of its views."""
+        add = adder(parser)
         if self._analysis.about == "estimator":
-            self._add_estimator(parser)
+            self._add_estimator(add)
         else:
-            parser.add_argument(
-                "sampler", help="sampler spec; - reads point sets from standard input"
-            )
-            parser.add_argument("-d", "--dims", action=Read, read=whole(), metavar="D",
-                                help="number of dims (default 2)")  # fmt: skip
+            add("sampler", "sampler spec; - reads point sets from standard input")
+            add("-d, --dims D", "number of dims (default 2)", whole())
             if not self._takes or "density" in self._takes:
-                parser.add_argument("--density", metavar="SPEC", help="importance density")
+                add("--density SPEC", "importance density")
         for option in self._options:
-            add_option(parser, self._analysis, option)
-        if len(self._views) > 1:
-            default, *others = self._views
+            more = ", or all sets of points that are given" if self._all_sets else ""
+            add_option(parser, option, more if option.name == "realizations" else "")
+        default, *others = self._views
+        if others:
             shown = [f"{name}: {self._views[name].__doc__}" for name in others]
-            parser.add_argument("--show", default=default, metavar="VIEW",
-                                help=f"{default} (default); {'; '.join(shown)}")  # fmt: skip
-        parser.add_argument("-o", "--out", metavar="FILE",
-                            help=".npz: all values; .png or .pdf: a picture, if there is one")  # fmt: skip
+            add("--show VIEW", f"{default} (default); {'; '.join(shown)}", default=default)
+        add("-o, --out FILE", ".npz: all values; .png or .pdf: a picture, if there is one")
+
+    def _add_estimator(self, add: Callable[..., None]) -> None:
+        add("integrand", "integrand spec, e.g. 'gaussian(width=0.25)'")
+        add("-d, --dims D", "number of dims, where specs leave it open", whole())
+        add("--density SPEC", "density; several mean MIS", repeated="all")
+        add(
+            "--heuristic SPEC",
+            "MIS: balance (default), power(beta=2), cutoff, maximum, optimal or variance-aware",
+            repeated="once",
+        )
+        techniques = "MIS: points of each technique, in units of n"
+        add("--shares K,K,…", techniques, wholes(), repeated="once")
+        modes = "mirror the integrand or the samples: integrand, random or uniform"
+        add("--mirror MODE", modes, repeated="once")
+        add(
+            "--plus SPEC",
+            "further integrand, sampled on its own and added (techniques in primary space)",
+            repeated="all",
+        )
+        several, default = self._name in _COMPARE, self._default_sampler
+        about = f"sampler spec{'; repeatable' if several else ''}"
+        add(
+            "--sampler SPEC",
+            about if default is None else f"{about} (default {default})",
+            repeated="all" if several else "once",
+            required=default is None,
+        )
 
     def run(self, options: argparse.Namespace) -> Answer:
         """Compute, write and show."""
@@ -80,7 +104,7 @@ class AnalysisVerb:
         self._check_file(options.out)
         given = given_options(options, self._analysis)
         subject = self._subject(options)
-        if self._analysis.about == "sampler" and isinstance(subject.sampler, GivenPoints):
+        if self._all_sets and isinstance(subject.sampler, GivenPoints):
             given = {"realizations": len(subject.sampler.points), **given}
         result = compute(self._analysis(**given), subject, options.seed or 0)
         if options.out is not None:
@@ -89,30 +113,11 @@ class AnalysisVerb:
         text, data = self._views[view](result)
         return Answer(text, {**data_of(result), **data})
 
-    def _add_estimator(self, parser: argparse.ArgumentParser) -> None:
-        add = functools.partial(parser.add_argument, action=Read)
-        add("integrand", help="integrand spec, e.g. 'gaussian(width=0.25)'")
-        add(
-            "-d",
-            "--dims",
-            read=whole(),
-            metavar="D",
-            help="number of dims, where specs leave it open",
-        )
-        add("--density", repeated="all", metavar="SPEC", help="density; several mean MIS")
-        add("--heuristic", repeated="once", metavar="SPEC",
-            help="MIS: balance (default), power(beta=2), cutoff, maximum, optimal or variance-aware")  # fmt: skip
-        add("--shares", repeated="once", read=wholes(), metavar="K,K,…",
-            help="MIS: points of each technique, in units of n")  # fmt: skip
-        add("--mirror", repeated="once", metavar="MODE",
-            help="mirror the integrand or the samples: integrand, random or uniform")  # fmt: skip
-        add("--plus", repeated="all", metavar="SPEC",
-            help="further integrand, sampled on its own and added (techniques in primary space)")  # fmt: skip
-        several = self._name in _COMPARE
-        default = self._default_sampler
-        about = "sampler spec; repeatable" if several else "sampler spec"
-        add("--sampler", repeated="all" if several else "once", required=default is None, metavar="SPEC",
-            help=about if default is None else f"{about} (default {default})")  # fmt: skip
+    @property
+    def _all_sets(self) -> bool:
+        """Whether an analysis of point sets takes all that are given, unless it is told how many."""
+        counted = any(option.name == "realizations" for option in self._options)
+        return counted and self._analysis.about == "sampler"
 
     @property
     def _default_sampler(self) -> str | None:
@@ -151,8 +156,8 @@ class AnalysisVerb:
             )
 
 
-def add_option(parser: argparse.ArgumentParser, analysis: type[Analysis], option: Option) -> None:
-    """Add an option of an analysis; without a value it is left to the analysis."""
+def add_option(parser: argparse.ArgumentParser, option: Option, default_note: str = "") -> None:
+    """Add an option of an analysis, which has its default; the note stands behind that in the help."""
     own = option.extra.get("flag", option.flag)
     text = option.meaning.rstrip(".")
     text = text[:1].lower() + text[1:] if text[1:2].islower() else text
@@ -173,9 +178,7 @@ def add_option(parser: argparse.ArgumentParser, analysis: type[Analysis], option
     default = option.default
     values = default if isinstance(default, tuple) else (default,)
     shown = ",".join(f"{each:g}" if isinstance(each, float) else str(each) for each in values)
-    said = "" if option.required or default is None else f"default {shown}"
-    if option.name == "realizations" and analysis.about == "sampler":
-        said += ", or all sets of points that are given"
+    said = "" if option.required or default is None else f"default {shown}{default_note}"
     listed = option.lists_texts
 
     def read(name: str, given: str) -> Any:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import importlib
 
-from mcspectra.cli.common import Answer, Read, whole
+from mcspectra.cli.common import Answer, adder, whole
 from mcspectra.core.errors import MissingDependency, ParameterError
 
 __all__ = ["add_arguments", "run"]
@@ -16,17 +16,9 @@ __all__ = ["add_arguments", "run"]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options."""
-    parser.add_argument(
-        "--port",
-        action=Read,
-        read=whole(0, 65535),
-        default=0,
-        metavar="N",
-        help="port on this machine; any free one by default",
-    )
-    parser.add_argument(
-        "--no-browser", action="store_true", help="print the address, open no browser"
-    )
+    add = adder(parser)
+    add("--port N", "port on this machine; any free one by default", whole(0, 65535), default=0)
+    add("--no-browser", "print the address, open no browser")
 
 
 def run(options: argparse.Namespace) -> Answer:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Answer",
     "Read",
+    "adder",
     "index_or_name",
     "one_sentence_warnings",
     "print_json",
@@ -88,6 +89,29 @@ class Read(argparse.Action):
         if self._repeated == "all":
             value = [*(before or []), *(value if isinstance(value, tuple) else [value])]
         setattr(namespace, self.dest, value)
+
+
+def adder(parser: Any) -> Callable[..., None]:
+    """Return what adds an option to a parser, or a group, as its usage is written.
+
+    ``add("-m, --realizations R", "help", whole())`` reads a number, ``add("--quick", "help")`` is a
+    switch and ``add("scene", "help")`` a positional argument. What else it is given goes to `Read` or
+    argparse.
+    """
+
+    def add(
+        usage: str, help: str, read: Callable[[str, str], Any] | None = None, **further: Any
+    ) -> None:
+        *flags, last = (word.rstrip(",") for word in usage.split())
+        if not flags and last.startswith("-"):
+            parser.add_argument(last, action="store_true", help=help)
+        elif not flags:
+            name = further.pop("dest", last.lower())
+            parser.add_argument(name, metavar=last, action=Read, read=read, help=help, **further)
+        else:
+            parser.add_argument(*flags, metavar=last, action=Read, read=read, help=help, **further)
+
+    return add
 
 
 def whole(least: int = 1, most: int | None = None) -> Callable[[str, str], int]:

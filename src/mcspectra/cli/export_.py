@@ -5,23 +5,17 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mcspectra.cli.common import Answer
+from mcspectra.cli.common import Answer, adder
 
 __all__ = ["add_arguments", "run"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options."""
-    parser.add_argument("source", metavar="DIR", help="output folder, .zarr.zip file or URL")
-    parser.add_argument(
-        "--to",
-        required=True,
-        metavar="FILE",
-        help="its end chooses the format; a store, .zarr, may go to a URL",
-    )
-    parser.add_argument(
-        "--select", metavar="PATTERN", help="cells to export, e.g. 'estimator/*' (default: all)"
-    )
+    add = adder(parser)
+    add("DIR", "output folder, .zarr.zip file or URL", dest="source")
+    add("--to FILE", "its end chooses the format; a store, .zarr, may go to a URL", required=True)
+    add("--select PATTERN", "cells to export, e.g. 'estimator/*' (default: all)")
 
 
 def run(options: argparse.Namespace) -> Answer:

@@ -8,22 +8,19 @@ from __future__ import annotations
 
 import argparse
 
-from mcspectra.cli.common import Answer
+from mcspectra.cli.common import Answer, adder
 
 __all__ = ["add_arguments", "run"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options."""
-    parser.add_argument(
-        "specs",
-        nargs="*",
-        metavar="SPEC",
-        help="samplers, e.g. pmj02 \"points(path='mine.dat') | shift\"",
-    )
-    parser.add_argument("--out", default="out/gallery", metavar="DIR", help="output folder")
-    parser.add_argument("--quick", action="store_true", help="fewer points and realisations")
-    parser.add_argument("--markdown", action="store_true", help="write Markdown and PNG files")
+    add = adder(parser)
+    example = "samplers, e.g. pmj02 \"points(path='mine.dat') | shift\""
+    add("SPEC", example, dest="specs", nargs="*")
+    add("--out DIR", "output folder", default="out/gallery")
+    add("--quick", "fewer points and realisations")
+    add("--markdown", "write Markdown and PNG files")
 
 
 def run(options: argparse.Namespace) -> Answer:

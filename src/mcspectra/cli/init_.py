@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import argparse
 
-from mcspectra.cli.common import Answer
+from mcspectra.cli.common import Answer, adder
 
 __all__ = ["add_arguments", "run"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options."""
-    parser.add_argument(
-        "file", nargs="?", default="study.toml", metavar="FILE", help="default study.toml"
-    )
+    adder(parser)("FILE", "default study.toml", nargs="?", default="study.toml")
 
 
 def run(options: argparse.Namespace) -> Answer:

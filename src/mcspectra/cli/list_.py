@@ -7,7 +7,7 @@ import importlib
 import inspect
 from typing import Any
 
-from mcspectra.cli.common import Answer
+from mcspectra.cli.common import Answer, adder
 from mcspectra.core.checks import as_choice
 
 __all__ = ["add_arguments", "run"]
@@ -24,7 +24,7 @@ _REGISTRIES = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options."""
-    parser.add_argument("kind", help=f"one of {', '.join(_REGISTRIES)}")
+    adder(parser)("kind", f"one of {', '.join(_REGISTRIES)}")
 
 
 def run(options: argparse.Namespace) -> Answer:

@@ -10,7 +10,7 @@ import argparse
 from pathlib import Path
 
 from mcspectra.cli.analysis import add_option, given_options
-from mcspectra.cli.common import Answer, Read, read_sampler, text_table, whole
+from mcspectra.cli.common import Answer, adder, read_sampler, text_table, whole
 from mcspectra.core.analysis import Subject
 from mcspectra.core.options import checked, options_of
 from mcspectra.core.streams import Stream
@@ -21,20 +21,15 @@ __all__ = ["add_arguments", "run"]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options: the scene and its sampler, the folder, and those of the analysis."""
-    parser.add_argument("scene", help="scene, e.g. veach, or a Mitsuba XML file")
-    parser.add_argument("--out", default="out/map", metavar="DIR", help="output folder")
-    parser.add_argument("--resume", action="store_true", help="go on with the tiles of DIR")
-    parser.add_argument("--sampler", default="jittered", metavar="SPEC", help="default jittered")
-    parser.add_argument(
-        "--workers",
-        action=Read,
-        read=whole(),
-        metavar="N",
-        help="threads; all processors by default",
-    )
+    add = adder(parser)
+    add("scene", "scene, e.g. veach, or a Mitsuba XML file")
+    add("--out DIR", "output folder", default="out/map")
+    add("--resume", "go on with the tiles of DIR")
+    add("--sampler SPEC", "default jittered", default="jittered")
+    add("--workers N", "threads; all processors by default", whole())
     for option in options_of(Map):
         if option.name != "scene":
-            add_option(parser, Map, option)
+            add_option(parser, option)
 
 
 def run(options: argparse.Namespace) -> Answer:

@@ -10,7 +10,7 @@ import argparse
 import time
 from pathlib import Path
 
-from mcspectra.cli.common import Answer, Read, whole
+from mcspectra.cli.common import Answer, adder, whole
 from mcspectra.core.errors import ParameterError
 
 __all__ = ["add_arguments", "run"]
@@ -18,30 +18,15 @@ __all__ = ["add_arguments", "run"]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options, which are named like those of Mitsuba's command."""
-    parser.add_argument("scene", help="Mitsuba XML file")
-    parser.add_argument(
-        *("-m", "--mode"),
-        metavar="VARIANT",
-        action=Read,
-        repeated="once",
-        help="e.g. llvm_ad_rgb (default, if there is LLVM for it) or scalar_rgb",
-    )
-    parser.add_argument("-o", "--out", metavar="FILE", help="EXR file; by default beside the scene")
-    parser.add_argument(
-        "--spp",
-        action=Read,
-        read=whole(),
-        metavar="N",
-        help="samples a pixel; by default the file's",
-    )
-    parser.add_argument(
-        *("-s", "--sensor"), action=Read, read=whole(0), default=0, metavar="I",
-        help="index of the camera",
-    )  # fmt: skip
-    parser.add_argument(
-        *("-D", "--define"), action=Read, read=_definition, repeated="all", metavar="KEY=VALUE",
-        help="value of $KEY in the file; may be given several times",
-    )  # fmt: skip
+    add = adder(parser)
+    variants = "e.g. llvm_ad_rgb (default, if there is LLVM for it) or scalar_rgb"
+    add("scene", "Mitsuba XML file")
+    add("-m, --mode VARIANT", variants, repeated="once")
+    add("-o, --out FILE", "EXR file; by default beside the scene")
+    add("--spp N", "samples a pixel; by default the file's", whole())
+    add("-s, --sensor I", "index of the camera", whole(0), default=0)
+    again = "value of $KEY in the file; may be given several times"
+    add("-D, --define KEY=VALUE", again, _definition, repeated="all")
 
 
 def run(options: argparse.Namespace) -> Answer:

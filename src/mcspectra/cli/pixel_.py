@@ -7,11 +7,10 @@ The pixel is X Y, counted from the left and from the top, or the name of one (fi
 from __future__ import annotations
 
 import argparse
-import functools
 import textwrap
 from typing import TYPE_CHECKING
 
-from mcspectra.cli.common import Answer, Read, index_or_name, text_table, whole, wholes
+from mcspectra.cli.common import Answer, adder, index_or_name, text_table, whole, wholes
 from mcspectra.core.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -24,26 +23,27 @@ _WIDTH = 100
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options; those that are not given are left to `analyse_pixel`."""
-    add = functools.partial(parser.add_argument, action=Read)
-    add("scene", help="scene, e.g. veach, or a Mitsuba XML file")
-    add("x", metavar="X", help="column of the pixel, or the name of a pixel")
-    add("y", metavar="Y", nargs="?", read=whole(0), help="row of the pixel")
-    add("--light", read=index_or_name, metavar="NAME",
-        help="the one light that counts; all by default")  # fmt: skip
-    add("--channel", read=index_or_name, help="luminance (default), 0, 1 or 2")
-    add("-d", "--dims", read=whole(), metavar="D", help="2, or 3 to select lobes")
-    add("--samplers", nargs="+", metavar="SPEC",
-        help="samplers to compare; random, jittered, 'jittered | shift' and 'sobol | owen'. The "
-        "first that is not random is that of terms, bottleneck and remedies")  # fmt: skip
-    add("--counts", read=wholes(), metavar="N,N,…", help="samples n of each technique")
-    add("-m", "--realizations", read=whole(4), metavar="R", help="estimates for each n")
-    add("--budget", read=whole(), metavar="B",
-        help="evaluations at which remedies are ranked; twice the largest n")  # fmt: skip
-    parser.add_argument("--no-remedies", action="store_true", help="leave remedies out")
-    effort = parser.add_mutually_exclusive_group()
-    effort.add_argument("--quick", action="store_true", help="some seconds (default)")
-    effort.add_argument("--full", action="store_true", help="some minutes: more of everything")
-    add("--out", metavar="DIR", help="write the report into this folder")
+    add = adder(parser)
+    add("scene", "scene, e.g. veach, or a Mitsuba XML file")
+    add("X", "column of the pixel, or the name of a pixel")
+    add("Y", "row of the pixel", whole(0), nargs="?")
+    add("--light NAME", "the one light that counts; all by default", index_or_name)
+    add("--channel CHANNEL", "luminance (default), 0, 1 or 2", index_or_name)
+    add("-d, --dims D", "2, or 3 to select lobes", whole())
+    add(
+        "--samplers SPEC",
+        "samplers to compare; random, jittered, 'jittered | shift' and 'sobol | owen'. The first "
+        "that is not random is that of terms, bottleneck and remedies",
+        nargs="+",
+    )
+    add("--counts N,N,…", "samples n of each technique", wholes())
+    add("-m, --realizations R", "estimates for each n", whole(4))
+    add("--budget B", "evaluations at which remedies are ranked; twice the largest n", whole())
+    add("--no-remedies", "leave remedies out")
+    effort = adder(parser.add_mutually_exclusive_group())
+    effort("--quick", "some seconds (default)")
+    effort("--full", "some minutes: more of everything")
+    add("--out DIR", "write the report into this folder")
 
 
 _PASSED = ("light", "channel", "dims", "samplers", "counts", "realizations", "budget")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from mcspectra.cli.common import (
     Answer,
-    Read,
+    adder,
     one_sentence_warnings,
     read_sampler,
     text_table,
@@ -30,16 +30,15 @@ __all__ = ["add_arguments", "run"]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options; the short ones are those of UTK's programs."""
-    add = parser.add_argument
-    add("sampler", help="sampler spec, e.g. 'jittered | shift'; - reads points")
-    add("-n", action=Read, read=whole(), required=True, metavar="N", help="points in a set")
-    add("-d", "--dims", action=Read, read=whole(), metavar="D", help="number of dims (default 2)")
-    add("-m", "--realizations", action=Read, read=whole(), metavar="R",
-        help="number of sets (default 1)")  # fmt: skip
-    add("-s", dest="seed", action=Read, read=_seed, metavar="S", help="short for --seed")
-    add("--density", metavar="SPEC", help="warp the points to this density")
-    add("-o", "--out", default="-", metavar="FILE", help="file; - is stdout")
-    add("--quality", action="store_true", help="print quality figures, not points")
+    add = adder(parser)
+    add("sampler", "sampler spec, e.g. 'jittered | shift'; - reads points")
+    add("-n N", "points in a set", whole(), required=True)
+    add("-d, --dims D", "number of dims (default 2)", whole())
+    add("-m, --realizations R", "number of sets (default 1)", whole())
+    add("-s S", "short for --seed", _seed, dest="seed")
+    add("--density SPEC", "warp the points to this density")
+    add("-o, --out FILE", "file; - is stdout", default="-")
+    add("--quality", "print quality figures, not points")
 
 
 def run(options: argparse.Namespace) -> Answer:

@@ -12,7 +12,6 @@ shows them side by side, an .exr holds a layer of each, and their distance to th
 from __future__ import annotations
 
 import argparse
-import functools
 import math
 import time
 from collections.abc import Mapping
@@ -21,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from mcspectra.cli.common import (
     Answer,
-    Read,
+    adder,
     index_or_name,
     real,
     text_table,
@@ -41,41 +40,24 @@ _SPP, _COMPARED_SPP, _REFERENCE_SPP = 16, 4, 1024
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options."""
-    add = functools.partial(parser.add_argument, action=Read)
-    add("scene", metavar="SCENE", help="name of a scene, or a Mitsuba XML file")
-    add("--strategy", help="light, bsdf, mis (default), mis-light or mis-bsdf")
-    add("--sampler", default="sobol | owen", metavar="SPEC", help="default 'sobol | owen'")
-    add("--spp", read=whole(), metavar="N",
-        help=f"samples a pixel (default {_SPP}; reference {_REFERENCE_SPP})")  # fmt: skip
-    add("-m", "--realizations", read=whole(), metavar="R",
-        help="independent images (default 1; reference 16)")  # fmt: skip
-    parser.add_argument(
-        "--reference", action="store_true", help="--spp counts the samples of all images together"
-    )
-    parser.add_argument(
-        "--compare", action="store_true", help="a reference and all strategies, --spp 4 each"
-    )
-    add("--reference-spp", read=whole(), metavar="N",
-        help="samples of the reference of --compare (default 1024)")  # fmt: skip
-    add(
-        "--crop",
-        read=wholes("X,Y,W,H", least=0),
-        metavar="X,Y,W,H",
-        help="part of the film, in pixels",
-    )
-    add("--width", read=whole(), metavar="W", help="width of a built-in scene's film")
-    add("--height", read=whole(), metavar="H", help="height of a built-in scene's film")
-    add("--film", default="sampled", help="sampled (default) or center")
-    add(
-        "--light",
-        read=index_or_name,
-        metavar="NAME",
-        help="name or number of one light that counts",
-    )
-    add("--heuristic", default="balance", help="balance (default) or power")
-    add("--exposure", read=real(least=-64.0, most=64.0), default=0.0, metavar="STOPS",
-        help="makes a .png brighter (default 0)")  # fmt: skip
-    add("-o", "--out", repeated="all", metavar="FILE", help=".exr or .png; may be given twice")
+    add = adder(parser)
+    add("SCENE", "name of a scene, or a Mitsuba XML file")
+    add("--strategy STRATEGY", "light, bsdf, mis (default), mis-light or mis-bsdf")
+    add("--sampler SPEC", "default 'sobol | owen'", default="sobol | owen")
+    add("--spp N", f"samples a pixel (default {_SPP}; reference {_REFERENCE_SPP})", whole())
+    add("-m, --realizations R", "independent images (default 1; reference 16)", whole())
+    add("--reference", "--spp counts the samples of all images together")
+    add("--compare", f"a reference and all strategies, --spp {_COMPARED_SPP} each")
+    add("--reference-spp N", "samples of the reference of --compare (default 1024)", whole())
+    add("--crop X,Y,W,H", "part of the film, in pixels", wholes("X,Y,W,H", least=0))
+    add("--width W", "width of a built-in scene's film", whole())
+    add("--height H", "height of a built-in scene's film", whole())
+    add("--film FILM", "sampled (default) or center", default="sampled")
+    add("--light NAME", "name or number of one light that counts", index_or_name)
+    add("--heuristic HEURISTIC", "balance (default) or power", default="balance")
+    stops = real(least=-64.0, most=64.0)
+    add("--exposure STOPS", "makes a .png brighter (default 0)", stops, default=0.0)
+    add("-o, --out FILE", ".exr or .png; may be given twice", repeated="all")
 
 
 def run(options: argparse.Namespace) -> Answer:

@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import argparse
 
-from mcspectra.cli.common import Answer
+from mcspectra.cli.common import Answer, adder
 
 __all__ = ["add_arguments", "run"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options."""
-    parser.add_argument("folder", metavar="DIR", help="output folder of a study")
-    parser.add_argument("--compare", metavar="DIR2", help="output folder of another study")
-    parser.add_argument("--out", metavar="FILE", help="the page, .html (default: in the folder)")
+    add = adder(parser)
+    add("DIR", "output folder of a study", dest="folder")
+    add("--compare DIR2", "output folder of another study")
+    add("--out FILE", "the page, .html (default: in the folder)")
 
 
 def run(options: argparse.Namespace) -> Answer:

@@ -12,7 +12,7 @@ import shlex
 import sys
 from typing import TYPE_CHECKING
 
-from mcspectra.cli.common import Answer
+from mcspectra.cli.common import Answer, adder
 
 if TYPE_CHECKING:
     from mcspectra.report.reproduction.entries import Entry
@@ -22,12 +22,11 @@ __all__ = ["add_arguments", "run"]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options."""
-    parser.add_argument("figures", nargs="*", metavar="FIGURE", help="figures; all by default")
-    parser.add_argument("--list", action="store_true", help="name the figures and stop")
-    parser.add_argument(
-        "--quick", action="store_true", help="fewer realisations; 3 minutes at most"
-    )
-    parser.add_argument("--out", default="out/reproduce", metavar="DIR", help="output folder")
+    add = adder(parser)
+    add("FIGURE", "figures; all by default", dest="figures", nargs="*")
+    add("--list", "name the figures and stop")
+    add("--quick", "fewer realisations; 3 minutes at most")
+    add("--out DIR", "output folder", default="out/reproduce")
 
 
 def run(options: argparse.Namespace) -> Answer:

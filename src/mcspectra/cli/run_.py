@@ -6,13 +6,12 @@ Writes DIR/results.zarr (opened by xarray.open_datatree), DIR/report.html and DI
 from __future__ import annotations
 
 import argparse
-import functools
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mcspectra.cli.common import Answer, Read, one_sentence_warnings, real, text_table, whole
+from mcspectra.cli.common import Answer, adder, one_sentence_warnings, real, text_table, whole
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.progress import report
 
@@ -30,32 +29,40 @@ _OF_CLUSTERS = ("listen", "dashboard")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options, those of clusters in a group of their own."""
-    add = functools.partial(parser.add_argument, action=Read)
-    flag = functools.partial(parser.add_argument, action="store_true")
-    parser.add_argument("study", help="study file, .toml")
-    add("--out", metavar="DIR", help="output folder (default: out/<name of the file>)")
-    flag("--resume", help="continue what is in the folder")
-    flag("--retry", help="continue, and try what failed again")
-    add("--workers", read=whole(), metavar="N", help="threads (default: all processors)")
-    add("--time-limit", read=real(above=0.0), metavar="SECONDS",
-        help="stop tasks that take longer, which fails their analysis; workers are processes then")  # fmt: skip
-    add("--set", repeated="all", default=[], metavar="KEY=VALUE",
-        help="change the study, e.g. convergence.realizations=100; values as in TOML")  # fmt: skip
-    flag("--dry-run", help="estimate time, memory and storage, and stop")
-    flag("--force", help="run however much it is")
-    add("--allow-code", repeated="all", default=[], metavar="MODULE:FUNCTION",
-        help="a Python function that the study may name")  # fmt: skip
-    add("--allow-path", repeated="all", default=[], metavar="DIR",
-        help="a folder, beside the study's own, that it may read files from")  # fmt: skip
-    group = parser.add_argument_group("dask", "TLS is set in dask's own configuration")
-    add = functools.partial(group.add_argument, action=Read)
-    add("--cluster", metavar="ADDRESS",
-        help="compute on dask: tcp://HOST:PORT or tls://HOST:PORT of a scheduler, the .json file "
-        "that it wrote, or 'local' for --workers N processes of this machine")  # fmt: skip
-    add("--listen", metavar="HOST",
-        help="with --cluster local: where its scheduler listens (default: 127.0.0.1, this machine)")  # fmt: skip
-    add("--dashboard", read=whole(0), metavar="PORT",
-        help="with --cluster local: port of dask's dashboard (default: any that is free)")  # fmt: skip
+    add = adder(parser)
+    add("study", "study file, .toml")
+    add("--out DIR", "output folder (default: out/<name of the file>)")
+    add("--resume", "continue what is in the folder")
+    add("--retry", "continue, and try what failed again")
+    add("--workers N", "threads (default: all processors)", whole())
+    add(
+        "--time-limit SECONDS",
+        "stop tasks that take longer, which fails their analysis; workers are processes then",
+        real(above=0.0),
+    )
+    listed: dict[str, Any] = {"repeated": "all", "default": []}
+    example = "change the study, e.g. convergence.realizations=100; values as in TOML"
+    add("--set KEY=VALUE", example, **listed)
+    add("--dry-run", "estimate time, memory and storage, and stop")
+    add("--force", "run however much it is")
+    add("--allow-code MODULE:FUNCTION", "a Python function that the study may name", **listed)
+    beside = "a folder, beside the study's own, that it may read files from"
+    add("--allow-path DIR", beside, **listed)
+    add = adder(parser.add_argument_group("dask", "TLS is set in dask's own configuration"))
+    add(
+        "--cluster ADDRESS",
+        "compute on dask: tcp://HOST:PORT or tls://HOST:PORT of a scheduler, the .json file that it "
+        "wrote, or 'local' for --workers N processes of this machine",
+    )
+    add(
+        "--listen HOST",
+        "with --cluster local: where its scheduler listens (default: 127.0.0.1, this machine)",
+    )
+    add(
+        "--dashboard PORT",
+        "with --cluster local: port of dask's dashboard (default: any that is free)",
+        whole(0),
+    )
 
 
 def run(options: argparse.Namespace) -> Answer:

@@ -5,16 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 
-from mcspectra.cli.common import Answer
+from mcspectra.cli.common import Answer, adder
 
 __all__ = ["add_arguments", "run"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options."""
-    parser.add_argument(
-        "--markdown", action="store_true", help="print all keys as tables of docs/studies.md"
-    )
+    adder(parser)("--markdown", "print all keys as tables of docs/studies.md")
 
 
 def run(options: argparse.Namespace) -> Answer:

@@ -9,7 +9,7 @@ import argparse
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from mcspectra.cli.common import Answer, text_table
+from mcspectra.cli.common import Answer, adder, text_table
 
 if TYPE_CHECKING:
     from mcspectra.studies.results import StudyStatus
@@ -21,10 +21,9 @@ _SHOWN = 10
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's options."""
-    parser.add_argument("folder", metavar="DIR", help="output folder of a study")
-    parser.add_argument(
-        "--verify", action="store_true", help="check all that is stored against its digests"
-    )
+    add = adder(parser)
+    add("DIR", "output folder of a study", dest="folder")
+    add("--verify", "check all that is stored against its digests")
 
 
 def run(options: argparse.Namespace) -> Answer:

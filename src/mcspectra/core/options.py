@@ -263,10 +263,9 @@ def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
     match fitting:
         case inspect.IntType(ge=least, le=most):
             limit = None if most is None or most >= _NO_LIMIT else most
-            number = as_integer(
-                label, value, least=-(2**63) if least is None else least, most=limit
-            )
-            return number if most is None else as_integer(label, number, least=-(2**63), most=most)
+            least = -(2**63) if least is None else least
+            number = as_integer(label, value, least=least, most=limit)
+            return number if most is None else as_integer(label, number, least=least, most=most)
         case inspect.FloatType(gt=above, ge=least, lt=below, le=most):
             return as_real(label, value, above=above, least=least, below=below, most=most)
         case inspect.BoolType():

@@ -108,13 +108,13 @@ _UNIONS = (Union, UnionType)
 def merged(left: Any, right: Any) -> Any:
     """State of two neighbours together; may reuse the memory of `left`."""
     own = getattr(left, "merge", None)
-    if own is not None and not isinstance(left, dict):
+    if own is not None:
         return own(right)
     if isinstance(left, list | tuple):
         return type(left)(merged(a, b) for a, b in zip(left, right, strict=True))
+    if not is_dataclass(left):
+        raise TypeError(f"A {type(left).__name__} has no rule to merge; make it part of a record.")
     kind: Any = type(left)
-    if not hasattr(kind, "__dataclass_fields__"):
-        raise TypeError(f"A {kind.__name__} has no rule to merge; make it part of a record.")
     return kind(**{
         name: _merge_field(rule, getattr(left, name), getattr(right, name))
         for name, rule in _rules(kind).items()

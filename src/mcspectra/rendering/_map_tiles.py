@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Annotated, Final, final
 
@@ -127,76 +126,55 @@ class Measurement:
         seen = np.flatnonzero(receivers.status == 0)
         if not len(seen):
             return found
-        self._check_lobes(receivers)
-        for i, n in enumerate(self.counts):
-            for s, moments in enumerate(self._moments(receivers, n)):
-                for name in ("mean", "variance", "relative_se"):
-                    getattr(found, name)[s, i, seen] = getattr(moments, name)[: len(seen)]
-        if prediction is not None:
-            self._predict(prediction, pixels[seen], seen, found)
-        return found
-
-    def _check_lobes(self, receivers: Receivers) -> None:
         if "bsdf" in self.techniques and self.sampler.dims == 2 and receivers.chooses_lobe():
             raise ParameterError(
                 f"A BSDF that is seen in {scene_name(self.lighting.scene)} chooses among lobes by a "
                 "random number of its own; give dims=3, the third coordinate will be that number."
             )
 
-    def _moments(self, receivers: Receivers, n: int) -> list[Moments]:
-        """Moments over realisations of each strategy at one count."""
-        total: list[Moments] = []
-        for block in self._blocks():
-            estimates = self._estimates(receivers, self._points(receivers, n, block))
-            own = [Moments.of(e) for e in estimates]
-            total = [a.merge(b) for a, b in zip(total, own, strict=True)] if total else own
-        return total
+        # Moments over realisations of each strategy
+        for i, n in enumerate(self.counts):
+            total: list[Moments] = []
+            for first in range(0, self.realizations, self.block):
+                block = first, min(self.block, self.realizations - first)
+                drawn = zip(TECHNIQUES, self._points(receivers, n, block), strict=True)
+                both = {t: receivers.estimates(t, u) for t, u in drawn if t in self.techniques}
+                own = [Moments.of(combined(strategy, both)) for strategy in self.strategies]
+                total = [x.merge(y) for x, y in zip(total, own, strict=True)] if total else own
+            for s, moments in enumerate(total):
+                for name in ("mean", "variance", "relative_se"):
+                    getattr(found, name)[s, i, seen] = getattr(moments, name)[: len(seen)]
 
-    def _blocks(self) -> Iterator[Block]:
-        for first in range(0, self.realizations, self.block):
-            yield first, min(self.block, self.realizations - first)
-
-    def _estimates(self, receivers: Receivers, points: list[Array]) -> Iterator[Array]:
-        """Estimates (R, P) of each strategy, from the points of each technique."""
-        both = {
-            technique: receivers.estimates(technique, u)
-            for technique, u in zip(TECHNIQUES, points, strict=True)
-            if technique in self.techniques
-        }
-        return (combined(strategy, both) for strategy in self.strategies)
-
-    def _points(self, receivers: Receivers, n: int, block: Block) -> list[Array]:
-        """Points of each technique, (R, n, d), or (R, P, n, d) where pixels have their own."""
-        if not self.own:
-            return self._shared(n, block)
-        width = self.lighting.size[0]
-        numbers = (receivers.pixels @ [1, width]) * self.realizations + block[0]
-        drawn = [self._draw(n, (int(first), block[1])) for first in numbers]
-        return [np.stack(each, axis=1) for each in zip(*drawn, strict=True)]
-
-    def _shared(self, n: int, block: Block) -> list[Array]:
-        if (n, block) in self._tables:
-            return self._tables[n, block]
-        tables = self._draw(n, block)
-        if sum(self.counts) * self.realizations * 2 * self.sampler.dims <= _KEPT_NUMBERS:
-            self._tables[n, block] = tables
-        return tables
-
-    def _draw(self, n: int, block: Block) -> list[Array]:
-        return draw_sets("independent", (1, 1), self.sampler, n, self.stream.child(n), *block)
-
-    def _predict(self, prediction: Prediction, pixels: Array, columns: Array, found: Maps) -> None:
-        """Fill in predictions at every so many pixels, a chunk at a time."""
-        chosen = np.flatnonzero((pixels % self.predict_every == 0).all(axis=1))
+        # Predictions at every so many pixels, a chunk at a time
+        if prediction is None:
+            return found
+        chosen = seen[(pixels[seen] % self.predict_every == 0).all(axis=1)]
         step = max(1, _PREDICTED_VALUES // len(prediction.samples))
         for start in range(0, len(chosen), step):
             part = chosen[start : start + step]
             receivers = Receivers(self.lighting, pixels[part])
             each = {t: receivers.values(t, prediction.samples) for t in self.techniques}
             for s, strategy in enumerate(self.strategies):
-                variance, se = _predicted(prediction, strategy, each)
-                found.predicted[s, columns[part]] = variance[: len(part)]
-                found.predicted_se[s, columns[part]] = se[: len(part)]
+                v, se = _predicted(prediction, strategy, each)
+                found.predicted[s, part] = v[: len(part)]
+                found.predicted_se[s, part] = se[: len(part)]
+        return found
+
+    def _points(self, receivers: Receivers, n: int, block: Block) -> list[Array]:
+        """Points of each technique, (R, n, d), or (R, P, n, d) where pixels have their own."""
+
+        def draw(own: Block) -> list[Array]:
+            return draw_sets("independent", (1, 1), self.sampler, n, self.stream.child(n), *own)
+
+        if self.own:
+            width = self.lighting.size[0]
+            numbers = (receivers.pixels @ [1, width]) * self.realizations + block[0]
+            drawn = [draw((int(first), block[1])) for first in numbers]
+            return [np.stack(each, axis=1) for each in zip(*drawn, strict=True)]
+        tables = self._tables.get((n, block)) or draw(block)
+        if sum(self.counts) * self.realizations * 2 * self.sampler.dims <= _KEPT_NUMBERS:
+            self._tables[n, block] = tables
+        return tables
 
 
 def combined(strategy: str, both: dict[str, tuple[Array, Array]]) -> Array:

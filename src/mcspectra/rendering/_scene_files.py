@@ -11,31 +11,12 @@ from pathlib import Path
 from typing import TypeAlias
 from xml.etree import ElementTree as ET
 
-__all__ = ["referenced_files", "scene_state", "watched_state"]
+__all__ = ["referenced_files", "watched_state"]
 
 State: TypeAlias = "tuple[tuple[Path, int, int], ...]"
 """Paths, sizes in bytes and times of change in nanoseconds."""
 
 _REFERENCE = re.compile(r"\$(\w+)")
-
-
-def scene_state(scene: Path) -> dict[str, tuple[int, int]]:
-    """Return size in bytes and time of change in nanoseconds of all files that a scene refers to.
-
-    Parameters
-    ----------
-    scene
-        The path of an XML file.
-
-    Returns
-    -------
-    dict
-        Paths relative to the scene's folder where they are below it, in order; without the scene.
-    """
-    root = scene.resolve().parent
-    found = sorted(referenced_files(scene))
-    states = [(path, path.stat()) for path in found]
-    return {_relative(path, root): (s.st_size, s.st_mtime_ns) for path, s in states}
 
 
 def watched_state(scene: Path) -> State:
@@ -105,7 +86,3 @@ def _names(file: Path, folders: list[Path]) -> Iterator[str]:
             folders.append(file.parent / value)
         elif value and element.tag in ("string", "include") and "\0" not in value:
             yield value
-
-
-def _relative(path: Path, root: Path) -> str:
-    return (path.relative_to(root) if path.is_relative_to(root) else path).as_posix()

@@ -8,21 +8,38 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mcspectra.core.analysis import ANALYSES
+from mcspectra.core.errors import McspectraError
 from mcspectra.report.figures.panels import blocks_of, rows_of
 from mcspectra.report.formatting import interval, number, slug
 from mcspectra.report.further_pictures import with_labels
 from mcspectra.report.picture import Picture
-from mcspectra.report.style import NARROW, LineStyle, entitle, labels, legend_below
+from mcspectra.report.style import (
+    NARROW,
+    LineStyle,
+    entitle,
+    labels,
+    legend_below,
+    quiet_colorbar,
+)
 from mcspectra.report.tables import Cell, Table
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["any_pictures", "any_table"]
+__all__ = ["any_pictures", "any_table", "summary_of"]
+
+
+def summary_of(analysis: str) -> str:
+    """Summary of an analysis; its name where its package is not installed here."""
+    try:
+        return str(ANALYSES.load(analysis).summary())
+    except McspectraError:
+        return f"{analysis.capitalize()}."
 
 
 def any_table(data: Mapping[str, xr.Dataset]) -> Table | None:
@@ -57,23 +74,29 @@ def any_pictures(
             panels = [panel for (panel,) in blocks]
         for (sampler, each), panel in zip(drawn.items(), itertools.cycle(panels), strict=False):
             if values.ndim == 2:
-                each[name].plot.imshow(ax=panel)
+                image = each[name].plot.imshow(ax=panel, add_colorbar=False)
+                quiet_colorbar(figure.colorbar(image, ax=panel), str(name))
                 entitle(panel, names[sampler])
                 continue
             style, curve = styles[sampler], with_labels(each, str(values.dims[0]))[name]
-            curve.plot.line(ax=panel, color=style.color, ls=style.dashes, label=names[sampler])
+            x, y = curve[curve.dims[0]].values, curve.values
             ends = np.moveaxis(each[f"{name}_ci"].values, -1, 0) if f"{name}_ci" in each else None
             if ends is None and f"{name}_se" in each:
-                ends = curve.values + 2.0 * np.outer((-1.0, 1.0), each[f"{name}_se"].values)
-            if ends is not None:
-                x = curve[curve.dims[0]].values
-                panel.fill_between(x, *ends, color=style.color, alpha=0.2, linewidth=0)
+                ends = y + 2.0 * np.outer((-1.0, 1.0), each[f"{name}_se"].values)
+            look: dict[str, Any] = {"color": style.color, "label": names[sampler]}
+            if x.dtype.kind == "U":  # names are no axis that a line could run along
+                panel.errorbar(x, y, None if ends is None else np.abs(ends - y), fmt="o", **look)
+            else:
+                panel.plot(x, y, ls=style.dashes, **look)
+                if ends is not None:
+                    panel.fill_between(x, *ends, color=style.color, alpha=0.2, linewidth=0)
+            panel.set(xlabel=curve.dims[0], ylabel=values.attrs.get("long_name", name))
         if values.ndim == 1:
             legend_below(figure, panels[0])
         over = f"{values.attrs.get('long_name', name)}, over {' and '.join(map(str, values.dims))}"
         yield Picture(
             kind=slug(f"{analysis}-{name}"),
-            caption=f"{over[:1].upper()}{over[1:]}.",
+            caption=f"{summary_of(analysis)} {over[:1].upper()}{over[1:]}.",
             alt=f"{over}, for {', '.join(drawn)}.",
             figure=figure,
         )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.report.anything import any_table
+from mcspectra.report.anything import any_table, summary_of
 from mcspectra.report.collect import EstimatorGroup
 from mcspectra.report.formatting import interval, number, percent, rate, with_error
 from mcspectra.report.tables import Cell, Table
@@ -33,7 +33,7 @@ def further_tables(group: EstimatorGroup) -> Iterator[tuple[str, Table]]:
     for analysis in (each for each in group.analyses if each not in (*FURTHER, *_DRAWN)):
         numbers = any_table(group.having(analysis))
         if numbers is not None:
-            yield analysis.capitalize(), numbers
+            yield summary_of(analysis).removesuffix("."), numbers
 
 
 def _remedies(sampler: str, data: xr.Dataset) -> Rows:

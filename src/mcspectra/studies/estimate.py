@@ -18,6 +18,7 @@ from dataclasses import replace
 import msgspec
 
 from mcspectra.core.analysis import steps_of
+from mcspectra.core.checks import as_real
 from mcspectra.core.errors import ConfigError
 from mcspectra.core.streams import Stream
 from mcspectra.studies.foreign_code import TookTooLong, within
@@ -73,6 +74,7 @@ def estimate_study(plan: Plan, *, probe_seconds: float = 10.0) -> list[CellEstim
     """
     if not isinstance(plan, Plan):
         raise ConfigError(f"{plan!r} is not a plan; give what make_plan returns.")
+    probe_seconds = as_real("probe_seconds", probe_seconds, least=0.0)
     seed = plan.config.seed
     tried = _tried(plan.cells, seed, probe_seconds)
     known = [(cell, *found) for cell in plan.cells if (found := tried.get(cell.path))]
@@ -87,7 +89,10 @@ def estimate_study(plan: Plan, *, probe_seconds: float = 10.0) -> list[CellEstim
         guess = pace * cell.need.cost, sizes.get(name, _CELL_BYTES)
         seconds, storage = tried.get(cell.path, guess)
         if seconds > target and name not in cut:
-            cut[name] = _can_be_cut(cell, seed)
+            cut[name] = False
+            with contextlib.suppress(Exception):  # then it fails in the run too, as one task
+                steps = steps_of(cell.analysis, cell.subject, Stream.from_rng(seed))
+                cut[name] = sum(each.blocks for each in next(steps)) > 1
         estimates.append(
             CellEstimate(
                 path=cell.path,
@@ -175,11 +180,3 @@ def _medians(values: list[tuple[str, float]]) -> dict[str, float]:
         groups.setdefault(analysis, []).append(value)
         groups.setdefault("", []).append(value)
     return {name: statistics.median(group) for name, group in groups.items()}
-
-
-def _can_be_cut(cell: Cell, seed: int) -> bool:
-    try:
-        first = next(steps_of(cell.analysis, cell.subject, Stream.from_rng(seed)))
-    except Exception:  # noqa: BLE001 - then it fails in the run too, as one task
-        return False
-    return sum(each.blocks for each in first) > 1

@@ -289,20 +289,13 @@ def plain_study(config: StudyConfig) -> dict[str, Any]:
     Keys of the study and of estimators that have their default are left out, options of analyses are
     all there: what a study computes does not depend on which analyses are installed beside its own.
     """
-    scenes: dict[str, list[Any]] = {}
-    for each in config.scenes:
-        plain = msgspec.to_builtins(each)
-        own = {"name": plain["name"], **plain["analysis"]}
-        own |= {"samplers": plain["samplers"]} if "samplers" in plain else {}
-        scenes.setdefault(f"{each.kind}s", []).append(own)
-    own = msgspec.to_builtins(msgspec.structs.replace(config, estimators=(), scenes=()))
-    estimators = [_flat(msgspec.to_builtins(each)) for each in config.estimators]
-    return {**_flat(own), **({"estimators": estimators} if estimators else {}), **scenes}
-
-
-def _flat(plain: dict[str, Any]) -> dict[str, Any]:
-    analyses = plain.pop("analyses", {})
-    return {**plain, **analyses}
+    plain: dict[str, Any] = msgspec.to_builtins(config)
+    for entry in (plain, *plain.get("estimators", ())):
+        entry |= entry.pop("analyses", {})
+    for entry in plain.pop("scenes", ()):
+        listed = plain.setdefault(f"{entry.pop('kind')}s", [])
+        listed.append({**entry, **entry.pop("analysis")})
+    return plain
 
 
 # Types: each table is made the struct that it is.
@@ -314,7 +307,6 @@ class _Reader:
 
     def __init__(self) -> None:
         self._names = _names()
-        self._kinds: dict[str, type[Analysis]] = {}
         self._clean: set[tuple[str, str, str]] = set()
 
     def study(self, table: Mapping[str, Any]) -> StudyConfig:
@@ -339,12 +331,7 @@ class _Reader:
         """Name of the analysis of scenes whose entries a key lists, ``map`` of ``maps``, or nothing."""
         name = key.removesuffix("s")
         listed = key not in self._names and name != key and name in self._names
-        return name if listed and self._kind(name).about == "scene" else ""
-
-    def _kind(self, name: str) -> type[Analysis]:
-        if name not in self._kinds:  # the registry asks all packages each time
-            self._kinds[name] = ANALYSES.load(name)
-        return self._kinds[name]
+        return name if listed and ANALYSES.load(name).about == "scene" else ""
 
     def _with_analyses(self, table: Any, kind: type[Struct], place: str) -> Struct:
         """A table that may have tables of analyses in it."""
@@ -355,7 +342,7 @@ class _Reader:
         analyses = {}
         for key in asked:
             inside = f"{place}.{key}" if place else key
-            if self._kind(key).about == "scene":
+            if ANALYSES.load(key).about == "scene":
                 raise ConfigError(f"{inside} is an analysis of scenes; list tables [[{key}s]].")
             analyses[key] = self._analysis(key, table[key], inside)
         return msgspec.structs.replace(made, analyses=analyses)
@@ -364,15 +351,17 @@ class _Reader:
         """An entry of ``[[maps]]``."""
         if not isinstance(entry, dict):
             return _struct(entry, SceneConfig, place)
-        own = {key: entry[key] for key in ("name", "samplers") if key in entry}
-        made = _struct(own, SceneConfig, place)
-        options = {key: value for key, value in entry.items() if key not in own}
-        analysis = self._analysis(name, options, place)
+        keys = ("name", "samplers")
+        made = _struct({key: entry[key] for key in keys if key in entry}, SceneConfig, place)
+        options = {key: value for key, value in entry.items() if key not in keys}
+        analysis = self._analysis(name, options, place, keys)
         return msgspec.structs.replace(made, kind=name, analysis=analysis)
 
-    def _analysis(self, name: str, table: Any, place: str) -> Analysis:
-        kind = self._kind(name)
-        made: Analysis = _struct(table, kind, place)
+    def _analysis(
+        self, name: str, table: Any, place: str, beside: tuple[str, ...] = ()
+    ) -> Analysis:
+        kind: Any = ANALYSES.load(name)
+        made: Analysis = _struct(table, kind, place, beside)
         for option in options_of(kind):  # what types cannot say
             value = getattr(made, option.name)
             key = name, option.name, repr(value)
@@ -389,8 +378,8 @@ def _entries(key: str, entries: Any) -> Iterator[tuple[Any, str]]:
     return ((entry, f"{key}[{i}]") for i, entry in enumerate(entries))
 
 
-def _struct(table: Any, kind: type[Struct], place: str) -> Struct:
-    """A table as a struct.
+def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] = ()) -> Struct:
+    """A table as a struct; `beside` are keys of its place that are not its own.
 
     Raises
     ------
@@ -403,7 +392,11 @@ def _struct(table: Any, kind: type[Struct], place: str) -> Struct:
     if unknown:
         tables = analysis_tables() if "analyses" in kind.__struct_fields__ else {}
         top = kind is StudyConfig
-        allowed = [*known, *(key for key, each in tables.items() if top or each.about != "scene")]
+        allowed = [
+            *beside,
+            *known,
+            *(key for key, each in tables.items() if top or each.about != "scene"),
+        ]
         hint, close = close_match_hint(unknown[0], allowed)
         sentence = f"{where}there is no key {unknown[0]!r}; allowed here: {', '.join(allowed)}."
         raise ConfigError(sentence + (hint if close else ""))
@@ -436,7 +429,9 @@ def _keys_of(kind: type[msgspec.Struct]) -> tuple[str, ...]:
 def _check_study(config: StudyConfig) -> None:
     """Refuse names that repeat, missing samplers and keys that contradict each other."""
     if not config.entries:
-        raise ConfigError("there is nothing to study; give [[estimators]] or [[maps]].")
+        scenes = [key for key, each in analysis_tables().items() if each.about == "scene"]
+        lists = " or ".join(f"[[{key}]]" for key in ("estimators", *scenes))
+        raise ConfigError(f"there is nothing to study; give {lists}.")
     (name, times), *_ = Counter(entry.name for entry in config.entries).most_common(1)
     if times > 1:
         raise ConfigError(f"two estimators are called {name!r}; names must differ.")
@@ -491,7 +486,7 @@ def _complaints(e: EstimatorConfig) -> Iterator[str]:
         yield f'has channels = "{e.channels}", which takes no heuristic, technique_counts or sets.'
 
 
-# Changes from the command line: ``convergence.realizations=100``, values as in TOML.
+# Changes from the command line: ``estimators[0].dims=3``, values as in TOML.
 
 
 def apply_overrides(table: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
@@ -511,62 +506,55 @@ def apply_overrides(table: dict[str, Any], overrides: Sequence[str]) -> dict[str
         A path cannot be read or leads nowhere, or a value is not one of TOML. Whether a study has
         such a key is checked later, with the study.
     """
-    if isinstance(overrides, str) or not all(isinstance(text, str) for text in overrides):
-        raise ConfigError(f"Changes are {overrides!r}; give a list of texts key=value.")
+    given: Any = overrides
+    if not isinstance(given, list | tuple) or not all(isinstance(text, str) for text in given):
+        raise ConfigError(f"The changes are {given!r}; give a list of texts key=value.")
     changed = copy.deepcopy(table) if overrides else table
     for text in overrides:
         path, equals, value = text.partition("=")
         if not equals:
             raise ConfigError(f"--set {text!r} has no '='; write key=value.")
-        _put(changed, _steps(path.strip(), text), _value(value.strip(), text), text)
-    return changed
 
+        # Read the place: keys between dots, each with its indices
+        steps: list[str | int] = []
+        for part in path.strip().split("."):
+            match = _STEP.fullmatch(part)
+            if match is None:
+                raise ConfigError(
+                    f"--set {text!r}: {path.strip()!r} is not a place in a study; write for example "
+                    "seed, samplers[0] or estimators[0].density."
+                )
+            steps += [match[1], *map(int, re.findall(r"\d+", match[2]))]
 
-def _steps(path: str, text: str) -> list[str | int]:
-    steps: list[str | int] = []
-    for part in path.split("."):
-        match = _STEP.fullmatch(part)
-        if match is None:
+        # Read the value, one of TOML and nothing after it
+        try:
+            found = tomllib.loads(f"value = {value}\n")
+        except (ValueError, RecursionError):
+            found = {}
+        if list(found) != ["value"]:
             raise ConfigError(
-                f"--set {text!r}: {path!r} is not a place in a study; write for example seed, "
-                "samplers[0] or estimators[0].density."
+                f"--set {text!r}: {value.strip()!r} is not a value of TOML; strings need quotes: "
+                "key='\"text\"'."
             )
-        steps += [match[1], *map(int, re.findall(r"\d+", match[2]))]
-    return steps
 
-
-def _value(value: str, text: str) -> Any:
-    """A value of TOML, and nothing after it."""
-    try:
-        found = tomllib.loads(f"value = {value}\n")
-    except (ValueError, RecursionError):
-        found = {}
-    if list(found) != ["value"]:
-        raise ConfigError(
-            f"--set {text!r}: {value!r} is not a value of TOML; strings need quotes: key='\"text\"'."
-        )
-    return found["value"]
-
-
-def _put(table: dict[str, Any], steps: list[str | int], value: Any, text: str) -> None:
-    place: Any = table
-    for i, step in enumerate(steps):
-        lack = ""
-        if isinstance(step, str) and not isinstance(place, dict):
-            lack = f"there is no table that could hold {step!r}"
-        elif isinstance(step, int) and not isinstance(place, list):
-            lack = f"there is no list that could hold [{step}]; count from 0"
-        elif isinstance(step, int) and step >= len(place):
-            entries = "1 entry" if len(place) == 1 else f"{len(place)} entries"
-            lack = f"there is no [{step}], the list has {entries}; count from 0"
-        if lack:
-            raise ConfigError(f"--set {text!r}: {lack}.")
-        if i == len(steps) - 1:
-            place[step] = value
-        elif isinstance(place, dict):
-            place = place.setdefault(step, {})
-        else:
-            place = place[step]
+        # Put it there
+        place: Any = changed
+        for i, step in enumerate(steps):
+            lack = ""
+            if isinstance(step, str) and not isinstance(place, dict):
+                lack = f"there is no table that could hold {step!r}"
+            elif isinstance(step, int) and not isinstance(place, list):
+                lack = f"there is no list that could hold [{step}]; count from 0"
+            elif isinstance(step, int) and step >= len(place):
+                entries = "1 entry" if len(place) == 1 else f"{len(place)} entries"
+                lack = f"there is no [{step}], the list has {entries}; count from 0"
+            if lack:
+                raise ConfigError(f"--set {text!r}: {lack}.")
+            if i == len(steps) - 1:
+                place[step] = found["value"]
+            else:
+                place = place.setdefault(step, {}) if isinstance(place, dict) else place[step]
+    return changed
 
 
 # Grids: ``{placeholders}`` in a study stand for lists of values, and every combination is made.

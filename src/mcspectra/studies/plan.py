@@ -38,7 +38,12 @@ from mcspectra.estimators import (
 from mcspectra.integrands import INTEGRANDS
 from mcspectra.integrands.smoothing import smoothed
 from mcspectra.samplers import Sampler, sampler_from_calls
-from mcspectra.studies.files import EstimatorConfig, SceneConfig, StudyConfig
+from mcspectra.studies.files import (
+    EstimatorConfig,
+    SceneConfig,
+    StudyConfig,
+    analysis_tables,
+)
 from mcspectra.studies.foreign_code import FunctionFailed, probed
 from mcspectra.studies.vetting import Inputs, Trust, Vetting
 
@@ -53,7 +58,7 @@ MOST_EVALUATIONS = 10**15
 # Seconds of planning: of a spec, of an estimator with densities and of each of these (1-D warps are
 # searched for gaps), of a sampler of an estimator, of a cell, of a count (or another item of a list) of
 # its analysis; and most that are not forced.
-_SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 3e-4, 2e-3
+_SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 5e-4, 2e-3
 _PAIR, _CELL, _COUNT = 3e-6, 2.5e-5, 3e-6
 _MOST_SECONDS = 5.0
 _RESERVED = frozenset({"zarr.json", "c"})
@@ -171,7 +176,7 @@ def make_plan(
     cells = tuple(cell for entry in config.entries for cell in planner.cells(entry))
     if not cells:
         raise ConfigError(
-            f"The study asks for no analysis; give a table, one of {', '.join(ANALYSES)}."
+            f"The study asks for no analysis; give a table, one of {', '.join(analysis_tables())}."
         )
     total = sum(cell.need.cost for cell in cells)
     if total > MOST_EVALUATIONS and not force:
@@ -201,8 +206,9 @@ def _check_number(config: StudyConfig) -> None:
     seconds += _SPEC * len(texts)
     if seconds > _MOST_SECONDS:
         raise ConfigError(
-            f"The study has {len(config.entries):,} estimators and {pairs:,} pairs of estimator and sampler, which "
-            f"would take about {seconds:.2g} s to plan alone; take several studies, or give --force."
+            f"The study has {len(config.entries):,} estimators and {pairs:,} pairs of estimator and "
+            f"sampler, which would take about {seconds:.2g} s to plan alone; take several studies, or "
+            "give --force."
         )
 
 
@@ -243,7 +249,7 @@ class _Planner:
 
     def cells(self, entry: EstimatorConfig | SceneConfig) -> Iterator[Cell]:
         """Cells of an estimator, or of a scene, with all its samplers."""
-        kind = "Estimator" if isinstance(entry, EstimatorConfig) else "Map"
+        kind = "Estimator" if isinstance(entry, EstimatorConfig) else entry.kind.capitalize()
         try:
             yield from self._cells(entry, f"{kind} {entry.name!r}")
         except ConfigError:
@@ -267,7 +273,13 @@ class _Planner:
         for text, slug, sampler, of_sampler in self._samplers(entry, dims):
             subject = Subject(estimator, sampler)
             for name, analysis, of_analysis in asked:
-                need = Need(cost=0.0) if error else _need(analysis, subject, f"{whose}, {name}")
+                need = Need(cost=0.0)
+                if error is None:  # refuse what it cannot do, or this machine has no memory for
+                    try:
+                        need = analysis.need(subject)
+                    except McspectraError as refusal:
+                        raise ConfigError(f"{whose}, {name}: {refusal}") from refusal
+                    check_memory(need.memory, f"{whose}, {name}")
                 yield Cell(
                     path=f"{parent}/{slug}/{name}",
                     analysis=analysis,
@@ -372,16 +384,6 @@ def _built(
 
     made = unmirrored()
     return made if entry.mirror is None else Mirrored(made, entry.mirror)
-
-
-def _need(analysis: Analysis, subject: Subject, whose: str) -> Need:
-    """Refuse what an analysis cannot do, or this machine has no memory for."""
-    try:
-        need = analysis.need(subject)
-    except McspectraError as error:
-        raise ConfigError(f"{whose}: {error}") from error
-    check_memory(need.memory, whose)
-    return need
 
 
 @final

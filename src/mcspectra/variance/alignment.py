@@ -2,12 +2,14 @@
 
 A stratum that an edge cuts into shares s and 1 − s has the variance s(1 − s) of the jump, one whose
 border is the edge has none. Where strata lie is free: a fixed offset moves them on the torus
-(``strata-shift``), and for edges whose places are known `aligned-strata` bends them.
+(``strata-shift``), and for edges whose places are known `aligned-strata` bends them. The best alignment is
+found by prediction and verified by a measurement of its own.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -20,10 +22,10 @@ from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.densities.aligned import AlignedStrata
-from mcspectra.estimators import AbstractEstimator, Estimator, as_estimator
-from mcspectra.estimators.moments import rounding_floor
+from mcspectra.estimators import AbstractEstimator, Estimator, as_estimator, as_subject
+from mcspectra.estimators.moments import rounding_floor, variance_interval
 from mcspectra.integrands import Integrand
-from mcspectra.samplers import Randomized, Sampler, Shift, StrataShift, as_sampler
+from mcspectra.samplers import Randomized, Sampler, Shift, StrataShift
 from mcspectra.variance.convergence import count_moments, count_stream
 from mcspectra.variance.exact import exact_variance
 from mcspectra.variance.fit import fit_rate
@@ -31,103 +33,14 @@ from mcspectra.variance.fit import fit_rate
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Offsets", "aligned", "checked_offsets", "predictor", "strata_shift_scan"]
+__all__ = ["aligned", "best_alignment", "strata_shift_scan"]
 
 METHODS = ("auto", "exact", "measured")
 _MOST_OFFSETS = 4096
 _DEFAULT_OFFSETS = {1: 16, 2: 8}
 _EXACT_ROUNDING = 1e-14  # of I²/n: exact variances are differences of means of g² and squared means
 _EXACT_SE = 1e-6  # of exact variances, which weigh alike in the fit of a rate
-
-
-@dataclass(frozen=True)
-class Variances:
-    """Variance of one set-up, its interval (…, 2) and relative standard error, its rounding floor."""
-
-    value: Array
-    interval: Array
-    relative_se: Array
-    floor: Array
-
-
-@dataclass(frozen=True)
-class Offsets:
-    """Variance of an estimator as a function of the offset of the sampler's strata.
-
-    Attributes
-    ----------
-    estimator, sampler
-        What is displaced.
-    exact
-        Whether variances are exact, else measured on realisations that all offsets share.
-    realizations, stream, workers
-        How they are measured.
-    """
-
-    estimator: AbstractEstimator
-    sampler: Sampler
-    exact: bool
-    realizations: int
-    stream: Stream
-    workers: int
-
-    def displaced(self, offset: Sequence[float]) -> Sampler:
-        """The sampler with its strata moved by parts of their side."""
-        return self.sampler.then(StrataShift(offset=tuple(offset)))
-
-    def at(self, offset: Sequence[float], n: int) -> Variances:
-        """Variances of all channels (C,) at one offset."""
-        source = self.displaced(offset)
-        size = np.abs(np.atleast_1d(self.estimator.integral))
-        if self.exact:
-            value = np.atleast_1d(exact_variance(self.estimator, source, n))
-            both = np.stack([value, value], axis=-1)
-            rounding = _EXACT_ROUNDING * size**2 / n
-            return Variances(value, both, np.full(value.shape, _EXACT_SE), rounding)
-        own = count_stream(self.stream, n)
-        m = count_moments(self.estimator, source, n, self.realizations, own, self.workers)
-        return Variances(m.variance, m.variance_ci, m.relative_se, rounding_floor(size))
-
-
-def predictor(
-    estimator: AbstractEstimator,
-    sampler: Sampler,
-    counts: Sequence[int],
-    method: str,
-    realizations: int,
-    stream: Stream,
-    workers: int,
-) -> Offsets:
-    """Return what gives variances at offsets; ``"auto"`` is exact where that is known for all counts.
-
-    Raises
-    ------
-    NoClosedForm
-        `method` is ``"exact"`` and no exact variance is known.
-    ParameterError
-        The sampler is shifted at random already.
-    """
-    _check_not_shifted(sampler)
-    exact = as_choice("method", method, METHODS) != "measured"
-    found = Offsets(estimator, sampler, exact, realizations, stream, workers)
-    # Half a stratum is where edges at multiples of the side cut strata.
-    probes = ([0.0] * estimator.dims, [0.4375] * estimator.dims) if exact else ()
-    try:
-        for probe, n in itertools.product(probes, counts):
-            found.at(probe, n)
-    except NoClosedForm:
-        if method == "exact":
-            raise
-        return Offsets(estimator, sampler, False, realizations, stream, workers)
-    return found
-
-
-def _check_not_shifted(sampler: Sampler) -> None:
-    steps = sampler.steps if isinstance(sampler, Randomized) else ()
-    if any(isinstance(step, Shift) for step in steps):
-        raise ParameterError(
-            f"{sampler.spec} is shifted at random, which averages over all offsets; leave the shift out."
-        )
+_HALVINGS = 8  # of the step of the scan: a part of 256
 
 
 def strata_shift_scan(
@@ -185,30 +98,51 @@ def strata_shift_scan(
     >>> [round(float(v) * 64, 2) for v in d["variance"].squeeze()]
     [0.18, 0.0, 0.5]
     """
-    estimator = as_estimator(estimator, getattr(sampler, "dims", None))
-    source = as_sampler(sampler, estimator.dims)
-    ns = _checked_counts(counts, estimator, source)
-    places = checked_offsets(offsets, estimator.dims)
+    subject = as_subject(estimator, sampler)
+    given, source = subject.estimator, subject.sampler
+    several = isinstance(counts, Sequence | np.ndarray) and not isinstance(counts, str)
+    ns = [as_integer("counts", n, least=1) for n in (counts if several else [counts])]  # type: ignore[union-attr]
+    if not ns or any(b <= a for a, b in itertools.pairwise(ns)):
+        raise ParameterError(f"counts is {counts!r:.80}; give ascending numbers of points.")
+    for n in ns:
+        given.check_sampler(source, n)
+    places = _checked_offsets(offsets, given.dims)
     realizations = as_integer("realizations", realizations, least=2, most=MAX_REALIZATIONS)
-    stream = Stream.from_rng(rng)
-    found = predictor(
-        estimator, source, ns, method, realizations, stream, available_workers(workers)
+    stream, threads = Stream.from_rng(rng), available_workers(workers)
+    found = _Offsets.of(given, source, ns, method, realizations, stream, threads)
+
+    # Variances (…, n, channel) and rates (…, channel) at all offsets
+    cells = [[found.at(o, n) for n in ns] for o in itertools.product(places, repeat=given.dims)]
+    value, relative_se, floor, interval = (
+        np.array([[getattr(cell, name) for cell in row] for row in cells])
+        for name in ("value", "relative_se", "floor", "interval")
     )
-    grid = [_curve(found, o, ns) for o in itertools.product(places, repeat=estimator.dims)]
-    axes = tuple(f"offset{i}" for i in range(estimator.dims))
+    channels = range(value.shape[2])
+    fits = [
+        [fit_rate(np.array(ns), v[:, c], r[:, c], f[:, c]) for c in channels]
+        for v, r, f in zip(value, relative_se, floor, strict=True)
+    ]
+    axes = tuple(f"offset{i}" for i in range(given.dims))
     shape = (len(places),) * len(axes)
+    variables = {
+        "variance": (("n", "channel"), value),
+        "variance_ci": (("n", "channel", "bound"), interval),
+        "rate": (("channel",), np.array([[fit.rate for fit in row] for row in fits])),
+        "rate_ci": (
+            ("channel", "bound"),
+            np.array([[fit.interval for fit in row] for row in fits]),
+        ),
+    }
     attributes = {"long_name": "offset of strata", "units": "sides of a stratum"}
     return dataset(
-        {
-            name: _labelled([cell[name] for cell in grid], axes, shape, own, estimator.channels)
-            for name, own in _DIMS.items()
-        },
+        {n: ((*axes, *own), v.reshape(*shape, *v.shape[1:])) for n, (own, v) in variables.items()},
         {
             **{axis: (axis, places, attributes) for axis in axes},
             "n": ("n", ns, {"long_name": "number of points", "units": "1"}),
             "bound": ["low", "high"],
         },
-        estimator=estimator.spec,
+        drop=() if given.channels else ("channel",),
+        estimator=given.spec,
         sampler=source.spec,
         method="exact" if found.exact else "measured",
         realizations=None if found.exact else realizations,
@@ -217,76 +151,138 @@ def strata_shift_scan(
     )
 
 
-_DIMS = {
-    "variance": ("n", "channel"),
-    "variance_ci": ("n", "channel", "bound"),
-    "rate": ("channel",),
-    "rate_ci": ("channel", "bound"),
-}
+def best_alignment(
+    estimator: AbstractEstimator | Integrand | str,
+    sampler: Sampler | str,
+    n: int,
+    *,
+    edges: Any = None,
+    offsets: Any = None,
+    method: str = "auto",
+    realizations: int = 1000,
+    rng: RngLike = 0,
+    workers: int | None = None,
+) -> xr.Dataset:
+    """Find the offset of strata with the least variance, and measure what it is worth.
 
+    Parameters
+    ----------
+    estimator, sampler, n
+        What is to be improved; the sampler without a shift, which would average over all offsets.
+    edges
+        Places of known edges, as for `aligned`: strata with borders there are tried
+        as well. Needs an estimator without a density and n = s^d.
+    offsets, method
+        As for `mcspectra.strata_shift_scan`; the best of the scan is refined by a pattern search,
+        whose step is halved 8 times.
+    realizations, rng, workers
+        As for `mcspectra.convergence`; the measurement of each candidate has a stream of its own.
 
-def _curve(found: Offsets, offset: Sequence[float], ns: list[int]) -> dict[str, Array]:
-    """Variances and rate at one offset."""
-    cells = [found.at(offset, n) for n in ns]
-    value = np.stack([cell.value for cell in cells])
-    relative = np.stack([cell.relative_se for cell in cells])
-    floor = np.stack([cell.floor for cell in cells])
-    fits = [
-        fit_rate(np.array(ns), value[:, c], relative[:, c], floor[:, c])
-        for c in range(value.shape[1])
+    Returns
+    -------
+    xarray.Dataset
+        On the dim candidate, ``"unshifted"``, ``"offset"`` and, with `edges`, ``"aligned"``:
+        ``strata_offset(candidate, axis)``, ``predicted_variance``, ``measured_variance`` with
+        ``measured_variance_ci``, ``variance_ratio`` to that of the first with ``variance_ratio_ci``,
+        and ``improvement``: 1 where that interval is below 1, −1 where it is above, else 0. The
+        attribute ``best`` names the candidate with the least predicted variance (measured, where one
+        has no prediction), ``improved`` is yes, no or undecided for it. Variances of several
+        channels are added up.
+
+    Raises
+    ------
+    CountError, ParameterError, NoClosedForm
+        As for `mcspectra.strata_shift_scan` and `aligned`.
+
+    Notes
+    -----
+    Intervals of ratios are those of independent measurements, for both candidates at once 95 %.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> light = mcs.integrand("disk(center=0.5125, radius=0.25)", dims=1)  # 2.1 to 6.1 strata
+    >>> found = mcs.best_alignment(light, "jittered", 8)
+    >>> found.attrs["improved"], round(float(found["strata_offset"].sel(candidate="offset")[0]), 2)
+    ('yes', 0.1)
+    """
+    from scipy.special import ndtri
+
+    subject = as_subject(estimator, sampler)
+    plain, source = subject.estimator, subject.sampler
+    plain.check_sampler(source, as_integer("n", n, least=1))
+    count = as_integer("realizations", realizations, least=2, most=MAX_REALIZATIONS)
+    bent = None if edges is None else aligned(plain, edges, n)
+    places = _checked_offsets(offsets, plain.dims)
+    stream, threads = Stream.from_rng(rng), available_workers(workers)
+    found = _Offsets.of(plain, source, [n], method, count, stream.child(0), threads)
+
+    # Offset of the least predicted variance: the best of a grid, then a pattern search about it
+    values = {o: found.total(o, n) for o in itertools.product(places, repeat=source.dims)}
+    offset = min(values, key=lambda o: values[o])
+    value, step = values[offset], 0.5 / len(places)
+    for _ in range(_HALVINGS):
+        for axis, sign in itertools.product(range(source.dims), (1.0, -1.0)):
+            moved = tuple((o + sign * step * (i == axis)) % 1.0 for i, o in enumerate(offset))
+            if (there := found.total(moved, n)) < value:
+                offset, value = moved, there
+        step *= 0.5
+
+    # Set-ups, their offsets, and the variances predicted for them (NaN where none is)
+    zero = (0.0,) * source.dims
+    candidates = [
+        ("unshifted", plain, source, zero, found.total(zero, n)),
+        ("offset", plain, found.displaced(offset), offset, value),
     ]
-    return {
-        "variance": value,
-        "variance_ci": np.stack([cell.interval for cell in cells]),
-        "rate": np.array([fit.rate for fit in fits]),
-        "rate_ci": np.array([fit.interval for fit in fits]),
-    }
+    if bent is not None:
+        try:
+            expected = float(np.sum(exact_variance(bent, source, n)))
+        except NoClosedForm:
+            expected = math.nan
+        candidates.append(("aligned", bent, source, zero, expected))
+    names, estimators, samplers, shifts, predicted = zip(*candidates, strict=True)
 
+    # Measured: variances summed over channels, relative standard errors at most, rounding floors
+    moments = [
+        count_moments(e, s, n, count, stream.child(1 + i), threads)
+        for i, (e, s) in enumerate(zip(estimators, samplers, strict=True))
+    ]
+    measured = np.array([float(m.variance.sum()) for m in moments])
+    error = np.array([float((m.variance * m.relative_se).sum()) for m in moments])
+    least = np.array([float(m.relative_se.max()) for m in moments])
+    relative = np.divide(error, measured, out=least, where=measured > 0)
 
-def _labelled(
-    cells: list[Array],
-    axes: tuple[str, ...],
-    shape: tuple[int, ...],
-    own: tuple[str, ...],
-    channels: int,
-) -> tuple[tuple[str, ...], Array]:
-    values = np.stack(cells).reshape(*shape, *cells[0].shape)
-    if channels:
-        return (*axes, *own), values
-    where = len(axes) + own.index("channel")
-    return (*axes, *(dim for dim in own if dim != "channel")), values.squeeze(axis=where)
-
-
-def _checked_counts(counts: Any, estimator: AbstractEstimator, sampler: Sampler) -> list[int]:
-    several = isinstance(counts, Sequence | np.ndarray) and not isinstance(counts, str)
-    ns = [as_integer("counts", n, least=1) for n in (counts if several else [counts])]
-    if not ns or any(b <= a for a, b in itertools.pairwise(ns)):
-        raise ParameterError(f"counts is {counts!r:.80}; give ascending numbers of points.")
-    for n in ns:
-        estimator.check_sampler(sampler, n)
-    return ns
-
-
-def checked_offsets(offsets: Any, dims: int) -> list[float]:
-    """Return the offsets along an axis, from 0 to below 1."""
-    if isinstance(offsets, Sequence | np.ndarray) and not isinstance(offsets, str):
-        _check_number(len(offsets), dims)
-        limits = {"least": 0.0, "most": float(np.nextafter(1.0, 0.0))}
-        places = [*as_reals("offsets", offsets, len(offsets), **limits)]
-        if not places or sorted(set(places)) != places:
-            raise ParameterError(f"offsets is {offsets!r:.80}; give one or more, ascending.")
-        return places
-    given = _DEFAULT_OFFSETS.get(dims, 4) if offsets is None else offsets
-    number = as_integer("offsets", given, least=1)
-    _check_number(number, dims)
-    return [float(o) for o in np.arange(number) / number]
-
-
-def _check_number(number: int, dims: int) -> None:
-    if number**dims > _MOST_OFFSETS:
-        raise ParameterError(
-            f"{number} offsets along each of {dims} axes are more than {_MOST_OFFSETS}; give fewer."
-        )
+    # Ratios of independent measurements; NaN where both are rounding noise
+    z = float(ndtri(1.0 - 0.025 / (len(candidates) - 1)))
+    half = z * np.hypot(relative, relative[0])
+    floor = float(rounding_floor(moments[0].mean).sum())
+    ratio = measured / (measured[0] if measured[0] > floor else math.nan)
+    interval = ratio[:, None] * np.exp(np.stack([-half, half], axis=1))
+    ratio[0], interval[0] = 1.0, 1.0
+    verdict = (interval[:, 1] < 1.0).astype(np.int64) - (interval[:, 0] > 1.0)
+    best = int(np.argmin(measured if np.isnan(predicted).any() else predicted))
+    over = ("candidate",)
+    return dataset(
+        {
+            "strata_offset": ((*over, "axis"), np.array(shifts)),
+            "predicted_variance": (over, np.array(predicted)),
+            "measured_variance": (over, measured),
+            "measured_variance_ci": ((*over, "bound"), variance_interval(measured, relative)),
+            "variance_ratio": (over, ratio),
+            "variance_ratio_ci": ((*over, "bound"), interval),
+            "improvement": (over, verdict),
+        },
+        {"candidate": list(names), "bound": ["low", "high"], "axis": np.arange(source.dims)},
+        best=names[best],
+        improved=("undecided", "yes", "no")[verdict[best]],
+        estimator=plain.spec,
+        sampler=source.spec,
+        n=n,
+        method="exact" if found.exact else "measured",
+        realizations=count,
+        stream_key=f"{stream.key:#x}",
+        seed=rng if isinstance(rng, int) else None,
+    )
 
 
 def aligned(
@@ -321,3 +317,111 @@ def aligned(
             f"n is {n}; strata of equal numbers along {given.dims} axes need a power s^{given.dims}."
         )
     return Estimator(given.integrand, AlignedStrata(edges=edges, strata=side))
+
+
+@dataclass(frozen=True)
+class _Variances:
+    """Variance of one set-up, its interval (…, 2) and relative standard error, its rounding floor."""
+
+    value: Array
+    interval: Array
+    relative_se: Array
+    floor: Array
+
+
+@dataclass(frozen=True)
+class _Offsets:
+    """Variance of an estimator as a function of the offset of the sampler's strata.
+
+    Attributes
+    ----------
+    estimator, sampler
+        What is displaced.
+    exact
+        Whether variances are exact, else measured on realisations that all offsets share.
+    realizations, stream, workers
+        How they are measured.
+    """
+
+    estimator: AbstractEstimator
+    sampler: Sampler
+    exact: bool
+    realizations: int
+    stream: Stream
+    workers: int
+
+    @staticmethod
+    def of(
+        estimator: AbstractEstimator,
+        sampler: Sampler,
+        counts: Sequence[int],
+        method: str,
+        realizations: int,
+        stream: Stream,
+        workers: int,
+    ) -> _Offsets:
+        """What gives variances at offsets; ``"auto"`` is exact where that is known for all counts.
+
+        Raises
+        ------
+        NoClosedForm
+            `method` is ``"exact"`` and no exact variance is known.
+        ParameterError
+            The sampler is shifted at random already.
+        """
+        steps = sampler.steps if isinstance(sampler, Randomized) else ()
+        if any(isinstance(step, Shift) for step in steps):
+            raise ParameterError(
+                f"{sampler.spec} is shifted at random, which averages over all offsets; leave the "
+                "shift out."
+            )
+        exact = as_choice("method", method, METHODS) != "measured"
+        found = _Offsets(estimator, sampler, exact, realizations, stream, workers)
+        # Half a stratum is where edges at multiples of the side cut strata.
+        probes = ([0.0] * estimator.dims, [0.4375] * estimator.dims) if exact else ()
+        try:
+            for probe, n in itertools.product(probes, counts):
+                found.at(probe, n)
+        except NoClosedForm:
+            if method == "exact":
+                raise
+            return _Offsets(estimator, sampler, False, realizations, stream, workers)
+        return found
+
+    def displaced(self, offset: Sequence[float]) -> Sampler:
+        """The sampler with its strata moved by parts of their side."""
+        return self.sampler.then(StrataShift(offset=tuple(offset)))
+
+    def at(self, offset: Sequence[float], n: int) -> _Variances:
+        """Variances of all channels (C,) at one offset."""
+        source = self.displaced(offset)
+        size = np.abs(np.atleast_1d(self.estimator.integral))
+        if self.exact:
+            value = np.atleast_1d(exact_variance(self.estimator, source, n))
+            both = np.stack([value, value], axis=-1)
+            rounding = _EXACT_ROUNDING * size**2 / n
+            return _Variances(value, both, np.full(value.shape, _EXACT_SE), rounding)
+        own = count_stream(self.stream, n)
+        m = count_moments(self.estimator, source, n, self.realizations, own, self.workers)
+        return _Variances(m.variance, m.variance_ci, m.relative_se, rounding_floor(size))
+
+    def total(self, offset: Sequence[float], n: int) -> float:
+        """Variance at one offset, summed over channels."""
+        return float(self.at(offset, n).value.sum())
+
+
+def _checked_offsets(offsets: Any, dims: int) -> list[float]:
+    """Return the offsets along an axis, from 0 to below 1."""
+    listed = isinstance(offsets, Sequence | np.ndarray) and not isinstance(offsets, str)
+    given = _DEFAULT_OFFSETS.get(dims, 4) if offsets is None else offsets
+    number = len(offsets) if listed else as_integer("offsets", given, least=1)
+    if number**dims > _MOST_OFFSETS:
+        raise ParameterError(
+            f"{number} offsets along each of {dims} axes are more than {_MOST_OFFSETS}; give fewer."
+        )
+    if not listed:
+        return [float(o) for o in np.arange(number) / number]
+    places = [*as_reals("offsets", offsets, number, least=0.0, most=float(np.nextafter(1.0, 0.0)))]
+    if not places or sorted(set(places)) != places:
+        raise ParameterError(f"offsets is {offsets!r:.80}; give one or more, ascending.")
+    return places

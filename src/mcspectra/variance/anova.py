@@ -119,26 +119,90 @@ class Anova(Analysis, frozen=True, kw_only=True):
         evaluations = self.n * sum(estimator.counts)
         blocks = realization_blocks(self.realizations, 4 * estimator.dims * evaluations)
 
-        def result(found: _Estimates) -> xr.Dataset:
-            return _labelled(
-                subsets,
-                found.values,
-                scalar=estimator.channels == 0,
-                estimator=estimator.spec,
-                sampler=subject.sampler.spec,
-                n=self.n,
-                realizations=self.realizations,
-                order=self.order,
-                effective_share=EFFECTIVE_SHARE,
-                stream_key=f"{stream.key:#x}",
-            )
-
         return Reduction(
             kind=_Estimates,
             block=lambda index: _Estimates(pairs.estimates(subsets.masks, blocks[index])),
             blocks=len(blocks),
             cost=float(len(subsets.masks) * self.realizations * evaluations),
-            result=result,
+            result=lambda found: self._labelled(subsets, found.values, subject, stream),
+        )
+
+    def _labelled(
+        self, subsets: _Subsets, estimates: Array, subject: Subject, stream: Stream
+    ) -> xr.Dataset:
+        """Make the dataset of linear combinations of the covariances of all masks with the first."""
+        moments, count = Moments.of(estimates[0]), estimates.shape[1]
+        # Products of deviations, whose means over realisations are covariances: (S, R, channels)
+        deviation = estimates - estimates.mean(axis=1, keepdims=True)
+        products = deviation * (deviation[0] * (count / (count - 1)))
+        unit, dims = np.eye(len(subsets.masks)), subsets.masks.shape[1]
+        axes = tuple(range(dims))
+
+        def below(u: tuple[int, ...]) -> Array:
+            """The weights of all subsets of u together."""
+            return np.asarray(unit[subsets.place(u)] - unit[subsets.place(())])
+
+        def combined(weights: list[Array]) -> tuple[Array, Array]:
+            """Combinations (U, S) of the covariances, and their standard errors: (U, channels)."""
+            each = [np.tensordot(row, products, axes=1) for row in weights]
+            means = np.stack([q.mean(axis=0) for q in each])
+            return means, np.stack([q.std(axis=0, ddof=1) for q in each]) / np.sqrt(count)
+
+        parts = [
+            below(u) - sum((below((a,)) for a in u if len(u) > 1), np.zeros(len(unit)))
+            for u in subsets.listed
+        ]
+        own, own_se = combined(parts)
+        total, total_se = combined([below(axes) - below((*axes[:i], *axes[i + 1 :])) for i in axes])
+        rest, rest_se = combined([below(axes) - np.sum(parts, axis=0)])
+        first, _ = combined([below(axes[: s + 1]) for s in axes])
+
+        varies = moments.variance > rounding_floor(moments.mean)
+        whole = np.where(varies, first[-1], np.nan)  # the variance, by the same pairs
+        sizes = np.array([len(u) for u in subsets.listed])
+        by_size = np.stack([own[sizes <= s].sum(axis=0) for s in range(1, sizes.max() + 1)])
+        labels = ["".join(f"x{i}" for i in u) for u in subsets.listed]
+        alone = ("channel",)
+        return dataset(
+            {
+                "anova_variance": (("subset", "channel"), own),
+                "anova_variance_se": (("subset", "channel"), own_se),
+                "anova_share": (("subset", "channel"), own / whole),
+                "total_variance": (("axis", "channel"), total),
+                "total_variance_se": (("axis", "channel"), total_se),
+                "higher_order_variance": (alone, rest[0]),
+                "higher_order_variance_se": (alone, rest_se[0]),
+                "truncation_share": (("axes", "channel"), first / whole),
+                "effective_dimension_truncation": (alone, _least(first / whole)),
+                "effective_dimension_superposition": (alone, _least(by_size / whole)),
+                "mean_dimension": (alone, total.sum(axis=0) / whole),
+                "variance": (alone, moments.variance),
+                "variance_ci": (("channel", "bound"), moments.variance_ci),
+            },
+            {
+                "subset": (
+                    "subset",
+                    np.arange(len(labels)),
+                    {"long_name": "subset of axes", "units": "1"},
+                ),
+                "subset_label": ("subset", labels, {"long_name": "axes of the subset"}),
+                "subset_size": ("subset", sizes, {"long_name": "number of axes", "units": "1"}),
+                "axis": ("axis", np.arange(dims), {"long_name": "axis", "units": "1"}),
+                "axes": (
+                    "axes",
+                    np.arange(1, dims + 1),
+                    {"long_name": "number of axes", "units": "1"},
+                ),
+                "bound": ["low", "high"],
+            },
+            drop=() if subject.estimator.channels else alone,
+            estimator=subject.estimator.spec,
+            sampler=subject.sampler.spec,
+            n=self.n,
+            realizations=self.realizations,
+            order=self.order,
+            effective_share=EFFECTIVE_SHARE,
+            stream_key=f"{stream.key:#x}",
         )
 
 
@@ -152,13 +216,22 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
     n: Annotated[int, COUNT]
     order: Annotated[int, Meta(ge=1, le=3, description="Subsets of up to so many axes.")] = 2
     frequencies: Annotated[
-        int, Meta(ge=2 * _BATCHES, le=_MAX_FREQUENCIES, description="Of each subset.")
+        int,
+        Meta(
+            ge=2 * _BATCHES, le=_MAX_FREQUENCIES, description="Frequencies sampled of each subset."
+        ),
     ] = 1024
     half_width: Annotated[
         int, Meta(ge=1, le=2**20, description="Largest |m_i|: what is beyond is left out.")
     ] = 4096
     realizations: Annotated[
-        int, Meta(ge=2 * _BATCHES, le=10**9, description="Point sets, where no power is known.")
+        int,
+        Meta(
+            ge=2 * _BATCHES,
+            le=10**9,
+            description="Point sets in all, where no power is known.",
+            extra={"flag": "-m", "metavar": "R"},
+        ),
     ] = 64
 
     def need(self, subject: Subject) -> Need:
@@ -417,111 +490,31 @@ class _Pairs:
     n: int
     stream: Stream
 
-    def estimates(self, masks: Array, block: Block) -> Array:
-        """Estimates with the axes of each mask kept and the others replaced: (S, R, channels)."""
-        kept = self.estimator.draw(self.sampler, self.n, self.stream, *block)
-        others = self._partners(block)
-        found = [
-            self.estimator.estimate(
-                [np.where(mask, x, y) for x, y in zip(kept, others, strict=True)]
-            )
-            for mask in masks
-        ]
-        return np.stack(found).reshape(len(masks), block[1], -1)
-
     @cached_property
-    def _uniform(self) -> bool:
+    def uniform(self) -> bool:
         """Whether the sampler makes the same set of any stream: it has no independent partner."""
         streams = (self.stream, self.stream.child(_PARTNER))
         one, other = (self.sampler.draw_stream(self.n, s, 0, 1) for s in streams)
         return np.array_equal(one, other)
 
-    def _partners(self, block: Block) -> list[Array]:
-        """Independent sets, each in an order of its own; random ones where there are none."""
-        if self._uniform:
-            return self.estimator.draw(
-                as_sampler("random", self.sampler.dims), self.n, self.stream.child(_UNIFORM), *block
-            )
-        drawn = self.estimator.draw(self.sampler, self.n, self.stream.child(_PARTNER), *block)
-        order = self.stream.child(_ORDER)
-        keys = [order.child(t).uniforms(*block, y.shape[1]) for t, y in enumerate(drawn)]
-        return [
-            np.take_along_axis(y, k.argsort(axis=1)[:, :, None], axis=1)
-            for y, k in zip(drawn, keys, strict=True)
+    def estimates(self, masks: Array, block: Block) -> Array:
+        """Estimates with the axes of each mask kept and the others replaced: (S, R, channels)."""
+        e, stream = self.estimator, self.stream
+        kept = e.draw(self.sampler, self.n, stream, *block)
+        # Independent sets, each in an order of its own; random ones where there are none
+        if self.uniform:
+            random = as_sampler("random", self.sampler.dims)
+            others = e.draw(random, self.n, stream.child(_UNIFORM), *block)
+        else:
+            others = e.draw(self.sampler, self.n, stream.child(_PARTNER), *block)
+            for t, y in enumerate(others):
+                keys = stream.child(_ORDER).child(t).uniforms(*block, y.shape[1])
+                others[t] = np.take_along_axis(y, keys.argsort(axis=1)[:, :, None], axis=1)
+        found = [
+            e.estimate([np.where(mask, x, y) for x, y in zip(kept, others, strict=True)])
+            for mask in masks
         ]
-
-
-def _weights(subsets: _Subsets) -> dict[str, Array]:
-    """Combinations (., S) of the covariances that estimate each variance."""
-    unit = np.eye(len(subsets.masks))
-    axes = tuple(range(subsets.masks.shape[1]))
-
-    def below(u: tuple[int, ...]) -> Array:
-        """Of all subsets of u."""
-        return np.asarray(unit[subsets.place(u)] - unit[subsets.place(())])
-
-    def part(u: tuple[int, ...]) -> Array:
-        return below(u) - sum((below((a,)) for a in u if len(u) > 1), np.zeros(len(unit)))
-
-    parts = np.stack([part(u) for u in subsets.listed])
-    return {
-        "anova_variance": parts,
-        "total_variance": np.stack(
-            [below(axes) - below(tuple(a for a in axes if a != i)) for i in axes]
-        ),
-        "higher_order_variance": below(axes)[None] - parts.sum(axis=0),
-        "first": np.stack([below(axes[: s + 1]) for s in axes]),
-    }
-
-
-def _labelled(
-    subsets: _Subsets, estimates: Array, *, scalar: bool, **provenance: Any
-) -> xr.Dataset:
-    """Make the dataset of all combinations."""
-    moments, count = Moments.of(estimates[0]), estimates.shape[1]
-    # Products of deviations, whose means over realisations are covariances: (S, R, channels)
-    deviation = estimates - estimates.mean(axis=1, keepdims=True)
-    products = deviation * (deviation[0] * (count / (count - 1)))
-
-    def combined(weights: Array) -> tuple[Array, Array]:
-        """Linear combinations (U, S) of the covariances, and their standard errors: (U, channels)."""
-        each = [np.tensordot(row, products, axes=1) for row in weights]
-        means = np.stack([q.mean(axis=0) for q in each])
-        return means, np.stack([q.std(axis=0, ddof=1) for q in each]) / np.sqrt(count)
-
-    found = {name: combined(weights) for name, weights in _weights(subsets).items()}
-    first, own = found.pop("first")[0], found["anova_variance"][0]
-    varies = moments.variance > rounding_floor(moments.mean)
-    whole = np.where(varies, first[-1], np.nan)  # the variance, by the same pairs
-    sizes = np.array([len(u) for u in subsets.listed])
-    by_size = np.stack([own[sizes <= s].sum(axis=0) for s in range(1, sizes.max() + 1)])
-    dims = {"anova_variance": ("subset",), "total_variance": ("axis",)}
-    variables: dict[str, tuple[tuple[str, ...], Any]] = {}
-    for name, (values, errors) in found.items():
-        own_dims = (*dims.get(name, ()), "channel")
-        scalars = name not in dims
-        variables[name] = (own_dims, values[0] if scalars else values)
-        variables[f"{name}_se"] = (own_dims, errors[0] if scalars else errors)
-    variables |= {
-        "anova_share": (("subset", "channel"), own / whole),
-        "truncation_share": (("axes", "channel"), first / whole),
-        "effective_dimension_truncation": (("channel",), _least(first / whole)),
-        "effective_dimension_superposition": (("channel",), _least(by_size / whole)),
-        "mean_dimension": (("channel",), found["total_variance"][0].sum(axis=0) / whole),
-        "variance": (("channel",), moments.variance),
-        "variance_ci": (("channel", "bound"), moments.variance_ci),
-    }
-    labels = ["".join(f"x{i}" for i in u) for u in subsets.listed]
-    axes = subsets.masks.shape[1]
-    coords = {
-        "subset": ("subset", np.arange(len(labels)), {"long_name": "subset of axes", "units": "1"}),
-        "subset_label": ("subset", labels, {"long_name": "axes of the subset"}),
-        "subset_size": ("subset", sizes, {"long_name": "number of axes", "units": "1"}),
-        "axis": ("axis", np.arange(axes), {"long_name": "axis", "units": "1"}),
-        "axes": ("axes", np.arange(1, axes + 1), {"long_name": "number of axes", "units": "1"}),
-        "bound": ["low", "high"],
-    }
-    return dataset(variables, coords, drop=("channel",) if scalar else (), **provenance)
+        return np.stack(found).reshape(len(masks), block[1], -1)
 
 
 def _least(shares: Array) -> Array:

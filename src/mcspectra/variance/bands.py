@@ -59,12 +59,36 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
         An unknown name, labels of another shape, type or range, or ones that part m from −m.
     """
     check_bands(bands, basis)
-    if not isinstance(bands, str):
-        return _given(np.asarray(bands), basis)
-    make = {"radial": _radial, "anova": _anova, "wedge": _wedge, "dyadic": _dyadic}
-    found = make[bands](basis)
+    labels: tuple[str, ...] | list[str]
+    match bands if isinstance(bands, str) else None:
+        case "radial":
+            of = np.rint(_length(basis)).astype(np.int64)
+            labels, meaning = tuple(map(str, range(int(of.max()) + 1))), "radial: |m| rounded"
+        case "dyadic":  # 0; then [1, 2), [2, 4), [4, 8), …
+            length = _length(basis)
+            of = np.where(length > 0, np.frexp(np.maximum(length, 1.0))[1], 0).astype(np.int64)
+            labels = ["0", *(f"{2**k}–{2 ** (k + 1)}" for k in range(int(of.max())))]
+            meaning = "dyadic: range of |m|"
+        case "anova":
+            axes = range(basis.dims)
+            subset = (basis.oscillations() > 0) @ (1 << np.arange(basis.dims))
+            sets = [tuple(i for i in axes if s >> i & 1) for s in range(1 << basis.dims)]
+            order = sorted(range(len(sets)), key=lambda s: (len(sets[s]), sets[s]))
+            of = np.argsort(order)[subset]
+            labels = ["".join(f"x{i}" for i in sets[s]) or "constant" for s in order]
+            meaning = "ANOVA: axes that vary"
+        case "wedge":
+            m = basis.directions()
+            angle = np.arctan2(m[:, 1], m[:, 0]) % np.pi  # ±m are one direction
+            sector = np.rint(angle / np.pi * _WEDGES).astype(np.int64) % _WEDGES  # on the axes
+            of = np.where((m == 0).all(axis=1), 0, 1 + sector)
+            labels = ["constant", *(f"{180 * k / _WEDGES:g}°" for k in range(_WEDGES))]
+            meaning = "wedge: direction of m"
+        case _:
+            of, meaning = _given(np.asarray(bands), basis), "given"
+            labels = tuple(map(str, range(int(of.max()) + 1)))
     # The last may be empty: small grids, and bases without negative indices, lack directions.
-    return Bands(found.of, found.labels[: int(found.of.max()) + 1], found.meaning)
+    return Bands(of, tuple(labels[: int(of.max()) + 1]), f"band ({meaning})")
 
 
 def check_bands(bands: str | Array, basis: Basis) -> None:
@@ -77,40 +101,8 @@ def check_bands(bands: str | Array, basis: Basis) -> None:
             )
 
 
-def _radial(basis: Basis) -> Bands:
-    shell = np.rint(_length(basis)).astype(np.int64)
-    names = tuple(map(str, range(int(shell.max()) + 1)))
-    return Bands(shell, names, "band (radial: |m| rounded)")
-
-
-def _dyadic(basis: Basis) -> Bands:
-    """0; then [1, 2), [2, 4), [4, 8), …"""
-    length = _length(basis)
-    shell = np.where(length > 0, np.frexp(np.maximum(length, 1.0))[1], 0).astype(np.int64)
-    names = ["0", *(f"{2**k}–{2 ** (k + 1)}" for k in range(int(shell.max())))]
-    return Bands(shell, tuple(names), "band (dyadic: range of |m|)")
-
-
-def _anova(basis: Basis) -> Bands:
-    varies = basis.oscillations() > 0
-    subset = varies @ (1 << np.arange(basis.dims))
-    order = sorted(range(1 << basis.dims), key=lambda s: (s.bit_count(), _axes_of(s, basis.dims)))
-    place = np.empty(len(order), np.int64)
-    place[order] = np.arange(len(order))
-    names = ["".join(f"x{i}" for i in _axes_of(s, basis.dims)) or "constant" for s in order]
-    return Bands(place[subset], tuple(names), "band (ANOVA: axes that vary)")
-
-
-def _wedge(basis: Basis) -> Bands:
-    m = basis.directions()
-    angle = np.arctan2(m[:, 1], m[:, 0]) % np.pi  # ±m are one direction
-    sector = np.rint(angle / np.pi * _WEDGES).astype(np.int64) % _WEDGES  # centred on the axes
-    band = np.where((m == 0).all(axis=1), 0, 1 + sector)
-    names = ["constant", *(f"{180 * k / _WEDGES:g}°" for k in range(_WEDGES))]
-    return Bands(band, tuple(names), "band (wedge: direction of m)")
-
-
-def _given(labels: Array, basis: Basis) -> Bands:
+def _given(labels: Array, basis: Basis) -> Array:
+    """The user's labels of the stored coefficients."""
     integer = labels.shape == basis.shape and labels.dtype.kind in "iu"
     if not integer or labels.min() < 0 or labels.max() >= _MAX_BANDS:
         raise ParameterError(
@@ -123,12 +115,8 @@ def _given(labels: Array, basis: Basis) -> Bands:
         raise ParameterError(
             "bands must be the same for m and −m, so that band estimates are real."
         )
-    return Bands(stored, tuple(map(str, range(int(stored.max()) + 1))), "band (given)")
+    return stored
 
 
 def _length(basis: Basis) -> Array:
     return np.asarray(np.sqrt((basis.oscillations() ** 2).sum(axis=1)))
-
-
-def _axes_of(subset: int, dims: int) -> tuple[int, ...]:
-    return tuple(i for i in range(dims) if subset >> i & 1)

@@ -144,34 +144,8 @@ class Convergence(Analysis, frozen=True, kw_only=True):
             else cell.until_precise(part, self.relative_error, self.realizations)
             for part, cell in enumerate(cells)
         ])  # fmt: skip
-        return self._labelled(subject, stream, cells, found)
 
-    def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
-        """Any run of realisations of a cell."""
-        part, first, realizations = map(int, key.split("-"))
-        return self._cells(subject, stream)[part].run(part, first, realizations)
-
-    def _cells(self, subject: Subject, stream: Stream) -> list[MomentsCell]:
-        """By group of estimators that share realisations, by sampler, by count.
-
-        One technique that has no `draw` of its own gets the sampler's points: all such share them.
-        A wanted precision takes as many realisations as each estimator needs by itself.
-        """
-        estimators = tuple(_several(subject.estimator))
-        draws = AbstractEstimator.draw
-        plain = all(e.counts == (1,) and type(e).draw is draws for e in estimators)
-        joint = plain and self.relative_error is None
-        return [
-            MomentsCell(group, sampler, n, count_stream(stream, n))
-            for group in ([estimators] if joint else [(e,) for e in estimators])
-            for sampler in _several(subject.sampler)
-            for n in self.counts
-        ]
-
-    def _labelled(
-        self, subject: Subject, stream: Stream, cells: list[MomentsCell], found: list[list[_Found]]
-    ) -> xr.Dataset:
-        """Curves estimator × sampler; what is no list, and a scalar, has no dim."""
+        # Curves estimator × sampler; what is no list, and a scalar, has no dim
         estimators, samplers = _several(subject.estimator), _several(subject.sampler)
         joint = len(cells[0].estimators) > 1
         places = np.arange(len(cells)).reshape(-1, len(samplers), len(self.counts))
@@ -219,6 +193,28 @@ class Convergence(Analysis, frozen=True, kw_only=True):
             integral_source="; ".join(dict.fromkeys(e.integral_source for e in estimators)),
             note="; ".join(notes) or None,
         )
+
+    def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
+        """Any run of realisations of a cell."""
+        part, first, realizations = map(int, key.split("-"))
+        return self._cells(subject, stream)[part].run(part, first, realizations)
+
+    def _cells(self, subject: Subject, stream: Stream) -> list[MomentsCell]:
+        """By group of estimators that share realisations, by sampler, by count.
+
+        One technique that has no `draw` of its own gets the sampler's points: all such share them.
+        A wanted precision takes as many realisations as each estimator needs by itself.
+        """
+        estimators = tuple(_several(subject.estimator))
+        draws = AbstractEstimator.draw
+        plain = all(e.counts == (1,) and type(e).draw is draws for e in estimators)
+        joint = plain and self.relative_error is None
+        return [
+            MomentsCell(group, sampler, n, count_stream(stream, n))
+            for group in ([estimators] if joint else [(e,) for e in estimators])
+            for sampler in _several(subject.sampler)
+            for n in self.counts
+        ]
 
     def _curve(self, estimator: AbstractEstimator, found: list[_Found]) -> dict[str, Array]:
         """Variables of one estimator with one sampler."""

@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias
 
 from mcspectra.core.errors import CountError, McspectraError
 from mcspectra.core.streams import Stream
-from mcspectra.densities import Bilinear, Defensive, Density, EnvironmentDensity, PiecewiseConstant
+from mcspectra.densities import Bilinear, Defensive, EnvironmentDensity, PiecewiseConstant
 from mcspectra.estimators import AbstractEstimator, Estimator, Mirrored, MultipleImportance
 from mcspectra.estimators.base import Weighted
 from mcspectra.estimators.channels import ChannelSampling
@@ -25,10 +25,9 @@ from mcspectra.integrands.smoothing import BoxSmoothed, smoothed
 from mcspectra.samplers import Jittered, Sampler, Shift, StrataShift
 from mcspectra.samplers.base import Randomized, Structure
 from mcspectra.samplers.registry import sampler as make_sampler
-from mcspectra.variance.alignment import aligned
-from mcspectra.variance.best_alignment import best_alignment
+from mcspectra.variance.alignment import aligned, best_alignment
 from mcspectra.variance.diagnosis import jumps_of
-from mcspectra.variance.smoothing import smoothing_scan
+from mcspectra.variance.variants import smoothing_scan
 
 __all__ = [
     "KINDS",
@@ -92,6 +91,15 @@ class Setup:
     def unbiased(self) -> bool:
         """Whether the points that are drawn are uniform, so that estimates have no bias."""
         return self.estimator.randomized(self.sampler).unbiased
+
+    def too_dear(self, budget: int) -> str:
+        """Why no two counts are within a budget."""
+        if self.overhead >= budget:
+            return f"Its pilot alone takes {self.overhead} evaluations, {budget} are the budget."
+        if self.cost > sum(self.estimator.counts):
+            points = self.cost // sum(self.estimator.counts)
+            return f"Each of its samples takes {points} evaluations: too few fit into {budget}."
+        return f"{self.sampler.spec} has no two counts within {budget} evaluations."
 
 
 @dataclass(frozen=True)
@@ -170,37 +178,28 @@ Kind: TypeAlias = Literal[
 
 
 def other_setups(given: Setup, kinds: Sequence[Kind], budget: Budget) -> Found:
-    """All set-ups of the kinds asked for, in the order of `kinds`, none twice."""
+    """All set-ups of the kinds asked for, in the order of `kinds`, none twice.
+
+    Where a kind fails, that is its reason. Changes of what is inside of a mirrored estimator are
+    mirrored again.
+    """
     seen = {Counterfactual("given", "given", "", given).key}
     for kind in kinds:
-        for found in _of_kind(kind, given, budget):
-            if isinstance(found, Counterfactual):
-                if found.key in seen:
-                    continue
-                seen.add(found.key)
-            yield found
-
-
-def _of_kind(kind: Kind, given: Setup, budget: Budget) -> Found:
-    """Changes of one kind, and why there are no more where that cannot be told."""
-    try:
-        yield from _again_mirrored(kind, given, budget)
-    except McspectraError as error:
-        yield NotTried(kind, kind, str(error))
-
-
-def _again_mirrored(kind: Kind, given: Setup, budget: Budget) -> Found:
-    """Changes of one kind; those of what is inside of a mirrored estimator are mirrored again."""
-    outer = given.estimator
-    if not isinstance(outer, Mirrored) or kind not in _INSIDE:
-        yield from KINDS[kind](given, budget)
-        return
-    for found in KINDS[kind](replace(given, estimator=outer.estimator), budget):
-        if isinstance(found, NotTried):
-            yield found
-            continue
-        again = replace(found.setup, estimator=Mirrored(found.setup.estimator, outer.mode))
-        yield replace(found, setup=again)
+        own = given.estimator
+        outer = own if isinstance(own, Mirrored) and kind in _INSIDE else None
+        inner = given if outer is None else replace(given, estimator=outer.estimator)
+        try:
+            for found in KINDS[kind](inner, budget):
+                change = found
+                if outer is not None and isinstance(change, Counterfactual):
+                    estimator = Mirrored(change.setup.estimator, outer.mode)
+                    change = replace(change, setup=replace(change.setup, estimator=estimator))
+                if isinstance(change, NotTried) or change.key not in seen:
+                    yield change
+                if isinstance(change, Counterfactual):
+                    seen.add(change.key)
+        except McspectraError as error:
+            yield NotTried(kind, kind, str(error))
 
 
 def affordable_count(setup: Setup, budget: int) -> int | None:
@@ -221,13 +220,10 @@ def affordable_count(setup: Setup, budget: int) -> int | None:
                 pass
             else:
                 return n
-        n = _next_below(n, setup.estimator.counts)
+        # In large steps for a single technique, whose counts are dense
+        dense = len(setup.estimator.counts) == 1 and n >= _COUNT_TRIES
+        n -= max(1, n // _COUNT_TRIES) if dense else 1
     return None
-
-
-def _next_below(n: int, counts: tuple[int, ...]) -> int:
-    """The count to try after n: in large steps for a single technique, whose counts are dense."""
-    return n - 1 if len(counts) > 1 or n < _COUNT_TRIES else n - max(1, n // _COUNT_TRIES)
 
 
 def _attempt(
@@ -252,7 +248,8 @@ def _attempt(
         yield Counterfactual(kind, name, change, setup, biased)
 
 
-def _unshifted(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+def leave_shift_out(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+    """The sampler without its shift."""
     plain = _without_shift(given.sampler)
     if plain is None:
         reason = f"{given.sampler.spec} has no shift to leave out."
@@ -275,14 +272,31 @@ def _without_shift(sampler: Sampler) -> Sampler | None:
     return plain
 
 
-def _aligned(given: Setup, budget: Budget) -> Found:
+def align_strata(given: Setup, budget: Budget) -> Found:
     """The offset of strata that is best at the budget, and strata with borders at known edges."""
     plain = _without_shift(given.sampler) or given.sampler
     if plain.structure is not Structure.STRATA or plain.dims > _MOST_ALIGNED or not plain.unbiased:
         reason = f"{plain.spec} has no strata in one or two dims that could be aligned."
         yield NotTried("aligned", "aligned", reason)
         return
-    yield from _aligned_with_edges(given, plain)
+
+    # Borders at the breaks that g is known to have
+    edges = [list(axis) for axis in given.estimator.primary_integrand(0).breaks]
+    name = "aligned with edges"
+    if len(given.estimator.counts) > 1 or not any(edges) or not isinstance(plain, Jittered):
+        yield NotTried("aligned", name, "No edges along the axes are known.")
+    else:
+        at = partial(aligned, given.estimator, edges if plain.dims > 1 else edges[0])
+        change = "bend the strata so that their borders are at the edges"
+        try:
+            at(2**plain.dims)
+        except McspectraError as error:
+            yield NotTried("aligned", name, str(error))
+        else:
+            setup = replace(given, sampler=plain, at_count=at)
+            yield Counterfactual("aligned", name, change, setup)
+
+    # The best offset
     n = affordable_count(replace(given, sampler=plain), budget.evaluations)
     if n is None:
         yield NotTried("aligned", "offset", f"{plain.spec} has no count within the budget.")
@@ -300,33 +314,14 @@ def _aligned(given: Setup, budget: Budget) -> Found:
         yield NotTried("aligned", "offset", "No offset of the strata is better than none.")
         return
     shown = ", ".join(f"{o:.3g}" for o in offset)
-    make = partial(_moved, plain, tuple(offset))
+    step = StrataShift(offset=tuple(offset) if len(offset) > 1 else offset[0])
     change = f"move the strata by {shown} of their sides"
-    yield from _attempt(given, "aligned", f"strata moved by {shown}", change, sampler=make)
+    name = f"strata moved by {shown}"
+    yield from _attempt(given, "aligned", name, change, sampler=partial(plain.then, step))
 
 
-def _aligned_with_edges(given: Setup, plain: Sampler) -> Found:
-    """Strata with borders at the breaks that g is known to have."""
-    edges = [list(axis) for axis in given.estimator.primary_integrand(0).breaks]
-    if len(given.estimator.counts) > 1 or not any(edges) or not isinstance(plain, Jittered):
-        yield NotTried("aligned", "aligned with edges", "No edges along the axes are known.")
-        return
-    at = partial(aligned, given.estimator, edges if plain.dims > 1 else edges[0])
-    change = "bend the strata so that their borders are at the edges"
-    try:
-        at(2**plain.dims)
-    except McspectraError as error:
-        yield NotTried("aligned", "aligned with edges", str(error))
-        return
-    setup = replace(given, sampler=plain, at_count=at)
-    yield Counterfactual("aligned", "aligned with edges", change, setup)
-
-
-def _moved(sampler: Sampler, offset: tuple[float, ...]) -> Sampler:
-    return sampler.then(StrataShift(offset=offset if len(offset) > 1 else offset[0]))
-
-
-def _mirrored(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+def mirror(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+    """All ways of mirroring."""
     if isinstance(given.estimator, Mirrored):
         yield NotTried("mirrored", "mirrored", f"{given.estimator.spec} is mirrored already.")
         return
@@ -340,13 +335,15 @@ def _mirrored(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
         yield from _attempt(given, "mirrored", f"mirrored: {mode}", changes[mode], estimator=make)
 
 
-def _sampler(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+def change_sampler(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+    """Samplers of all families."""
     for spec in _SAMPLERS:
         make = partial(make_sampler, spec, given.estimator.dims)
         yield from _attempt(given, "sampler", spec, f"sample with {spec}", sampler=make)
 
 
-def _heuristic(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+def change_heuristic(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+    """Other heuristics for the techniques."""
     estimator = given.estimator
     if not isinstance(estimator, Weighted):
         yield NotTried(
@@ -359,7 +356,7 @@ def _heuristic(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
         yield from _attempt(given, "heuristic", f"heuristic: {name}", change, estimator=make)
 
 
-def _techniques(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+def single_techniques(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
     """Each technique alone."""
     estimator = given.estimator
     if not isinstance(estimator, Weighted) or len(estimator.counts) < 2:
@@ -371,14 +368,25 @@ def _techniques(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
         yield from _attempt(given, "techniques", f"only {name}", change, estimator=make)
 
 
-def _warp(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+def change_warp(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+    """Other densities, the same by other warps, and none."""
     estimator = given.estimator
     density = estimator.density if isinstance(estimator, Estimator) else None
     if density is None:
         yield NotTried("warp", "warp", f"{estimator.spec} has no single density to replace.")
         return
     assert isinstance(estimator, Estimator)
-    for other in _other_densities(density):
+
+    # The same pdf by other warps, one without its jumps, and one that is bounded from below
+    plain: Any = density  # the parameters looked for are those of some densities only
+    others = [dataclasses.replace(plain, warp=w) for w in density.warps if w != plain.warp]
+    if isinstance(density, EnvironmentDensity) and density.interpolation == "constant":
+        others.append(dataclasses.replace(density, interpolation="bilinear", warp="marginal"))
+    if isinstance(density, PiecewiseConstant) and density.dims == 2:
+        others.append(Bilinear(values=density.values))
+    if not math.isfinite(density.reciprocal_integral()):
+        others.append(Defensive(density=density))
+    for other in others:
         make = partial(Estimator, estimator.integrand, other)
         name = f"density: {other.spec}"
         yield from _attempt(given, "warp", name, f"warp by {other.spec}", estimator=make)
@@ -387,21 +395,7 @@ def _warp(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
     yield from _attempt(given, "warp", "uniform density", change, estimator=make)
 
 
-def _other_densities(density: Density) -> Iterator[Density]:
-    """The same pdf by other warps, one without its jumps, and one that is bounded from below."""
-    plain: Any = density  # the parameters looked for are those of some densities only
-    for warp in density.warps:
-        if warp != plain.warp:
-            yield dataclasses.replace(plain, warp=warp)
-    if isinstance(density, EnvironmentDensity) and density.interpolation == "constant":
-        yield dataclasses.replace(density, interpolation="bilinear", warp="marginal")
-    if isinstance(density, PiecewiseConstant) and density.dims == 2:
-        yield Bilinear(values=density.values)
-    if not math.isfinite(density.reciprocal_integral()):
-        yield Defensive(density=density)
-
-
-def _smoothed(given: Setup, budget: Budget) -> Found:
+def smooth_edges(given: Setup, budget: Budget) -> Found:
     """The width with the least error at the budget, found by a scan on random numbers of its own."""
     estimator = given.estimator
     n = affordable_count(given, budget.evaluations)
@@ -434,53 +428,37 @@ def _smoothed(given: Setup, budget: Budget) -> Found:
     yield from _attempt(given, "smoothed", name, change, estimator=make, biased=biased)
 
 
-def _channels(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+def separate_channels(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+    """Densities for each channel."""
     estimator = given.estimator
-    density = estimator.density if isinstance(estimator, Estimator) else None
-    own = _of_each_channel(density, estimator.channels) if density is not None else None
-    if own is None:
+    density: Any = estimator.density if isinstance(estimator, Estimator) else None
+    parameters = set() if density is None else {f.name for f in dataclasses.fields(density)}
+    if not estimator.channels or "channel" not in parameters:
         reason = f"{estimator.spec} has no channels with a density of which one can be chosen."
         yield NotTried("channels", "channels", reason)
         return
     assert isinstance(estimator, Estimator)
     f = estimator.integrand
+    own = [dataclasses.replace(density, channel=c) for c in range(estimator.channels)]
+    shared = "warp the same points by the density of each channel"
+    combined = "combine the densities of all channels by multiple importance sampling"
     for name, change, make in (
-        (
-            "channels: own",
-            "sample each channel by its own density",
-            partial(ChannelSampling, f, own),
-        ),
-        (
-            "channels: shared",
-            "warp the same points by the density of each channel",
-            partial(ChannelSampling, f, own, sets="shared"),
-        ),
-        (
-            "channels: combined",
-            "combine the densities of all channels by multiple importance sampling",
-            partial(MultipleImportance, f, own),
-        ),
+        ("own", "sample each channel by its own density", partial(ChannelSampling, f, own)),
+        ("shared", shared, partial(ChannelSampling, f, own, sets="shared")),
+        ("combined", combined, partial(MultipleImportance, f, own)),
     ):
-        yield from _attempt(given, "channels", name, change, estimator=make)
-
-
-def _of_each_channel(density: Density, channels: int) -> list[Density] | None:
-    """The density with its parameter `channel` set to each one, None where it has none."""
-    plain: Any = density
-    if not channels or "channel" not in {field.name for field in dataclasses.fields(plain)}:
-        return None
-    return [dataclasses.replace(plain, channel=c) for c in range(channels)]
+        yield from _attempt(given, "channels", f"channels: {name}", change, estimator=make)
 
 
 KINDS: Mapping[Kind, Callable[[Setup, Budget], Found]] = {
-    "unshifted": _unshifted,
-    "mirrored": _mirrored,
-    "aligned": _aligned,
-    "smoothed": _smoothed,
-    "warp": _warp,
-    "heuristic": _heuristic,
-    "techniques": _techniques,
-    "channels": _channels,
-    "sampler": _sampler,
+    "unshifted": leave_shift_out,
+    "mirrored": mirror,
+    "aligned": align_strata,
+    "smoothed": smooth_edges,
+    "warp": change_warp,
+    "heuristic": change_heuristic,
+    "techniques": single_techniques,
+    "channels": separate_channels,
+    "sampler": change_sampler,
 }
 """What makes the changes of each kind."""

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.fits import line_fit
 from mcspectra.estimators.moments import CONFIDENCE_Z
@@ -64,16 +64,11 @@ class RateFit:
 _NONE = RateFit(math.nan, (math.nan, math.nan), math.nan, math.nan)
 
 
-def check_window(fit_last: object, counts: int) -> int | str:
+def check_window(fit_last: int | str | None, counts: int) -> int | str:
     """Return a window as a number of counts, or ``"auto"``; None is all of them."""
-    if fit_last is None or (isinstance(fit_last, str) and fit_last == "auto"):
-        return "auto" if fit_last else counts
-    if isinstance(fit_last, str):
-        raise ParameterError(f"fit_last is {fit_last!r}; give a number of counts, 'auto' or None.")
-    last = as_integer("fit_last", fit_last, least=2)
-    if last > counts:
-        raise ParameterError(f"fit_last is {last}, but there are {counts} counts.")
-    return last
+    if isinstance(fit_last, int) and fit_last > counts:
+        raise ParameterError(f"fit_last is {fit_last}, but there are {counts} counts.")
+    return counts if fit_last is None else fit_last
 
 
 def fit_rate(
@@ -97,8 +92,18 @@ def fit_rate(
     x, y, se = np.log(ns[used]), np.log(variance[used]), relative_se[used]
     if window != "auto":
         return _line(x, y, se)
+    from scipy.special import chdtrc
+
     first = 0
-    while len(x) - first > _LEAST and _bent(x[first:], y[first:], se[first:]):
+    while len(x) - first > _LEAST:
+        # Whether the points lie off a straight line, in all or as a parabola does
+        own, weight = x[first:], se[first:] ** -2.0
+        residual = line_fit(own, y[first:], weight).residuals / se[first:]
+        straight = line_fit(own, (own - own.mean()) ** 2, weight).residuals / se[first:]
+        curvature = (straight * residual).sum() ** 2 / (straight**2).sum()
+        lack = chdtrc(len(own) - 2, (residual**2).sum())
+        if lack >= LACK_OF_FIT and chdtrc(1, curvature) >= CURVATURE:
+            break
         first += 1
     return _line(x[first:], y[first:], se[first:], chosen=True)
 
@@ -120,31 +125,12 @@ def widening(degrees: int, chi2: float) -> float:
     return _quantile(degrees, chi2, chosen=False) / CONFIDENCE_Z
 
 
-def _bent(x: Array, y: Array, se: Array) -> bool:
-    """Whether points lie off a straight line, in all or as a parabola does."""
-    from scipy.special import chdtrc
-
-    residual = line_fit(x, y, se**-2.0).residuals / se
-    # What is not straight of a parabola
-    parabola = line_fit(x, (x - x.mean()) ** 2, se**-2.0).residuals / se
-    curvature = (parabola * residual).sum() ** 2 / (parabola**2).sum()
-    lack = chdtrc(len(x) - 2, (residual**2).sum())
-    return bool(lack < LACK_OF_FIT or chdtrc(1, curvature) < CURVATURE)
-
-
 def _quantile(degrees: int, chi2: float, *, chosen: bool) -> float:
     """Half an interval, in units of what the errors alone would make the slope's standard error."""
     if not degrees:
         return CONFIDENCE_Z
-    from scipy.special import chdtrc
+    from scipy.special import chdtrc, stdtrit
 
     if chosen or chdtrc(degrees, chi2 * degrees) < LACK_OF_FIT:
-        return max(CONFIDENCE_Z, _student(degrees) * math.sqrt(chi2))
+        return max(CONFIDENCE_Z, float(stdtrit(degrees, 0.975)) * math.sqrt(chi2))
     return CONFIDENCE_Z * math.sqrt(max(1.0, chi2))
-
-
-def _student(degrees: int) -> float:
-    """Half a 95 % interval in standard errors that are estimated with so many degrees of freedom."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(degrees, 0.975))

@@ -56,7 +56,6 @@ from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import as_subject
-from mcspectra.spectra.bases import Basis
 from mcspectra.variance.bands import check_bands, make_bands
 from mcspectra.variance.sums import BATCHES, spread
 from mcspectra.variance.views import Frequencies, View
@@ -86,7 +85,7 @@ class Modes(Analysis, frozen=True, kw_only=True):
 
     n: Annotated[int, COUNT]
     half_width: Annotated[int, HALF_WIDTH] = 32
-    modes: Annotated[int, Meta(ge=1, le=2**62, description="How many.")] = 8
+    modes: Annotated[int, Meta(ge=1, le=2**62, description="How many modes.")] = 8
     weighted: Annotated[
         bool,
         Meta(
@@ -104,7 +103,10 @@ class Modes(Analysis, frozen=True, kw_only=True):
     ] = None
     channel: Annotated[int, Meta(ge=0, le=2**31, description="Channel of the integrand.")] = 0
     passes: Annotated[
-        int, Meta(ge=2, le=100, description="Over the realisations: more part close eigenvalues.")
+        int,
+        Meta(
+            ge=2, le=100, description="Passes over the realisations: more part close eigenvalues."
+        ),
     ] = 3
     realizations: Annotated[int, REALIZATIONS] = 1000
     basis: Annotated[str, BASIS] = "fourier"
@@ -141,7 +143,23 @@ class Modes(Analysis, frozen=True, kw_only=True):
                 f"∫1/p diverges for {estimator.spec}: its covariances are infinite; use "
                 "space='primary'."
             )
-        inside = self._inside(frequencies.basis)
+
+        # Which stored coefficients belong to the bands of these labels
+        partition = make_bands(self.bands, frequencies.basis)
+        inside = np.ones(frequencies.basis.stored, bool)
+        if self.band is not None:
+            given: Any = [self.band] if isinstance(self.band, str) else self.band
+            listed = isinstance(given, list | tuple) and all(isinstance(b, str) for b in given)
+            if not listed or not given:
+                raise ParameterError(
+                    f"band is {self.band!r}; give labels of bands as text, such as "
+                    f"{partition.labels[-1]!r}, or None for all."
+                )
+            wanted = [partition.labels.index(as_choice("band", b, partition.labels)) for b in given]
+            inside = np.isin(partition.of, wanted)
+            if not inside.any():
+                raise ParameterError(f"The bands {given} hold no coefficient; give others.")
+
         view = View.of(frequencies, n, self.engine, self.eps)
         coordinates = _Coordinates.of(view, inside, self.channel, weighted=self.weighted)
         as_integer("modes", self.modes, least=1, most=coordinates.size)
@@ -174,45 +192,9 @@ class Modes(Analysis, frozen=True, kw_only=True):
             (found,) = yield [product(number, vectors)]
             vectors = np.linalg.qr(found.product)[0]
         (found,) = yield [product(self.passes - 1, vectors)]
-        return self._labelled(found.eigenpairs(vectors), coordinates, view, subject, stream)
+        pairs = found.eigenpairs(vectors)
 
-    def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
-        """A pass, whose vectors take those before it: they are made again."""
-        steps = self.reduction(subject, stream)
-        states = None
-        while True:
-            (found,) = next(steps) if states is None else steps.send(states)
-            if found.key == key:
-                return found
-            states = [compute_chunk(found, (0, found.blocks))]
-
-    def _inside(self, basis: Basis) -> Array:
-        """Which stored coefficients belong to the bands of these labels: bool (H,)."""
-        partition = make_bands(self.bands, basis)
-        if self.band is None:
-            return np.ones(basis.stored, bool)
-        given: Any = [self.band] if isinstance(self.band, str) else self.band
-        listed = isinstance(given, list | tuple) and all(isinstance(b, str) for b in given)
-        if not listed or not given:
-            raise ParameterError(
-                f"band is {self.band!r}; give labels of bands as text, such as "
-                f"{partition.labels[-1]!r}, or None for all."
-            )
-        wanted = [partition.labels.index(as_choice("band", b, partition.labels)) for b in given]
-        inside = np.isin(partition.of, wanted)
-        if not inside.any():
-            raise ParameterError(f"The bands {given} hold no coefficient; give others.")
-        return inside
-
-    def _labelled(
-        self,
-        pairs: Eigenpairs,
-        coordinates: _Coordinates,
-        view: View,
-        subject: Subject,
-        stream: Stream,
-    ) -> xr.Dataset:
-        """Make the dataset; each vector's sign is such that the mode adds to the estimate."""
+        # Patterns over the frequencies; each vector's sign is such that the mode adds to the estimate
         modes, basis, techniques = self.modes, view.basis, len(view.transforms)
         values, vectors = pairs.values[:modes], pairs.vectors[:, :modes]
         amplitude = coordinates.direction @ vectors
@@ -223,7 +205,13 @@ class Modes(Analysis, frozen=True, kw_only=True):
         patterns = np.where(conjugate, patterns.conj(), patterns)
         patterns = patterns.reshape(modes, techniques, *basis.shape)
         trace, size = float(pairs.diagonal.sum()), coordinates.size
-        number = ("mode", np.arange(modes), {"long_name": "mode, by eigenvalue", "units": "1"})
+        # Largest sample eigenvalue of a flat spectrum of the same trace, by Marchenko and Pastur: with D
+        # coordinates that vary, λ (1 + √(D/(R − 1)))² in the limit of many of both [Marchenko1967]_
+        least = _ROUNDING * pairs.diagonal.max(initial=0.0)
+        varying = int(np.count_nonzero(pairs.diagonal > least))
+        level = trace / varying if varying else 0.0
+        edge = level * (1.0 + math.sqrt(varying / (self.realizations - 1))) ** 2
+        mode = ("mode", np.arange(modes), {"long_name": "mode, by eigenvalue", "units": "1"})
         note = (
             f"{self.realizations} realisations of {size} coefficients: eigenvalues are those of the "
             "sample, the largest too large; compare noise_edge, which a flat spectrum would reach."
@@ -237,9 +225,9 @@ class Modes(Analysis, frozen=True, kw_only=True):
                 "mode_contribution": (("mode",), values * amplitude**2),
                 "mode_vector": (("mode", "technique", *basis.names), patterns),
                 "band_trace": ((), trace),
-                "noise_edge": ((), _flat_edge(pairs.diagonal, self.realizations)),
+                "noise_edge": ((), edge),
             },
-            {"mode": number, **basis.coords},
+            {"mode": mode, **basis.coords},
             drop=("technique",) if techniques == 1 else (),
             estimator=subject.estimator.spec,
             sampler=subject.sampler.spec,
@@ -257,6 +245,16 @@ class Modes(Analysis, frozen=True, kw_only=True):
             engine=view.engine,
             eps=self.eps,
         )
+
+    def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
+        """A pass, whose vectors take those before it: they are made again."""
+        steps = self.reduction(subject, stream)
+        states = None
+        while True:
+            (found,) = next(steps) if states is None else steps.send(states)
+            if found.key == key:
+                return found
+            states = [compute_chunk(found, (0, found.blocks))]
 
 
 def covariance_modes(
@@ -493,16 +491,3 @@ class Eigenpairs:
     residuals: Array
     errors: Array
     diagonal: Array
-
-
-def _flat_edge(diagonal: Array, realizations: int) -> float:
-    """Largest sample eigenvalue of a flat spectrum of the same trace, by Marchenko and Pastur.
-
-    With D coordinates that vary and R − 1 degrees of freedom, λ (1 + √(D/(R − 1)))² in the limit of many
-    of both [Marchenko1967]_, where the eigenvalues of the covariance itself are all λ.
-    """
-    varying = int(np.count_nonzero(diagonal > _ROUNDING * diagonal.max(initial=0.0)))
-    if not varying:
-        return 0.0
-    level = float(diagonal.sum()) / varying
-    return level * (1.0 + math.sqrt(varying / (realizations - 1))) ** 2

@@ -187,6 +187,8 @@ def fitted_decay(integrand: Integrand | str, *, half_width: int | None = None) -
 
 def _decay_fit(power: Array, length: Array, width: int) -> DecayFit:
     """Least squares of log mean power against log mean |m| over shells (K/√2, K], (K/2, K/√2], …"""
+    from scipy.special import stdtrit
+
     edges = width * 0.5 ** (0.5 * np.arange(2 * _OCTAVES, -1, -1))
     place = np.searchsorted(edges, length, side="left")
     shells = [place == k for k in range(1, 2 * _OCTAVES + 1) if (place == k).any()]
@@ -194,13 +196,7 @@ def _decay_fit(power: Array, length: Array, width: int) -> DecayFit:
     known = mean > _NOISE * power.max()
     if not known[-2:].any() or known.sum() < _LEAST_SHELLS:
         return DecayFit(math.inf, (math.inf, math.inf), 0.0, width)
-    x = np.log2([length[shell].mean() for shell in shells])[known]
-    return _line_through(x, -np.log2(mean[known]), width)
-
-
-def _line_through(x: Array, y: Array, width: int) -> DecayFit:
-    from scipy.special import stdtrit
-
+    x, y = np.log2([length[shell].mean() for shell in shells])[known], -np.log2(mean[known])
     slope, level = (float(value) for value in np.polyfit(x, y, 1))
     degrees = len(x) - 2
     scatter = float(((y - level - slope * x) ** 2).sum()) / degrees

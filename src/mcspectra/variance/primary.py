@@ -6,7 +6,6 @@ different ways: those at the boundary are undone by mirroring, those inside are 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.results import dataset
 from mcspectra.estimators import AbstractEstimator, as_estimator
-from mcspectra.quality.jumps import Jumps, find_jumps, grid_centers
+from mcspectra.quality.jumps import find_jumps, grid_centers
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -83,74 +82,60 @@ def primary_picture(
     values = g(grid_centers(side, found.dims))
     scale = float(np.ptp(values, axis=tuple(range(found.dims))).max())
     jumps = find_jumps(g, found.dims, side, scale=scale)
-    faces, face_poles = _faces(g, found.dims, side, scale)
-    cells = tuple(f"u{axis}" for axis in range(found.dims))
-    channel = ("channel",) if found.channels else ()
     line = (np.arange(side) + 0.5) / side
+
+    # Jumps (dims[, side]) between opposite faces, and which faces have a pole
+    faces = np.zeros((found.dims, side ** (found.dims - 1)))
+    face_poles = np.zeros(faces.shape, bool)
+    along = grid_centers(side, found.dims - 1) if found.dims > 1 else np.empty((1, 0))
+    for axis in range(found.dims):
+        # Values (2, k, channels) next to both faces, and nearer to them
+        near, nearer = (
+            np.stack([g(np.insert(along, axis, end, axis=1)) for end in (gap, 1.0 - gap)])
+            for gap in (_NEAR, _NEARER)
+        )
+        before, after = (_length(ends[1] - ends[0]) for ends in (near, nearer))
+        jump = (after > _STAYS * before) & (after > _NEGLIGIBLE * scale)
+        sizes, growing = (_length(ends).max(axis=0) for ends in (near, nearer))
+        face_poles[axis] = (growing > _GROWS * sizes) & (growing > _NEGLIGIBLE * scale)
+        faces[axis] = np.where(face_poles[axis], np.inf, np.where(jump, after, 0.0))
+    finite = faces[(faces > 0) & np.isfinite(faces)]
+    poles = np.array([jumps.poles.any(), face_poles.any()])
+    heights = [jumps.mean_height, float(finite.mean()) if finite.size else 0.0]
+
+    # Whether the technique's density is 0 somewhere, by probing a grid that holds the sides
+    reaches_zero = False
+    density: Density | None = getattr(found.primary_integrand(number), "density", None)
+    if density is not None:
+        probes = np.meshgrid(*[np.linspace(0.0, 1.0, _PROBES)] * density.dims)
+        grid = np.stack(probes, axis=-1).reshape(-1, density.dims)
+        p = density.pdf(np.concatenate([grid, density.zero_points()]))
+        reaches_zero = bool(p.min() <= _ZERO * p.max())
+
+    cells = tuple(f"u{axis}" for axis in range(found.dims))
     return dataset(
         {
-            "primary_value": ((*cells, *channel), values if found.channels else values[..., 0]),
+            "primary_value": ((*cells, "channel"), values),
             "primary_jump": (("axis", *cells), jumps.heights),
-            "face_jump": (("axis", "along")[: found.dims], faces),
-            **_by_kind(jumps, faces, face_poles),
-            "reciprocal_unbounded": ((), int(_reaches_zero(found, number))),
+            "face_jump": (
+                ("axis", "along")[: found.dims],
+                faces.reshape((found.dims, side)[: found.dims]),
+            ),
+            "primary_jump_length": (
+                ("kind",),
+                [jumps.length, float(np.count_nonzero(faces) / faces.shape[1])],
+            ),
+            "primary_jump_height": (("kind",), np.where(poles, np.inf, heights)),
+            "primary_pole": (("kind",), poles.astype(np.int64)),
+            "reciprocal_unbounded": ((), int(reaches_zero)),
         },
         {**dict.fromkeys(cells, line), "axis": np.arange(found.dims), "kind": list(KINDS)},
+        drop=() if found.channels else ("channel",),
         estimator=found.spec,
         technique=number,
         resolution=side,
     )
 
 
-def _by_kind(jumps: Jumps, faces: Array, face_poles: Array) -> dict[str, tuple[tuple[str], Any]]:
-    """Lengths, mean heights and poles, interior and boundary."""
-    poles = np.array([jumps.poles.any(), face_poles.any()])
-    share = faces.shape[1] if faces.ndim == 2 else 1
-    lengths = [jumps.length, float(np.count_nonzero(faces) / share)]
-    heights = np.where(poles, np.inf, [jumps.mean_height, _mean_of_jumps(faces)])
-    return {
-        "primary_jump_length": (("kind",), lengths),
-        "primary_jump_height": (("kind",), heights),
-        "primary_pole": (("kind",), poles.astype(np.int64)),
-    }
-
-
-def _faces(g: Callable[[Array], Array], dims: int, side: int, scale: float) -> tuple[Array, Array]:
-    """Jumps (dims[, side]) between opposite faces, and which faces have a pole."""
-    heights = np.zeros((dims, side ** (dims - 1)))
-    poles = np.zeros(heights.shape, bool)
-    for axis in range(dims):
-        near, nearer = (_ends(g, dims, axis, side, gap) for gap in (_NEAR, _NEARER))
-        before, after = (_length(ends[1] - ends[0]) for ends in (near, nearer))
-        jump = (after > _STAYS * before) & (after > _NEGLIGIBLE * scale)
-        sizes, growing = (_length(ends).max(axis=0) for ends in (near, nearer))
-        poles[axis] = (growing > _GROWS * sizes) & (growing > _NEGLIGIBLE * scale)
-        heights[axis] = np.where(poles[axis], np.inf, np.where(jump, after, 0.0))
-    shape = (dims, side)[:dims]
-    return heights.reshape(shape), poles.reshape(shape)
-
-
-def _ends(g: Callable[[Array], Array], dims: int, axis: int, side: int, gap: float) -> Array:
-    """Values (2, k, channels) next to both faces of an axis."""
-    along = grid_centers(side, dims - 1) if dims > 1 else np.empty((1, 0))
-    return np.stack([g(np.insert(along, axis, end, axis=1)) for end in (gap, 1.0 - gap)])
-
-
 def _length(values: Array) -> Array:
     return np.asarray(np.sqrt((values**2).sum(axis=-1)))
-
-
-def _mean_of_jumps(faces: Array) -> float:
-    jumps = faces[(faces > 0) & np.isfinite(faces)]
-    return float(jumps.mean()) if jumps.size else 0.0
-
-
-def _reaches_zero(estimator: AbstractEstimator, technique: int) -> bool:
-    """Whether the technique's density is 0 somewhere, by probing a grid that holds the sides."""
-    density: Density | None = getattr(estimator.primary_integrand(technique), "density", None)
-    if density is None:
-        return False
-    line = np.linspace(0.0, 1.0, _PROBES)
-    grid = np.stack(np.meshgrid(*[line] * density.dims), axis=-1).reshape(-1, density.dims)
-    p = density.pdf(np.concatenate([grid, density.zero_points()]))
-    return bool(p.min() <= _ZERO * p.max())

@@ -2,17 +2,29 @@
 
 Every counterfactual (`mcspectra.variance.counterfactuals`) is run at the same budgets of integrand
 evaluations on the same random numbers as the set-up that is given, and compared with it realisation by
-realisation (`mcspectra.variance.paired`). Intervals of all comparisons hold together, so that the best
+realisation. Intervals of all comparisons hold together, so that the best
 of many is not one that was lucky: a remedy is recommended only where its interval leaves the
 set-up that is given out.
+
+Realisation r of every set-up uses the random numbers of realisation r of every other (as far as they
+use them alike), and so do all counts. What an error measure log v, or a slope fitted to several, owes to
+realisation r is its *influence*; the influence of a difference is the difference of influences, and its
+standard error the root of their mean square over √R. Correlation, between set-ups and between counts,
+is thereby in the error, whichever way it goes: no pairing has to be assumed.
+
+For the mean squared error v = Σ_c mean_r (e_rc − I_c)² the influence on log v is
+ψ_r = Σ_c (e_rc − I_c)²/v − 1; for an unbiased estimator I_c is the mean of the estimates, and v the
+variance, summed over channels.
+
+Estimates that are all alike have no variance, or none of them has met what makes it: a rare event. The
+integral tells the two apart. Where they miss it their error is unknown (NaN), not 0.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, final
 
 import numpy as np
@@ -22,10 +34,11 @@ from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.core.memory import memory_of
+from mcspectra.core.parallel import Block, realization_blocks
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import as_subject
-from mcspectra.estimators.moments import variance_interval
+from mcspectra.estimators import AbstractEstimator, as_subject
+from mcspectra.estimators.moments import rounding_floor, variance_interval
 from mcspectra.samplers import Sampler
 from mcspectra.variance.counterfactuals import (
     KINDS,
@@ -38,13 +51,20 @@ from mcspectra.variance.counterfactuals import (
     other_setups,
 )
 from mcspectra.variance.diagnosis import Diagnosis, Jumps, diagnose, jumps_of
-from mcspectra.variance.fit import RateFit
-from mcspectra.variance.paired import Comparison, Errors, compare, estimates_of, simultaneous_z
+from mcspectra.variance.fit import RateFit, fit_rate, widening
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Remedies", "remedies"]
+__all__ = [
+    "Comparison",
+    "Errors",
+    "Remedies",
+    "compare",
+    "estimates_of",
+    "remedies",
+    "simultaneous_z",
+]
 
 _STEPS = 5  # budgets B/256, B/64, B/16, B/4, B
 _RATIO = 4
@@ -52,6 +72,7 @@ _SEARCH = _STEPS  # stream label of searches; those below are of the steps
 _TRIES = 3  # changes of a kind, about
 _EXACT, _BY_QUADRATURE = 1e-9, 1e-3  # how well integrals are known, relative to them
 _SIGMAS = 4.0  # or so many of the errors that they say of themselves
+_PRIOR = 20  # realisations' worth of the belief that estimates are normal: Var(ψ) = 2
 _NO_RATE = RateFit(math.nan, (math.nan, math.nan), math.nan, math.nan)
 
 _DIMS: dict[str, tuple[str, ...]] = {
@@ -78,21 +99,24 @@ class Remedies(Analysis, frozen=True, kw_only=True):
     variables = (*_DIMS, "rank_by_rate")
 
     budget: Annotated[
-        int, Meta(ge=1, le=2**24, description="Evaluations of the integrand an estimate.")
+        int,
+        Meta(
+            ge=1,
+            le=2**24,
+            description="Evaluations of the integrand an estimate.",
+            extra={"metavar": "B"},
+        ),
     ]
     kinds: Annotated[
         Annotated[tuple[Kind, ...], Meta(min_length=1)] | None,
-        Meta(
-            description="Changes to try; all by default.",
-            extra={"flag": "--kind", "metavar": "KIND"},
-        ),
+        Meta(description="Changes to try; all by default."),
     ] = None
     realizations: Annotated[
         int,
         Meta(
             ge=100,
             le=100_000,
-            description="Of each change at each of five budgets.",
+            description="Realisations of each change at each of five budgets.",
             extra={"flag": "-m", "metavar": "R"},
         ),
     ] = 1000
@@ -116,21 +140,67 @@ class Remedies(Analysis, frozen=True, kw_only=True):
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Trials]:
         """The set-up as given, then the changes of a kind after the other."""
         given = Setup(subject.estimator, subject.sampler)
-        measure = _Measure(self.budget, self.realizations, stream, given)
+        start = Counterfactual("given", "as given", "leave everything as it is", given)
         search = Budget(self.budget, self.realizations, stream.child(_SEARCH))
 
-        def trials(index: int) -> _Trials:
-            if index == 0:
-                return measure.as_given()
-            kind = self._kinds[index - 1]
-            return measure.others(other_setups(given, (kind,), search))
+        def of_kind(index: int) -> _Trials:
+            kinds = self._kinds[index - 1 : index] if index else ()
+            tried, not_tried = [], []
+            for change in other_setups(given, kinds, search) if index else [start]:
+                if isinstance(change, NotTried):
+                    not_tried.append(change)
+                elif (trial := self._measured(change, given, stream)) is not None:
+                    tried.append(trial)
+                else:
+                    reason = change.setup.too_dear(self.budget)
+                    not_tried.append(NotTried(change.kind, change.name, reason))
+            if index:
+                return _Trials(tried, not_tried, None)
+            counts = [int(cost - given.overhead) // given.cost for cost in tried[0].errors.cost]
+            own = stream.child(_SEARCH + 1)
+            return _Trials(tried, [], diagnose(given.estimator, given.sampler, counts, own))
 
         return Reduction(
             kind=_Trials,
-            block=trials,
+            block=of_kind,
             blocks=1 + len(self._kinds),
             cost=self.need(subject).cost,
             result=lambda found: self._ranked(found, subject, stream),
+        )
+
+    def _measured(self, change: Counterfactual, given: Setup, stream: Stream) -> _Trial | None:
+        """Errors at the counts that fit into each step's budget; None where two do not."""
+        setup = change.setup
+        cost: list[int] = []
+        estimates: list[Array] = []
+        for step, n in _affordable(setup, self.budget).items():
+            try:
+                estimator = setup.at(n)
+            except McspectraError:  # strata too few for the edges
+                continue
+            cost.append(n * setup.cost + setup.overhead)
+            own = stream.child(step)
+            estimates.append(estimates_of(estimator, setup.sampler, n, self.realizations, own))
+        if len(cost) < 2:
+            return None
+
+        # How well the integral is known, relative to it
+        integral, tolerance = np.atleast_1d(np.asarray(given.estimator.integral, float)), _EXACT
+        if given.estimator.integral_source != "exact":
+            size = float(np.abs(integral).max())
+            error = _SIGMAS * given.estimator.integral_error / size if size else 0.0
+            tolerance = max(_BY_QUADRATURE, error)
+        biased = change.biased or not setup.unbiased
+        warp = change.kind == "warp"
+        return _Trial(
+            kind=change.kind,
+            name=change.name,
+            change=change.change,
+            setup=change.key,
+            biased=change.biased,
+            errors=Errors.of(cost, estimates, integral, biased=biased, tolerance=tolerance),
+            unbounded=warp and setup.estimator.infinite_weights,
+            inside=jumps_of(setup.estimator)[1] if warp else None,
         )
 
     @property
@@ -142,15 +212,15 @@ class Remedies(Analysis, frozen=True, kw_only=True):
         start, diagnosis = found.tried[0], found.diagnosis
         assert diagnosis is not None
         # What two kinds make alike was tried twice and counts once
-        tried = list({trial.setup: trial for trial in reversed(found.tried)}.values())[::-1]
+        first: dict[str, _Trial] = {}
+        for trial in found.tried:
+            first.setdefault(trial.setup, trial)
+        tried = list(first.values())
         z = simultaneous_z(2 * (len(tried) - 1))  # of the errors and of the rates
         ordered = sorted(
             tried, key=lambda t: np.nan_to_num(t.errors.at(self.budget)[0], nan=np.inf)
         )
-        columns = [
-            _columns(t, compare(t.errors, start.errors, self.budget), self.budget, z)
-            for t in ordered
-        ]
+        columns = [t.column(start.errors, self.budget, z) for t in ordered]
         for column in columns:
             column["reason"] = diagnosis.reason(column)
         reasons = [f"{n.name}: {n.reason}" for n in found.not_tried]
@@ -271,6 +341,40 @@ class _Trial:
     unbounded: bool
     inside: Jumps | None
 
+    def column(self, reference: Errors, budget: int, z: float) -> dict[str, Any]:
+        """All that is said of it, beside the set-up as given."""
+        errors, found = self.errors, compare(self.errors, reference, budget)
+        log_error, influence = errors.at(budget)
+        spread = max(math.sqrt(float(np.mean(influence**2)) / len(influence)), 1e-9)
+        fit = _NO_RATE if self.biased else errors.fit()
+        is_given = self.kind == "given"
+        ratio = _interval(found.log_ratio, z * found.log_ratio_se)
+        difference = math.nan if self.biased else found.rate_difference
+        slope = _interval(difference, z * found.rate_difference_se)
+        return {
+            "name": self.name,
+            "kind": self.kind,
+            "change": self.change,
+            "unbounded": self.unbounded,
+            "inside": self.inside,
+            "biased": self.biased,
+            "blind": bool(errors.blind[-1]),
+            "error": math.exp(log_error),
+            "error_ci": variance_interval(
+                np.asarray(math.exp(log_error)), np.asarray(spread)
+            ).tolist(),
+            "error_ratio": math.exp(found.log_ratio),
+            "error_ratio_ci": [math.exp(b) for b in ratio],
+            "rate": fit.rate,
+            "rate_ci": list(fit.interval),
+            "rate_difference": difference,
+            "rate_difference_ci": slope,
+            "verdict": "given" if is_given else _verdict(ratio),
+            "rate_verdict": "given" if is_given else _verdict(slope),
+            "cost": _padded(errors.cost),
+            "error_at_cost": _padded(errors.error),
+        }
+
 
 @dataclass(frozen=True)
 class _Trials:
@@ -286,84 +390,6 @@ class _Trials:
         return _Trials(self.tried + other.tried, self.not_tried + other.not_tried, diagnosis)
 
 
-@dataclass(frozen=True)
-class _Measure:
-    """How set-ups are measured: at five budgets, on random numbers that all share."""
-
-    budget: int
-    realizations: int
-    stream: Stream
-    given: Setup
-
-    def as_given(self) -> _Trials:
-        """The set-up as given, with its diagnosis."""
-        given = self.given
-        start = Counterfactual("given", "as given", "leave everything as it is", given)
-        trial = self._trial(start)
-        assert trial is not None  # `Remedies.need` has found two counts
-        counts = [int(cost - given.overhead) // given.cost for cost in trial.errors.cost]
-        own = self.stream.child(_SEARCH + 1)
-        return _Trials([trial], [], diagnose(given.estimator, given.sampler, counts, own))
-
-    def others(self, changes: Iterable[Counterfactual | NotTried]) -> _Trials:
-        """Changes, and why some are none."""
-        tried, not_tried = [], []
-        for change in changes:
-            if isinstance(change, NotTried):
-                not_tried.append(change)
-            elif (trial := self._trial(change)) is not None:
-                tried.append(trial)
-            else:
-                reason = _too_dear(change.setup, self.budget)
-                not_tried.append(NotTried(change.kind, change.name, reason))
-        return _Trials(tried, not_tried, None)
-
-    def _trial(self, change: Counterfactual) -> _Trial | None:
-        """Errors at the counts that fit into each step's budget; None where two do not."""
-        setup = change.setup
-        cost: list[int] = []
-        estimates: list[Array] = []
-        for step, n in _affordable(setup, self.budget).items():
-            try:
-                estimator = setup.at(n)
-            except McspectraError:  # strata too few for the edges
-                continue
-            cost.append(n * setup.cost + setup.overhead)
-            own = self.stream.child(step)
-            estimates.append(estimates_of(estimator, setup.sampler, n, self.realizations, own))
-        if len(cost) < 2:
-            return None
-        integral = self.given.estimator.integral
-        biased = change.biased or not setup.unbiased
-        warp = change.kind == "warp"
-        return _Trial(
-            kind=change.kind,
-            name=change.name,
-            change=change.change,
-            setup=change.key,
-            biased=change.biased,
-            errors=Errors.of(
-                cost,
-                estimates,
-                np.atleast_1d(np.asarray(integral, np.float64)),
-                biased=biased,
-                tolerance=self._tolerance,
-            ),
-            unbounded=warp and setup.estimator.infinite_weights,
-            inside=jumps_of(setup.estimator)[1] if warp else None,
-        )
-
-    @cached_property
-    def _tolerance(self) -> float:
-        """How well the integral is known, relative to it."""
-        estimator = self.given.estimator
-        if estimator.integral_source == "exact":
-            return _EXACT
-        size = float(np.abs(estimator.integral).max())
-        own = _SIGMAS * estimator.integral_error / size if size else 0.0
-        return max(_BY_QUADRATURE, own)
-
-
 def _affordable(setup: Setup, budget: int) -> dict[int, int]:
     """The counts that fit into the budgets of the steps, each larger than the last."""
     found: dict[int, int] = {}
@@ -372,39 +398,6 @@ def _affordable(setup: Setup, budget: int) -> dict[int, int]:
         if n and n > max(found.values(), default=0):
             found[step] = n
     return found
-
-
-def _columns(tried: _Trial, found: Comparison, budget: int, z: float) -> dict[str, Any]:
-    """All that is said of one set-up."""
-    errors = tried.errors
-    log_error, influence = errors.at(budget)
-    spread = max(math.sqrt(float(np.mean(influence**2)) / len(influence)), 1e-9)
-    fit = _NO_RATE if tried.biased else errors.fit()
-    is_given = tried.kind == "given"
-    ratio = _interval(found.log_ratio, z * found.log_ratio_se)
-    difference = math.nan if tried.biased else found.rate_difference
-    slope = _interval(difference, z * found.rate_difference_se)
-    return {
-        "name": tried.name,
-        "kind": tried.kind,
-        "change": tried.change,
-        "unbounded": tried.unbounded,
-        "inside": tried.inside,
-        "biased": tried.biased,
-        "blind": bool(errors.blind[-1]),
-        "error": math.exp(log_error),
-        "error_ci": variance_interval(np.asarray(math.exp(log_error)), np.asarray(spread)).tolist(),
-        "error_ratio": math.exp(found.log_ratio),
-        "error_ratio_ci": [math.exp(b) for b in ratio],
-        "rate": fit.rate,
-        "rate_ci": list(fit.interval),
-        "rate_difference": difference,
-        "rate_difference_ci": slope,
-        "verdict": "given" if is_given else _verdict(ratio),
-        "rate_verdict": "given" if is_given else _verdict(slope),
-        "cost": _padded(errors.cost),
-        "error_at_cost": _padded(errors.error),
-    }
 
 
 def _interval(centre: float, half: float) -> list[float]:
@@ -420,15 +413,6 @@ def _verdict(interval: list[float]) -> str:
 def _padded(values: Array) -> list[float]:
     """Values of the last steps, NaN for those whose budget was too small."""
     return [math.nan] * (_STEPS - len(values)) + [float(v) for v in values]
-
-
-def _too_dear(setup: Setup, budget: int) -> str:
-    if setup.overhead >= budget:
-        return f"Its pilot alone takes {setup.overhead} evaluations, {budget} are the budget."
-    if setup.cost > sum(setup.estimator.counts):
-        points = setup.cost // sum(setup.estimator.counts)
-        return f"Each of its samples takes {points} evaluations: too few fit into {budget}."
-    return f"{setup.sampler.spec} has no two counts within {budget} evaluations."
 
 
 def _recommendation(columns: list[dict[str, Any]], budget: int, reasons: list[str]) -> str:
@@ -479,3 +463,194 @@ def _later(columns: list[dict[str, Any]], best: dict[str, Any] | None) -> str:
 
 def _given(columns: list[dict[str, Any]]) -> dict[str, Any]:
     return next(c for c in columns if c["kind"] == "given")
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of one set-up at several costs.
+
+    Attributes
+    ----------
+    cost
+        Evaluations of the integrand in an estimate, (N,).
+    error
+        Mean squared error v, summed over channels, (N,).
+    bias
+        Mean estimate minus the integral, (N, C).
+    influence
+        ψ, (N, R).
+    noise
+        v below which the estimates differ by rounding only, (N,).
+    blind
+        Whether the estimates are all alike, but not the integral, (N,).
+    """
+
+    cost: Array
+    error: Array
+    bias: Array
+    influence: Array
+    noise: Array
+    blind: Array
+
+    @staticmethod
+    def of(
+        cost: Sequence[int],
+        estimates: Sequence[Array],
+        integral: Array,
+        *,
+        biased: bool = False,
+        tolerance: float = 1e-9,
+    ) -> Errors:
+        """Errors of estimates (R, C) at each cost.
+
+        Parameters
+        ----------
+        cost, estimates
+            One array (R, C) for each cost.
+        integral
+            What is estimated, (C,).
+        biased
+            Take the error about the integral; else about the mean of the estimates.
+        tolerance
+            How well the integral is known, relative to it.
+        """
+        # Mean squared errors and influences (R,), about the integral or the mean
+        parts = []
+        for values in estimates:
+            count = len(values)
+            centre = integral if biased else values.mean(axis=0)
+            squares = ((values - centre) ** 2).sum(axis=1)
+            mean = squares.mean()
+            influence = squares / mean - 1.0 if mean > 0 else np.zeros(count)
+            parts.append((float(squares.sum() / (count if biased else count - 1)), influence))
+        error = np.array([error for error, _ in parts])
+        bias = np.stack([values.mean(axis=0) - integral for values in estimates])
+        noise = np.array([rounding_floor(np.abs(v).mean(axis=0)).sum() for v in estimates])
+        miss = np.abs(bias).max(axis=1) > tolerance * np.abs(integral).max()
+        alike = np.array(
+            [
+                np.ptp(v, axis=0).max() <= 4 * math.sqrt(f)
+                for v, f in zip(estimates, noise, strict=True)
+            ]
+        )
+        return Errors(
+            cost=np.asarray(cost, np.float64),
+            error=error,
+            bias=bias,
+            influence=np.stack([influence for _, influence in parts]),
+            noise=noise,
+            blind=alike & miss & (not biased),
+        )
+
+    @property
+    def used(self) -> Array:
+        """Which errors are more than rounding noise, (N,)."""
+        return np.asarray(self.error > self.noise)
+
+    @property
+    def relative_se(self) -> Array:
+        """Standard error of v relative to it, (N,)."""
+        return np.array([_standard_error(psi) for psi in self.influence])
+
+    def rate(self) -> tuple[float, Array]:
+        """Slope of log v against log cost, and the influence of each realisation on it, (R,).
+
+        Weighted least squares as in `mcspectra.variance.fit`; NaN where fewer than two can be fitted.
+        """
+        used = self.used
+        if used.sum() < 2:
+            return math.nan, np.full(self.influence.shape[1], np.nan)
+        x, y = np.log(self.cost[used]), np.log(self.error[used])
+        weight = self.relative_se[used] ** -2.0
+        centred = weight * (x - np.average(x, weights=weight))
+        slope = centred / (centred * x).sum()
+        return float(slope @ y), np.asarray(slope @ self.influence[used])
+
+    def fit(self) -> RateFit:
+        """The rate with its interval and lack of fit, as `mcspectra.convergence` gives it."""
+        return fit_rate(self.cost, self.error, self.relative_se, self.noise)
+
+    def widening(self) -> float:
+        """By what the lack of fit widens the interval of the rate."""
+        degrees = int(self.used.sum()) - 2
+        return widening(degrees, self.fit().chi2) if degrees > 0 else 1.0
+
+    def at(self, budget: float) -> tuple[float, Array]:
+        """log v at a cost of `budget`, and its influences (R,): the last error, carried by the rate."""
+        last = len(self.cost) - 1
+        if not self.used[last]:
+            unknown = math.nan if self.blind[last] else -math.inf
+            return unknown, np.zeros(self.influence.shape[1])
+        gap = math.log(budget / self.cost[last])
+        log_error, influence = math.log(self.error[last]), self.influence[last]
+        if gap == 0.0:
+            return log_error, influence
+        rate, slope = self.rate()
+        if math.isnan(rate):
+            return log_error, influence
+        return log_error + gap * rate, influence + gap * slope
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One set-up against another: the ratio of errors at a budget, and the difference of rates.
+
+    Attributes
+    ----------
+    log_ratio, log_ratio_se
+        log(v/v_reference) and its standard error.
+    rate_difference, rate_difference_se
+        Rate minus the reference's, and its standard error; NaN where a rate is.
+    """
+
+    log_ratio: float
+    log_ratio_se: float
+    rate_difference: float
+    rate_difference_se: float
+
+
+def compare(errors: Errors, reference: Errors, budget: float) -> Comparison:
+    """Compare two set-ups of as many realisations on the same random numbers."""
+    own, own_influence = errors.at(budget)
+    other, other_influence = reference.at(budget)
+    rate, slope = errors.rate()
+    other_rate, other_slope = reference.rate()
+    # Curves that bend or wobble know their slope less well than their scatter says
+    bend = max(e.widening() for e in (errors, reference))
+    return Comparison(
+        own - other,
+        _standard_error(own_influence - other_influence, prior=0),
+        rate - other_rate,
+        bend * _standard_error(slope - other_slope, prior=0),
+    )
+
+
+def estimates_of(
+    estimator: AbstractEstimator,
+    sampler: Sampler,
+    n: int,
+    realizations: int,
+    stream: Stream,
+) -> Array:
+    """Estimates of realisations 0 … realizations − 1, (R, channels or 1)."""
+
+    def block(part: Block) -> Array:
+        return estimator.estimate(estimator.draw(sampler, n, stream, *part)).reshape(part[1], -1)
+
+    numbers = n * estimator.dims * sum(estimator.counts)
+    return np.concatenate([block(part) for part in realization_blocks(realizations, numbers)])
+
+
+def simultaneous_z(comparisons: int, confidence: float = 0.95) -> float:
+    """Half width, in standard errors, of intervals that all hold together [Šidák 1967]."""
+    from scipy.special import ndtri
+
+    single = confidence ** (1.0 / max(1, comparisons))
+    return float(ndtri(0.5 * (1.0 + single)))
+
+
+def _standard_error(influence: Array, prior: int = _PRIOR) -> float:
+    """Root of the mean square over √R; few values are drawn towards those of normal estimates."""
+    count = len(influence)
+    square = (np.square(influence).sum() + 2.0 * prior) / (count + prior)
+    return math.sqrt(square / count)

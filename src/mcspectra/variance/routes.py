@@ -37,7 +37,15 @@ from typing import TYPE_CHECKING, Annotated, Any, final
 import numpy as np
 from msgspec import Meta
 
-from mcspectra.core.analysis import Analysis, MergeTree, Need, Reduction, Steps, Subject, compute
+from mcspectra.core.analysis import (
+    Analysis,
+    MergeTree,
+    Need,
+    Reduction,
+    Steps,
+    Subject,
+    compute,
+)
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.memory import memory_of
@@ -98,7 +106,7 @@ class Routes(Analysis, frozen=True, kw_only=True):
         Meta(
             ge=4,
             le=MAX_REALIZATIONS,
-            description="Of the routes that sample.",
+            description="Realisations of the routes that sample.",
             extra={"flag": "-m", "metavar": "R"},
         ),
     ] = 1000
@@ -439,10 +447,11 @@ def variance_from_pair_correlation(
         if exact:
             variance = variance + _of_known_pairs(source, n * count, g)
             continue
-        one = _of_counted_pairs(source, n * count, g, stream, technique * realizations)
+        one = _of_counted_pairs(source, n * count, g, stream)
         tree: MergeTree[MeanSums] = MergeTree()
-        for values in map_in_order(one, range(realizations), threads):
-            tree.add(MeanSums.of(values))
+        first = technique * realizations
+        for state in map_in_order(one, range(first, first + realizations), threads):
+            tree.add(state)
         value, se = tree.total().mean_and_error()
         variance, square_se = variance + value, square_se + se**2
     dims = ("channel",) if given.channels else ()
@@ -491,8 +500,8 @@ def _of_known_pairs(sampler: Any, n: int, g: Integrand) -> Array:
 
 
 def _of_counted_pairs(
-    sampler: Sampler, n: int, g: Integrand, stream: Stream, first: int
-) -> Callable[[int], Array]:
+    sampler: Sampler, n: int, g: Integrand, stream: Stream
+) -> Callable[[int], MeanSums]:
     """What a realisation says of the variance: the mean of A over its pairs."""
     if n > _MOST_POINTS:
         raise ParameterError(
@@ -514,9 +523,9 @@ def _of_counted_pairs(
     constant = square / n - table.reshape(len(table), -1).mean(axis=-1)
     add = pair_sum_1d if g.dims == 1 else pair_sum_2d
 
-    def one(realization: int) -> Array:
-        points = sampler.draw_stream(n, stream, first + realization, 1)[0]
+    def one(realization: int) -> MeanSums:
+        points = sampler.draw_stream(n, stream, realization, 1)[0]
         sums = np.array([add(points, channel) for channel in table])
-        return np.asarray(constant + 2.0 / n**2 * sums)
+        return MeanSums.of(constant + 2.0 / n**2 * sums)
 
     return one

@@ -50,11 +50,10 @@ from mcspectra.estimators import AbstractEstimator, Moments, as_subject
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler
-from mcspectra.spectra.bases import Basis, Coefficients
 from mcspectra.variance.convergence import count_stream
 from mcspectra.variance.fit import check_window, fit_rate
 from mcspectra.variance.sums import BATCHES, Variables, spread
-from mcspectra.variance.views import Frequencies
+from mcspectra.variance.views import Frequencies, View
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -125,12 +124,32 @@ class Techniques(Analysis, frozen=True, kw_only=True):
         """The sums of all counts at once."""
         estimator, counts = subject.estimator, self._counts
         frequencies = Frequencies.of(subject, self.space, self.basis, self.half_width)
-        views = [_View.of(frequencies, n, self.engine, self.eps) for n in counts]
+        views = [View.of(frequencies, n, self.engine, self.eps, apart=True) for n in counts]
+        techniques = len(estimator.counts)
+
+        def of_count(key: str, view: View, n: int, own: Stream) -> Reduction[_Total]:
+            """Sums of one count; a block is a batch too."""
+            evaluations = n * sum(estimator.counts)
+            # Coordinates of a realisation or, where they are more, the numbers of its spectra
+            numbers = max(evaluations * estimator.dims, 4 * techniques * view.basis.stored)
+            blocks = realization_blocks(self.realizations, numbers, multiple=2, least=BATCHES)
+
+            def block(index: int) -> _Total:
+                sums = TechniqueSums.of(
+                    view, estimator.draw(subject.sampler, n, own, *blocks[index])
+                )
+                # A block of one realisation has no covariance and says nothing
+                some = slice(0, int(sums.count > 1))
+                values = sums.covariances(view)[None]
+                return _Total(sums, np.array([sums.count - 1.0])[some], values[some])
+
+            cost = float(self.realizations * (evaluations + techniques**2 * view.basis.size))
+            return Reduction(kind=_Total, block=block, blocks=len(blocks), cost=cost, key=key)
+
+        streams = [count_stream(stream, n) if self._several else stream for n in counts]
         totals = yield [
-            self._of_count(
-                str(part), subject, view, n, count_stream(stream, n) if self._several else stream
-            )
-            for part, (n, view) in enumerate(zip(counts, views, strict=True))
+            of_count(str(part), *each)
+            for part, each in enumerate(zip(views, counts, streams, strict=True))
         ]
 
         # Variables of all counts, along a first axis n
@@ -190,28 +209,6 @@ class Techniques(Analysis, frozen=True, kw_only=True):
     @property
     def _counts(self) -> tuple[int, ...]:
         return self.counts if isinstance(self.counts, tuple) else (self.counts,)
-
-    def _of_count(
-        self, key: str, subject: Subject, view: _View, n: int, stream: Stream
-    ) -> Reduction[_Total]:
-        """Sums of one count; a block is a batch too."""
-        estimator, techniques = subject.estimator, len(subject.estimator.counts)
-        evaluations = n * sum(estimator.counts)
-        # Coordinates of a realisation or, where they are more, the numbers of its spectra
-        numbers = max(evaluations * estimator.dims, 4 * techniques * view.basis.stored)
-        blocks = realization_blocks(self.realizations, numbers, multiple=2, least=BATCHES)
-
-        def block(index: int) -> _Total:
-            sums = TechniqueSums.of(
-                view, estimator.draw(subject.sampler, n, stream, *blocks[index])
-            )
-            # A block of one realisation has no covariance and says nothing
-            some = slice(0, int(sums.count > 1))
-            values = sums.covariances(view)[None]
-            return _Total(sums, np.array([sums.count - 1.0])[some], values[some])
-
-        cost = float(self.realizations * (evaluations + techniques**2 * view.basis.size))
-        return Reduction(kind=_Total, block=block, blocks=len(blocks), cost=cost, key=key)
 
 
 def technique_terms(
@@ -318,14 +315,14 @@ class _Total:
     values: JOIN
 
 
-def _variables(total: _Total, view: _View) -> Variables:
+def _variables(total: _Total, view: View) -> Variables:
     """Result variables of one count, with a leading channel axis."""
     found, moments = total.sums.covariances(view), total.sums.moments
     share = total.weights / total.weights.sum()
     errors = spread(total.values - np.tensordot(share, total.values, axes=1), share)
     predicted = found[:3].sum(axis=(0, 2, 3))
     # As `variance_terms` has it: in primary space each technique has frequencies of its own.
-    dc, power = (np.einsum("cts->c" if view.domain else "ctt->c", c) for c in found[:2])
+    dc, power = (np.einsum("cts->c" if view.space == "domain" else "ctt->c", c) for c in found[:2])
     measured, mean = moments.variance[:, -1], moments.mean[:, -1]
     real = np.where(measured > rounding_floor(mean), measured, np.nan)
     pairs, each = ("channel", "technique", "technique_other"), ("channel", "technique")
@@ -346,68 +343,6 @@ def _variables(total: _Total, view: _View) -> Variables:
 
 
 @dataclass(frozen=True)
-class _View:
-    """Coefficients f^t (C, T, H) and the transforms of each technique's points."""
-
-    estimator: AbstractEstimator
-    domain: bool
-    basis: Basis
-    transforms: tuple[Coefficients, ...]
-    coefficients: Array
-    engine: str
-    source: str
-
-    @staticmethod
-    def of(frequencies: Frequencies, n: int, engine: str, eps: float) -> _View:
-        """Prepare the transforms of n · counts[t] points."""
-        estimator, basis = frequencies.estimator, frequencies.basis
-        techniques = range(len(estimator.counts))
-        made = [basis.transform(n * c, engine, eps) for c in estimator.counts]
-        f = estimator.domain_integrand if frequencies.space == "domain" else None
-        integrands = [estimator.primary_integrand(t) for t in techniques] if f is None else [f]
-        found = [basis.integrand(g) for g in integrands]
-        stacked = np.stack([coefficients for coefficients, _ in found], axis=1)
-        shape = (len(stacked), len(techniques), basis.stored)
-        return _View(
-            estimator,
-            f is not None,
-            basis,
-            tuple(transform for transform, _ in made),
-            np.broadcast_to(stacked, shape),
-            made[0][1],
-            "; ".join(dict.fromkeys(source for _, source in found)),
-        )
-
-    def spectra(self, points: list[Array]) -> Array:
-        """Spectra of each technique of a block: (R, T, H)."""
-        if self.domain and len(points) == 1:  # its weights may depend on u, beyond x
-            return self.transforms[0](*self.estimator.weighted_points(points))[:, None]
-        parts = []
-        for technique, (u, transform) in enumerate(zip(points, self.transforms, strict=True)):
-            if self.domain:
-                x = self.estimator.warp(technique, u)
-                parts.append(transform(x, self.estimator.weight(technique, x) / u.shape[1]))
-            else:
-                parts.append(transform(u, None))
-        return np.stack(parts, axis=1)
-
-    def estimates(self, points: list[Array]) -> Array:
-        """What each technique adds to the estimate: (R, C, T)."""
-        values = [
-            self.estimator.primary_values(t, u).mean(axis=1).reshape(len(u), -1)
-            for t, u in enumerate(points)
-        ]
-        return np.stack(values, axis=2)
-
-    def truncated(self, spectra: Array) -> Array:
-        """The same from spectra (R, T, H) alone: (R, C, T)."""
-        weighted = self.coefficients.conj() * self.basis.double
-        return np.stack(
-            [(spectra[:, t] @ weighted[:, t].T).real for t in range(spectra.shape[1])], axis=2
-        )
-
-
-@dataclass(frozen=True)
 class TechniqueSums:
     """Sums over `count` realisations about the running means; `merge` adds those of others."""
 
@@ -419,10 +354,15 @@ class TechniqueSums:
     moments: Moments  # of the full estimates of the techniques, and of their sum: (C, T + 1)
 
     @staticmethod
-    def of(view: _View, points: list[Array]) -> TechniqueSums:
+    def of(view: View, points: list[Array]) -> TechniqueSums:
         """Sums of a block."""
-        s, full = view.spectra(points), view.estimates(points)
-        values = np.stack([view.truncated(s), full], axis=1)
+        parts = view.spectra(points)
+        # What each technique adds to the estimate, (R, C, T), truncated and in full
+        weighted = view.integrand_coefficients.conj() * view.basis.double
+        truncated = np.stack([(s @ weighted[:, t].T).real for t, s in enumerate(parts)], axis=2)
+        each = [view.estimator.primary_values(t, u).mean(axis=1) for t, u in enumerate(points)]
+        full = np.stack([v.reshape(len(v), -1) for v in each], axis=2)
+        s, values = np.stack(parts, axis=1), np.stack([truncated, full], axis=1)
         mean, values_mean = s.mean(axis=0), values.mean(axis=0)
         deviation, off = s - mean, values - values_mean
         return TechniqueSums(
@@ -453,12 +393,12 @@ class TechniqueSums:
             moments=self.moments.merge(other.moments),
         )
 
-    def covariances(self, view: _View) -> Array:
+    def covariances(self, view: View) -> Array:
         """Dc, power and cross term and measured covariance of pairs: (4, C, T, T).
 
         Unbiased: dc + power + cross is the covariance of the truncated estimates.
         """
-        f, basis, degrees = view.coefficients, view.basis, max(self.count - 1, 1)
+        f, basis, degrees = view.integrand_coefficients, view.basis, max(self.count - 1, 1)
         weighted = self.products * basis.double / degrees
         at = slice(basis.dc, basis.dc + 1)
         dc = _paired(f[..., at], weighted[..., at])

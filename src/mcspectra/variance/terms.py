@@ -119,13 +119,35 @@ class Terms(Analysis, frozen=True, kw_only=True):
             notes = [unsampled_note(estimator, n * self.realizations)]
             if infinite:
                 notes.insert(0, "spectral terms are infinite: ∫1/p diverges")
-                variables = {name: (d, _undefined(name, v)) for name, (d, v) in variables.items()}
+                # What remains is never a number that means nothing
+                undefined = {"dc_term": math.inf, "power_term": math.inf}
+                variables = {
+                    name: (dims, np.full_like(values, undefined.get(name, math.nan)))
+                    if not name.startswith(("measured_variance", "mean"))
+                    else (dims, values)
+                    for name, (dims, values) in variables.items()
+                }
                 warn(
                     f"∫1/p diverges for {estimator.spec}: Var(S_0) and the spectral terms are "
                     "infinite although the estimate's variance need not be; use space='primary'.",
                     InfiniteWeightVarianceWarning,
                 )
-            techniques = len(view.transforms)
+            techniques, basis = len(view.transforms), view.basis
+
+            # Frequencies along m and l: themselves in 1-D, else a running number with m_0, m_1 … beside it
+            matrix: dict[str, Any] = {}
+            if self.cross_matrix and basis.dims == techniques == 1:
+                matrix = {"m": basis.axis, "l": basis.axis}
+            elif self.cross_matrix:
+                m = basis.axis[np.indices(basis.shape).reshape(basis.dims, -1)]
+                for name in ("m", "l"):
+                    matrix[name] = np.arange(basis.size * techniques)
+                    for i in range(basis.dims):
+                        matrix[f"{name}_{i}"] = (name, np.tile(m[i], techniques))
+                    if techniques > 1:
+                        each = np.repeat(np.arange(techniques), basis.size)
+                        matrix[f"{name}_technique"] = (name, each)
+
             # Labels as an attribute: arrays of strings have no place in zarr's specification yet.
             about = {"long_name": bands.meaning, "units": "1", "labels": ", ".join(bands.labels)}
             numbers = np.arange(len(bands.labels))
@@ -133,12 +155,12 @@ class Terms(Analysis, frozen=True, kw_only=True):
             return dataset(
                 variables,
                 {
-                    **view.basis.coords,
+                    **basis.coords,
                     "bound": ["low", "high"],
                     "band": ("band", numbers, about),
                     "band_other": ("band_other", numbers, about),
                     "half_width": ("half_width", widths, {"units": "cycles per unit"}),
-                    **(_matrix_coords(view) if self.cross_matrix else {}),
+                    **matrix,
                 },
                 drop=[
                     *(["channel"] if estimator.channels == 0 else []),
@@ -149,7 +171,7 @@ class Terms(Analysis, frozen=True, kw_only=True):
                 n=n,
                 realizations=self.realizations,
                 batches=total.batches.count if total.batches else 0,
-                basis=view.basis.name,
+                basis=basis.name,
                 space=view.space,
                 coefficients=view.source,
                 stream_key=f"{stream.key:#x}",
@@ -313,7 +335,10 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
 
     # Full C_ml and conj(f_m) f_l C_ml; errors of conjugates are the same, |f_m f_l| scales them
     if sums.matrix is not None and batches.matrix is not None:
-        index, flip = _whole(view)
+        # Of each coefficient of each technique: its place among those stored, whether conjugate
+        techniques, (place, conjugate) = len(view.transforms), basis.whole()
+        index = (np.arange(techniques)[:, None] * basis.stored + place).ravel()
+        flip = np.tile(conjugate, techniques)
         c = _signed(sums.matrix / degrees, index, flip)
         error = _signed(batches.matrix.error(), index, flip)
         g = np.where(flip, f[:, index].conj(), f[:, index])
@@ -328,13 +353,6 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
     return variables
 
 
-def _whole(view: View) -> tuple[Array, Array]:
-    """For each coefficient of each technique: its place among those stored, whether conjugate."""
-    techniques, h = len(view.transforms), view.basis.stored
-    place, conjugate = view.basis.whole()
-    return (np.arange(techniques)[:, None] * h + place).ravel(), np.tile(conjugate, techniques)
-
-
 def _signed(stored: Array, index: Array, flip: Array) -> Array:
     """⟨S_a conj S_b⟩ for a, b plain or conjugated, from the stored blocks with and without conj.
 
@@ -346,26 +364,3 @@ def _signed(stored: Array, index: Array, flip: Array) -> Array:
     both = np.where(flip[:, None], plain.conj(), plain)
     mixed = np.where(flip[:, None], pseudo.conj(), pseudo)
     return np.asarray(np.where(flip[:, None] == flip[None, :], both, mixed))
-
-
-def _undefined(name: str, values: Array) -> Array:
-    """What remains of a variable where ∫1/p diverges: never a number that means nothing."""
-    if name.startswith(("measured_variance", "mean")):
-        return values
-    return np.full_like(values, math.inf if name in ("dc_term", "power_term") else math.nan)
-
-
-def _matrix_coords(view: View) -> dict[str, Any]:
-    """Frequencies along m and l: themselves in 1-D, a running number with m_0, m_1 … beside it else."""
-    basis, techniques = view.basis, len(view.transforms)
-    if basis.dims == 1 and techniques == 1:
-        return {"m": basis.axis, "l": basis.axis}
-    size = basis.size * techniques
-    m = basis.axis[np.indices(basis.shape).reshape(basis.dims, -1)]
-    coords: dict[str, Any] = {"m": np.arange(size), "l": np.arange(size)}
-    for name in ("m", "l"):
-        for i in range(basis.dims):
-            coords[f"{name}_{i}"] = (name, np.tile(m[i], techniques))
-        if techniques > 1:
-            coords[f"{name}_technique"] = (name, np.repeat(np.arange(techniques), basis.size))
-    return coords

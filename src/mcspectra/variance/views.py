@@ -88,43 +88,69 @@ class Frequencies:
 
 @dataclass(frozen=True)
 class View:
-    """Domain or primary view: which integrand coefficients meet which point spectra."""
+    """Domain or primary view: which integrand coefficients meet which point spectra.
+
+    Attributes
+    ----------
+    transforms
+        Of the points of each technique, or of all together.
+    integrand_coefficients
+        f^t, (C, T, H).
+    source
+        Where they come from.
+    """
 
     estimator: AbstractEstimator
     space: str
     basis: Basis
     transforms: tuple[Coefficients, ...]
     engine: str
-    integrand_coefficients: Array  # (C, T, H)
+    integrand_coefficients: Array
     source: str
 
     @staticmethod
-    def of(frequencies: Frequencies, n: int, engine: str, eps: float) -> View:
-        """Prepare the transforms of n points, and f's coefficients."""
-        estimator, basis = frequencies.estimator, frequencies.basis
-        if frequencies.space == "domain":
-            integrands = [estimator.domain_integrand]
-            counts = [n * sum(estimator.counts)]
-        else:
-            integrands = [estimator.primary_integrand(t) for t in range(len(estimator.counts))]
-            counts = [n * count for count in estimator.counts]
-        transforms = [basis.transform(count, engine, eps) for count in counts]
-        found = [basis.integrand(g) for g in integrands if g is not None]
+    def of(
+        frequencies: Frequencies, n: int, engine: str, eps: float, *, apart: bool = False
+    ) -> View:
+        """Prepare the transforms of n points and f's coefficients: `apart`, those of each technique.
+
+        In primary space they are always apart.
+        """
+        estimator, basis, space = frequencies.estimator, frequencies.basis, frequencies.space
+        f = estimator.domain_integrand if space == "domain" else None
+        techniques = range(len(estimator.counts))
+        counts = estimator.counts if apart or f is None else (sum(estimator.counts),)
+        transforms = [basis.transform(n * count, engine, eps) for count in counts]
+        integrands = [estimator.primary_integrand(t) for t in techniques] if f is None else [f]
+        found = [basis.integrand(g) for g in integrands]
+        stacked = np.stack([coefficients for coefficients, _ in found], axis=1)
         return View(
             estimator,
-            frequencies.space,
+            space,
             basis,
             tuple(coefficients for coefficients, _ in transforms),
             transforms[0][1],
-            np.stack([coefficients for coefficients, _ in found], axis=1),
+            np.broadcast_to(stacked, (len(stacked), len(counts), basis.stored)),
             "; ".join(dict.fromkeys(source for _, source in found)),
         )
 
+    def spectra(self, points: list[Array]) -> list[Array]:
+        """Spectra of a block, (R, H), of each technique, or of all together."""
+        if self.space == "primary":
+            return [
+                transform(u, None) for transform, u in zip(self.transforms, points, strict=True)
+            ]
+        if len(self.transforms) == 1:  # weights of one may depend on u, beyond x
+            return [self.transforms[0](*self.estimator.weighted_points(points))]
+        warped = [self.estimator.warp(t, u) for t, u in enumerate(points)]
+        return [
+            transform(x, self.estimator.weight(t, x) / x.shape[1])
+            for t, (transform, x) in enumerate(zip(self.transforms, warped, strict=True))
+        ]
+
     def coefficients(self, points: list[Array]) -> Array:
         """Spectra of a block, those of the techniques side by side: (R, T·H)."""
-        if self.space == "domain":
-            return self.transforms[0](*self.estimator.weighted_points(points))
-        parts = [transform(u, None) for transform, u in zip(self.transforms, points, strict=True)]
+        parts = self.spectra(points)
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
     def partition(self, band: Array, matrix: bool) -> Partition:

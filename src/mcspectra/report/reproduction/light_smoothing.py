@@ -41,7 +41,7 @@ _BUDGETS = (64, 256, 1024)
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Measure a pixel under a light with a sharp and a smooth edge, a ramp, and a smoothed disk."""
     from mcspectra.variance.convergence import convergence
-    from mcspectra.variance.smoothing import smoothing_scan
+    from mcspectra.variance.variants import smoothing_scan
 
     pixels = {name: _pixel(edge) for name, edge in _EDGES.items()}
     found = convergence(

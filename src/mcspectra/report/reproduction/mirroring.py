@@ -46,7 +46,7 @@ _WORDS = {False: "not homogenised", True: "homogenised"}
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Draw integrand and samples, and measure the six curves of convergence."""
-    from mcspectra.variance.mirror_study import mirror_study
+    from mcspectra.variance.variants import mirror_study
 
     study = mirror_study(
         INTEGRAND, "jittered", _COUNTS, mirrorings=list(MIRRORINGS),
