@@ -44,6 +44,7 @@ _NAP = 0.2  # seconds of a calibrated task
 _STUDY = """
 title = "scaling"
 samplers = ["random"]
+grid = { width = [WIDTHS] }
 [convergence]
 counts = [4]
 realizations = 2
@@ -51,7 +52,6 @@ realizations = 2
 name = "gaussian {width}"
 integrand = "gaussian(width={width})"
 dims = 1
-grid = { width = [WIDTHS] }
 """
 
 
