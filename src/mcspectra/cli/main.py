@@ -144,7 +144,7 @@ def _dispatch(given: list[str]) -> int:
     if not given or given[0].startswith("-"):
         return _without_verb(given)
     from mcspectra.cli.common import Read, Verb, one_sentence_warnings, strict, whole
-    from mcspectra.cli.progress import progress_bars
+    from mcspectra.core.progress import progress_bars
 
     name = given[0]
     verb: Verb
@@ -178,7 +178,7 @@ def _dispatch(given: list[str]) -> int:
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     options = parser.parse_args(given[1:])
 
-    with one_sentence_warnings(options.quiet), progress_bars(options.quiet):
+    with one_sentence_warnings(options.quiet), progress_bars(not options.quiet):
         text, data, code = verb.run(options)
     if options.json and data is not None:
         print(json.dumps(strict(data), indent=2, allow_nan=False))
