@@ -145,8 +145,8 @@ def analysis_verb(name: str) -> Verb:
                 else:
                     axes = result.mcspectra.plot()
                     (axes[0] if isinstance(axes, list) else axes).figure.savefig(file)
-        text, data = views[view](result)
-        return Answer(text, {**data_of(result), **data})
+        shown = views[view](result)
+        return Answer(shown.text, {**data_of(result), **shown.data})
 
     about = inspect.cleandoc(analysis.__doc__ or "").partition("\n\n")[0]
     printed = inspect.cleandoc(views[usual].__doc__ or "")

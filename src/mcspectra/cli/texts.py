@@ -9,32 +9,26 @@ from __future__ import annotations
 import json
 import math
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.cli.common import text_table
+from mcspectra.cli.common import Answer, text_table
 from mcspectra.core.errors import NoClosedForm
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["VIEWS", "Shown", "View", "data_of", "table_of_anything"]
+__all__ = ["VIEWS", "View", "data_of", "table_of_anything"]
 
 _WIDTH = 100
 _ROUNDING = 1e-14  # of the variance: sums of terms that cancel
 _MANY = 10_000  # numbers of a variable that --json leaves out
 
 
-class Shown(NamedTuple):
-    """A text, and entries of the JSON object that `data_of` does not have or has otherwise."""
-
-    text: str
-    data: Mapping[str, Any] = {}
-
-
-View = Callable[["xr.Dataset"], Shown]
+View = Callable[["xr.Dataset"], Answer]
+"""A text, and entries of the JSON object that `data_of` does not have or has otherwise."""
 
 VIEWS: dict[str, dict[str, View]] = {}
 """Views of analyses by their names, the one that is shown by default first; --show names several."""
@@ -50,9 +44,9 @@ def _view(analysis: str, name: str = "") -> Callable[[View], View]:
     return register
 
 
-def _shown(*parts: str, **data: Any) -> Shown:
+def _shown(*parts: str, **data: Any) -> Answer:
     """The parts that say something, each on lines of its own."""
-    return Shown("\n".join(filter(None, parts)), data)
+    return Answer("\n".join(filter(None, parts)), data)
 
 
 def _columns(result: xr.Dataset, *names: str) -> Iterator[tuple[Any, ...]]:
@@ -66,7 +60,7 @@ def data_of(result: xr.Dataset) -> dict[str, Any]:
     return {**{str(key): value for key, value in result.attrs.items()}, **small}
 
 
-def table_of_anything(result: xr.Dataset) -> Shown:
+def table_of_anything(result: xr.Dataset) -> Answer:
     """Prints single numbers with their meanings and 95 % intervals, then a table for each dim."""
     partners = {f"{name}{end}" for name in result.data_vars for end in ("_ci", "_se")}
     shown = {str(k): v for k, v in result.data_vars.items() if k not in partners}
@@ -132,7 +126,7 @@ def _error(result: xr.Dataset, name: str, place: tuple[int, ...]) -> str:
 
 
 @_view("convergence")
-def convergence(result: xr.Dataset) -> Shown:
+def convergence(result: xr.Dataset) -> Answer:
     """Prints the variance at each n, the rate ± half its interval, and how well a line fits."""
     header = ["sampler", "", *(f"n = {n}" for n in result["n"].values), "rate", "±"]
     rows, curves, notes = [], [], []
@@ -165,7 +159,7 @@ def convergence(result: xr.Dataset) -> Shown:
 
 
 @_view("terms")
-def terms(result: xr.Dataset) -> Shown:
+def terms(result: xr.Dataset) -> Answer:
     """Prints the terms, their sum, the measured variance, and the share that was captured."""
     known = result.attrs
     about = (
@@ -185,18 +179,18 @@ def terms(result: xr.Dataset) -> Shown:
 
 
 @_view("spectrum", "power")
-def power(result: xr.Dataset) -> Shown:
+def power(result: xr.Dataset) -> Answer:
     """Prints the radial mean, as power times n (random points: 1)."""
     n, dims = result.attrs["n"], sum(str(d).startswith("m") for d in result["power"].dims)
     rows = [
         [f"{r:.4g}", f"{r / n ** (1 / dims):.3f}", f"{n * p:.5g}", _number(n * se)]
         for r, p, se in _columns(result, "radius", "radial_power", "radial_power_se")
     ]
-    return Shown(text_table(["|m|", "|m|/n^(1/d)", "n·power", "std. error"], rows))
+    return _shown(text_table(["|m|", "|m|/n^(1/d)", "n·power", "std. error"], rows))
 
 
 @_view("spectrum", "radial")
-def radial(result: xr.Dataset) -> Shown:
+def radial(result: xr.Dataset) -> Answer:
     """with errors and anisotropy"""
     from mcspectra.spectra.shapes import radial_statistics
 
@@ -207,11 +201,11 @@ def radial(result: xr.Dataset) -> Shown:
         [f"{r:.4g}", "", *map(_number, (n * power, n * error, *anisotropy))]
         for r, power, error, *anisotropy in _columns(found, *names)
     ]
-    return Shown(text_table(header, rows), data_of(found))
+    return _shown(text_table(header, rows), **data_of(found))
 
 
 @_view("spectrum", "slices")
-def slices(result: xr.Dataset) -> Shown:
+def slices(result: xr.Dataset) -> Answer:
     """along the axes and diagonals"""
     from mcspectra.spectra.shapes import slices
 
@@ -222,11 +216,11 @@ def slices(result: xr.Dataset) -> Shown:
         [str(label), f"{r:.4g}", _number(n * power), _number(n * se)]
         for label, (r, power, se) in zip(labels, columns, strict=True)
     ]
-    return Shown(text_table(["direction", "|m|", "n·power", "std. error"], rows), data_of(found))
+    return _shown(text_table(["direction", "|m|", "n·power", "std. error"], rows), **data_of(found))
 
 
 @_view("spectrum", "wedges")
-def wedges(result: xr.Dataset) -> Shown:
+def wedges(result: xr.Dataset) -> Answer:
     """by direction"""
     from mcspectra.spectra.shapes import wedge_means
 
@@ -235,11 +229,11 @@ def wedges(result: xr.Dataset) -> Shown:
         [f"{angle:.4g}°", "", _number(n * power), _number(n * se)]
         for angle, power, se in _columns(found, "angle", "wedge_power", "wedge_power_se")
     ]
-    return Shown(text_table(["direction", "", "n·power", "std. error"], rows), data_of(found))
+    return _shown(text_table(["direction", "", "n·power", "std. error"], rows), **data_of(found))
 
 
 @_view("spectrum", "exponent")
-def exponent(result: xr.Dataset) -> Shown:
+def exponent(result: xr.Dataset) -> Answer:
     """b of power ∝ |m|^b"""
     from mcspectra.spectra.shapes import low_frequency_exponent
 
@@ -247,18 +241,18 @@ def exponent(result: xr.Dataset) -> Shown:
     known = found.attrs
     b, chi2 = (float(found[n]) for n in ("low_frequency_exponent", "exponent_fit_chi2"))
     if math.isnan(b):
-        return Shown(f"no exponent: {known['reason']}", data_of(found))
+        return _shown(f"no exponent: {known['reason']}", **data_of(found))
     where = "" if known["directions"] == "all" else f", directions {known['directions']}"
     text = (
         f"power ∝ |m|^b for |m| ≤ {known['up_to']:.4g} ({known['lengths']} lengths{where}): "
         f"b = {b:.4g}, 95 % interval {_interval(found['low_frequency_exponent_ci'].values)}, "
         f"χ² per degree of freedom {chi2:.3g}"
     )
-    return Shown("\n".join(filter(None, (text, known.get("reason")))), data_of(found))
+    return _shown(text, known.get("reason", ""), **data_of(found))
 
 
 @_view("pcf")
-def pcf(result: xr.Dataset) -> Shown:
+def pcf(result: xr.Dataset) -> Answer:
     """Prints r, r in units of the mean spacing n^(-1/d), g(r) and its standard error."""
     spacing = result.attrs["n"] ** (-1.0 / result.attrs["dims"])
     rows = [
@@ -266,11 +260,11 @@ def pcf(result: xr.Dataset) -> Shown:
         for r, g, se in _columns(result, "r", "pair_correlation", "pair_correlation_se")
     ]
     table = text_table(["r", "r·n^(1/d)", "g(r)", "std. error"], rows)
-    return Shown(table, {"mean_spacing": spacing})
+    return _shown(table, mean_spacing=spacing)
 
 
 @_view("anova")
-def anova(result: xr.Dataset) -> Shown:
+def anova(result: xr.Dataset) -> Answer:
     """Prints the parts of subsets of the axes, what larger subsets have, and effective dimensions."""
     lines = [_title(result)]
     labels, order = list(map(str, result["subset_label"].values)), result.attrs["order"]
@@ -299,11 +293,11 @@ def anova(result: xr.Dataset) -> Shown:
             beyond = varies and name.endswith("superposition")
             missing = f"more than {order}" if beyond else "undefined"
             lines.append(f"{name.replace('_', ' ')}: {_number(float(one[name]), 6, missing)}")
-    return Shown("\n".join(lines), {"subset": labels})
+    return _shown(*lines, subset=labels)
 
 
 @_view("exact")
-def exact(result: xr.Dataset) -> Shown:
+def exact(result: xr.Dataset) -> Answer:
     """Prints the variance at each n, and the exponent of variance in n from one to the next."""
     rows, counts = [], result["n"].values
     values = result["exact_variance"].values.reshape(len(counts), -1)
@@ -321,7 +315,7 @@ def exact(result: xr.Dataset) -> Shown:
 
 
 @_view("remedies")
-def remedies(result: xr.Dataset) -> Shown:
+def remedies(result: xr.Dataset) -> Answer:
     """Prints a table in the order of the errors, then what to do and why."""
     known, rows, listed = result.attrs, [], []
     for name in result["remedy"].values:
@@ -350,13 +344,13 @@ def remedies(result: xr.Dataset) -> Shown:
 
 
 @_view("modes")
-def modes(result: xr.Dataset) -> Shown:
+def modes(result: xr.Dataset) -> Answer:
     """Prints the eigenvalues, their share of the whole, and what each mode gives to the variance."""
     trace, edge = float(result["band_trace"]), float(result["noise_edge"])
     # Eigenvalues of zero come out as 1e-13 of the sum of all
     there = int(np.count_nonzero(result["eigenvalue"].values > 1e-13 * trace))
     if not there:
-        return Shown(f"{_title(result)}\nno mode: the coefficients do not vary")
+        return _shown(f"{_title(result)}\nno mode: the coefficients do not vary")
     ends = ("eigenvalue", "eigenvalue_se", "eigenvalue_share", "eigenvalue_residual")
     columns = list(_columns(result, *ends, "mode_contribution"))[:there]
     rows = [[str(k), "", *map(_number, values)] for k, values in enumerate(columns)]
