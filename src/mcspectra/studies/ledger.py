@@ -192,7 +192,7 @@ class _Change(NamedTuple):
     """Statements that write what is known of a cell; the digest and size of its result."""
 
     path: str
-    steps: tuple[_Step, ...]
+    steps: Iterable[_Step]
     digest: bytes | None = None
     size: int = 0
 
@@ -573,10 +573,10 @@ class Ledger:
         tally = msgspec.structs.replace(
             self.tally, done=0, size=0, digest=Tally().digest, finished=None
         )
-        empty = [(statement, ()) for statement in _SCHEMA]
-        cells = [(_PUT_CELL, each) for each in enumerate(paths)]
+        tables = ((statement, ()) for statement in _SCHEMA)
+        cells = ((_PUT_CELL, each) for each in enumerate(paths))
         note = _PUT_NOTE, self._row("note", self._header)
-        first = _Change("", (*empty, *cells, note))
+        first = _Change("", itertools.chain(tables, cells, [note]))
         with _writing(self._file):
             for file in (partial, partial.with_name(f"{partial.name}-journal")):
                 file.unlink(missing_ok=True)
