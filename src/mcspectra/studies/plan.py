@@ -250,27 +250,26 @@ class _Planner:
     def cells(self, entry: EstimatorConfig | SceneConfig) -> Iterator[Cell]:
         """Cells of an estimator, or of a scene, with all its samplers."""
         kind = "Estimator" if isinstance(entry, EstimatorConfig) else entry.kind.capitalize()
+        whose = f"{kind} {entry.name!r}"
+        estimator, error, inputs = None, None, set[str]()
         try:
-            yield from self._cells(entry, f"{kind} {entry.name!r}")
+            if isinstance(entry, SceneConfig):
+                dims = getattr(entry.analysis, "dims", None)
+            else:
+                dims = 2 if entry.dims is None else entry.dims
+                try:
+                    estimator = _built(entry, self.vetting, self._config.time_limit, inputs)
+                    dims = estimator.dims
+                except FunctionFailed as failure:
+                    error = str(failure)
+            parent = self._slugs(entry.name)
+            asked = list(self._asked(entry))
+            samplers = self._samplers(entry, dims)
         except ConfigError:
             raise
-        except McspectraError as error:
-            raise ConfigError(f"{kind} {entry.name!r}: {error}") from error
-
-    def _cells(self, entry: EstimatorConfig | SceneConfig, whose: str) -> Iterator[Cell]:
-        estimator, error, inputs = None, None, set[str]()
-        if isinstance(entry, SceneConfig):
-            dims = getattr(entry.analysis, "dims", None)
-        else:
-            dims = 2 if entry.dims is None else entry.dims
-            try:
-                estimator = _built(entry, self.vetting, self._config.time_limit, inputs)
-                dims = estimator.dims
-            except FunctionFailed as failure:
-                error = str(failure)
-        parent = self._slugs(entry.name)
-        asked = list(self._asked(entry))
-        for text, slug, sampler, of_sampler in self._samplers(entry, dims):
+        except McspectraError as refusal:
+            raise ConfigError(f"{whose}: {refusal}") from refusal
+        for text, slug, sampler, of_sampler in samplers:
             subject = Subject(estimator, sampler)
             for name, analysis, of_analysis in asked:
                 need = Need(cost=0.0)
@@ -299,20 +298,17 @@ class _Planner:
             tables = {**self._config.analyses, **entry.analyses}
         for name, table in tables.items():
             if id(table) not in self._vetted:  # tables live as long as the study
-                self._vetted[id(table)] = list(self._with_companions(name, table))
+                analysis, inputs = self.vetting.options(table)
+                vetted = [_Asked(name, analysis, inputs)]
+                for other in analysis.companions:  # with those options that they have
+                    kind = ANALYSES.load(other)
+                    shared = {*kind.__struct_fields__} & {*analysis.__struct_fields__}
+                    made = kind(**{key: getattr(analysis, key) for key in shared})
+                    vetted.append(_Asked(other, made, inputs))
+                self._vetted[id(table)] = vetted
             for asked in self._vetted[id(table)]:
                 if asked.name == name or asked.name not in tables:
                     yield asked
-
-    def _with_companions(self, name: str, table: Analysis) -> Iterator[_Asked]:
-        """An analysis, its options vetted, and its companions with those options that they have."""
-        analysis, inputs = self.vetting.options(table)
-        yield _Asked(name, analysis, inputs)
-        for other in analysis.companions:
-            kind = ANALYSES.load(other)
-            shared = {*kind.__struct_fields__} & {*analysis.__struct_fields__}
-            made = kind(**{key: getattr(analysis, key) for key in shared})
-            yield _Asked(other, made, inputs)
 
     def _samplers(self, entry: EstimatorConfig | SceneConfig, dims: int | None) -> list[_Sampler]:
         """Samplers of an entry; those that entries share are the same objects."""
