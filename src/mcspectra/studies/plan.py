@@ -355,30 +355,28 @@ def _built(
         inputs.update(names)
         return probed(function, dims=2 if dims is None else dims, limit=limit)
 
-    def unmirrored() -> AbstractEstimator:
-        sets, counts = entry.sets or "independent", entry.technique_counts
-        if entry.integrands is not None:
-            parts = [component(INTEGRANDS, text, entry.dims) for text in entry.integrands]
-            return TechniqueSum(parts, counts=counts, sets=sets)
+    sets, counts = entry.sets or "independent", entry.technique_counts
+    heuristic = entry.heuristic or "balance"
+    made: AbstractEstimator
+    if entry.integrands is not None:
+        parts = [component(INTEGRANDS, text, entry.dims) for text in entry.integrands]
+        made = TechniqueSum(parts, counts=counts, sets=sets)
+    else:
         f = component(INTEGRANDS, entry.integrand or "", entry.dims)
         if entry.smoothed is not None:
             f = smoothed(f, entry.smoothed)
+        one = None if entry.density is None else component(DENSITIES, entry.density, f.dims)
+        densities = [component(DENSITIES, text, f.dims) for text in entry.densities or ()]
         if entry.densities is None:
-            one = entry.density
-            return Estimator(f, None if one is None else component(DENSITIES, one, f.dims))
-
-        # Several densities: one for each channel, one chosen for each point, or all weighted
-        densities = [component(DENSITIES, text, f.dims) for text in entry.densities]
-        if entry.channels in ("own", "shared"):
+            made = Estimator(f, one)
+        elif entry.channels in ("own", "shared"):  # a density for each channel
             own = "shared" if entry.channels == "shared" else "independent"
-            return ChannelSampling(f, densities, sets=own)
-        heuristic = entry.heuristic or "balance"
-        if entry.one_sample:
+            made = ChannelSampling(f, densities, sets=own)
+        elif entry.one_sample:
             chance, selection = entry.probabilities, entry.selection or "extra"
-            return OneSampleMIS(f, densities, chance, heuristic=heuristic, selection=selection)
-        return MultipleImportance(f, densities, heuristic=heuristic, counts=counts, sets=sets)
-
-    made = unmirrored()
+            made = OneSampleMIS(f, densities, chance, heuristic=heuristic, selection=selection)
+        else:
+            made = MultipleImportance(f, densities, heuristic=heuristic, counts=counts, sets=sets)
     return made if entry.mirror is None else Mirrored(made, entry.mirror)
 
 

@@ -122,13 +122,10 @@ class Vetting:
             As of `calls`.
         """
         files: dict[Path, str] = {}
-        changed: dict[str, Any] = {}
-        for key in analysis.__struct_fields__:
-            given = getattr(analysis, key)
-            found = self._argument(key, given, files)
-            found = tuple(found) if isinstance(given, tuple) else found
-            changed |= {} if found == given else {key: found}
-        return msgspec.structs.replace(analysis, **changed), self._names(files)
+        given = Call("", msgspec.structs.asdict(analysis))
+        found = self._call(given, files).arguments.items()
+        vetted = {key: tuple(each) if isinstance(each, list) else each for key, each in found}
+        return msgspec.structs.replace(analysis, **vetted), self._names(files)
 
     def function(self, text: str, call: Call) -> tuple[Callable[..., Any], Inputs]:
         """Import the function of a call ``python(function='module:function')``, written as `text`.
@@ -235,15 +232,13 @@ class Vetting:
         return tuple(sorted(found))
 
 
-def changed_inputs(before: Mapping[str, str] | None, now: Mapping[str, str]) -> Inputs:
-    """Names of files that have changed, come or gone; none if it is not known what there was."""
-    if before is None:
-        return ()
+def changed_inputs(before: Mapping[str, str], now: Mapping[str, str]) -> Inputs:
+    """Names of files that have changed, come or gone."""
     return tuple(name for name in sorted({*before, *now}) if before.get(name) != now.get(name))
 
 
 def check_inputs(
-    before: Mapping[str, str] | None, now: Mapping[str, str], whose: str, remedy: str
+    before: Mapping[str, str], now: Mapping[str, str], whose: str, remedy: str
 ) -> None:
     """Refuse files that have changed.
 
