@@ -354,9 +354,9 @@ class _Reader:
         own = ("name", "samplers")
         for key, name in lists.items():
             for entry, place in _entries(key, table[key]):
-                table_of = isinstance(entry, dict)  # else the types of a scene refuse it
-                given = {k: v for k, v in entry.items() if k in own} if table_of else entry
-                made = _struct(given, SceneConfig, place)
+                if not isinstance(entry, dict):
+                    _struct(entry, SceneConfig, place)  # raises: it is no table
+                made = _struct({k: entry[k] for k in own if k in entry}, SceneConfig, place)
                 options = {k: v for k, v in entry.items() if k not in own}
                 analysis = self._analysis(name, options, place, own)
                 scenes.append(msgspec.structs.replace(made, kind=name, analysis=analysis))
@@ -365,10 +365,8 @@ class _Reader:
     def _with_analyses(self, table: Any, kind: type[Struct], place: str) -> Struct:
         """A table that may have tables of analyses in it."""
         asked = [key for key in table if key in self._names] if isinstance(table, dict) else ()
-        if not asked:
-            return _struct(table, kind, place)
-        made = _struct({k: v for k, v in table.items() if k not in self._names}, kind, place)
-        analyses = {}
+        rest = {k: v for k, v in table.items() if k not in self._names} if asked else table
+        made, analyses = _struct(rest, kind, place), {}
         for key in asked:
             inside = f"{place}.{key}" if place else key
             if ANALYSES.load(key).about == "scene":
