@@ -177,7 +177,7 @@ def _outside_verbs() -> dict[str, str]:
 def _run(module: Any, parser: argparse.ArgumentParser, rest: list[str]) -> int:
     """Add the options that all verbs have, run the verb and print its answer."""
     from mcspectra.cli.common import Read, one_sentence_warnings, print_json, whole
-    from mcspectra.cli.progress import progress_bars
+    from mcspectra.core.progress import progress_bars
 
     parser.add_argument("--json", action="store_true", help="print JSON instead of text")
     parser.add_argument(
@@ -186,7 +186,7 @@ def _run(module: Any, parser: argparse.ArgumentParser, rest: list[str]) -> int:
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     options = parser.parse_args(rest)
-    with one_sentence_warnings(options.quiet), progress_bars(options.quiet):
+    with one_sentence_warnings(options.quiet), progress_bars(not options.quiet):
         text, data, code = module.run(options)
     if options.json and data is not None:
         print_json(data)

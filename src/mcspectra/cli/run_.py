@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcspectra.cli.common import Answer, adder, one_sentence_warnings, real, text_table, whole
-from mcspectra.cli.progress import progress_bars
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.progress import report
 
 if TYPE_CHECKING:
     from mcspectra.studies import CellEstimate, SummaryRow
@@ -84,36 +84,35 @@ def run(options: argparse.Namespace) -> Answer:
     trust = Trust(tuple(options.allow_code), tuple(map(Path, options.allow_path)))
     if options.dry_run:
         return _dry_run(options, config, trust)
-    silent, failed = options.quiet or options.json, None
-    with progress_bars(silent) as bars:
+    failed = None
 
-        def report(progress: Progress) -> None:
-            if bars is not None:
-                cells = f"{progress.done}/{progress.cells} cells"
-                bars.show("study", progress.done_cost / max(progress.total_cost, 1e-300), cells)
+    def told(progress: Progress) -> None:
+        share = progress.done_cost / max(progress.total_cost, 1e-300)
+        done = 1.0 if progress.done == progress.cells else share
+        report(f"study of {progress.cells} cells", done)
 
-        try:
-            run_study(
-                config,
-                out,
-                folder=study.parent,
-                resume=options.resume or options.retry,
-                retry=options.retry,
-                workers=options.workers,
-                time_limit=options.time_limit,
-                engine=engine,
-                trust=trust,
-                force=options.force,
-                report=report,
-            )
-        except KeyboardInterrupt:
-            print(
-                f"mcspectra: Interrupted; what was finished is in {out}, --resume continues.",
-                file=sys.stderr,
-            )
-            return Answer(code=130)
-        except CellFailed as error:
-            failed = error
+    try:
+        run_study(
+            config,
+            out,
+            folder=study.parent,
+            resume=options.resume or options.retry,
+            retry=options.retry,
+            workers=options.workers,
+            time_limit=options.time_limit,
+            engine=engine,
+            trust=trust,
+            force=options.force,
+            report=None if options.json else told,
+        )
+    except KeyboardInterrupt:
+        print(
+            f"mcspectra: Interrupted; what was finished is in {out}, --resume continues.",
+            file=sys.stderr,
+        )
+        return Answer(code=130)
+    except CellFailed as error:
+        failed = error
     rows = summarize(open_results(out))
     page = write_report(out)
     if failed is not None:

@@ -170,7 +170,7 @@ def best_alignment(
     estimator, sampler, n
         What is to be improved; the sampler without a shift, which would average over all offsets.
     edges
-        Places of known edges, as for `mcspectra.variance.aligned`: strata with borders there are tried
+        Places of known edges, as for `aligned`: strata with borders there are tried
         as well. Needs an estimator without a density and n = s^d.
     offsets, method
         As for `mcspectra.strata_shift_scan`; the best of the scan is refined by a pattern search,
@@ -192,7 +192,7 @@ def best_alignment(
     Raises
     ------
     CountError, ParameterError, NoClosedForm
-        As for `mcspectra.strata_shift_scan` and `mcspectra.variance.aligned`.
+        As for `mcspectra.strata_shift_scan` and `aligned`.
 
     Notes
     -----

@@ -248,7 +248,8 @@ def _attempt(
         yield Counterfactual(kind, name, change, setup, biased)
 
 
-def _unshifted(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+def leave_shift_out(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+    """The sampler without its shift."""
     plain = _without_shift(given.sampler)
     if plain is None:
         reason = f"{given.sampler.spec} has no shift to leave out."
@@ -271,7 +272,7 @@ def _without_shift(sampler: Sampler) -> Sampler | None:
     return plain
 
 
-def _aligned(given: Setup, budget: Budget) -> Found:
+def align_strata(given: Setup, budget: Budget) -> Found:
     """The offset of strata that is best at the budget, and strata with borders at known edges."""
     plain = _without_shift(given.sampler) or given.sampler
     if plain.structure is not Structure.STRATA or plain.dims > _MOST_ALIGNED or not plain.unbiased:
@@ -319,7 +320,8 @@ def _aligned(given: Setup, budget: Budget) -> Found:
     yield from _attempt(given, "aligned", name, change, sampler=partial(plain.then, step))
 
 
-def _mirrored(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+def mirror(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+    """All ways of mirroring."""
     if isinstance(given.estimator, Mirrored):
         yield NotTried("mirrored", "mirrored", f"{given.estimator.spec} is mirrored already.")
         return
@@ -333,13 +335,15 @@ def _mirrored(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
         yield from _attempt(given, "mirrored", f"mirrored: {mode}", changes[mode], estimator=make)
 
 
-def _sampler(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+def change_sampler(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+    """Samplers of all families."""
     for spec in _SAMPLERS:
         make = partial(make_sampler, spec, given.estimator.dims)
         yield from _attempt(given, "sampler", spec, f"sample with {spec}", sampler=make)
 
 
-def _heuristic(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+def change_heuristic(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+    """Other heuristics for the techniques."""
     estimator = given.estimator
     if not isinstance(estimator, Weighted):
         yield NotTried(
@@ -352,7 +356,7 @@ def _heuristic(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
         yield from _attempt(given, "heuristic", f"heuristic: {name}", change, estimator=make)
 
 
-def _techniques(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+def single_techniques(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
     """Each technique alone."""
     estimator = given.estimator
     if not isinstance(estimator, Weighted) or len(estimator.counts) < 2:
@@ -364,7 +368,8 @@ def _techniques(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
         yield from _attempt(given, "techniques", f"only {name}", change, estimator=make)
 
 
-def _warp(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+def change_warp(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+    """Other densities, the same by other warps, and none."""
     estimator = given.estimator
     density = estimator.density if isinstance(estimator, Estimator) else None
     if density is None:
@@ -390,7 +395,7 @@ def _warp(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
     yield from _attempt(given, "warp", "uniform density", change, estimator=make)
 
 
-def _smoothed(given: Setup, budget: Budget) -> Found:
+def smooth_edges(given: Setup, budget: Budget) -> Found:
     """The width with the least error at the budget, found by a scan on random numbers of its own."""
     estimator = given.estimator
     n = affordable_count(given, budget.evaluations)
@@ -423,7 +428,8 @@ def _smoothed(given: Setup, budget: Budget) -> Found:
     yield from _attempt(given, "smoothed", name, change, estimator=make, biased=biased)
 
 
-def _channels(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+def separate_channels(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+    """Densities for each channel."""
     estimator = given.estimator
     density: Any = estimator.density if isinstance(estimator, Estimator) else None
     parameters = set() if density is None else {f.name for f in dataclasses.fields(density)}
@@ -445,14 +451,14 @@ def _channels(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
 
 
 KINDS: Mapping[Kind, Callable[[Setup, Budget], Found]] = {
-    "unshifted": _unshifted,
-    "mirrored": _mirrored,
-    "aligned": _aligned,
-    "smoothed": _smoothed,
-    "warp": _warp,
-    "heuristic": _heuristic,
-    "techniques": _techniques,
-    "channels": _channels,
-    "sampler": _sampler,
+    "unshifted": leave_shift_out,
+    "mirrored": mirror,
+    "aligned": align_strata,
+    "smoothed": smooth_edges,
+    "warp": change_warp,
+    "heuristic": change_heuristic,
+    "techniques": single_techniques,
+    "channels": separate_channels,
+    "sampler": change_sampler,
 }
 """What makes the changes of each kind."""

@@ -8,6 +8,7 @@ not looked at, as jumps in more than two dims, is not said to be absent.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -189,16 +190,28 @@ def diagnose(
     # The bottleneck among techniques, of all channels alike
     chosen: set[int] = set()
     if len(estimator.counts) > 1 and len(counts) > 1:
-        moments = [_technique_moments(estimator, sampler, n, stream.child(n)) for n in counts]
+        moments = []
+        for n in counts:
+            # Of the parts of the estimate that techniques make, and of their sum: (C, T + 1)
+            own, found = stream.child(n), []
+            for block in realization_blocks(
+                _REALIZATIONS, n * estimator.dims * sum(estimator.counts)
+            ):
+                parts = [
+                    estimator.primary_values(t, u).mean(axis=1).reshape(block[1], -1)
+                    for t, u in enumerate(estimator.draw(sampler, n, own, *block))
+                ]
+                found.append(Moments.of(np.stack([*parts, sum(parts[1:], parts[0])], axis=2)))
+            moments.append(functools.reduce(Moments.merge, found))
         _, choice = technique_rates(counts, moments, len(counts))
         chosen = {int(t) for t in choice} - {UNDECIDED}
     slow = chosen.pop() if len(chosen) == 1 else None
-    parts = getattr(estimator, "densities", None) or getattr(estimator, "integrands", None)
+    named = getattr(estimator, "densities", None) or getattr(estimator, "integrands", None)
     return Diagnosis(
         wraps=shifted and not isinstance(estimator, Mirrored),
         unbounded=estimator.infinite_weights,
         slow=slow,
-        slow_name="" if slow is None or parts is None else parts[slow].spec,
+        slow_name="" if slow is None or named is None else named[slow].spec,
         boundary=boundary,
         inside=inside,
     )
@@ -224,20 +237,3 @@ def jumps_of(estimator: AbstractEstimator) -> tuple[Jumps | None, Jumps | None]:
         weighted = sum(k * h for k, h in zip(lengths, heights, strict=True) if k > 0)
         found.append(Jumps(total, weighted / total if total > 0 else 0.0, estimator.dims))
     return found[0], found[1]
-
-
-def _technique_moments(
-    estimator: AbstractEstimator, sampler: Sampler, n: int, stream: Stream
-) -> Moments:
-    """Moments (C, T + 1) of the parts of the estimate that techniques make, and of their sum."""
-    total: Moments | None = None
-    numbers = n * estimator.dims * sum(estimator.counts)
-    for block in realization_blocks(_REALIZATIONS, numbers):
-        parts = [
-            estimator.primary_values(t, u).mean(axis=1).reshape(block[1], -1)
-            for t, u in enumerate(estimator.draw(sampler, n, stream, *block))
-        ]
-        own = Moments.of(np.stack([*parts, sum(parts[1:], parts[0])], axis=2))
-        total = own if total is None else total.merge(own)
-    assert total is not None
-    return total
