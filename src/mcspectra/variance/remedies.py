@@ -2,19 +2,12 @@
 
 Every counterfactual (`mcspectra.variance.counterfactuals`) is run at the same budgets of integrand
 evaluations on the same random numbers as the set-up that is given, and compared with it realisation by
-realisation. Intervals of all comparisons hold together, so that the best
-of many is not one that was lucky: a remedy is recommended only where its interval leaves the
-set-up that is given out.
+realisation. Intervals of all comparisons hold together, so that the best of many is not one that was lucky:
+a remedy is recommended only where its interval leaves the set-up that is given out.
 
-Realisation r of every set-up uses the random numbers of realisation r of every other (as far as they
-use them alike), and so do all counts. What an error measure log v, or a slope fitted to several, owes to
-realisation r is its *influence*; the influence of a difference is the difference of influences, and its
-standard error the root of their mean square over √R. Correlation, between set-ups and between counts,
-is thereby in the error, whichever way it goes: no pairing has to be assumed.
-
-For the mean squared error v = Σ_c mean_r (e_rc − I_c)² the influence on log v is
-ψ_r = Σ_c (e_rc − I_c)²/v − 1; for an unbiased estimator I_c is the mean of the estimates, and v the
-variance, summed over channels.
+What the log of an error, or a slope fitted to several, owes to realisation r is its *influence*; that of a
+difference is the difference of influences, so that correlation between set-ups and between counts is in
+the error, whichever way it goes (docs/theory.md, "Intervals of variances, and stopping").
 
 Estimates that are all alike have no variance, or none of them has met what makes it: a rare event. The
 integral tells the two apart. Where they miss it their error is unknown (NaN), not 0.
@@ -325,22 +318,15 @@ def remedies(
 
 @dataclass(frozen=True)
 class _Trial:
-    """A set-up that was measured, and what was seen of it.
-
-    Attributes
-    ----------
-    setup
-        Texts of estimator and sampler, and the name of a change that depends on n.
-    unbounded, inside
-        Of other warps: whether ∫1/p diverges, and the jumps of g inside.
-    """
+    """A set-up that was measured, and what was seen of it."""
 
     kind: str
     name: str
     change: str
-    setup: str
+    setup: str  # texts of estimator and sampler, and the name of a change that depends on n
     biased: bool
     errors: Errors
+    # Of other warps: whether ∫1/p diverges, and the jumps of g inside
     unbounded: bool
     inside: Jumps | None
 
@@ -470,30 +456,14 @@ def _given(columns: list[dict[str, Any]]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of one set-up at several costs.
+    """Errors of one set-up at several costs."""
 
-    Attributes
-    ----------
-    cost
-        Evaluations of the integrand in an estimate, (N,).
-    error
-        Mean squared error v, summed over channels, (N,).
-    bias
-        Mean estimate minus the integral, (N, C).
-    influence
-        ψ, (N, R).
-    noise
-        v below which the estimates differ by rounding only, (N,).
-    blind
-        Whether the estimates are all alike, but not the integral, (N,).
-    """
-
-    cost: Array
-    error: Array
-    bias: Array
-    influence: Array
-    noise: Array
-    blind: Array
+    cost: Array  # evaluations of the integrand in an estimate, (N,)
+    error: Array  # mean squared error v, summed over channels, (N,)
+    bias: Array  # mean estimate minus the integral, (N, C)
+    influence: Array  # ψ, (N, R)
+    noise: Array  # v below which the estimates differ by rounding only, (N,)
+    blind: Array  # whether the estimates are all alike, but not the integral, (N,)
 
     @staticmethod
     def of(
@@ -504,18 +474,10 @@ class Errors:
         biased: bool = False,
         tolerance: float = 1e-9,
     ) -> Errors:
-        """Errors of estimates (R, C) at each cost.
+        """Errors of estimates (R, C), one array for each cost, of the integral (C,).
 
-        Parameters
-        ----------
-        cost, estimates
-            One array (R, C) for each cost.
-        integral
-            What is estimated, (C,).
-        biased
-            Take the error about the integral; else about the mean of the estimates.
-        tolerance
-            How well the integral is known, relative to it.
+        What is `biased` has its error about the integral, else about the mean of the estimates;
+        `tolerance` is how well the integral is known, relative to it.
         """
         # Mean squared errors and influences (R,), about the integral or the mean
         parts = []
@@ -596,18 +558,12 @@ class Errors:
 
 @dataclass(frozen=True)
 class Comparison:
-    """One set-up against another: the ratio of errors at a budget, and the difference of rates.
+    """One set-up against another: the ratio of errors at a budget, and the difference of rates."""
 
-    Attributes
-    ----------
-    log_ratio, log_ratio_se
-        log(v/v_reference) and its standard error.
-    rate_difference, rate_difference_se
-        Rate minus the reference's, and its standard error; NaN where a rate is.
-    """
-
+    # log(v/v_reference) and its standard error
     log_ratio: float
     log_ratio_se: float
+    # Rate minus the reference's, and its standard error; NaN where a rate is
     rate_difference: float
     rate_difference_se: float
 
