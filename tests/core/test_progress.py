@@ -1,5 +1,6 @@
 """Progress: the innermost listener hears it, from any thread; bars where somebody waits."""
 
+import re
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
@@ -9,7 +10,7 @@ import pytest
 import mcspectra as mcs
 from mcspectra.core import progress
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.progress import LineBars, listening, progress_bars, report
+from mcspectra.core.progress import Bars, listening, progress_bars, report
 
 
 def test_reports_reach_the_innermost_listener():
@@ -35,8 +36,9 @@ def test_reports_of_threads_are_heard():
 def clock(monkeypatch):
     """Seconds that pass only when told to."""
     now = [100.0]
-    monkeypatch.setattr(progress, "_automatic", LineBars())
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(progress, "_automatic", Bars())
+    monkeypatch.setenv("COLUMNS", "100")
 
     def wait(seconds):
         now[0] += seconds
@@ -44,62 +46,131 @@ def clock(monkeypatch):
     return wait
 
 
-def test_short_work_draws_nothing(clock, capsys):
-    bars = LineBars()
+@pytest.fixture
+def terminal(monkeypatch):
+    """Standard error is one."""
+    monkeypatch.setattr(progress, "_somebody_waits", lambda: True)
+
+
+def _seen(capsys):
+    """What was written to standard error, without codes of colours and of places."""
+    return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("closes", [True, False])
+def test_short_work_draws_nothing(closes, clock, terminal, capsys):
+    bars = Bars(closes=closes)
     for fraction in (0.0, 0.5, 1.0):
         bars("quick", fraction)
         clock(0.2)
     assert capsys.readouterr().err == ""
 
 
-def test_long_work_draws_a_bar_and_wipes_it(clock, capsys):
-    bars = LineBars()
+@pytest.mark.parametrize("closes", [True, False])
+def test_long_work_draws_a_bar_and_wipes_it(closes, clock, terminal, capsys):
+    bars = Bars(closes=closes)
     bars("long", 0.0)
     clock(1.0)
     bars("long", 0.25)
-    drawn = capsys.readouterr().err
-    assert drawn == "\rlong " + "━" * 6 + "╌" * 18 + "  25%"
+    assert re.fullmatch(r"(\rlong ━+╺?━+ +25% \S+ *|long ━+╺?━+ +25% \S+ *)+", _seen(capsys))
     bars("long", 1.0)
-    assert capsys.readouterr().err == "\r" + " " * (len(drawn) - 1) + "\r"
+    assert "long" not in _seen(capsys)
+    bars("long", 1.0)
+    assert _seen(capsys) == ""
 
 
-def test_a_line_is_drawn_ten_times_a_second_at_most(clock, capsys):
-    bars = LineBars()
+def test_a_bar_is_drawn_ten_times_a_second_at_most(clock, terminal, capsys):
+    bars = Bars()
     bars("long", 0.0)
     clock(1.0)
     for k in range(1000):
         bars("long", k / 1000)
         clock(0.001)
-    assert 9 <= capsys.readouterr().err.count("\r") <= 11
+    assert 9 <= _seen(capsys).count("long") <= 11
 
 
-def test_work_inside_work_shows_both(clock, capsys):
-    bars = LineBars()
+def test_work_inside_work_shows_both(clock, terminal, capsys):
+    bars = Bars()
     bars("outer", 0.5)
     bars("inner", 0.0)
     clock(1.0)
     bars("inner", 0.75)
-    line = capsys.readouterr().err
+    line = _seen(capsys)
     assert line.index("outer") < line.index("50%") < line.index("inner") < line.index("75%")
+    bars("outer", 1.0)
+    clock(1.0)
+    bars("inner", 0.8)
+    line = _seen(capsys)
+    assert "outer" not in line
+    assert "inner" in line
 
 
-def test_work_that_was_given_up_is_forgotten(clock, capsys):
-    bars = LineBars()
+def test_work_that_was_given_up_is_forgotten(clock, terminal, capsys):
+    bars = Bars()
     bars("given up", 0.5)
     clock(40.0)
     bars("next", 0.0)
     clock(1.0)
     bars("next", 0.5)
-    assert "given up" not in capsys.readouterr().err
+    assert "given up" not in _seen(capsys)
 
 
-def test_fractions_out_of_range_and_a_missing_stream_do_no_harm(clock, monkeypatch):
-    bars = LineBars()
+def test_work_inside_a_block_is_remembered_however_long_it_is_silent(clock, terminal, capsys):
+    with progress_bars():
+        report("study", 0.0)
+        clock(400.0)
+        report("study", 0.5)
+        assert "study" in _seen(capsys)
+        print("a warning", file=sys.stderr)
+    assert "a warning\n" in _seen(capsys)
+    report("study", 0.6)
+    assert sys.stderr.__class__.__name__ != "FileProxy"
+
+
+def test_an_exception_ends_the_bars_of_a_block(clock, terminal, capsys):
+    before = sys.stderr
+
+    def fails():
+        report("study", 0.0)
+        clock(1.0)
+        report("study", 0.5)
+        assert sys.stderr is not before  # what is printed stands above the bar
+        raise ValueError("it")
+
+    with pytest.raises(ValueError, match="it"), progress_bars():
+        fails()
+    assert sys.stderr is before
+
+
+def test_without_a_terminal_a_line_tells_every_ten_seconds(clock, capsys):
+    with progress_bars():
+        for k in range(100):
+            report("study", k / 100)
+            clock(0.5)
+        report("study", 1.0)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [f"mcspectra: study {k}%" for k in (21, 42, 63, 84)]
+
+
+def test_names_are_no_markup(clock, terminal, capsys):
+    bars = Bars()
+    bars("a[red]b", 0.0)
+    clock(1.0)
+    bars("a[red]b", 0.5)
+    assert "a[red]b" in _seen(capsys)
+
+
+@pytest.mark.parametrize("closes", [True, False])
+def test_fractions_out_of_range_and_a_missing_stream_do_no_harm(closes, clock, monkeypatch):
+    bars = Bars(closes=closes)
     bars("odd", -3.0)
+    clock(1.0)
+    bars("odd", 0.5)
     clock(1.0)
     monkeypatch.setattr(sys, "stderr", None)
     bars("odd", 0.9)
     bars("odd", 7.0)
+    bars.close()
 
 
 def test_bars_appear_by_themselves_where_somebody_waits(clock, capsys, monkeypatch):

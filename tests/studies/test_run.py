@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 import xarray as xr
 
@@ -132,6 +133,25 @@ def test_chunks_of_one_block_give_the_same_bits(finished, tmp_path, stored_value
 def test_processes_give_the_same_bits(finished, tmp_path, stored_values):
     run_study(decode_study(STUDY), tmp_path, engine=lambda text: Dask(text, Cluster(workers=2)))
     _assert_equal(stored_values(tmp_path), finished)
+
+
+def test_workers_that_are_killed_one_after_another_fail_nothing(finished, tmp_path, stored_values):
+    """After each cell one is killed: with what it computes and what waits there."""
+    killed = set()
+
+    def kill(progress):
+        workers = [
+            child.pid
+            for child in psutil.Process().children(recursive=True)
+            if any("spawn_main" in part for part in child.cmdline())
+        ]
+        if progress.done < progress.cells:
+            killed.add(workers[progress.done % len(workers)])
+            os.kill(workers[progress.done % len(workers)], signal.SIGKILL)
+
+    run_study(decode_study(STUDY), tmp_path, workers=2, time_limit=100.0, report=kill)
+    _assert_equal(stored_values(tmp_path), finished)
+    assert len(killed) > 3
 
 
 def test_interrupted_and_resumed_in_other_chunks_gives_the_same_bits(

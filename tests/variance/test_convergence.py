@@ -210,7 +210,7 @@ def test_window_is_reported():
         ({"counts": np.array([[4, 8]])}, ParameterError, "one flat list"),
         ({"realizations": 1}, ParameterError, "from 2 to"),
         ({"fit_last": 3}, ParameterError, "fit_last"),
-        ({"fit_last": "all"}, ParameterError, "a number, or auto"),
+        ({"fit_last": "all"}, ParameterError, "'auto'"),
         ({"relative_error": 0.0}, ParameterError, "at least 0.0001"),
         ({"relative_error": float("nan")}, ParameterError, "finite"),
         ({"sampler": []}, ParameterError, "at least one"),

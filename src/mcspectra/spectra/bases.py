@@ -1,7 +1,7 @@
 """Orthonormal bases of functions on the unit cube, in which a variance is decomposed.
 
 With an orthonormal basis φ_m of L²([0,1]^d), f_m = ∫ f conj(φ_m) and S_m = Σ_k w_k conj(φ_m(x_k)), the
-estimate is Σ_m conj(f_m) S_m and its variance dc + power + cross, in any basis (DESIGN §1). What differs is
+estimate is Σ_m conj(f_m) S_m and its variance dc + power + cross, in any basis (docs/theory.md). What differs is
 how much of it is cross term, that is how badly the basis fits the sampler's randomisation, and how fast
 the sum over m converges:
 
@@ -39,7 +39,17 @@ from mcspectra.samplers.mirror import Mirror
 from mcspectra.spectra._kernels import bin_weights
 from mcspectra.spectra.transforms import FrequencyGrid, Transform
 
-__all__ = ["BASES", "Basis", "Cosine", "Fourier", "Haar", "Walsh", "fitting_basis", "make_basis"]
+__all__ = [
+    "BASES",
+    "Basis",
+    "Cosine",
+    "Fourier",
+    "Haar",
+    "Walsh",
+    "fitting_basis",
+    "hadamard",
+    "make_basis",
+]
 
 Coefficients = Callable[[Array, "Array | None"], Array]
 """Transform of points (R, n, d) with weights (R, n), or None for 1/n each: (R, stored)."""
@@ -314,17 +324,10 @@ class Walsh(_Dyadic):
 
     def _along_last(self, values: Array) -> Array:
         """Hadamard butterflies, the index bits reversed: its lowest meets the first digit of x."""
-        size = values.shape[-1]
-        step = 1
-        while step < size:
-            pairs = values.reshape(*values.shape[:-1], -1, 2, step)
-            left, right = pairs[..., 0, :], pairs[..., 1, :]
-            values = np.stack([left + right, left - right], axis=-2).reshape(values.shape)
-            step *= 2
         order = np.zeros(1, np.int64)
-        while len(order) < size:
+        while len(order) < values.shape[-1]:
             order = np.concatenate([2 * order, 2 * order + 1])
-        return values[..., order]
+        return hadamard(values)[..., order]
 
 
 @final
@@ -344,6 +347,17 @@ class Haar(_Dyadic):
             parts.append(np.sqrt(size) * (left - right))
             values = left + right
         return np.concatenate([values, *reversed(parts)], axis=-1)
+
+
+def hadamard(values: Array) -> Array:
+    """Σ_x values(x) wal_m(x) along the last axis, m in the order of the butterflies."""
+    step = 1
+    while step < values.shape[-1]:
+        pairs = values.reshape(*values.shape[:-1], -1, 2, step)
+        left, right = pairs[..., 0, :], pairs[..., 1, :]
+        values = np.stack([left + right, left - right], axis=-2).reshape(values.shape)
+        step *= 2
+    return values
 
 
 _CLASSES: dict[str, type[Basis]] = {c.name: c for c in (Fourier, Cosine, Walsh, Haar)}

@@ -1,17 +1,8 @@
 """Expected power spectra and covariances of S_m that are known exactly, one sampler after another.
 
-With sinc(x) = sin x / x, n points, s = n^(1/d) strata a side, real frequencies ν, for example:
-
-* random, density p:   ⟨|S_ν|²⟩ = (1/n) ∫1/p + ((n−1)/n) Π_i sinc²(πν_i),
-  and at integers C_ml = (1/n) ((1/p)^_{m−l} − δ_m0 δ_l0)
-* jittered:            ⟨|S_ν|²⟩ = (1/n)(1 − Π_i sinc²(πν_i/s)) + Π_i sinc²(πν_i), and at integers
-  C_ml = (1/n)(δ_ml − Π_i (−1)^((m_i−l_i)/s) sinc(πm_i/s) sinc(πl_i/s)) where s divides m − l, else 0
-* regular and uniform-jitter: ⟨|S_ν|²⟩ = Π_i (sin(πν_i) / (s sin(πν_i/s)))²
-* Latin hypercube:     ⟨|S_ν|²⟩ = 1/n + ((n−1)/n) Π_i (n sinc²(πν_i) − sinc²(πν_i/n))/(n−1)
-* rank-1 lattice, integer m: 1 where m·z ≡ 0 (mod n), else 0
-
-At *integer* m a Cranley-Patterson shift multiplies S_m by a random phase: it leaves the power as it is and
-makes C_ml diagonal. Importance-sampled sets are in `closed_weighted`.
+Random, jittered and lattice points are derived in docs/theory.md, "Closed forms". At *integer* m a
+Cranley-Patterson shift multiplies S_m by a random phase: it leaves the power as it is and makes C_ml
+diagonal. Importance-sampled sets are in `closed_weighted`.
 
 Method
 ------
@@ -47,7 +38,7 @@ from mcspectra.samplers import Randomized, Sampler, Shift, StrataShift, as_sampl
 from mcspectra.samplers._grid import root
 from mcspectra.spectra.closed_weighted import weighted_covariance
 
-__all__ = ["Moments", "closed_form_covariance", "closed_form_power", "moments_of"]
+__all__ = ["Moments", "closed_form_covariance", "closed_form_power", "moments_of", "points_at"]
 
 _MAX_WORK = 2**32  # points times frequencies summed directly: about half a minute
 
@@ -89,8 +80,9 @@ def closed_form_power(
     >>> closed_form_power("random", 10, [[3, 0], [0, 0]])
     array([0.1, 1. ])
     """
-    source, n, nu, p = _checked(sampler, n, frequencies, density)
-    if p is None:
+    source, p, nu = points_at(sampler, frequencies, density)
+    n = source.check_count(n)
+    if p is None or isinstance(p, Uniform):
         return moments_of(source, n, nu).power(nu)
     reciprocal = p.reciprocal_integral()
     if not np.isfinite(reciprocal):
@@ -137,7 +129,8 @@ def closed_form_covariance(
     >>> closed_form_covariance("jittered", 4, [[1], [1]], [[1], [-3]]).real.round(3)
     array([0.047, 0.068])
     """
-    source, n, m, p = _checked(sampler, n, frequencies, density)
+    source, p, m = points_at(sampler, frequencies, density)
+    n = source.check_count(n)
     other = as_frequencies(others, m.shape[-1])
     try:
         m, other = np.broadcast_arrays(m, other)
@@ -146,7 +139,7 @@ def closed_form_covariance(
             f"frequencies and others have shapes {m.shape} and {other.shape}, which do not "
             "broadcast; give one l for each m, or insert axes of length 1."
         ) from None
-    if p is None:
+    if p is None or isinstance(p, Uniform):
         return moments_of(source, n, m, other).covariance(m, other)
     base, moves = _translations(source)
     _check_integers(source, m, other)
@@ -161,20 +154,12 @@ def closed_form_covariance(
 @final
 @dataclass(frozen=True)
 class Moments:
-    """Exact moments of S_ν.
+    """Exact moments of S_ν."""
 
-    Attributes
-    ----------
-    mean
-        ⟨S_ν⟩ of frequencies (..., d): complex (...).
-    covariance
-        C_ml of two arrays of frequencies of the same shape (..., d): complex (...).
-    integer
-        Whether they hold at integer frequencies only: points wrapped around the torus.
-    """
-
-    mean: Callable[[Array], Array]
+    mean: Callable[[Array], Array]  # ⟨S_ν⟩ of frequencies (..., d): complex (...)
+    # C_ml of two arrays of frequencies of the same shape (..., d): complex (...)
     covariance: Callable[[Array, Array], Array]
+    # Whether they hold at integer frequencies only: points wrapped around the torus
     integer: bool = False
 
     def power(self, nu: Array) -> Array:
@@ -183,13 +168,7 @@ class Moments:
 
 
 def moments_of(sampler: Sampler, n: int, *frequencies: Array) -> Moments:
-    """Return the exact moments of a sampler, valid at the given frequencies.
-
-    Raises
-    ------
-    NoClosedForm
-        None are known.
-    """
+    """Return the exact moments of a sampler, valid at the given frequencies; raise where none are known."""
     base, steps = _translations(sampler)
     integer = all(np.array_equal(nu, np.rint(nu)) for nu in frequencies)
     moments = _known_moments(base, n)
@@ -206,17 +185,16 @@ def moments_of(sampler: Sampler, n: int, *frequencies: Array) -> Moments:
     return moments
 
 
-def _checked(
-    sampler: Sampler | str, n: int, frequencies: Any, density: Density | str | None
-) -> tuple[Sampler, int, Array, Density | None]:
+def points_at(
+    sampler: Sampler | str, frequencies: Any, density: Density | str | None = None
+) -> tuple[Sampler, Density | None, Array]:
+    """The sampler, with the dims of the frequencies where it is a spec, the density, and these."""
     # An empty list has no dims: it is refused as such, not for them.
     dims = np.shape(frequencies)[-1] or None if np.ndim(frequencies) else None
     drawn = getattr(density, "primary_dims", dims)
     source = as_sampler(sampler, None if isinstance(sampler, Sampler) else drawn)
-    n = source.check_count(n)
     p = as_warp(density, source.dims)
-    nu = as_frequencies(frequencies, source.dims if p is None else p.dims)
-    return source, n, nu, None if isinstance(p, Uniform) else p
+    return source, p, as_frequencies(frequencies, source.dims if p is None else p.dims)
 
 
 def _translations(sampler: Sampler) -> tuple[Sampler, tuple[Shift | StrataShift, ...]]:

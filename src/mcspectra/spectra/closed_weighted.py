@@ -1,20 +1,10 @@
 """Exact means and covariances of S_m for importance-sampled points, x = T(u), weights 1/(n p).
 
-Let p be a product over the axes with monotone warps T. On one axis, the points u of a stratum
-[t, t + 1/s) of the primary space fill the interval from T(t) to T(t + 1/s), where they have
+docs/theory.md, "Closed forms", has the derivation for densities that are products over the axes with
+monotone warps: M_t(m) of the stratum that starts at t, *same* and *apart* of two points, their means
+taken over the strata, or over all t where a random shift follows. A grid with one offset δ has
 
-    M_t(m) = s ∫ exp(−2πi m T(u)) / p(T(u)) du = s ∫ exp(−2πi m x) dx,
-
-the density being gone. So, with <·> the mean over the strata, or over all t where a random shift
-follows, at integer m and l
-
-    same(m, l) = <M_t(m) conj M_t(l)>     two independent points of one of s strata
-    free(m, l) = δ_m0 δ_l0                two independent points
-    apart      = (s free − same)/(s − 1)  points of two different strata
-
-    random, jittered:  C_ml = (1/n) [(1/p)^_{m−l} − Π_i same_i]          (random: s = 1)
-    Latin hypercube:   C_ml = (1/n) (1/p)^_{m−l} + (1 − 1/n) Π_i apart_i − δ_m0 δ_l0
-    grid, one offset:  C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0 δ_l0
+    C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0 δ_l0
 
 with A_δ(m) the S_m of the grid of offset δ on one axis.
 """
@@ -52,13 +42,7 @@ def weighted_covariance(
     other: Array,
     density: Density,
 ) -> Array:
-    """C_ml of importance-sampled points at integers m, l of one shape (..., d): complex (...).
-
-    Raises
-    ------
-    NoClosedForm
-        None is known for this sampler with this density.
-    """
+    """C_ml of importance-sampled points at integers m, l of one shape (..., d): complex (...)."""
     zero = np.all(m == 0, axis=-1) & np.all(other == 0, axis=-1)
     shifted = any(isinstance(step, Shift) for step in moves)
     if base.name in ("regular", "uniform-jitter"):
@@ -70,7 +54,7 @@ def weighted_covariance(
         highest, power = _highest(m, other), np.ones(m.shape[:-1])
         for i, (p, s) in enumerate(zip(_factors(density), base.sides(n), strict=True)):
             axis = _Axis(p, s, *_all_offsets(p, s, 1.0 / s, highest))
-            power = power * axis.grid(m[..., i], other[..., i])
+            power = power * axis.mean_product(axis.of_grid, m[..., i], other[..., i])
         return np.asarray(power - zero)
     reciprocal = _reciprocal(density, m - other)
     if base.name == "random":
@@ -91,7 +75,7 @@ def weighted_covariance(
     for i, (p, s) in enumerate(zip(_factors(density), sides, strict=True)):
         rule = np.remainder(np.arange(s) / s + offset[i], 1.0), np.full(s, 1.0 / s)
         axis = _Axis(p, s, *(_all_offsets(p, s, 1.0, highest) if shifted else rule))
-        same = axis.same(m[..., i], other[..., i])
+        same = axis.mean_product(axis.of_stratum, m[..., i], other[..., i])
         if latin:  # points of two different strata; one stratum has no such pair
             free = (m[..., i] == 0) & (other[..., i] == 0)
             same = (n * free - same) / max(n - 1, 1)
@@ -111,16 +95,8 @@ class _Axis:
     starts: Array
     weights: Array
 
-    def same(self, m: Array, other: Array) -> Array:
-        """<M_t(m) conj M_t(l)>."""
-        return self._mean_product(self._of_stratum, m, other)
-
-    def grid(self, m: Array, other: Array) -> Array:
-        """<A_δ(m) conj A_δ(l)>, the starts being the offsets."""
-        return self._mean_product(self._of_grid, m, other)
-
-    def _mean_product(self, of: Callable[[Array], Array], m: Array, other: Array) -> Array:
-        """Mean over the starts; each frequency is transformed once."""
+    def mean_product(self, of: Callable[[Array], Array], m: Array, other: Array) -> Array:
+        """Mean of of(m) conj of(l) over the starts; each frequency is transformed once."""
         known, back = np.unique(np.stack([m, other]), return_inverse=True)
         row, column = back.reshape(2, -1)
         if float(self.starts.size) * max(row.size, known.size * self.sides) > _MAX_WORK:
@@ -136,15 +112,15 @@ class _Axis:
             out[i : i + block] = np.einsum("ij,ij,j->i", left, np.conj(right), self.weights)
         return out.reshape(m.shape)
 
-    def _of_stratum(self, m: Array) -> Array:
+    def of_stratum(self, m: Array) -> Array:
         """M_t(m): (frequencies, starts); strata beyond 1 go on at 0."""
         end = self.starts + 1.0 / self.sides
         over = np.maximum(end - 1.0, 0.0)
         first = _interval(m, self._warp(self.starts), self._warp(np.minimum(end, 1.0)))
         return np.asarray(self.sides * (first + _interval(m, np.zeros(1), self._warp(over))))
 
-    def _of_grid(self, m: Array) -> Array:
-        """A_δ(m): (frequencies, offsets)."""
+    def of_grid(self, m: Array) -> Array:
+        """A_δ(m), the starts being the offsets: (frequencies, offsets)."""
         total = np.zeros((m.size, self.starts.size), complex)
         for j in range(self.sides):
             x = self._warp(self.starts + j / self.sides)
@@ -184,13 +160,7 @@ def _highest(m: Array, other: Array) -> int:
 
 
 def _factors(density: Density) -> list[Density]:
-    """The density of each axis.
-
-    Raises
-    ------
-    NoClosedForm
-        It is not known to be a product over the axes, or the warp of one is not monotone.
-    """
+    """The density of each axis, if it is known to be a product over them with monotone warps."""
     if density.dims == 1:
         factors = [density]
     elif isinstance(density, Linear):

@@ -1,15 +1,10 @@
 """Scrambled nets in exact terms: gain coefficients, nested variances, and power in the Walsh basis.
 
-Owen [Owen1997]_ splits f into parts ν_l, l = (l_1, …, l_d): the part of level l varies with the first l_j
-digits of coordinate j, has mean 0 over its l_j-th digit, and does not depend on coordinate j where
-l_j = 0. (His u is {j: l_j > 0}, and his k_j is l_j − 1.) With σ²_l the integral of its square, a net with
-nested uniform scrambling has the variance (1/n) Σ_l Γ_l σ²_l; random points have Γ_l = 1. The gain is
-
-    Γ_l = (1/n) Σ_{i,k} Π_{j: l_j > 0} (b [x_ij, x_kj agree in l_j digits] − [agree in l_j − 1]) / (b − 1).
-
-In base 2, ν_l is the part of f in the Walsh functions of index 2^(l_j − 1) ≤ m_j < 2^l_j, and all these
-have the expected power Γ_l / n. A digital shift leaves the power of each as it is: 1 on the dual net,
-the indices to which all columns of the generator matrices are orthogonal, and 0 elsewhere.
+Owen [Owen1997]_ splits f into parts ν_l, l = (l_1, …, l_d), by the digits of the coordinates that it varies
+with (docs/theory.md, "Gains of scrambled nets"). (His u is {j: l_j > 0}, and his k_j is l_j − 1.) In base 2,
+ν_l is the part of f in the Walsh functions of index 2^(l_j − 1) ≤ m_j < 2^l_j, and all these have the
+expected power Γ_l / n. A digital shift leaves the power of each as it is: 1 on the dual net, the indices to
+which all columns of the generator matrices are orthogonal, and 0 elsewhere.
 """
 
 from __future__ import annotations
@@ -19,13 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_frequencies, as_integer
+from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
 from mcspectra.integrands import Integrand, as_integrand
 from mcspectra.samplers import Randomized, Sampler, as_sampler
 from mcspectra.spectra.bases import Walsh
+from mcspectra.spectra.closed_forms import points_at
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -148,11 +144,8 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
     >>> closed_form_walsh_power("sobol | digital-shift", 4, [[1, 1], [2, 2], [3, 1]])
     array([0., 1., 1.])
     """
-    # An empty list has no dims: it is refused as such, not for them.
-    dims = np.shape(indices)[-1] or None if np.ndim(indices) else None
-    source = as_sampler(sampler, None if isinstance(sampler, Sampler) else dims)
+    source, _, given = points_at(sampler, indices)
     n = source.check_count(n)
-    given = as_frequencies(indices, source.dims)
     if not np.array_equal(given, np.rint(given)) or given.min() < 0 or given.max() >= 2.0**_BITS:
         raise ParameterError(
             "Walsh indices are whole numbers from 0 to 2^32 − 1; those given are not."

@@ -31,7 +31,6 @@ from mcspectra.core.checks import (
     MAX_FREQUENCY,
     Array,
     as_choice,
-    as_frequencies,
     as_integer,
     as_real,
 )
@@ -47,9 +46,10 @@ from mcspectra.core.parallel import (
 from mcspectra.core.records import merged
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.densities import Density, as_warp
-from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.densities import Density
+from mcspectra.samplers import Sampler
 from mcspectra.spectra._listed_kernels import phase_sum, product_sum
+from mcspectra.spectra.closed_forms import points_at
 from mcspectra.spectra.power import PowerSums, spectrum_attributes, weighted_points
 
 if TYPE_CHECKING:
@@ -132,12 +132,7 @@ def power_at(
     >>> (64 * found["power"] > 0.5).values
     array([False,  True])
     """
-    # An empty list has no dims: it is refused as such, not for them.
-    dims = np.shape(frequencies)[-1] or None if np.ndim(frequencies) else None
-    drawn = getattr(density, "primary_dims", dims)
-    source = as_sampler(sampler, None if isinstance(sampler, Sampler) else drawn)
-    p = as_warp(density, source.dims)
-    nu = as_frequencies(frequencies, source.dims if p is None else p.dims)
+    source, p, nu = points_at(sampler, frequencies, density)
     if nu.ndim != 2:
         raise ParameterError(
             f"frequencies have shape {nu.shape}; give a list of shape (F, {nu.shape[-1]}): "
@@ -161,17 +156,11 @@ def power_at(
     blocks = realization_blocks(realizations, max(n * source.dims, len(nu)), least=4)
     for part in map_in_order(block_sums, blocks, available_workers(workers)):
         sums = merged(sums, part)
-    power, power_se = sums.power.mean_and_error()
-    mean, mean_se = sums.coefficient()
-    found = {
-        "power": power,
-        "power_se": power_se,
-        "mean_coefficient": mean,
-        "mean_coefficient_se": mean_se,
-    }
+    names = ("power", "power_se", "mean_coefficient", "mean_coefficient_se")
+    found = zip(names, (*sums.power.mean_and_error(), *sums.coefficient()), strict=True)
     labels = {"long_name": "frequency", "units": "cycles per unit"}
     return dataset(
-        {name: (("frequency",), values) for name, values in found.items()},
+        {name: (("frequency",), values) for name, values in found},
         {f"m_{j}": ("frequency", axis, labels) for j, axis in enumerate(nu.T)},
         **spectrum_attributes(source, p, n, realizations, stream),
         seed=rng if isinstance(rng, int) else None,
@@ -183,13 +172,7 @@ def power_at(
 def listed_transform(
     frequencies: Array, n: int, *, engine: str = "auto", eps: float = 1e-9
 ) -> tuple[Listed, str]:
-    """Return what transforms sets of n points to S at frequencies (F, d), and its engine.
-
-    Raises
-    ------
-    ParameterError
-        The engine cannot work in these dims, or eps is out of range.
-    """
+    """Return what transforms sets of n points to S at frequencies (F, d), and its engine."""
     as_choice("engine", engine, _ENGINES)
     eps = as_real("eps", eps, least=1e-14, most=0.1)
     dims = frequencies.shape[1]

@@ -361,22 +361,14 @@ class _SpectrumSums:
 @final
 @dataclass(frozen=True)
 class _PolarMeans:
-    """Rings of one frequency step and, in two dims, wedges, of which the mean power is taken.
+    """Rings of one frequency step and, in two dims, wedges, of which the mean power is taken."""
 
-    Attributes
-    ----------
-    label
-        Cell of each frequency of the half grid, ring · (wedges + 1) + wedge, −1 for m = 0 and what
-        is beyond the rings: int64 (H,). The last wedge is beyond the circle of the half width.
-    cells
-        Frequencies of each cell: (rings, wedges + 1).
-    radius
-        Mean |m|/step of each ring.
-    """
-
+    # Cell of each frequency of the half grid, ring · (wedges + 1) + wedge, −1 for m = 0 and
+    # what is beyond the rings: int64 (H,). The last wedge is beyond the circle of the half
+    # width
     label: Array
-    cells: Array
-    radius: Array
+    cells: Array  # frequencies of each cell: (rings, wedges + 1)
+    radius: Array  # mean |m|/step of each ring
 
     @staticmethod
     def of(grid: FrequencyGrid, wedges: int) -> _PolarMeans:

@@ -174,16 +174,9 @@ def slices(spectrum: xr.Dataset) -> xr.Dataset:
             f"There are slices of up to {_MAX_SLICE_DIMS} dims, not {grid.dims}; use power_at "
             "with axis_frequencies."
         )
-    directions = np.array(
-        sorted(
-            (
-                direction
-                for direction in itertools.product((1, 0, -1), repeat=grid.dims)
-                if next((c for c in direction if c), 0) > 0
-            ),
-            key=lambda direction: sum(map(abs, direction)),
-        )
-    )
+    every = itertools.product((1, 0, -1), repeat=grid.dims)
+    half_space = [direction for direction in every if direction > (0,) * grid.dims]
+    directions = np.array(sorted(half_space, key=lambda direction: sum(map(abs, direction))))
     multiple = np.arange(1, grid.half_width + 1)
     place = directions[:, None, :] * multiple[:, None] + grid.half_width
     where = tuple(np.moveaxis(place, -1, 0))

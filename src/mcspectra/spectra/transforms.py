@@ -350,26 +350,8 @@ def direct_sum(points: Array, frequencies: Array, weights: Array | None = None) 
 
 @final
 class _GpuTransform:
-    """Transforms on one frequency grid, with one plan and one set of device arrays.
+    """Transforms on one frequency grid of one to three axes, with one plan and one set of device arrays.
 
-    Parameters
-    ----------
-    shape
-        Frequencies along each axis, odd numbers, for one to three axes.
-    step
-        Distance of frequencies.
-    eps
-        Relative l2 accuracy.
-
-    Raises
-    ------
-    ParameterError
-        There are more than three axes, or the plan does not fit on the device.
-    MissingDependency
-        cufinufft or CuPy is not installed or cannot be loaded, or there is no CUDA device.
-
-    Notes
-    -----
     Threads take turns: one transform keeps the device busy.
     """
 
@@ -392,24 +374,9 @@ class _GpuTransform:
             raise ParameterError(_no_room(shape, error)) from error
 
     def transforms(self, points: Array, strengths: Array) -> Iterator[Array]:
-        """Transform sets one by one, results copied back in blocks.
+        """Transform sets (T, n, d) of complex strengths (T, n) to full grids in C order, (M,), on the host.
 
-        Parameters
-        ----------
-        points
-            (T, n, d) in [0,1).
-        strengths
-            complex128 (T, n).
-
-        Yields
-        ------
-        ndarray
-            complex128 (M,), the full grid in C order, on the host.
-
-        Raises
-        ------
-        ParameterError
-            The device has not memory enough.
+        They are computed one by one and copied back in blocks.
         """
         block = max(1, _BLOCK_BYTES // (16 * int(np.prod(self.shape))))
         for low in range(0, len(points), block):

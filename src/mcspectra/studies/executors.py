@@ -228,7 +228,7 @@ class Dask:
 
     The scheduler resubmits tasks whose worker dies; here those are resubmitted that were under way
     when the connection to the scheduler was lost and found again. A worker that dies takes tasks with
-    it that are not to blame; those that the scheduler gives up come again, one at a time. At most two
+    it that are not to blame; those that the scheduler gives up come again, each alone. At most two
     tasks a worker thread are with the scheduler, results that were not fetched yet among them, so that
     nothing grows with the study.
 
@@ -314,16 +314,16 @@ class Dask:
         return bool(self._client.status == "running")
 
     def _fill(self) -> None:
-        """Send as many tasks as the cluster should have."""
+        """Send as many tasks as the cluster should have; a suspect while it has no other."""
         most = _AHEAD * self.workers
         while len(self._sent) < most and self._ready:
-            # A suspect only while no other is under way, so that they do not share a worker.
-            if self._suspects and not any(sent.deaths for _, sent in self._sent.values()):
-                self._send(self._suspects.popleft())
-            elif self._waiting:
-                self._send(self._waiting.popleft())
-            else:
+            if self._suspects:
+                if not self._sent:
+                    self._send(self._suspects.popleft())
                 return
+            if not self._waiting or any(sent.deaths for _, sent in self._sent.values()):
+                return
+            self._send(self._waiting.popleft())
 
     def _send(self, pending: _Pending) -> None:
         serial = next(self._serials)
@@ -388,7 +388,7 @@ class Dask:
         return None
 
     def _suspect(self, pending: _Pending, deaths: int) -> Outcome | None:
-        """Try a task once more whose workers died; the second time it is to blame."""
+        """Try a task once more whose workers died, alone; if they die again it is to blame."""
         total = pending.deaths + deaths
         if not pending.deaths:
             self._suspects.append(pending._replace(deaths=total))

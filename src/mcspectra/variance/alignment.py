@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,7 +28,7 @@ from mcspectra.integrands import Integrand
 from mcspectra.samplers import Randomized, Sampler, Shift, StrataShift
 from mcspectra.variance.convergence import count_moments, count_stream
 from mcspectra.variance.exact import exact_variance
-from mcspectra.variance.fit import fit_rate
+from mcspectra.variance.fit import fit_rates
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -114,24 +114,17 @@ def strata_shift_scan(
     # Variances (…, n, channel) and rates (…, channel) at all offsets
     cells = [[found.at(o, n) for n in ns] for o in itertools.product(places, repeat=given.dims)]
     value, relative_se, floor, interval = (
-        np.array([[getattr(cell, name) for cell in row] for row in cells])
-        for name in ("value", "relative_se", "floor", "interval")
+        np.array([[cell[i] for cell in row] for row in cells]) for i in range(4)
     )
-    channels = range(value.shape[2])
-    fits = [
-        [fit_rate(np.array(ns), v[:, c], r[:, c], f[:, c]) for c in channels]
-        for v, r, f in zip(value, relative_se, floor, strict=True)
-    ]
+    v, r, f = (np.moveaxis(a, 1, 0) for a in (value, relative_se, floor))
+    fits = fit_rates(np.array(ns), v, r, f)
     axes = tuple(f"offset{i}" for i in range(given.dims))
     shape = (len(places),) * len(axes)
     variables = {
         "variance": (("n", "channel"), value),
         "variance_ci": (("n", "channel", "bound"), interval),
-        "rate": (("channel",), np.array([[fit.rate for fit in row] for row in fits])),
-        "rate_ci": (
-            ("channel", "bound"),
-            np.array([[fit.interval for fit in row] for row in fits]),
-        ),
+        "rate": (("channel",), fits["rate"]),
+        "rate_ci": (("channel", "bound"), fits["interval"]),
     }
     attributes = {"long_name": "offset of strata", "units": "sides of a stratum"}
     return dataset(
@@ -170,7 +163,7 @@ def best_alignment(
     estimator, sampler, n
         What is to be improved; the sampler without a shift, which would average over all offsets.
     edges
-        Places of known edges, as for `mcspectra.variance.aligned`: strata with borders there are tried
+        Places of known edges, as for `aligned`: strata with borders there are tried
         as well. Needs an estimator without a density and n = s^d.
     offsets, method
         As for `mcspectra.strata_shift_scan`; the best of the scan is refined by a pattern search,
@@ -192,7 +185,7 @@ def best_alignment(
     Raises
     ------
     CountError, ParameterError, NoClosedForm
-        As for `mcspectra.strata_shift_scan` and `mcspectra.variance.aligned`.
+        As for `mcspectra.strata_shift_scan` and `aligned`.
 
     Notes
     -----
@@ -320,32 +313,14 @@ def aligned(
 
 
 @dataclass(frozen=True)
-class _Variances:
-    """Variance of one set-up, its interval (…, 2) and relative standard error, its rounding floor."""
-
-    value: Array
-    interval: Array
-    relative_se: Array
-    floor: Array
-
-
-@dataclass(frozen=True)
 class _Offsets:
-    """Variance of an estimator as a function of the offset of the sampler's strata.
+    """Variance of an estimator as a function of the offset of the sampler's strata."""
 
-    Attributes
-    ----------
-    estimator, sampler
-        What is displaced.
-    exact
-        Whether variances are exact, else measured on realisations that all offsets share.
-    realizations, stream, workers
-        How they are measured.
-    """
-
+    # What is displaced
     estimator: AbstractEstimator
     sampler: Sampler
-    exact: bool
+    exact: bool  # whether variances are exact, else measured on realisations that all offsets share
+    # How they are measured
     realizations: int
     stream: Stream
     workers: int
@@ -360,15 +335,7 @@ class _Offsets:
         stream: Stream,
         workers: int,
     ) -> _Offsets:
-        """What gives variances at offsets; ``"auto"`` is exact where that is known for all counts.
-
-        Raises
-        ------
-        NoClosedForm
-            `method` is ``"exact"`` and no exact variance is known.
-        ParameterError
-            The sampler is shifted at random already.
-        """
+        """What gives variances at offsets; ``"auto"`` is exact where that is known for all counts."""
         steps = sampler.steps if isinstance(sampler, Randomized) else ()
         if any(isinstance(step, Shift) for step in steps):
             raise ParameterError(
@@ -377,37 +344,36 @@ class _Offsets:
             )
         exact = as_choice("method", method, METHODS) != "measured"
         found = _Offsets(estimator, sampler, exact, realizations, stream, workers)
-        # Half a stratum is where edges at multiples of the side cut strata.
-        probes = ([0.0] * estimator.dims, [0.4375] * estimator.dims) if exact else ()
         try:
-            for probe, n in itertools.product(probes, counts):
-                found.at(probe, n)
+            if exact:
+                # Half a stratum is where edges at multiples of the side cut strata.
+                for probe, n in itertools.product((0.0, 0.4375), counts):
+                    found.at([probe] * estimator.dims, n)
         except NoClosedForm:
             if method == "exact":
                 raise
-            return _Offsets(estimator, sampler, False, realizations, stream, workers)
+            return replace(found, exact=False)
         return found
 
     def displaced(self, offset: Sequence[float]) -> Sampler:
         """The sampler with its strata moved by parts of their side."""
         return self.sampler.then(StrataShift(offset=tuple(offset)))
 
-    def at(self, offset: Sequence[float], n: int) -> _Variances:
-        """Variances of all channels (C,) at one offset."""
+    def at(self, offset: Sequence[float], n: int) -> tuple[Array, Array, Array, Array]:
+        """Variances (C,) at an offset, relative standard errors, rounding floors, intervals (C, 2)."""
         source = self.displaced(offset)
         size = np.abs(np.atleast_1d(self.estimator.integral))
         if self.exact:
             value = np.atleast_1d(exact_variance(self.estimator, source, n))
             both = np.stack([value, value], axis=-1)
-            rounding = _EXACT_ROUNDING * size**2 / n
-            return _Variances(value, both, np.full(value.shape, _EXACT_SE), rounding)
+            return value, np.full(value.shape, _EXACT_SE), _EXACT_ROUNDING * size**2 / n, both
         own = count_stream(self.stream, n)
         m = count_moments(self.estimator, source, n, self.realizations, own, self.workers)
-        return _Variances(m.variance, m.variance_ci, m.relative_se, rounding_floor(size))
+        return m.variance, m.relative_se, rounding_floor(size), m.variance_ci
 
     def total(self, offset: Sequence[float], n: int) -> float:
         """Variance at one offset, summed over channels."""
-        return float(self.at(offset, n).value.sum())
+        return float(self.at(offset, n)[0].sum())
 
 
 def _checked_offsets(offsets: Any, dims: int) -> list[float]:

@@ -1,35 +1,26 @@
 """ANOVA of a variance in many dims: which axes, alone or together, the noise comes from.
 
-With the ANOVA decomposition f = Σ_u f_u over subsets u of the axes, an estimate is the sum of the means I_u
-of f_u over the points, and Var(I) = Σ_u c_u, c_u = Cov(I_u, I): as the contribution map does for frequencies.
-For random points c_u = σ²_u/n; a sampler that is good in a projection takes c_u away.
+Of the parts f_u of an integrand over subsets u of the axes (docs/theory.md, "Analysis by axes"), each adds
+c_u = Cov(I_u, I) to the variance.
 
-Method: pick-freeze [Sobol2001]_ of whole point sets. Keep the coordinates u of all points, and
-replace the others by those of an independent set of the same sampler, its points in random order. Given
-the first set, the mean over the second is Σ_{v⊆u} I_v; so the covariance of the two estimates is
-Σ_{v⊆u} c_v, and inclusion-exclusion leaves c_u. That of the empty u is 0, but its sample is taken off
-all others: most of their errors are in it too, and shares near 1 are then precise. No coefficient
-of f is needed, d may be large, and the error is that of a covariance over realisations.
+`anova_variances`: pick-freeze [Sobol2001]_ of whole point sets. Keep the coordinates u of all points, and
+replace the others by those of an independent set of the same sampler, its points in random order: the
+covariance of the two estimates is Σ_{v⊆u} c_v, and inclusion-exclusion leaves c_u. That of the empty u is 0,
+but its sample is taken off all others: most of their errors are in it too, and shares near 1 are then
+precise. Effective dimensions are those of [Caflisch1997]_.
 
-Effective dimension [Caflisch1997]_: in the truncation sense the least s such that the first s axes, in
-the superposition sense such that subsets of up to s axes, hold 99 % of the variance.
-
-By sampled frequencies, `anova_spectrum`: those that involve the axes u and no others make up the ANOVA part
-f_u, and the part of the variance of points that are the same after any translation is
-
-    c_u = Σ_{m: m_i ≠ 0 for i ∈ u only} |f_m|² ⟨|S_m|²⟩.
-
-The sum has (2K)^|u| terms. It is estimated from a few: m is drawn with a probability q(m) = Π_{i∈u} q_1(m_i),
-q_1(k) ∝ 1/k² up to K, and the mean of |f_m|² ⟨|S_m|²⟩ / q(m) is unbiased. |f_m|² of a function with
-jumps or a boundary term falls like 1/m_i² on each axis, so that the terms are bounded.
+`anova_spectrum`: c_u of points that are the same after any translation is the sum of |f_m|² ⟨|S_m|²⟩ over
+the frequencies of these axes and no others, estimated from a few: m is drawn with a probability
+q(m) = Π_{i∈u} q_1(m_i), q_1(k) ∝ 1/k² up to K, since |f_m|² of a function with jumps or a boundary term falls
+like 1/m_i² on each axis, so that the terms are bounded.
 """
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, final
 
 import numpy as np
@@ -40,7 +31,7 @@ from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNT, REALIZATIONS
-from mcspectra.core.parallel import Block, realization_blocks
+from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.records import JOIN, Join
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
@@ -74,13 +65,8 @@ class Anova(Analysis, frozen=True, kw_only=True):
     function = "anova_variances"
     verb = "anova"
     variables = (
-        *(
-            "anova_variance",
-            "anova_variance_se",
-            "anova_share",
-            "total_variance",
-            "total_variance_se",
-        ),
+        *("anova_variance", "anova_variance_se", "anova_share"),
+        *("total_variance", "total_variance_se"),
         *("higher_order_variance", "higher_order_variance_se", "truncation_share"),
         *("effective_dimension_truncation", "effective_dimension_superposition", "mean_dimension"),
         *("variance", "variance_ci"),
@@ -95,7 +81,7 @@ class Anova(Analysis, frozen=True, kw_only=True):
         estimator = subject.estimator
         estimator.check_sampler(subject.sampler, self.n)
         dims = as_integer("dims", estimator.dims, least=1, most=_MAX_DIMS)
-        # Those listed, those without one axis, and the first s axes: see `_Subsets`
+        # Those listed, those without one axis, and the first s axes: see `_frozen`
         sizes = range(dims + 1)
         subsets = sum(math.comb(dims, s) if s <= self.order or s >= dims - 1 else 1 for s in sizes)
         values = subsets * max(1, estimator.channels) * self.realizations
@@ -113,34 +99,58 @@ class Anova(Analysis, frozen=True, kw_only=True):
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Estimates]:
         """The estimates of every realisation: covariances need the means of all."""
-        estimator = subject.estimator
-        subsets = _Subsets.of(estimator.dims, self.order)
-        pairs = _Pairs(estimator, subject.sampler, self.n, stream)
-        evaluations = self.n * sum(estimator.counts)
-        blocks = realization_blocks(self.realizations, 4 * estimator.dims * evaluations)
+        e, sampler, n = subject.estimator, subject.sampler, self.n
+        partner = stream.child(_PARTNER)
+        masks = np.array([[a in u for a in range(e.dims)] for u in _frozen(e.dims, self.order)])
+        evaluations = n * sum(e.counts)
+        blocks = realization_blocks(self.realizations, 4 * e.dims * evaluations)
+
+        @functools.cache
+        def same_always() -> bool:
+            """Whether the sampler makes the same set of any stream: it has no independent partner."""
+            one, other = (sampler.draw_stream(n, s, 0, 1) for s in (stream, partner))
+            return np.array_equal(one, other)
+
+        def estimates(index: int) -> _Estimates:
+            """Estimates with the axes of each subset kept and the others replaced."""
+            block = blocks[index]
+            kept = e.draw(sampler, n, stream, *block)
+            # Independent sets, each in an order of its own; random ones where there are none
+            if same_always():
+                random = as_sampler("random", sampler.dims)
+                others = e.draw(random, n, stream.child(_UNIFORM), *block)
+            else:
+                others = e.draw(sampler, n, partner, *block)
+                for t, y in enumerate(others):
+                    keys = stream.child(_ORDER).child(t).uniforms(*block, y.shape[1])
+                    others[t] = np.take_along_axis(y, keys.argsort(axis=1)[:, :, None], axis=1)
+            found = [
+                e.estimate([np.where(mask, x, y) for x, y in zip(kept, others, strict=True)])
+                for mask in masks
+            ]
+            return _Estimates(np.stack(found).reshape(len(masks), block[1], -1))
 
         return Reduction(
             kind=_Estimates,
-            block=lambda index: _Estimates(pairs.estimates(subsets.masks, blocks[index])),
+            block=estimates,
             blocks=len(blocks),
-            cost=float(len(subsets.masks) * self.realizations * evaluations),
-            result=lambda found: self._labelled(subsets, found.values, subject, stream),
+            cost=float(len(masks) * self.realizations * evaluations),
+            result=lambda found: self._labelled(found.values, subject, stream),
         )
 
-    def _labelled(
-        self, subsets: _Subsets, estimates: Array, subject: Subject, stream: Stream
-    ) -> xr.Dataset:
-        """Make the dataset of linear combinations of the covariances of all masks with the first."""
+    def _labelled(self, estimates: Array, subject: Subject, stream: Stream) -> xr.Dataset:
+        """Make the dataset of linear combinations of the covariances of all subsets with the first."""
         moments, count = Moments.of(estimates[0]), estimates.shape[1]
         # Products of deviations, whose means over realisations are covariances: (S, R, channels)
         deviation = estimates - estimates.mean(axis=1, keepdims=True)
         products = deviation * (deviation[0] * (count / (count - 1)))
-        unit, dims = np.eye(len(subsets.masks)), subsets.masks.shape[1]
-        axes = tuple(range(dims))
+        dims = subject.estimator.dims
+        frozen, listed, axes = _frozen(dims, self.order), _subsets(dims, self.order), range(dims)
+        weight = dict(zip(frozen, np.eye(len(frozen)), strict=True))
 
-        def below(u: tuple[int, ...]) -> Array:
+        def below(*u: int) -> Array:
             """The weights of all subsets of u together."""
-            return np.asarray(unit[subsets.place(u)] - unit[subsets.place(())])
+            return np.asarray(weight[u] - weight[()])
 
         def combined(weights: list[Array]) -> tuple[Array, Array]:
             """Combinations (U, S) of the covariances, and their standard errors: (U, channels)."""
@@ -149,19 +159,19 @@ class Anova(Analysis, frozen=True, kw_only=True):
             return means, np.stack([q.std(axis=0, ddof=1) for q in each]) / np.sqrt(count)
 
         parts = [
-            below(u) - sum((below((a,)) for a in u if len(u) > 1), np.zeros(len(unit)))
-            for u in subsets.listed
+            below(*u) - sum((below(a) for a in u if len(u) > 1), np.zeros(len(frozen)))
+            for u in listed
         ]
         own, own_se = combined(parts)
-        total, total_se = combined([below(axes) - below((*axes[:i], *axes[i + 1 :])) for i in axes])
-        rest, rest_se = combined([below(axes) - np.sum(parts, axis=0)])
-        first, _ = combined([below(axes[: s + 1]) for s in axes])
+        total, total_se = combined([below(*axes) - below(*axes[:i], *axes[i + 1 :]) for i in axes])
+        rest, rest_se = combined([below(*axes) - np.sum(parts, axis=0)])
+        first, _ = combined([below(*axes[: s + 1]) for s in axes])
 
         varies = moments.variance > rounding_floor(moments.mean)
         whole = np.where(varies, first[-1], np.nan)  # the variance, by the same pairs
-        sizes = np.array([len(u) for u in subsets.listed])
+        sizes = np.array([len(u) for u in listed])
         by_size = np.stack([own[sizes <= s].sum(axis=0) for s in range(1, sizes.max() + 1)])
-        labels = ["".join(f"x{i}" for i in u) for u in subsets.listed]
+        labels = ["".join(f"x{i}" for i in u) for u in listed]
         alone = ("channel",)
         return dataset(
             {
@@ -450,71 +460,12 @@ def _subsets(dims: int, order: int) -> list[tuple[int, ...]]:
     return [u for s in range(1, order + 1) for u in itertools.combinations(range(dims), s)]
 
 
-@dataclass(frozen=True)
-class _Subsets:
-    """The subsets of axes that are frozen.
-
-    Attributes
-    ----------
-    masks
-        All of them, each once, the full and the empty set first: bool (S, d).
-    listed
-        Those of up to `order` axes, by size.
-    """
-
-    masks: Array
-    listed: tuple[tuple[int, ...], ...]
-
-    @staticmethod
-    def of(dims: int, order: int) -> _Subsets:
-        axes = range(dims)
-        listed = _subsets(dims, order)
-        without = [tuple(a for a in axes if a != i) for i in axes]
-        first = [tuple(range(s)) for s in range(1, dims)]
-        every = dict.fromkeys([tuple(axes), (), *listed, *without, *first])
-        masks = np.array([[a in u for a in axes] for u in every])
-        return _Subsets(masks, tuple(listed))
-
-    def place(self, subset: tuple[int, ...]) -> int:
-        """Where a subset is among the masks."""
-        wanted = np.isin(np.arange(self.masks.shape[1]), subset)
-        return int(np.flatnonzero((self.masks == wanted).all(axis=1))[0])
-
-
-@dataclass(frozen=True)
-class _Pairs:
-    """Pairs of independent sets, whose coordinates are exchanged."""
-
-    estimator: AbstractEstimator
-    sampler: Sampler
-    n: int
-    stream: Stream
-
-    @cached_property
-    def uniform(self) -> bool:
-        """Whether the sampler makes the same set of any stream: it has no independent partner."""
-        streams = (self.stream, self.stream.child(_PARTNER))
-        one, other = (self.sampler.draw_stream(self.n, s, 0, 1) for s in streams)
-        return np.array_equal(one, other)
-
-    def estimates(self, masks: Array, block: Block) -> Array:
-        """Estimates with the axes of each mask kept and the others replaced: (S, R, channels)."""
-        e, stream = self.estimator, self.stream
-        kept = e.draw(self.sampler, self.n, stream, *block)
-        # Independent sets, each in an order of its own; random ones where there are none
-        if self.uniform:
-            random = as_sampler("random", self.sampler.dims)
-            others = e.draw(random, self.n, stream.child(_UNIFORM), *block)
-        else:
-            others = e.draw(self.sampler, self.n, stream.child(_PARTNER), *block)
-            for t, y in enumerate(others):
-                keys = stream.child(_ORDER).child(t).uniforms(*block, y.shape[1])
-                others[t] = np.take_along_axis(y, keys.argsort(axis=1)[:, :, None], axis=1)
-        found = [
-            e.estimate([np.where(mask, x, y) for x, y in zip(kept, others, strict=True)])
-            for mask in masks
-        ]
-        return np.stack(found).reshape(len(masks), block[1], -1)
+def _frozen(dims: int, order: int) -> list[tuple[int, ...]]:
+    """The subsets of axes that are kept, each once, the full and the empty set first."""
+    axes = tuple(range(dims))
+    without = [(*axes[:i], *axes[i + 1 :]) for i in axes]
+    first = [axes[:s] for s in range(1, dims)]
+    return list(dict.fromkeys([axes, (), *_subsets(dims, order), *without, *first]))
 
 
 def _least(shares: Array) -> Array:

@@ -1,13 +1,9 @@
 """Convergence: measured variance against n and its fitted rate.
 
-The rate is the slope of log variance against log n (`mcspectra.variance.fit`). The variance is that of
-the realisations, a sample variance with ddof = 1, which is unbiased for the variance of the estimator;
-its relative standard error, √((κ − 1)/R) for R estimates of kurtosis κ, is its weight in the fit.
-
-How many realisations: a given number, or until the variance is known well enough. 5 % takes 800 of
-normal estimates, and many more where few estimates carry most of the spread. κ is not known in advance, so
-that the number is found by going on: sequentially, in stages fixed by what was seen so far, hence the
-same bits for any number of workers.
+How many realisations: a given number, or until the variance is known well enough, which takes about
+(κ − 1)/ε² for estimates of kurtosis κ (docs/theory.md, "Intervals of variances, and stopping"). κ is not
+known in advance, so that the number is found by going on: sequentially, in stages fixed by what was seen so
+far, hence the same bits for any number of workers.
 
 What has not been seen cannot be counted. A stop is believed only when the next stage, at least a
 quarter longer, confirms it, because the first stop of a skewed sample tends to be a moment at which κ
@@ -53,7 +49,7 @@ from mcspectra.estimators import AbstractEstimator, Moments, as_subject
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.tails import unsampled_note
 from mcspectra.samplers import Sampler
-from mcspectra.variance.fit import check_window, fit_rate
+from mcspectra.variance.fit import check_window, fit_rates
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -227,10 +223,7 @@ class Convergence(Analysis, frozen=True, kw_only=True):
         integral = np.atleast_1d(estimator.integral)
         mean_se = np.stack([m.mean_se for m in moments])
         floor = rounding_floor(np.maximum(np.abs(mean), np.abs(integral)))
-        fits = [
-            fit_rate(counts, variance[:, c], relative[:, c], floor[:, c], window)
-            for c in range(variance.shape[1])
-        ]
+        fits = fit_rates(counts, variance, relative, floor, window)
         curve = {
             "variance": variance,
             "variance_ci": np.stack([m.variance_ci for m in moments]),
@@ -240,10 +233,10 @@ class Convergence(Analysis, frozen=True, kw_only=True):
             "mse": (mean - integral) ** 2
             + variance * np.array([(m.count - 1) / m.count for m in moments])[:, None],
             "realizations_used": np.array([m.count for m in moments]),
-            "rate": np.array([fit.rate for fit in fits]),
-            "rate_ci": np.array([fit.interval for fit in fits]),
-            "fit_first_n": np.array([fit.first_n for fit in fits]),
-            "fit_chi2": np.array([fit.chi2 for fit in fits]),
+            "rate": fits["rate"],
+            "rate_ci": fits["interval"],
+            "fit_first_n": fits["first_n"],
+            "fit_chi2": fits["chi2"],
             "bias_se": np.hypot(mean_se, estimator.integral_error),
         }
         if self.relative_error is not None:

@@ -1,7 +1,7 @@
 """What else could have been done: an estimator and a sampler, changed in one respect each.
 
-A *kind* of change is a function from the set-up that is given to those that differ from it, each with
-the imperative that says how. Where a kind has nothing to offer, the reason is kept with it.
+A *kind* of change is a function from the set-up that is given to offers, each with the imperative that
+says how; where it has nothing to offer, it raises the reason. `other_setups` makes the set-ups.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, TypeAlias
 
-from mcspectra.core.errors import CountError, McspectraError
+from mcspectra.core.errors import CountError, McspectraError, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.densities import Bilinear, Defensive, EnvironmentDensity, PiecewiseConstant
 from mcspectra.estimators import AbstractEstimator, Estimator, Mirrored, MultipleImportance
@@ -59,18 +59,12 @@ _SCAN_REALIZATIONS = 300
 
 @dataclass(frozen=True)
 class Setup:
-    """An estimator with its sampler.
+    """An estimator with its sampler."""
 
-    Attributes
-    ----------
-    estimator, sampler
-        What is sampled and how.
-    at_count
-        Makes the estimator for n points, where it depends on them.
-    """
-
+    # What is sampled and how
     estimator: AbstractEstimator
     sampler: Sampler
+    # Makes the estimator for n points, where it depends on them
     at_count: Callable[[int], AbstractEstimator] | None = None
 
     def at(self, n: int) -> AbstractEstimator:
@@ -104,45 +98,22 @@ class Setup:
 
 @dataclass(frozen=True)
 class Budget:
-    """What searches for the best of a family may use.
+    """What searches for the best of a family may use."""
 
-    Attributes
-    ----------
-    evaluations
-        Of the integrand, in an estimate.
-    realizations
-        Estimates to measure with.
-    stream
-        Random numbers of their own: what was chosen is measured again on others.
-    """
-
-    evaluations: int
-    realizations: int
-    stream: Stream
+    evaluations: int  # of the integrand, in an estimate
+    realizations: int  # estimates to measure with
+    stream: Stream  # random numbers of their own: what was chosen is measured again on others
 
 
 @dataclass(frozen=True)
 class Counterfactual:
-    """A set-up that differs from the one given in one respect.
+    """A set-up that differs from the one given in one respect."""
 
-    Attributes
-    ----------
-    kind
-        One of `KINDS`, or ``"given"``.
-    name
-        Short label, unique among those compared.
-    change
-        What to do, as an imperative.
-    setup
-        The changed set-up.
-    biased
-        Whether it estimates something else, so that the error is taken about the given integral.
-    """
-
-    kind: str
-    name: str
-    change: str
-    setup: Setup
+    kind: str  # one of `KINDS`, or ``"given"``
+    name: str  # short label, unique among those compared
+    change: str  # what to do, as an imperative
+    setup: Setup  # the changed set-up
+    # Whether it estimates something else, so that the error is taken about the given integral
     biased: bool = False
 
     @property
@@ -161,7 +132,17 @@ class NotTried:
     reason: str
 
 
-Found = Iterator[Counterfactual | NotTried]
+@dataclass(frozen=True)
+class _Offer:
+    """A change that a kind has to offer."""
+
+    name: str
+    change: str  # as an imperative
+    make: Callable[[], AbstractEstimator | Sampler | Setup]  # may fail
+    biased: bool = False
+
+
+_Offers: TypeAlias = Iterator[_Offer | NotTried]
 
 Kind: TypeAlias = Literal[
     "unshifted",
@@ -177,7 +158,9 @@ Kind: TypeAlias = Literal[
 """Kinds of change, in the order in which they are tried."""
 
 
-def other_setups(given: Setup, kinds: Sequence[Kind], budget: Budget) -> Found:
+def other_setups(
+    given: Setup, kinds: Sequence[Kind], budget: Budget
+) -> Iterator[Counterfactual | NotTried]:
     """All set-ups of the kinds asked for, in the order of `kinds`, none twice.
 
     Where a kind fails, that is its reason. Changes of what is inside of a mirrored estimator are
@@ -189,15 +172,24 @@ def other_setups(given: Setup, kinds: Sequence[Kind], budget: Budget) -> Found:
         outer = own if isinstance(own, Mirrored) and kind in _INSIDE else None
         inner = given if outer is None else replace(given, estimator=outer.estimator)
         try:
-            for found in KINDS[kind](inner, budget):
-                change = found
-                if outer is not None and isinstance(change, Counterfactual):
-                    estimator = Mirrored(change.setup.estimator, outer.mode)
-                    change = replace(change, setup=replace(change.setup, estimator=estimator))
-                if isinstance(change, NotTried) or change.key not in seen:
-                    yield change
-                if isinstance(change, Counterfactual):
-                    seen.add(change.key)
+            for offer in KINDS[kind](inner, budget):
+                if isinstance(offer, NotTried):
+                    yield offer
+                    continue
+                try:
+                    made = offer.make()
+                except McspectraError as error:
+                    yield NotTried(kind, offer.name, str(error))
+                    continue
+                if isinstance(made, AbstractEstimator):
+                    made = replace(inner, estimator=made)
+                setup = made if isinstance(made, Setup) else replace(inner, sampler=made)
+                if outer is not None:
+                    setup = replace(setup, estimator=Mirrored(setup.estimator, outer.mode))
+                found = Counterfactual(kind, offer.name, offer.change, setup, offer.biased)
+                if found.key not in seen:
+                    yield found
+                seen.add(found.key)
         except McspectraError as error:
             yield NotTried(kind, kind, str(error))
 
@@ -226,39 +218,14 @@ def affordable_count(setup: Setup, budget: int) -> int | None:
     return None
 
 
-def _attempt(
-    given: Setup,
-    kind: str,
-    name: str,
-    change: str,
-    *,
-    estimator: Callable[[], AbstractEstimator] | None = None,
-    sampler: Callable[[], Sampler] | None = None,
-    biased: bool = False,
-) -> Found:
-    """The set-up with another estimator or sampler, or why that cannot be made."""
-    try:
-        setup = Setup(
-            given.estimator if estimator is None else estimator(),
-            given.sampler if sampler is None else sampler(),
-        )
-    except McspectraError as error:
-        yield NotTried(kind, name, str(error))
-    else:
-        yield Counterfactual(kind, name, change, setup, biased)
-
-
-def _unshifted(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+def leave_shift_out(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
+    """The sampler without its shift."""
     plain = _without_shift(given.sampler)
     if plain is None:
-        reason = f"{given.sampler.spec} has no shift to leave out."
-    elif not plain.unbiased:
-        reason = f"{plain.spec} is biased without its shift."
-    else:
-        setup = replace(given, sampler=plain)
-        yield Counterfactual("unshifted", "unshifted", "leave the shift out", setup)
-        return
-    yield NotTried("unshifted", "unshifted", reason)
+        raise ParameterError(f"{given.sampler.spec} has no shift to leave out.")
+    if not plain.unbiased:
+        raise ParameterError(f"{plain.spec} is biased without its shift.")
+    yield _Offer("unshifted", "leave the shift out", lambda: plain)
 
 
 def _without_shift(sampler: Sampler) -> Sampler | None:
@@ -271,29 +238,25 @@ def _without_shift(sampler: Sampler) -> Sampler | None:
     return plain
 
 
-def _aligned(given: Setup, budget: Budget) -> Found:
+def align_strata(given: Setup, budget: Budget) -> _Offers:
     """The offset of strata that is best at the budget, and strata with borders at known edges."""
     plain = _without_shift(given.sampler) or given.sampler
     if plain.structure is not Structure.STRATA or plain.dims > _MOST_ALIGNED or not plain.unbiased:
-        reason = f"{plain.spec} has no strata in one or two dims that could be aligned."
-        yield NotTried("aligned", "aligned", reason)
-        return
+        raise ParameterError(
+            f"{plain.spec} has no strata in one or two dims that could be aligned."
+        )
 
-    # Borders at the breaks that g is known to have
-    edges = [list(axis) for axis in given.estimator.primary_integrand(0).breaks]
-    name = "aligned with edges"
-    if len(given.estimator.counts) > 1 or not any(edges) or not isinstance(plain, Jittered):
-        yield NotTried("aligned", name, "No edges along the axes are known.")
-    else:
+    def at_edges() -> Setup:
+        """Borders at the breaks that g is known to have."""
+        edges = [list(axis) for axis in given.estimator.primary_integrand(0).breaks]
+        if len(given.estimator.counts) > 1 or not any(edges) or not isinstance(plain, Jittered):
+            raise ParameterError("No edges along the axes are known.")
         at = partial(aligned, given.estimator, edges if plain.dims > 1 else edges[0])
-        change = "bend the strata so that their borders are at the edges"
-        try:
-            at(2**plain.dims)
-        except McspectraError as error:
-            yield NotTried("aligned", name, str(error))
-        else:
-            setup = replace(given, sampler=plain, at_count=at)
-            yield Counterfactual("aligned", name, change, setup)
+        at(2**plain.dims)  # raises where that cannot be
+        return replace(given, sampler=plain, at_count=at)
+
+    change = "bend the strata so that their borders are at the edges"
+    yield _Offer("aligned with edges", change, at_edges)
 
     # The best offset
     n = affordable_count(replace(given, sampler=plain), budget.evaluations)
@@ -315,14 +278,13 @@ def _aligned(given: Setup, budget: Budget) -> Found:
     shown = ", ".join(f"{o:.3g}" for o in offset)
     step = StrataShift(offset=tuple(offset) if len(offset) > 1 else offset[0])
     change = f"move the strata by {shown} of their sides"
-    name = f"strata moved by {shown}"
-    yield from _attempt(given, "aligned", name, change, sampler=partial(plain.then, step))
+    yield _Offer(f"strata moved by {shown}", change, partial(plain.then, step))
 
 
-def _mirrored(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+def mirror(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
+    """All ways of mirroring."""
     if isinstance(given.estimator, Mirrored):
-        yield NotTried("mirrored", "mirrored", f"{given.estimator.spec} is mirrored already.")
-        return
+        raise ParameterError(f"{given.estimator.spec} is mirrored already.")
     changes = {
         "integrand": "spread the samples over the integrand's mirror images and fold them back",
         "random": "reflect every sample at random",
@@ -330,47 +292,43 @@ def _mirrored(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
     }
     for mode in MIRRORINGS:
         make = partial(Mirrored, given.estimator, mode)
-        yield from _attempt(given, "mirrored", f"mirrored: {mode}", changes[mode], estimator=make)
+        yield _Offer(f"mirrored: {mode}", changes[mode], make)
 
 
-def _sampler(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+def change_sampler(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
+    """Samplers of all families."""
     for spec in _SAMPLERS:
         make = partial(make_sampler, spec, given.estimator.dims)
-        yield from _attempt(given, "sampler", spec, f"sample with {spec}", sampler=make)
+        yield _Offer(spec, f"sample with {spec}", make)
 
 
-def _heuristic(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+def change_heuristic(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
+    """Other heuristics for the techniques."""
     estimator = given.estimator
     if not isinstance(estimator, Weighted):
-        yield NotTried(
-            "heuristic", "heuristic", f"{estimator.spec} has no heuristic: it is not weighted."
-        )
-        return
+        raise ParameterError(f"{estimator.spec} has no heuristic: it is not weighted.")
     for name in HEURISTICS:
         make = partial(estimator.with_heuristic, name)
         change = f"combine the techniques by {as_heuristic(name).spec}"
-        yield from _attempt(given, "heuristic", f"heuristic: {name}", change, estimator=make)
+        yield _Offer(f"heuristic: {name}", change, make)
 
 
-def _techniques(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+def single_techniques(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
     """Each technique alone."""
     estimator = given.estimator
     if not isinstance(estimator, Weighted) or len(estimator.counts) < 2:
-        yield NotTried("techniques", "techniques", f"{estimator.spec} has one technique only.")
-        return
+        raise ParameterError(f"{estimator.spec} has one technique only.")
     for technique in range(len(estimator.counts)):
         make, name = partial(estimator.alone, technique), estimator.technique_name(technique)
-        change = f"sample {name} alone"
-        yield from _attempt(given, "techniques", f"only {name}", change, estimator=make)
+        yield _Offer(f"only {name}", f"sample {name} alone", make)
 
 
-def _warp(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+def change_warp(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
+    """Other densities, the same by other warps, and none."""
     estimator = given.estimator
     density = estimator.density if isinstance(estimator, Estimator) else None
-    if density is None:
-        yield NotTried("warp", "warp", f"{estimator.spec} has no single density to replace.")
-        return
-    assert isinstance(estimator, Estimator)
+    if not isinstance(estimator, Estimator) or density is None:
+        raise ParameterError(f"{estimator.spec} has no single density to replace.")
 
     # The same pdf by other warps, one without its jumps, and one that is bounded from below
     plain: Any = density  # the parameters looked for are those of some densities only
@@ -383,24 +341,20 @@ def _warp(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
         others.append(Defensive(density=density))
     for other in others:
         make = partial(Estimator, estimator.integrand, other)
-        name = f"density: {other.spec}"
-        yield from _attempt(given, "warp", name, f"warp by {other.spec}", estimator=make)
+        yield _Offer(f"density: {other.spec}", f"warp by {other.spec}", make)
     change = "sample uniformly, without importance sampling"
-    make = partial(Estimator, estimator.integrand)
-    yield from _attempt(given, "warp", "uniform density", change, estimator=make)
+    yield _Offer("uniform density", change, partial(Estimator, estimator.integrand))
 
 
-def _smoothed(given: Setup, budget: Budget) -> Found:
+def smooth_edges(given: Setup, budget: Budget) -> _Offers:
     """The width with the least error at the budget, found by a scan on random numbers of its own."""
     estimator = given.estimator
     n = affordable_count(given, budget.evaluations)
     if not isinstance(estimator, Estimator) or n is None:
-        yield NotTried("smoothed", "smoothed", f"{estimator.spec} has no single f to smooth.")
-        return
+        raise ParameterError(f"{estimator.spec} has no single f to smooth.")
     _, inside = jumps_of(estimator)
     if inside is not None and not inside:
-        yield NotTried("smoothed", "smoothed", "No jump inside was found that could be smoothed.")
-        return
+        raise ParameterError("No jump inside was found that could be smoothed.")
     method = "distance" if inside is None else "auto"  # boxes are for few dims
     scan = smoothing_scan(
         estimator.integrand,
@@ -414,23 +368,22 @@ def _smoothed(given: Setup, budget: Budget) -> Found:
         workers=1,
     )
     width = float(scan["best_width"].values[0])
-    name = f"smoothed by {width:.3g}"
+    f = smoothed(estimator.integrand, width, method=method)
+    biased = not isinstance(f, BoxSmoothed)  # means over boxes keep the integral
     change = f"smooth the edges of f over a width of {width:.3g}"
-    make = partial(
-        Estimator, smoothed(estimator.integrand, width, method=method), estimator.density
-    )
-    biased = not isinstance(make().integrand, BoxSmoothed)  # means over boxes keep the integral
-    yield from _attempt(given, "smoothed", name, change, estimator=make, biased=biased)
+    make = partial(Estimator, f, estimator.density)
+    yield _Offer(f"smoothed by {width:.3g}", change, make, biased)
 
 
-def _channels(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
+def separate_channels(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
+    """Densities for each channel."""
     estimator = given.estimator
     density: Any = estimator.density if isinstance(estimator, Estimator) else None
     parameters = set() if density is None else {f.name for f in dataclasses.fields(density)}
     if not estimator.channels or "channel" not in parameters:
-        reason = f"{estimator.spec} has no channels with a density of which one can be chosen."
-        yield NotTried("channels", "channels", reason)
-        return
+        raise ParameterError(
+            f"{estimator.spec} has no channels with a density of which one can be chosen."
+        )
     assert isinstance(estimator, Estimator)
     f = estimator.integrand
     own = [dataclasses.replace(density, channel=c) for c in range(estimator.channels)]
@@ -441,18 +394,18 @@ def _channels(given: Setup, budget: Budget) -> Found:  # noqa: ARG001
         ("shared", shared, partial(ChannelSampling, f, own, sets="shared")),
         ("combined", combined, partial(MultipleImportance, f, own)),
     ):
-        yield from _attempt(given, "channels", f"channels: {name}", change, estimator=make)
+        yield _Offer(f"channels: {name}", change, make)
 
 
-KINDS: Mapping[Kind, Callable[[Setup, Budget], Found]] = {
-    "unshifted": _unshifted,
-    "mirrored": _mirrored,
-    "aligned": _aligned,
-    "smoothed": _smoothed,
-    "warp": _warp,
-    "heuristic": _heuristic,
-    "techniques": _techniques,
-    "channels": _channels,
-    "sampler": _sampler,
+KINDS: Mapping[Kind, Callable[[Setup, Budget], _Offers]] = {
+    "unshifted": leave_shift_out,
+    "mirrored": mirror,
+    "aligned": align_strata,
+    "smoothed": smooth_edges,
+    "warp": change_warp,
+    "heuristic": change_heuristic,
+    "techniques": single_techniques,
+    "channels": separate_channels,
+    "sampler": change_sampler,
 }
 """What makes the changes of each kind."""

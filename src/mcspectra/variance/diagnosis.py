@@ -8,12 +8,11 @@ not looked at, as jumps in more than two dims, is not said to be absent.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
-
-import numpy as np
 
 from mcspectra.core.errors import McspectraError
 from mcspectra.core.parallel import realization_blocks
@@ -22,7 +21,7 @@ from mcspectra.estimators import AbstractEstimator, Mirrored, Moments
 from mcspectra.samplers import Sampler, Shift
 from mcspectra.samplers.base import Randomized
 from mcspectra.variance.primary import primary_picture
-from mcspectra.variance.techniques import UNDECIDED, technique_rates
+from mcspectra.variance.techniques import UNDECIDED, technique_estimates, technique_rates
 
 __all__ = ["Diagnosis", "Jumps", "diagnose", "jumps_of"]
 
@@ -55,26 +54,14 @@ class Jumps:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found about a set-up.
+    """What was found about a set-up."""
 
-    Attributes
-    ----------
-    wraps
-        Whether the sampler shifts points around the torus.
-    unbounded
-        Whether ∫1/p diverges.
-    slow
-        The technique whose rate is slower than all others'; None where none is known to be.
-    slow_name
-        Its density or integrand, where it has one.
-    boundary, inside
-        Jumps of g, of all techniques together; None where they were not looked for.
-    """
-
-    wraps: bool
-    unbounded: bool
+    wraps: bool  # whether the sampler shifts points around the torus
+    unbounded: bool  # whether ∫1/p diverges
+    # The technique whose rate is slower than all others'; None where none is known to be
     slow: int | None
-    slow_name: str
+    slow_name: str  # its density or integrand, where it has one
+    # Jumps of g, of all techniques together; None where they were not looked for
     boundary: Jumps | None
     inside: Jumps | None
 
@@ -171,17 +158,7 @@ class Diagnosis:
 def diagnose(
     estimator: AbstractEstimator, sampler: Sampler, counts: Sequence[int], stream: Stream
 ) -> Diagnosis:
-    """Look for the causes of noise of an estimator with a sampler.
-
-    Parameters
-    ----------
-    estimator, sampler
-        The set-up.
-    counts
-        Ascending numbers of points at which the rates of techniques are compared.
-    stream
-        Random numbers for that.
-    """
+    """Look for the causes of noise; the rates of techniques are compared at ascending counts."""
     boundary, inside = jumps_of(estimator)
     # What is mirrored is shifted before it is folded
     steps = sampler.steps if isinstance(sampler, Randomized) else ()
@@ -189,16 +166,23 @@ def diagnose(
     # The bottleneck among techniques, of all channels alike
     chosen: set[int] = set()
     if len(estimator.counts) > 1 and len(counts) > 1:
-        moments = [_technique_moments(estimator, sampler, n, stream.child(n)) for n in counts]
+        moments = []
+        for n in counts:
+            own, numbers = stream.child(n), n * estimator.dims * sum(estimator.counts)
+            found = [
+                Moments.of(technique_estimates(estimator, estimator.draw(sampler, n, own, *block)))
+                for block in realization_blocks(_REALIZATIONS, numbers)
+            ]
+            moments.append(functools.reduce(Moments.merge, found))
         _, choice = technique_rates(counts, moments, len(counts))
         chosen = {int(t) for t in choice} - {UNDECIDED}
     slow = chosen.pop() if len(chosen) == 1 else None
-    parts = getattr(estimator, "densities", None) or getattr(estimator, "integrands", None)
+    named = getattr(estimator, "densities", None) or getattr(estimator, "integrands", None)
     return Diagnosis(
         wraps=shifted and not isinstance(estimator, Mirrored),
         unbounded=estimator.infinite_weights,
         slow=slow,
-        slow_name="" if slow is None or parts is None else parts[slow].spec,
+        slow_name="" if slow is None or named is None else named[slow].spec,
         boundary=boundary,
         inside=inside,
     )
@@ -217,27 +201,11 @@ def jumps_of(estimator: AbstractEstimator) -> tuple[Jumps | None, Jumps | None]:
         return None, None
     found = []
     for kind in ("boundary", "interior"):
-        of_kind = [p.sel(kind=kind) for p in pictures]
-        lengths = [float(p["primary_jump_length"]) for p in of_kind]
-        heights = [float(p["primary_jump_height"]) for p in of_kind]
+        lengths, heights = (
+            [float(p[f"primary_jump_{name}"].sel(kind=kind)) for p in pictures]
+            for name in ("length", "height")
+        )
         total = sum(lengths)
         weighted = sum(k * h for k, h in zip(lengths, heights, strict=True) if k > 0)
         found.append(Jumps(total, weighted / total if total > 0 else 0.0, estimator.dims))
     return found[0], found[1]
-
-
-def _technique_moments(
-    estimator: AbstractEstimator, sampler: Sampler, n: int, stream: Stream
-) -> Moments:
-    """Moments (C, T + 1) of the parts of the estimate that techniques make, and of their sum."""
-    total: Moments | None = None
-    numbers = n * estimator.dims * sum(estimator.counts)
-    for block in realization_blocks(_REALIZATIONS, numbers):
-        parts = [
-            estimator.primary_values(t, u).mean(axis=1).reshape(block[1], -1)
-            for t, u in enumerate(estimator.draw(sampler, n, stream, *block))
-        ]
-        own = Moments.of(np.stack([*parts, sum(parts[1:], parts[0])], axis=2))
-        total = own if total is None else total.merge(own)
-    assert total is not None
-    return total

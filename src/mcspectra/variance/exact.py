@@ -1,16 +1,8 @@
 """Exact variances of random and stratified sampling and of scrambled nets, by quadrature.
 
-For independent points u_j uniform in strata of equal volume, Var(I_n) = n^-2 Σ_j Var_j(g) with g
-the primary-space integrand; random sampling is one stratum; a shared random offset δ of all strata
-is averaged over: E_δ[Var | δ] + Var_δ(E | δ). Sets that are known on a grid of cells have finite sums:
+Strata, with and without a common offset, are in docs/theory.md, "Exact variances of strata", as is
+nested uniform scrambling ("Gains of scrambled nets"). Beyond these:
 
-* Nested uniform scrambling [Owen1997]_: Var = (1/n) Σ_l Γ_l σ²_l. Once the coordinates of all points
-  differ within L digits of each axis, the levels beyond L have Γ_l = 1, so that with ω² the mean over
-  cells of b^-L to a side of the variance within one,
-
-      Var = (1/n) [ω² + Σ_{0 < l ≤ L} Γ_l σ²_l],
-
-  a finite sum of squares. σ²_l follows from the means of the cells.
 * Digital shift in base 2, coordinates whole multiples of 2^-L: the shift is one of L bits and, below
   them, an offset δ uniform in a cell that all points share. For given δ the values of g over the grid
   have a Walsh spectrum ĝ_m(δ), the points ŝ_m = (1/n) Σ_k wal_m(x_k), of which |ŝ_m|² is 1 on the dual
@@ -23,9 +15,8 @@ is averaged over: E_δ[Var | δ] + Var_δ(E | δ). Sets that are known on a grid
       Var = (1/n) [ω² + Σ_{v ≠ ∅} (1 + (n − 1) (−1/(n − 1))^|v|) σ²_v],
 
   without what varies along single axes from stratum to stratum [Stein1987]_.
-* Antithetic jittered: a pair u, u' of a cell, reflected through its centre, contributes
-  h(u) = (g(u) + g(u'))/2, so that the variance is that of one jittered point for each cell with h in the
-  place of g [Haber1967]_.
+* Antithetic jittered [Haber1967]_: one jittered point for each cell, with h(u) = (g(u) + g(u'))/2 in the
+  place of g, u' reflected through the centre of the cell.
 * Mirrored: folded points see the folded integrand; images of all n/2^d points see the average ḡ of g
   over reflections, and so do, on average over the coins, points reflected at random. The coins add
   E[Var(g | point)]/n = (Var g − Var ḡ)/n if each point is uniform.
@@ -68,6 +59,7 @@ from mcspectra.samplers import (
     UniformJitter,
     VanDerCorput,
 )
+from mcspectra.spectra.bases import hadamard
 from mcspectra.spectra.gain import gain_coefficients
 from mcspectra.variance.quadrature import (
     DerivedIntegrand,
@@ -395,33 +387,18 @@ def _digitally_shifted(net: Sampler, points: Array, g: Integrand, order: int) ->
 
 
 def _hadamard(values: Array, dims: int) -> Array:
-    """Σ_x values(x) wal_m(x) along the first `dims` axes, m in the order of the butterflies."""
+    """`hadamard` along each of the first `dims` axes."""
     for axis in range(dims):
-        step = 1
-        while step < values.shape[axis]:
-            shape = (*values.shape[:axis], -1, 2, step, *values.shape[axis + 1 :])
-            left, right = np.moveaxis(values.reshape(shape), axis + 1, 0)
-            values = np.stack([left + right, left - right], axis=axis + 1).reshape(values.shape)
-            step *= 2
+        values = np.moveaxis(hadamard(np.moveaxis(values, axis, -1)), -1, axis)
     return values
 
 
 def level_variances(means: Array, bases: tuple[int, ...], axis: int = 0) -> Array:
     """σ²_l of all levels up to those of the cells, from the means of a function over the cells.
 
-    Parameters
-    ----------
-    means
-        float64 (b_0^L_0, b_1^L_1, …, channels).
-    bases
-        b_i, the base of each axis.
-    axis
-        Split along this axis into what each digit adds, then along those after it.
-
-    Returns
-    -------
-    ndarray
-        float64 (L_0 + 1, L_1 + 1, …, channels); at level 0 of all axes the square of the mean.
+    Means (b_0^L_0, b_1^L_1, …, channels) in the bases b_i of the axes become (L_0 + 1, L_1 + 1, …, channels),
+    at level 0 of all axes the square of the mean. They are split along `axis` into what each digit adds,
+    then along those after it.
     """
     if axis == len(bases):
         return np.asarray((means**2).mean(axis=tuple(range(axis))))

@@ -30,7 +30,15 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.fits import line_fit
 from mcspectra.estimators.moments import CONFIDENCE_Z
 
-__all__ = ["CURVATURE", "LACK_OF_FIT", "RateFit", "check_window", "fit_rate", "widening"]
+__all__ = [
+    "CURVATURE",
+    "LACK_OF_FIT",
+    "RateFit",
+    "check_window",
+    "fit_rate",
+    "fit_rates",
+    "widening",
+]
 
 LACK_OF_FIT = 0.05
 """Significance of χ² below which a window of counts is taken to be bent."""
@@ -106,6 +114,18 @@ def fit_rate(
             break
         first += 1
     return _line(x[first:], y[first:], se[first:], chosen=True)
+
+
+def fit_rates(
+    ns: Array, variance: Array, relative_se: Array, floor: Array, window: int | str | None = None
+) -> dict[str, Array]:
+    """Fit every column of arrays (N, …): the fields of `RateFit`, (…), with the interval (…, 2)."""
+    columns = (a.reshape(len(ns), -1).T for a in (variance, relative_se, floor))
+    fits = [fit_rate(ns, v, r, f, window) for v, r, f in zip(*columns, strict=True)]
+    found = {
+        name: np.array([getattr(fit, name) for fit in fits]) for name in RateFit.__annotations__
+    }
+    return {name: v.reshape(*variance.shape[1:], *v.shape[1:]) for name, v in found.items()}
 
 
 def _line(x: Array, y: Array, se: Array, *, chosen: bool = False) -> RateFit:

@@ -347,27 +347,15 @@ def covariance_modes(
 
 @dataclass(frozen=True)
 class _Coordinates:
-    """Real orthonormal coordinates z of the coefficients y_m of a band.
+    """Real orthonormal coordinates z of the coefficients y_m of a band."""
 
-    Attributes
-    ----------
-    place
-        Where the band's coefficients are among all stored, those of all techniques: int64 (P,).
-    factor
-        What makes y of S: conj(f_m) or 1, times `scale`: (P,).
-    scale
-        √2 for a coefficient that stands for −m too, else 1: (P,).
-    complex
-        Which of these have an imaginary part: all but the constants, in a complex basis; (Q,).
-    direction
-        The band's part of the estimate is its scalar product with z: (D,).
-    """
-
+    # Where the band's coefficients are among all stored, those of all techniques: int64 (P,)
     place: Array
-    factor: Array
-    scale: Array
+    factor: Array  # what makes y of S: conj(f_m) or 1, times `scale`: (P,)
+    scale: Array  # √2 for a coefficient that stands for −m too, else 1: (P,)
+    # Which of these have an imaginary part: all but the constants, in a complex basis; (Q,)
     complex: Array
-    direction: Array
+    direction: Array  # the band's part of the estimate is its scalar product with z: (D,)
 
     @staticmethod
     def of(view: View, inside: Array, channel: int, *, weighted: bool) -> _Coordinates:
@@ -406,25 +394,15 @@ class _Coordinates:
 
 @dataclass(frozen=True)
 class CovarianceProduct:
-    """Σ (z − z̄)(z − z̄)ᵀ V over `count` realisations; `merge` adds those of others.
+    """Σ (z − z̄)(z − z̄)ᵀ V over `count` realisations; `merge` adds those of others."""
 
-    Attributes
-    ----------
-    count, mean, along
-        Number of realisations, z̄, (D,), and Vᵀ z̄, (k,).
-    product
-        The sum, (D, k).
-    squares
-        Σ (z − z̄)², (D,): the diagonal.
-    degrees, projected
-        Of batches: degrees of freedom, (B,), and Vᵀ A_b V, (B, k, k).
-    """
-
+    # Number of realisations, z̄, (D,), and Vᵀ z̄, (k,)
     count: int
     mean: Array
     along: Array
-    product: Array
-    squares: Array
+    product: Array  # the sum, (D, k)
+    squares: Array  # Σ (z − z̄)², (D,): the diagonal
+    # Of batches: degrees of freedom, (B,), and Vᵀ A_b V, (B, k, k)
     degrees: Array
     projected: Array
 

@@ -1,13 +1,9 @@
 """Rates predicted from two exponents: how power starts at low frequencies, how an integrand ends.
 
-Let the power of a homogeneous set be ⟨P(m)⟩ = (1/n) min(1, (ρ/n^(1/d))^b), ρ = |m|, and the mean of |f_m|² over
-the directions fall like ρ^-γ. Then, with N = n^(1/d) the frequency up to which the set helps,
-
-    Var = Σ |f_m|² ⟨P(m)⟩ ~ (1/n) [N^-b ∫_1^N ρ^(b + d − 1 − γ) dρ + ∫_N^∞ ρ^(d − 1 − γ) dρ].
-
-Either the lowest frequencies dominate, n^(−1 − b/d), or those about N, n^(−1 − (γ − d)/d), whichever is
-the slower [Pilleboue2015]_. A jump across a hypersurface has γ = d + 1, a kink d + 3. On the torus,
-where shifted sets live, a smooth function whose values at 0 and 1 differ has a jump too.
+The variance falls like n^(−1 − min(b, γ − d)/d), where the power of a set rises like |m|^b and |f_m|² falls
+like |m|^-γ in the mean over directions (docs/theory.md, "Rates"). A jump across a hypersurface has
+γ = d + 1, a kink d + 3. On the torus, where shifted sets live, a smooth function whose values at 0 and 1
+differ has a jump too.
 
 γ is fitted to means of |f_m|² over shells half an octave wide. Ripples of the spectrum, of frequency
 one over the distance of two jumps, and terms of higher order scatter these means about the line; the

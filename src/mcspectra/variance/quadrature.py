@@ -51,23 +51,13 @@ _GRADED = {
 @final
 @dataclass(frozen=True, eq=False)
 class DerivedIntegrand(Integrand):
-    """What is made of an integrand point by point.
-
-    Attributes
-    ----------
-    values
-        Of points.
-    cuts
-        Its breaks.
-    text
-        Its spec, for messages.
-    """
+    """What is made of an integrand point by point."""
 
     name: ClassVar[str] = "derived"
     integrand: Integrand
-    values: Callable[[Array], Array]
-    cuts: tuple[tuple[float, ...], ...]
-    text: str
+    values: Callable[[Array], Array]  # of points
+    cuts: tuple[tuple[float, ...], ...]  # its breaks
+    text: str  # its spec, for messages
 
     @property
     def dims(self) -> int:  # type: ignore[override]
@@ -229,8 +219,6 @@ def mean_square(g: Integrand) -> Array:
 def square_integral(g: Integrand) -> tuple[Array, Array]:
     """∫g² and an estimate of its absolute error, both (channels or 1,).
 
-    Notes
-    -----
     Boxes cut at the breaks of g; in 1-D and 2-D also quadrature that records how much each level
     leaves unresolved (`mcspectra.densities.adaptive`): the integral is infinite where that does not
     shrink, else the smaller error counts. Boxes alone do not see a divergence: rounding of T(u)

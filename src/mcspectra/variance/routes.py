@@ -12,16 +12,9 @@ The three spectral routes see the frequencies within a half width only; `energy_
 
 The route by pairs
 ------------------
-With g the primary-space integrand, I its integral and G the density of pairs of different points,
-
-    Var = (1/n) ∫g² + (1 − 1/n) ∬ g(u) g(v) G(u, v) du dv − I².
-
-* Random points have G = 1: Var = (∫g² − I²)/n.
-* Jittered points have G = n/(n−1) in different cells and 0 within one, so that
-  Var = (1/n) ∫g² − Σ_j (∫_cell j g)².
-* A stationary set has G(v − u), and ∬ g g G = ∫ A(h) G(h) dh with A(h) = ∫ g(u) g(u + h) du on the torus.
-  Its pairs are counted in full, not by distance only: Var is the mean over realisations of
-  (1/n) ∫g² + (1/n²) Σ_{i≠k} A(x_i − x_k) − I². A is tabulated, and linear between the entries.
+docs/theory.md, "Pair correlation", has the formula. Random and jittered points have pairs of known density;
+those of a stationary set are counted in full, not by distance only, and add up A(x_i − x_k) with the
+autocorrelation A of the integrand on the torus, tabulated and linear between the entries.
 
 Averaging A over directions, so that g(|h|) would do, is exact for isotropic sets only: measured at n = 16,
 it gives 1.7 to 3.7 times the variance of smooth integrands for latin-hypercube with shift.
@@ -31,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, final
 
 import numpy as np
@@ -135,9 +128,7 @@ class Routes(Analysis, frozen=True, kw_only=True):
         )
         own = Stream.from_rng(np.random.SeedSequence([stream.key, 0]))
         terms = asked.reduction(subject, own)
-        routes = _Routes(
-            estimator, subject.sampler, self.n, self.half_width, self.realizations, stream.key
-        )
+        routes = _Routes(self, estimator, subject.sampler, stream.key)
         apart = Reduction(
             kind=_Rows,
             block=lambda index: routes.row(_APART[index]),
@@ -150,12 +141,12 @@ class Routes(Analysis, frozen=True, kw_only=True):
         rows = routes.with_terms(rows, terms.result(total))
         return dataset(
             {
-                "route_variance": (("route", "channel"), rows.value),
+                "route_variance": (("route", "channel"), rows.numbers[:, 0]),
                 "route_variance_ci": (
                     ("route", "channel", "bound"),
-                    np.stack([rows.low, rows.high], axis=-1),
+                    np.moveaxis(rows.numbers[:, 1:3], 1, 2),
                 ),
-                "energy_share": (("route", "channel"), rows.share),
+                "energy_share": (("route", "channel"), rows.numbers[:, 3]),
             },
             {
                 "route": list(ROUTES),
@@ -225,13 +216,10 @@ def variance_routes(
 
 @dataclass(frozen=True)
 class _Rows:
-    """Rows of the table: variance, bounds and share of the energy, (routes, channels or 1), and texts."""
+    """Rows of the table."""
 
-    value: JOIN
-    low: JOIN
-    high: JOIN
-    share: JOIN
-    source: JOIN
+    numbers: JOIN  # variance, its bounds and share of the energy: (routes, 4, channels or 1)
+    source: JOIN  # texts
 
 
 _Found = tuple[Any, Any, Any, Any, str]  # value, low, high, energy share, source
@@ -241,11 +229,9 @@ _Found = tuple[Any, Any, Any, Any, str]  # value, low, high, energy share, sourc
 class _Routes:
     """The routes of one estimator, sampler and n; those apart are methods of their names."""
 
+    asked: Routes
     estimator: AbstractEstimator
     sampler: Sampler
-    n: int
-    half_width: int
-    realizations: int
     key: int
 
     def row(self, name: str) -> _Rows:
@@ -256,21 +242,21 @@ class _Routes:
             return self._row((np.nan, np.nan, np.nan, np.nan, str(error)))
 
     def _row(self, found: _Found) -> _Rows:
-        shape = (1, max(1, self.estimator.channels))
-        value, low, high, share = (np.broadcast_to(np.asarray(v, float), shape) for v in found[:4])
-        return _Rows(value, low, high, share, np.array([found[4]]))
+        numbers = np.empty((1, 4, max(1, self.estimator.channels)))
+        for place, value in enumerate(found[:4]):
+            numbers[0, place] = value
+        return _Rows(numbers, np.array([found[4]]))
 
     def with_terms(self, apart: _Rows, terms: xr.Dataset) -> _Rows:
         """The rows apart, then the spectral route and what was measured."""
         if apart.source[-1] == _SAMPLED:
             value, se = terms["power_term"].to_numpy(), terms["power_term_se"].to_numpy()
-            sampled = self._row(_normal(value, se, apart.share[-1:], _SAMPLED))
-            known = {f.name: getattr(apart, f.name)[:-1] for f in fields(apart)}
-            apart = merged(_Rows(**known), sampled)
+            sampled = self._row(_normal(value, se, apart.numbers[-1, 3], _SAMPLED))
+            apart = merged(_Rows(apart.numbers[:-1], apart.source[:-1]), sampled)
         share: Any = np.nan
         f = self.estimator.domain_integrand
         if f is not None:
-            power = np.abs(f.fourier_grid(self.half_width)) ** 2
+            power = np.abs(f.fourier_grid(self.asked.half_width)) ** 2
             share = self._share(power.reshape(-1, max(1, self.estimator.channels)).sum(axis=0))
         spectral, measured = (
             self._row((
@@ -281,21 +267,21 @@ class _Routes:
             ))
             for name, part, source in (
                 ("predicted_variance", share, "{space} view, {basis}".format(**terms.attrs)),
-                ("measured_variance", 1.0, f"{self.realizations} realisations"),
+                ("measured_variance", 1.0, f"{self.asked.realizations} realisations"),
             )
         )  # fmt: skip
         return merged(merged(apart, spectral), measured)  # type: ignore[no-any-return]
 
     def exact(self) -> _Found:
-        value = exact_variance(self.estimator, self.sampler, self.n)
+        value = exact_variance(self.estimator, self.sampler, self.asked.n)
         return _certain(value, 1.0, "quadrature over strata or levels")
 
     def pairs(self) -> _Found:
         found = variance_from_pair_correlation(
             self.estimator,
             self.sampler,
-            self.n,
-            realizations=self.realizations,
+            self.asked.n,
+            realizations=self.asked.realizations,
             rng=np.random.SeedSequence([self.key, 1]),
             workers=1,
         )
@@ -309,13 +295,13 @@ class _Routes:
             raise NoClosedForm(
                 f"In {self.estimator.domain_dims} dims the pairs of frequencies are too many to sum."
             )
-        m = _frequencies(plain.integrand.dims, min(self.half_width, (side - 1) // 2))
+        m = _frequencies(plain.integrand.dims, min(self.asked.half_width, (side - 1) // 2))
         f = plain.integrand.fourier(m).reshape(len(m), -1)
         total = np.zeros(f.shape[1])
         rows = max(1, _PAIRS // len(m))
         for i in range(0, len(m), rows):
             c = closed_form_covariance(
-                self.sampler, self.n, m[i : i + rows, None], m[None], density=plain.density
+                self.sampler, self.asked.n, m[i : i + rows, None], m[None], density=plain.density
             )
             total += np.einsum("mc,ml,lc->c", np.conj(f[i : i + rows]), c, f).real
         share = self._share(np.square(np.abs(f)).sum(axis=0))
@@ -323,17 +309,17 @@ class _Routes:
 
     def homogenized(self) -> _Found:
         plain = self._plain()
-        stationary = fitting_basis(self.sampler, self.half_width) == "fourier"
+        stationary = fitting_basis(self.sampler, self.asked.half_width) == "fourier"
         if plain.density is not None or not (stationary or self.sampler.name == "random"):
             raise NoClosedForm(
                 "The homogenised formula holds for uniform points that are the same after any "
                 f"translation, not for {plain.spec} with {self.sampler.spec}; add shift."
             )
-        m = _frequencies(plain.integrand.dims, self.half_width)
+        m = _frequencies(plain.integrand.dims, self.asked.half_width)
         f = np.abs(plain.integrand.fourier(m).reshape(len(m), -1)) ** 2
         share = self._share(f.sum(axis=0))
         try:
-            power = closed_form_power(self.sampler, self.n, m)
+            power = closed_form_power(self.sampler, self.asked.n, m)
         except NoClosedForm:
             return np.nan, np.nan, np.nan, share, _SAMPLED
         power = np.where((m == 0).all(axis=1), 0.0, power)
@@ -471,13 +457,7 @@ def variance_from_pair_correlation(
 
 
 def _of_known_pairs(sampler: Any, n: int, g: Integrand) -> Array:
-    """Random: all pairs; jittered: those in different cells; (channels or 1,).
-
-    Raises
-    ------
-    NoClosedForm
-        The quadratures of two orders differ by more than 1e-6 of the variance.
-    """
+    """Random: all pairs; jittered: those in different cells; (channels or 1,)."""
     square, square_error = square_integral(g)
     jittered = sampler.name == "jittered"
     sides = sampler.sides(n) if jittered else (1,) * g.dims

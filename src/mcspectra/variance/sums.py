@@ -4,7 +4,7 @@ With R realisations the sums hold, about the running means (Chan, Golub & LeVequ
 
     Σ|S_m − S̄_m|²,  Σ(S_m − S̄_m)(I − Ī),  Σ(I_a − Ī_a)(I_b − Ī_b),  moments of the truncated I,
 
-from which the power term, the contribution map and the band covariance follow (DESIGN §1).
+from which the power term, the contribution map and the band covariance follow (docs/theory.md).
 
 Errors are by batch means: every block of realisations says by itself what the spectra say. Covariances
 within a block are unbiased, so that the terms of B blocks are B independent estimates of the same
@@ -53,17 +53,11 @@ BATCHES = 20
 
 @dataclass(frozen=True)
 class TermSums:
-    """Sums over realisations, and what each block of them says by itself.
-
-    Attributes
-    ----------
-    batches
-        None if no block has two realisations.
-    """
+    """Sums over realisations, and what each block of them says by itself."""
 
     sums: SpectralSums
     measured: Moments
-    batches: Batches | None
+    batches: Batches | None  # None if no block has two realisations
 
     @staticmethod
     def of(spectra: Array, estimates: Array, partition: Partition) -> TermSums:
@@ -74,30 +68,16 @@ class TermSums:
 
 @dataclass(frozen=True)
 class Partition:
-    """What the sums need to know of the coefficients.
+    """What the sums need to know of the coefficients."""
 
-    Attributes
-    ----------
-    coefficients
-        f_m of all techniques, as far as they are stored, one after the other: (C, H), real or complex.
-    double
-        2.0 for a coefficient that stands for −m too, else 1.0: (H,).
-    dc
-        Which coefficients are those of the constant function: bool (H,).
-    band
-        Band of each coefficient: int64 (H,).
-    shell
-        Half width at which each coefficient comes in: int64 (H,).
-    matrix
-        Whether to keep the full covariance matrix.
-    """
-
+    # f_m of all techniques, as far as they are stored, one after the other: (C, H), real or
+    # complex
     coefficients: Array
-    double: Array
-    dc: Array
-    band: Array
-    shell: Array
-    matrix: bool = False
+    double: Array  # 2.0 for a coefficient that stands for −m too, else 1.0: (H,)
+    dc: Array  # which coefficients are those of the constant function: bool (H,)
+    band: Array  # band of each coefficient: int64 (H,)
+    shell: Array  # half width at which each coefficient comes in: int64 (H,)
+    matrix: bool = False  # whether to keep the full covariance matrix
 
 
 @dataclass(frozen=True)
@@ -195,21 +175,14 @@ class RunningSpread:
 
     Deviations are taken about the mean with squared weights, which needs one pass only [West1979]_ and
     is the same for equal blocks. Of complex numbers the error is the root of the mean |error|².
-
-    Attributes
-    ----------
-    blocks, weight, squared
-        Number of arrays, the sum of their weights, and that of the squares of the weights.
-    mean
-        In the shape and type of the arrays.
-    squares
-        Sums for each real number of the arrays: (J,), or empty as long as they are zeros.
     """
 
+    # Number of arrays, the sum of their weights, and that of the squares of the weights
     blocks: int
     weight: float
     squared: float
-    mean: Array
+    mean: Array  # in the shape and type of the arrays
+    # Sums for each real number of the arrays: (J,), or empty as long as they are zeros
     squares: Array
 
     @staticmethod
@@ -241,24 +214,13 @@ class RunningSpread:
 
 @dataclass(frozen=True)
 class Batches:
-    """What each block says: terms and measured variance kept, maps and matrices as their spread.
+    """What each block says: terms and measured variance kept, maps and matrices as their spread."""
 
-    Attributes
-    ----------
-    weights
-        Degrees of freedom of each block: (B,).
-    values
-        Dc, power and cross term and measured variance: (B, 4, C).
-    means
-        Of the estimates: (B, C).
-    contribution, band_covariance, matrix
-        Of the contributions (C, H), of the covariances of bands (C, A, A) and, where they are asked for,
-        of the stored covariances (H, 2H).
-    """
-
-    weights: JOIN
-    values: JOIN
-    means: JOIN
+    weights: JOIN  # degrees of freedom of each block: (B,)
+    values: JOIN  # dc, power and cross term and measured variance: (B, 4, C)
+    means: JOIN  # of the estimates: (B, C)
+    # Of the contributions (C, H), of the covariances of bands (C, A, A) and, where they are
+    # asked for, of the stored covariances (H, 2H)
     contribution: RunningSpread
     band_covariance: RunningSpread
     matrix: RunningSpread | None

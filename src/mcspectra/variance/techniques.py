@@ -1,19 +1,14 @@
 """The terms of each technique and between techniques: which strategy makes the variance.
 
-An estimate with several techniques is a sum of parts E_t, one a technique, and its variance is
-the sum over all pairs of Cov(E_t, E_s): off the diagonal 0 for independent sets, but not for those
-that share points (`mcspectra.estimators.sets`). With S^t_m the spectrum of technique t's points and f^t its
-integrand, E_t = Σ_m conj(f^t_m) S^t_m truncated, and
+An estimate with several techniques is a sum of parts E_t, and its variance the sum over all pairs of
+Cov(E_t, E_s): off the diagonal 0 for independent sets, but not for those that share points
+(`mcspectra.estimators.sets`). Each covariance has a dc, a power and a cross term, with the spectrum S^t and
+the integrand f^t of technique t in the place of S and f. In the domain view all f^t are f and the points
+carry the weights w_t/(p_t n_t); in primary space they carry 1/n_t and f^t is g_t.
 
-    Cov(E_t, E_s) = Re [conj(f^t_0) f^s_0 C^ts_00 + Σ_{m≠0} conj(f^t_m) f^s_m C^ts_mm + Σ_{m≠l} …]
-
-with C^ts_ml = ⟨S^t_m conj(S^s_l)⟩ − ⟨S^t_m⟩ conj(⟨S^s_l⟩): a dc, a power and a cross term. In the domain
-view all f^t are f and the points carry the weights w_t/(p_t n_t); in primary space they carry 1/n_t and
-f^t is g_t.
-
-Along n every technique has a rate of its own, and the slowest one becomes the rate of the sum: the
-*bottleneck*. Which one that is can be said if the 95 % interval of its rate lies above those of all
-others; where intervals overlap, the measurement leaves it undecided.
+Along n the slowest rate of a technique becomes the rate of the sum: the *bottleneck*. Which one that is can
+be said if the 95 % interval of its rate lies above those of all others; where intervals overlap, the
+measurement leaves it undecided.
 """
 
 from __future__ import annotations
@@ -51,14 +46,14 @@ from mcspectra.estimators.moments import rounding_floor
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler
 from mcspectra.variance.convergence import count_stream
-from mcspectra.variance.fit import check_window, fit_rate
+from mcspectra.variance.fit import check_window, fit_rates
 from mcspectra.variance.sums import BATCHES, Variables, spread
 from mcspectra.variance.views import Frequencies, View
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["UNDECIDED", "Techniques", "technique_rates", "technique_terms"]
+__all__ = ["UNDECIDED", "Techniques", "technique_estimates", "technique_rates", "technique_terms"]
 
 UNDECIDED = -1
 """What ``bottleneck`` says where the intervals of the slowest rates overlap."""
@@ -83,12 +78,8 @@ class Techniques(Analysis, frozen=True, kw_only=True):
         *_PARTS,
         *(f"{name}_se" for name in _PARTS),
         *("dc_term", "power_term", "cross_term", "predicted_variance", "captured", "mean"),
-        *(
-            "measured_variance",
-            "measured_variance_ci",
-            "technique_variance",
-            "technique_variance_ci",
-        ),
+        *("measured_variance", "measured_variance_ci"),
+        *("technique_variance", "technique_variance_ci"),
         *("technique_rate", "technique_rate_ci", "rate", "rate_ci", "bottleneck"),
     )
 
@@ -300,19 +291,11 @@ def technique_terms(
 
 @dataclass(frozen=True)
 class _Total:
-    """Sums over realisations, and what each block says by itself, for standard errors.
-
-    Attributes
-    ----------
-    weights
-        Degrees of freedom of each block: (B,).
-    values
-        Dc, power, cross and measured: (B, 4, C, T, T).
-    """
+    """Sums over realisations, and what each block says by itself, for standard errors."""
 
     sums: TechniqueSums
-    weights: JOIN
-    values: JOIN
+    weights: JOIN  # degrees of freedom of each block: (B,)
+    values: JOIN  # dc, power, cross and measured: (B, 4, C, T, T)
 
 
 def _variables(total: _Total, view: View) -> Variables:
@@ -360,9 +343,8 @@ class TechniqueSums:
         # What each technique adds to the estimate, (R, C, T), truncated and in full
         weighted = view.integrand_coefficients.conj() * view.basis.double
         truncated = np.stack([(s @ weighted[:, t].T).real for t, s in enumerate(parts)], axis=2)
-        each = [view.estimator.primary_values(t, u).mean(axis=1) for t, u in enumerate(points)]
-        full = np.stack([v.reshape(len(v), -1) for v in each], axis=2)
-        s, values = np.stack(parts, axis=1), np.stack([truncated, full], axis=1)
+        full = technique_estimates(view.estimator, points)
+        s, values = np.stack(parts, axis=1), np.stack([truncated, full[..., :-1]], axis=1)
         mean, values_mean = s.mean(axis=0), values.mean(axis=0)
         deviation, off = s - mean, values - values_mean
         return TechniqueSums(
@@ -371,7 +353,7 @@ class TechniqueSums:
             products=np.einsum("rth,rsh->tsh", deviation, deviation.conj()),
             values_mean=values_mean,
             values_products=np.einsum("rkct,rkcs->kcts", off, off),
-            moments=Moments.of(np.concatenate([full, full.sum(axis=2, keepdims=True)], axis=2)),
+            moments=Moments.of(full),
         )
 
     def merge(self, other: TechniqueSums) -> TechniqueSums:
@@ -408,6 +390,13 @@ class TechniqueSums:
         return np.stack([dc, power, total - dc - power, measured])
 
 
+def technique_estimates(estimator: AbstractEstimator, points: list[Array]) -> Array:
+    """What each technique adds to the estimates of a block, then their sum: (R, C, T + 1)."""
+    each = [estimator.primary_values(t, u).mean(axis=1) for t, u in enumerate(points)]
+    parts = np.stack([v.reshape(len(v), -1) for v in each], axis=2)
+    return np.concatenate([parts, parts.sum(axis=2, keepdims=True)], axis=2)
+
+
 def _paired(f: Array, products: Array) -> Array:
     """Re Σ_h conj(f^t_h) f^s_h products^ts_h: (C, T, T)."""
     return np.stack([np.einsum("th,sh,tsh->ts", g.conj(), g, products).real for g in f])
@@ -418,38 +407,25 @@ def technique_rates(
 ) -> tuple[Variables, list[int]]:
     """Rates of all techniques and of the whole estimate, and the bottleneck of each channel.
 
-    Parameters
-    ----------
-    ns, moments, window
-        Counts, for each the moments (C, T + 1) of the techniques' parts and of the whole estimate, and
-        what to fit (`mcspectra.variance.fit.check_window`).
+    `moments` are, for each count, those of `technique_estimates`.
     """
     variance = np.stack([m.variance for m in moments])  # (N, C, T + 1)
     relative = np.stack([m.relative_se for m in moments])
     # What is noise is measured against the whole estimate: a part of it may be 0.
     size = np.stack([np.abs(m.mean).max(axis=1, keepdims=True) for m in moments])
     floor = np.broadcast_to(rounding_floor(size), variance.shape)
-    counts = np.array(ns)
-    channels, columns = variance.shape[1:]
-    fits = [
-        [
-            fit_rate(counts, variance[:, c, t], relative[:, c, t], floor[:, c, t], window)
-            for t in range(columns)
-        ]
-        for c in range(channels)
-    ]
-    rate = np.array([[fit.rate for fit in row] for row in fits])
-    interval = np.array([[fit.interval for fit in row] for row in fits])
+    fits = fit_rates(np.array(ns), variance, relative, floor, window)
+    rate, interval = fits["rate"], fits["interval"]
     still = np.asarray((variance <= floor)[:, :, :-1].all(axis=0))
     choice = []
-    for row, own in zip(fits, still, strict=True):
+    for rates, intervals, own in zip(rate, interval, still, strict=True):
         # The technique whose interval lies above those of all others that vary
         moving = np.flatnonzero(~own).tolist()
         slowest = max(
-            moving, key=lambda t: np.nan_to_num(row[t].rate, nan=-math.inf), default=UNDECIDED
+            moving, key=lambda t: np.nan_to_num(rates[t], nan=-math.inf), default=UNDECIDED
         )
-        low = row[slowest].interval[0]
-        others = [row[t].interval[1] for t in moving if t != slowest]
+        low = intervals[slowest, 0]
+        others = [intervals[t, 1] for t in moving if t != slowest]
         # A rate that could not be fitted compares false: undecided.
         decided = moving and math.isfinite(low) and all(high < low for high in others)
         choice.append(slowest if decided else UNDECIDED)

@@ -1,16 +1,11 @@
 """The three terms: variance of an estimator predicted and explained from spectra.
 
-Method (DESIGN §1; the paper's generalised formulation)
--------------------------------------------------------
-With f_m = ∫ f exp(−2πi m·x) dx and S_m = Σ_k w_k exp(−2πi m·x_k), the estimate truncated at the
-half width K is I = Σ_{|m|≤K} conj(f_m) S_m, and with C_ml = ⟨S_m conj(S_l)⟩ − ⟨S_m⟩ conj(⟨S_l⟩)
-
-    Var(I) = |f_0|² C_00 + Σ_{m≠0} |f_m|² C_mm + Σ_{m≠l} conj(f_m) f_l C_ml.
-
-(The slides print ⟨S_m* S_l⟩: with one sign in both transforms that is the reflected integrand.)
-No M × M matrix is stored: the contribution c_m = Re conj(f_m) Cov(S_m, I) sums to the variance, and
-what is left of Σ c_m after the first two terms is the cross term. In primary space every technique
-has its own integrand and points, and the sums run over (technique, m).
+With f_m the coefficients of the integrand, S_m those of the points and C_ml the covariance of S_m and S_l,
+Var(I) = Σ_m Σ_l conj(f_m) f_l C_ml falls into the dc term (m = l = 0), the power term (m = l ≠ 0) and the
+cross term (docs/theory.md, "The three terms"). No M × M matrix is stored: the contribution
+c_m = Re conj(f_m) Cov(S_m, I) sums to the variance, and what is left of Σ c_m after the first two terms is
+the cross term. In primary space every technique has its own integrand and points, and the sums run over
+(technique, m).
 """
 
 from __future__ import annotations

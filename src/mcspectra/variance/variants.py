@@ -191,7 +191,7 @@ def mirror_study(
     ------
     CountError, ParameterError
         A sampler cannot do a count (``"uniform"`` needs multiples of 2^d), a mirroring is unknown or
-        listed twice, the sampler ends with a shift already.
+        listed twice, the sampler ends with a shift already, `exact` is neither True nor False.
 
     Examples
     --------
@@ -202,6 +202,8 @@ def mirror_study(
     >>> [round(float(r), 1) for r in study["rate"].sel(mirroring="integrand")]
     [-3.0, -3.0]
     """
+    if not isinstance(exact, bool):
+        raise ParameterError(f"exact is {exact!r}; give True or False.")
     subject = as_subject(estimator, sampler)
     plain, source = subject.estimator, subject.sampler
     allowed = (_ORIGINAL, *MIRRORINGS)

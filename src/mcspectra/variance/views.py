@@ -29,16 +29,10 @@ MAX_MATRIX = 4096
 @final
 @dataclass(frozen=True)
 class Frequencies:
-    """The basis functions of an analysis, in the domain or in primary space.
-
-    Attributes
-    ----------
-    space
-        ``"domain"`` or ``"primary"``.
-    """
+    """The basis functions of an analysis, in the domain or in primary space."""
 
     estimator: AbstractEstimator
-    space: str
+    space: str  # ``"domain"`` or ``"primary"``
     basis: Basis
 
     @staticmethod
@@ -47,11 +41,6 @@ class Frequencies:
 
         The basis ``"auto"`` is the one that fits the points that an estimator makes. A mirrored
         integrand has folded points in the domain, in primary space those of the sampler.
-
-        Raises
-        ------
-        ParameterError
-            The grid would be too large, or there is no domain to work in.
         """
         estimator = subject.estimator
         domain = estimator.domain_integrand
@@ -88,25 +77,15 @@ class Frequencies:
 
 @dataclass(frozen=True)
 class View:
-    """Domain or primary view: which integrand coefficients meet which point spectra.
-
-    Attributes
-    ----------
-    transforms
-        Of the points of each technique, or of all together.
-    integrand_coefficients
-        f^t, (C, T, H).
-    source
-        Where they come from.
-    """
+    """Domain or primary view: which integrand coefficients meet which point spectra."""
 
     estimator: AbstractEstimator
     space: str
     basis: Basis
-    transforms: tuple[Coefficients, ...]
+    transforms: tuple[Coefficients, ...]  # of the points of each technique, or of all together
     engine: str
-    integrand_coefficients: Array
-    source: str
+    integrand_coefficients: Array  # f^t, (C, T, H)
+    source: str  # where they come from
 
     @staticmethod
     def of(

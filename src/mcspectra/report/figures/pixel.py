@@ -47,7 +47,7 @@ _TITLES = {
 
 
 def incident_maps(data: xr.Dataset) -> Figure:
-    """Draw what `mcspectra.rendering.incident_light` returns, one map above the other."""
+    """Draw what `mcspectra.rendering.hemisphere.incident_light` returns, one map above the other."""
     figure = new_figure(WIDE, 4.3)
     rows = figure.subplots(2, 1, sharex=True)
     for axes, (name, title) in zip(rows, _TITLES.items(), strict=True):
