@@ -98,15 +98,15 @@ def run_(options: argparse.Namespace) -> Answer:
         make_plan,
         open_results,
         read_study,
+        results,
         run_study,
         summarize,
     )
     from mcspectra.studies.estimate import wall_time
-    from mcspectra.studies.results import output_folder
     from mcspectra.studies.run import CellFailed
 
     study = Path(options.study)
-    out = output_folder(options.out or Path("out") / study.stem)
+    out = results.output_folder(options.out or Path("out") / study.stem)
     config = read_study(study, options.set)
     if options.seed is not None:
         config = msgspec.structs.replace(config, seed=options.seed)
@@ -155,12 +155,19 @@ def run_(options: argparse.Namespace) -> Answer:
         return Answer(code=130)
     except CellFailed as error:
         failed = error
-    rows = summarize(open_results(out))
-    page = write_report(out)
     if failed is not None:
         print(f"mcspectra: {failed}", file=sys.stderr)
+    code, stored = int(failed is not None), len(results.result_paths(out))
+    if stored > results.MOST_STORED:
+        text = (
+            f"{stored:,} results are in {out}; a report is for {results.MOST_STORED:,} at most: "
+            f"'mcspectra export {out} --select PATTERN' writes a part of them"
+        )
+        return Answer(text, {"report": None, "rows": []}, code)
+    rows = summarize(open_results(out))
+    page = write_report(out)
     data = {"report": page, "rows": [msgspec.to_builtins(row) for row in rows]}
-    return Answer(f"{_summary_text(rows)}\n\nreport: {page}", data, 0 if failed is None else 1)
+    return Answer(f"{_summary_text(rows)}\n\nreport: {page}", data, code)
 
 
 def _cluster_engine(options: argparse.Namespace, time_limit: float | None) -> MakeExecutor | None:

@@ -57,6 +57,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FORMATS",
+    "MOST_STORED",
     "AnalysisCount",
     "StudyStatus",
     "export_results",
@@ -70,12 +71,14 @@ __all__ = [
 FORMATS = (".csv", ".parquet", ".nc", ".json", ".zarr.zip", ".zarr")
 """Ends of names of files that results are exported to."""
 
+MOST_STORED = 2000
+"""Most cells that a run writes as a store and a report at its end: xarray takes some 20 ms for each."""
+
 _FIXED = ("estimator", "sampler", "analysis", "variable", "units")  # columns before the coordinates
 _VALUES = ("value", "imaginary")  # columns after them
 _KEY = "mcspectra"  # of metadata of Parquet
 _DIGEST = "tree_sha256"
 _DOCUMENT = "zarr.json"
-_MOST_CELLS = 2000  # that a run writes as a store at its end: xarray takes some 20 ms for each
 _MOST_DOCUMENTS = 100_000  # that readers take all at once, from the root
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the first that a zip file can hold: same results, same bytes
 _GROUP = {"attributes": {}, "zarr_format": 3, "node_type": "group"}
@@ -280,7 +283,7 @@ def write_zarr(folder: Path) -> Path | None:
     check_links(folder)
     target = folder / STORE_NAME
     with Ledger.read(folder) as ledger:
-        if len(ledger.done) > _MOST_CELLS:
+        if len(ledger.done) > MOST_STORED:
             with contextlib.suppress(FileNotFoundError):
                 shutil.rmtree(target)  # of fewer cells
             return None
