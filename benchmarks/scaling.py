@@ -1,16 +1,18 @@
-"""Scaling of studies: overhead of tasks and workers, efficiency, memory.
+"""Scaling of studies: overhead of tasks, cells and workers, efficiency, memory, a million cells.
 
-Parts by name: ``python -m benchmarks.scaling tasks workers``; all of them without. Wall times depend on
-what else the machine does, processor times hardly; both are printed.
+Parts by name: ``python -m benchmarks.scaling tasks workers``; all but ``million``, which takes minutes and
+2 GB of disk, without. Wall times depend on what else the machine does, processor times hardly; both are
+printed.
 """
 
 from __future__ import annotations
 
+import itertools
 import resource
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,12 +22,20 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject
-from mcspectra.core.records import SUM
+from mcspectra.core.records import SUM, pack
 from mcspectra.core.results import Variable
 from mcspectra.core.streams import Stream
-from mcspectra.studies import StudyConfig, decode_study, run_study
+from mcspectra.studies import (
+    StudyConfig,
+    decode_study,
+    make_plan,
+    open_results,
+    run_study,
+    study_status,
+)
 from mcspectra.studies.executors import Cluster, Dask, Threads
-from mcspectra.studies.plan import Cell
+from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote
+from mcspectra.studies.plan import Cell, Plan
 from mcspectra.studies.run import MakeExecutor, Progress, drive
 from mcspectra.studies.schedule import Schedule
 from mcspectra.studies.tasks import Task
@@ -34,6 +44,7 @@ _NAP = 0.2  # seconds of a calibrated task
 _STUDY = """
 title = "scaling"
 samplers = ["random"]
+grid = { width = [WIDTHS] }
 [convergence]
 counts = [4]
 realizations = 2
@@ -41,7 +52,6 @@ realizations = 2
 name = "gaussian {width}"
 integrand = "gaussian(width={width})"
 dims = 1
-grid = { width = [WIDTHS] }
 """
 
 
@@ -49,11 +59,13 @@ def main(*names: str) -> None:
     """Run the parts that are named, or all."""
     parts: dict[str, Callable[[], None]] = {
         "tasks": tasks,
+        "cells": cells,
         "workers": workers,
         "efficiency": efficiency,
         "memory": memory,
+        "million": million,
     }
-    for name in names or parts:
+    for name in names or (name for name in parts if name != "million"):
         parts[name]()
 
 
@@ -62,6 +74,63 @@ def tasks() -> None:
     for count in (10_000, 40_000):
         with _timed(f"{count:,} one-block tasks through schedule, thread and merge", count):
             _drive_many(count)
+
+
+def cells() -> None:
+    """What a cell costs beyond its computation: its plan, its schedule and its row of the ledger."""
+    count = 3000  # more than a run writes as a store at its end
+    with _timed(f"decode and plan {count:,} short cells", count):
+        plan = make_plan(_study(count), Path())
+    plan.cells[0].compute(0)  # import and compile
+    with _timed("compute them", count):
+        results = [cell.compute(0) for cell in plan.cells]
+    with _timed("make bytes of their results", count):
+        payloads = [pack(result) for result in results]
+    with tempfile.TemporaryDirectory() as folder:
+        _record(plan, Path(folder), payloads)
+    with tempfile.TemporaryDirectory() as folder, _timed("all of it: the study on 1 thread", count):
+        run_study(_study(count), folder, workers=1)
+
+
+def million(count: int = 10**6) -> None:
+    """A study of a million cells: its plan, its ledger, its status, a cell of it, and memory."""
+    samplers = ("random", "jittered", "halton", "sobol", "latin-hypercube")
+    samplers += tuple(f"{name} | shift" for name in samplers)
+    with _timed(f"decode {count:,} cells"):
+        config = decode_study(
+            _text(count // len(samplers)).replace('"random"', str(samplers)[1:-1])
+        )
+    with _timed("plan them", count):
+        plan = make_plan(config, Path(), force=True)
+    _print_memory("with the plan")
+    assert len(plan.cells) == count
+    payload = pack(plan.cells[0].compute(0))
+    paths = [cell.path for cell in plan.cells]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        _record(plan, folder, itertools.repeat(payload, count))
+        _print_memory("with the ledger written")
+        with _timed("resume it, all verified", count):
+            Ledger.resume(folder, StudyNote.of(config, plan.inputs), paths).close()
+        with _timed("status"):
+            assert len(study_status(folder).done) == count
+        with _timed("open a cell by its path", 10):
+            for path in paths[:: count // 10]:
+                open_results(folder, path)
+        _print_memory("at the end")
+
+
+def _record(plan: Plan, folder: Path, payloads: Iterable[bytes]) -> None:
+    """Write a ledger of finished cells."""
+    count = len(plan.cells)
+    paths = [cell.path for cell in plan.cells]
+    with _timed("begin their ledger", count):
+        ledger = Ledger.create(folder, StudyNote.of(plan.config, plan.inputs), paths)
+    with _timed("finish them in the ledger", count), ledger:
+        for path, payload in zip(paths, payloads, strict=True):
+            ledger.finish(path, payload)
+    size = (folder / LEDGER_NAME).stat().st_size
+    print(f"{size / count:.0f} bytes of the ledger a cell, {size / 1e6:.0f} MB")
 
 
 def workers() -> None:
@@ -97,11 +166,17 @@ def memory() -> None:
 
     def told(progress: Progress) -> None:
         if progress.done in (100, 500) or progress.done % 1000 == 0:
-            used = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
-            print(f"{progress.done:6,} of {count:,} short cells: {used / 1e6:.0f} MB", flush=True)
+            _print_memory(f"{progress.done:6,} of {count:,} short cells")
 
     with tempfile.TemporaryDirectory() as folder, _timed(f"{count:,} short cells", count):
         run_study(_study(count), folder, workers=1, report=told)
+
+
+def _print_memory(when: str) -> None:
+    """Memory of this process now, and at most so far."""
+    now = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+    most = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    print(f"{when}: {now / 1e6:.0f} MB, {most / 1e6:.0f} MB at most", flush=True)
 
 
 @dataclass

@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from mcspectra.cli import doctor_
 from mcspectra.cli.main import main
 from mcspectra.rendering import backend
 
@@ -46,7 +45,7 @@ def aborting_library(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_renderer_names_variants_library_and_version() -> None:
-    found = doctor_._renderer()
+    found = backend.describe()
     assert found["variants"] == ["llvm_ad_rgb", "scalar_rgb"]
     assert int(found["llvm"].split(".")[0]) >= 17
     assert Path(found["library"]).is_file()

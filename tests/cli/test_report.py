@@ -57,3 +57,12 @@ def test_bad_input(folders: list[str], tmp_path: Path, capsys: pytest.CaptureFix
         error = capsys.readouterr().err
         assert error.startswith("mcspectra")
         assert error.count("\n") == 1
+
+
+def test_a_run_of_very_many_cells_writes_no_report(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("mcspectra.studies.results.MOST_STORED", 1)
+    (tmp_path / "s.toml").write_text(STUDY.replace('["random"]', '["random", "jittered"]'))
+    assert main(["run", str(tmp_path / "s.toml"), "--out", str(tmp_path / "many")]) == 0
+    assert "2 results are in" in capsys.readouterr().out
+    assert not (tmp_path / "many" / "report.html").exists()
+    assert not (tmp_path / "many" / "results.zarr").exists()

@@ -6,7 +6,6 @@ import inspect
 import random
 import sys
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint
 from operator import attrgetter
 from types import SimpleNamespace
 from typing import Annotated, ClassVar
@@ -20,7 +19,6 @@ from hypothesis import strategies as st
 from msgspec import Meta
 
 import mcspectra as mcs
-from mcspectra.core import registry
 from mcspectra.core.analysis import (
     ANALYSES,
     Analysis,
@@ -370,14 +368,16 @@ def test_variances_of_channels_and_of_many_fit_too():
 
 
 @pytest.fixture
-def outsiders(monkeypatch):
-    """Other packages' entry points, of things that are in this module."""
+def outsiders(tmp_path, monkeypatch):
+    """Another package that is installed; what it registers is in this module."""
     place = "mcspectra_analyses_of_others"
-    entries = [
-        EntryPoint(name, f"{place}:{found}", "mcspectra.analyses")
-        for name, found in {"said": "Said", "gone": "Gone", "odd": "CASES", "terms": "Said"}.items()
-    ]
-    monkeypatch.setattr(registry, "entry_points", lambda group: entries)
+    info = tmp_path / "others-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: others\nVersion: 1.0\n")
+    found = {"said": "Said", "gone": "Gone", "odd": "CASES", "terms": "Said"}
+    lines = [f"{name} = {place}:{target}" for name, target in found.items()]
+    (info / "entry_points.txt").write_text("\n".join(["[mcspectra.analyses]", *lines]))
+    monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setitem(sys.modules, place, SimpleNamespace(Said=Said, CASES=CASES))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from mcspectra.core import cache
 from mcspectra.core.cache import cache_folder, cache_size, cached_array
 from mcspectra.core.errors import CacheWarning, ParameterError
+from mcspectra.core.records import pack
 
 VALUES = np.random.default_rng(1).random((50, 2))
 
@@ -19,7 +21,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(cache, "_WORTH_KEEPING", -1.0)
     cache._drop_oldest.cache_clear()
-    cache._say_once.cache_clear()
+    cache._warn_once.cache_clear()
     return tmp_path / "cache"
 
 
@@ -68,6 +70,12 @@ def flip(content, at):
     return content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :]
 
 
+def signed(record):
+    """An entry of another record."""
+    packed = pack(record)
+    return hashlib.sha256(packed).digest() + packed
+
+
 DAMAGE = {
     "empty": lambda content: b"",
     "truncated": lambda content: content[:-8],
@@ -75,16 +83,12 @@ DAMAGE = {
     "longer": lambda content: content + bytes(8),
     "a bit of the data": lambda content: flip(content, len(content) - 100),
     "a bit of the name": lambda content: flip(content, 3),
-    "another key": lambda content: content.replace(b'"key": "key"', b'"key": "kez"'),
-    "another shape": lambda content: content.replace(b"[50, 2]", b"[2, 50, 1]"),
-    "no JSON": lambda content: content.replace(b"{", b"["),
-    "JSON of something else": lambda content: b"mcspectra cache 1\n[1]\n" + content[-800:],
-    "endless shape": lambda content: (
-        b'mcspectra cache 1\n{"key":"key","shape":[1e999],"sha256":2}\n'
-    ),
-    "endless nesting": lambda content: (
-        b"mcspectra cache 1\n" + b"[" * 100_000 + b"\n" + content[-800:]
-    ),
+    "another key": lambda content: content.replace(b"\xa3key", b"\xa3kez"),
+    "another key, signed": lambda content: signed({"kez": VALUES}),
+    "another shape": lambda content: content.replace(b"\x92\x32\x02", b"\x92\x02\x32"),
+    "no array": lambda content: signed({"key": 1}),
+    "no record": lambda content: hashlib.sha256(b"[1]").digest() + b"[1]",
+    "format 1": lambda content: b'mcspectra cache 1\n{"key":"key"}\n' + content[-800:],
     "not text": lambda content: bytes(range(256)) * 4,
 }
 
@@ -94,6 +98,7 @@ def test_damaged_entries_are_made_again(folder, damage):
     cached_array("key", Maker())
     file = entry(folder)
     sound = file.read_bytes()
+    assert damage(sound) != sound
     file.write_bytes(damage(sound))
     make = Maker()
     with pytest.warns(CacheWarning, match="is damaged; it is made again"):

@@ -5,7 +5,7 @@ import tracemalloc
 
 import pytest
 
-from mcspectra.cli.run_ import estimate_text
+from mcspectra.cli.studies import estimate_text
 from mcspectra.core.errors import ConfigError
 from mcspectra.studies import Trust, estimate, estimate_study, make_plan, run_study
 from mcspectra.studies.estimate import CellEstimate, wall_time

@@ -416,7 +416,7 @@ def test_links_inside_a_store_are_not_read(copy: Path, tmp_path: Path, link: str
 def test_a_study_of_many_cells_has_no_store_at_its_end(
     folder: Path, copy: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(results, "_MOST_CELLS", 1)
+    monkeypatch.setattr(results, "MOST_STORED", 1)
     assert write_zarr(copy) is None
     assert not (copy / "results.zarr").exists()
     same_results(export_results(copy, copy / "x.zarr"), folder)

@@ -9,14 +9,23 @@ from __future__ import annotations
 
 import argparse
 import inspect
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import mcspectra as mcs
-from mcspectra.cli.common import Answer, Read, adder, read_sampler, whole, wholes, writing
+from mcspectra.cli.common import (
+    Answer,
+    Declaration,
+    Read,
+    Verb,
+    option,
+    read_sampler,
+    whole,
+    wholes,
+    writing,
+)
 from mcspectra.cli.texts import VIEWS, data_of, table_of_anything
 from mcspectra.core.analysis import ANALYSES, Analysis, Subject, compute
 from mcspectra.core.checks import as_choice
@@ -25,215 +34,144 @@ from mcspectra.core.options import Option, options_of
 from mcspectra.samplers import GivenPoints
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from mcspectra.estimators import AbstractEstimator
 
-__all__ = ["AnalysisVerb", "add_option", "given_options"]
+__all__ = ["analysis_verb", "declared", "given_options"]
 
-_COMPARE = ("convergence",)  # analyses that take several samplers
 _FILES = (".npz", ".png", ".pdf")
+_ESTIMATOR = (
+    option("integrand", "integrand spec, e.g. 'gaussian(width=0.25)'"),
+    option("-d, --dims D", "number of dims, where specs leave it open", whole()),
+    option("--density SPEC", "density; several mean MIS", repeated="all"),
+    option(
+        "--heuristic SPEC",
+        "MIS: balance (default), power(beta=2), cutoff, maximum, optimal or variance-aware",
+        repeated="once",
+    ),
+    option(
+        "--shares K,K,…",
+        "MIS: points of each technique, in units of n",
+        wholes(),
+        repeated="once",
+    ),
+    option(
+        "--mirror MODE",
+        "mirror the integrand or the samples: integrand, random or uniform",
+        repeated="once",
+    ),
+    option(
+        "--plus SPEC",
+        "further integrand, sampled on its own and added (techniques in primary space)",
+        repeated="all",
+    ),
+)
+"""Options of what is estimated; the sampler's depends on the analysis."""
 
 
-class AnalysisVerb:
-    """What `mcspectra.cli.main` asks of a verb's module, for an analysis by its name."""
+def analysis_verb(name: str) -> Verb:
+    """Make the verb of an analysis of the registry."""
+    analysis: type[Analysis] = ANALYSES.load(name)
+    own = options_of(analysis)
+    views = VIEWS.get(name, {"": table_of_anything})
+    usual, *others = views
 
-    def __init__(self, name: str) -> None:
-        self._name = name
-        self._analysis: type[Analysis] = ANALYSES.load(name)
-        self._options = options_of(self._analysis)  # type: ignore[arg-type]
-        self._views = VIEWS.get(name, {"": table_of_anything})
-        # What the public function takes says what its verb does
-        door = getattr(mcs, self._analysis.function, None)
-        self._takes = {} if door is None else inspect.signature(door).parameters
-        about = inspect.cleandoc(self._analysis.__doc__ or "").partition("\n\n")[0]
-        printed = (next(iter(self._views.values())).__doc__ or "").replace("\n    ", "\n")
-        self.__doc__ = f"{about}\n\n{printed}"
+    # What the public function takes says what its verb does
+    door = getattr(mcs, analysis.function, None)
+    takes = {} if door is None else inspect.signature(door).parameters
+    default_sampler = takes["sampler"].default if "sampler" in takes else None
+    if not isinstance(default_sampler, str):
+        default_sampler = None
 
-    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Add what is analysed, the options of the analysis, and those of its views."""
-        add = adder(parser)
-        if self._analysis.about == "estimator":
-            self._add_estimator(add)
-        else:
-            add("sampler", "sampler spec; - reads point sets from standard input")
-            add("-d, --dims D", "number of dims (default 2)", whole())
-            if not self._takes or "density" in self._takes:
-                add("--density SPEC", "importance density")
-        for option in self._options:
-            more = ", or all sets of points that are given" if self._all_sets else ""
-            add_option(parser, option, more if option.name == "realizations" else "")
-        default, *others = self._views
-        if others:
-            shown = [f"{name}: {self._views[name].__doc__}" for name in others]
-            add("--show VIEW", f"{default} (default); {'; '.join(shown)}", default=default)
-        add("-o, --out FILE", ".npz: all values; .png or .pdf: a picture, if there is one")
-
-    def _add_estimator(self, add: Callable[..., None]) -> None:
-        add("integrand", "integrand spec, e.g. 'gaussian(width=0.25)'")
-        add("-d, --dims D", "number of dims, where specs leave it open", whole())
-        add("--density SPEC", "density; several mean MIS", repeated="all")
-        add(
-            "--heuristic SPEC",
-            "MIS: balance (default), power(beta=2), cutoff, maximum, optimal or variance-aware",
-            repeated="once",
-        )
-        techniques = "MIS: points of each technique, in units of n"
-        add("--shares K,K,…", techniques, wholes(), repeated="once")
-        modes = "mirror the integrand or the samples: integrand, random or uniform"
-        add("--mirror MODE", modes, repeated="once")
-        add(
-            "--plus SPEC",
-            "further integrand, sampled on its own and added (techniques in primary space)",
-            repeated="all",
-        )
-        several, default = self._name in _COMPARE, self._default_sampler
+    # Declare what is analysed
+    all_sets = False
+    declarations: list[Declaration]
+    if analysis.about == "estimator":
+        several = name == "convergence"  # which compares samplers
         about = f"sampler spec{'; repeatable' if several else ''}"
-        add(
-            "--sampler SPEC",
-            about if default is None else f"{about} (default {default})",
-            repeated="all" if several else "once",
-            required=default is None,
-        )
+        about += f" (default {default_sampler})" if default_sampler else ""
+        repeated, required = "all" if several else "once", default_sampler is None
+        declarations = [
+            *_ESTIMATOR,
+            option("--sampler SPEC", about, repeated=repeated, required=required),
+        ]
+    else:
+        # An analysis of point sets takes all that are given, unless it is told how many
+        all_sets = any(each.name == "realizations" for each in own)
+        declarations = [
+            option("sampler", "sampler spec; - reads point sets from standard input"),
+            option("-d, --dims D", "number of dims (default 2)", whole()),
+        ]
+        if not takes or "density" in takes:
+            declarations.append(option("--density SPEC", "importance density"))
 
-    def run(self, options: argparse.Namespace) -> Answer:
-        """Compute, write and show."""
-        view = as_choice(
-            "--show", getattr(options, "show", next(iter(self._views))), tuple(self._views)
-        )
-        self._check_file(options.out)
-        given = given_options(options, self._analysis)
-        subject = self._subject(options)
-        if self._all_sets and isinstance(subject.sampler, GivenPoints):
+    # Declare the options of the analysis, of its views, and the file
+    for each in own:
+        more = ", or all sets of points that are given" if all_sets else ""
+        declarations.append(declared(each, more if each.name == "realizations" else ""))
+    if others:
+        shown = [f"{view}: {views[view].__doc__}" for view in others]
+        offer = f"{usual} (default); {'; '.join(shown)}"
+        declarations.append(option("--show VIEW", offer, default=usual))
+    files = ".npz: all values; .png or .pdf: a picture, if there is one"
+    declarations.append(option("-o, --out FILE", files))
+
+    def run(options: argparse.Namespace) -> Answer:
+        view = as_choice("--show", getattr(options, "show", usual), tuple(views))
+
+        # Refuse files that cannot be made before anything is computed
+        file = options.out
+        if file is not None and Path(file).suffix != ".npz":
+            from mcspectra.report.accessor import has_picture
+
+            if Path(file).suffix not in _FILES:
+                allowed = f"{', '.join(_FILES[:-1])} or {_FILES[-1]}"
+                raise ParameterError(f"--out is {file!r}; it must end in {allowed}.")
+            if not has_picture(analysis.variables):
+                raise ParameterError(
+                    f"--out is {file!r}; no picture shows {name}, give a .npz file."
+                )
+
+        # Compute, write and show
+        given = given_options(options, analysis)
+        subject = _subject(options, analysis, default_sampler)
+        if all_sets and isinstance(subject.sampler, GivenPoints):
             given = {"realizations": len(subject.sampler.points), **given}
-        result = compute(self._analysis(**given), subject, options.seed or 0)
-        if options.out is not None:
-            with writing(options.out):
-                _write(result, options.out)
-        text, data = self._views[view](result)
-        return Answer(text, {**data_of(result), **data})
+        result = compute(analysis(**given), subject, options.seed or 0)
+        if file is not None:
+            with writing(file):
+                if file.endswith(".npz"):
+                    arrays = {str(key): v.values for key, v in result.variables.items()}
+                    np.savez(file, **arrays)  # type: ignore[arg-type]
+                else:
+                    axes = result.mcspectra.plot()
+                    (axes[0] if isinstance(axes, list) else axes).figure.savefig(file)
+        shown = views[view](result)
+        return Answer(shown.text, {**data_of(result), **shown.data})
 
-    @property
-    def _all_sets(self) -> bool:
-        """Whether an analysis of point sets takes all that are given, unless it is told how many."""
-        counted = any(option.name == "realizations" for option in self._options)
-        return counted and self._analysis.about == "sampler"
-
-    @property
-    def _default_sampler(self) -> str | None:
-        taken = self._takes.get("sampler")
-        return taken.default if taken is not None and isinstance(taken.default, str) else None
-
-    def _subject(self, options: argparse.Namespace) -> Subject:
-        if self._analysis.about == "sampler":
-            from mcspectra.densities import as_warp
-
-            source = read_sampler(options.sampler, options.dims)
-            density = as_warp(getattr(options, "density", None), source.dims)
-            return Subject(None, source, density)
-        from mcspectra.estimators import as_subject
-
-        estimator = _estimator(options)
-        texts = options.sampler or self._default_sampler or ""
-        if isinstance(texts, list):
-            samplers = [read_sampler(text, estimator.dims) for text in texts]
-            return as_subject(estimator, samplers, lists=True)
-        return as_subject(estimator, read_sampler(texts, estimator.dims))
-
-    def _check_file(self, file: str | None) -> None:
-        """Refuse files that cannot be made before anything is computed."""
-        if file is None or Path(file).suffix == ".npz":
-            return
-        if Path(file).suffix not in _FILES:
-            raise ParameterError(
-                f"--out is {file!r}; it must end in {', '.join(_FILES[:-1])} or {_FILES[-1]}."
-            )
-        from mcspectra.report.accessor import has_picture
-
-        if not has_picture(self._analysis.variables):
-            raise ParameterError(
-                f"--out is {file!r}; no picture shows {self._name}, give a .npz file."
-            )
+    about = inspect.cleandoc(analysis.__doc__ or "").partition("\n\n")[0]
+    printed = inspect.cleandoc(views[usual].__doc__ or "")
+    return Verb(f"{about}\n\n{printed}".strip(), tuple(declarations), run)
 
 
-def add_option(parser: argparse.ArgumentParser, option: Option, default_note: str = "") -> None:
-    """Add an option of an analysis, which has its default; the note stands behind that in the help."""
-    own = option.extra.get("flag", option.flag)
-    text = option.meaning.rstrip(".")
-    text = text[:1].lower() + text[1:] if text[1:2].islower() else text
-    choices = (*option.choices, *option.item_choices)
-    if any(choice not in text for choice in choices):
-        text += f": {', '.join(choices)}"
-    if option.is_flag:
-        switch = own if "flag" in option.extra or not option.default else f"--no-{own[2:]}"
-        parser.add_argument(
-            switch,
-            dest=option.name,
-            default=None,
-            action="store_const",
-            const=not option.default,
-            help=_escaped(f"{text}; on by default" if option.default else text),
-        )
-        return
-    default = option.default
-    values = default if isinstance(default, tuple) else (default,)
-    shown = ",".join(f"{each:g}" if isinstance(each, float) else str(each) for each in values)
-    said = "" if option.required or default is None else f"default {shown}{default_note}"
-    listed = option.lists_texts
+def _subject(
+    options: argparse.Namespace, analysis: type[Analysis], default_sampler: str | None
+) -> Subject:
+    """Make what the options describe: a sampler with its density, or an estimator with samplers."""
+    if analysis.about == "sampler":
+        from mcspectra.densities import as_warp
 
-    def read(name: str, given: str) -> Any:
-        if not listed:
-            return option.read(given, name)
-        # Names have no commas, other texts may: those are given one by one
-        texts = given.split(",") if option.item_choices else [given]
-        return option.check(tuple(text.strip() for text in texts), name)
-
-    word = option.name.rpartition("_")[2].upper()
-    letter = word if option.choices or listed else word[0]
-    # One letter may stand for the whole name: -m for --realizations, and -n is all of n
-    flags = (
-        [own] if own == option.flag or f"-{option.name}" == own or listed else [own, option.flag]
-    )
-    parser.add_argument(
-        *flags,
-        action=Read,
-        read=read,
-        repeated="all" if listed else "last",
-        dest=option.name,
-        required=option.required,
-        metavar=option.extra.get("metavar", letter),
-        help=_escaped("; ".join(filter(None, (text, "repeatable" if listed else "", said)))),
-    )
-
-
-def given_options(options: argparse.Namespace, analysis: type[Analysis]) -> dict[str, Any]:
-    """The options of an analysis that were given; the analysis has defaults for the others."""
-    found = {each.name: getattr(options, each.name, None) for each in options_of(analysis)}
-    return {name: value for name, value in found.items() if value is not None}
-
-
-def _escaped(text: str) -> str:
-    return text.replace("%", "%%")
-
-
-def _write(result: xr.Dataset, file: str) -> None:
-    if file.endswith(".npz"):
-        np.savez(file, **{str(name): v.values for name, v in result.variables.items()})  # type: ignore[arg-type]
-        return
-    axes = result.mcspectra.plot()
-    (axes[0] if isinstance(axes, list) else axes).figure.savefig(file)
-
-
-def _estimator(options: argparse.Namespace) -> AbstractEstimator:
-    """Make the estimator that the options describe."""
+        source = read_sampler(options.sampler, options.dims)
+        return Subject(None, source, as_warp(getattr(options, "density", None), source.dims))
     from mcspectra.estimators import (
         MIRRORINGS,
         Estimator,
         Mirrored,
         MultipleImportance,
         TechniqueSum,
+        as_subject,
     )
 
+    # Refuse options that do not go together
     densities = options.density or []
     for name, given in (("--heuristic", options.heuristic), ("--shares", options.shares)):
         if given is not None and len(densities) < 2:
@@ -245,6 +183,8 @@ def _estimator(options: argparse.Namespace) -> AbstractEstimator:
         )
     if options.plus and densities:
         raise ParameterError("--plus adds whole techniques; it cannot be used with --density.")
+
+    # Make the estimator
     estimator: AbstractEstimator
     if options.plus:
         estimator = TechniqueSum([options.integrand, *options.plus], dims=options.dims)
@@ -258,6 +198,69 @@ def _estimator(options: argparse.Namespace) -> AbstractEstimator:
         )
     else:
         estimator = Estimator(options.integrand, *densities, dims=options.dims)
-    if options.mirror is None:
-        return estimator
-    return Mirrored(estimator, as_choice("--mirror", options.mirror, MIRRORINGS))
+    if options.mirror is not None:
+        estimator = Mirrored(estimator, as_choice("--mirror", options.mirror, MIRRORINGS))
+
+    # Let it meet its samplers
+    texts = options.sampler or default_sampler or ""
+    if isinstance(texts, list):
+        samplers = [read_sampler(text, estimator.dims) for text in texts]
+        return as_subject(estimator, samplers, lists=True)
+    return as_subject(estimator, read_sampler(texts, estimator.dims))
+
+
+def declared(option: Option, default_note: str = "") -> Declaration:
+    """Declare an option of an analysis, which has its default; the note stands behind that in the help."""
+    own = option.extra.get("flag", option.flag)
+    text = option.meaning.rstrip(".")
+    text = text[:1].lower() + text[1:] if text[1:2].islower() else text
+    choices = (*option.choices, *option.item_choices)
+    if any(choice not in text for choice in choices):
+        text += f": {', '.join(choices)}"
+    if option.is_flag:
+        switch = own if "flag" in option.extra or not option.default else f"--no-{own[2:]}"
+        help = f"{text}; on by default" if option.default else text
+        return lambda parser: parser.add_argument(
+            switch,
+            dest=option.name,
+            default=None,
+            action="store_const",
+            const=not option.default,
+            help=help.replace("%", "%%"),
+        )
+    default = option.default
+    values = default if isinstance(default, tuple) else (default,)
+    shown = ",".join(f"{each:g}" if isinstance(each, float) else str(each) for each in values)
+    said = "" if option.required or default is None else f"default {shown}{default_note}"
+    listed = option.lists_texts
+
+    def read(name: str, given: str) -> Any:
+        if not listed:
+            return option.read(given, name)
+        # Names have no commas, other texts may: those are given one by one
+        texts = given.split(",") if option.item_choices else [given]
+        return option.check(tuple(text.strip() for text in texts), name)
+
+    parts = [part for part in (text, "repeatable" if listed else "", said) if part]
+    word = option.name.rpartition("_")[2].upper()
+    letter = word if option.choices or listed else word[0]
+    # One letter may stand for the whole name: -m for --realizations, and -n is all of n
+    flags = (
+        [own] if own == option.flag or f"-{option.name}" == own or listed else [own, option.flag]
+    )
+    return lambda parser: parser.add_argument(
+        *flags,
+        action=Read,
+        read=read,
+        repeated="all" if listed else "last",
+        dest=option.name,
+        required=option.required,
+        metavar=option.extra.get("metavar", letter),
+        help="; ".join(parts).replace("%", "%%"),
+    )
+
+
+def given_options(options: argparse.Namespace, analysis: type[Analysis]) -> dict[str, Any]:
+    """The options of an analysis that were given; the analysis has defaults for the others."""
+    found = {each.name: getattr(options, each.name, None) for each in options_of(analysis)}
+    return {name: value for name, value in found.items() if value is not None}

@@ -1,16 +1,16 @@
-"""What verbs share: options that read their texts, answers, tables and JSON."""
+"""What verbs are made of: options that read their texts, answers, tables and JSON."""
 
 from __future__ import annotations
 
 import argparse
-import json
+import inspect
 import math
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
 
 import numpy as np
 
@@ -22,14 +22,18 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Answer",
+    "Declaration",
     "Read",
-    "adder",
+    "Verb",
+    "group",
     "index_or_name",
     "one_sentence_warnings",
-    "print_json",
+    "option",
     "read_sampler",
     "real",
+    "strict",
     "text_table",
+    "verb",
     "whole",
     "wholes",
     "writing",
@@ -91,27 +95,50 @@ class Read(argparse.Action):
         setattr(namespace, self.dest, value)
 
 
-def adder(parser: Any) -> Callable[..., None]:
-    """Return what adds an option to a parser, or a group, as its usage is written.
+Declaration = Callable[[Any], Any]
+"""What adds options to a parser, or to a group of one."""
 
-    ``add("-m, --realizations R", "help", whole())`` reads a number, ``add("--quick", "help")`` is a
-    switch and ``add("scene", "help")`` a positional argument. What else it is given goes to `Read` or
+
+def option(
+    usage: str, help: str, read: Callable[[str, str], Any] | None = None, **further: Any
+) -> Declaration:
+    """Declare an option as its usage is written.
+
+    ``option("-m, --realizations R", "help", whole())`` reads a number, ``option("--quick", "help")`` is a
+    switch and ``option("scene", "help")`` a positional argument. What else it is given goes to `Read` or
     argparse.
     """
+    *names, last = (word.rstrip(",") for word in usage.split())
+    if not names and last.startswith("-"):
+        return lambda parser: parser.add_argument(last, action="store_true", help=help)
+    further |= {"metavar": last, "action": Read, "read": read, "help": help}
+    names = names or [further.pop("dest", last.lower())]
+    return lambda parser: parser.add_argument(*names, **further)
 
-    def add(
-        usage: str, help: str, read: Callable[[str, str], Any] | None = None, **further: Any
-    ) -> None:
-        *flags, last = (word.rstrip(",") for word in usage.split())
-        if not flags and last.startswith("-"):
-            parser.add_argument(last, action="store_true", help=help)
-        elif not flags:
-            name = further.pop("dest", last.lower())
-            parser.add_argument(name, metavar=last, action=Read, read=read, help=help, **further)
-        else:
-            parser.add_argument(*flags, metavar=last, action=Read, read=read, help=help, **further)
 
-    return add
+def group(make: Callable[[Any], Any], *options: Declaration) -> Declaration:
+    """Declare options in a group that `make` adds to the parser."""
+
+    def declare(parser: Any) -> None:
+        added = make(parser)
+        for each in options:
+            each(added)
+
+    return declare
+
+
+@final
+class Verb(NamedTuple):
+    """What the command line knows of a verb: the text of its help, its options and what it does."""
+
+    text: str
+    options: tuple[Declaration, ...]
+    run: Callable[[argparse.Namespace], Answer]
+
+
+def verb(*options: Declaration) -> Callable[[Callable[[argparse.Namespace], Answer]], Verb]:
+    """Make a verb of a function whose docstring is the text of its help."""
+    return lambda run: Verb(inspect.cleandoc(run.__doc__ or ""), options, run)
 
 
 def whole(least: int = 1, most: int | None = None) -> Callable[[str, str], int]:
@@ -188,22 +215,16 @@ def writing(path: Path | str) -> Iterator[None]:
         raise FileFormatError(f"{str(path)!r} cannot be written: {error.strerror}.") from None
 
 
-def print_json(data: Any) -> None:
-    """Print strict JSON: NaN and infinity become null."""
-    print(json.dumps(_plain(data), indent=2, allow_nan=False))
-
-
-def _plain(value: Any) -> Any:
+def strict(value: Any) -> Any:
+    """Return what strict JSON can say: lists for arrays, null for NaN and infinity, texts for paths."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+        return {str(key): strict(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
+        return [strict(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return strict(value.tolist())
     if isinstance(value, complex):
-        return {"re": _plain(value.real), "im": _plain(value.imag)}
+        return {"re": strict(value.real), "im": strict(value.imag)}
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return str(value) if isinstance(value, Path) else value
@@ -211,8 +232,8 @@ def _plain(value: Any) -> Any:
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Align columns with two blanks between; all but the first two to the right."""
-    table = [list(header), *map(list, rows)]
-    widths = [max(len(row[i]) for row in table) for i in range(len(header))]
+    table = [header, *rows]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines = []
     for row in table:
         cells = [

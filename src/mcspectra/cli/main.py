@@ -1,8 +1,8 @@
-"""The command ``mcspectra``: one lazy module a verb, one sentence an error.
+"""The command ``mcspectra``: verbs in lazy modules, one sentence an error.
 
 Exit codes: 0 done; 1 the run failed; 2 bad input; 130 interrupted. Verbs are bound by name, so that
-``--help`` imports none of them (docs/decisions/0002). A module has `add_arguments`, and `run`, whose
-`Answer` is printed here; analyses share `mcspectra.cli.analysis`.
+``--help`` imports none of them (docs/decisions/0002): the verb ``run`` is the `Verb` called ``run_`` of
+its module, whose `Answer` is printed here; those of analyses are made by `mcspectra.cli.analysis`.
 """
 
 from __future__ import annotations
@@ -11,44 +11,58 @@ import argparse
 import errno
 import importlib
 import io
+import json
 import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from importlib.metadata import entry_points
-from typing import Any, NoReturn
+from typing import NoReturn
 
 __all__ = ["main"]
 
-_VERBS = {
-    "run": "run a study file: results, figures and report.html",
-    "report": "write the report of a study again, or compare two studies",
-    "status": "what the folder of a study holds: done, failed, missing, damaged",
-    "export": "write results as .csv, .parquet, .nc, .json or .zarr.zip",
-    "init": "write a study file to begin with",
-    "schema": "print the JSON Schema of study files",
-    "list": "list samplers, randomizations, densities, integrands, scenes or analyses",
-    "points": "draw point sets and write them as text or files",
-    "gallery": "measure samplers and show them side by side",
-    "spectrum": "expected power spectrum of a sampler",
-    "pcf": "pair correlation of a sampler",
-    "variance": "the three terms of an estimator's variance against its measurement",
-    "converge": "variance against n and the fitted rate",
-    "techniques": "variance, terms and rate of each technique by itself, and the bottleneck",
-    "remedies": "what would lower the noise at a budget, measured, ranked and explained",
-    "exact": "exact variance, where there is a closed form",
-    "anova": "which axes the variance comes from, effective dimension",
-    "modes": "which patterns of frequencies vary together",
-    "routes": "variance by every route that is known, side by side",
-    "render": "render a scene's direct illumination: image, variance, EXR and PNG",
-    "pixel": "what one pixel sees, its rates, terms and bottleneck, and what would help",
-    "map": "variance, rate and bottleneck at every pixel of a scene",
-    "mitsuba": "render a Mitsuba scene file, with our samplers known to its integrators",
-    "reproduce": "the slides' figures and statements made again, with what agrees",
-    "app": "explore samplers, densities and integrands in the browser",
-    "doctor": "what is installed and whether it works",
-    "cite": "how to cite the package and its methods",
+_MODULES = {
+    "studies": {
+        "run": "run a study file: results, figures and report.html",
+        "report": "write the report of a study again, or compare two studies",
+        "status": "what the folder of a study holds: done, failed, missing, damaged",
+        "export": "write results as .csv, .parquet, .nc, .json or .zarr.zip",
+        "init": "write a study file to begin with",
+        "schema": "print the JSON Schema of study files",
+    },
+    "samplers": {
+        "list": "list samplers, randomizations, densities, integrands, scenes or analyses",
+        "points": "draw point sets and write them as text or files",
+        "gallery": "measure samplers and show them side by side",
+    },
+    "analysis": {
+        "spectrum": "expected power spectrum of a sampler",
+        "pcf": "pair correlation of a sampler",
+        "variance": "the three terms of an estimator's variance against its measurement",
+        "converge": "variance against n and the fitted rate",
+        "techniques": "variance, terms and rate of each technique by itself, and the bottleneck",
+        "remedies": "what would lower the noise at a budget, measured, ranked and explained",
+        "exact": "exact variance, where there is a closed form",
+        "anova": "which axes the variance comes from, effective dimension",
+        "modes": "which patterns of frequencies vary together",
+        "routes": "variance by every route that is known, side by side",
+    },
+    "scenes": {
+        "render": "render a scene's direct illumination: image, variance, EXR and PNG",
+        "pixel": "what one pixel sees, its rates, terms and bottleneck, and what would help",
+        "map": "variance, rate and bottleneck at every pixel of a scene",
+        "mitsuba": "render a Mitsuba scene file, with our samplers known to its integrators",
+    },
+    "package": {
+        "reproduce": "the slides' figures and statements made again, with what agrees",
+        "app": "explore samplers, densities and integrands in the browser",
+        "doctor": "what is installed and whether it works",
+        "cite": "how to cite the package and its methods",
+    },
 }
+"""Modules of the command line, to their verbs and what these do."""
+
+_VERBS = {verb: text for verbs in _MODULES.values() for verb, text in verbs.items()}
 
 _ANALYSES = {
     "spectrum": "spectrum",
@@ -63,6 +77,11 @@ _ANALYSES = {
     "routes": "routes",
 }
 """Verbs of our analyses, which are not loaded to know them: to their names in the registry."""
+
+_FAILED_RUNS = ("CellFailed", "ClusterLost", "StorageError")
+"""Errors that are nobody's input."""
+
+_LONGEST = 1000  # characters of an unexpected error's own text
 
 _EPILOG = """\
 Specs name samplers, densities and integrands: name(key=value, ...); samplers chain randomizations:
@@ -101,21 +120,71 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if "--debug" in given:
             raise
-        return _explain(error)
+        code, sentence = _explained(error)
+        print(f"mcspectra: {sentence}", file=sys.stderr)
+        return code
+
+
+def _explained(error: Exception) -> tuple[int, str]:
+    """The exit code, 2 for what the user can mend, and the sentence for an error."""
+    from mcspectra.core.errors import McspectraError
+
+    if isinstance(error, McspectraError):
+        return (1 if type(error).__name__ in _FAILED_RUNS else 2), str(error)
+    if isinstance(error, MemoryError):
+        return 2, "Not enough memory; ask for fewer points, dims or frequencies."
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
+        return 1, f"The output cannot be written: {error.strerror}."
+    text = " ".join(str(error)[:_LONGEST].split()) or "no message"
+    return 1, f"Unexpected {type(error).__name__}: {text}; run again with --debug for details."
 
 
 def _dispatch(given: list[str]) -> int:
+    """Find the verb, read its options, run it and print its answer."""
     if not given or given[0].startswith("-"):
         return _without_verb(given)
-    module = _verb(given[0])
+    from mcspectra.cli.common import Read, Verb, one_sentence_warnings, strict, whole
+    from mcspectra.core.progress import progress_bars
+
+    name = given[0]
+    verb: Verb
+    if name in _VERBS and name not in _ANALYSES:
+        module = next(module for module, verbs in _MODULES.items() if name in verbs)
+        verb = getattr(importlib.import_module(f"mcspectra.cli.{module}"), f"{name}_")
+    elif analysis := _ANALYSES.get(name) or _outside_verbs().get(name):
+        from mcspectra.cli.analysis import analysis_verb
+
+        verb = analysis_verb(analysis)
+    else:
+        from mcspectra.core.errors import UnknownName, close_match_hint
+
+        hint, close = close_match_hint(name, _VERBS, "mcspectra --help")
+        raise UnknownName(f"There is no verb {name!r}.{hint}", close)
+
+    # Its own options, and those that all verbs have
     parser = _Parser(
-        prog=f"mcspectra {given[0]}",
-        description=(module.__doc__ or "").strip(),
+        prog=f"mcspectra {name}",
+        description=verb.text,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    module.add_arguments(parser)
-    return _run(module, parser, given[1:])
+    for declare in verb.options:
+        declare(parser)
+    parser.add_argument("--json", action="store_true", help="print JSON instead of text")
+    parser.add_argument(
+        "--seed", action=Read, read=whole(0), metavar="S", help="seed, a whole number from 0"
+    )
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    options = parser.parse_args(given[1:])
+
+    with one_sentence_warnings(options.quiet), progress_bars(not options.quiet):
+        text, data, code = verb.run(options)
+    if options.json and data is not None:
+        print(json.dumps(strict(data), indent=2, allow_nan=False))
+    elif text and (data is None or not options.quiet):
+        print(text)
+    return code
 
 
 def _without_verb(given: list[str]) -> int:
@@ -144,21 +213,6 @@ def _without_verb(given: list[str]) -> int:
     return 2 if given else 0
 
 
-def _verb(name: str) -> Any:
-    """The module of a verb, or what stands for it."""
-    if name in _VERBS and name not in _ANALYSES:
-        return importlib.import_module(f"mcspectra.cli.{name}_")
-    found = _ANALYSES.get(name) or _outside_verbs().get(name)
-    if found is None:
-        from mcspectra.core.errors import UnknownName, close_match_hint
-
-        hint, close = close_match_hint(name, _VERBS, "mcspectra --help")
-        raise UnknownName(f"There is no verb {name!r}.{hint}", close)
-    from mcspectra.cli.analysis import AnalysisVerb
-
-    return AnalysisVerb(found)
-
-
 def _outside_verbs() -> dict[str, str]:
     """Verbs of other packages' analyses, to the names of these; packages that are broken have none."""
     names = {entry.name for entry in entry_points(group="mcspectra.analyses")}
@@ -172,55 +226,3 @@ def _outside_verbs() -> dict[str, str]:
         with suppress(McspectraError):  # `mcspectra list analyses` says what is wrong
             found[ANALYSES.load(name).verb] = name
     return {verb: name for verb, name in found.items() if verb and verb not in _VERBS}
-
-
-def _run(module: Any, parser: argparse.ArgumentParser, rest: list[str]) -> int:
-    """Add the options that all verbs have, run the verb and print its answer."""
-    from mcspectra.cli.common import Read, one_sentence_warnings, print_json, whole
-    from mcspectra.core.progress import progress_bars
-
-    parser.add_argument("--json", action="store_true", help="print JSON instead of text")
-    parser.add_argument(
-        "--seed", action=Read, read=whole(0), metavar="S", help="seed, a whole number from 0"
-    )
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
-    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    options = parser.parse_args(rest)
-    with one_sentence_warnings(options.quiet), progress_bars(not options.quiet):
-        text, data, code = module.run(options)
-    if options.json and data is not None:
-        print_json(data)
-    elif text and (data is None or not options.quiet):
-        print(text)
-    return int(code)
-
-
-_FAILED_RUNS = ("CellFailed", "ClusterLost", "StorageError")
-"""Errors that are nobody's input."""
-
-
-_LONGEST = 1000  # characters of an unexpected error's own text
-
-
-def _explain(error: Exception) -> int:
-    """Print one sentence; 2 for what the user can mend, 1 for the rest."""
-    from mcspectra.core.errors import McspectraError
-
-    if isinstance(error, McspectraError):
-        print(f"mcspectra: {error}", file=sys.stderr)
-        return 1 if type(error).__name__ in _FAILED_RUNS else 2
-    if isinstance(error, MemoryError):
-        print(
-            "mcspectra: Not enough memory; ask for fewer points, dims or frequencies.",
-            file=sys.stderr,
-        )
-        return 2
-    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
-        print(f"mcspectra: The output cannot be written: {error.strerror}.", file=sys.stderr)
-        return 1
-    text = " ".join(str(error)[:_LONGEST].split()) or "no message"
-    print(
-        f"mcspectra: Unexpected {type(error).__name__}: {text}; run again with --debug for details.",
-        file=sys.stderr,
-    )
-    return 1

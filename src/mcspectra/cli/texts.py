@@ -9,32 +9,49 @@ from __future__ import annotations
 import json
 import math
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.cli.common import text_table
+from mcspectra.cli.common import Answer, text_table
 from mcspectra.core.errors import NoClosedForm
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["VIEWS", "Shown", "View", "data_of", "table_of_anything"]
+__all__ = ["VIEWS", "View", "data_of", "table_of_anything"]
 
 _WIDTH = 100
 _ROUNDING = 1e-14  # of the variance: sums of terms that cancel
 _MANY = 10_000  # numbers of a variable that --json leaves out
 
 
-class Shown(NamedTuple):
-    """A text, and entries of the JSON object that `data_of` does not have or has otherwise."""
+View = Callable[["xr.Dataset"], Answer]
+"""A text, and entries of the JSON object that `data_of` does not have or has otherwise."""
 
-    text: str
-    data: Mapping[str, Any] = {}
+VIEWS: dict[str, dict[str, View]] = {}
+"""Views of analyses by their names, the one that is shown by default first; --show names several."""
 
 
-View = Callable[["xr.Dataset"], Shown]
+def _view(analysis: str, name: str = "") -> Callable[[View], View]:
+    """Register a view of an analysis."""
+
+    def register(shows: View) -> View:
+        VIEWS.setdefault(analysis, {})[name] = shows
+        return shows
+
+    return register
+
+
+def _shown(*parts: str, **data: Any) -> Answer:
+    """The parts that say something, each on lines of its own."""
+    return Answer("\n".join(filter(None, parts)), data)
+
+
+def _columns(result: xr.Dataset, *names: str) -> Iterator[tuple[Any, ...]]:
+    """The values of variables of one shape, place by place."""
+    return zip(*(result[name].values.ravel() for name in names), strict=True)
 
 
 def data_of(result: xr.Dataset) -> dict[str, Any]:
@@ -43,7 +60,7 @@ def data_of(result: xr.Dataset) -> dict[str, Any]:
     return {**{str(key): value for key, value in result.attrs.items()}, **small}
 
 
-def table_of_anything(result: xr.Dataset) -> Shown:
+def table_of_anything(result: xr.Dataset) -> Answer:
     """Prints single numbers with their meanings and 95 % intervals, then a table for each dim."""
     partners = {f"{name}{end}" for name in result.data_vars for end in ("_ci", "_se")}
     shown = {str(k): v for k, v in result.data_vars.items() if k not in partners}
@@ -69,7 +86,7 @@ def table_of_anything(result: xr.Dataset) -> Shown:
         ]  # fmt: skip
         kept = [i for i in range(len(header)) if i < 2 or any(row[i] for row in cells)]
         parts.append(text_table([header[i] for i in kept], [[r[i] for i in kept] for r in cells]))
-    return Shown("\n".join(part for part in (*parts, *large, _note(result)) if part))
+    return _shown(*parts, *large, _note(result))
 
 
 def _title(result: xr.Dataset) -> str:
@@ -108,22 +125,17 @@ def _error(result: xr.Dataset, name: str, place: tuple[int, ...]) -> str:
     return f"± {1.96 * error:.2g}" if math.isfinite(error) else ""
 
 
-def _channels(result: xr.Dataset) -> Iterator[tuple[str, xr.Dataset]]:
-    """Each channel with its label; a result without channels, or with one, has no label."""
-    count = result.sizes.get("channel", 0)
-    for channel in range(count):
-        yield (f"[{channel}]" if count > 1 else ""), result.isel(channel=channel)
-    if not count:
-        yield "", result
-
-
-def _convergence(result: xr.Dataset) -> Shown:
+@_view("convergence")
+def convergence(result: xr.Dataset) -> Answer:
     """Prints the variance at each n, the rate ± half its interval, and how well a line fits."""
     header = ["sampler", "", *(f"n = {n}" for n in result["n"].values), "rate", "±"]
     rows, curves, notes = [], [], []
     for sampler in result["sampler"].values:
         picked = result.sel(sampler=sampler)
-        for label, curve in _channels(picked):
+        channels = picked.sizes.get("channel", 0)
+        for channel in range(max(channels, 1)):
+            curve = picked.isel(channel=channel) if channels else picked
+            label = f"[{channel}]" if channels > 1 else ""
             fit = ["–"] * 4
             if np.isfinite(rate := float(curve["rate"])):
                 low, high = curve["rate_ci"].values
@@ -142,17 +154,12 @@ def _convergence(result: xr.Dataset) -> Shown:
         values = {str(name): variable.values for name, variable in picked.data_vars.items()}
         curves.append({"sampler": str(sampler), "n": result["n"].values, **values})
     table = text_table([*header, "fit from n", "χ²/dof"], rows)
-    lines = [f"variance of {result.attrs['estimator']}", table, *notes, _note(result)]
-    return Shown("\n".join(filter(None, lines)), {"curves": curves})
+    title = f"variance of {result.attrs['estimator']}"
+    return _shown(title, table, *notes, _note(result), curves=curves)
 
 
-_TERMS = (
-    *("dc_term", "power_term", "cross_term"),
-    *("predicted_variance", "measured_variance", "captured"),
-)
-
-
-def _terms(result: xr.Dataset) -> Shown:
+@_view("terms")
+def terms(result: xr.Dataset) -> Answer:
     """Prints the terms, their sum, the measured variance, and the share that was captured."""
     known = result.attrs
     about = (
@@ -160,28 +167,30 @@ def _terms(result: xr.Dataset) -> Shown:
         f"{known['space']} space, {known['basis']} basis"
     )
     rows = []
-    for name in _TERMS:
+    sums = ("predicted_variance", "measured_variance", "captured")
+    for name in ("dc_term", "power_term", "cross_term", *sums):
         values = np.atleast_1d(result[name].values)
         shown = ", ".join(_number(v, 6, "undefined") for v in values)
         interval = _interval(np.atleast_2d(result[f"{name}_ci"].values)[0])
         rows.append([name.replace("_", " "), "", shown, interval])
-    lines = [_title(result), about, text_table(["", "", "value", "95 % interval"], rows)]
+    table = text_table(["", "", "value", "95 % interval"], rows)
     labels = result["band"].attrs["labels"].split(", ")
-    return Shown("\n".join(filter(None, (*lines, _note(result)))), {"band_labels": labels})
+    return _shown(_title(result), about, table, _note(result), band_labels=labels)
 
 
-def _spectrum(result: xr.Dataset) -> Shown:
+@_view("spectrum", "power")
+def power(result: xr.Dataset) -> Answer:
     """Prints the radial mean, as power times n (random points: 1)."""
     n, dims = result.attrs["n"], sum(str(d).startswith("m") for d in result["power"].dims)
-    names = ("radius", "radial_power", "radial_power_se")
     rows = [
         [f"{r:.4g}", f"{r / n ** (1 / dims):.3f}", f"{n * p:.5g}", _number(n * se)]
-        for r, p, se in zip(*(result[name].values for name in names), strict=True)
+        for r, p, se in _columns(result, "radius", "radial_power", "radial_power_se")
     ]
-    return Shown(text_table(["|m|", "|m|/n^(1/d)", "n·power", "std. error"], rows))
+    return _shown(text_table(["|m|", "|m|/n^(1/d)", "n·power", "std. error"], rows))
 
 
-def _radial(result: xr.Dataset) -> Shown:
+@_view("spectrum", "radial")
+def radial(result: xr.Dataset) -> Answer:
     """with errors and anisotropy"""
     from mcspectra.spectra.shapes import radial_statistics
 
@@ -190,43 +199,41 @@ def _radial(result: xr.Dataset) -> Shown:
     header = ["|m|", "", "n·power", "std. error", "anisotropy dB", "noise alone dB"]
     rows = [
         [f"{r:.4g}", "", *map(_number, (n * power, n * error, *anisotropy))]
-        for r, power, error, *anisotropy in zip(
-            *(found[name].values for name in names), strict=True
-        )
+        for r, power, error, *anisotropy in _columns(found, *names)
     ]
-    return Shown(text_table(header, rows), data_of(found))
+    return _shown(text_table(header, rows), **data_of(found))
 
 
-def _slices(result: xr.Dataset) -> Shown:
+@_view("spectrum", "slices")
+def slices(result: xr.Dataset) -> Answer:
     """along the axes and diagonals"""
     from mcspectra.spectra.shapes import slices
 
     found, n = slices(result), result.attrs["n"]
     labels = np.repeat(found["slice"].values, found.sizes["multiple"])
-    columns = (
-        found[name].values.ravel() for name in ("slice_radius", "slice_power", "slice_power_se")
-    )
+    columns = _columns(found, "slice_radius", "slice_power", "slice_power_se")
     rows = [
         [str(label), f"{r:.4g}", _number(n * power), _number(n * se)]
-        for label, r, power, se in zip(labels, *columns, strict=True)
+        for label, (r, power, se) in zip(labels, columns, strict=True)
     ]
-    return Shown(text_table(["direction", "|m|", "n·power", "std. error"], rows), data_of(found))
+    return _shown(text_table(["direction", "|m|", "n·power", "std. error"], rows), **data_of(found))
 
 
-def _wedges(result: xr.Dataset) -> Shown:
+@_view("spectrum", "wedges")
+def wedges(result: xr.Dataset) -> Answer:
     """by direction"""
     from mcspectra.spectra.shapes import wedge_means
 
     found, n = wedge_means(result), result.attrs["n"]
-    names = ("angle", "wedge_power", "wedge_power_se")
     rows = [
         [f"{angle:.4g}°", "", _number(n * power), _number(n * se)]
-        for angle, power, se in zip(*(found[name].values for name in names), strict=True)
+        for angle, power, se in _columns(found, "angle", "wedge_power", "wedge_power_se")
     ]
-    return Shown(text_table(["direction", "", "n·power", "std. error"], rows), data_of(found))
+    return _shown(text_table(["direction", "", "n·power", "std. error"], rows), **data_of(found))
 
 
-def _exponent(result: xr.Dataset) -> Shown:
+@_view("spectrum", "exponent")
+def exponent(result: xr.Dataset) -> Answer:
     """b of power ∝ |m|^b"""
     from mcspectra.spectra.shapes import low_frequency_exponent
 
@@ -234,29 +241,30 @@ def _exponent(result: xr.Dataset) -> Shown:
     known = found.attrs
     b, chi2 = (float(found[n]) for n in ("low_frequency_exponent", "exponent_fit_chi2"))
     if math.isnan(b):
-        return Shown(f"no exponent: {known['reason']}", data_of(found))
+        return _shown(f"no exponent: {known['reason']}", **data_of(found))
     where = "" if known["directions"] == "all" else f", directions {known['directions']}"
     text = (
         f"power ∝ |m|^b for |m| ≤ {known['up_to']:.4g} ({known['lengths']} lengths{where}): "
         f"b = {b:.4g}, 95 % interval {_interval(found['low_frequency_exponent_ci'].values)}, "
         f"χ² per degree of freedom {chi2:.3g}"
     )
-    return Shown("\n".join(filter(None, (text, known.get("reason")))), data_of(found))
+    return _shown(text, known.get("reason", ""), **data_of(found))
 
 
-def _pcf(result: xr.Dataset) -> Shown:
+@_view("pcf")
+def pcf(result: xr.Dataset) -> Answer:
     """Prints r, r in units of the mean spacing n^(-1/d), g(r) and its standard error."""
     spacing = result.attrs["n"] ** (-1.0 / result.attrs["dims"])
-    columns = (result[name].values for name in ("r", "pair_correlation", "pair_correlation_se"))
     rows = [
         [f"{r:.5g}", f"{r / spacing:.3f}", f"{g:.5g}", _number(se, 2)]
-        for r, g, se in zip(*columns, strict=True)
+        for r, g, se in _columns(result, "r", "pair_correlation", "pair_correlation_se")
     ]
     table = text_table(["r", "r·n^(1/d)", "g(r)", "std. error"], rows)
-    return Shown(table, {"mean_spacing": spacing})
+    return _shown(table, mean_spacing=spacing)
 
 
-def _anova(result: xr.Dataset) -> Shown:
+@_view("anova")
+def anova(result: xr.Dataset) -> Answer:
     """Prints the parts of subsets of the axes, what larger subsets have, and effective dimensions."""
     lines = [_title(result)]
     labels, order = list(map(str, result["subset_label"].values)), result.attrs["order"]
@@ -273,8 +281,8 @@ def _anova(result: xr.Dataset) -> Shown:
         one = result.isel(channel=channel) if "channel" in result.dims else result
         lines += [f"channel {channel}"] if "channel" in result.dims else []
         floor = _ROUNDING * float(one["variance"])
-        columns = (one[f"anova_{end}"].values for end in ("variance", "variance_se", "share"))
-        rows = [[u, "", *part(v, floor)] for u, *v in zip(labels, *columns, strict=True)]
+        columns = _columns(one, "anova_variance", "anova_variance_se", "anova_share")
+        rows = [[u, "", *part(v, floor)] for u, v in zip(labels, columns, strict=True)]
         larger = [float(one[f"higher_order_variance{end}"]) for end in ("", "_se")]
         rest = part([*larger, 1.0 - float(np.sum(one["anova_share"].values))], floor)
         rows.append(["larger subsets", "", *rest])
@@ -285,10 +293,11 @@ def _anova(result: xr.Dataset) -> Shown:
             beyond = varies and name.endswith("superposition")
             missing = f"more than {order}" if beyond else "undefined"
             lines.append(f"{name.replace('_', ' ')}: {_number(float(one[name]), 6, missing)}")
-    return Shown("\n".join(lines), {"subset": labels})
+    return _shown(*lines, subset=labels)
 
 
-def _exact(result: xr.Dataset) -> Shown:
+@_view("exact")
+def exact(result: xr.Dataset) -> Answer:
     """Prints the variance at each n, and the exponent of variance in n from one to the next."""
     rows, counts = [], result["n"].values
     values = result["exact_variance"].values.reshape(len(counts), -1)
@@ -302,12 +311,11 @@ def _exact(result: xr.Dataset) -> Shown:
             label = f"[{channel}]" if len(values[k]) > 1 else ""
             rows.append([str(n), label, _number(variance, 9), rate])
     table = text_table(["n", "", "variance", "local rate"], rows)
-    return Shown(
-        "\n".join(filter(None, (f"exact variance of {_title(result)}", table, _note(result))))
-    )
+    return _shown(f"exact variance of {_title(result)}", table, _note(result))
 
 
-def _remedies(result: xr.Dataset) -> Shown:
+@_view("remedies")
+def remedies(result: xr.Dataset) -> Answer:
     """Prints a table in the order of the errors, then what to do and why."""
     known, rows, listed = result.attrs, [], []
     for name in result["remedy"].values:
@@ -325,55 +333,34 @@ def _remedies(result: xr.Dataset) -> Shown:
             ]
         )
     table = text_table(["remedy", "", "error", "ratio", "95 %", "rate", "95 %"], rows)
-    lines = [f"{_title(result)},  {known['budget']} evaluations", table]
-    sentences = filter(None, (known["diagnosis"], known["recommendation"]))
-    lines += [textwrap.fill(sentence, _WIDTH) for sentence in sentences]
-    left_out = json.loads(known.get("not_tried", "[]"))
-    lines += ["not tried:"] if left_out else []
-    lines += [
+    title = f"{_title(result)},  {known['budget']} evaluations"
+    said = [textwrap.fill(known[name], _WIDTH) for name in ("diagnosis", "recommendation")]
+    left_out = [
         textwrap.fill(reason, _WIDTH, initial_indent="  ", subsequent_indent="    ")
-        for reason in left_out
+        for reason in json.loads(known.get("not_tried", "[]"))
     ]
-    return Shown("\n".join(lines), {"remedies": listed})
+    heading = "not tried:" if left_out else ""
+    return _shown(title, table, *said, heading, *left_out, remedies=listed)
 
 
-def _modes(result: xr.Dataset) -> Shown:
+@_view("modes")
+def modes(result: xr.Dataset) -> Answer:
     """Prints the eigenvalues, their share of the whole, and what each mode gives to the variance."""
     trace, edge = float(result["band_trace"]), float(result["noise_edge"])
     # Eigenvalues of zero come out as 1e-13 of the sum of all
     there = int(np.count_nonzero(result["eigenvalue"].values > 1e-13 * trace))
     if not there:
-        return Shown(f"{_title(result)}\nno mode: the coefficients do not vary")
+        return _shown(f"{_title(result)}\nno mode: the coefficients do not vary")
     ends = ("eigenvalue", "eigenvalue_se", "eigenvalue_share", "eigenvalue_residual")
-    columns = (result[name].values[:there] for name in (*ends, "mode_contribution"))
-    rows = [[str(k), "", *map(_number, v)] for k, v in enumerate(zip(*columns, strict=True))]
+    columns = list(_columns(result, *ends, "mode_contribution"))[:there]
+    rows = [[str(k), "", *map(_number, values)] for k, values in enumerate(columns)]
     header = ["mode", "", "eigenvalue", "standard error", "share", "numerical residual ≤"]
     more = result.sizes["mode"] - there
-    lines = [
+    return _shown(
         _title(result),
         text_table([*header, "part of variance"], rows),
         f"{more} more of rounding size" if more else "",
         _note(result),
         f"largest eigenvalue of a flat spectrum with the same sum (noise edge): {edge:.6g}",
         f"sum of all eigenvalues: {trace:.6g}",
-    ]
-    return Shown("\n".join(filter(None, lines)))
-
-
-VIEWS: Mapping[str, Mapping[str, View]] = {
-    "convergence": {"": _convergence},
-    "terms": {"": _terms},
-    "spectrum": {
-        "power": _spectrum,
-        "radial": _radial,
-        "slices": _slices,
-        "wedges": _wedges,
-        "exponent": _exponent,
-    },
-    "pcf": {"": _pcf},
-    "anova": {"": _anova},
-    "exact": {"": _exact},
-    "remedies": {"": _remedies},
-    "modes": {"": _modes},
-}
-"""Views of analyses by their names, the one that is shown by default first; --show names several."""
+    )

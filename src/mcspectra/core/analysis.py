@@ -15,7 +15,6 @@ generator: it yields lists of reductions, is sent their merged states, and retur
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeAlias, TypeVar, final
@@ -275,26 +274,25 @@ def compute(
     name = clean.function or type(clean).__name__
     check_memory(clean.need(subject).memory, name)
     steps = steps_of(clean, subject, Stream.from_rng(rng))
-    states: list[Any] | None = None
+    states: Any = None
     try:
         while True:
-            found = next(steps) if states is None else steps.send(states)
-            states = list(_computed(found, threads, name))
+            found = steps.send(states)
+            # Merge the states of all blocks; tell how much of the step's cost is done
+            total, before = max(sum(each.cost for each in found), 1e-300), 0.0
+            states = []
+            for each in found:
+                tree: MergeTree[Any] = MergeTree()
+                for done, state in enumerate(
+                    map_in_order(each.block, range(each.blocks), threads), 1
+                ):
+                    tree.add(state)
+                    share = (before + done / each.blocks * each.cost) / total
+                    report(name, 1.0 if share > 1.0 - 1e-9 else share)
+                states.append(tree.total())
+                before += each.cost
     except StopIteration as end:
         return finished(clean, end.value, rng)
-
-
-def _computed(found: Sequence[Reduction[Any]], threads: int, name: str) -> Iterator[Any]:
-    """States of the reductions of a step; tells how much of the step's cost is done."""
-    total = max(sum(each.cost for each in found), 1e-300)
-    before = itertools.accumulate((each.cost for each in found), initial=0.0)
-    for each, start in zip(found, before, strict=False):
-        tree: MergeTree[Any] = MergeTree()
-        for done, state in enumerate(map_in_order(each.block, range(each.blocks), threads), 1):
-            tree.add(state)
-            share = (start + done / each.blocks * each.cost) / total
-            report(name, 1.0 if share > 1.0 - 1e-9 else share)
-        yield tree.total()
 
 
 def compute_chunk(reduction: Reduction[State], chunk: Chunk) -> State:

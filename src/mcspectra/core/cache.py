@@ -1,15 +1,13 @@
 """Arrays that take seconds to make, kept in the user's cache folder under a key that says it all.
 
-An entry is one file: a line that names the format, a line of JSON (key, shape, SHA-256 of all),
-the data as little-endian float64. What is read is checked against all of these; a damaged
-entry is made again. The folder is the platform's cache folder, or ``MCSPECTRA_CACHE``.
+An entry is one file: the SHA-256 of what follows, then the key and the array as bytes of
+`mcspectra.core.records`. What is read is checked against both; a damaged entry is made again. The
+folder is the platform's cache folder, or ``MCSPECTRA_CACHE``.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
-import math
 import os
 import time
 from collections.abc import Callable
@@ -20,14 +18,15 @@ from pathlib import Path
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import CacheWarning, ParameterError, warn
+from mcspectra.core.errors import CacheWarning, FileFormatError, ParameterError, warn
+from mcspectra.core.records import pack, unpack
 
 __all__ = ["cache_folder", "cache_size", "cached_array"]
 
-_FORMAT = b"mcspectra cache 1\n"
+_FORMAT = "2 "  # before every key: entries of other formats have other names
 _WORTH_KEEPING = 0.05  # seconds: what is made faster is not written
 _LIMIT = 2**30  # bytes: beyond them the entries that are oldest go
-_DATA = np.dtype("<f8")
+_warn_once = lru_cache(warn)
 
 
 def cache_folder() -> Path:
@@ -68,54 +67,37 @@ def cached_array(key: str, make: Callable[[], Array]) -> Array:
     """
     if not (isinstance(key, str) and callable(make)):  # type: ignore[redundant-expr]
         raise ParameterError(f"{key!r:.80} and {make!r:.80} are not a text and a function.")
-    digest = hashlib.sha256(key.encode()).hexdigest()
-    file = cache_folder() / digest[:2] / f"{digest[2:34]}.array"
+    name = hashlib.sha256(f"{_FORMAT}{key}".encode()).hexdigest()
+    file = cache_folder() / name[:2] / f"{name[2:34]}.array"
+
+    # Take a sound entry
     with suppress(OSError):  # there is no entry, or none that can be read
-        found = _decoded(file.read_bytes(), key)
-        if found is not None:
-            return found
+        content = file.read_bytes()
+        with suppress(FileFormatError, KeyError):
+            if content[:32] == hashlib.sha256(content[32:]).digest():
+                found: Array = unpack(dict[str, Array], content[32:])[key]
+                return found
         warn(f"The cache entry {file} is damaged; it is made again.", CacheWarning)
+
+    # Make it
     start = time.perf_counter()
     made = make()
-    if time.perf_counter() - start > _WORTH_KEEPING:
-        _keep(file, key, made)
-    return made
+    if time.perf_counter() - start <= _WORTH_KEEPING:
+        return made
 
-
-def _decoded(content: bytes, key: str) -> Array | None:
-    try:
-        name, head, data = content.split(b"\n", 2)
-        entry = json.loads(head)
-        shape = tuple(int(size) for size in entry["shape"])
-        sound = (
-            name + b"\n" == _FORMAT
-            and entry["key"] == key
-            and math.prod(shape) * _DATA.itemsize == len(data)
-            and entry["sha256"] == _digest(key, shape, data)
-        )
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
-        return None
-    return np.frombuffer(data, _DATA).reshape(shape).astype(np.float64) if sound else None
-
-
-def _keep(file: Path, key: str, made: Array) -> None:
-    """Write an entry; other processes see all of it or nothing."""
-    data = np.ascontiguousarray(made, _DATA).tobytes()
-    digest = _digest(key, made.shape, data)
-    head = json.dumps({"key": key, "shape": made.shape, "sha256": digest}).encode()
+    # Keep what took long: other processes see all of an entry or nothing
+    packed = pack({key: np.asarray(made, np.float64)})
     part = file.with_suffix(f".{os.getpid()}-{time.monotonic_ns()}.part")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        part.write_bytes(_FORMAT + head + b"\n" + data)
+        part.write_bytes(hashlib.sha256(packed).digest() + packed)
         part.replace(file)
         _drop_oldest(cache_folder())
     except OSError as error:
         part.unlink(missing_ok=True) if file.parent.is_dir() else None
-        _say_once(f"Sets are not kept in {cache_folder()}: {error.strerror or error}.")
-
-
-def _digest(key: str, shape: tuple[int, ...], data: bytes) -> str:
-    return hashlib.sha256(f"{key} {shape}".encode() + data).hexdigest()
+        sentence = f"Sets are not kept in {cache_folder()}: {error.strerror or error}."
+        _warn_once(sentence, CacheWarning)
+    return made
 
 
 @lru_cache
@@ -136,8 +118,3 @@ def _entries(folder: Path) -> list[tuple[float, int, Path]]:
             status = entry.stat()
             found.append((status.st_mtime, status.st_size, entry))
     return found
-
-
-@lru_cache
-def _say_once(sentence: str) -> None:
-    warn(sentence, CacheWarning)

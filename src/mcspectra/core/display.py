@@ -9,10 +9,7 @@ from __future__ import annotations
 
 import functools
 import importlib
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    import xarray as xr
+from typing import Any
 
 __all__ = ["html_of", "register_accessor"]
 
@@ -38,8 +35,5 @@ def register_accessor() -> None:
     import xarray as xr
 
     if not hasattr(xr.Dataset, "mcspectra"):
-        xr.register_dataset_accessor("mcspectra")(_accessor)  # type: ignore[no-untyped-call]
-
-
-def _accessor(data: xr.Dataset) -> Any:
-    return importlib.import_module(_RESULTS).Result(data)
+        register: Any = xr.register_dataset_accessor("mcspectra")  # type: ignore[no-untyped-call]
+        register(lambda data: importlib.import_module(_RESULTS).Result(data))

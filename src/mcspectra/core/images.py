@@ -154,24 +154,21 @@ def _read_exr(name: str, size: int) -> Array:
         listed |= {channel.name for channel in part.header["channels"]}
         stored += 4 * len(part.header["channels"]) * (pixels + tile)  # values of 2 or 4 bytes
         largest = max(largest, pixels)
-    names = _exr_channels(listed, name)
+
+    # Take R, G, B, else Y, of the first layer that has them; the nameless layer comes first
+    layers = sorted({channel.rpartition(".")[0] for channel in listed})
+    offers = (
+        [f"{layer}.{c}" if layer else c for c in cs] for cs in ("RGB", "Y") for layer in layers
+    )
+    names = next((offer for offer in offers if listed.issuperset(offer)), None)
+    if names is None:
+        raise FileFormatError(
+            f"{name} has the channels {', '.join(sorted(listed)) or 'none'}; "
+            "R, G and B, or Y, are needed."
+        )
     check_decoded_size(name, size, stored + 9 * len(names) * largest)  # float64, and a mask
     parts = OpenEXR.File(name, separate_channels=True).parts
     planes = {name: c.pixels for part in reversed(parts) for name, c in part.channels.items()}
     if any(planes.get(name) is None for name in names):
         raise EOFError
     return np.stack([planes[name] for name in names], axis=-1, dtype=np.float64)
-
-
-def _exr_channels(names: set[str], file: str) -> tuple[str, ...]:
-    """Names of R, G, B, else of Y, in the first layer that has them; the nameless layer first."""
-    layers = sorted({name.rpartition(".")[0] for name in names})
-    for wanted in ("RGB", "Y"):
-        for layer in layers:
-            found = tuple(f"{layer}.{c}" if layer else c for c in wanted)
-            if all(name in names for name in found):
-                return found
-    raise FileFormatError(
-        f"{file} has the channels {', '.join(sorted(names)) or 'none'}; "
-        "R, G and B, or Y, are needed."
-    )

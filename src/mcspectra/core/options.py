@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, final
 
@@ -43,6 +44,12 @@ __all__ = [
 ]
 
 _NO_LIMIT = 2**31  # a larger limit only keeps numbers within 64 bits: no news to a reader
+_LISTS = (inspect.VarTupleType, inspect.TupleType)
+_SORTS: Mapping[type, Any] = {  # what values of a type are, whatever its limits
+    **dict.fromkeys((inspect.IntType, inspect.FloatType), (int, float, np.number)),
+    **dict.fromkeys((inspect.StrType, inspect.LiteralType), str),
+    **dict.fromkeys(_LISTS, (Sequence, np.ndarray)),
+}
 
 Positive = Annotated[int, Meta(ge=1, le=2**62)]
 Text = Annotated[str, Meta(min_length=1, max_length=20_000)]
@@ -140,7 +147,7 @@ class Option:
     @property
     def item_choices(self) -> tuple[str, ...]:
         """The texts that each of a list can be; empty where any can, or it is no list."""
-        return _words(_items(self.kind))
+        return _words(self._items)
 
     @property
     def is_flag(self) -> bool:
@@ -151,7 +158,13 @@ class Option:
     def lists_texts(self) -> bool:
         """Whether it is a list of texts, which may hold commas."""
         texts = inspect.StrType | inspect.LiteralType
-        return any(isinstance(kind, texts) for kind in _items(self.kind))
+        return any(isinstance(kind, texts) for kind in self._items)
+
+    @property
+    def _items(self) -> list[inspect.Type]:
+        """The plain types of the items, where it may be a list."""
+        lists = [each for each in _kinds(self.kind) if isinstance(each, _LISTS)]
+        return [item for each in lists for item in _kinds(_item(each))]
 
     def check(self, value: Any, label: str | None = None) -> Any:
         """Return the clean value.
@@ -165,8 +178,9 @@ class Option:
         label = label or self.name
         if self.extra.get("python") and not isinstance(value, str):
             return value
-        nothing = value is None and any(isinstance(k, inspect.NoneType) for k in _kinds(self.kind))
-        if self.extra.get("choices") and not nothing:
+        if value is None and any(isinstance(k, inspect.NoneType) for k in _kinds(self.kind)):
+            return None
+        if self.extra.get("choices"):
             return as_choice(label, value, self.choices)
         clean = _clean(label, self.kind, value)
         several = self.extra.get("ascending") and isinstance(clean, tuple)
@@ -229,37 +243,36 @@ def _kinds(kind: inspect.Type) -> list[inspect.Type]:
     return [kind]
 
 
-def _in_words(kind: inspect.Type) -> str:
-    """What a number may be."""
-    if isinstance(kind, inspect.IntType):
-        return "a whole number" if kind.ge is None else f"a whole number of at least {kind.ge}"
-    return "a number"
-
-
 def _words(kinds: list[inspect.Type]) -> tuple[str, ...]:
     literal = [kind for kind in kinds if isinstance(kind, inspect.LiteralType)]
     return tuple(v for kind in literal for v in kind.values if isinstance(v, str))
 
 
-def _items(kind: inspect.Type) -> list[inspect.Type]:
-    """The plain types of the items, where a type may be a list."""
-    lists = [each for each in _kinds(kind) if isinstance(each, inspect.VarTupleType)]
-    return [item for each in lists for item in _kinds(each.item_type)]
+def _item(kind: inspect.VarTupleType | inspect.TupleType) -> inspect.Type:
+    """The type of the items of a list."""
+    return kind.item_type if isinstance(kind, inspect.VarTupleType) else kind.item_types[0]
 
 
 def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
-    kinds = _kinds(kind)
-    if value is None and any(isinstance(each, inspect.NoneType) for each in kinds):
-        return None
-    kinds = [each for each in kinds if not isinstance(each, inspect.NoneType)]
+    kinds = [each for each in _kinds(kind) if not isinstance(each, inspect.NoneType)]
     words = _words(kinds)
-    if len(kinds) > 1 and words and not (isinstance(value, str) and value in words):
-        others = [each for each in kinds if not isinstance(each, inspect.LiteralType)]
-        offer = " or ".join(map(repr, words))
+    if isinstance(value, str) and value in words:
+        return value
+    if len(kinds) > 1 and words:
+        kinds = [each for each in kinds if not isinstance(each, inspect.LiteralType)]
         if isinstance(value, str):
-            raise ParameterError(f"{label} is {value!r}; give {_in_words(others[0])}, or {offer}.")
-        kinds = others
-    fitting = next((each for each in kinds if _fits(each, value)), kinds[0])
+            wanted = "a number"
+            if isinstance(kinds[0], inspect.IntType):
+                from_ = kinds[0].ge
+                wanted = "a whole number" + ("" if from_ is None else f" of at least {from_}")
+            offer = " or ".join(map(repr, words))
+            raise ParameterError(f"{label} is {value!r}; give {wanted}, or {offer}.")
+
+    # Of several types, take the one that is of the value's sort, whatever its limits
+    fits = [each for each in kinds if isinstance(value, _SORTS.get(type(each), ()))]
+    if isinstance(value, str):  # a sequence, but no list
+        fits = [each for each in fits if not isinstance(each, _LISTS)]
+    fitting = (fits or kinds)[0]
     match fitting:
         case inspect.IntType(ge=least, le=most):
             limit = None if most is None or most >= _NO_LIMIT else most
@@ -280,50 +293,31 @@ def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
             if most is not None and len(value) > most:
                 raise ParameterError(f"{label} has {len(value)} characters; {most} are the most.")
             return value
-        case inspect.VarTupleType(item_type=item) | inspect.TupleType(item_types=(item, *_)):
-            return _clean_list(label, fitting, item, value)
-    return value
-
-
-def _clean_list(label: str, kind: inspect.Type, item: inspect.Type, value: Any) -> tuple[Any, ...]:
-    several = isinstance(value, Sequence) or (isinstance(value, np.ndarray) and value.ndim > 0)
-    if not several or isinstance(value, str | bytes):
-        raise ParameterError(f"{label} is {value!r}; give one flat list.")
-    # The length first: a range may have any.
-    size = len(value)
-    if isinstance(kind, inspect.TupleType) and size != len(kind.item_types):
-        raise ParameterError(f"{label} has {size} values; give {len(kind.item_types)}.")
-    if isinstance(kind, inspect.VarTupleType) and size > (kind.max_length or _NO_LIMIT):
-        raise ParameterError(f"{label} has {size} values; {kind.max_length} are the most.")
-    if any(np.ndim(each) > 0 for each in value if not isinstance(each, str)):
-        raise ParameterError(f"{label} is {value!r}; give one flat list.")
-    if not size:
-        raise ParameterError(f"{label} has no values; give one or more.")
-    return tuple(_clean(label, item, each) for each in value)
-
-
-def _fits(kind: inspect.Type, value: Any) -> bool:
-    """Whether a value is of the right sort, whatever its limits."""
-    match kind:
-        case inspect.IntType() | inspect.FloatType():
-            return isinstance(value, int | float | np.number)
-        case inspect.StrType() | inspect.LiteralType():
-            return isinstance(value, str)
         case inspect.VarTupleType() | inspect.TupleType():
-            return isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)
-    return False
+            several = isinstance(value, Sequence) or (isinstance(value, np.ndarray) and value.ndim)
+            if not several or isinstance(value, str | bytes):
+                raise ParameterError(f"{label} is {value!r}; give one flat list.")
+            # The length first: a range may have any
+            size = len(value)
+            if isinstance(fitting, inspect.TupleType) and size != len(fitting.item_types):
+                raise ParameterError(f"{label} has {size} values; give {len(fitting.item_types)}.")
+            longest = getattr(fitting, "max_length", None) or _NO_LIMIT
+            if size > longest:
+                raise ParameterError(f"{label} has {size} values; {longest} are the most.")
+            if any(np.ndim(each) > 0 for each in value if not isinstance(each, str)):
+                raise ParameterError(f"{label} is {value!r}; give one flat list.")
+            if not size:
+                raise ParameterError(f"{label} has no values; give one or more.")
+            return tuple(_clean(label, _item(fitting), each) for each in value)
+    return value
 
 
 def _read(kind: inspect.Type, text: str) -> Any:
     """What a text says in the most special type that can read it, else the text itself."""
     for each in _kinds(kind):
-        if isinstance(each, inspect.VarTupleType | inspect.TupleType):
-            item = each.item_type if isinstance(each, inspect.VarTupleType) else each.item_types[0]
-            return tuple(_read(item, part.strip()) for part in text.split(","))
-        reads = {inspect.IntType: int, inspect.FloatType: float}.get(type(each))
-        if reads is not None:
-            try:
-                return reads(text)
-            except ValueError:
-                continue
+        if isinstance(each, _LISTS):
+            return tuple(_read(_item(each), part.strip()) for part in text.split(","))
+        if isinstance(each, inspect.IntType | inspect.FloatType):
+            with suppress(ValueError):
+                return (int if isinstance(each, inspect.IntType) else float)(text)
     return text

@@ -28,8 +28,8 @@ import itertools
 import json
 import math
 import struct
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from array import array
+from collections.abc import Iterable, Iterator, Mapping
 from os import PathLike
 from typing import IO, Any
 
@@ -48,8 +48,7 @@ _SET_BYTES = 4096  # that count for a set besides its coordinates: many tiny one
 
 # UTK text and comma-separated values
 _LONGEST_LINE = 2**22  # bytes
-_BLOCK_FIELDS = 2**16  # that are Python's strings at a time
-_VALUE_BYTES = 24  # of a number in text: in its block, in its set, and in the order of sets
+_VALUE_BYTES = 24  # of a number in text: as it is read, in its set, and in the order of sets
 
 # UTK binary
 _MAGIC = 0x214B5455
@@ -68,7 +67,35 @@ def read_points(path: str | PathLike[str]) -> list[Array]:
         message names the line or the byte.
     """
     with opened(path, "a point set", EXTENSIONS) as (stream, size, name, extension):
-        return _FORMATS[extension][0](stream, size, name)
+        match extension:
+            case ".dat":
+                return _read_dat(stream, size, name)
+            case ".csv":
+                return _read_csv(stream, size, name)
+            case ".parquet":
+                return _read_parquet(stream, size, name)
+            case ".bin":
+                points = _read_bin(stream, size, name)
+            case _:
+                points = read_npz(stream, size, name, "points")
+                if points.dtype.kind not in "fiu" or points.ndim not in (2, 3) or points.size == 0:
+                    raise FileFormatError(
+                        f"{name} holds 'points' of type {points.dtype} and shape {points.shape}; "
+                        "give numbers of shape (n, d) or (R, n, d)."
+                    )
+                points = points if points.ndim == 3 else points[None]
+                check_decoded_size(name, size, len(points) * _SET_BYTES)
+
+        # Split (R, n, d) into sets of float64 after a check for NaN and infinity
+        points = points.astype(np.float64, copy=False)
+        good = np.isfinite(points)
+        if not good.all():
+            where = [int(i) for i in np.argwhere(~good)[0]]
+            raise FileFormatError(
+                f"{name}: coordinate {where[2]} of point {where[1]} of set {where[0]} (from 0) is "
+                f"{points[tuple(where)]}; give finite numbers."
+            )
+        return list(points)
 
 
 def write_points(
@@ -92,8 +119,7 @@ def write_points(
         Unknown extension, sets that do not fit the format, or a file that cannot be written.
     """
     file = known_path(path, "a point set", EXTENSIONS)
-    name = str(file)
-    content = _FORMATS[file.suffix.lower()][1](*_clean(sets, meta, name), name)
+    content = _content(file.suffix.lower(), sets, meta, str(file))
     try:
         file.write_bytes(content)
     except OSError as error:
@@ -110,13 +136,14 @@ def parse_dat(text: str, name: str) -> list[Array]:
 
 def format_dat(sets: Iterable[object], meta: Mapping[str, Any] | None = None) -> str:
     """Write UTK text, as `write_points` does; every float64 is read back to the same bits."""
-    return _dat(*_clean(sets, meta, "UTK text"), "UTK text").decode()
+    return _content(".dat", sets, meta, "UTK text").decode()
 
 
-def _clean(
-    sets: Iterable[object], meta: Mapping[str, Any] | None, name: str
-) -> tuple[list[Array], str]:
-    """Return the sets as float64 arrays (n, d), and what is said about them as JSON."""
+def _content(
+    extension: str, sets: Iterable[object], meta: Mapping[str, Any] | None, name: str
+) -> bytes:
+    """Return the bytes of a file, which messages call `name`."""
+    # Make arrays (n, d) of float64 of the sets, and JSON of what is said about them
     try:
         numbered, text = enumerate(sets), json.dumps(dict(meta or {}), default=str)
     except (TypeError, ValueError):
@@ -124,20 +151,58 @@ def _clean(
             f"What is given for {name} is {sets!r:.80} and {meta!r:.80}; give a list of arrays "
             "(n, d), and names with values that JSON can hold."
         ) from None
-    clean = []
-    for k, points in numbered:
+    clean: list[Array] = []
+    for k, given in numbered:
         try:
-            array = np.asarray(points, dtype=np.float64)
+            points = np.asarray(given, dtype=np.float64)
         except (TypeError, ValueError):
             raise FileFormatError(f"Set {k} for {name} is not an array of numbers.") from None
-        if array.ndim != 2 or array.size == 0 or not np.isfinite(array).all():
+        if points.ndim != 2 or points.size == 0 or not np.isfinite(points).all():
             raise FileFormatError(
-                f"Set {k} for {name} has shape {array.shape}; give finite numbers of shape (n, d)."
+                f"Set {k} for {name} has shape {points.shape}; give finite numbers of shape (n, d)."
             )
-        clean.append(array)
+        clean.append(points)
     if not clean:
         raise FileFormatError(f"There are no sets to write to {name}; give at least one.")
-    return clean, text
+
+    # Refuse what the format cannot hold
+    several = len(clean) > 1
+    if extension in (".bin", ".npz") and len({points.shape for points in clean}) > 1:
+        raise FileFormatError(
+            f"{name} needs sets of equal shape; write sets of different sizes as .dat or .csv."
+        )
+    if extension in (".csv", ".parquet") and len({points.shape[1] for points in clean}) > 1:
+        raise FileFormatError(f"{name} needs sets of the same dims; write them to several files.")
+
+    axes = [f"x{i}" for i in range(clean[0].shape[1])]
+    buffer = io.BytesIO()
+    match extension:
+        case ".dat":
+            comment = f"# {text}\n" if text != "{}" else ""
+            return (comment + "#\n".join(_lines_of(points, " ") for points in clean)).encode()
+        case ".bin":
+            stack = np.stack(clean).astype("<f8")
+            buffer.write(struct.pack("<5I", _MAGIC, _TYPES.index("f8"), *stack.shape))
+            buffer.write(stack.tobytes())
+        case ".npz":
+            np.savez(buffer, points=np.stack(clean), meta=np.array(text))
+        case ".csv":
+            header = ",".join(["set", *axes] if several else axes)
+            starts = [f"{k}," if several else "" for k in range(len(clean))]
+            rows = map(_lines_of, clean, itertools.repeat(","), starts)
+            return f"{header}\n{''.join(rows)}".encode()
+        case ".parquet":
+            pyarrow = _pyarrow()
+            numbers = {"set": np.repeat(np.arange(len(clean)), [len(x) for x in clean])}
+            columns = dict(zip(axes, np.concatenate(clean).T, strict=True))
+            table = pyarrow.table({**(numbers if several else {}), **columns})
+            pyarrow.parquet.write_table(table.replace_schema_metadata({"mcspectra": text}), buffer)
+    return buffer.getvalue()
+
+
+def _lines_of(points: Array, blank: str, start: str = "") -> str:
+    """A line of text for each point."""
+    return "".join(start + blank.join(map(repr, row)) + "\n" for row in points.tolist())
 
 
 # ---- Text: UTK's, and comma- or semicolon-separated values
@@ -168,8 +233,19 @@ def _read_csv(stream: IO[bytes], size: int, name: str) -> list[Array]:
                 continue
             if at_top:
                 at_top = False
-                if not any(map(_is_number, fields)):
-                    column = _set_column(fields, name)
+                if all(_number(field) is None for field in fields):
+                    # The line names the columns: one may be of sets
+                    names = [field.lower() for field in fields]
+                    if "" in names:
+                        raise FileFormatError(
+                            f"{name} has a column without a name, such as the index that pandas "
+                            "writes; write it with index=False, or name all columns."
+                        )
+                    if names.count("set") > 1:
+                        raise FileFormatError(
+                            f"{name} has two columns 'set'; name each column differently."
+                        )
+                    column = names.index("set") if "set" in names else None
                     continue
             if column is not None:
                 label = fields.pop(column) if column < len(fields) else ""
@@ -215,67 +291,43 @@ def _sets_of_rows(
 ) -> list[Array]:
     """Make an array of each set of rows: numbers of lines, and fields or, before a set, None."""
     sets: list[Array] = []
-    blocks: list[Array] = []
-    block: list[tuple[int, list[str]]] = []
+    points = array("d")
     start, width = 0, 0
     for number, fields in itertools.chain(rows, [(0, None)]):
-        if fields is not None:
-            if not (blocks or block):
-                start, width = number, len(fields)
-            if not width:
-                raise FileFormatError(f"{name} has no coordinates; give a column for each axis.")
-            if len(fields) != width:
+        if fields is None:
+            if points:
+                sets.append(np.array(points).reshape(-1, width))
+                points = array("d")
+                check_decoded_size(name, size, _SET_BYTES * len(sets))
+            continue
+        if not points:
+            start, width = number, len(fields)
+        if not width:
+            raise FileFormatError(f"{name} has no coordinates; give a column for each axis.")
+        if len(fields) != width:
+            raise FileFormatError(
+                f"{name}, line {number}, has {len(fields)} numbers, but the set began with "
+                f"{width} on line {start}; give all points of a set the same number of dims."
+            )
+        for text in fields:
+            value = _number(text)
+            # Python reads 1_0 as 10, nobody else does.
+            if value is None or not math.isfinite(value) or "_" in text:
                 raise FileFormatError(
-                    f"{name}, line {number}, has {len(fields)} numbers, but the set began with "
-                    f"{width} on line {start}; give all points of a set the same number of dims."
+                    f"{name}, line {number}: {text[:40]!r} is not a finite number."
                 )
-            block.append((number, fields))
-        if block and (fields is None or len(block) * width >= _BLOCK_FIELDS):
-            blocks.append(_numbers(block, name))
-            block = []
-        if blocks and fields is None:
-            sets.append(np.concatenate(blocks))
-            blocks = []
-            check_decoded_size(name, size, _SET_BYTES * len(sets))
+            points.append(value)
     if not sets:
         raise FileFormatError(f"{name} holds no points; give a line of coordinates for each.")
     return sets
 
 
-def _numbers(rows: list[tuple[int, list[str]]], name: str) -> Array:
-    with suppress(ValueError):
-        points = np.array([fields for _, fields in rows], dtype=np.float64)
-        # Python reads 1_0 as 10, nobody else does.
-        if np.isfinite(points).all() and not any("_" in x for _, fields in rows for x in fields):
-            return points
-    number, text = next(
-        (number, x)
-        for number, fields in rows
-        for x in fields
-        if "_" in x or not _is_number(x) or not math.isfinite(float(x))
-    )
-    raise FileFormatError(f"{name}, line {number}: {text[:40]!r} is not a finite number.")
-
-
-def _is_number(text: str) -> bool:
+def _number(text: str) -> float | None:
+    """The number that a text is, if it is one."""
     try:
-        float(text)
+        return float(text)
     except ValueError:
-        return False
-    return True
-
-
-def _set_column(names: list[str], file: str) -> int | None:
-    """Place of the column ``set`` among the names of columns, if there is one."""
-    names = [name.lower() for name in names]
-    if "" in names:
-        raise FileFormatError(
-            f"{file} has a column without a name, such as the index that pandas writes; "
-            "write it with index=False, or name all columns."
-        )
-    if names.count("set") > 1:
-        raise FileFormatError(f"{file} has two columns 'set'; name each column differently.")
-    return names.index("set") if "set" in names else None
+        return None
 
 
 def _split(points: Array, set_of_row: Array) -> list[Array]:
@@ -284,34 +336,11 @@ def _split(points: Array, set_of_row: Array) -> list[Array]:
     return np.split(points[order], np.cumsum(np.bincount(set_of_row))[:-1])
 
 
-def _dat(sets: list[Array], meta: str, _name: str) -> bytes:
-    comment = f"# {meta}\n" if meta != "{}" else ""
-    return (comment + "#\n".join(_text(points, " ") for points in sets)).encode()
+# ---- Bytes: UTK binary
 
 
-def _csv(sets: list[Array], _meta: str, name: str) -> bytes:
-    """A column for each dim and, where there are several sets, a first one ``set``."""
-    header = ",".join(f"x{i}" for i in range(_same_dims(sets, name)))
-    if len(sets) == 1:
-        return f"{header}\n{_text(sets[0], ',')}".encode()
-    rows = "".join(_text(points, ",", f"{k},") for k, points in enumerate(sets))
-    return f"set,{header}\n{rows}".encode()
-
-
-def _text(points: Array, blank: str, start: str = "") -> str:
-    return "".join(start + blank.join(map(repr, row)) + "\n" for row in points.tolist())
-
-
-def _same_dims(sets: list[Array], name: str) -> int:
-    if len({points.shape[1] for points in sets}) > 1:
-        raise FileFormatError(f"{name} needs sets of the same dims; write them to several files.")
-    return int(sets[0].shape[1])
-
-
-# ---- Bytes: UTK binary and NumPy's archives
-
-
-def _read_bin(stream: IO[bytes], size: int, name: str) -> list[Array]:
+def _read_bin(stream: IO[bytes], size: int, name: str) -> Array:
+    """Read all sets, (R, n, d)."""
     data = stream.read(_HEADER_BYTES)
     if len(data) < _HEADER_BYTES:
         raise FileFormatError(f"{name} ends at byte {len(data)}, within the header of 20 bytes.")
@@ -342,54 +371,7 @@ def _read_bin(stream: IO[bytes], size: int, name: str) -> list[Array]:
         spare = max(0, bits - 53)  # drop what a double cannot hold, lest 2^64 - 1 becomes 1.0
         shifted = values.astype(dtype.newbyteorder("=")) >> spare
         values = np.ldexp(shifted.astype(np.float64), spare - bits)
-    return _finite_sets(values, name)
-
-
-def _read_npz(stream: IO[bytes], size: int, name: str) -> list[Array]:
-    points = read_npz(stream, size, name, "points")
-    if points.dtype.kind not in "fiu" or points.ndim not in (2, 3) or points.size == 0:
-        raise FileFormatError(
-            f"{name} holds 'points' of type {points.dtype} and shape {points.shape}; give numbers "
-            "of shape (n, d) or (R, n, d)."
-        )
-    points = points if points.ndim == 3 else points[None]
-    check_decoded_size(name, size, len(points) * _SET_BYTES)
-    return _finite_sets(points, name)
-
-
-def _finite_sets(points: Array, name: str) -> list[Array]:
-    """Split (R, n, d) into sets of float64 after a check for NaN and infinity."""
-    points = points.astype(np.float64, copy=False)
-    good = np.isfinite(points)
-    if not good.all():
-        where = [int(i) for i in np.argwhere(~good)[0]]
-        raise FileFormatError(
-            f"{name}: coordinate {where[2]} of point {where[1]} of set {where[0]} (from 0) is "
-            f"{points[tuple(where)]}; give finite numbers."
-        )
-    return list(points)
-
-
-def _bin(sets: list[Array], _meta: str, name: str) -> bytes:
-    points = _stacked(sets, name)
-    return (
-        struct.pack("<5I", _MAGIC, _TYPES.index("f8"), *points.shape)
-        + points.astype("<f8").tobytes()
-    )
-
-
-def _npz(sets: list[Array], meta: str, name: str) -> bytes:
-    buffer = io.BytesIO()
-    np.savez(buffer, points=_stacked(sets, name), meta=np.array(meta))
-    return buffer.getvalue()
-
-
-def _stacked(sets: Sequence[Array], name: str) -> Array:
-    if len({points.shape for points in sets}) > 1:
-        raise FileFormatError(
-            f"{name} needs sets of equal shape; write sets of different sizes as .dat or .csv."
-        )
-    return np.stack(sets)
+    return values
 
 
 # ---- Tables: Parquet, through pyarrow
@@ -460,20 +442,6 @@ def _read_parquet(stream: IO[bytes], size: int, file: str) -> list[Array]:
     return _split(points, numbers.indices.to_numpy())
 
 
-def _parquet(sets: list[Array], meta: str, name: str) -> bytes:
-    """Columns ``x0``, ``x1``, … and, for several sets, a first one ``set``."""
-    pyarrow = _pyarrow()
-    dims = _same_dims(sets, name)
-    points = np.concatenate(sets)
-    columns = {f"x{i}": points[:, i] for i in range(dims)}
-    if len(sets) > 1:
-        columns = {"set": np.repeat(np.arange(len(sets)), [len(x) for x in sets]), **columns}
-    table = pyarrow.table(columns).replace_schema_metadata({"mcspectra": meta})
-    buffer = pyarrow.BufferOutputStream()
-    pyarrow.parquet.write_table(table, buffer)
-    return bytes(buffer.getvalue())
-
-
 def _pyarrow() -> Any:
     if importlib.util.find_spec("pyarrow") is None:
         raise MissingDependency(
@@ -482,12 +450,3 @@ def _pyarrow() -> Any:
         )
     importlib.import_module("pyarrow.parquet")
     return importlib.import_module("pyarrow")
-
-
-_FORMATS = {
-    ".dat": (_read_dat, _dat),
-    ".bin": (_read_bin, _bin),
-    ".npz": (_read_npz, _npz),
-    ".csv": (_read_csv, _csv),
-    ".parquet": (_read_parquet, _parquet),
-}

@@ -13,26 +13,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from types import UnionType
-from typing import (
-    TYPE_CHECKING,
-    Annotated,
-    Any,
-    TypeAlias,
-    Union,
-    final,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Annotated, Any, TypeAlias, Union, final, get_args, get_origin, get_type_hints
 
 import msgspec
 import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import FileFormatError
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = [
     "JOIN",
@@ -115,37 +102,34 @@ def merged(left: Any, right: Any) -> Any:
     if not is_dataclass(left):
         raise TypeError(f"A {type(left).__name__} has no rule to merge; make it part of a record.")
     kind: Any = type(left)
-    return kind(**{
-        name: _merge_field(rule, getattr(left, name), getattr(right, name))
-        for name, rule in _rules(kind).items()
-    })  # fmt: skip
-
-
-def _merge_field(rule: Any, left: Any, right: Any) -> Any:
-    if left is None or right is None:
-        return left if right is None else right
-    if rule == "sum":
-        if isinstance(left, np.ndarray):
-            return np.add(left, right, out=left)
-        return left + right
-    if isinstance(rule, Join):
-        return np.concatenate([left, right], axis=rule.axis)
-    return left if rule == "same" else merged(left, right)
+    values = {}
+    for name, rule in _rules(kind).items():
+        a, b = getattr(left, name), getattr(right, name)
+        if a is None or b is None:
+            values[name] = b if a is None else a
+        elif rule == "sum":
+            values[name] = np.add(a, b, out=a) if isinstance(a, np.ndarray) else a + b
+        elif isinstance(rule, Join):
+            values[name] = np.concatenate([a, b], axis=rule.axis)
+        else:
+            values[name] = a if rule == "same" else merged(a, b)
+    return kind(**values)
 
 
 @functools.cache
 def _rules(kind: Any) -> dict[str, Any]:
     """The rule of every field of a record; None for those that merge themselves."""
     hints = get_type_hints(kind, include_extras=True)
-    return {field.name: _rule(hints[field.name]) for field in fields(kind)}
-
-
-def _rule(hint: Any) -> Any:
-    if get_origin(hint) in _UNIONS:
-        return next((_rule(each) for each in get_args(hint) if each is not type(None)), None)
-    if get_origin(hint) is Annotated:
-        return get_args(hint)[1]
-    return "sum" if hint in (int, float) else None
+    rules: dict[str, Any] = {}
+    for field in fields(kind):
+        hint = hints[field.name]
+        if get_origin(hint) in _UNIONS:
+            hint = next(each for each in get_args(hint) if each is not type(None))
+        annotated = get_origin(hint) is Annotated
+        rules[field.name] = (
+            get_args(hint)[1] if annotated else "sum" if hint in (int, float) else None
+        )
+    return rules
 
 
 def pack(state: Any) -> bytes:
@@ -210,22 +194,18 @@ def _described(state: Any, arrays: list[Array]) -> Any:
         return len(arrays) - 1
     if is_dataclass(state):
         return {f.name: _described(getattr(state, f.name), arrays) for f in fields(state)}
-    if isinstance(state, Mapping) and not hasattr(state, "data_vars"):
+    if hasattr(state, "data_vars"):
+        variables = []
+        for name, variable in state.variables.items():
+            values = np.ascontiguousarray(variable.values).reshape(variable.shape)
+            place, attrs = _described(values, arrays), _plain(variable.attrs)
+            variables.append((name, name in state.coords, variable.dims, place, attrs))
+        return {"attrs": _plain(state.attrs), "variables": variables}
+    if isinstance(state, Mapping):
         return {str(name): _described(value, arrays) for name, value in state.items()}
     if isinstance(state, list | tuple):
         return [_described(each, arrays) for each in state]
-    if hasattr(state, "data_vars"):
-        return _described_dataset(state, arrays)
     return state.item() if isinstance(state, np.generic) else state
-
-
-def _described_dataset(data: xr.Dataset, arrays: list[Array]) -> dict[str, Any]:
-    variables = []
-    for name, variable in data.variables.items():
-        values = _described(np.ascontiguousarray(variable.values).reshape(variable.shape), arrays)
-        coord = name in data.coords
-        variables.append((name, coord, variable.dims, values, _plain(variable.attrs)))
-    return {"attrs": _plain(data.attrs), "variables": variables}
 
 
 def _plain(attributes: Mapping[Any, Any]) -> dict[str, Any]:
@@ -257,16 +237,12 @@ def _restored(kind: Any, tree: Any, arrays: list[Array]) -> Any:
     if get_origin(kind) is dict:
         return {name: _restored(get_args(kind)[1], each, arrays) for name, each in tree.items()}
     if getattr(kind, "__name__", "") == "Dataset":
-        return _dataset(tree, arrays)
+        import xarray as xr
+
+        variables = {
+            name: (tuple(dims), arrays[place], attrs)
+            for name, _, dims, place, attrs in tree["variables"]
+        }
+        coords = [name for name, coord, *_ in tree["variables"] if coord]
+        return xr.Dataset(variables, attrs=tree["attrs"]).set_coords(coords)
     return kind(tree) if kind in (int, float, bool, str) else arrays[tree]
-
-
-def _dataset(tree: Mapping[str, Any], arrays: list[Array]) -> xr.Dataset:
-    import xarray as xr
-
-    variables = {
-        name: (tuple(dims), arrays[place], attrs)
-        for name, _, dims, place, attrs in tree["variables"]
-    }
-    coords = [name for name, coord, *_ in tree["variables"] if coord]
-    return xr.Dataset(variables, attrs=tree["attrs"]).set_coords(coords)

@@ -106,7 +106,11 @@ class Registry(Mapping[str, str]):
         """
         cls = self.load(call.name)
         allowed = inspect.signature(cls).parameters
-        arguments = {self._spelled(allowed, key): value for key, value in call.arguments.items()}
+        # Specs say radius=0.7 where Python's field is radius_, its name being taken
+        arguments = {
+            f"{key}_" if f"{key}_" in allowed else key: value
+            for key, value in call.arguments.items()
+        }
         for key in arguments:
             if key not in allowed:
                 shown = [p.rstrip("_") for p in allowed]
@@ -131,11 +135,6 @@ class Registry(Mapping[str, str]):
                 f"{call.name} is for {component.dims} dims, but {dims} dims are needed."
             )
         return component
-
-    @staticmethod
-    def _spelled(allowed: Mapping[str, Any], key: str) -> str:
-        """Specs say ``radius=0.7`` where Python's field is ``radius_``, its name being taken."""
-        return f"{key}_" if f"{key}_" in allowed else key
 
     def _targets(self) -> dict[str, str]:
         extra = _registered(self.group, tuple(sys.path))

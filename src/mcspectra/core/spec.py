@@ -89,10 +89,17 @@ def format_call(component: object) -> str:
     """Write a dataclass component as ``name(key=value)`` with the fields that are not defaults."""
     shown = []
     for field in dataclasses.fields(component):  # type: ignore[arg-type]
-        value = getattr(component, field.name)
-        if field.name == "dims" or not field.init or _same(value, _default(field)):
+        if field.name == "dims" or not field.init:
             continue
-        shown.append(f"{field.name.rstrip('_')}={_literal(value)}")
+        value, default = getattr(component, field.name), field.default
+        if field.default_factory is not dataclasses.MISSING:
+            default = field.default_factory()
+        if isinstance(value, np.ndarray) or isinstance(default, np.ndarray):
+            same = np.array_equal(np.asarray(value), np.asarray(default))
+        else:
+            same = type(value) is type(default) and value == default
+        if not same:
+            shown.append(f"{field.name.rstrip('_')}={_literal(value)}")
     name = getattr(component, "name", type(component).__name__)
     return f"{name}({', '.join(shown)})" if shown else name
 
@@ -100,18 +107,6 @@ def format_call(component: object) -> str:
 def _brief(text: str) -> str:
     """Return the text as messages quote it: its beginning, when it is long."""
     return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}…"
-
-
-def _default(field: dataclasses.Field[Any]) -> object:
-    if field.default_factory is not dataclasses.MISSING:
-        return field.default_factory()
-    return field.default
-
-
-def _same(a: object, b: object) -> bool:
-    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
-        return np.array_equal(np.asarray(a), np.asarray(b))
-    return type(a) is type(b) and a == b
 
 
 def _literal(value: object) -> str:
@@ -165,18 +160,15 @@ def _parse_call(part: str, whole: str) -> Call:
         return Call(name, {})
     if not (rest.startswith("(") and rest.endswith(")")):
         raise SpecError(f"{_brief(part)!r} is not of the form name(key=value, ...).")
-    return Call(name, _parse_arguments(name, rest))
 
-
-def _parse_arguments(name: str, brackets: str) -> dict[str, Any]:
-    source = f"f{brackets}"
+    # Let Python's own parser read the brackets, as those of a call
+    source, shown = f"f{rest}", _brief(name + rest)
     try:
         tree = ast.parse(source, mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        shown = _brief(name + brackets)
         raise SpecError(f"The brackets of {shown} are not key=value pairs.") from None
     if not (isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name)):
-        raise SpecError(f"{_brief(name + brackets)} is not of the form name(key=value, ...).")
+        raise SpecError(f"{shown} is not of the form name(key=value, ...).")
     if tree.args:
         # Not ast.unparse, which recurses and gives up on deep nesting.
         shown = _brief(ast.get_source_segment(source, tree.args[0]) or "a value")
@@ -194,7 +186,7 @@ def _parse_arguments(name: str, brackets: str) -> dict[str, Any]:
                 f"The value of {keyword.arg} in {name}(...) is not a literal; "
                 f"{_literal_advice(ast.get_source_segment(source, keyword.value) or '')}."
             ) from None
-    return arguments
+    return Call(name, arguments)
 
 
 def _literal_advice(value: str) -> str:

@@ -76,8 +76,28 @@ def estimate_study(plan: Plan, *, probe_seconds: float = 10.0) -> list[CellEstim
         raise ConfigError(f"{plan!r} is not a plan; give what make_plan returns.")
     probe_seconds = as_real("probe_seconds", probe_seconds, least=0.0)
     seed = plan.config.seed
-    tried = _tried(plan.cells, seed, probe_seconds)
-    known = [(cell, *found) for cell in plan.cells if (found := tried.get(cell.path))]
+
+    # Try as many cells as there is time for: first one of every analysis of every estimator
+    seen: set[tuple[str, str]] = set()
+    first: list[Cell] = []
+    later: list[Cell] = []
+    for cell in plan.cells:
+        if hasattr(cell.analysis, "realizations") and cell.error is None:
+            kind = (cell.estimator_name, cell.analysis_name)
+            (later if kind in seen else first).append(cell)
+            seen.add(kind)
+    tried: dict[str, tuple[float, int]] = {}
+    end = time.monotonic() + probe_seconds
+    for cell in (*first, *later):
+        left = end - time.monotonic()
+        if left <= 0:
+            break
+        with contextlib.suppress(TookTooLong):
+            found = within(left + _PATIENCE, functools.partial(_measured, cell, seed, left))
+            tried |= {} if found is None else {cell.path: found}
+
+    # Scale the others by what they cost
+    known = [(cell, *tried[cell.path]) for cell in plan.cells if cell.path in tried]
     paces = _medians([(each.analysis_name, seconds / each.need.cost) for each, seconds, _ in known])
     sizes = _medians([(each.analysis_name, float(size)) for each, _, size in known])
     target = task_seconds(plan.config.time_limit)
@@ -114,31 +134,6 @@ def wall_time(estimates: Sequence[CellEstimate], workers: int) -> float:
     """Seconds with so many workers: no less than the longest cell."""
     seconds = [each.seconds for each in estimates]
     return max(sum(seconds) / workers, max(seconds, default=0.0))
-
-
-def _tried(cells: Sequence[Cell], seed: int, patience: float) -> dict[str, tuple[float, int]]:
-    """Seconds and bytes of storage of cells by their paths, as many as there is time for.
-
-    The first of every analysis of every estimator comes before the others.
-    """
-    seen: set[tuple[str, str]] = set()
-    first: list[Cell] = []
-    later: list[Cell] = []
-    for cell in cells:
-        if hasattr(cell.analysis, "realizations") and cell.error is None:
-            kind = (cell.estimator_name, cell.analysis_name)
-            (later if kind in seen else first).append(cell)
-            seen.add(kind)
-    tried: dict[str, tuple[float, int]] = {}
-    end = time.monotonic() + patience
-    for cell in (*first, *later):
-        left = end - time.monotonic()
-        if left <= 0:
-            break
-        with contextlib.suppress(TookTooLong):
-            found = within(left + _PATIENCE, functools.partial(_measured, cell, seed, left))
-            tried |= {} if found is None else {cell.path: found}
-    return tried
 
 
 def _measured(cell: Cell, seed: int, left: float) -> tuple[float, int] | None:

@@ -211,6 +211,17 @@ def _names() -> frozenset[str]:
     return frozenset(n for n in ANALYSES if _TABLE_NAME.fullmatch(n) and n not in own)
 
 
+def _scene_lists(table: Mapping[str, Any]) -> dict[str, str]:
+    """Keys of a study that list scenes, with the names of their analyses: ``maps`` with ``map``."""
+    names, found = _names(), {}
+    for key in table:
+        name = key.removesuffix("s")
+        listed = key not in names and name != key and name in names
+        if listed and ANALYSES.load(name).about == "scene":
+            found[key] = name
+    return found
+
+
 def read_study(path: str | Path, overrides: Sequence[str] = ()) -> StudyConfig:
     """Read and check a study file.
 
@@ -277,7 +288,26 @@ def study_of(table: Mapping[str, Any], source: str = "study") -> StudyConfig:
     """
     try:
         config = _Reader().study(table)
-        _check_study(config)
+
+        # What tables must keep among each other, beyond the types of their keys
+        if not config.entries:
+            scenes = [key for key, each in analysis_tables().items() if each.about == "scene"]
+            lists = " or ".join(f"[[{key}]]" for key in ("estimators", *scenes))
+            raise ConfigError(f"there is nothing to study; give {lists}.")
+        (name, times), *_ = Counter(entry.name for entry in config.entries).most_common(1)
+        if times > 1:
+            raise ConfigError(f"two estimators are called {name!r}; names must differ.")
+        seen = set()
+        for entry in config.entries:
+            samplers = config.samplers_of(entry)
+            if not samplers:
+                raise ConfigError(f"{entry.name!r} has no samplers; list some there or at the top.")
+            if id(samplers) not in seen and len(set(samplers)) < len(samplers):
+                raise ConfigError(f"{entry.name!r} lists a sampler twice.")
+            seen.add(id(samplers))  # most share one list
+        for estimator in config.estimators:
+            for complaint in _complaints(estimator):
+                raise ConfigError(f"the estimator {estimator.name!r} {complaint}")
     except McspectraError as error:
         raise ConfigError(f"{source}: {error}") from None
     return config
@@ -313,49 +343,36 @@ class _Reader:
         """A whole study."""
         if not isinstance(table, dict):
             raise ConfigError(f"a study is a table, not {table!r}.")
-        lists = {key: name for key in table if (name := self._scene(key))}
+        lists = _scene_lists(table)
         rest = {k: v for k, v in table.items() if k not in lists and k != "estimators"}
         config = self._with_analyses(rest, StudyConfig, "")
         estimators = tuple(
             self._with_analyses(entry, EstimatorConfig, place)
             for entry, place in _entries("estimators", table.get("estimators", []))
         )
-        scenes = tuple(
-            self._of_scene(name, entry, place)
-            for key, name in lists.items()
-            for entry, place in _entries(key, table[key])
-        )
-        return msgspec.structs.replace(config, estimators=estimators, scenes=scenes)
-
-    def _scene(self, key: str) -> str:
-        """Name of the analysis of scenes whose entries a key lists, ``map`` of ``maps``, or nothing."""
-        name = key.removesuffix("s")
-        listed = key not in self._names and name != key and name in self._names
-        return name if listed and ANALYSES.load(name).about == "scene" else ""
+        scenes = []
+        own = ("name", "samplers")
+        for key, name in lists.items():
+            for entry, place in _entries(key, table[key]):
+                if not isinstance(entry, dict):
+                    _struct(entry, SceneConfig, place)  # raises: it is no table
+                made = _struct({k: entry[k] for k in own if k in entry}, SceneConfig, place)
+                options = {k: v for k, v in entry.items() if k not in own}
+                analysis = self._analysis(name, options, place, own)
+                scenes.append(msgspec.structs.replace(made, kind=name, analysis=analysis))
+        return msgspec.structs.replace(config, estimators=estimators, scenes=tuple(scenes))
 
     def _with_analyses(self, table: Any, kind: type[Struct], place: str) -> Struct:
         """A table that may have tables of analyses in it."""
         asked = [key for key in table if key in self._names] if isinstance(table, dict) else ()
-        if not asked:
-            return _struct(table, kind, place)
-        made = _struct({k: v for k, v in table.items() if k not in self._names}, kind, place)
-        analyses = {}
+        rest = {k: v for k, v in table.items() if k not in self._names} if asked else table
+        made, analyses = _struct(rest, kind, place), {}
         for key in asked:
             inside = f"{place}.{key}" if place else key
             if ANALYSES.load(key).about == "scene":
                 raise ConfigError(f"{inside} is an analysis of scenes; list tables [[{key}s]].")
             analyses[key] = self._analysis(key, table[key], inside)
         return msgspec.structs.replace(made, analyses=analyses)
-
-    def _of_scene(self, name: str, entry: Any, place: str) -> SceneConfig:
-        """An entry of ``[[maps]]``."""
-        if not isinstance(entry, dict):
-            return _struct(entry, SceneConfig, place)
-        keys = ("name", "samplers")
-        made = _struct({key: entry[key] for key in keys if key in entry}, SceneConfig, place)
-        options = {key: value for key, value in entry.items() if key not in keys}
-        analysis = self._analysis(name, options, place, keys)
-        return msgspec.structs.replace(made, kind=name, analysis=analysis)
 
     def _analysis(
         self, name: str, table: Any, place: str, beside: tuple[str, ...] = ()
@@ -421,31 +438,6 @@ def _keys_of(kind: type[msgspec.Struct]) -> tuple[str, ...]:
     """Keys of a table but for its tables of analyses."""
     hidden = RESERVED if issubclass(kind, _Table) else ()
     return tuple(key for key in kind.__struct_fields__ if key not in hidden)
-
-
-# What tables must keep among each other, beyond the types of their keys.
-
-
-def _check_study(config: StudyConfig) -> None:
-    """Refuse names that repeat, missing samplers and keys that contradict each other."""
-    if not config.entries:
-        scenes = [key for key, each in analysis_tables().items() if each.about == "scene"]
-        lists = " or ".join(f"[[{key}]]" for key in ("estimators", *scenes))
-        raise ConfigError(f"there is nothing to study; give {lists}.")
-    (name, times), *_ = Counter(entry.name for entry in config.entries).most_common(1)
-    if times > 1:
-        raise ConfigError(f"two estimators are called {name!r}; names must differ.")
-    seen = set()
-    for entry in config.entries:
-        samplers = config.samplers_of(entry)
-        if not samplers:
-            raise ConfigError(f"{entry.name!r} has no samplers; list some there or at the top.")
-        if id(samplers) not in seen and len(set(samplers)) < len(samplers):
-            raise ConfigError(f"{entry.name!r} lists a sampler twice.")
-        seen.add(id(samplers))  # most share one list
-    for estimator in config.estimators:
-        for complaint in _complaints(estimator):
-            raise ConfigError(f"the estimator {estimator.name!r} {complaint}")
 
 
 def _complaints(e: EstimatorConfig) -> Iterator[str]:
@@ -585,7 +577,7 @@ def expand_grids(table: dict[str, Any], source: str = "study") -> dict[str, Any]
     """
     try:
         return _Grids(table).expanded()
-    except ConfigError as error:
+    except McspectraError as error:
         raise ConfigError(f"{source}: {error}") from None
 
 
@@ -602,9 +594,21 @@ class _Grids:
     def expanded(self) -> dict[str, Any]:
         """The study without grids."""
         names = _names()
-        lists = [k for k in self._table if k not in names and k.removesuffix("s") in names]
-        lists = ["estimators", *lists]
-        made = self._inherited({k: v for k, v in self._table.items() if k != "grid"}, names, lists)
+        made = {key: value for key, value in self._table.items() if key != "grid"}
+        lists = [
+            key for key in ("estimators", *_scene_lists(made)) if isinstance(made.get(key), list)
+        ]
+        takers = [key for key in lists if any(isinstance(entry, dict) for entry in made[key])]
+
+        # Tables of analyses with placeholders go into the estimators that have none of their own; a
+        # placeholder in place of the list of samplers goes into all entries
+        given: dict[str, Any] = {}
+        if "estimators" in takers:
+            tables = [key for key in made if key in names and isinstance(made[key], dict)]
+            given = {key: made.pop(key) for key in tables if any(_placeholders(made[key]))}
+        samplers, listed = made.get("samplers"), {}
+        if takers and isinstance(samplers, str) and _PLACEHOLDER.fullmatch(samplers):
+            listed = {"samplers": made.pop("samplers")}
         for key in _SINGLE:
             if any(_placeholders(made.get(key))):
                 raise ConfigError(
@@ -612,47 +616,26 @@ class _Grids:
                     f"with --set {key}=..."
                 )
         for key in lists:
-            if isinstance(made.get(key), list):
-                made[key] = [
-                    each
-                    for i, entry in enumerate(made[key])
-                    for each in self._entry(entry, key, f"{key}[{i}]")
-                ]
+            more = {**given, **listed} if key == "estimators" else listed
+            made[key] = [
+                each
+                for i, entry in enumerate(made[key])
+                for each in self._entry(entry, more, key, f"{key}[{i}]")
+            ]
         if isinstance(made.get("samplers"), list):
-            made["samplers"] = self._listed(made["samplers"], self._shared, self._used, "samplers")
+            self._used.update(_keys_in(made["samplers"], self._shared, "samplers"))
+            made["samplers"] = _repeated(made["samplers"], self._shared, "samplers")
         _check_used(self._shared, self._used, "")
         return made
 
-    def _inherited(
-        self, table: dict[str, Any], names: Collection[str], lists: Sequence[str]
-    ) -> dict[str, Any]:
-        """Move tables of analyses with placeholders into the estimators that have none of their own.
-
-        So too a placeholder in place of the list of samplers, which maps take as well.
-        """
-        takers = {
-            key: [e for e in table[key] if isinstance(e, dict)]
-            for key in lists
-            if isinstance(table.get(key), list)
-        }
-        asked = {k: v for k, v in table.items() if k in names and isinstance(v, dict)}
-        moved = {
-            k: v for k, v in asked.items() if takers.get("estimators") and any(_placeholders(v))
-        }
-        samplers = table.get("samplers")
-        whole = isinstance(samplers, str) and _PLACEHOLDER.fullmatch(samplers)
-        listed = {"samplers": samplers} if whole and any(takers.values()) else {}
-        kept = {key: value for key, value in table.items() if key not in {**moved, **listed}}
-        for key in takers:
-            given = {**moved, **listed} if key == "estimators" else listed
-            kept[key] = [{**given, **e} if isinstance(e, dict) else e for e in kept[key]]
-        return kept
-
-    def _entry(self, entry: Any, key: str, place: str) -> Iterator[Any]:
+    def _entry(
+        self, given: Any, more: Mapping[str, Any], key: str, place: str
+    ) -> Iterator[dict[str, Any]]:
         """An estimator or a map, repeated over the placeholders outside its list of samplers."""
-        if not isinstance(entry, dict):
-            yield entry  # a wrong type, which the types of a study report
+        if not isinstance(given, dict):
+            yield given  # a wrong type, which the types of a study report
             return
+        entry = {**more, **given}
         own = _grid_values(entry.get("grid"), f"{place}.grid")
         values = {**self._shared, **own}
         listed = isinstance(entry.get("samplers"), list)
@@ -673,20 +656,20 @@ class _Grids:
                 made["name"] += f" ({', '.join(rest)})"
             if listed:
                 chosen = {**values, **{k: [value] for k, value in choice.items()}}
-                made["samplers"] = self._listed(samplers, chosen, set(), place)
+                made["samplers"] = _repeated(samplers, chosen, place)
             yield made
 
-    def _listed(self, texts: list[Any], values: Values, used: set[str], place: str) -> list[Any]:
-        """Samplers: each repeated over its own placeholders."""
-        if not any(_placeholders(texts)):
-            return texts
-        made: list[Any] = []
-        for text in texts:
-            keys = _keys_in(text, values, place)
-            used |= set(keys)
-            made += [_filled(text, choice) for choice in _choices(keys, values, text, place)]
-            _check_size(len(made), 0, place)
-        return made
+
+def _repeated(samplers: list[Any], values: Values, place: str) -> list[Any]:
+    """Samplers, each repeated over its own placeholders."""
+    if not any(_placeholders(samplers)):
+        return samplers
+    made: list[Any] = []
+    for text in samplers:
+        keys = _keys_in(text, values, place)
+        made += [_filled(text, choice) for choice in _choices(keys, values, text, place)]
+        _check_size(len(made), 0, place)
+    return made
 
 
 def _check_used(values: Values, used: Collection[str], place: str) -> None:
@@ -735,19 +718,14 @@ def _keys_in(value: Any, values: Values, place: str) -> list[str]:
 def _placeholders(value: Any) -> Iterator[str]:
     if isinstance(value, str):
         yield from _PLACEHOLDER.findall(value)
-    elif isinstance(value, dict):
-        for item in value.values():
-            yield from _placeholders(item)
-    elif isinstance(value, list):
-        for item in value:
+    elif isinstance(value, dict | list):
+        for item in value.values() if isinstance(value, dict) else value:
             yield from _placeholders(item)
 
 
 def _filled(value: Any, choice: Mapping[str, Any]) -> Any:
     """The value with its placeholders replaced."""
-    if isinstance(value, str):
-        if "{" not in value:
-            return value
+    if isinstance(value, str) and "{" in value:
         whole = _PLACEHOLDER.fullmatch(value)
         if whole is not None and whole[1] in choice:
             return choice[whole[1]]

@@ -92,18 +92,16 @@ def probed(function: Callable[[Any], Any], *, dims: int, limit: float | None = N
 
 def explain(error: BaseException) -> str:
     """One sentence about why a task failed, which names exceptions that are not this package's."""
-    text = _text_of(error)
+    try:
+        words = str(error)
+    except BaseException:  # noqa: BLE001 - whatever the code of others does
+        words = ""
+
+    # One line that a terminal can show; whoever wrote it, it is short.
+    text = " ".join("".join(c if c.isprintable() else " " for c in words[: 2 * _LONGEST]).split())
+    if len(words) > 2 * _LONGEST or len(text) > _LONGEST:
+        text = f"{text[:_LONGEST]} …"
     if isinstance(error, McspectraError) and text:
         return text
     reason = f": {text.rstrip('.')}" if text else ""
     return f"It raised {type(error).__name__}{reason}."
-
-
-def _text_of(error: BaseException) -> str:
-    """An exception's own words as one line that a terminal can show; whoever wrote it, it is short."""
-    try:
-        words = str(error)
-    except BaseException:  # noqa: BLE001 - whatever the code of others does
-        return ""
-    text = " ".join("".join(c if c.isprintable() else " " for c in words[: 2 * _LONGEST]).split())
-    return f"{text[:_LONGEST]} …" if len(words) > 2 * _LONGEST or len(text) > _LONGEST else text

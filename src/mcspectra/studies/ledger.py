@@ -19,15 +19,15 @@ import contextlib
 import datetime as dt
 import functools
 import hashlib
+import itertools
 import os
 import socket
 import sqlite3
 import threading
 import time
 from collections.abc import Collection, Iterable, Iterator, KeysView, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar, final
+from typing import Any, NamedTuple, TypeAlias, TypeVar, final
 
 import msgspec
 import numpy as np
@@ -74,6 +74,7 @@ _SCHEMA = (
     "CREATE TABLE failures (path TEXT PRIMARY KEY, sentence TEXT, digest BLOB)",
 )
 _PUT_NOTE = "INSERT OR REPLACE INTO study VALUES (?, ?, ?)"
+_PUT_CELL = "INSERT INTO cells VALUES (?, ?, NULL)"
 _PUT_RESULT = "INSERT OR REPLACE INTO results SELECT place, ? FROM cells WHERE path = ?"
 _PUT_DIGEST = "UPDATE cells SET digest = ? WHERE path = ?"
 _PUT_TASK = "INSERT OR REPLACE INTO tasks VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
@@ -187,13 +188,13 @@ class _Header(msgspec.Struct, frozen=True, kw_only=True):
     plan: str
 
 
-@dataclass(frozen=True)
-class _Sound:
-    """What of a ledger is as it was written: places of results, rows of tasks, failures."""
+class _Change(NamedTuple):
+    """Statements that write what is known of a cell; the digest and size of its result."""
 
-    results: dict[str, int] = field(default_factory=dict)
-    tasks: dict[int, str] = field(default_factory=dict)
-    failures: dict[str, str] = field(default_factory=dict)
+    path: str
+    steps: Iterable[_Step]
+    digest: bytes | None = None
+    size: int = 0
 
 
 @final
@@ -212,18 +213,16 @@ class Ledger:
         What was found damaged, in words, by paths of cells, keys of tasks, or names of parts.
     """
 
-    def __init__(self, folder: Path, lock: sqlite3.Connection | None = None) -> None:
+    def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.tally = Tally()
         self.damaged: dict[str, str] = {}
         self._file = folder / LEDGER_NAME
-        self._lock = lock
+        self._lock: sqlite3.Connection | None = None
         self._connection: sqlite3.Connection | None = None
         self._guard = threading.RLock()
-        # What is not committed: statements with the digest and size of a result, and states.
-        self._pending: list[tuple[tuple[_Step, ...], bytes | None, int]] = []
-        self._fresh: dict[tuple[str, str, Chunk], bytes] = {}
-        self._waiting = 0  # bytes
+        self._pending: list[_Change] = []  # not committed
+        self._waiting = 0  # bytes of these
         self._closed = threading.Event()
         self._broken: StoreError | None = None  # what a commit of the thread has met
         self._holds = False
@@ -243,7 +242,9 @@ class Ledger:
             There are results already, another process writes into the folder, it has symbolic links
             where a run writes, or it cannot be written (StorageError).
         """
-        return _writer(folder, study, paths, None)
+        with _given_free_if_it_fails(Ledger(folder)) as ledger:
+            ledger._begin(study, paths, None)
+        return ledger
 
     @staticmethod
     def resume(
@@ -268,7 +269,9 @@ class Ledger:
         OtherVersionsWarning
             It was begun with other versions of packages that numbers depend on.
         """
-        return _writer(folder, study, paths, outdated)
+        with _given_free_if_it_fails(Ledger(folder)) as ledger:
+            ledger._begin(study, paths, outdated)
+        return ledger
 
     @staticmethod
     def read(folder: str | Path) -> Ledger:
@@ -279,12 +282,8 @@ class Ledger:
         StoreError
             There is none, it is of another format, or damaged.
         """
-        ledger = Ledger(Path(folder))
-        try:
+        with _given_free_if_it_fails(Ledger(Path(folder))) as ledger:
             ledger._open()
-        except BaseException:
-            ledger.close()
-            raise
         return ledger
 
     @property
@@ -318,9 +317,7 @@ class Ledger:
     def state(self, path: str, run: str, chunk: Chunk) -> bytes | None:
         """The recorded state of a task; None if it was never recorded, or is `damaged`."""
         with self._guard:
-            fresh = self._fresh.get((path, run, chunk))
-            if fresh is not None:
-                return fresh
+            self.commit()
             for row in self._rows(_ONE_TASK, (path, run, *chunk)):
                 if self._is_sound("task", row[:6], row[7], row[6]):
                     return bytes(row[7])
@@ -374,13 +371,12 @@ class Ledger:
             What was told cannot be written; so of all that write.
         """
         values = (path, run, *chunk, float(seconds), host)
-        step = _PUT_TASK, (*values, self._digest("task", values, payload), payload)
+        row = (*values, self._digest("task", values, payload), payload)
         with self._guard:
             if host and host not in self.tally.hosts:
                 self.tally = msgspec.structs.replace(self.tally, hosts=(*self.tally.hosts, host))
-            self._fresh[path, run, chunk] = payload
             self._recorded.setdefault(path, {})[run, chunk] = None
-            self._tell(step, size=len(payload))
+            self._tell(_Change(path, ((_PUT_TASK, row),), size=len(payload)))
 
     def finish(self, path: str, payload: bytes) -> None:
         """Keep the result of a cell; what was recorded of it goes in the same transaction.
@@ -394,22 +390,21 @@ class Ledger:
         with self._guard:
             if path in self.done:
                 raise StoreError(f"The cell {path} in {str(self.folder)!r} is finished already.")
-            put = (_PUT_RESULT, (payload, path)), (_PUT_DIGEST, (digest, path))
-            self._tell(*put, *self._forgetting(path), digest=digest, size=len(payload))
+            self._tell(_result(path, payload, digest, self._forgetting(path)))
             self._listing[1][path] = None
 
     def fail(self, path: str, sentence: str) -> None:
         """Note why a cell has failed."""
         text = sentence[:_MOST_SENTENCE].encode("utf-8", "replace").decode()
-        digest = self._digest("failure", (path,), text.encode())
         with self._guard:
             self._failures[path] = text
-            self._tell((_PUT_FAILURE, (path, text, digest)))
+            self._tell(self._failure(path, text))
 
     def forget(self, paths: Iterable[str]) -> None:
         """Drop failures and recorded states of cells, which are to be tried again."""
         with self._guard:
-            self._tell(*(step for path in paths for step in self._forgetting(path)))
+            for path in paths:
+                self._tell(_Change(path, self._forgetting(path)))
 
     def commit(self) -> None:
         """Write what was told since the last commit, all of it or nothing."""
@@ -417,19 +412,14 @@ class Ledger:
             if self._broken is not None:
                 raise self._broken
             if self._pending:
-                tally = self.tally
-                for _, digest, size in self._pending:
-                    tally = tally if digest is None else tally.plus(digest, size)
-                if tally.done == self._header.cells and tally.finished is None:
-                    tally = msgspec.structs.replace(tally, finished=_now())
-                self._write((step for steps, *_ in self._pending for step in steps), tally)
+                tally = self._write(self._pending, self.tally)
                 # No call stands between these, so that no signal can come between them.
-                self.tally, self._pending, self._fresh, self._waiting = tally, [], {}, 0
+                self.tally, self._pending, self._waiting = tally, [], 0
 
     def verify(self) -> dict[str, str]:
         """Read everything: what is `damaged`, in words."""
         self.commit()
-        self._sound_rows(self.paths)
+        self._look_for_damage(self.paths)
         return dict(self.damaged)
 
     def close(self) -> None:
@@ -455,29 +445,60 @@ class Ledger:
         with contextlib.nullcontext() if kind is None else contextlib.suppress(StoreError):
             self.close()
 
-    def _tell(self, *steps: _Step, digest: bytes | None = None, size: int = 0) -> None:
+    def _tell(self, change: _Change) -> None:
         if self._broken is not None:
             raise self._broken
-        self._pending.append((steps, digest, size))
-        self._waiting += size
+        self._pending.append(change)
+        self._waiting += change.size
         if self._waiting > _COMMIT_BYTES:
             self.commit()
 
-    def _forgetting(self, path: str) -> list[_Step]:
+    def _forgetting(self, path: str) -> tuple[_Step, ...]:
         steps: list[_Step] = []
-        if self._recorded.pop(path, None) is not None:
-            steps.append(("DELETE FROM tasks WHERE path = ?", (path,)))
-        if self._failures.pop(path, None) is not None:
-            steps.append(("DELETE FROM failures WHERE path = ?", (path,)))
-        return steps
+        for table, known in (("tasks", self._recorded), ("failures", self._failures)):
+            if known.pop(path, None) is not None:
+                steps.append((f"DELETE FROM {table} WHERE path = ?", (path,)))
+        return tuple(steps)
 
-    def _begin(self, study: StudyNote, paths: Sequence[str]) -> None:
-        self._set_header(_Header(study=study, cells=len(paths), plan=_plan_digest(paths)))
-        self.tally = Tally(started=_now())
-        self._replace(paths, _Sound())
+    def _failure(self, path: str, text: str) -> _Change:
+        digest = self._digest("failure", (path,), text.encode())
+        return _Change(path, ((_PUT_FAILURE, (path, text, digest)),))
+
+    def _begin(
+        self, study: StudyNote, paths: Sequence[str], outdated: Collection[str] | None
+    ) -> None:
+        """Begin to write, into a new ledger alone if `outdated` is None."""
+        check_links(self.folder)
+        self._lock = _locked(self.folder)
+        exists, old = self._file.exists(), (self.folder / STORE_NAME).exists()
+        if (exists or old) and outdated is None:
+            raise StoreError(
+                f"{str(self.folder)!r} holds results already; "
+                "give another --out, or --resume to continue them."
+            )
+        if exists:
+            self._continue(study, paths, outdated or ())
+        elif old:
+            raise StoreError(
+                f"{str(self.folder)!r} holds results and no {LEDGER_NAME}: they are of an earlier "
+                "version, which alone can continue them; give another --out."
+            )
+        else:
+            self._header = _Header(study=study, cells=len(paths), plan=_plan_digest(paths))
+            self.tally = Tally(started=_now())
+            self._replace(paths, ())
+
+        # Note who writes from now on, and commit once a second what is told.
+        host = socket.gethostname()
+        hosts = tuple(dict.fromkeys((*self.tally.hosts, host)))
+        holder = Holder(host, os.getpid(), _now())
+        self.tally = msgspec.structs.replace(self.tally, hosts=hosts, holder=holder)
+        self.tally = self._write((), self.tally)
+        self._holds = True
+        threading.Thread(target=self._commit_in_time, daemon=True).start()
 
     def _continue(self, study: StudyNote, paths: Sequence[str], outdated: Collection[str]) -> None:
-        """Check that the ledger is of this study; keep what is sound and not outdated."""
+        """Go on with the ledger of this study; without what is damaged or outdated."""
         self._open()
         whose = f"The results in {str(self.folder)!r} are"
         if (study.study_hash, _plan_digest(paths)) != (self.study.study_hash, self._header.plan):
@@ -485,30 +506,35 @@ class Ledger:
                 f"{str(self._file)!r} belongs to another study or another version of this one; "
                 "give another --out."
             )
-        _check_versions(self.study.versions, study.versions, whose)
+
+        # Refuse results of another version of this package, warn of others of those it uses.
+        before = self.study.versions
+        others = {
+            name.removeprefix("version_"): (before[name], version)
+            for name, version in study.versions.items()
+            if before.get(name, version) != version
+        }
+        if "mcspectra" in others:
+            old, new = others["mcspectra"]
+            raise StoreError(
+                f"{whose} of mcspectra {old}, and this is {new}, whose numbers may differ: resume "
+                "them with the version that began them, or give another --out."
+            )
+        if others:
+            changes = ", ".join(f"{name} {old} (now {new})" for name, (old, new) in others.items())
+            warn(
+                f"{whose} begun with {changes}: the last bits of those to come may differ from an "
+                "uninterrupted run's.",
+                OtherVersionsWarning,
+            )
         if not outdated:
             check_inputs(self.study.inputs, study.inputs, whose, _RENEW)
-        sound = self._sound_rows(paths)
-        if not self.damaged and not outdated:
-            self._listing = list(paths), dict.fromkeys(sound.results)
-            return
-        changed = msgspec.structs.replace(self.study, inputs=study.inputs)
-        self._set_header(msgspec.structs.replace(self._header, study=changed))
-        for path in outdated:
-            sound.results.pop(path, None)
-            sound.failures.pop(path, None)
-        tasks = {row: path for row, path in sound.tasks.items() if path not in outdated}
-        self._replace(paths, _Sound(sound.results, tasks, sound.failures))
 
-    def _hold(self) -> None:
-        """Note who writes from now on, and commit once a second what is told."""
-        host = socket.gethostname()
-        hosts = tuple(dict.fromkeys((*self.tally.hosts, host)))
-        holder = Holder(host, os.getpid(), _now())
-        self.tally = msgspec.structs.replace(self.tally, hosts=hosts, holder=holder)
-        self._write((), self.tally)
-        self._holds = True
-        threading.Thread(target=self._commit_in_time, daemon=True).start()
+        self._look_for_damage(paths)
+        if self.damaged or outdated:
+            changed = msgspec.structs.replace(self.study, inputs=study.inputs)
+            self._header = msgspec.structs.replace(self._header, study=changed)
+            self._replace(paths, (c for c in self._sound(paths) if c.path not in outdated))
 
     def _commit_in_time(self) -> None:
         while not self._closed.wait(_COMMIT_SECONDS):
@@ -518,63 +544,52 @@ class Ledger:
                 self._broken = error
                 return
 
-    def _write(self, steps: Iterable[_Step], tally: Tally) -> None:
-        """Carry out statements and note the tally, all of it or nothing."""
-        connection = self._opened
+    def _write(
+        self, changes: Iterable[_Change], tally: Tally, into: sqlite3.Connection | None = None
+    ) -> Tally:
+        """Carry out changes and note the tally with them, all of it or nothing."""
+        connection = into or self._opened
         with _writing(self._file):
             try:
                 connection.execute("BEGIN IMMEDIATE")
-                for statement, values in steps:
-                    connection.execute(statement, values)
+                for change in changes:
+                    for statement, values in change.steps:
+                        connection.execute(statement, values)
+                    if change.digest is not None:
+                        tally = tally.plus(change.digest, change.size)
+                if tally.done == self._header.cells and tally.finished is None:
+                    tally = msgspec.structs.replace(tally, finished=_now())
                 connection.execute(_PUT_NOTE, self._row("tally", tally))
                 connection.execute("COMMIT")
             except BaseException:
                 if connection.in_transaction:
                     connection.execute("ROLLBACK")
                 raise
+        return tally
 
-    def _replace(self, paths: Sequence[str], sound: _Sound) -> None:
-        """Write the ledger anew beside its place, with what is sound, and put it there."""
+    def _replace(self, paths: Sequence[str], changes: Iterable[_Change]) -> None:
+        """Write the ledger anew beside its place, with what there is of it, and put it there."""
         partial = self.folder / f".{LEDGER_NAME}.partial"
         tally = msgspec.structs.replace(
             self.tally, done=0, size=0, digest=Tally().digest, finished=None
         )
-        digests: dict[str, bytes] = {}
+        tables = ((statement, ()) for statement in _SCHEMA)
+        cells = ((_PUT_CELL, each) for each in enumerate(paths))
+        note = _PUT_NOTE, self._row("note", self._header)
+        first = _Change("", itertools.chain(tables, cells, [note]))
         with _writing(self._file):
             for file in (partial, partial.with_name(f"{partial.name}-journal")):
                 file.unlink(missing_ok=True)
-            new = _connected(partial, "rwc")
-            try:
+            with contextlib.closing(_connected(partial, "rwc")) as new:
                 new.execute("PRAGMA page_size = 8192")
                 new.execute(f"PRAGMA user_version = {FORMAT}")
-                new.execute("BEGIN")
-                for statement in _SCHEMA:
-                    new.execute(statement)
-                for path, place in sound.results.items():
-                    ((_, digests[path], payload),) = self._rows(_RESULT.format("place"), (place,))
-                    new.execute("INSERT INTO results VALUES (?, ?)", (place, payload))
-                    tally = tally.plus(digests[path], len(payload))
-                cells = ((place, path, digests.get(path)) for place, path in enumerate(paths))
-                new.executemany("INSERT INTO cells VALUES (?, ?, ?)", cells)
-                for row in sound.tasks:
-                    (task,) = self._rows("SELECT * FROM tasks WHERE rowid = ?", (row,))
-                    new.execute(_PUT_TASK, task)
-                for path, text in sound.failures.items():
-                    digest = self._digest("failure", (path,), text.encode())
-                    new.execute(_PUT_FAILURE, (path, text, digest))
-                new.execute(_PUT_NOTE, self._row("note", self._header))
-                new.execute(_PUT_NOTE, self._row("tally", tally))
-                new.execute("COMMIT")
-            finally:
-                new.close()
+                self.tally = self._write(itertools.chain([first], changes), tally, new)
             if self._connection is not None:
                 self._connection.close()
             self._file.with_name(f"{LEDGER_NAME}-journal").unlink(missing_ok=True)
             partial.replace(self._file)
             self._connection = _connected(self._file, "rw")
-        self.tally = tally
-        self._listing = list(paths), dict.fromkeys(sound.results)
-        for name in ("_recorded", "_failures"):
+        for name in ("_listing", "_recorded", "_failures"):
             self.__dict__.pop(name, None)
 
     def _open(self) -> None:
@@ -606,17 +621,13 @@ class Ledger:
             )
         self.tally = self._noted_tally()
 
-    def _set_header(self, header: _Header) -> None:
-        self._header = header
-        self._salt = hashlib.sha256(header.study.study_hash.encode())
-
     def _note(self, name: str, kind: type[_Note]) -> _Note | None:
         """What a row of the table ``study`` says; None if it is damaged."""
         for text, digest in self._rows("SELECT text, digest FROM study WHERE name = ?", (name,)):
             with contextlib.suppress(msgspec.MsgspecError, TypeError, AttributeError):
                 note = msgspec.json.decode(text, type=kind)
                 if isinstance(note, _Header):
-                    self._set_header(note)
+                    self._header = note
                 if self._is_sound("study", (name,), text.encode(), digest):
                     return note
         return None
@@ -630,12 +641,13 @@ class Ledger:
     @functools.cached_property
     def _listing(self) -> tuple[list[str], dict[str, None]]:
         """All paths, and those of finished cells, in their order: checked against the tally."""
-        self._rows("BEGIN")  # else a commit might come between
-        try:
-            self.tally = self._noted_tally()
-            rows = self._rows("SELECT path, digest FROM cells ORDER BY place")
-        finally:
-            self._opened.rollback()
+        with self._guard:
+            self._rows("BEGIN")  # else a commit might come between
+            try:
+                self.tally = self._noted_tally()
+                rows = self._rows("SELECT path, digest FROM cells ORDER BY place")
+            finally:
+                self._opened.rollback()
         paths = [path for path, _ in rows]
         done = dict.fromkeys(path for path, digest in rows if digest is not None)
         try:
@@ -666,9 +678,18 @@ class Ledger:
                 self.damaged[f"failure of {path}"] = _DAMAGE
         return found
 
-    def _sound_rows(self, paths: Sequence[str]) -> _Sound:
-        """Read everything, as far as it can be read; what is not sound goes to `damaged`."""
-        sound, tally, before = _Sound(), Tally(), len(self.damaged)
+    def _look_for_damage(self, paths: Sequence[str]) -> None:
+        """Read everything; what is not sound goes to `damaged`."""
+        tally, before = Tally(), len(self.damaged)
+        for change in self._sound(paths):
+            if change.digest is not None:
+                tally = tally.plus(change.digest, change.size)
+        # Of a reader's list it is known already; meanwhile there may have been a commit.
+        if self._lock and len(self.damaged) == before and tally.digest != self.tally.digest:
+            self.damaged["list of cells"] = "finished cells are missing in it"
+
+    def _sound(self, paths: Sequence[str]) -> Iterator[_Change]:
+        """All that is as it was written, to be written again; what is not goes to `damaged`."""
         try:
             ((first, *_), *_) = self._rows("PRAGMA integrity_check(1)")
             if first != "ok":
@@ -677,32 +698,27 @@ class Ledger:
             self.damaged["file"] = str(error)
         for place, path in enumerate(paths):
             try:
-                rows = self._rows(_RESULT.format("place"), (place,))
-            except StoreError:
-                rows = []
-            if not rows or rows[0][0] != path:
+                ((found, digest, payload),) = self._rows(_RESULT.format("place"), (place,))
+            except (StoreError, ValueError):
+                found, digest = None, None
+            if found != path:
                 self.damaged[path] = "its row cannot be read"
-            elif rows[0][1] is not None:
-                if self._is_sound("result", (path,), rows[0][2], rows[0][1]):
-                    sound.results[path] = place
-                    tally = tally.plus(rows[0][1], len(rows[0][2]))
+            elif digest is not None:
+                if self._is_sound("result", (path,), payload, digest):
+                    yield _result(path, payload, digest)
                 else:
                     self.damaged[path] = _DAMAGE
-        # Of a reader's list it is known already; meanwhile there may have been a commit.
-        if self._lock and len(self.damaged) == before and tally.digest != self.tally.digest:
-            self.damaged["list of cells"] = "finished cells are missing in it"
         try:
             for (row,) in self._rows("SELECT rowid FROM tasks"):
-                for found in self._rows("SELECT * FROM tasks WHERE rowid = ?", (row,)):
-                    *values, digest, payload = found
+                for task in self._rows("SELECT * FROM tasks WHERE rowid = ?", (row,)):
+                    *values, digest, payload = task
                     if self._is_sound("task", tuple(values), payload, digest):
-                        sound.tasks[row] = values[0]
+                        yield _Change(values[0], ((_PUT_TASK, task),))
                     else:
                         self.damaged[_task_name(*values[:4])] = _DAMAGE
-            sound.failures.update(self._failures)
+            yield from itertools.starmap(self._failure, self._failures.items())
         except StoreError as error:
             self.damaged["recorded tasks and failures"] = str(error)
-        return sound
 
     @property
     def _opened(self) -> sqlite3.Connection:
@@ -733,7 +749,7 @@ class Ledger:
 
     def _digest(self, kind: str, key: tuple[Any, ...], content: bytes) -> bytes:
         """SHA-256 of a row, which is one of this study."""
-        digest = self._salt.copy()
+        digest = hashlib.sha256(self.study.study_hash.encode())
         digest.update(repr((kind, *key)).encode("utf-8", "surrogatepass"))
         digest.update(content)
         return digest.digest()
@@ -785,33 +801,19 @@ def check_links(folder: Path) -> None:
                     raise linked(place)
 
 
-def _writer(
-    folder: Path, study: StudyNote, paths: Sequence[str], outdated: Collection[str] | None
-) -> Ledger:
-    """A ledger that is locked: a new one if `outdated` is None."""
-    check_links(folder)
-    ledger = Ledger(folder, _locked(folder))
+@contextlib.contextmanager
+def _given_free_if_it_fails(ledger: Ledger) -> Iterator[Ledger]:
     try:
-        exists = (folder / LEDGER_NAME).exists()
-        if (exists or (folder / STORE_NAME).exists()) and outdated is None:
-            raise StoreError(
-                f"{str(folder)!r} holds results already; "
-                "give another --out, or --resume to continue them."
-            )
-        if not exists and (folder / STORE_NAME).exists():
-            raise StoreError(
-                f"{str(folder)!r} holds results and no {LEDGER_NAME}: they are of an earlier version, "
-                "which alone can continue them; give another --out."
-            )
-        if exists:
-            ledger._continue(study, paths, outdated or ())
-        else:
-            ledger._begin(study, paths)
-        ledger._hold()
+        yield ledger
     except BaseException:
         ledger.close()
         raise
-    return ledger
+
+
+def _result(path: str, payload: bytes, digest: bytes, steps: tuple[_Step, ...] = ()) -> _Change:
+    """The result of a cell, and what is to be done with it."""
+    put = (_PUT_RESULT, (payload, path)), (_PUT_DIGEST, (digest, path))
+    return _Change(path, (*put, *steps), digest, len(payload))
 
 
 def _locked(folder: Path) -> sqlite3.Connection:
@@ -868,28 +870,6 @@ def _writing(place: Path) -> Iterator[None]:
             f"{str(place)!r} cannot be written: {reason}; what was finished is kept, and --resume "
             "continues it."
         ) from None
-
-
-def _check_versions(before: Mapping[str, str], now: Mapping[str, str], whose: str) -> None:
-    """Refuse results of another version of this package, warn of others of those it uses."""
-    others = {
-        name.removeprefix("version_"): (before[name], version)
-        for name, version in now.items()
-        if before.get(name, version) != version
-    }
-    if "mcspectra" in others:
-        old, new = others["mcspectra"]
-        raise StoreError(
-            f"{whose} of mcspectra {old}, and this is {new}, whose numbers may differ: resume them "
-            "with the version that began them, or give another --out."
-        )
-    if others:
-        changes = ", ".join(f"{name} {old} (now {new})" for name, (old, new) in others.items())
-        warn(
-            f"{whose} begun with {changes}: the last bits of those to come may differ from an "
-            "uninterrupted run's.",
-            OtherVersionsWarning,
-        )
 
 
 def _plan_digest(paths: Iterable[str]) -> str:

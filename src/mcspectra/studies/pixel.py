@@ -181,8 +181,17 @@ def analyse_pixel(
         raise ParameterError("channel is 'rgb'; give 'luminance', 0, 1 or 2, one at a time.")
     view = check_view(View(request, x, y, light, channel, dims), bsdf=True)
     chosen = EFFORTS[as_choice("effort", effort, tuple(EFFORTS))]
-    sources = _check_samplers(samplers, dims)
-    ns = _check_counts(sources, chosen.counts[dims] if counts is None else counts)
+    if isinstance(samplers, str) or not samplers:
+        raise ParameterError(f"samplers is {samplers!r}; give a list of samplers.")
+    sources = tuple(as_sampler(s, dims) for s in samplers)
+    if len({s.spec for s in sources}) < len(sources):
+        raise ParameterError(f"samplers is {list(samplers)!r:.80}; give each only once.")
+    asked = chosen.counts[dims] if counts is None else counts
+    ns = [as_integer("counts", n, least=1, most=_MOST_SAMPLES) for n in asked]
+    for source, n in itertools.product(sources, ns):
+        source.check_count(n)
+    if len(ns) < 2 or any(b <= a for a, b in itertools.pairwise(ns)):
+        raise ParameterError(f"counts is {ns}; give at least two, ascending, for a rate.")
     number = chosen.realizations if realizations is None else realizations
     options: dict[str, Any] = {
         "realizations": as_integer("realizations", number, least=4),
@@ -217,7 +226,10 @@ def analyse_pixel(
             else None
         )
         report("pixel: rates", 0.0)
-        parts: Parts = {"convergence": _curves(strategies, sources, ns, options)}
+        curves = convergence(list(strategies.values()), list(sources), ns, **options)
+        curves = curves.rename(estimator="strategy").assign_coords(strategy=list(strategies))
+        specs = [estimator.spec for estimator in strategies.values()]
+        parts: Parts = {"convergence": curves.assign_coords(spec=("strategy", specs))}
         report("pixel: terms", 0.25)
         terms = {"half_width": chosen.half_width[dims], "space": "primary", **options}
         # The middle count: a spectrum of a given half width captures more of the noise of few strata
@@ -231,7 +243,16 @@ def analyse_pixel(
             strategies["balance"], explained, ns, basis="auto", **terms
         )
         report("pixel: pictures", 0.75)
-        parts |= _pictures(view, strategies, chosen.resolution)
+        side, v = chosen.resolution, view
+        parts["incident"] = incident_light(
+            v.scene, v.x, v.y, light=v.light, channel=v.channel, resolution=2 * side
+        )
+        for strategy, estimator in strategies.items():
+            for t in range(len(estimator.counts) if dims == 2 else 0):
+                share = strategy in _HEURISTICS
+                name = f"{strategy}-{_TECHNIQUES[t]}" if share else strategy
+                picture = primary_picture(estimator, technique=t, resolution=side)
+                parts[f"pictures/{name}"] = _without_rounding(picture)
         if searched is not None:
             parts["remedies"] = searched.result()
     report("pixel", 1.0)
@@ -255,7 +276,7 @@ def analyse_pixel(
         "dims": dims,
         "value": float(singles["light"].integral),
         "sampler": explained.spec,
-        "counts": list(ns),
+        "counts": ns,
         "realizations": options["realizations"],
         "rng": options["rng"],
     }
@@ -270,26 +291,6 @@ def analyse_pixel(
         )
         tree.attrs[f"diagnosis_{strategy}"] = diagnosis.text
     return tree
-
-
-def _check_samplers(samplers: Sequence[Sampler | str], dims: int) -> tuple[Sampler, ...]:
-    if isinstance(samplers, str) or not samplers:
-        raise ParameterError(f"samplers is {samplers!r}; give a list of samplers.")
-    made = tuple(as_sampler(s, dims) for s in samplers)
-    if len({s.spec for s in made}) < len(made):
-        raise ParameterError(f"samplers is {list(samplers)!r:.80}; give each only once.")
-    return made
-
-
-def _check_counts(samplers: Sequence[Sampler], counts: Sequence[int]) -> tuple[int, ...]:
-    """Counts that every sampler can do, before any work."""
-    ns = [as_integer("counts", n, least=1, most=_MOST_SAMPLES) for n in counts]
-    for source in samplers:
-        for n in ns:
-            source.check_count(n)
-    if len(ns) < 2 or any(b <= a for a, b in itertools.pairwise(ns)):
-        raise ParameterError(f"counts is {ns}; give at least two, ascending, for a rate.")
-    return tuple(ns)
 
 
 def _find(scene: Scene, x: int | str, y: int | None) -> tuple[int, int]:
@@ -308,50 +309,14 @@ def _find(scene: Scene, x: int | str, y: int | None) -> tuple[int, int]:
     )
 
 
-def _curves(
-    strategies: dict[str, AbstractEstimator],
-    samplers: tuple[Sampler, ...],
-    counts: tuple[int, ...],
-    options: dict[str, Any],
-) -> xr.Dataset:
-    """Variance against n of all strategies with all samplers, by the strategies' names."""
-    found = convergence(list(strategies.values()), list(samplers), counts, **options)
-    specs = [estimator.spec for estimator in strategies.values()]
-    named = found.rename(estimator="strategy").assign_coords(strategy=list(strategies))
-    return named.assign_coords(spec=("strategy", specs))
-
-
-def _pictures(view: View, strategies: dict[str, AbstractEstimator], side: int) -> Parts:
-    """The light that arrives and, in two dims, g of every strategy."""
-    v = view
-    incident = incident_light(
-        v.scene, v.x, v.y, light=v.light, channel=v.channel, resolution=2 * side
-    )
-    parts = {"incident": incident}
-    if view.dims > 2:
-        return parts
-    for strategy, estimator in strategies.items():
-        for t in range(len(estimator.counts)):
-            share = strategy in _HEURISTICS
-            name = f"{strategy}-{_TECHNIQUES[t]}" if share else strategy
-            picture = primary_picture(estimator, technique=t, resolution=side)
-            parts[f"pictures/{name}"] = _without_rounding(picture)
-    return parts
-
-
 def _jumps(strategy: str, kind: str, parts: Parts) -> Jumps | None:
     """Jumps of all of a strategy's integrands; None where there is no picture of them."""
     head = f"pictures/{strategy}"
     found = [p for name, p in parts.items() if name == head or name.startswith(f"{head}-")]
     if not found:
         return None
-    sizes = [
-        (
-            float(p["primary_jump_length"].sel(kind=kind)),
-            float(p["primary_jump_height"].sel(kind=kind)),
-        )
-        for p in found
-    ]
+    names = ("primary_jump_length", "primary_jump_height")
+    sizes = [[float(p[name].sel(kind=kind)) for name in names] for p in found]
     total = sum(length for length, _ in sizes)
     mean = sum(length * height for length, height in sizes if length > 0) / total if total else 0.0
     return Jumps(total, mean, 2)

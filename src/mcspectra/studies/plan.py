@@ -250,27 +250,26 @@ class _Planner:
     def cells(self, entry: EstimatorConfig | SceneConfig) -> Iterator[Cell]:
         """Cells of an estimator, or of a scene, with all its samplers."""
         kind = "Estimator" if isinstance(entry, EstimatorConfig) else entry.kind.capitalize()
+        whose = f"{kind} {entry.name!r}"
+        estimator, error, inputs = None, None, set[str]()
         try:
-            yield from self._cells(entry, f"{kind} {entry.name!r}")
+            if isinstance(entry, SceneConfig):
+                dims = getattr(entry.analysis, "dims", None)
+            else:
+                dims = 2 if entry.dims is None else entry.dims
+                try:
+                    estimator = _built(entry, self.vetting, self._config.time_limit, inputs)
+                    dims = estimator.dims
+                except FunctionFailed as failure:
+                    error = str(failure)
+            parent = self._slugs(entry.name)
+            asked = list(self._asked(entry))
+            samplers = self._samplers(entry, dims)
         except ConfigError:
             raise
-        except McspectraError as error:
-            raise ConfigError(f"{kind} {entry.name!r}: {error}") from error
-
-    def _cells(self, entry: EstimatorConfig | SceneConfig, whose: str) -> Iterator[Cell]:
-        estimator, error, inputs = None, None, set[str]()
-        if isinstance(entry, SceneConfig):
-            dims = getattr(entry.analysis, "dims", None)
-        else:
-            dims = 2 if entry.dims is None else entry.dims
-            try:
-                estimator = _built(entry, self.vetting, self._config.time_limit, inputs)
-                dims = estimator.dims
-            except FunctionFailed as failure:
-                error = str(failure)
-        parent = self._slugs(entry.name)
-        asked = list(self._asked(entry))
-        for text, slug, sampler, of_sampler in self._samplers(entry, dims):
+        except McspectraError as refusal:
+            raise ConfigError(f"{whose}: {refusal}") from refusal
+        for text, slug, sampler, of_sampler in samplers:
             subject = Subject(estimator, sampler)
             for name, analysis, of_analysis in asked:
                 need = Need(cost=0.0)
@@ -299,20 +298,17 @@ class _Planner:
             tables = {**self._config.analyses, **entry.analyses}
         for name, table in tables.items():
             if id(table) not in self._vetted:  # tables live as long as the study
-                self._vetted[id(table)] = list(self._with_companions(name, table))
+                analysis, inputs = self.vetting.options(table)
+                vetted = [_Asked(name, analysis, inputs)]
+                for other in analysis.companions:  # with those options that they have
+                    kind = ANALYSES.load(other)
+                    shared = {*kind.__struct_fields__} & {*analysis.__struct_fields__}
+                    made = kind(**{key: getattr(analysis, key) for key in shared})
+                    vetted.append(_Asked(other, made, inputs))
+                self._vetted[id(table)] = vetted
             for asked in self._vetted[id(table)]:
                 if asked.name == name or asked.name not in tables:
                     yield asked
-
-    def _with_companions(self, name: str, table: Analysis) -> Iterator[_Asked]:
-        """An analysis, its options vetted, and its companions with those options that they have."""
-        analysis, inputs = self.vetting.options(table)
-        yield _Asked(name, analysis, inputs)
-        for other in analysis.companions:
-            kind = ANALYSES.load(other)
-            shared = {*kind.__struct_fields__} & {*analysis.__struct_fields__}
-            made = kind(**{key: getattr(analysis, key) for key in shared})
-            yield _Asked(other, made, inputs)
 
     def _samplers(self, entry: EstimatorConfig | SceneConfig, dims: int | None) -> list[_Sampler]:
         """Samplers of an entry; those that entries share are the same objects."""
@@ -359,30 +355,28 @@ def _built(
         inputs.update(names)
         return probed(function, dims=2 if dims is None else dims, limit=limit)
 
-    def unmirrored() -> AbstractEstimator:
-        sets, counts = entry.sets or "independent", entry.technique_counts
-        if entry.integrands is not None:
-            parts = [component(INTEGRANDS, text, entry.dims) for text in entry.integrands]
-            return TechniqueSum(parts, counts=counts, sets=sets)
+    sets, counts = entry.sets or "independent", entry.technique_counts
+    heuristic = entry.heuristic or "balance"
+    made: AbstractEstimator
+    if entry.integrands is not None:
+        parts = [component(INTEGRANDS, text, entry.dims) for text in entry.integrands]
+        made = TechniqueSum(parts, counts=counts, sets=sets)
+    else:
         f = component(INTEGRANDS, entry.integrand or "", entry.dims)
         if entry.smoothed is not None:
             f = smoothed(f, entry.smoothed)
+        one = None if entry.density is None else component(DENSITIES, entry.density, f.dims)
+        densities = [component(DENSITIES, text, f.dims) for text in entry.densities or ()]
         if entry.densities is None:
-            one = entry.density
-            return Estimator(f, None if one is None else component(DENSITIES, one, f.dims))
-
-        # Several densities: one for each channel, one chosen for each point, or all weighted
-        densities = [component(DENSITIES, text, f.dims) for text in entry.densities]
-        if entry.channels in ("own", "shared"):
+            made = Estimator(f, one)
+        elif entry.channels in ("own", "shared"):  # a density for each channel
             own = "shared" if entry.channels == "shared" else "independent"
-            return ChannelSampling(f, densities, sets=own)
-        heuristic = entry.heuristic or "balance"
-        if entry.one_sample:
+            made = ChannelSampling(f, densities, sets=own)
+        elif entry.one_sample:
             chance, selection = entry.probabilities, entry.selection or "extra"
-            return OneSampleMIS(f, densities, chance, heuristic=heuristic, selection=selection)
-        return MultipleImportance(f, densities, heuristic=heuristic, counts=counts, sets=sets)
-
-    made = unmirrored()
+            made = OneSampleMIS(f, densities, chance, heuristic=heuristic, selection=selection)
+        else:
+            made = MultipleImportance(f, densities, heuristic=heuristic, counts=counts, sets=sets)
     return made if entry.mirror is None else Mirrored(made, entry.mirror)
 
 

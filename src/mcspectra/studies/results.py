@@ -57,6 +57,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FORMATS",
+    "MOST_STORED",
     "AnalysisCount",
     "StudyStatus",
     "export_results",
@@ -70,12 +71,14 @@ __all__ = [
 FORMATS = (".csv", ".parquet", ".nc", ".json", ".zarr.zip", ".zarr")
 """Ends of names of files that results are exported to."""
 
+MOST_STORED = 2000
+"""Most cells that a run writes as a store and a report at its end: xarray takes some 20 ms for each."""
+
 _FIXED = ("estimator", "sampler", "analysis", "variable", "units")  # columns before the coordinates
 _VALUES = ("value", "imaginary")  # columns after them
 _KEY = "mcspectra"  # of metadata of Parquet
 _DIGEST = "tree_sha256"
 _DOCUMENT = "zarr.json"
-_MOST_CELLS = 2000  # that a run writes as a store at its end: xarray takes some 20 ms for each
 _MOST_DOCUMENTS = 100_000  # that readers take all at once, from the root
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the first that a zip file can hold: same results, same bytes
 _GROUP = {"attributes": {}, "zarr_format": 3, "node_type": "group"}
@@ -175,7 +178,7 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
     register_accessor()
     ledger = _ledger(source)
     if ledger is None:
-        files = _checked(_files(source), str(source))
+        files = _files(source)
         root = json.loads(files[_DOCUMENT])["attributes"]
         root.pop(_DIGEST)
         cells = _read_store(files, str(source), select)
@@ -198,7 +201,7 @@ def result_paths(source: str | Path) -> tuple[str, ...]:
     """
     ledger = _ledger(source)
     if ledger is None:
-        return tuple(_read_store(_checked(_files(source), str(source)), str(source), None))
+        return tuple(_read_store(_files(source), str(source), None))
     with ledger:
         return tuple(_selected(ledger, None))
 
@@ -224,7 +227,7 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
         )
     ledger = _ledger(folder)
     if ledger is None:
-        _checked(_files(folder), str(folder))
+        _files(folder)
         raise StoreError(
             f"{str(folder)!r} is an exported store; only a study's folder has a status."
         )
@@ -235,7 +238,7 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
         missing = tuple(path for path in ledger.paths if path not in done and path not in failed)
     if verify and (root / STORE_NAME).exists():
         try:
-            _checked(_files(root / STORE_NAME), str(root / STORE_NAME))
+            _files(root / STORE_NAME)
         except StoreError as error:
             damaged[f"the store {STORE_NAME}"] = str(error)
     running, lacking = is_held(root), failed or missing or damaged
@@ -280,7 +283,7 @@ def write_zarr(folder: Path) -> Path | None:
     check_links(folder)
     target = folder / STORE_NAME
     with Ledger.read(folder) as ledger:
-        if len(ledger.done) > _MOST_CELLS:
+        if len(ledger.done) > MOST_STORED:
             with contextlib.suppress(FileNotFoundError):
                 shutil.rmtree(target)  # of fewer cells
             return None
@@ -337,7 +340,18 @@ def export_results(source: str | Path, file: str | Path, select: str | None = No
             "to a file of this machine, and copy it."
         )
     if _is_url(file):
-        _upload(open_results(source, select), str(file))
+        tree = open_results(source, select)
+        with _remote(str(file), writing=True) as (files, base):
+            if files.exists(base):
+                raise StoreError(f"There is something at {str(file)!r} already; give another --to.")
+            try:
+                for name, content in _store_files(tree.attrs, _cells(tree)):
+                    files.makedirs(f"{base}/{name}".rpartition("/")[0], exist_ok=True)
+                    files.pipe(f"{base}/{name}", content)
+            except BaseException:
+                with contextlib.suppress(Exception):  # leave no half of a store
+                    files.rm(base, recursive=True)
+                raise
         return str(file)
     target = Path(file)
     if end == ".zarr" and target.exists():
@@ -490,28 +504,6 @@ def _tree_digest(root: Mapping[str, Any], digests: Mapping[str, str]) -> str:
     return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()
 
 
-def _checked(files: dict[str, bytes], source: str) -> dict[str, bytes]:
-    """The files of a store, if they are those that were written, all of them."""
-    try:
-        root = json.loads(files[_DOCUMENT])
-        found, version = root["attributes"].get(_DIGEST), root["attributes"].get("format")
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        raise StoreError(f"{source!r} is damaged: its {_DOCUMENT} cannot be read.") from None
-    if version != FORMAT:
-        raise StoreError(
-            f"{source!r} has store format {version!r}; this version reads {FORMAT}. "
-            "xarray.open_datatree reads stores of formats 1 and 2 as they are; for reports and exports "
-            "of them take the version that wrote them, or run the study again into another folder."
-        )
-    digests = {name: hashlib.sha256(files[name]).hexdigest() for name in files if name != _DOCUMENT}
-    if found != _tree_digest(root, digests):
-        raise StoreError(
-            f"{source!r} is not as it was written: files of it are changed, gone or new. "
-            "`mcspectra export` of the study's folder writes it anew."
-        )
-    return files
-
-
 def _read_store(
     files: Mapping[str, bytes], source: str, select: str | None
 ) -> dict[str, xr.Dataset]:
@@ -525,34 +517,29 @@ def _read_store(
     from zarr.storage import MemoryStore
 
     cells: dict[str, dict[str, bytes]] = {}
-    names: dict[str, list[str]] = {}
     try:
         # The root has all arrays in the order in which they were written, if they are not too many.
         root = json.loads(files[_DOCUMENT]).get("consolidated_metadata", {"metadata": {}})
-        found = sorted(
-            n.removesuffix(f"/{_DOCUMENT}") for n in files if n.endswith(f"/{_DOCUMENT}")
-        )
+        end = f"/{_DOCUMENT}"
+        found = sorted(name.removesuffix(end) for name in files if name.endswith(end))
         for path in dict.fromkeys([*root["metadata"], *found]):
-            document = json.loads(files[f"{path}/{_DOCUMENT}"])
-            cell = path.rpartition("/")[0]
-            if document["node_type"] == "array" and (
-                select is None or fnmatch.fnmatch(cell, select)
-            ):
-                chunk = "/".join([path, "c", *("0" for _ in document["shape"])])
-                size = math.prod(document["shape"]) * np.dtype(document["data_type"]).itemsize
-                codecs = [codec["name"] for codec in document["codecs"]]
-                if codecs != ["bytes", "crc32c"] or len(files.get(chunk, b"")) != size + 4 * (
-                    size > 0
-                ):
-                    raise StoreError(
-                        f"{source}: the array {path} is not one chunk of {shown_bytes(size)}, with a "
-                        "checksum and without compression, as results are written."
-                    )
-                group = cells.setdefault(cell, {_DOCUMENT: files[f"{cell}/{_DOCUMENT}"]})
-                group[f"{path[len(cell) + 1 :]}/{_DOCUMENT}"] = files[f"{path}/{_DOCUMENT}"]
-                if size:
-                    group[chunk[len(cell) + 1 :]] = files[chunk]
-                names.setdefault(cell, []).append(path[len(cell) + 1 :])
+            document = json.loads(files[path + end])
+            cell, _, array = path.rpartition("/")
+            if document["node_type"] != "array" or (select and not fnmatch.fnmatch(cell, select)):
+                continue
+            chunk = "/".join([array, "c", *("0" for _ in document["shape"])])
+            content = files.get(f"{cell}/{chunk}", b"")
+            size = math.prod(document["shape"]) * np.dtype(document["data_type"]).itemsize
+            codecs = [codec["name"] for codec in document["codecs"]]
+            if codecs != ["bytes", "crc32c"] or len(content) != size + 4 * (size > 0):
+                raise StoreError(
+                    f"{source}: the array {path} is not one chunk of {shown_bytes(size)}, with a "
+                    "checksum and without compression, as results are written."
+                )
+            group = cells.setdefault(cell, {_DOCUMENT: files[cell + end]})
+            group[array + end] = files[path + end]
+            if size:
+                group[chunk] = content
         opened = {}
         for cell, group in cells.items():
             buffers: Any = {key: cpu.Buffer.from_bytes(value) for key, value in group.items()}
@@ -563,7 +550,7 @@ def _read_store(
                 consolidated=False,
                 mask_and_scale=False,
                 decode_times=False,
-            ).load()[names[cell]]
+            ).load()[[key.removesuffix(end) for key in group if key.endswith(end)]]
         return opened
     except (ValueError, KeyError, TypeError, OSError, RuntimeError, RecursionError) as error:
         if isinstance(error, StoreError):
@@ -577,89 +564,75 @@ def _files(source: str | Path) -> dict[str, bytes]:
     Raises
     ------
     StoreError
-        There is none, it has links, is compressed or larger than memory, or cannot be read.
+        There is none, it has links, is compressed or larger than memory, cannot be read, or is not
+        as it was written.
     """
+    shown, place = str(source), Path(source)
+    files: dict[str, bytes] = {}
     if _is_url(source):
-        return _downloaded(str(source))
-    place = Path(source)
-    if place.suffix == ".zip" and place.is_file():
-        return _unzipped(place)
-    tree = place if place.suffix == ".zarr" else place / STORE_NAME
-    if not (tree / _DOCUMENT).exists():
-        raise StoreError(f"There are no results in {str(source)!r}.")
-    try:
-        names = [
-            Path(base, name)
-            for base, folders, found in os.walk(tree)
-            for name in (*folders, *found)
-        ]
-        for name in names:
-            if name.is_symlink():
-                raise linked(str(name))
-        files = [name for name in names if name.is_file()]
-        _check_size(sum(file.stat().st_size for file in files), str(source))
-        return {file.relative_to(tree).as_posix(): file.read_bytes() for file in files}
-    except OSError as error:
-        raise StoreError(f"{str(source)!r} cannot be read: {error.strerror}.") from None
-
-
-def _unzipped(file: Path) -> dict[str, bytes]:
-    try:
-        with zipfile.ZipFile(file) as archive:
-            members = [info for info in archive.infolist() if not info.is_dir()]
-            if any(info.compress_type != zipfile.ZIP_STORED for info in members):
-                raise StoreError(
-                    f"{str(file)!r} is compressed, as `mcspectra export` does not: what it holds might "
-                    "take any memory."
-                )
-            _check_size(sum(info.file_size for info in members), str(file))
-            return {info.filename: archive.read(info) for info in members}
-    except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, RuntimeError) as error:
-        if isinstance(error, StoreError):
-            raise
-        raise StoreError(f"{str(file)!r} is damaged: {_first_line(error)}.") from None
-
-
-def _downloaded(url: str) -> dict[str, bytes]:
-    files, base = _url_files(url)
-    try:
-        for tree in (base, f"{base}/{STORE_NAME}"):
-            if files.exists(f"{tree}/{_DOCUMENT}"):
-                sizes = files.find(tree, detail=True)
-                _check_size(sum(about.get("size") or 0 for about in sizes.values()), url)
-                return {
-                    name.removeprefix(f"{tree}/"): content
-                    for name, content in files.cat(list(sizes)).items()
-                }
-    except ImportError as error:
-        raise MissingDependency(f"Opening {url!r} needs more: {_first_line(error)}.") from None
-    except StoreError:
-        raise
-    except Exception as error:  # noqa: BLE001 - file systems of fsspec raise what their libraries do
-        raise StoreError(f"{url!r} cannot be opened: {_first_line(error)}.") from None
-    raise StoreError(f"There are no results in {url!r}.")
-
-
-def _upload(tree: xr.DataTree, url: str) -> None:
-    """Write a store to where fsspec writes; what fails on the way is removed, where that can be done."""
-    files, base = _url_files(url)
-    try:
-        if files.exists(base):
-            raise StoreError(f"There is something at {url!r} already; give another --to.")
+        with _remote(shown) as (remote, base):
+            for tree in (base, f"{base}/{STORE_NAME}"):
+                if not files and remote.exists(f"{tree}/{_DOCUMENT}"):
+                    sizes = remote.find(tree, detail=True)
+                    _check_size(sum(about.get("size") or 0 for about in sizes.values()), shown)
+                    found = remote.cat(list(sizes)).items()
+                    files = {name.removeprefix(f"{tree}/"): content for name, content in found}
+        if not files:
+            raise StoreError(f"There are no results in {shown!r}.")
+    elif place.suffix == ".zip" and place.is_file():
         try:
-            for name, content in _store_files(tree.attrs, _cells(tree)):
-                files.makedirs(f"{base}/{name}".rpartition("/")[0], exist_ok=True)
-                files.pipe(f"{base}/{name}", content)
-        except BaseException:
-            with contextlib.suppress(Exception):
-                files.rm(base, recursive=True)
-            raise
-    except StoreError:
-        raise
-    except ImportError as error:
-        raise MissingDependency(f"Writing to {url!r} needs more: {_first_line(error)}.") from None
-    except Exception as error:  # noqa: BLE001 - file systems of fsspec raise what their libraries do
-        raise StorageError(f"{url!r} cannot be written: {_first_line(error)}.") from None
+            with zipfile.ZipFile(place) as archive:
+                members = [info for info in archive.infolist() if not info.is_dir()]
+                if any(info.compress_type != zipfile.ZIP_STORED for info in members):
+                    raise StoreError(
+                        f"{shown!r} is compressed, as `mcspectra export` does not: what it holds "
+                        "might take any memory."
+                    )
+                _check_size(sum(info.file_size for info in members), shown)
+                files = {info.filename: archive.read(info) for info in members}
+        except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, RuntimeError) as error:
+            if isinstance(error, StoreError):
+                raise
+            raise StoreError(f"{shown!r} is damaged: {_first_line(error)}.") from None
+    else:
+        root = place if place.suffix == ".zarr" else place / STORE_NAME
+        if not (root / _DOCUMENT).exists():
+            raise StoreError(f"There are no results in {shown!r}.")
+        try:
+            inside = [
+                Path(base, name)
+                for base, *names in os.walk(root)
+                for name in itertools.chain(*names)
+            ]
+            for path in inside:
+                if path.is_symlink():
+                    raise linked(str(path))
+            inside = [path for path in inside if path.is_file()]
+            _check_size(sum(path.stat().st_size for path in inside), shown)
+            files = {path.relative_to(root).as_posix(): path.read_bytes() for path in inside}
+        except OSError as error:
+            raise StoreError(f"{shown!r} cannot be read: {error.strerror}.") from None
+
+    # Are they those that were written, all of them?
+    try:
+        document = json.loads(files[_DOCUMENT])
+        digest = document["attributes"].get(_DIGEST)
+        version = document["attributes"].get("format")
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        raise StoreError(f"{shown!r} is damaged: its {_DOCUMENT} cannot be read.") from None
+    if version != FORMAT:
+        raise StoreError(
+            f"{shown!r} has store format {version!r}; this version reads {FORMAT}. "
+            "xarray.open_datatree reads stores of formats 1 and 2 as they are; for reports and exports "
+            "of them take the version that wrote them, or run the study again into another folder."
+        )
+    digests = {name: hashlib.sha256(files[name]).hexdigest() for name in files if name != _DOCUMENT}
+    if digest != _tree_digest(document, digests):
+        raise StoreError(
+            f"{shown!r} is not as it was written: files of it are changed, gone or new. "
+            "`mcspectra export` of the study's folder writes it anew."
+        )
+    return files
 
 
 def _is_url(place: str | Path) -> bool:
@@ -667,21 +640,27 @@ def _is_url(place: str | Path) -> bool:
     return isinstance(place, str) and ("://" in place or "::" in place)
 
 
-def _url_files(url: str) -> tuple[Any, str]:
-    """The file system of a URL, and the path in it without a slash at its end."""
+@contextlib.contextmanager
+def _remote(url: str, *, writing: bool = False) -> Iterator[tuple[Any, str]]:
+    """The file system of a URL, and the path in it; what goes wrong there becomes a sentence."""
     if importlib.util.find_spec("fsspec") is None:
         raise MissingDependency(
             f"Opening {url!r} needs fsspec, which is not installed: pip install 'mcspectra[remote]'."
         )
     import fsspec  # type: ignore[import-untyped]
 
+    opening, opened, kind = "Opening", "opened", StoreError
     try:
         files, path = fsspec.core.url_to_fs(url)
+        if writing:
+            opening, opened, kind = "Writing to", "written", StorageError
+        yield files, path.rstrip("/")
+    except StoreError:
+        raise
     except ImportError as error:
-        raise MissingDependency(f"Opening {url!r} needs more: {_first_line(error)}.") from None
-    except (OSError, ValueError) as error:
-        raise StoreError(f"{url!r} cannot be opened: {_first_line(error)}.") from None
-    return files, path.rstrip("/")
+        raise MissingDependency(f"{opening} {url!r} needs more: {_first_line(error)}.") from None
+    except Exception as error:  # noqa: BLE001 - file systems of fsspec raise what their libraries do
+        raise kind(f"{url!r} cannot be {opened}: {_first_line(error)}.") from None
 
 
 def _check_size(size: int, source: str) -> None:
@@ -847,50 +826,49 @@ def _attributes(tree: xr.DataTree) -> dict[str, Any]:
     return {"study": dict(tree.attrs), "cells": {p: dict(c.attrs) for p, c in _cells(tree)}}
 
 
+def _labelled(tree: xr.DataTree) -> Iterator[xr.Dataset]:
+    """Cells with a coordinate along each dimension: its texts, its numbers, or numbers from 0."""
+    for _, cell in _cells(tree):
+        labelled = cell
+        for dim, size in cell.sizes.items():
+            texts = cell.attrs.get(f"labels_{dim}", tree.attrs.get(dim) if dim == "bound" else None)
+            if isinstance(texts, list) and len(texts) == size:
+                labelled = labelled.assign_coords({dim: np.array(list(map(str, texts)), object)})
+            elif dim not in cell.coords:
+                labelled = labelled.assign_coords({dim: range(size)})
+        yield labelled
+
+
 def _columns(tree: xr.DataTree) -> dict[str, bool]:
     """Names of all dimensions of a tree, in order; whether any cell has texts along it."""
     columns: dict[str, bool] = {}
-    for _, cell in _cells(tree):
+    for cell in _labelled(tree):
         for dim in map(str, cell.dims):
-            columns[dim] = columns.get(dim, False) or _labels(tree, cell, dim) is not None
+            columns[dim] = columns.get(dim, False) or cell[dim].dtype == object
     return columns
 
 
 def _tables(tree: xr.DataTree) -> Iterator[dict[str, Any]]:
     """Long tables, one for each variable of each cell: arrays of equal length by columns' names."""
-    for _, cell in _cells(tree):
+    for cell in _labelled(tree):
         about = cell.attrs
         names = (about.get("estimator_name"), about.get("sampler_spec"), about.get("analysis"))
         for name, variable in cell.variables.items():
             if name in cell.dims:
                 continue  # it is a column of the others
-            values = np.asarray(variable.values)
+            flat = np.asarray(variable.values).ravel()
             fixed = (*names, name, variable.attrs.get("units"))
             table: dict[str, Any] = {
-                column: [str(text or "")] * values.size
+                column: [str(text or "")] * flat.size
                 for column, text in zip(_FIXED, fixed, strict=True)
             }
-            for axis, dim in enumerate(map(str, variable.dims)):
-                labels = _labels(tree, cell, dim)
-                along = np.asarray(
-                    cell[dim].values if dim in cell.coords else range(cell.sizes[dim])
-                )
-                along = along if labels is None else np.array(labels, dtype=object)
-                shape = [-1 if i == axis else 1 for i in range(values.ndim)]
-                table[dim] = np.broadcast_to(along.reshape(shape), values.shape).ravel()
-            flat = values.ravel()
+            dims = list(map(str, variable.dims))
+            grid = np.meshgrid(*(cell[dim].values for dim in dims), indexing="ij")
+            table |= {dim: along.ravel() for dim, along in zip(dims, grid, strict=True)}
             if flat.dtype.kind == "c":
                 yield table | {"value": flat.real, "imaginary": flat.imag}
             else:
                 yield table | {"value": flat.astype(np.int8) if flat.dtype.kind == "b" else flat}
-
-
-def _labels(tree: xr.DataTree, cell: xr.Dataset, dim: str) -> list[str] | None:
-    """Texts along a dimension: an attribute of the cell, or of the root for ``bound``."""
-    labels = cell.attrs.get(f"labels_{dim}", tree.attrs.get(dim) if dim == "bound" else None)
-    if isinstance(labels, list) and len(labels) == cell.sizes[dim]:
-        return [str(label) for label in labels]
-    return None
 
 
 def _json(value: Any, *, ascii_only: bool = False) -> str:

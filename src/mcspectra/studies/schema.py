@@ -39,13 +39,19 @@ def study_schema() -> dict[str, Any]:
     Where a number, a list, a choice, true or false stands, so may a grid's ``"{placeholder}"``.
     """
     tables = _tables()
-    schema = {
+    schema: dict[str, Any] = {
         "$schema": _DIALECT,
         "$id": SCHEMA_ID,
         "title": "mcspectra study",
         "$ref": f"#/$defs/{tables[''][0]}",
-        "$defs": {name: _with_placeholders(each) for name, each in tables.values()},
+        "$defs": {},
     }
+    for name, table in tables.values():
+        properties = {
+            key: value if key in _NO_PLACEHOLDER else _or_placeholder(value)
+            for key, value in table["properties"].items()
+        }
+        schema["$defs"][name] = {**table, "properties": properties}
     plain: dict[str, Any] = json.loads(json.dumps(schema))  # lists where msgspec has tuples
     return plain
 
@@ -88,16 +94,8 @@ def _public(table: dict[str, Any]) -> dict[str, Any]:
     return table
 
 
-def _with_placeholders(table: dict[str, Any]) -> dict[str, Any]:
-    """A table's schema in which a placeholder may stand where text could not."""
-    properties = {
-        key: value if key in _NO_PLACEHOLDER else _or_placeholder(value)
-        for key, value in table["properties"].items()
-    }
-    return {**table, "properties": properties}
-
-
 def _or_placeholder(value: dict[str, Any]) -> dict[str, Any]:
+    """A key's schema in which a placeholder may stand where text could not."""
     about = {k: v for k, v in value.items() if k in ("description", "default")}
     found = {k: v for k, v in value.items() if k not in about}
     choices, taken = [], False
@@ -121,15 +119,13 @@ def key_tables() -> str:
         lines += ["| key | type | default | meaning |\n| --- | --- | --- | --- |"]
         required = table.get("required", ())
         for name, value in table["properties"].items():
-            default = "required" if name in required else _default(value.get("default"))
+            default = "required" if name in required else "–"
+            if name not in required and value.get("default") not in (None, [], ()):
+                default = f"`{json.dumps(value['default'], ensure_ascii=False)}`"
             meaning = value.get("description", "").replace("|", "\\|")
             lines += [f"| `{name}` | {_type(value)} | {default} | {meaning} |"]
         lines += [""]
     return "\n".join(lines)
-
-
-def _default(value: Any) -> str:
-    return "–" if value in (None, [], ()) else f"`{json.dumps(value, ensure_ascii=False)}`"
 
 
 def _type(value: dict[str, Any]) -> str:
@@ -146,16 +142,12 @@ def _type(value: dict[str, Any]) -> str:
         inner = _type(items) if items else "values"
         return f"list of ({inner})" if " or " in inner else f"list of {inner}"
     words = {"object": "table", "boolean": "true or false", "string": "text"}
-    return words.get(kind, kind) + _range(value)
-
-
-def _range(value: dict[str, Any]) -> str:
-    low = [f"≥ {value['minimum']:g}"] if "minimum" in value else []
-    low += [f"> {value['exclusiveMinimum']:g}"] if "exclusiveMinimum" in value else []
+    rules = [f"≥ {value['minimum']:g}"] if "minimum" in value else []
+    rules += [f"> {value['exclusiveMinimum']:g}"] if "exclusiveMinimum" in value else []
     # A limit that only keeps numbers within 64 bits is no news to a reader.
     high = value.get("maximum", 2**31)
-    rules = [*low, *([f"≤ {high:g}"] if high < 2**31 else [])]
-    return f" {', '.join(rules)}" if rules else ""
+    rules += [f"≤ {high:g}"] if high < 2**31 else []
+    return " ".join([words.get(kind, kind), ", ".join(rules)]).rstrip()
 
 
 _HEAD = """\

@@ -122,13 +122,10 @@ class Vetting:
             As of `calls`.
         """
         files: dict[Path, str] = {}
-        changed: dict[str, Any] = {}
-        for key in analysis.__struct_fields__:
-            given = getattr(analysis, key)
-            found = self._argument(key, given, files)
-            found = tuple(found) if isinstance(given, tuple) else found
-            changed |= {} if found == given else {key: found}
-        return msgspec.structs.replace(analysis, **changed), self._names(files)
+        given = Call("", msgspec.structs.asdict(analysis))
+        found = self._call(given, files).arguments.items()
+        vetted = {key: tuple(each) if isinstance(each, list) else each for key, each in found}
+        return msgspec.structs.replace(analysis, **vetted), self._names(files)
 
     def function(self, text: str, call: Call) -> tuple[Callable[..., Any], Inputs]:
         """Import the function of a call ``python(function='module:function')``, written as `text`.
@@ -178,14 +175,20 @@ class Vetting:
             return {k: self._argument(str(k), item, files) for k, item in value.items()}
         if not isinstance(value, str):
             return value
-        if key in _FILES or (key == "scene" and _is_file(value)):
+        name = value.partition("(")[0]  # of a scene, with parameters after it, unless it is a file
+        is_file = value.lower().endswith(".xml") or "/" in name or "\\" in name
+        if key in _FILES or (key == "scene" and is_file):
             return str(self._file(value, files))
         try:
             given = parse_chain(value)
         except McspectraError:
             return value
         found = [self._call(call, files) for call in given]
-        return value if found == given else " | ".join(map(_written, found))
+        if found == given:
+            return value
+        shown = [", ".join(f"{k}={v!r}" for k, v in call.arguments.items()) for call in found]
+        written = zip(found, shown, strict=True)
+        return " | ".join(f"{call.name}({of})" if of else call.name for call, of in written)
 
     def _file(self, path: str, files: dict[Path, str]) -> Path:
         """The file, found from the folder; links are followed to see where it is.
@@ -229,15 +232,13 @@ class Vetting:
         return tuple(sorted(found))
 
 
-def changed_inputs(before: Mapping[str, str] | None, now: Mapping[str, str]) -> Inputs:
-    """Names of files that have changed, come or gone; none if it is not known what there was."""
-    if before is None:
-        return ()
+def changed_inputs(before: Mapping[str, str], now: Mapping[str, str]) -> Inputs:
+    """Names of files that have changed, come or gone."""
     return tuple(name for name in sorted({*before, *now}) if before.get(name) != now.get(name))
 
 
 def check_inputs(
-    before: Mapping[str, str] | None, now: Mapping[str, str], whose: str, remedy: str
+    before: Mapping[str, str], now: Mapping[str, str], whose: str, remedy: str
 ) -> None:
     """Refuse files that have changed.
 
@@ -259,13 +260,3 @@ def check_inputs(
         names = ", ".join(map(repr, changed[:_NAMED])) + more
         what = "the file" if len(changed) == 1 else "the files"
         raise StoreError(f"{whose} not of {what} {names} as found now: {remedy}.")
-
-
-def _is_file(scene: str) -> bool:
-    """Whether a scene is a file rather than a name with parameters."""
-    return scene.lower().endswith(".xml") or "/" in scene.partition("(")[0] or "\\" in scene
-
-
-def _written(call: Call) -> str:
-    shown = ", ".join(f"{key}={value!r}" for key, value in call.arguments.items())
-    return f"{call.name}({shown})" if shown else call.name

@@ -103,7 +103,10 @@ class Remedies(Analysis, frozen=True, kw_only=True):
     ]
     kinds: Annotated[
         Annotated[tuple[Kind, ...], Meta(min_length=1)] | None,
-        Meta(description="Changes to try; all by default."),
+        Meta(
+            description="Changes to try; all by default.",
+            extra={"flag": "--kind", "metavar": "KIND"},
+        ),
     ] = None
     realizations: Annotated[
         int,

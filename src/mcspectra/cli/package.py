@@ -1,0 +1,207 @@
+"""The verbs of the package itself: the slides' figures, the explorer, what is installed, how to cite it."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import platform
+import shlex
+import sys
+from importlib import metadata
+from typing import TYPE_CHECKING, Any
+
+from mcspectra.cli.common import Answer, option, verb, whole
+from mcspectra.core.errors import MissingDependency, ParameterError
+from mcspectra.version import __version__
+
+if TYPE_CHECKING:
+    from mcspectra.report.reproduction.entries import Entry
+
+__all__ = ["app_", "cite_", "doctor_", "reproduce_"]
+
+_OPTIONAL = {"qmcpy": "qmcpy", "pyarrow": "parquet", "vegas": "vegas"}
+"""Packages that are not always there, with the extra that installs them."""
+
+_REFERENCES = {
+    "mcspectra": f"""@software{{mcspectra,
+  title   = {{mcspectra: a profiler for Monte Carlo noise}},
+  author  = {{{{The mcspectra authors}}}},
+  version = {{{__version__}}},
+  year    = {{2026}}
+}}""",
+    "the three terms under importance sampling": """@article{Singh2019,
+  title   = {Fourier Analysis of Correlated Monte Carlo Importance Sampling},
+  author  = {Singh, Gurprit and Subr, Kartic and Coeurjolly, David and Ostromoukhov, Victor and
+             Jarosz, Wojciech},
+  journal = {Computer Graphics Forum},
+  year    = {2019},
+  doi     = {10.1111/cgf.13613}
+}""",
+    "non-uniform FFT": """@article{Barnett2019,
+  title   = {A Parallel Nonuniform Fast Fourier Transform Library Based on an ``Exponential of
+             Semicircle'' Kernel},
+  author  = {Barnett, Alexander H. and Magland, Jeremy and af Klinteberg, Ludvig},
+  journal = {SIAM Journal on Scientific Computing},
+  volume  = {41},
+  number  = {5},
+  pages   = {C479--C504},
+  year    = {2019},
+  doi     = {10.1137/18M120885X}
+}""",
+    "multiple importance sampling": """@inproceedings{VeachGuibas1995,
+  title     = {Optimally Combining Sampling Techniques for {Monte Carlo} Rendering},
+  author    = {Veach, Eric and Guibas, Leonidas J.},
+  booktitle = {Proceedings of SIGGRAPH 95},
+  pages     = {419--428},
+  year      = {1995},
+  doi       = {10.1145/218380.218498}
+}""",
+}
+
+
+@verb(
+    option("FIGURE", "figures; all by default", dest="figures", nargs="*"),
+    option("--list", "name the figures and stop"),
+    option("--quick", "fewer realisations; 3 minutes at most"),
+    option("--out DIR", "output folder", default="out/reproduce"),
+)
+def reproduce_(options: argparse.Namespace) -> Answer:
+    """Make the figures and statements of the slides again, and say which of them agree.
+
+    Writes DIR/index.html (one page that stands alone), DIR/reproduce.pdf, DIR/findings.json and
+    DIR/figures/*.png. Without a FIGURE, all of them; --list names them. A figure that fails does not stop
+    the others; the exit code is then 1.
+    """
+    from mcspectra.report.reproduction.page import tally
+    from mcspectra.report.reproduction.registry import SUMMARIES, exhibit_names
+    from mcspectra.report.reproduction.run import FINDINGS_NAME, PDF_NAME, reproduce
+
+    if options.list:
+        shown = {name: SUMMARIES[name] for name in exhibit_names(options.figures)}
+        width = max(map(len, shown))
+        lines = [f"{name.ljust(width)}  {text}" for name, text in shown.items()]
+        return Answer(
+            "\n".join(lines), [{"name": name, "summary": text} for name, text in shown.items()]
+        )
+
+    def show(entry: Entry) -> None:
+        print(f"{entry.name}: {entry.tally} ({entry.seconds:.1f} s)", flush=True)
+        for finding in entry.findings:
+            if finding.agrees is False:
+                why = f": {finding.note}" if finding.note else ""
+                print(f"  does not agree: {finding.statement}{why}", flush=True)
+
+    # The command that makes the same gallery; the folder is the reader's own matter
+    seed = options.seed or 0
+    words = ["mcspectra", "reproduce", *options.figures, *(["--quick"] if options.quick else [])]
+    made = reproduce(
+        options.out,
+        options.figures,
+        quick=options.quick,
+        seed=seed,
+        command=shlex.join([*words, "--seed", str(seed)]),
+        done=None if options.quiet or options.json else show,
+    )
+    for entry in made.entries:
+        if entry.problem:
+            print(f"mcspectra: The figure {entry.name} failed: {entry.problem}", file=sys.stderr)
+    judged = [f.agrees for e in made.entries for f in e.findings if f.agrees is not None]
+    data = {
+        "gallery": made.page,
+        "pdf": made.page.parent / PDF_NAME,
+        "findings": made.page.parent / FINDINGS_NAME,
+        "figures": [entry.name for entry in made.entries],
+        "agree": sum(judged),
+        "judged": len(judged),
+        "failed": list(made.failed),
+    }
+    return Answer(f"{tally(made.entries)}\ngallery: {made.page}", data, 1 if made.failed else 0)
+
+
+@verb(
+    option("--port N", "port on this machine; any free one by default", whole(0, 65535), default=0),
+    option("--no-browser", "print the address, open no browser"),
+)
+def app_(options: argparse.Namespace) -> Answer:
+    """Explore in the browser: choose a sampler, a density and an integrand, and see what they make.
+
+    Serves a page on this machine alone, without any use of the network; needs the extra app.
+    """
+    if options.json or options.seed is not None:
+        raise ParameterError("app takes neither --json nor --seed; choose the seed on the page.")
+    try:
+        importlib.import_module("panel")
+    except ImportError:
+        raise MissingDependency(
+            "The explorer needs Panel; install it with pip install 'mcspectra[app]'."
+        ) from None
+    from mcspectra.app.server import serve
+
+    serve(options.port, open_browser=not options.no_browser, quiet=options.quiet)
+    return Answer()
+
+
+@verb()
+def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
+    """Say what is installed and whether it works: versions, kernels, NUFFT, GPU, renderer, extras."""
+    import numpy as np
+
+    from mcspectra.core.cache import cache_folder, cache_size
+    from mcspectra.core.parallel import available_workers
+    from mcspectra.core.results import package_versions
+    from mcspectra.rendering.backend import describe
+    from mcspectra.spectra.transforms import (
+        FrequencyGrid,
+        Transform,
+        direct_sum,
+        gpu_description,
+    )
+
+    # Compare one NUFFT with the direct sum: the part that is always needed
+    grid = FrequencyGrid(2, 8)
+    points = np.random.default_rng(0).random((2, 256, 2))
+    try:
+        got = Transform(grid, 256, engine="nufft").coefficients(points)
+    except (ImportError, OSError, RuntimeError) as error:
+        works, transforms = False, f"NUFFT fails: {type(error).__name__}: {error}"
+    else:
+        off = float(np.abs(got - direct_sum(points, grid.half_indices())).max())
+        works = off < 1e-8
+        transforms = f"NUFFT against the direct sum: largest difference {off:.1e}"
+
+    # Find the version of each optional package, or what installs it
+    optional = {}
+    for name, extra in _OPTIONAL.items():
+        try:
+            optional[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            optional[name] = f"not installed (pip install 'mcspectra[{extra}]')"
+
+    entries, size = cache_size()
+    found: dict[str, Any] = {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "processors": available_workers(),
+        **package_versions(),
+        "cache of point sets": f"{entries} sets, {size / 2**20:.1f} MiB in {cache_folder()}",
+        "numba cache": os.environ.get("NUMBA_CACHE_DIR", "beside the package"),
+        "transforms": transforms,
+        "gpu": gpu_description()[1],
+        "renderer": describe(),
+        "optional packages": optional,
+    }
+    width, lines = max(map(len, found)), []
+    for name, value in found.items():
+        if isinstance(value, dict):
+            texts = {k: ", ".join(v) if isinstance(v, list) else v for k, v in value.items()}
+            value = "; ".join(f"{key} {text}" for key, text in texts.items() if text)
+        lines.append(f"{name.replace('_', ' ').ljust(width)}  {value}")
+    return Answer("\n".join(lines), {**found, "works": works}, 0 if works else 1)
+
+
+@verb()
+def cite_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
+    """How to cite the package, the paper it implements and the methods it uses (BibTeX)."""
+    listed = [{"for": what, "bibtex": entry} for what, entry in _REFERENCES.items()]
+    return Answer("\n\n".join(f"% {what}\n{entry}" for what, entry in _REFERENCES.items()), listed)

@@ -1,0 +1,194 @@
+"""The verbs of samplers: what can be named in specs, points drawn, samplers side by side."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import inspect
+import math
+from pathlib import Path
+from typing import Any
+
+from mcspectra.cli.common import (
+    Answer,
+    one_sentence_warnings,
+    option,
+    read_sampler,
+    text_table,
+    verb,
+    whole,
+)
+from mcspectra.core.checks import as_choice
+from mcspectra.core.errors import FileFormatError, MissingDependency
+
+__all__ = ["gallery_", "list_", "points_"]
+
+_REGISTRIES = {
+    "samplers": ("mcspectra.samplers", "SAMPLERS"),
+    "randomizations": ("mcspectra.samplers", "RANDOMIZATIONS"),
+    "densities": ("mcspectra.densities", "DENSITIES"),
+    "integrands": ("mcspectra.integrands", "INTEGRANDS"),
+    "scenes": ("mcspectra.rendering", "SCENES"),
+    "analyses": ("mcspectra.core.analysis", "ANALYSES"),
+}
+
+
+@verb(option("kind", f"one of {', '.join(_REGISTRIES)}"))
+def list_(options: argparse.Namespace) -> Answer:
+    """List what can be named in specs, and the analyses."""
+    kind = as_choice("kind", options.kind, tuple(_REGISTRIES))
+    module, attribute = _REGISTRIES[kind]
+    registry = getattr(importlib.import_module(module), attribute)
+
+    # Describe each; one that cannot be loaded says why in its summary
+    rows: list[dict[str, Any]] = []
+    for name in registry:
+        try:
+            cls = registry.load(name)
+            row = {
+                "name": name,
+                "summary": (inspect.getdoc(cls) or cls.__name__).splitlines()[0],
+                "parameters": [
+                    p.name.rstrip("_") + ("" if p.default is p.empty else f"={p.default!r}")
+                    for p in inspect.signature(cls).parameters.values()
+                ],
+            }
+            if kind == "samplers":
+                from mcspectra.samplers.facts import sampler_facts
+
+                facts = sampler_facts(name)
+                row |= {"dims": facts.dims, "counts": facts.counts}
+            if kind == "analyses":
+                row |= {"verb": cls.verb, "function": cls.function, "about": cls.about}
+        except Exception as error:  # noqa: BLE001 - components from elsewhere may raise anything
+            reason = f"{registry[name]} is no {registry.kind} ({type(error).__name__})"
+            if isinstance(error, MissingDependency):
+                reason = str(error)
+            row = {"name": name, "summary": f"not available: {reason}", "parameters": []}
+        rows.append(row)
+
+    # Show the summary of each, its parameters, and its verb or the dims and counts it has
+    widest, lines = max(len(row["name"]) for row in rows), []
+    for row in rows:
+        lines.append(f"{row['name'].ljust(widest)}  {row['summary']}")
+        more = [", ".join(row["parameters"])]
+        if row.get("verb"):
+            more.append(f"mcspectra {row['verb']}")
+        elif "dims" in row:
+            more.append(f"dims: {row['dims']}; n: {row['counts']}")
+        lines += [f"{'':{widest}}    {line}" for line in more if line]
+    return Answer("\n".join(lines), rows)
+
+
+@verb(
+    option("sampler", "sampler spec, e.g. 'jittered | shift'; - reads points"),
+    option("-n N", "points in a set", whole(), required=True),
+    option("-d, --dims D", "number of dims (default 2)", whole()),
+    option("-m, --realizations R", "number of sets (default 1)", whole()),
+    option("-s S", "short for --seed", lambda _, text: whole(0)("--seed", text), dest="seed"),
+    option("--density SPEC", "warp the points to this density"),
+    option("-o, --out FILE", "file; - is stdout", default="-"),
+    option("--quality", "print quality figures, not points"),
+)
+def points_(options: argparse.Namespace) -> Answer:
+    """Draw point sets; write, picture or judge them.
+
+    Text goes to standard output in UTK's format (a point a line, '#' between sets), files by ending:
+    .dat, .bin, .npz, .csv, .parquet hold points; .svg, .png, .pdf are pictures. With --quality the
+    output is a table of distances, discrepancies and so on, over 16 sets unless -m says how many.
+    """
+    from mcspectra.core.pointfiles import EXTENSIONS, format_dat, write_points
+    from mcspectra.densities import as_density
+    from mcspectra.report.point_pictures import PICTURE_EXTENSIONS, write_point_picture
+
+    # Refuse files that cannot be written
+    sampler = read_sampler(options.sampler, options.dims)
+    density = as_density(options.density, sampler.dims)
+    seed, n, file = options.seed or 0, options.n, options.out
+    extension = Path(file).suffix.lower()
+    if file != "-" and extension not in (*EXTENSIONS, *PICTURE_EXTENSIONS):
+        given = f"the extension {Path(file).suffix!r}" if extension else "no extension"
+        raise FileFormatError(
+            f"{file} has {given}; points are {', '.join(EXTENSIONS)} files, pictures "
+            f"{', '.join(PICTURE_EXTENSIONS)}."
+        )
+
+    # Draw as many sets as are asked for, or as quality figures need
+    count = options.realizations
+    if count is None and options.quality:
+        from mcspectra.core.streams import Stream
+        from mcspectra.quality.figures import different_realizations
+
+        count = different_realizations(sampler, sampler.check_count(n), Stream.from_rng(seed))
+    points = sampler.draw(n, realizations=count or 1, rng=seed)
+    meta: dict[str, Any] = {"sampler": sampler.spec, "n": points.shape[1], "seed": seed}
+    if density is not None:
+        points, meta["density"] = density.sample(points), density.spec
+
+    # Write them
+    if extension in EXTENSIONS and file != "-":
+        write_points(file, list(points), meta=meta)
+    elif file != "-":
+        title = ", ".join([sampler.spec, f"n = {meta['n']}", f"seed {seed}"])
+        title += f", density {density.spec}" if density is not None else ""
+        write_point_picture(file, points, title)
+
+    # Measure them; the table is the result, --quiet silences remarks only
+    if options.quality:
+        from mcspectra.quality import quality_figures, summarize
+
+        source: Any = sampler if density is None else points
+        count, n, _ = points.shape
+        with one_sentence_warnings(quiet=True):  # said when the points were drawn
+            figures = summarize(quality_figures(source, n, realizations=count, rng=seed))
+        rows: list[list[str]] = []
+        missing: list[str] = []
+        data: dict[str, dict[str, Any]] = {}
+        for each in figures:
+            if each.missing:
+                missing.append(f"no {each.name}: {each.missing}")
+                data[each.name] = {"mean": None, "standard_error": None, "missing": each.missing}
+            else:
+                error = "-" if math.isnan(each.standard_error) else f"{each.standard_error:.2g}"
+                rows.append([each.name, each.long_name, f"{each.mean:.5g}", error])
+                data[each.name] = {"mean": each.mean, "standard_error": each.standard_error}
+        title = f"{sampler.spec}, n = {n}, {count} set{'s' if count > 1 else ''}"
+        table = text_table(["figure", "what it is", "mean", "± standard error"], rows)
+        lines = [title, table, *([] if options.quiet else missing)]
+        about = {**meta, "realizations": count, "quality": data}
+        return Answer("\n".join(lines), about if options.json else None)
+    if options.json:
+        written = {"shape": points.shape, "file": file}
+        return Answer(data={**meta, **({"points": points} if file == "-" else written)})
+    # The points are the result: --quiet silences warnings only
+    return Answer(format_dat(list(points)).rstrip("\n") if file == "-" else "")
+
+
+@verb(
+    option(
+        "SPEC",
+        "samplers, e.g. pmj02 \"points(path='mine.dat') | shift\"",
+        dest="specs",
+        nargs="*",
+    ),
+    option("--out DIR", "output folder", default="out/gallery"),
+    option("--quick", "fewer points and realisations"),
+    option("--markdown", "write Markdown and PNG files"),
+)
+def gallery_(options: argparse.Namespace) -> Answer:
+    """Measure samplers and show them side by side: points, spectrum, projections, rates, quality, cost.
+
+    Writes DIR/index.html (one page that stands alone) or, with --markdown, DIR/index.md and pictures;
+    DIR/gallery.json holds the numbers. Without a SPEC, all samplers that can be named.
+    """
+    from mcspectra.report.sampler_cards import FULL, QUICK
+    from mcspectra.report.sampler_gallery import write_gallery
+
+    page = write_gallery(
+        options.out,
+        options.specs or None,
+        effort=QUICK if options.quick else FULL,
+        format="markdown" if options.markdown else "html",
+        rng=options.seed or 0,
+    )
+    return Answer(f"gallery: {page}", {"gallery": page})

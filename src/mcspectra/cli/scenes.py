@@ -1,0 +1,399 @@
+"""The verbs of scenes: an image, a pixel, a map of all pixels, and Mitsuba's own files."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import textwrap
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mcspectra.cli.common import (
+    Answer,
+    group,
+    index_or_name,
+    option,
+    read_sampler,
+    real,
+    text_table,
+    verb,
+    whole,
+    wholes,
+    writing,
+)
+from mcspectra.core.errors import ParameterError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["map_", "mitsuba_", "pixel_", "render_"]
+
+_WIDTH = 100  # of sentences
+_SPP, _COMPARED_SPP, _REFERENCE_SPP = 16, 4, 1024
+
+
+@verb(
+    option("SCENE", "name of a scene, or a Mitsuba XML file"),
+    option("--strategy STRATEGY", "light, bsdf, mis (default), mis-light or mis-bsdf"),
+    option("--sampler SPEC", "default 'sobol | owen'", default="sobol | owen"),
+    option("--spp N", f"samples a pixel (default {_SPP}; reference {_REFERENCE_SPP})", whole()),
+    option("-m, --realizations R", "independent images (default 1; reference 16)", whole()),
+    option("--reference", "--spp counts the samples of all images together"),
+    option("--compare", f"a reference and all strategies, --spp {_COMPARED_SPP} each"),
+    option("--reference-spp N", "samples of the reference of --compare (default 1024)", whole()),
+    option("--crop X,Y,W,H", "part of the film, in pixels", wholes("X,Y,W,H", least=0)),
+    option("--width W", "width of a built-in scene's film", whole()),
+    option("--height H", "height of a built-in scene's film", whole()),
+    option("--film FILM", "sampled (default) or center", default="sampled"),
+    option("--light NAME", "name or number of one light that counts", index_or_name),
+    option("--heuristic HEURISTIC", "balance (default) or power", default="balance"),
+    option(
+        "--exposure STOPS",
+        "makes a .png brighter (default 0)",
+        real(least=-64.0, most=64.0),
+        default=0.0,
+    ),
+    option("-o, --out FILE", ".exr or .png; may be given twice", repeated="all"),
+)
+def render_(options: argparse.Namespace) -> Answer:
+    """Render a scene's direct illumination by one of our samplers.
+
+    SCENE is the name of a built-in scene, e.g. 'veach' or "veach(lights=['light-3'])", or a Mitsuba XML
+    file. Prints the mean radiance, the root mean square of the pixels' standard errors where there are
+    several images (-m) or a --reference, and samples a second, with the time that kernels take to
+    compile. An .exr holds image, variance and standard error, a .png the image in sRGB.
+
+    --compare renders a reference, light, BSDF and multiple importance sampling at equal samples: a .png
+    shows them side by side, an .exr holds a layer of each, and their distance to the reference is printed.
+    """
+    from mcspectra.core.spec import parse
+    from mcspectra.rendering.files import check_image_path, write_render
+    from mcspectra.rendering.image import reference, render
+    from mcspectra.rendering.scenes import SCENES
+
+    files = [check_image_path(file) for file in options.out or []]
+    settings = {
+        "sampler": options.sampler,
+        "crop": options.crop,
+        "film": options.film,
+        "light": options.light,
+        "heuristic": options.heuristic,
+        "rng": options.seed or 0,
+    }
+
+    # Put the size of the film among the scene's parameters
+    scene = str(options.scene)
+    given = {"width": options.width, "height": options.height}
+    sizes = {name: size for name, size in given.items() if size is not None}
+    if sizes:
+        if scene.lower().endswith(".xml"):
+            raise ParameterError(
+                f"--width and --height are for built-in scenes ({', '.join(SCENES)}); "
+                f"the film of {scene!r} is set in the file."
+            )
+        call = parse(scene)
+        shown = ", ".join(f"{key}={value!r}" for key, value in {**call.arguments, **sizes}.items())
+        scene = f"{call.name}({shown})"
+    if options.compare:
+        return _compare(options, scene, settings, files)
+
+    # Render, and time it
+    if options.reference_spp is not None:
+        raise ParameterError("--reference-spp is for --compare; with --reference give --spp.")
+    settings["strategy"] = options.strategy or "mis"
+    start = time.perf_counter()
+    if options.reference:
+        batches = 16 if options.realizations is None else options.realizations
+        if batches < 2:
+            raise ParameterError("--realizations is 1; give a whole number of at least 2.")
+        result = reference(scene, options.spp or _REFERENCE_SPP, batches=batches, **settings)
+    else:
+        result = render(
+            scene, spp=options.spp or _SPP, realizations=options.realizations or 1, **settings
+        )
+    seconds = time.perf_counter() - start
+    for file in files:
+        write_render(file, result, exposure=options.exposure)
+
+    # Say how noisy it is
+    told, errors = result.attrs, result.get("image_se")
+    width, height = result.sizes["x"], result.sizes["y"]
+    samples = _samples(told) * width * height
+    kept = ("scene", "strategy", "sampler", "spp", "realizations", "seed")
+    data = {
+        **{name: told[name] for name in kept},
+        "width": width,
+        "height": height,
+        "mean": result["image"].mean(("y", "x")).values,
+        "rms_se": None if errors is None else math.sqrt(float((errors**2).mean())),
+        "samples": samples,
+        "samples_per_second": samples / seconds,
+        "files": files,
+    }
+    many = told["realizations"] > 1
+    lines = [
+        f"{told['scene']}, {told['strategy']}, {told['sampler']}: {width} × {height} pixels, "
+        f"{told['spp']} samples each" + (f", {told['realizations']} images" if many else ""),
+        f"mean radiance (R G B)  {_colour(data['mean'])}",
+        *([f"rms standard error     {data['rms_se']:.3g}"] if many else []),
+        f"samples a second       {data['samples_per_second']:.3g}",
+        *(f"wrote {file}" for file in files),
+    ]
+    return Answer("\n".join(lines), data)
+
+
+def _samples(told: Mapping[Any, Any]) -> int:
+    """Samples of a pixel in all images: multiple importance sampling takes each twice."""
+    return int(told["spp"] * told["realizations"] * (2 if told["strategy"] == "mis" else 1))
+
+
+def _colour(values: Any) -> str:
+    return " ".join(f"{value:.5g}" for value in values)
+
+
+def _compare(
+    options: argparse.Namespace, scene: str, settings: Mapping[str, Any], files: list[Path]
+) -> Answer:
+    """Render a reference and all strategies, write them side by side, say how far each is off."""
+    from mcspectra.rendering.files import write_comparison
+    from mcspectra.rendering.image import compare_strategies
+    from mcspectra.report.encode import encode_exact
+    from mcspectra.report.figures.strategy_images import rms_error, strategy_images
+
+    for name in ("strategy", "realizations"):
+        if getattr(options, name) is not None:
+            raise ParameterError(f"--compare renders all strategies once; leave out --{name}.")
+    if options.reference:
+        raise ParameterError("--compare renders a reference too; leave out --reference.")
+
+    # Render, and write
+    spp = options.spp or _COMPARED_SPP
+    count = options.reference_spp or _REFERENCE_SPP
+    images = compare_strategies(scene, spp, reference_spp=count, **settings)
+    for file in files:
+        if file.suffix.lower() == ".exr":
+            write_comparison(file, images)
+        else:
+            with writing(file):
+                file.write_bytes(encode_exact(strategy_images(images, exposure=options.exposure)))
+
+    # Say how far each is off
+    data, table = {}, []
+    for name, image in images.items():
+        mean = image["image"].mean(("y", "x")).values
+        error = None if name == "reference" else rms_error(image, images["reference"])
+        data[name] = {"samples": _samples(image.attrs), "mean": mean, "rms_error": error}
+        shown = "" if error is None else f"{error:.3g}"
+        table.append([name, _colour(mean), str(data[name]["samples"]), shown])
+    header = ["image", "mean radiance (R G B)", "samples a pixel", "rms error"]
+    lines = [text_table(header, table), *(f"wrote {file}" for file in files)]
+    return Answer("\n".join(lines), {"scene": scene, "spp": spp, "images": data, "files": files})
+
+
+@verb(
+    option("scene", "scene, e.g. veach, or a Mitsuba XML file"),
+    option("X", "column of the pixel, or the name of a pixel"),
+    option("Y", "row of the pixel", whole(0), nargs="?"),
+    option("--light NAME", "the one light that counts; all by default", index_or_name),
+    option("--channel CHANNEL", "luminance (default), 0, 1 or 2", index_or_name),
+    option("-d, --dims D", "2, or 3 to select lobes", whole()),
+    option(
+        "--samplers SPEC",
+        "samplers to compare; random, jittered, 'jittered | shift' and 'sobol | owen'. The first "
+        "that is not random is that of terms, bottleneck and remedies",
+        nargs="+",
+    ),
+    option("--counts N,N,…", "samples n of each technique", wholes()),
+    option("-m, --realizations R", "estimates for each n", whole(4)),
+    option("--budget B", "evaluations at which remedies are ranked; twice the largest n", whole()),
+    option("--no-remedies", "leave remedies out"),
+    group(
+        lambda parser: parser.add_mutually_exclusive_group(),
+        option("--quick", "some seconds (default)"),
+        option("--full", "some minutes: more of everything"),
+    ),
+    option("--out DIR", "write the report into this folder"),
+)
+def pixel_(options: argparse.Namespace) -> Answer:
+    """Everything about one pixel of a scene: what it sees, rates, terms, bottleneck, remedies.
+
+    The pixel is X Y, counted from the left and from the top, or the name of one (figure1 has P and Q). With
+    --out DIR, DIR/report.html, DIR/pixel.json and DIR/figures/*.png are written.
+    """
+    from mcspectra.report.pixel_page import write_pixel
+    from mcspectra.report.pixel_text import pixel_summary
+    from mcspectra.studies.pixel import analyse_pixel
+
+    x: int | str = options.x
+    if options.y is not None:
+        x = whole(0)("X", options.x)
+    elif options.x.lstrip("-").isdecimal():
+        raise ParameterError(f"The pixel has a column, {x}, and no row; give X and Y.")
+
+    # Options that are not given are left to the function
+    passed = ("light", "channel", "dims", "samplers", "counts", "realizations", "budget")
+    given = {name: getattr(options, name) for name in passed}
+    tree = analyse_pixel(
+        options.scene,
+        x,
+        options.y,
+        remedies=not options.no_remedies,
+        effort="full" if options.full else "quick",
+        rng=options.seed or 0,
+        **{name: value for name, value in given.items() if value is not None},
+    )
+    text, data = _pixel_text(tree), pixel_summary(tree)
+    if options.out is not None:
+        data["report"] = page = write_pixel(tree, options.out)
+        text += f"\n\nreport: {page}"
+    return Answer(text, data)
+
+
+def _pixel_text(tree: xr.DataTree) -> str:
+    """What it sees, the rates, the terms, and the sentences."""
+    from mcspectra.report.formatting import interval, number, rate
+    from mcspectra.report.pixel_text import about_pixel, pixel_rows, pixel_sentences, term_rows
+
+    known = tree.attrs
+    head = [f"pixel ({known['x']}, {known['y']}) of {known['scene']}"]
+    head += [f"  {name}: {text}" for name, text in about_pixel(tree)]
+    said = [
+        textwrap.fill(f"{name}: {text}", _WIDTH, subsequent_indent="  ")
+        for name, text in pixel_sentences(tree)
+    ]
+    rates = [
+        [row.estimator, row.sampler, rate(row.rate, row.rate_low, row.rate_high), str(row.n),
+         number(row.variance)]
+        for row in pixel_rows(tree)
+    ]  # fmt: skip
+    terms = [
+        [row.sampler, f"n = {row.terms_n}",
+         *(number(v) for v in (row.dc, row.power, row.cross, row.predicted, row.measured)),
+         interval(row.measured_low, row.measured_high), number(row.captured)]
+        for row in term_rows(tree)
+    ]  # fmt: skip
+    about = ["terms", "", "dc", "power", "cross", "predicted", "measured", "95 %", "captured"]
+    tables = [
+        text_table(["strategy", "sampler", "rate", "n", "variance"], rates),
+        text_table(about, terms),
+    ]
+    if "remedies" in tree.children:
+        found = tree["remedies"].to_dataset()
+        ratios = []
+        for name in found["remedy"].values:
+            one = found.sel(remedy=name)
+            bounds = interval(*one["error_ratio_ci"].values.tolist())
+            ratio = number(float(one["error_ratio"]))
+            ratios.append([str(name), str(one["verdict"].item()), ratio, bounds])
+        tables.append(text_table(["remedy", "", "error / given", "95 %"], ratios))
+    parts = [head, *([table] for table in tables), said]
+    return "\n\n".join("\n".join(part) for part in parts)
+
+
+def _map_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the analysis, which are loaded when they are asked for."""
+    from mcspectra.cli.analysis import declared
+    from mcspectra.core.options import options_of
+    from mcspectra.rendering.maps import Map
+
+    for each in options_of(Map):
+        if each.name != "scene":
+            declared(each)(parser)
+
+
+@verb(
+    option("scene", "scene, e.g. veach, or a Mitsuba XML file"),
+    option("--out DIR", "output folder", default="out/map"),
+    option("--resume", "go on with the tiles of DIR"),
+    option("--sampler SPEC", "default jittered", default="jittered"),
+    option("--workers N", "threads; all processors by default", whole()),
+    _map_options,
+)
+def map_(options: argparse.Namespace) -> Answer:
+    """Map variance, its rate and what decides it over an image of a scene.
+
+    Writes DIR/maps.exr (all layers), DIR/*.png, DIR/map.json and DIR/report.html; DIR/study.sqlite keeps
+    what is finished, and --resume goes on from there.
+    """
+    from mcspectra.cli.analysis import given_options
+    from mcspectra.core.analysis import Subject
+    from mcspectra.core.options import checked
+    from mcspectra.core.streams import Stream
+    from mcspectra.rendering.maps import Map
+    from mcspectra.report.further_pictures import with_labels
+    from mcspectra.report.map_page import map_note, map_summary, write_map
+    from mcspectra.studies import StudyConfig, Trust, open_results, run_study
+    from mcspectra.studies.files import SceneConfig
+
+    # Refuse what cannot be before there is a folder
+    analysis = checked(Map(**given_options(options, Map)))
+    subject = Subject(None, read_sampler(options.sampler, analysis.dims))
+    analysis.need(subject)
+    analysis.reduction(subject, Stream.from_rng(0))
+
+    # Measure as a study of one map, and write
+    entry = SceneConfig(name="map", samplers=(options.sampler,), kind="map", analysis=analysis)
+    study = StudyConfig(title=f"Map of {options.scene}", seed=options.seed or 0, scenes=(entry,))
+    trust = Trust((), (Path(options.scene).parent,))
+    run_study(study, options.out, resume=options.resume, workers=options.workers, trust=trust)
+    tree = open_results(options.out)
+    (found,) = (node.to_dataset() for node in tree.subtree if node.name == "map" and node.data_vars)
+    result = with_labels(found, "strategy").assign_coords(bound=["low", "high"])
+    page, summary = write_map(result, options.out), map_summary(result)
+    shown = summary["strategies"]
+    rows = [[name, "", *(f"{v:.4g}" for v in row.values())] for name, row in shown.items()]
+    table = text_table(["strategy", "", *next(iter(shown.values()))], rows)
+    return Answer(f"{table}\n{map_note(summary)}\nmap: {page}", {**summary, "report": page})
+
+
+@verb(
+    option("scene", "Mitsuba XML file"),
+    option(
+        "-m, --mode VARIANT",
+        "e.g. llvm_ad_rgb (default, if there is LLVM for it) or scalar_rgb",
+        repeated="once",
+    ),
+    option("-o, --out FILE", "EXR file; by default beside the scene"),
+    option("--spp N", "samples a pixel; by default the file's", whole()),
+    option("-s, --sensor I", "index of the camera", whole(0), default=0),
+    option(
+        "-D, --define KEY=VALUE",
+        "value of $KEY in the file; may be given several times",
+        repeated="all",
+        default=[],
+    ),
+)
+def mitsuba_(options: argparse.Namespace) -> Answer:
+    """Render a scene file as the command `mitsuba` does, with our samplers known to it.
+
+    The file's sampler may be <sampler type="mcspectra"> with <string name="spec" value="sobol | owen"/>;
+    its integrator is any of Mitsuba's. Writes an EXR file, by default beside the scene.
+    """
+    from mcspectra.rendering.stock import render_file
+
+    definitions = {}
+    for text in options.define:
+        key, equals, value = text.partition("=")
+        if not (key and equals):
+            raise ParameterError(f"--define is {text!r}; give KEY=VALUE.")
+        definitions[key] = value
+    out = Path(options.out) if options.out else Path(options.scene).with_suffix(".exr")
+    start = time.perf_counter()
+    image = render_file(
+        options.scene,
+        options.mode,
+        spp=options.spp,
+        seed=options.seed or 0,
+        sensor=options.sensor,
+        definitions=definitions,
+        out=out,
+    )
+    height, width, channels = image.shape
+    means = [float(value) for value in image.mean(axis=(0, 1))]
+    seconds = time.perf_counter() - start
+    return Answer(
+        f"{out}: {width} × {height} pixels, {channels} channels, {seconds:.1f} s",
+        {"image": out, "width": width, "height": height, "mean": means},
+    )

@@ -1,0 +1,130 @@
+"""Every public function, with one argument of a wrong type at a time: a sentence, and no hang."""
+
+from __future__ import annotations
+
+import inspect
+import signal
+import threading
+import warnings
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import McspectraError
+
+WRONG = [
+    None,
+    3,
+    -1,
+    2.5,
+    "nonsense",
+    b"x",
+    [],
+    {},
+    [1, "a"],
+    np.zeros((2, 0)),
+    float("nan"),
+    object(),
+    True,
+    lambda x: x,
+]
+# what an argument is otherwise, so that what is wrong is found soon or nothing is computed for long
+RIGHT = {
+    "budget": 256,
+    "counts": [4, 16, 64],
+    "densities": ["uniform", "linear"],
+    "density": "linear(slope=0.5)",
+    "estimator": "gaussian",
+    "f": "gaussian",
+    "frequencies": np.array([[1, 2], [0, 1]]),
+    "half_width": 4,
+    "integrand": "gaussian",
+    "integrands": ["linear", "gaussian"],
+    "n": 16,
+    "realizations": 20,
+    "sampler": "jittered",
+    "samplers": ["jittered"],
+    "spec": None,
+    "subset": (0,),
+}
+ALWAYS = {"realizations", "half_width"}  # also where there is a default, which may take long
+SECONDS = 5  # for a call
+
+
+def _functions():
+    for name in sorted(mcs.__all__):
+        found = getattr(mcs, name)
+        error = isinstance(found, type) and issubclass(found, Exception)
+        if callable(found) and not error and not name.startswith("_"):
+            yield name
+
+
+def _parameters(function):
+    try:
+        found = inspect.signature(function).parameters.values()
+    except (TypeError, ValueError):
+        return []
+    return [p for p in found if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)]
+
+
+class Hang(BaseException):
+    """A call took too long."""
+
+
+def _end(*_: object) -> None:
+    raise Hang
+
+
+@pytest.fixture(autouse=True)
+def alone(tmp_path, monkeypatch):
+    """An empty folder, as texts may be names of files; and an alarm for calls that hang."""
+    monkeypatch.chdir(tmp_path)
+    before = signal.signal(signal.SIGALRM, _end)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def _call(function, parameters, arguments):
+    """What is wrong with a call that may refuse its arguments with a sentence; None: nothing."""
+    named = dict(arguments)
+    placed = [named.pop(p.name) for p in parameters if p.kind is p.POSITIONAL_ONLY]
+    signal.alarm(SECONDS)
+    try:
+        function(*placed, **named)
+    except McspectraError as error:
+        return None if str(error) else "says nothing"
+    except Hang:
+        return "hangs"
+    except Exception as error:  # noqa: BLE001 - whatever it is
+        return f"{type(error).__name__}: {error}"
+    finally:
+        signal.alarm(0)
+    return None
+
+
+@pytest.mark.skipif(
+    not hasattr(signal, "SIGALRM") or threading.current_thread() is not threading.main_thread(),
+    reason="needs alarms",
+)
+@pytest.mark.parametrize("name", list(_functions()))
+def test_wrong_types_are_refused_with_a_sentence(name):
+    function = getattr(mcs, name)
+    parameters = _parameters(function)
+    right = {
+        p.name: RIGHT.get(p.name, 1) for p in parameters if p.default is p.empty or p.name in ALWAYS
+    }
+    if name == "remedies":
+        right["realizations"] = 100
+    found = []
+    for parameter in parameters:
+        for wrong in WRONG:
+            if wrong is True and isinstance(parameter.default, bool):
+                continue  # right, and `exact` may take minutes
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                problem = _call(function, parameters, {**right, parameter.name: wrong})
+            if problem is not None:
+                found.append(f"{name}({parameter.name}={wrong!r:.40}) {problem}")
+    assert not found, "\n".join(found)
