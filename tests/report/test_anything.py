@@ -49,7 +49,7 @@ def test_numbers_stand_in_a_table_with_meaning_and_interval(group):
 def test_curves_and_images_are_drawn(group):
     curve, image = pictures(group, sampler_styles(["random", "jittered"]))
     assert (curve.kind, image.kind) == ("gaps-curve", "gaps-table")
-    assert curve.caption == "Mean gap, over place."
+    assert curve.caption == "Gaps. Mean gap, over place."
     (panel,) = curve.figure.axes
     assert [line.get_label() for line in panel.lines] == ["random", "jittered"]
     np.testing.assert_array_equal(panel.lines[1].get_ydata(), [1.0, 2.0, 3.0])

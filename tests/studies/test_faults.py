@@ -274,11 +274,11 @@ def test_the_folder_is_locked_from_the_first_change_to_the_last(tmp_path, straig
 
         return call
 
-    for name in ("_begin", "finish", "close"):
+    for name in ("_replace", "finish", "close"):
         monkeypatch.setattr(Ledger, name, noted(name, getattr(Ledger, name)))
     monkeypatch.setattr(run_module, "write_zarr", noted("write", run_module.write_zarr))
     run_study(CONFIG, tmp_path, workers=1)
-    assert {name for name, _ in seen} == {"_begin", "finish", "write", "close"}
+    assert {name for name, _ in seen} == {"_replace", "finish", "write", "close"}
     assert all(held for _, held in seen)
     assert not is_held(tmp_path)
     assert_finished(tmp_path, straight)

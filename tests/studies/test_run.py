@@ -121,6 +121,7 @@ def test_chunks_of_one_block_give_the_same_bits(finished, tmp_path, stored_value
 
     monkeypatch.setattr(Ledger, "record", noted)
     monkeypatch.setattr(schedule_module, "_TARGET", 1e-9)
+    monkeypatch.setattr(schedule_module, "_RECORDED_AFTER", 60.0)
     run_study(decode_study(STUDY), tmp_path / "short", workers=2)
     assert not keys
     monkeypatch.setattr(schedule_module, "_RECORDED_AFTER", 0.0)
