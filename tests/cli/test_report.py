@@ -66,3 +66,16 @@ def test_a_run_of_very_many_cells_writes_no_report(tmp_path, monkeypatch, capsys
     assert "2 results are in" in capsys.readouterr().out
     assert not (tmp_path / "many" / "report.html").exists()
     assert not (tmp_path / "many" / "results.zarr").exists()
+
+
+def test_no_page_is_written_into_a_store(folders, capsys):
+    assert main(["report", f"{folders[0]}/results.zarr"]) == 2
+    assert "give --out FILE.html" in capsys.readouterr().err
+
+
+def test_techniques_at_one_n_have_a_row(tmp_path):
+    terms = "[estimators.terms]\nn = 4\nhalf_width = 2\n"
+    study = STUDY.replace(terms, "[estimators.techniques]\ncounts = 4\nhalf_width = 2\n")
+    run_study(decode_study(study), tmp_path)
+    assert main(["report", str(tmp_path)]) == 0
+    assert "Techniques" in (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -39,6 +39,7 @@ from mcspectra.core.options import options_of
 from mcspectra.core.progress import listening
 from mcspectra.core.results import Variable, check_variables, dataset
 from mcspectra.core.streams import Stream
+from mcspectra.estimators import as_subject
 
 
 def _with_functions():
@@ -400,3 +401,8 @@ def test_options_that_are_none_of_an_analysis_are_refused():
     assert Said(blocks=3) == Said(blocks=3)
     with pytest.raises(AttributeError):
         Said().blocks = 3
+
+
+def test_a_key_of_no_first_step_says_what_to_do():
+    with pytest.raises(NotImplementedError, match="no reduction of the key 'x'.*overrides part"):
+        CASES["anova"](n=1).part(as_subject("gaussian", "random"), Stream.from_rng(0), "x")

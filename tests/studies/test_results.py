@@ -528,6 +528,16 @@ def test_netcdf_refuses_whole_numbers_that_it_would_round(tmp_path: Path) -> Non
     assert not (tmp_path / "out.nc").exists()
 
 
+def test_names_without_letters_in_a_zip_are_damage(folder: Path, tmp_path: Path) -> None:
+    file = export_results(folder, tmp_path / "x.zarr.zip")
+    content = bytearray(file.read_bytes())
+    start = content.rindex(b"PK\x01\x02")  # the last entry of the central directory
+    content[start + 28 : start + 30] = bytes(2)  # length of its name
+    file.write_bytes(content)
+    with pytest.raises(StoreError, match=r"x\.zarr\.zip"):
+        open_results(file)
+
+
 def test_zip_is_the_store_and_the_same_bytes_each_time(folder: Path, tmp_path: Path) -> None:
     one = export_results(folder, tmp_path / "one.zarr.zip")
     two = export_results(folder, tmp_path / "two.zarr.zip")

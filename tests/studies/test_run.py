@@ -136,6 +136,26 @@ def test_processes_give_the_same_bits(finished, tmp_path, stored_values):
     _assert_equal(stored_values(tmp_path), finished)
 
 
+def test_products_of_matrices_are_the_same_bits_in_processes(tmp_path, stored_values):
+    """BLAS sums large products in as many parts as it has threads: as many there as here."""
+    study = decode_study("""
+title = "modes"
+samplers = ["random"]
+[modes]
+n = 16
+half_width = 8
+modes = 3
+realizations = 20000
+[[estimators]]
+name = "g"
+integrand = "gaussian(width=0.1)"
+dims = 2
+""")
+    run_study(study, tmp_path / "threads", workers=2)
+    run_study(study, tmp_path / "processes", engine=lambda text: Dask(text, Cluster(workers=2)))
+    _assert_equal(stored_values(tmp_path / "processes"), stored_values(tmp_path / "threads"))
+
+
 def test_workers_that_are_killed_one_after_another_fail_nothing(finished, tmp_path, stored_values):
     """After each cell one is killed: with what it computes and what waits there."""
     killed = set()

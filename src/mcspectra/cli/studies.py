@@ -259,6 +259,10 @@ def report_(options: argparse.Namespace) -> Answer:
     """
     from mcspectra.report import write_comparison, write_report
 
+    if options.out is None and str(options.folder).endswith((".zarr", ".zip")):
+        raise ParameterError(
+            f"{str(options.folder)!r} is a store, in which no page is written; give --out FILE.html."
+        )
     if options.compare is None:
         page = write_report(options.folder, options.out)
     else:

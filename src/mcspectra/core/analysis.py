@@ -151,10 +151,20 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         """Return the reduction of a key, for a worker that has not seen the steps before it.
 
         By default one of the first step; analyses whose later steps depend on states override it.
+
+        Raises
+        ------
+        NotImplementedError
+            The key is not one of the first step.
         """
         found = self.reduction(subject, stream)
-        first = [found] if isinstance(found, Reduction) else next(found)
-        return next(each for each in first if each.key == key)
+        for each in [found] if isinstance(found, Reduction) else next(found):
+            if each.key == key:
+                return each
+        raise NotImplementedError(
+            f"The first step of {type(self).__name__} has no reduction of the key {key!r}: an analysis "
+            "of several steps overrides part."
+        )
 
     @classmethod
     def summary(cls) -> str:

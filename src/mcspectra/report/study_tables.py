@@ -53,8 +53,8 @@ def _remedies(sampler: str, data: xr.Dataset) -> Rows:
 
 
 def _techniques(sampler: str, data: xr.Dataset) -> Rows:
-    several = data.sizes["n"] > 1
-    last = data.isel(n=-1)
+    several = data.sizes.get("n", 1) > 1
+    last = data.isel(n=-1) if "n" in data.sizes else data
     total = _value(last["measured_variance"].sum())
     for t in range(data.sizes["technique"]):
         one = last.isel(technique=t)

@@ -457,10 +457,14 @@ def _connected(options: Cluster, opened: contextlib.ExitStack) -> Any:
 
 def _local_cluster(options: Cluster) -> Any:
     """Processes of one thread each, which are replaced when they die."""
+    import dask
     import distributed
 
     make: Any = distributed.LocalCluster
-    with deaf():  # the cluster's thread too, which starts workers that replace others
+    # As many threads of BLAS as in this process, whose number changes last digits; dask's own is 1.
+    same = {"distributed.nanny.pre-spawn-environ": {"MALLOC_TRIM_THRESHOLD_": 65536}}
+    # The cluster's thread is deaf too, which starts workers that replace others.
+    with deaf(), dask.config.set(same):
         return make(
             n_workers=available_workers(options.workers),
             threads_per_worker=1,
@@ -497,6 +501,9 @@ def _muted() -> Iterator[None]:
         handler.setLevel(logging.CRITICAL + 1)
     try:
         yield
+    except KeyboardInterrupt:  # what dies of it goes on to log while the process ends
+        handlers = []
+        raise
     finally:
         for handler, level in handlers:
             handler.setLevel(level)

@@ -607,6 +607,8 @@ class Ledger:
         except sqlite3.Error as error:
             raise self._unreadable(error) from None
         ((version,),) = self._rows("PRAGMA user_version")
+        if version == 0:
+            raise StoreError(f"{str(self._file)!r} is no ledger of a study: give another folder.")
         if version != FORMAT:
             raise StoreError(
                 f"{str(self._file)!r} has store format {version}; this version reads {FORMAT}: open "
@@ -740,7 +742,8 @@ class Ledger:
             raise self._unreadable(error) from None
 
     def _unreadable(self, error: BaseException) -> StoreError:
-        remedy = _REMEDY if self._lock is None else "give another --out"
+        lost = self._lock is not None or "not a database" in str(error)
+        remedy = "give another --out" if lost else _REMEDY
         return StoreError(f"{str(self._file)!r} cannot be read: {error}; {remedy}.")
 
     def _row(self, name: str, note: msgspec.Struct) -> tuple[str, str, bytes]:

@@ -590,9 +590,9 @@ def _files(source: str | Path) -> dict[str, bytes]:
                     )
                 _check_size(sum(info.file_size for info in members), shown)
                 files = {info.filename: archive.read(info) for info in members}
-        except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, RuntimeError) as error:
-            if isinstance(error, StoreError):
-                raise
+        except StoreError:
+            raise
+        except Exception as error:  # noqa: BLE001 - zipfile raises much else for damaged directories
             raise StoreError(f"{shown!r} is damaged: {_first_line(error)}.") from None
     else:
         root = place if place.suffix == ".zarr" else place / STORE_NAME

@@ -121,6 +121,7 @@ class Modes(Analysis, frozen=True, kw_only=True):
         frequencies = Frequencies.of(subject, self.space, self.basis, self.half_width)
         check_bands(self.bands, frequencies.basis)
         size, evaluations = frequencies.size, sum(estimator.counts)
+        as_integer("modes", self.modes, least=1, most=max(1, size))
         numbers = size * (self.modes + _OVERSAMPLING)
         if numbers > _MAX_NUMBERS:
             raise ParameterError(
