@@ -136,39 +136,21 @@ def test_processes_give_the_same_bits(finished, tmp_path, stored_values):
     _assert_equal(stored_values(tmp_path), finished)
 
 
-def test_products_of_matrices_are_the_same_bits_in_processes(tmp_path, stored_values):
-    """BLAS sums large products in as many parts as it has threads: as many there as here."""
-    study = decode_study("""
-title = "modes"
-samplers = ["random"]
-[modes]
-n = 16
-half_width = 8
-modes = 3
-realizations = 20000
-[[estimators]]
-name = "g"
-integrand = "gaussian(width=0.1)"
-dims = 2
-""")
-    run_study(study, tmp_path / "threads", workers=2)
-    run_study(study, tmp_path / "processes", engine=lambda text: Dask(text, Cluster(workers=2)))
-    _assert_equal(stored_values(tmp_path / "processes"), stored_values(tmp_path / "threads"))
-
-
+@pytest.mark.endurance  # a run of kills at moments that the machine's load decides
 def test_workers_that_are_killed_one_after_another_fail_nothing(finished, tmp_path, stored_values):
     """After each cell one is killed: with what it computes and what waits there."""
     killed = set()
 
     def kill(progress):
-        workers = [
-            child.pid
-            for child in psutil.Process().children(recursive=True)
-            if any("spawn_main" in part for part in child.cmdline())
-        ]
-        if progress.done < progress.cells:
+        workers = []
+        for child in psutil.Process().children(recursive=True):
+            with contextlib.suppress(psutil.Error):  # it has just ended
+                if any("spawn_main" in part for part in child.cmdline()):
+                    workers.append(child.pid)
+        if progress.done < progress.cells and workers:
             killed.add(workers[progress.done % len(workers)])
-            os.kill(workers[progress.done % len(workers)], signal.SIGKILL)
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(workers[progress.done % len(workers)], signal.SIGKILL)
 
     run_study(decode_study(STUDY), tmp_path, workers=2, time_limit=100.0, report=kill)
     _assert_equal(stored_values(tmp_path), finished)

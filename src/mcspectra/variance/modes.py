@@ -121,13 +121,13 @@ class Modes(Analysis, frozen=True, kw_only=True):
         frequencies = Frequencies.of(subject, self.space, self.basis, self.half_width)
         check_bands(self.bands, frequencies.basis)
         size, evaluations = frequencies.size, sum(estimator.counts)
-        as_integer("modes", self.modes, least=1, most=max(1, size))
         numbers = size * (self.modes + _OVERSAMPLING)
         if numbers > _MAX_NUMBERS:
             raise ParameterError(
                 f"{self.modes} modes of {size} coefficients take {8 * size * self.modes / 2**30:.3g} "
                 "GiB; ask for fewer, or for a smaller half_width."
             )
+        as_integer("modes", self.modes, least=1, most=max(1, size))
         each = evaluations * self.n + numbers
         return Need(
             cost=float(self.passes * self.realizations * each),
