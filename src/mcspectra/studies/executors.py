@@ -501,9 +501,6 @@ def _muted() -> Iterator[None]:
         handler.setLevel(logging.CRITICAL + 1)
     try:
         yield
-    except KeyboardInterrupt:  # what dies of it goes on to log while the process ends
-        handlers = []
-        raise
     finally:
         for handler, level in handlers:
             handler.setLevel(level)
