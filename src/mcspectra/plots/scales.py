@@ -1,0 +1,198 @@
+"""Axes and colour scales chosen from the data: many orders of magnitude, signed or not, few readable ticks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.plots.description import Axis, Scale
+from mcspectra.plots.text import power_of_ten
+
+__all__ = [
+    "count_axis",
+    "log_axis",
+    "log_scale",
+    "log_ticks",
+    "name_axis",
+    "signed_axis",
+    "signed_place",
+    "signed_scale",
+    "tick_label",
+]
+
+_LINEAR_SPAN = 30.0  # up to this ratio of largest to smallest, a linear scale shows both
+_NEAR_ZERO = 0.5  # decades that the linear part of a signed scale takes on either side
+_SHORT = 1.6  # decades; below, powers of ten alone are too few ticks
+_MOST_DECADES = 6  # below 10^-6 of the largest value nothing is told apart
+_NOTHING = 1e-9  # of the largest value of all: an array below it shows nothing
+
+
+def log_axis(label: str, low: float, high: float, most: int = 6) -> Axis:
+    """Return a logarithmic axis from low to high with a small margin."""
+    if not (math.isfinite(low) and math.isfinite(high) and 0.0 < low <= high):
+        low, high = 0.5, 2.0
+    margin = (high / low) ** 0.04 if high > low else 2.0
+    low, high = low / margin, high * margin
+    return Axis(label=label, kind="log", low=low, high=high, ticks=_log_texts(low, high, most))
+
+
+def count_axis(label: str, counts: Iterable[int], most: int = 6) -> Axis:
+    """Return a logarithmic axis with ticks at counts of points whose labels do not touch."""
+    distinct = sorted(set(counts))
+    margin = (distinct[-1] / distinct[0]) ** 0.05 if len(distinct) > 1 else 2.0
+    gap = math.log(distinct[-1] / distinct[0]) / most
+    chosen = [distinct[-1]]
+    for n in reversed(distinct[:-1]):
+        if math.log(chosen[-1] / n) >= 0.999 * gap:
+            chosen.append(n)
+    ticks = {float(n): f"{n:,}".replace(",", "\u2009") for n in reversed(chosen)}
+    low, high = distinct[0] / margin, distinct[-1] * margin
+    return Axis(label=label, kind="log", low=low, high=high, ticks=ticks)
+
+
+def name_axis(names: Sequence[str], label: str = "", *, flipped: bool = True) -> Axis:
+    """Return an axis with names at 0, 1, 2, …, by default from the top."""
+    ticks = {float(k): name for k, name in enumerate(names)}
+    return Axis(label=label, low=-0.6, high=len(names) - 0.4, ticks=ticks, flipped=flipped)
+
+
+def signed_axis(label: str, values: Sequence[Array], most: int = 7) -> Axis:
+    """Return an axis of signed values: linear where it shows the smallest, else logarithmic.
+
+    The label says beyond which size it is logarithmic.
+    """
+    low, high, threshold = _signed_range(values, _MOST_DECADES)
+    if not threshold:
+        pad = 0.06 * (high - low) or 1.0
+        ticks = {t: tick_label(t) for t in _round_steps(low, high, most - 2)}
+        low = low - pad if low < 0 or low == high else low
+        return Axis(label=label, low=low, high=high + pad, ticks=ticks)
+    return Axis(
+        label=f"{label}   ({_threshold_note(threshold)})",
+        kind="signed",
+        low=2.0 * low,
+        high=2.0 * high,
+        ticks={t: tick_label(t) for t in _signed_ticks(low, high, threshold, most)},
+        threshold=threshold,
+    )
+
+
+def log_scale(label: str, low: float, high: float) -> Scale:
+    """Return a logarithmic colour scale from low to high."""
+    if not (math.isfinite(low) and math.isfinite(high) and 0.0 < low < high):
+        low, high = 0.5, 2.0
+    return Scale(label=label, kind="log", low=low, high=high, ticks=_log_texts(low, high, 6))
+
+
+def signed_scale(label: str, values: Sequence[Array], decades: int = 3) -> Scale:
+    """Return a colour scale symmetric about 0, for all arrays together.
+
+    Parameters
+    ----------
+    label
+        Of the colour bar; beyond which size the scale is logarithmic is added.
+    values
+        Arrays of any shape; what is not finite does not count.
+    decades
+        How far below its largest size the values of each array are told apart; over all arrays no
+        more than six decades.
+    """
+    low, high, threshold = _signed_range(values, decades)
+    top = max(high, -low) or 1.0
+    if not threshold:
+        ticks = {t: tick_label(t) for t in _round_steps(-top, top, 5)}
+        return Scale(label=label, low=-top, high=top, ticks=ticks, palette="diverging")
+    return Scale(
+        label=f"{label}   ({_threshold_note(threshold)})",
+        kind="signed",
+        low=-top,
+        high=top,
+        ticks={t: tick_label(t) for t in _signed_ticks(-top, top, threshold, 5)},
+        threshold=threshold,
+        palette="diverging",
+    )
+
+
+def signed_place(values: Array, threshold: float) -> Array:
+    """Return places of values on a signed scale, in decades beyond the threshold; not finite: NaN."""
+    given = np.where(np.isfinite(values), values, np.nan)
+    size = np.abs(given) / threshold
+    decades = _NEAR_ZERO + np.log10(np.maximum(size, 1.0))
+    return np.asarray(np.sign(given) * np.where(size < 1, _NEAR_ZERO * size, decades))
+
+
+def log_ticks(low: float, high: float, most: int = 6) -> list[float]:
+    """Return ticks in [low, high], at most about `most`: powers of ten, or finer in a short range."""
+    first, last = math.ceil(math.log10(low) - 1e-9), math.floor(math.log10(high) + 1e-9)
+    if math.log10(high / low) >= _SHORT:
+        stride = math.ceil((last - first + 1) / most)
+        return [10.0**e for e in range(first, last + 1, stride)]
+    ticks: list[float] = []
+    for steps in ((1, 2, 5), range(1, 10), [c / 10 for c in range(10, 100)]):
+        every = [c * 10.0**e for e in range(first - 1, last + 1) for c in steps]
+        ticks = [t for t in every if low <= t <= high]
+        if len(ticks) >= 2:
+            break
+    return ticks[:: max(1, math.ceil(len(ticks) / most))]
+
+
+def tick_label(value: float) -> str:
+    """Return the shortest text of a tick: ``−20``, ``0.5``, ``10⁻⁶``, ``2×10⁻⁴``."""
+    sign = "−" if value < 0 else ""
+    mantissa, exponent = f"{abs(value):.5e}".split("e")
+    mantissa, power = mantissa.rstrip("0").rstrip("."), int(exponent)
+    if value == 0 or -2 <= power <= 3:
+        return f"{sign}{abs(value):.10g}"
+    return sign + ("" if mantissa == "1" else f"{mantissa}×") + power_of_ten(power)
+
+
+def _log_texts(low: float, high: float, most: int) -> dict[float, str]:
+    return {tick: tick_label(tick) for tick in log_ticks(low, high, most)}
+
+
+def _signed_range(values: Sequence[Array], decades: int) -> tuple[float, float, float]:
+    """Ends (zero within), and the size below which the scale is linear; 0 where all of it is."""
+    every = np.concatenate([np.ravel(v) for v in values]) if len(values) else np.zeros(0)
+    finite = every[np.isfinite(every)]
+    low, high = float(finite.min(initial=0.0)), float(finite.max(initial=0.0))
+    top = max(high, -low)
+    if not top:
+        return low, high, 0.0
+    tops = [float(np.max(np.abs(v), where=np.isfinite(v), initial=0.0)) for v in values]
+    told_apart = [each * 10.0**-decades for each in tops if each > _NOTHING * top]
+    least = max(
+        float(np.abs(finite[finite != 0]).min()), min(told_apart), top * 10.0**-_MOST_DECADES
+    )
+    threshold = 10.0 ** math.floor(math.log10(least))
+    return low, high, 0.0 if top <= _LINEAR_SPAN * threshold else threshold
+
+
+def _threshold_note(threshold: float) -> str:
+    return f"log beyond ±{power_of_ten(round(math.log10(threshold)))}"
+
+
+def _signed_ticks(low: float, high: float, threshold: float, most: int) -> list[float]:
+    """0 and ± powers of ten from the threshold to either end, at most about `most`."""
+    reach = [max(end, 0.0) for end in (-low, high)]
+    spans = [max(math.log10(r / threshold), 0.0) if r >= threshold else -1.0 for r in reach]
+    stride = max(1, math.ceil(sum(span + 1 for span in spans) / most))
+    ticks = [0.0]
+    for sign, span in zip((-1.0, 1.0), spans, strict=True):
+        # Count down from the largest power, so that the end of the axis is labelled
+        exponents = range(math.floor(span + 1e-9), -1, -stride)
+        ticks += [sign * threshold * 10.0**e for e in exponents if e > 0 or stride == 1]
+    return sorted(ticks)
+
+
+def _round_steps(low: float, high: float, most: int) -> list[float]:
+    """Multiples of 1, 2 or 5 times a power of ten in [low, high], zero among them."""
+    if high <= low:
+        return [0.0]
+    rough = (high - low) / most
+    power = 10.0 ** math.floor(math.log10(rough))
+    step = next(s * power for s in (1, 2, 5, 10) if s * power >= 0.999 * rough)
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [k * step for k in range(first, last + 1)]

@@ -1,0 +1,69 @@
+"""One look for all plots: a palette that colour-blind readers tell apart, and a style for each sampler.
+
+Colours are those of Okabe & Ito, without the yellow and with dark grey for the black.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, final
+
+from mcspectra.plots.text import shorten
+
+__all__ = [
+    "ACCENT",
+    "FAINT",
+    "GRAY",
+    "INK",
+    "PALETTE",
+    "PAPER",
+    "LineStyle",
+    "labels",
+    "line_widths",
+    "sampler_styles",
+]
+
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#4D4D4D")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+DASHES = ("-", "--", ":", "-.")
+INK, GRAY, FAINT, PAPER = "#262626", "#8A8A8A", "#DCDCDC", "#FCFCFA"
+"""Text and main marks, marks of lesser weight, grids and shapes behind, the ground. Backends turn them about on dark pages."""
+ACCENT = "#D55E00"
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class LineStyle:
+    """How one sampler is drawn wherever it appears."""
+
+    color: str = PALETTE[0]
+    marker: Literal["o", "s", "^", "D", "v", "P", "X"] = "o"
+    dashes: Literal["-", "--", ":", "-."] = "-"
+
+
+def sampler_styles(samplers: Sequence[str]) -> dict[str, LineStyle]:
+    """Give every sampler a style of its own: colour and marker first, dashes once those run out."""
+    distinct = list(dict.fromkeys(samplers))
+    cycle = itertools.product(DASHES, zip(PALETTE, MARKERS, strict=True))
+    return {
+        name: LineStyle(color=color, marker=marker, dashes=dashes)  # type: ignore[arg-type]
+        for name, (dashes, (color, marker)) in zip(distinct, itertools.cycle(cycle), strict=False)
+    }
+
+
+def labels(names: Sequence[str], length: int = 32) -> dict[str, str]:
+    """Return a short label for every name, different for different names."""
+    short: dict[str, str] = {}
+    for name in names:
+        label, repeat = shorten(name, length), 2
+        while label in short.values():
+            label, repeat = f"{shorten(name, length - 4)} ({repeat})", repeat + 1
+        short[name] = label
+    return short
+
+
+def line_widths(count: int) -> list[float]:
+    """Widths for lines drawn over one another, thickest first: one that coincides still shows."""
+    return [1.1 + 0.5 * min(later, 3) for later in reversed(range(count))]

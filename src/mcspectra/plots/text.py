@@ -1,0 +1,114 @@
+"""Numbers and names as people read them: three digits, a proper minus, powers of ten spelled out."""
+
+from __future__ import annotations
+
+import math
+import re
+
+__all__ = [
+    "MISSING",
+    "NEGLIGIBLE",
+    "interval",
+    "number",
+    "number_beside",
+    "percent",
+    "power_of_ten",
+    "rate",
+    "shorten",
+    "slug",
+    "with_error",
+]
+
+MISSING = "–"
+"""Stands where there is no number; tables say why."""
+
+NEGLIGIBLE = 1e-9
+"""Share of the largest term below which a term is rounding of the transform, not a quantity."""
+
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_FIXED_FROM, _FIXED_BELOW = -3, 5  # powers of ten written out
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Return `value` with `digits` significant digits: ``0.0123``, ``−1.52``, ``4.56×10⁻⁶``, ``∞``.
+
+    None and NaN give `MISSING`.
+    """
+    if value is None or math.isnan(value):
+        return MISSING
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    if value == 0:
+        return "0"
+    # Round first: 9.996 has another power of ten than it seems.
+    mantissa, exponent = f"{abs(value):.{digits - 1}e}".split("e")
+    power = int(exponent)
+    sign = "−" if value < 0 else ""
+    if _FIXED_FROM <= power < _FIXED_BELOW:
+        return f"{sign}{abs(value):.{max(digits - 1 - power, 0)}f}"
+    return f"{sign}{mantissa}×{power_of_ten(power)}"
+
+
+def number_beside(value: float | None, scale: float | None) -> str:
+    """Return `number`, or ``≈ 0`` for what is rounding beside a quantity of size `scale`."""
+    known = scale is not None and math.isfinite(scale)
+    if value and known and abs(value) <= NEGLIGIBLE * abs(scale or 0.0):
+        return "≈ 0"
+    return number(value)
+
+
+def with_error(text: str, half: float | None) -> str:
+    """Return ``0.0123 ± 0.0004``: a shown number and half the width of its interval, if any."""
+    known = half is not None and math.isfinite(half) and half > 0
+    if not known or text == MISSING or text.startswith("≈"):
+        return text
+    return f"{text} ± {number(half, 2)}"
+
+
+def power_of_ten(exponent: int) -> str:
+    """Return ``10⁻⁶`` for −6."""
+    return f"10{str(exponent).translate(_SUPERSCRIPTS)}"
+
+
+def interval(low: float | None, high: float | None, digits: int = 3) -> str:
+    """Return ``low … high``, or `MISSING` where an end is unknown."""
+    if low is None or high is None or math.isnan(low) or math.isnan(high):
+        return MISSING
+    return f"{number(low, digits)} … {number(high, digits)}"
+
+
+def rate(value: float | None, low: float | None, high: float | None) -> str:
+    """Return ``−1.52 ± 0.03``: a rate and half the width of its interval."""
+    if value is None or math.isnan(value):
+        return MISSING
+    if low is None or high is None or not math.isfinite(high - low):
+        return f"{value:.2f}".replace("-", "−")
+    half = (high - low) / 2
+    # As many decimals as the interval has meaning, two to four.
+    decimals = 4 if half <= 0 else min(max(-math.floor(math.log10(half)), 2), 4)
+    spread = f"± {half:.{decimals}f}" if half >= 0.5e-4 else "± <0.0001"
+    return f"{value:.{decimals}f} {spread}".replace("-", "−")
+
+
+def percent(fraction: float) -> str:
+    """Return ``97 %``; near 0 and 100 with the digits that keep it from reading 0 or 100."""
+    value = 100.0 * fraction
+    distance = min(abs(value), abs(100.0 - value))
+    if distance == 0 or abs(value) >= 1000:
+        return f"{number(value)} %"
+    decimals = 0 if distance >= 1 else min(-math.floor(math.log10(distance)), 9)
+    return f"{value:.{decimals}f} %".replace("-", "−")
+
+
+def shorten(text: str, length: int = 30) -> str:
+    """Return one line of at most `length` characters, the middle of a longer text left out."""
+    line = " ".join(text.split())
+    if len(line) <= length:
+        return line
+    head = (length - 1) * 2 // 3
+    return f"{line[:head]}…{line[len(line) - (length - 1 - head) :]}"
+
+
+def slug(text: str) -> str:
+    """Return a name for files and anchors: lower-case letters, digits, dots and hyphens."""
+    return re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.") or "x"
