@@ -124,7 +124,7 @@ def test_options_reach_the_map(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (("veech",), "veach"),
         (("none.xml",), "no scene file"),
         (("veach", "--crop", "1,2,3"), "--crop has 3 values; give 4"),
-        (("veach", "--crop", "0,0,9999,1"), "leaves the grid"),
+        (("veach", "--crop", "0,0,9999,1"), "reaches outside the grid"),
         (("veach", "--crop", "a,b,c,d"), "--crop is 'a'"),
         (("veach", "--crop=-1,0,2,2"), "crop x0 is -1"),
         (("veach", "--size", "0,4"), "--size is 0; give a whole number from 1"),

@@ -98,10 +98,10 @@ def test_tables_too_fine_for_the_quadrature():
         ({"sample": lambda u: u}, "do not follow its pdf"),
         (
             {"sample": lambda u: u, "invert": lambda x: x},
-            "sample and invert agree, so it is the pdf",
+            "sample and invert agree, so the pdf is wrong",
         ),
-        ({"sample": lambda u: u, "invert": np.square}, "invert does not fit either"),
-        ({"invert": lambda x: x}, "sample and pdf agree, so it is invert"),
+        ({"sample": lambda u: u, "invert": np.square}, "invert does not undo sample either"),
+        ({"invert": lambda x: x}, "sample and pdf agree, so invert is wrong"),
         ({"pdf": X}, "integrates to 0.5"),
         ({"pdf": lambda x: 4 * X(x)}, "integrates to 2"),
         ({"pdf": lambda x: 2.002 * X(x)}, "integrates to 1.001"),
@@ -138,8 +138,8 @@ def test_mismatches_in_one_dim(functions, says):
     ("functions", "says"),
     [
         ({"sample": lambda u: u, "invert": lambda x: x}, "sample and invert agree"),
-        ({"invert": lambda x: x}, "it is invert"),
-        ({"sample": lambda u: u}, "do not follow its pdf.*invert does not fit"),
+        ({"invert": lambda x: x}, "so invert is wrong"),
+        ({"sample": lambda u: u}, "do not follow its pdf.*invert does not undo"),
         ({"pdf": lambda x: 1.01 * np.prod(2 * x, axis=-1)}, "integrates to 1.01|is 1.01 at"),
     ],
 )

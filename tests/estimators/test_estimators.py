@@ -117,7 +117,7 @@ def test_functions_cannot_change_their_points():
         (lambda: mcs.MultipleImportance(SQUARE, "uniform"), "list"),
         (lambda: mcs.MultipleImportance(SQUARE, [None]), "None"),
         (lambda: mcs.MultipleImportance(SQUARE, ["uniform"], heuristic="blance"), "balance"),
-        (lambda: mcs.MultipleImportance(SQUARE, ["uniform"], counts=(1, 1)), "2 for 1 techniques"),
+        (lambda: mcs.MultipleImportance(SQUARE, ["uniform"], counts=(1, 1)), "technique, 1 in all"),
         (lambda: mcs.MultipleImportance(SQUARE, ["uniform"], counts=(0,)), "at least 1"),
         (lambda: mcs.TechniqueSum([]), "one or more"),
         (lambda: mcs.TechniqueSum([SQUARE, mcs.integrand("gaussian", dims=2)]), "dims"),

@@ -124,15 +124,15 @@ def test_mean_square_of_the_diaphony_of_random_points():
 
 @pytest.mark.parametrize("figure", [diaphony, generalized_l2_discrepancy, l2_discrepancy])
 def test_too_many_pairs_are_refused_with_the_limit(figure):
-    with pytest.raises(ParameterError, match="8192 are possible"):
+    with pytest.raises(ParameterError, match="give at most 8192"):
         figure(np.full((8193, 2), 0.5))
 
 
 @pytest.mark.parametrize(
     ("points", "words"),
     [
-        (np.full((4, 3), 0.5), "1 and 2 dims, not for 3"),
-        (np.full((2**14 + 1, 2), 0.5), "16384 are possible"),
+        (np.full((4, 3), 0.5), "1 and 2 dims only, not in 3"),
+        (np.full((2**14 + 1, 2), 0.5), "give at most 16384"),
         (np.full((2, 4, 2), 0.5), "one set"),
         ([[1.0]], r"\[0,1\)"),
     ],

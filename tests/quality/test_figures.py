@@ -47,7 +47,7 @@ def test_what_cannot_be_had_is_missing_with_a_reason():
     figures = mcs.quality_figures(mcs.sampler("random", 5), 10, realizations=2)
     reasons = {name: array.attrs.get("missing", "") for name, array in figures.items()}
     assert "1, 2, 3, 8, 24 dims, not in 5" in reasons["relative_minimum_distance"]
-    assert "not for 5" in reasons["star_discrepancy"]
+    assert "not in 5" in reasons["star_discrepancy"]
     assert reasons["t_value"] == "10 is not a power of 2."
     for name, array in figures.items():
         assert bool(np.isnan(array).all()) == bool(reasons[name])
@@ -62,7 +62,7 @@ def test_transport_cost_of_a_grid(dims, cost):
 
 
 def test_transport_cost_has_limits():
-    for dims, n, words in ((3, 8, "1 and 2 dims, not for 3"), (2, 8193, "8192 are possible")):
+    for dims, n, words in ((3, 8, "1 and 2 dims only, not in 3"), (2, 8193, "give at most 8192")):
         points = np.full((n, dims), 0.5)
         figures = mcs.quality_figures(points, figures=["transport_cost"])
         assert words in figures["transport_cost"].attrs["missing"]
@@ -89,7 +89,7 @@ def test_projections_are_limited_and_it_is_said():
     assert list(figures) == wanted
     assert figures.attrs["projections"].startswith("45 of 435 pairs")
     flat = mcs.quality_figures("random", 4, figures=wanted, realizations=1)
-    assert "3 dims or more" in flat["worst_projected_distance"].attrs["missing"]
+    assert "3 or more dims" in flat["worst_projected_distance"].attrs["missing"]
 
 
 def test_given_points_are_all_measured():
@@ -129,7 +129,7 @@ def test_bad_arguments(arguments, words):
 
 
 def test_a_count_is_needed_and_must_be_possible():
-    with pytest.raises(ParameterError, match="how many points of random"):
+    with pytest.raises(ParameterError, match="give the number of points to draw from random"):
         mcs.quality_figures("random")
     with pytest.raises(CountError, match="nearest counts are 4 and 9"):
         mcs.quality_figures("jittered", 5)

@@ -88,7 +88,7 @@ def test_transfer_function_has_its_published_values() -> None:
         (None, "not the path"),
         ("nowhere/image.exr", "folder that does not exist"),
         ("nowhere/image.png", "folder that does not exist"),
-        ("\0.exr", "no possible file name"),
+        ("\0.exr", "not a possible file name"),
     ],
 )
 def test_names_that_are_refused(
@@ -156,7 +156,7 @@ def test_results_and_paths_that_are_swapped_or_missing(tmp_path: Path) -> None:
         write_render(result(), file)  # type: ignore[arg-type]
     assert "\n" not in str(refused.value)
     for wrong in (None, IMAGE, result().drop_vars("image")):
-        with pytest.raises(ParameterError, match="give what render returns"):
+        with pytest.raises(ParameterError, match="give the result of render"):
             write_render(file, wrong)  # type: ignore[arg-type]
     with pytest.raises(FileFormatError, match=r"^A Dataset is not the path"):
         write_exr(result(), {"": IMAGE})  # type: ignore[arg-type]
@@ -168,7 +168,7 @@ def test_comparisons_that_are_refused(tmp_path: Path) -> None:
     smaller = result().isel(x=slice(3))
     with pytest.raises(ParameterError, match="all of one size"):
         write_comparison(file, {"reference": result(), "mis": smaller})
-    with pytest.raises(ParameterError, match="give what render returns"):
+    with pytest.raises(ParameterError, match="give the result of render"):
         write_comparison(file, {"reference": xr.Dataset()})
     with pytest.raises(FileFormatError, match=r"must end in \.exr"):
         write_comparison(tmp_path / "all.png", {"reference": result()})

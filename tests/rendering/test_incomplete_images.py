@@ -106,10 +106,10 @@ def test_scaled_environments_are_refused() -> None:
         )
     made = scene(sky=sky(np.ones((4, 8, 3)), to_world=twice))
     (sentence,) = check_scene(made)
-    assert "'sky' is no rotation or reflection" in sentence
+    assert "'sky' is not a rotation or reflection" in sentence
     # Mitsuba renders it in silence, twice as bright by light sampling.
     for refused in (lambda: render(made, "light", spp=1), lambda: Pixel(scene=made, x=1, y=1)):
-        with pytest.raises(ParameterError, match="no rotation or reflection"):
+        with pytest.raises(ParameterError, match="not a rotation or reflection"):
             refused()
     assert check_scene(scene(sky=sky(np.ones((4, 8, 3)), to_world=turned))) == []
     assert check_scene(scene(sky={"type": "constant", "to_world": twice})) == []

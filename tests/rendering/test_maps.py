@@ -315,7 +315,7 @@ def test_values_that_are_not_finite_are_refused(monkeypatch: pytest.MonkeyPatch)
         ({"counts": (4, 2**60)}, CountError, "n is"),
         ({"realizations": 1}, ParameterError, "at least|from 2"),
         ({"realizations": np.inf}, ParameterError, "whole number"),
-        ({"crop": (0, 0, 25, 3)}, ParameterError, "leaves the grid of 24 × 16"),
+        ({"crop": (0, 0, 25, 3)}, ParameterError, "reaches outside the grid of 24 × 16"),
         ({"crop": (-1, 0, 2, 2)}, ParameterError, "crop x0 is -1"),
         ({"crop": (0, 0, 0, 2)}, ParameterError, "crop width is 0"),
         ({"crop": (0, 0, 2)}, ParameterError, "crop has 3 values; give 4"),

@@ -64,13 +64,13 @@ def test_counts_are_read_back() -> None:
 
 @pytest.mark.parametrize("source", [None, "multijitter", 3, np.zeros((4, 2))])
 def test_what_is_no_sampler_of_mitsuba(source: object) -> None:
-    with pytest.raises(ParameterError, match="is no sampler of Mitsuba"):
+    with pytest.raises(ParameterError, match="is not a sampler of Mitsuba"):
         from_mitsuba(source)
 
 
 def test_classes_and_bad_dims_are_refused() -> None:
     source = made("scalar_rgb", type="independent")
-    with pytest.raises(ParameterError, match="is no sampler of Mitsuba"):
+    with pytest.raises(ParameterError, match="is not a sampler of Mitsuba"):
         from_mitsuba(type(source))
     with pytest.raises(ParameterError, match="dims is 0"):
         from_mitsuba(source, 0)

@@ -187,5 +187,5 @@ def test_rays_that_see_a_light_or_nothing_count_as_zero() -> None:
     values = Pixel(scene="veach", x=579, y=72, dims=4)(u)
     assert (values[u[:, 0] < 0.1] > 0).all()
     assert (values[u[:, 0] > 0.9] == 0).all()
-    with pytest.raises(ParameterError, match="nothing but lights"):
+    with pytest.raises(ParameterError, match="only lights"):
         Pixel(scene="veach", x=642, y=72, dims=4)

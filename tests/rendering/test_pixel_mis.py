@@ -243,7 +243,7 @@ def test_maps_cover_all_directions() -> None:
         ({"techniques": []}, "techniques is []"),
         ({"techniques": "light"}, "techniques is 'light'"),
         ({"techniques": ["light", 3]}, "'light', 3"),
-        ({"techniques": ["bsdf", "bsdf"]}, "once at most"),
+        ({"techniques": ["bsdf", "bsdf"]}, "at most once"),
         ({"techniques": ["light", "environment"]}, "without 'light'"),
         ({"techniques": ["environment", "bsdf"]}, "no environment to sample"),
         ({"dims": 1}, "dims"),

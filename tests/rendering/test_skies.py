@@ -239,7 +239,7 @@ def test_other_lights_that_count_are_an_error() -> None:
 def test_map_that_is_scaled_is_refused() -> None:
     scene = open_scene()
     scene["sky"]["to_world"] = load_mitsuba().ScalarTransform4f().scale([1.0, 2.0, 1.0])
-    with pytest.raises(ParameterError, match="no rotation"):
+    with pytest.raises(ParameterError, match="not a rotation"):
         Pixel(scene=scene, **FLOOR, strategy="environment")
 
 

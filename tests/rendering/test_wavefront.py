@@ -132,7 +132,7 @@ def test_lobes_need_a_column_of_their_own(scene_files: dict[str, str]) -> None:
     waves = Wavefront(scene_files["textured"], film="sampled")
     assert waves.selects_lobe
     assert [waves.dims(s) for s in WAVEFRONT_STRATEGIES] == [4, 5, 4, 5, 8]
-    with pytest.raises(ParameterError, match="chooses among lobes.*give 5 dims"):
+    with pytest.raises(ParameterError, match="selects a lobe.*give 5 dims"):
         waves.means("bsdf", [[20, 15]], uniforms(8, 4))
     assert waves.means("bsdf", [[20, 15]], uniforms(8, 5)).min() > 0
     assert not Wavefront(VEACH).selects_lobe

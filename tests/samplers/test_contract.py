@@ -297,7 +297,7 @@ def test_counts_beyond_the_largest_are_refused_with_it(case, make):
     largest = source.nearest_count(source.max_count)
     assert largest <= source.max_count <= MAX_COUNT
     if source.max_count < MAX_COUNT:
-        with pytest.raises(CountError, match=f"makes {source.max_count} points at most") as error:
+        with pytest.raises(CountError, match=f"makes at most {source.max_count} points") as error:
             source.draw(source.max_count + 1)
         assert error.value.nearest == (source.max_count,)
 

@@ -131,7 +131,7 @@ def test_declared_properties():
         ({"width": 300}, "width"),
         ({"width": 2.5}, "width"),
         ({"width": float("nan")}, "width"),
-        ({"mode": "owen", "mask": "r2"}, "no single number"),
+        ({"mode": "owen", "mask": "r2"}, "a mask gives one"),
     ],
 )
 def test_bad_parameters(arguments, words):

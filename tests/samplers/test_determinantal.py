@@ -128,7 +128,7 @@ def test_pairs_are_apart_in_sets_larger_than_a_batch_of_proposals():
 
 
 def test_huge_counts_are_refused():
-    with pytest.raises(CountError, match="makes 4096 points at most"):
+    with pytest.raises(CountError, match="makes at most 4096 points"):
         Determinantal().draw(2**20)
     assert Determinantal().nearest_count(2**31) == 4096
 

@@ -128,7 +128,7 @@ def test_any_count_up_to_the_most():
     source = VoidAndCluster()
     for n in (1, 2, 3, 17):
         assert source.draw(n, rng=1).shape == (1, n, 2)
-    with pytest.raises(CountError, match="makes 65536 points at most"):
+    with pytest.raises(CountError, match="makes at most 65536 points"):
         source.draw(2**16 + 1)
 
 

@@ -79,8 +79,10 @@ class TestGivenPoints:
 
     def test_what_was_not_given_is_refused(self, files):
         source = mcs.Sampler.from_files(*files)
-        refused(CountError, "holds 3 realisations, but number 4", source.draw, 5, realizations=4)
-        refused(CountError, "holds 3 realisations, but number 4", source.draw, 5, first=3)
+        refused(
+            CountError, "holds 3 realisations, but 4 are needed", source.draw, 5, realizations=4
+        )
+        refused(CountError, "holds 3 realisations, but 4 are needed", source.draw, 5, first=3)
         for n in (4, 6):
             refused(CountError, f"cannot make {n} points; the nearest count is 5", source.draw, n)
             assert source.nearest_count(n) == 5
@@ -384,9 +386,9 @@ class TestScipySampler:
             ("Sobl", {}, "no engine 'Sobl'. Did you mean 'Sobol'"),
             ("QMCEngine", {}, "no engine 'QMCEngine'"),
             ("discrepancy", {}, "no engine 'discrepancy'"),
-            (5, {}, "5 is no engine"),
-            (None, {}, "None is no engine"),
-            (int, {}, "is no engine"),
+            (5, {}, "5 is not an engine"),
+            (None, {}, "None is not an engine"),
+            (int, {}, "is not an engine"),
             ("Sobol", {}, "needs its number of dims: give d="),
             ("Sobol", {"d": 0}, "d is 0"),
             ("Sobol", {"d": 2, "dims": 2}, "d and dims are the same"),
@@ -395,12 +397,12 @@ class TestScipySampler:
             ("Sobol", {"d": 2, "skramble": 1}, "Sobol cannot be made with d=2, skramble=1"),
             ("Sobol", {"d": 2, "scramble": "no"}, "scramble is 'no'"),
             ("Sobol", {"d": 30_000}, "Sobol cannot be made"),
-            (qmc.Halton(2), {"d": 2}, "has its arguments already"),
-            (Forgetful(2), {}, "does not say which secret"),
-            (Open(d=2), {}, r"does not say which further arguments \(\*anything\)"),
+            (qmc.Halton(2), {"d": 2}, "already has its arguments"),
+            (Forgetful(2), {}, "does not store its argument secret"),
+            (Open(d=2), {}, r"does not store its argument \*anything"),
             (Fixed, {}, "takes neither rng nor seed"),
             (lambda rng: qmc.Halton(2, rng=rng), {"scramble": True}, "takes no scramble"),
-            (lambda rng: 5, {}, "made 5, which is no QMCEngine"),
+            (lambda rng: 5, {}, "returned 5; it must return a QMCEngine"),
         ],
     )
     def test_what_is_no_engine_is_refused(self, engine, arguments, words):

@@ -137,7 +137,7 @@ def test_axes_hold_one_point_in_each_nth():
 @pytest.mark.parametrize(
     ("vector", "words"),
     [
-        ([1], "1 components, dims is 2"),
+        ([1], "1 components, but dims is 2"),
         ([1, 2, 3], "3 components"),
         ([], "0 components"),
         ([1, 2.5], r"vector\[1\]"),

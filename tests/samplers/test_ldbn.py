@@ -123,7 +123,7 @@ def test_counts_are_powers_of_four(n, near):
 
 
 def test_largest_count():
-    with pytest.raises(CountError, match="makes 65536 points at most"):
+    with pytest.raises(CountError, match="makes at most 65536 points"):
         LowDiscrepancyBlueNoise().draw(4**9)
 
 

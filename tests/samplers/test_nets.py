@@ -151,7 +151,7 @@ def test_fewer_dims_and_points_than_there_are():
     net, whole = sampler(f"digital-net(matrices={columns})", 2), DigitalNet(matrices=columns)
     np.testing.assert_array_equal(net.draw(4)[0], whole.draw(8)[0, :4, :2])
     assert whole.max_count == 8
-    with pytest.raises(CountError, match="makes 8 points at most, not 9"):
+    with pytest.raises(CountError, match="makes at most 8 points, not 9"):
         whole.draw(9)
     with pytest.warns(NotPowerOfTwoWarning, match="5 digital-net points are not balanced"):
         whole.draw(5)
@@ -234,7 +234,7 @@ def test_quality_of_wrong_shapes_and_bases():
         net_t_value(np.zeros((2, 4, 2)))
     with pytest.raises(ParameterError, match="base is 1"):
         net_t_value(np.zeros((4, 2)), 1)
-    with pytest.raises(CountError, match="12 points are not a power of the base 2"):
+    with pytest.raises(CountError, match="is not a power of the base 2"):
         elementary_intervals(np.zeros((12, 2)))
     with pytest.raises(ParameterError, match="t is 3"):
         elementary_intervals(np.zeros((4, 2)), t=3)

@@ -182,5 +182,5 @@ def test_impossible_sweeps(sweeps):
 
 
 def test_blue_noise_has_a_largest_count():
-    with pytest.raises(CountError, match="makes 262144 points at most"):
+    with pytest.raises(CountError, match="makes at most 262144 points"):
         PMJ02BlueNoise().draw(2**19)

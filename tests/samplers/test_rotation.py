@@ -161,7 +161,7 @@ def test_declared_properties():
 
 @pytest.mark.parametrize("dims", [1, 3])
 def test_windows_are_two_dimensional(dims):
-    with pytest.raises(ParameterError, match="turns 2 dims"):
+    with pytest.raises(ParameterError, match="needs 2 dims"):
         Jittered(dims=dims).then(CLIPPED)
 
 

@@ -28,7 +28,7 @@ def test_the_first_points_do_not_depend_on_how_many_there_are(name, chain):
 @pytest.mark.parametrize("chain", ["subset", "shuffle", "mirror(mode='uniform')"])
 def test_steps_that_rearrange_leave_no_sequence(chain):
     assert not mcs.sampler(f"sobol | {chain}").sequence
-    with pytest.raises(ParameterError, match="skip would break the cover"):
+    with pytest.raises(ParameterError, match="skip would leave gaps"):
         mcs.sampler(f"sobol | {chain} | skip(count=4)")
 
 
@@ -45,7 +45,7 @@ def test_steps_that_rearrange_leave_no_sequence(chain):
     ],
 )
 def test_skip_wants_a_sequence(spec):
-    with pytest.raises(ParameterError, match="which is no sequence"):
+    with pytest.raises(ParameterError, match="which is not a sequence"):
         mcs.sampler(f"{spec} | skip(count=4)")
 
 
@@ -69,7 +69,7 @@ def test_balanced_runs_and_parts_do_not_warn():
 
 @pytest.mark.parametrize("step", ["skip(count=2147483648)", "subset(of=2147483648)"])
 def test_parts_of_sets_larger_than_memory_are_refused(step):
-    with pytest.raises(ParameterError, match="points in 2 dims to leave them out again"):
+    with pytest.raises(ParameterError, match="points in 2 dims first"):
         mcs.sampler(f"random | {step}")
 
 

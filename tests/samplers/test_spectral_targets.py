@@ -124,13 +124,13 @@ def test_the_largest_step_is_where_the_pair_correlation_reaches_zero():
     assert StepBlueNoise(cutoff=largest).cutoff == largest
     step = {"power": [0, 0]}
     TargetSpectrum(frequencies=[0, largest - 1e-4], **step)
-    with pytest.raises(ParameterError, match=r"No points have this power: .* would be -0.0"):
+    with pytest.raises(ParameterError, match=r"No point set has this power: .* would be -0.0"):
         TargetSpectrum(frequencies=[0, largest + 1e-3], **step)
 
 
 def test_pair_correlations_that_cannot_be_made():
     TargetPcf(distances=[0, 0.56], pcf=[0, 0])
-    with pytest.raises(ParameterError, match=r"their power would be -.* at the frequency 0 √n"):
+    with pytest.raises(ParameterError, match=r"its power would be -.* at the frequency 0 √n"):
         TargetPcf(distances=[0, 0.57], pcf=[0, 0])
 
 
@@ -150,8 +150,8 @@ def test_lists_become_tuples_and_specs():
         ({"frequencies": [1, 0], "power": [1, 1]}, "increasing"),
         ({"frequencies": [0, 5], "power": [1, 1]}, "increasing numbers from 0 to 4"),
         ({"frequencies": [0, float("nan")], "power": [1, 1]}, "increasing"),
-        ({"frequencies": [0, 1], "power": [-1, 1]}, "none negative"),
-        ({"frequencies": [0, 1], "power": [1, float("inf")]}, "none negative"),
+        ({"frequencies": [0, 1], "power": [-1, 1]}, "that are at least 0"),
+        ({"frequencies": [0, 1], "power": [1, float("inf")]}, "that are at least 0"),
         ({"frequencies": "x", "power": [1]}, "not an array of real numbers"),
         ({"iterations": 0}, "iterations is 0"),
         ({"dims": 3}, "dims is 3"),

@@ -67,18 +67,21 @@ FAULTS = {
     "raises": ({"_evaluate": raising}, "fails in its values: ZeroDivisionError: no luck"),
     "shape": ({"_evaluate": lambda _, x: x}, r"gives shape \(3, 5, 2\), not \(3, 5\)"),
     "type": ({"_evaluate": lambda _, x: WAVE(x).astype("f4")}, "gives float32, not float64"),
-    "no array": ({"_evaluate": lambda _, x: WAVE(x).tolist()}, "gives list, no array"),
+    "no array": ({"_evaluate": lambda _, x: WAVE(x).tolist()}, "gives list, not an array"),
     "infinite": ({"_evaluate": lambda _, x: WAVE(x) / 0.0}, "not finite"),
     "input changed": ({"_evaluate": scribbling}, "changes the points"),
-    "others": ({"_evaluate": lambda _, x: WAVE(x) + x.mean()}, "a point by itself"),
+    "others": ({"_evaluate": lambda _, x: WAVE(x) + x.mean()}, "a point alone"),
     "breaks": ({"breaks": ((1.0,), ())}, "do not ascend"),
     "axes of breaks": ({"breaks": ((),)}, "breaks for 1 axes, not 2"),
-    "integral": ({"_integral": lambda _: 1.001 * WAVE.integral}, "has an integral that its|f_0"),
+    "integral": ({"_integral": lambda _: 1.001 * WAVE.integral}, "has an integral in conflict|f_0"),
     "integral shape": ({"_integral": lambda _: np.ones(2)}, r"integral of shape \(2,\)"),
     "integral NaN": ({"_integral": lambda _: np.nan}, "integral that is not finite"),
     "f_0": ({"_fourier": lambda _, m: WAVE.fourier(m) + 1e-3 * (m == 0).all(axis=-1)}, "f_0"),
-    "conjugate": ({"_fourier": lambda _, m: WAVE.fourier(-m)}, "has coefficients that its values"),
-    "one axis mirrored": ({"_fourier": one_axis}, "has coefficients that its values"),
+    "conjugate": (
+        {"_fourier": lambda _, m: WAVE.fourier(-m)},
+        "has coefficients in conflict with its values",
+    ),
+    "one axis mirrored": ({"_fourier": one_axis}, "has coefficients in conflict with its values"),
     "not Hermitian": (
         {"_fourier": lambda _, m: WAVE.fourier(m) * np.exp(1j * np.abs(m).sum(axis=-1))},
         "f_-m ≠",
@@ -86,11 +89,17 @@ FAULTS = {
     "coefficient type": ({"_fourier": lambda _, m: WAVE.fourier(m).real}, "float64, not complex"),
     "coefficient shape": ({"_fourier": lambda _, m: WAVE.fourier(m)[..., None]}, "of shape"),
     "coefficients raise": ({"_fourier": raising}, "no luck"),
-    "mean over boxes": ({"box_moments": moments(0, 1.001)}, "has box moments that its values"),
-    "square over boxes": ({"box_moments": moments(1, 1.001)}, "has box moments that its values"),
+    "mean over boxes": (
+        {"box_moments": moments(0, 1.001)},
+        "has box moments in conflict with its values",
+    ),
+    "square over boxes": (
+        {"box_moments": moments(1, 1.001)},
+        "has box moments in conflict with its values",
+    ),
     "boxes": (
         {"box_moments": lambda _, lo, hi: WAVE.box_moments(np.zeros_like(lo), hi)},
-        "has box moments that its values",
+        "has box moments in conflict with its values",
     ),
 }
 
@@ -120,7 +129,7 @@ def small(integral):
 
 def test_a_small_region_is_no_fault_and_no_excuse():
     check_integrand(small(1.0))
-    with pytest.raises(BrokenContract, match="where points give 0"):
+    with pytest.raises(BrokenContract, match="but points give 0"):
         check_integrand(small(1e4))
 
 
@@ -147,7 +156,7 @@ def test_given_closed_forms_are_looked_at():
     square = mcs.Integrand.from_function(lambda x: x[..., 0] ** 2, dims=1, integral=1 / 3)
     check_integrand(square)
     wrong = mcs.Integrand.from_function(lambda x: x[..., 0] ** 2, dims=1, integral=0.334)
-    with pytest.raises(BrokenContract, match="where points give 0.33333"):
+    with pytest.raises(BrokenContract, match="but points give 0.33333"):
         check_integrand(wrong)
 
 

@@ -34,14 +34,14 @@ def sound(self, n, stream, first, count):
 
 
 FAULTS = {
-    "no array": (lambda *a: sound(*a).tolist(), "gives list, no array"),
+    "no array": (lambda *a: sound(*a).tolist(), "gives list, not an array"),
     "shape": (lambda *a: sound(*a)[:, :-1], r"gives shape \(3, 15, 2\), not \(3, 16, 2\)"),
     "type": (lambda *a: sound(*a).astype(np.float32) * 0.5, "gives float32, not float64"),
     "range": (lambda *a: 1.0 - sound(*a) * 0.0, r"from 1.0 to 1.0, not in \[0,1\)"),
     "negative": (lambda *a: sound(*a) - 0.5, r"not in \[0,1\)"),
     "call": (
         lambda s, n, stream, first, count: sound(s, n, stream.child(count), first, count),
-        "drawn by another call",
+        "in another call",
     ),
     "bias": (lambda *a: sound(*a) ** 1.1, "its points are not uniform"),
     "one coordinate": (lambda *a: sound(*a) * [1.0, 0.0] + [0.0, 0.5], "not uniform"),

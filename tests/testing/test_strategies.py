@@ -79,7 +79,7 @@ def test_all_cheap_samplers_come_up():
 
 def test_counts_are_all_that_there_are():
     assert strategies.counts("jittered", most=30).elements == (1, 4, 9, 16, 25)
-    with pytest.raises(ParameterError, match="makes no set of 8 points or fewer; give most="):
+    with pytest.raises(ParameterError, match="cannot make a set of at most 8 points; give most="):
         strategies.counts(mcs.Sampler.from_points(np.full((9, 2), 0.5)), most=8)
 
 

@@ -102,7 +102,7 @@ def refine(
     start, most
         Number of cells to begin and to end with.
     subject
-        What messages call the function.
+        Name of the function in messages.
     probes
         Number of further points, equally spaced, at which to compare function and interpolant.
 
@@ -214,8 +214,8 @@ def _checked(values: Array, subject: str) -> Array:
     if not np.isfinite(values).all():
         bad = values[~np.isfinite(values)][0]
         raise DensityError(
-            f"{subject} is not finite ({bad:.6g}) within (0,1): a numerical inverse needs a finite "
-            "pdf there, poles at 0 only; give sample=."
+            f"{subject} is not finite ({bad:.6g}) within (0,1): a numerical inverse allows a pole "
+            "at 0 only; give sample=."
         )
     if (values < 0).any():
         raise DensityError(

@@ -1,9 +1,9 @@
-"""Integrals over the unit cube that may diverge: adaptive quadrature that keeps a record of itself.
+"""Adaptive quadrature of integrals over the unit cube that may diverge, with a record of its levels.
 
 Method
 ------
 The domain starts as equal cells. A cell is *resolved* where a Gauss-Legendre rule on it agrees with
-the same rule on its 2^d halves; the others are split, level by level. What is left unresolved at
+the same rule on its 2^d halves; the others are split, level by level. The unresolved part at
 level L lies within about 2^-L of the singularities and jumps, so that its total U_L, a sum over
 dyadic shells of a sort, tells singularities apart: next to f ~ r^-a along a line U_L shrinks like
 2^{-(1-a)L}; it stays or grows where the integral diverges.
@@ -75,7 +75,7 @@ class Quadrature:
 
     @property
     def isolated(self) -> bool:
-        """Whether the record tells: infinite, resolved, or unresolved on a volume that shrinks."""
+        """Whether the record decides: infinite, resolved, or unresolved on a shrinking volume."""
         if not math.isfinite(self.totals[-1]) or self.unresolved[-1] == 0:
             return True
         volumes = self.volumes
@@ -83,7 +83,7 @@ class Quadrature:
 
     @property
     def ratio(self) -> float:
-        """By what the unresolved part shrinks a level; 0 where nothing is left.
+        """Ratio of the unresolved parts of successive levels; 0 where nothing is left.
 
         Sums over half of the last levels against the half before: where a zero lies within its cell
         changes from level to level, and single ratios with it.
@@ -106,7 +106,7 @@ class Quadrature:
 
     @property
     def bounds(self) -> Array:
-        """`errors` with what the levels below the last would still add, as a geometric series."""
+        """`errors` plus the estimated sum of all deeper levels, a geometric series."""
         return 2.0 * self.errors / (1.0 - min(self.ratio, _SLOWEST))
 
 

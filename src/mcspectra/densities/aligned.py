@@ -31,7 +31,7 @@ _MOST_EDGES = 4096
 @final
 @dataclass(frozen=True, kw_only=True)
 class AlignedStrata(Density):
-    """Constant between edges, so that s strata a side of primary space have borders at the edges.
+    """Piecewise constant, so that equal strata of primary space have borders at given edges.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ def _checked_axis(axis: Any) -> tuple[float, ...]:
     if not isinstance(axis, Sequence | np.ndarray) or isinstance(axis, str):
         raise ParameterError(f"edges holds {axis!r}; give one list of places for each dim.")
     if len(axis) > _MOST_EDGES:
-        raise ParameterError(f"edges has {len(axis)} places; give {_MOST_EDGES} at most.")
+        raise ParameterError(f"edges has {len(axis)} places; give at most {_MOST_EDGES}.")
     places = tuple(as_real("edges", e, above=0.0) for e in axis)
     if any(not a < b for a, b in zip((0.0, *places), (*places, 1.0), strict=True)):
         raise ParameterError(f"edges is {list(places)}; give ascending places in (0, 1).")

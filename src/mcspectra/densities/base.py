@@ -210,7 +210,7 @@ class Density(Component, ABC):
             return _numerical_density(pdf, invert, dims, normalize)
         if normalize:
             raise DensityError(
-                "normalize is for a pdf alone; with sample= the pdf integrates to 1."
+                "normalize works without sample= only; leave it out and give a pdf with integral 1."
             )
         for name, function in (("pdf", pdf), ("sample", sample), ("invert", invert)):
             if not callable(function) and not (name == "invert" and function is None):
@@ -283,7 +283,7 @@ class NumericalDensity(Density):
     points within the domain. In 2-D every sampled point costs a few hundred evaluations.
 
     Details of the pdf, such as a peak, a gap or a box, are seen if they are wider than 2^-18 in 1-D,
-    in 2-D than 1/500 along both axes. What is narrower may be missed, and its mass with it: then
+    in 2-D than 1/500 along both axes. Narrower details may be missed, with their mass: then
     `normalize` divides by an integral that is too small. Tell it by ``normalize=False``, if the
     integral is known, or give sample=.
 
@@ -318,7 +318,7 @@ class NumericalDensity(Density):
         if not self.normalize and not abs(total - 1.0) <= _SAME:
             raise DensityError(
                 f"The pdf of {self.spec} integrates to {total:.12g} over the unit domain, not to 1; "
-                "divide by that, or give normalize=True."
+                "divide it by this number, or give normalize=True."
             )
 
     @property
@@ -428,7 +428,7 @@ def divide_by_density(
     values, pdf, x
         Of f or of a constant, of p, and the samples (..., d).
     spec
-        What messages call the estimator.
+        Name of the estimator in messages.
     constant
         Whether the values are those of a constant, so that the ratio is a weight.
 
@@ -449,15 +449,16 @@ def divide_by_density(
         return np.asarray(values / scaled)
     bad = zero & (values != 0 if values.ndim == pdf.ndim else (values != 0).any(axis=-1))
     if bad.any():
-        what = "so that its weight is infinite" if constant else "where f is not"
+        what = "so that its weight is infinite" if constant else "where f is not 0"
         raise DensityError(
             f"The density of {spec} is 0 at the sample {point_in_words(x[bad][0])}, {what}; "
-            "randomise the sampler (such as '| shift') if that is so on a line or a face only, else "
-            "choose a density that is positive wherever f is not 0."
+            "if the density is 0 on a line or a face only, randomise the sampler (for instance with "
+            "'| shift'); else choose a density that is positive wherever f is not 0."
         )
     warn(
         f"f and the density of {spec} are both 0 at the sample {point_in_words(x[zero][0])}: f/p "
-        "counts as 0 there, whatever its limit; randomise the sampler (such as '| shift').",
+        "counts as 0 there, whatever its limit; randomise the sampler (for instance with "
+        "'| shift').",
         UndefinedRatioWarning,
     )
     return np.asarray(values / np.where(scaled > 0, scaled, 1.0))
@@ -529,8 +530,8 @@ def reciprocal_integral(density: Density) -> float:
     In 1-D and 2-D adaptive quadrature (`mcspectra.densities.adaptive`) splits the cells around zeros
     of p. Where p ~ r^a next to a zero at distance r, what is left unresolved shrinks by 2^{a−1}
     a level next to a point in 1-D or a line in 2-D, and 2^{a-2} next to a point in 2-D: the integral
-    diverges where that ratio reaches 1. Ratios above 0.98 are counted as divergent, so a > 0.97 is
-    not told from 1. The rest of the geometric series is added (Aitken). Cells where p = 0 make it
+    diverges where that ratio reaches 1. Ratios above 0.98 are counted as divergent, so a > 0.97 cannot
+    be distinguished from 1. The rest of the geometric series is added (Aitken). Cells where p = 0 make it
     infinite. Relative errors are about 1e-7 in 1-D; 1e-4 in 2-D where p jumps along curves.
 
     In 3-D and more, and in 2-D where p jumps all over the domain, this is a heuristic: the mean of
@@ -558,7 +559,7 @@ def check_density(density: Density) -> None:
     Raises
     ------
     DensityError
-        The message says what is wrong and, where it can be told, which function is at fault.
+        The message names the error and, where possible, the function at fault.
 
     Notes
     -----
@@ -568,7 +569,7 @@ def check_density(density: Density) -> None:
       into each of 64 (16 × 16) cells, and of the cells of 2, 4, … times the edge, is compared with
       the integral of the pdf over the cell; the bound is 7 standard errors, 0.4/4096 for counts
       that are alike in all sets, and the quadrature's error. So in 1-D a mass of 1/2 that is
-      0.1 % wrong is found, one of 1/64 that is 2 % wrong; what is wrong within a cell is not.
+      0.1 % wrong is found, one of 1/64 that is 2 % wrong; errors within a cell are not.
       In 3-D and more, where cells say little: |det ∂T/∂u| · p(T(u)) = 1, by central differences,
       at 98 % of 512 points (the others may lie next to a jump). Where the warp is not one-to-one
       (`Density.one_to_one`): the share of the sets in each of 8 slabs of every axis against the
@@ -590,12 +591,16 @@ def _check(density: Density) -> None:
     loop = _round_trip(density, u[0], x[0])
     problem = _sampling_problem(density, u, x)
     if problem:
-        blame = "" if loop is None or not density.has_inverse else " (invert does not fit either)"
+        blame = (
+            ""
+            if loop is None or not density.has_inverse
+            else " (invert does not undo sample either)"
+        )
         if loop is None and density.has_inverse:
-            blame = "; sample and invert agree, so it is the pdf that does not fit them"
+            blame = "; sample and invert agree, so the pdf is wrong"
         raise DensityError(f"{problem}{blame}.")
     if loop:
-        raise DensityError(f"{loop}; sample and pdf agree, so it is invert that does not fit them.")
+        raise DensityError(f"{loop}; sample and pdf agree, so invert is wrong.")
 
 
 def _sampling_problem(density: Density, u: Array, x: Array) -> str | None:

@@ -1,4 +1,4 @@
-"""MIS compensation: a tabulated density that leaves to the other techniques what they do already.
+"""MIS compensation: a tabulated density, lowered where other techniques sample enough already.
 
 With the balance heuristic and f proportional to a table p, the points of all techniques together
 should be distributed as p. Technique τ has a share β_τ = n_τ/Σ n of them, so that its own density
@@ -55,7 +55,7 @@ def compensated(
     Notes
     -----
     The others count by their means over cells, from Gauss rules of 4 nodes an axis. A cell in which
-    one of these nodes finds all others 0 keeps all of λ p, so that what f needs stays covered;
+    one of these nodes finds all others 0 keeps all of λ p, so that f stays covered;
     `MultipleImportance` checks this again. Only f proportional to p is served best: where f has
     further factors, compensation still is unbiased.
 
@@ -101,7 +101,7 @@ def _shares(counts: Any, techniques: int) -> Array:
     given = (1,) * techniques if counts is None else counts
     if not isinstance(given, list | tuple | np.ndarray) or len(given) != techniques:
         raise ParameterError(
-            f"counts is {counts!r:.80}; give {techniques} numbers: of the table, then of the others."
+            f"counts is {counts!r:.80}; give {techniques} numbers, that of the table first."
         )
     values = [as_integer(f"counts[{i}]", c, least=1) for i, c in enumerate(given)]
     return np.array(values) / sum(values)

@@ -116,7 +116,7 @@ class EnvironmentDensity(Density):
 
     @property
     def _source(self) -> str:
-        """What messages call the map."""
+        """Name of the map in messages."""
         return "The environment map" if self.path is None else str(self.path)
 
     @property
@@ -126,7 +126,7 @@ class EnvironmentDensity(Density):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Those of the table."""
+        """Breaks of the table."""
         return self._inside.breaks
 
     def zero_points(self) -> Array:
@@ -134,7 +134,7 @@ class EnvironmentDensity(Density):
         return self._inside.zero_points()
 
     def reciprocal_integral(self) -> float:
-        """That of the table."""
+        """∫1/p of the table."""
         return self._inside.reciprocal_integral()
 
     def _pdf(self, x: Array) -> Array:

@@ -44,7 +44,7 @@ class Mixture(Density):
     Attributes
     ----------
     dims
-        Number of dims; by default that of the parts, 2 where they are spec strings that do not say.
+        Number of dims; by default that of the parts, 2 where they are spec strings without ``dims``.
     parts
         Densities p_t or spec strings.
     weights
@@ -181,7 +181,7 @@ class Defensive(Density):
     Attributes
     ----------
     dims
-        Number of dims; by default that of the density, 2 where its spec string does not say.
+        Number of dims; by default that of the density, 2 where its spec string has no ``dims``.
     density
         A density or spec string.
     share
@@ -267,7 +267,7 @@ def _common_dims(parts: tuple[Density, ...], asked: int | None) -> int:
     deeper = next((part for part in parts if part.primary_dims != part.dims), None)
     if deeper is not None:
         raise ParameterError(
-            f"{deeper.spec} chooses by an extra coordinate; parts of a mixture choose by "
+            f"{deeper.spec} needs an extra coordinate; parts of a mixture must have "
             "selection='coordinate'."
         )
     return dims
@@ -282,6 +282,6 @@ def _as_weights(given: Any, length: int) -> tuple[float, ...]:
     if not np.isfinite(weights).all() or weights.min() <= 0 or not math.isfinite(weights.sum()):
         raise ParameterError(
             f"weights run from {weights.min():g} to {weights.max():g}; they must be finite and "
-            "greater than 0: leave out parts without a share."
+            "greater than 0: leave out parts of weight 0."
         )
     return tuple(plain(weights))

@@ -1,4 +1,4 @@
-"""The warp of a pdf that alone is known: numerical inversion, in one and two dims.
+"""The warp of a pdf without a known sampling function: numerical inversion, in 1-D and 2-D.
 
 1-D: the axis is cut into cells on which 12-point Chebyshev interpolants of the pdf are as accurate as
 rounding; jumps and kinks are closed in by ever smaller cells. The cdf is the integral of the
@@ -51,7 +51,7 @@ class _Axis:
         sums = np.concatenate([[0.0], np.cumsum(cells.masses(values))])
         total = float(sums[-1])  # so that the cdf is exactly 1 where nothing follows
         if not total > 0:
-            raise DensityError("The pdf is 0 wherever it was evaluated; a density is not.")
+            raise DensityError("The pdf is 0 at all evaluated points; its integral must be 1.")
         density, integral = cells.series(values / total, cells.width)
         return _Axis(cells, density, integral, sums / total, total)
 
@@ -100,7 +100,7 @@ class NumericalWarp:
     dims
         d, 1 or 2.
     spec
-        What messages call the density.
+        Name of the density in messages.
     """
 
     pdf: Callable[[Array], Array]

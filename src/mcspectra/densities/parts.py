@@ -24,12 +24,12 @@ def as_parts(given: Any, dims: int) -> tuple[Density, ...]:
     given
         The list, not empty.
     dims
-        Number of dims of spec strings that do not say.
+        Number of dims of spec strings without ``dims``.
 
     Raises
     ------
     ParameterError
-        Not a list, empty, more than 1024, or a part is no density.
+        Not a list, empty, more than 1024, or a part is not a density.
     """
     if not isinstance(given, list | tuple) or not 0 < len(given) <= MAX_PARTS:
         raise ParameterError(
@@ -39,7 +39,7 @@ def as_parts(given: Any, dims: int) -> tuple[Density, ...]:
 
 
 def as_part(part: Any, dims: int) -> Density:
-    """Return one density; a spec string that does not say its dims gets `dims`."""
+    """Return one density; a spec string without dims gets `dims`."""
     if isinstance(part, str):
         call = parse(part)
         takes = "dims" in inspect.signature(DENSITIES.load(call.name)).parameters

@@ -121,7 +121,9 @@ def _as_nodes(values: object) -> Array:
     """Check relative densities at nodes and return them as a read-only copy."""
     table = as_real_array("values", values).copy()
     if table.ndim != 1 or table.size < 2:
-        raise ParameterError(f"values have shape {table.shape}; give (k,), two nodes or more.")
+        raise ParameterError(
+            f"values have shape {table.shape}; give a flat list of at least two nodes."
+        )
     if not np.isfinite(table).all() or table.min() < 0 or not table.any():
         raise ParameterError(
             f"values run from {table.min():g} to {table.max():g}; "

@@ -29,7 +29,7 @@ class Product(Density):
     Attributes
     ----------
     parts
-        Densities or spec strings. A spec string that does not say ``dims=`` stands for one dim:
+        Densities or spec strings. A spec string without ``dims`` stands for one dim:
         ``product(parts=["linear(slope=1)", "tent"])`` is in 2-D.
     """
 
@@ -39,7 +39,9 @@ class Product(Density):
     def __post_init__(self) -> None:
         parts = as_parts(self.parts, 1)
         if sum(part.dims for part in parts) > MAX_DIMS:
-            raise ParameterError(f"The parts of a product have more than {MAX_DIMS} dims in all.")
+            raise ParameterError(
+                f"The parts of a product have more than {MAX_DIMS} dims in all; use fewer parts."
+            )
         object.__setattr__(self, "parts", parts)
 
     @property
@@ -69,7 +71,7 @@ class Product(Density):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Those of the parts, on their axes."""
+        """Breaks of the parts, on their axes."""
         return tuple(axis for part in self.parts for axis in part.breaks)
 
     def zero_points(self) -> Array:

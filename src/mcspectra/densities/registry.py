@@ -55,7 +55,7 @@ def density(spec: str, dims: int | None = None) -> Density:
     Raises
     ------
     SpecError
-        The spec cannot be read; `UnknownName` if nobody registered the name.
+        The spec cannot be read; `UnknownName` if the name is not registered.
     ParameterError
         A parameter is unknown, missing or out of range, or dims disagree.
 
@@ -79,7 +79,7 @@ def as_density(given: object, dims: int | None = None) -> Density | None:
     Raises
     ------
     ParameterError
-        `given` is something else, or a density of other dims.
+        `given` has another type, or other dims.
     """
     if given is None:
         return None
@@ -102,7 +102,7 @@ def as_warp(given: object, primary_dims: int) -> Density | None:
     Raises
     ------
     ParameterError
-        `given` is something else, or takes points of other dims.
+        `given` has another type, or takes points of other dims.
     """
     found = _fitting(given, primary_dims) if isinstance(given, str) else as_density(given)
     if found is not None and found.primary_dims != primary_dims:

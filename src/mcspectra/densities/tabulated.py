@@ -139,7 +139,7 @@ class PiecewiseConstant(Density):
     def _invert(self, x: Array) -> Array:
         if not self.has_inverse:
             raise DensityError(
-                f"{self.spec} takes several u to one x and has no inverse; choose another warp."
+                f"{self.spec} maps several u to one x and has no inverse; choose another warp."
             )
         u = np.empty(x.shape)
         self._warp.invert(flat(x), u.reshape(-1, self.dims))
@@ -199,7 +199,7 @@ class ImageDensity(Density):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Those of the table (see `PiecewiseConstant.breaks`)."""
+        """Breaks of the table (see `PiecewiseConstant.breaks`)."""
         return self._inside.breaks
 
     def zero_points(self) -> Array:
@@ -234,7 +234,7 @@ def as_table(values: object) -> Array:
         raise ParameterError(f"values have shape {given.shape}; give (w,) or (h, w), not empty.")
     if given.size > _MOST_CELLS:
         raise ParameterError(
-            f"values have shape {given.shape}; tables hold {_MOST_CELLS:.3g} cells at most."
+            f"values have shape {given.shape}; tables hold at most {_MOST_CELLS:.3g} cells."
         )
     table = np.array(given, dtype=np.float64)
     if not np.isfinite(table).all() or table.min() < 0 or not table.any():

@@ -54,7 +54,7 @@ class GridDensity(Density):
             )
         given = [self.nodes] if np.ndim(self.nodes[0]) == 0 else self.nodes
         if len(given) > _MAX_DIMS:
-            raise ParameterError(f"nodes has {len(given)} dims; {_MAX_DIMS} at most.")
+            raise ParameterError(f"nodes has {len(given)} dims; give at most {_MAX_DIMS}.")
         lines = tuple(_as_nodes(f"nodes[{i}]", line) for i, line in enumerate(given))
         object.__setattr__(self, "nodes", lines)
 

@@ -1,4 +1,4 @@
-"""What an estimator is to the analyses: techniques, each a warp, a weight and an integrand.
+"""The interface of estimators: techniques, each a warp, a weight and an integrand.
 
 An estimator with techniques t = 0 … T−1 draws n_t = n · counts[t] points u_tk of a sampler for each
 and returns I = Σ_t (1/n_t) Σ_k g_t(u_tk). Two views of it are analysed:
@@ -55,7 +55,7 @@ class AbstractEstimator(ABC):
 
     @property
     def sets_label(self) -> str:
-        """What `spec` says of `sets`."""
+        """The part of `spec` that states `sets`."""
         return "" if self.sets == "independent" else f" ({self.sets} sets)"
 
     @property
@@ -76,12 +76,12 @@ class AbstractEstimator(ABC):
     @property
     @abstractmethod
     def spec(self) -> str:
-        """Text that says which estimator this is, for provenance."""
+        """Text that identifies this estimator, for provenance."""
 
     @property
     @abstractmethod
     def integral(self) -> Any:
-        """What is estimated: a float or an array (channels,)."""
+        """The exact value of the integral: a float or an array (channels,)."""
 
     @property
     @abstractmethod
@@ -135,7 +135,7 @@ class AbstractEstimator(ABC):
         raise NotImplementedError
 
     def randomized(self, sampler: Sampler) -> Sampler:
-        """What `draw` draws its points from: `sampler`, or more made of it."""
+        """The sampler that `draw` uses: `sampler`, or `sampler` with randomisations added."""
         return sampler
 
     def check_sampler(self, sampler: Sampler, n: int) -> None:
@@ -148,7 +148,7 @@ class AbstractEstimator(ABC):
         if not sampler.independent:
             warn(
                 f"The realisations of {sampler.spec} are the pixels of one image, not independent: "
-                "variances over them are those within it, and their intervals too narrow or wide.",
+                "their variance is that within one image, and its interval may be too narrow or wide.",
                 DependentRealizationsWarning,
             )
         for technique, size in enumerate(set_sizes(self.sets, self.counts, n)):
@@ -166,8 +166,8 @@ class AbstractEstimator(ABC):
         """Raise NoClosedForm where the variance is not the sum of those of the techniques."""
         if self.sets != "independent" and len(self.counts) > 1:
             raise NoClosedForm(
-                f"The techniques of {self.spec} are correlated, and only the variances of "
-                "independent ones are known; use convergence or technique_terms."
+                f"The techniques of {self.spec} are correlated; the variance is known for "
+                "independent ones only; use convergence or technique_terms."
             )
 
     def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:
@@ -203,7 +203,7 @@ class AbstractEstimator(ABC):
 
 
 class DomainEstimator(AbstractEstimator):
-    """An estimator of one integrand f on one domain: what it knows of f.
+    """An estimator of one integrand f on one domain.
 
     Attributes
     ----------
@@ -230,7 +230,7 @@ class DomainEstimator(AbstractEstimator):
 
     @property
     def integral_source(self) -> str:
-        """Where `integral` comes from."""
+        """Source of `integral`."""
         return self.integrand.integral_source
 
     @property
@@ -252,7 +252,7 @@ class Weighted(Protocol):
         """One technique without the others."""
 
     def technique_name(self, technique: int) -> str:
-        """What to call a technique."""
+        """Name of a technique."""
 
 
 def check_counts(counts: Any, techniques: int) -> tuple[int, ...]:
@@ -262,6 +262,6 @@ def check_counts(counts: Any, techniques: int) -> tuple[int, ...]:
     values = tuple(counts) if isinstance(counts, list | tuple | np.ndarray) else (counts,)
     if len(values) != techniques:
         raise ParameterError(
-            f"counts is {counts!r:.60}, {len(values)} for {techniques} techniques; give one for each."
+            f"counts is {counts!r:.60}; give one number for each technique, {techniques} in all."
         )
     return tuple(as_integer(f"counts[{i}]", c, least=1) for i, c in enumerate(values))

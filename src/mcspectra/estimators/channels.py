@@ -1,7 +1,7 @@
 """Colour: every channel importance-sampled by a density of its own, or all by one.
 
-One density for all channels, such as that of the luminance, leaves f_c/p with the jumps of p where
-f_c has none, or others; a density for each channel takes them out and the rate is that of what is left.
+One density for all channels, such as the density of the luminance, gives f_c/p jumps where p jumps
+and f_c does not; a density for each channel removes them, and the rest of f_c sets the rate.
 Four ways, made side by side by `channel_estimators`:
 
 ``one``
@@ -56,7 +56,7 @@ class ChannelSampling(AbstractEstimator):
     sets
         ``"independent"``: each channel has points of its own; ``"shared"``: all warp the same ones.
     dims
-        Number of dims for spec strings that do not say.
+        Number of dims for spec strings without ``dims``.
 
     Raises
     ------
@@ -106,12 +106,12 @@ class ChannelSampling(AbstractEstimator):
 
     @property
     def integral_source(self) -> str:
-        """Where `integral` comes from."""
+        """Source of `integral`."""
         return self.integrand.integral_source
 
     @property
     def integral_error(self) -> float:
-        """That of ∫ f."""
+        """Error of ∫ f."""
         return integral_accuracy(self.integrand)[1]
 
     @property
@@ -157,7 +157,7 @@ def channel_estimators(
     one
         A density for all channels, such as the luminance's; None leaves that way out.
     dims
-        Number of dims for spec strings that do not say.
+        Number of dims for spec strings without ``dims``.
 
     Returns
     -------

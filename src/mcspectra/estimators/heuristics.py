@@ -68,7 +68,7 @@ _FEW_CELLS = 2**12  # whether an integral diverges shows long before its value i
 
 
 class Heuristic(Component, ABC):
-    """How techniques are combined: `ratio` says it for given q_t, `fit` for given f and p_t."""
+    """A rule that combines techniques: `ratio` gives weights from q_t, `fit` from f and p_t."""
 
     @property
     def bounded(self) -> bool:
@@ -77,7 +77,7 @@ class Heuristic(Component, ABC):
 
     @property
     def smooth(self) -> bool:
-        """Whether weights are as smooth as the densities; otherwise they fall to 0 at a jump."""
+        """Whether weights are as smooth as the densities; if not, they jump to 0."""
         return True
 
     @property
@@ -96,7 +96,7 @@ class Heuristic(Component, ABC):
         return Combination(self, tuple(densities), tuple(map(float, shares)))
 
     def adapt(self, pilot: Pilot) -> tuple[tuple[float, ...], Array | None]:
-        """Return `shares` and `control` of the `Combination` that suits what a pilot finds."""
+        """Return `shares` and `control` of the `Combination` that suits the values of a pilot."""
         return tuple(map(float, pilot.shares)), None
 
     @abstractmethod
@@ -105,7 +105,7 @@ class Heuristic(Component, ABC):
 
 
 class Pilot(ABC):
-    """What a heuristic that knows f may ask: f and all p_t at points that a technique samples.
+    """Interface to f and all p_t at sampled points, for heuristics that use f.
 
     Points are rows of an array that only the pilot itself reads: of a domain that the techniques
     share, or records of what a renderer found along a path.
@@ -154,7 +154,7 @@ class Pilot(ABC):
         Raises
         ------
         ParameterError
-            They share none.
+            The techniques share no domain.
         """
         raise ParameterError(
             "These techniques share no domain to integrate over; give pilot='samples'."
@@ -336,11 +336,11 @@ class Maximum(Heuristic):
 
     @property
     def smooth(self) -> bool:
-        """It is not."""
+        """False: weights jump where densities cross."""
         return False
 
     def ratio(self, q: Array, technique: int) -> Array:
-        """That of `cutoff` with α = 1."""
+        """Ratio of `cutoff` with α = 1."""
         return Cutoff(alpha=1.0).ratio(q, technique)
 
 
@@ -366,7 +366,7 @@ def as_heuristic(given: object) -> Heuristic:
     UnknownName, SpecError
         The spec names no heuristic, or cannot be read.
     ParameterError
-        A parameter is out of range, or `given` is something else.
+        A parameter is out of range, or `given` has another type.
     """
     if isinstance(given, Heuristic):
         return given

@@ -43,8 +43,8 @@ class Estimator(DomainEstimator):
     Raises
     ------
     DensityError
-        p is zero at points where f is not: found by probing (`mcspectra.estimators.support`); what
-        slips through is an error when it is sampled, or a bias.
+        p is zero at points where f is not: found by probing (`mcspectra.estimators.support`); a
+        region that is missed is an error when it is sampled, or a bias.
     ParameterError
         Different numbers of dims.
     """
@@ -121,7 +121,7 @@ def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
     Raises
     ------
     ParameterError
-        `given` is something else.
+        `given` has another type.
     """
     if isinstance(given, AbstractEstimator):
         return given
@@ -139,7 +139,7 @@ def as_subject(estimator: Any, sampler: Any, *, lists: bool = False) -> Subject:
     Parameters
     ----------
     estimator, sampler
-        What `as_estimator` and `mcspectra.samplers.as_sampler` take; with `lists` one or a list of each.
+        As for `as_estimator` and `mcspectra.samplers.as_sampler`; with `lists` one or a list of each.
 
     Raises
     ------
@@ -168,6 +168,6 @@ def check_same_dims(components: list[Any]) -> None:
     for component in components:
         if isinstance(component, Density) and component.primary_dims != component.dims:
             raise ParameterError(
-                f"{component.spec} needs an extra coordinate, which a technique of several does "
-                "not have; use selection='coordinate', or its parts as techniques."
+                f"{component.spec} needs an extra coordinate, which is not available with "
+                "several techniques; use selection='coordinate', or its parts as techniques."
             )

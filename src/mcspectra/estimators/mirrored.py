@@ -25,18 +25,18 @@ class Mirrored(AbstractEstimator):
     Parameters
     ----------
     estimator
-        What is mirrored: an estimator with any number of techniques, an integrand, or its spec.
+        The estimator to mirror (any number of techniques), an integrand, or its spec.
     mode
         ``"integrand"``: the sampler's points u are spread over the 2^d mirror images, at 2u, and
         folded back, u → 1 − |2u − 1|; ``"random"``: every coordinate of every point is reflected
         or not, as by a fair coin; ``"uniform"``: n/2^d points are put into all 2^d images each.
     dims
-        Number of dims for spec strings that do not say.
+        Number of dims for spec strings without ``dims``.
 
     Raises
     ------
     ParameterError
-        Unknown mode, or something that is no estimator.
+        Unknown mode, or `estimator` is not an estimator.
 
     Notes
     -----
@@ -108,17 +108,17 @@ class Mirrored(AbstractEstimator):
 
     @property
     def integral(self) -> Any:
-        """That of the estimator inside."""
+        """Integral of the estimator inside."""
         return self.estimator.integral
 
     @property
     def integral_source(self) -> str:
-        """That of the estimator inside."""
+        """Source of `integral`."""
         return self.estimator.integral_source
 
     @property
     def integral_error(self) -> float:
-        """That of the estimator inside."""
+        """Error of `integral`."""
         return self.estimator.integral_error
 
     @property
@@ -128,12 +128,12 @@ class Mirrored(AbstractEstimator):
 
     @property
     def pilot_evaluations(self) -> int:
-        """Those of the estimator inside."""
+        """Pilot evaluations of the estimator inside."""
         return self.estimator.pilot_evaluations
 
     @property
     def infinite_weights(self) -> bool:
-        """That of the estimator inside."""
+        """Whether the estimator inside has infinite weights."""
         return self.estimator.infinite_weights
 
     def randomized(self, sampler: Sampler) -> Sampler:
@@ -142,7 +142,7 @@ class Mirrored(AbstractEstimator):
         return source if self.mode == "integrand" else source.then(Mirror(mode=self.mode))
 
     def check_sampler(self, sampler: Sampler, n: int) -> None:
-        """Raise unless the estimator inside can do with what `randomized` makes of `sampler`."""
+        """Raise unless the estimator inside accepts the sampler that `randomized` returns."""
         self.estimator.check_sampler(self.randomized(sampler), n)
 
     def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:

@@ -43,7 +43,7 @@ class MultipleImportance(DomainEstimator):
         How the points of the techniques belong together: ``"independent"``, ``"shared"`` or
         ``"joint"``, see `mcspectra.estimators.sets`.
     dims
-        Number of dims for spec strings that do not say.
+        Number of dims for spec strings without ``dims``.
 
     Raises
     ------
@@ -83,12 +83,12 @@ class MultipleImportance(DomainEstimator):
 
     @property
     def evaluations_per_point(self) -> int:
-        """Those of f."""
+        """Evaluations of f for one value."""
         return self.integrand.evaluations_per_point
 
     @property
     def pilot_evaluations(self) -> int:
-        """Those of the heuristic."""
+        """Pilot evaluations of the heuristic."""
         return self.combination.heuristic.pilot_evaluations
 
     @property
@@ -98,7 +98,7 @@ class MultipleImportance(DomainEstimator):
 
     @property
     def domain_integrand(self) -> Integrand:
-        """f; with optimal weights what is left of it, f − Σ α_t p_t, which has the same variance."""
+        """f; with optimal weights the residual f − Σ α_t p_t, which has the same variance."""
         controlled = self.combination.control is not None
         return Residual(self.integrand, self.combination) if controlled else self.integrand
 
@@ -187,7 +187,7 @@ class TechniqueSum(AbstractEstimator):
         How the points of the techniques belong together: ``"independent"``, ``"shared"`` or
         ``"joint"``, see `mcspectra.estimators.sets`.
     dims
-        Number of dims for spec strings that do not say.
+        Number of dims for spec strings without ``dims``.
     """
 
     def __init__(

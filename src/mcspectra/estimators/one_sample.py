@@ -52,14 +52,14 @@ class OneSampleMIS(DomainEstimator):
         ``"extra"``: the last of d + 1 coordinates chooses; ``"coordinate"``: the first of d chooses, and is
         stretched to be used again. The coordinate's borders are Σ_{s<t} P_s.
     dims
-        Number of dims of f for spec strings that do not say.
+        Number of dims of f for spec strings without ``dims``.
 
     Raises
     ------
     DensityError
         All densities are zero at points where f is not.
     ParameterError
-        No density, unknown heuristic, probabilities that are none.
+        No density, unknown heuristic, or invalid probabilities.
 
     Notes
     -----
@@ -114,12 +114,12 @@ class OneSampleMIS(DomainEstimator):
 
     @property
     def evaluations_per_point(self) -> int:
-        """Those of f."""
+        """Evaluations of f for one value."""
         return self.integrand.evaluations_per_point
 
     @property
     def pilot_evaluations(self) -> int:
-        """Those of the heuristic."""
+        """Pilot evaluations of the heuristic."""
         return self.combination.heuristic.pilot_evaluations
 
     @property
@@ -129,7 +129,7 @@ class OneSampleMIS(DomainEstimator):
 
     @property
     def domain_integrand(self) -> Integrand:
-        """f; with optimal weights what is left of it, f − Σ α_t p_t, which has the same variance."""
+        """f; with optimal weights the residual f − Σ α_t p_t, which has the same variance."""
         controlled = self.combination.control is not None
         return Residual(self.integrand, self.combination) if controlled else self.integrand
 
@@ -228,7 +228,7 @@ def _as_probabilities(given: Sequence[float] | None, techniques: int) -> tuple[f
         return (1.0 / techniques,) * techniques
     if not isinstance(given, list | tuple | np.ndarray) or len(given) != techniques:
         raise ParameterError(
-            f"probabilities is {given!r:.80}; give a list of {techniques}, one a density."
+            f"probabilities is {given!r:.80}; give a list of {techniques}, one for each density."
         )
     found = as_reals("probabilities", given, techniques, above=0.0, most=1.0)
     if abs(sum(found) - 1.0) > _SUM:

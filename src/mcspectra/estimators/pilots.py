@@ -67,7 +67,7 @@ class Optimal(Heuristic):
         return self.samples if self.pilot == "samples" else 0
 
     def ratio(self, q: Array, technique: int) -> Array:
-        """That of `balance`, for the residual."""
+        """Ratio of `balance`, for the residual."""
         return Balance().ratio(q, technique)
 
     def fit(
@@ -101,8 +101,8 @@ class VarianceAware(Heuristic):
     """Balance with counts times v_t = second moment / variance of technique t [Grittmann2019]_.
 
     w_t = v_t n_t p_t / Σ_s v_s n_s p_s with v_t = 1 + μ_t²/σ_t² of one random sample of f/p_t alone
-    (at most 10⁸): a technique of low variance gets more than its second moment, which the balance
-    heuristic looks at, says. Of several channels, the mean is looked at.
+    (at most 10⁸): a technique of low variance gets more weight than by the balance
+    heuristic, which uses second moments. With several channels their mean is used.
 
     Attributes
     ----------
@@ -129,7 +129,7 @@ class VarianceAware(Heuristic):
         return self.samples if self.pilot == "samples" else 0
 
     def ratio(self, q: Array, technique: int) -> Array:
-        """That of `balance`, for q that hold the factors."""
+        """Ratio of `balance`, with the factors in q."""
         return Balance().ratio(q, technique)
 
     def fit(
@@ -164,7 +164,7 @@ class VarianceAware(Heuristic):
 @final
 @dataclass(frozen=True)
 class Residual(Integrand):
-    """What the control variate leaves, f − Σ α_t p_t: the domain view of optimal weights."""
+    """The residual f − Σ α_t p_t of the control variate: the domain view of optimal weights."""
 
     name: ClassVar[str] = "residual"
     integrand: Integrand
@@ -187,7 +187,7 @@ class Residual(Integrand):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Those of f and, in 1-D, of the densities."""
+        """Breaks of f and, in 1-D, of the densities."""
         return _breaks(self.integrand, self.combination.densities)
 
     def _evaluate(self, x: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Integrands folded and symmetrised: what mirroring makes of a primary-space integrand.
+"""Folded and symmetrised integrands: mirroring turns a primary-space integrand into one of them.
 
 With f reflected at its upper faces, g(k + x) = f(x reflected in the coordinates with k_j = 1) for
 k ∈ {0,1}^d is continuous and of period 2. The two ways of having period 1 again are to stretch,

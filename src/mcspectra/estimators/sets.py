@@ -61,7 +61,7 @@ def draw_sets(
 ) -> list[Array]:
     """Points of each technique, (count, n · counts[t], d), for realisations first … first+count−1.
 
-    What is drawn first uses `stream` itself: it gets the points of ``sampler.draw(size, rng)``.
+    The first draw uses `stream` itself: it gets the points of ``sampler.draw(size, rng)``.
     """
     sizes = set_sizes(sets, counts, n)
     streams = [stream, *(stream.child(_TECHNIQUE + t) for t in range(1, len(sizes)))]

@@ -41,7 +41,7 @@ def split_mixture(
     Raises
     ------
     ParameterError
-        Not a mixture, or the shares are no fractions of a denominator up to `most`.
+        Not a mixture, or the shares have no common denominator up to `most`.
 
     Examples
     --------
@@ -68,7 +68,7 @@ def _counts(shares: Array, most: int) -> list[int]:
     if far > _EXACT or total > most or sum(fractions) != 1:
         shown = ", ".join(f"{share:.6g}" for share in shares)
         raise ParameterError(
-            f"The shares {shown} are no fractions of a common denominator up to {most}; choose "
-            "weights that are whole numbers with a small sum, or a larger most."
+            f"The shares {shown} have no common denominator up to {most}; give weights that are "
+            "whole numbers with a small sum, or raise most."
         )
     return [int(fraction * total) for fraction in fractions]

@@ -1,17 +1,17 @@
-"""Is there a part of the domain where f is not 0 but the density is? A search by probing.
+"""Search by probing for a part of the domain where f is not 0 but the density is.
 
-What is probed, all of it deterministic:
+Probes, all deterministic:
 
 * 4096 points of an additive recurrence, and in 1-D the centres of 8192 cells;
 * points next to faces and corners, at distances 2^-4, 2^-8 and 2^-12;
 * the zeros that densities know of (empty cells of tables, wherever they lie);
-* what integrands know of: both sides of their breaks, the brightest pixels of a picture;
+* landmarks of integrands: both sides of their breaks, the brightest pixels of a picture;
 * in 1-D, and in 1-D parts of products and mixtures, the gaps of the warp: a region where p = 0 is
   a jump of T, and bisection of 1024 intervals of u closes in on jumps, wider than 2^-30, of which
   the largest in each interval counts.
 
 Where p is 0 only at points (a power at 0, a tent at its ends) nothing is found: no probe lies there.
-What slips through is a region that none of this hits, in 2-D and more, and gaps that a density's
+The search misses a region without a probe, in 2-D and more, and gaps that a density's
 warp does not have: one computed from a pdf alone knows those wider than 2^-18
 (`mcspectra.densities.NumericalDensity`).
 """

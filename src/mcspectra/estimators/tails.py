@@ -1,6 +1,6 @@
-"""How much of ∫f²/p lies where no sample will fall: a measured variance knows nothing of it.
+"""The share of ∫f²/p where no sample will fall: a measured variance misses it.
 
-∫1/p and the variance may be finite and yet far beyond what any simulation measures: with f = 1 and
+∫1/p and the variance may be finite and yet far larger than any simulation can measure: with f = 1 and
 p normal about ½ with σ = 0.02, ∫f²/p is 4e131, and 99.8 % of it come from x within 0.005 of the
 ends, where one sample in 3e134 falls.
 """
@@ -26,7 +26,7 @@ def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:
     Parameters
     ----------
     estimator
-        Other than an `Estimator` with a density the answer is 0.
+        The share is 0 for anything but an `Estimator` with a density.
     samples
         Number N of all samples, over all realisations: the region has the mass 1/N.
 
@@ -34,8 +34,8 @@ def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:
     -----
     Means over points of an additive recurrence, as many as samples but 4096 to 65 536, so that this
     costs no more than the simulation: a region that holds none of them counts as
-    empty, so in many dims the share is too small rather than too large. Of several channels the
-    largest share counts.
+    empty, so in many dims the share is too small rather than too large. With several channels the
+    largest share is returned.
     """
     if not isinstance(estimator, Estimator) or estimator.density is None:
         return 0.0
@@ -52,12 +52,12 @@ def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:
 
 
 def unsampled_note(estimator: AbstractEstimator, samples: int) -> str | None:
-    """Return a sentence where a tenth or more of ∫f²/p is out of reach of so many samples."""
+    """Return a sentence if a tenth or more of ∫f²/p lies where no sample is expected."""
     share = unsampled_share(estimator, samples)
     if share < _LARGE:
         return None
     return (
-        f"{100 * share:.3g} % of ∫f²/p lies where p leaves less than one of the {samples} samples: "
+        f"{100 * share:.3g} % of ∫f²/p lies where less than one of the {samples} samples is expected: "
         "the true variance may be far above the measured one and its interval; choose a density "
         "with heavier tails, such as defensive(density=…)"
     )

@@ -79,7 +79,7 @@ def compiled(text: str, dims: int) -> Expression:
     Raises
     ------
     ParameterError
-        It is too long, no formula, or holds what formulas do not have.
+        It is too long, not a formula, or contains a part that formulas do not have.
     """
     reader = _Reader(dims)
     evaluate = reader.read(_parsed(text).body)
@@ -89,7 +89,7 @@ def compiled(text: str, dims: int) -> Expression:
 def _parsed(text: str) -> ast.Expression:
     if len(text) > MOST_CHARACTERS:
         raise ParameterError(
-            f"The formula has {len(text)} characters; {MOST_CHARACTERS} at most are read."
+            f"The formula has {len(text)} characters; give at most {MOST_CHARACTERS}."
         )
     try:
         tree = ast.parse(text.strip(), mode="eval")
@@ -111,8 +111,8 @@ def _check_size(tree: ast.Expression) -> None:
         level = [child for node in level for child in ast.iter_child_nodes(node) if _counts(child)]
     if parts > MOST_PARTS or depth > _MOST_DEPTH:
         raise ParameterError(
-            f"The formula has {parts} parts on {depth} levels; {MOST_PARTS} parts on {_MOST_DEPTH} "
-            "levels at most are read."
+            f"The formula has {parts} parts on {depth} levels; give at most {MOST_PARTS} parts "
+            f"on {_MOST_DEPTH} levels."
         )
 
 
@@ -151,8 +151,8 @@ class _Reader:
             case ast.Call():
                 return self._call(node)
         raise ParameterError(
-            f"A formula holds {ast.unparse(node)[:40]!r}; it takes numbers, coordinates, "
-            "+ - * / ** %, comparisons and functions, nothing else."
+            f"The formula contains {ast.unparse(node)[:40]!r}; use numbers, coordinates, "
+            "+ - * / ** %, comparisons and functions only."
         )
 
     def _name(self, name: str) -> Evaluation:
@@ -199,7 +199,7 @@ class _Reader:
         function, arity = FUNCTIONS[name]
         starred = any(isinstance(each, ast.Starred) for each in node.args)
         if len(node.args) != arity or node.keywords or starred:
-            raise ParameterError(f"{name} in a formula takes {arity} argument(s) without names.")
+            raise ParameterError(f"{name} in a formula takes {arity} positional argument(s).")
         return _applied(function, *(self.read(each) for each in node.args))
 
 
@@ -215,14 +215,14 @@ def _number(value: object) -> Evaluation:
         number = np.float64(value)
     except (TypeError, OverflowError):
         shown = repr(value) if not isinstance(value, int) else "a number that is too large"
-        raise ParameterError(f"A formula holds {shown[:40]}; it takes real numbers.") from None
+        raise ParameterError(f"The formula contains {shown[:40]}; use real numbers.") from None
     return lambda _: number
 
 
 def _operator(node: ast.AST) -> Callable[..., Any]:
     if type(node) not in _OPERATORS:
         raise ParameterError(
-            f"A formula holds the operator {type(node).__name__}; it takes + - * / ** % < <= > >=."
+            f"The formula contains the operator {type(node).__name__}; use + - * / ** % < <= > >=."
         )
     return _OPERATORS[type(node)]
 

@@ -50,7 +50,7 @@ _LATTICE_POINTS = 2**20
 
 
 class Function(Protocol):
-    """What quadrature asks of a function: values, and where they are not smooth.
+    """The interface of functions for quadrature: values, and where they are not smooth.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Function(Protocol):
     breaks
         For each axis, where the function jumps or kinks across a whole axis-normal plane.
     spec
-        What messages call it.
+        Name of the function in messages.
     """
 
     @property

@@ -259,7 +259,7 @@ def _check_coefficients(coefficients: object) -> tuple[float, ...]:
     if not 1 <= count <= _MAX_DEGREE + 1:
         raise ParameterError(
             f"coefficients is {coefficients!r}; give a list of 1 to {_MAX_DEGREE + 1} numbers, "
-            "of 1, x, x², …"
+            "the factors of 1, x, x², …"
         )
     return as_reals("coefficients", coefficients, count)
 

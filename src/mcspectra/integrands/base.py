@@ -3,7 +3,7 @@
 Conventions: f_m = ∫ f(x) exp(−2πi m·x) dx over [0,1)^d, integer m. Implementations write
 `_evaluate`, and `_integral` and `_fourier` where they are known exactly; otherwise composite
 Gauss-Legendre quadrature (with an FFT for the coefficients) stands in and `integral_source` and
-`fourier_source` say so. What quadrature found is kept in the integrand itself, the last few sets of
+`fourier_source` say so. Results of quadrature are kept in the integrand itself, the last few sets of
 frequencies each: an integrand must always give the same values.
 """
 
@@ -69,7 +69,7 @@ class Integrand(Component, ABC):
         DomainError
             x has another number of dims, or is not finite.
         ParameterError
-            The function gave something else than real numbers of that shape.
+            The function did not return real numbers of that shape.
         """
         points = as_real_array("x", x)
         if points.ndim == 0 or points.shape[-1] != self.dims:
@@ -78,8 +78,8 @@ class Integrand(Component, ABC):
             )
         if points.size and not (points.min() >= 0.0 and points.max() <= 1.0):
             raise DomainError(
-                f"{self.spec} was given points that are not finite or outside [0,1]; its domain "
-                "is the unit cube."
+                f"{self.spec} was given points that are not finite or lie outside [0,1]; give points "
+                "of the unit cube."
             )
         return self._evaluate(points)
 
@@ -109,7 +109,9 @@ class Integrand(Component, ABC):
         """
         frequencies = as_frequencies(m, self.dims)
         if not np.array_equal(frequencies, np.rint(frequencies)):
-            raise ParameterError("Fourier coefficients exist at integer frequencies m only.")
+            raise ParameterError(
+                "Fourier coefficients exist at integer frequencies m only; give whole numbers."
+            )
         exact = self._fourier(frequencies)
         return _fourier_at(self, frequencies) if exact is None else exact
 
@@ -199,8 +201,8 @@ class Integrand(Component, ABC):
         Raises
         ------
         ParameterError
-            The function is not callable, or a try on a few points gives another shape, complex
-            numbers, NaN or infinity.
+            The function is not callable, or returns another shape, complex numbers, NaN or infinity
+            on a few test points.
         """
         if not callable(function):
             raise ParameterError(

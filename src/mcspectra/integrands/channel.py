@@ -62,11 +62,11 @@ class Channel(Integrand):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Those of f."""
+        """Breaks of f."""
         return self.integrand.breaks
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:
-        """Those of f for a single channel; not known for the luminance, which needs products."""
+        """Means of f for a single channel; unknown for the luminance, which needs products."""
         found = self.integrand.box_moments(lo, hi)
         if found is None or self.channel == "luminance":
             return None

@@ -27,23 +27,23 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class _TestFunction(Integrand):
-    """A test function: everything is that of `model`; abstract, named by its subclasses."""
+    """A test function, evaluated by `model`; abstract, named by its subclasses."""
 
     model: ClassVar[Integrand]
     dims: int = field(default=2, init=False)
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Those of the model."""
+        """As for the model."""
         return self.model.breaks
 
     @property
     def fourier_source(self) -> str:
-        """That of the model."""
+        """As for the model."""
         return self.model.fourier_source
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:
-        """Those of the model."""
+        """As for the model."""
         return self.model.box_moments(lo, hi)
 
     def _evaluate(self, x: Array) -> Array:

@@ -39,7 +39,7 @@ class Formula(Integrand):
     Raises
     ------
     ParameterError
-        It is no such formula, names a coordinate beyond `dims`, or is not finite at all of four
+        It is not a formula of this kind, names a coordinate beyond `dims`, or is not finite at all of four
         points inside the cube.
 
     Examples

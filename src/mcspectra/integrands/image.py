@@ -158,7 +158,7 @@ def select_channel(pixels: Array, channel: object) -> Array:
     if type(channel) is int and 0 <= channel < count:
         return pixels[..., channel]
     raise ParameterError(
-        f"channel is {channel!r}, of a picture with {count}; give a number from 0 to {count - 1}, "
+        f"channel is {channel!r}, but the picture has {count}; give a number from 0 to {count - 1}, "
         "'luminance' (of three channels), or None for all."
     )
 

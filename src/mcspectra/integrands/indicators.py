@@ -246,7 +246,7 @@ class HalfSpace(Integrand):
     normal
         One number for all axes or one for each, not all 0.
     offset
-        Where the border is.
+        Position of the border, normal·x = offset.
     dims
         Number of dims.
     """

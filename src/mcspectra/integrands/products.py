@@ -36,7 +36,7 @@ def axis_rules(f: Integrand, half_width: int) -> list[AxisRule]:
             return [AxisRule.make(count, min(_ORDER, count), breaks) for breaks in f.breaks]
     raise ParameterError(
         f"The coefficients of {f.spec} up to half width {half_width} in {f.dims} dims take "
-        f"{float(count) ** f.dims:.2g} evaluations, more than {_LIMIT:.2g}; ask for a smaller one."
+        f"{float(count) ** f.dims:.2g} evaluations, more than {_LIMIT:.2g}; lower half_width."
     )
 
 
@@ -81,8 +81,8 @@ def cell_integrals(f: Integrand, size: int) -> tuple[Array, str]:
     cells = float(size) ** f.dims
     if cells > _LIMIT:
         raise ParameterError(
-            f"{cells:.2g} cells in {f.dims} dims are more than {_LIMIT:.2g}; ask for a smaller "
-            "half_width."
+            f"{cells:.2g} cells in {f.dims} dims are more than {_LIMIT:.2g}; lower "
+            "half_width or levels."
         )
     exact = _box_means(f, size)
     if exact is not None:

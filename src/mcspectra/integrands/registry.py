@@ -53,7 +53,7 @@ def integrand(spec: str, dims: int | None = None) -> Integrand:
     Raises
     ------
     SpecError
-        The spec cannot be read; `UnknownName` if nobody registered the name.
+        The spec cannot be read; `UnknownName` if the name is not registered.
     ParameterError
         A parameter is unknown, missing or out of range, or dims disagree.
     """
@@ -67,7 +67,7 @@ def as_integrand(given: object, dims: int | None = None) -> Integrand:
     Raises
     ------
     ParameterError
-        `given` is something else, or an integrand of other dims.
+        `given` has another type, or other dims.
     """
     if isinstance(given, str):
         return integrand(given, dims)

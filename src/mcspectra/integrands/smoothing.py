@@ -63,7 +63,7 @@ def smoothed(
         For ``"box"``, where means over boxes have no closed form: Gauss nodes along each axis, at most
         4096 in all. Each jump is then divided into so many steps, not taken away.
     dims
-        Number of dims for a spec string that does not say.
+        Number of dims for a spec string without ``dims``.
 
     Returns
     -------
@@ -140,7 +140,7 @@ class EdgeSmoothed(Integrand):
 
     @property
     def fourier_source(self) -> str:
-        """That of the edge, averaged over its positions by quadrature."""
+        """Source for the edge; its coefficients are averaged over its positions by quadrature."""
         if self.edge._fourier(np.zeros((1, self.dims))) is None:
             return super().fourier_source
         return f"{self.edge.fourier_source}, averaged over edges by Gauss-Legendre quadrature"
@@ -213,8 +213,8 @@ class BoxSmoothed(Integrand):
         object.__setattr__(self, "nodes", as_integer("nodes", self.nodes, least=1, most=64))
         if not self._known and self.nodes**self.dims > _MOST_NODES:
             raise ParameterError(
-                f"Smoothing {self.integrand.spec} takes {self.nodes}^{self.dims} values for one; "
-                f"give nodes= for at most {_MOST_NODES}."
+                f"One smoothed value of {self.integrand.spec} takes {self.nodes}^{self.dims} of its "
+                f"values; lower nodes= to need at most {_MOST_NODES}."
             )
 
     @property
@@ -234,7 +234,7 @@ class BoxSmoothed(Integrand):
 
     @property
     def integral(self) -> Any:
-        """That of f."""
+        """Integral of f."""
         return self.integrand.integral
 
     @property

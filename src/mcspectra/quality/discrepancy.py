@@ -35,7 +35,7 @@ def star_discrepancy(points: object) -> float:
     Raises
     ------
     ParameterError
-        More than 2 dims (exact algorithms take O(n^(1 + d/2)), none is built in), or more than 2^14 points in 2-D.
+        More than 2 dims (exact algorithms take O(n^(1 + d/2)) and are not built in), or more than 2^14 points in 2-D.
 
     Notes
     -----
@@ -55,10 +55,12 @@ def star_discrepancy(points: object) -> float:
         middles = (np.arange(n) + 0.5) / n
         return float(0.5 / n + np.abs(ascending - middles).max())
     if dims > 2:
-        raise ParameterError(f"The exact star discrepancy is for 1 and 2 dims, not for {dims}.")
+        raise ParameterError(
+            f"The exact star discrepancy is computed in 1 and 2 dims only, not in {dims}."
+        )
     if n > _MOST_STAR_POINTS:
         raise ParameterError(
-            f"{n} points are too many for the star discrepancy; {_MOST_STAR_POINTS} are possible."
+            f"{n} points are too many for the star discrepancy; give at most {_MOST_STAR_POINTS}."
         )
     order = np.argsort(x[:, 0])
     return float(star_discrepancy_2d(x[order, 0], x[order, 1]))

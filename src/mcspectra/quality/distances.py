@@ -55,7 +55,7 @@ def nearest_distances(points: object) -> Array:
         check_pairs(x)
         return np.asarray(np.sqrt(torus_nearest(x)))
     if n > _TREE_POINTS:
-        raise ParameterError(f"{n} points are too many for distances; {_TREE_POINTS} are possible.")
+        raise ParameterError(f"{n} points are too many for distances; give at most {_TREE_POINTS}.")
     from scipy.spatial import cKDTree
 
     distances, _ = cKDTree(x, boxsize=np.ones(dims)).query(x, k=2)
@@ -114,5 +114,5 @@ def check_pairs(x: Array) -> None:
     most = math.isqrt(MAX_PAIR_WORK // dims)
     if n > most:
         raise ParameterError(
-            f"{n} points are too many for a figure of all pairs; in {dims} dims {most} are possible."
+            f"{n} points are too many for a figure of all pairs; in {dims} dims give at most {most}."
         )

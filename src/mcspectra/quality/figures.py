@@ -60,8 +60,8 @@ def quality_figures(
     figures
         Names of `FIGURES`; by default all, those of projections from 3 dims on.
     realizations
-        How many realisations; by default all sets of given points, else 16, or 1 of a set that is
-        the same every time.
+        How many realisations; by default all sets of given points, else 16, or 1 for a
+        deterministic set.
     rng
         Seed (SPEC 7).
     workers
@@ -70,9 +70,9 @@ def quality_figures(
     Returns
     -------
     xarray.Dataset
-        A variable for each figure on dim ``realization``. Where one cannot be had (too many
-        points, too many dims, not a power of the base) it is NaN, with the reason in its attribute
-        ``missing``. Attribute ``projections`` says which pairs of axes were looked at.
+        A variable for each figure on dim ``realization``. A figure that cannot be computed
+        (too many points, too many dims, not a power of the base) is NaN, with the reason in its
+        attribute ``missing``. Attribute ``projections`` states the pairs of axes that were used.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def quality_figures(
 
 
 def different_realizations(sampler: Sampler, n: int, stream: Stream, most: int = 16) -> int:
-    """How many realisations tell more than one: `most`, all given sets, 1 of a fixed set."""
+    """Number of useful realisations: `most`, all given sets, or 1 of a fixed set."""
     if isinstance(sampler, GivenPoints):
         return min(most, len(sampler.points)) if sampler.cycle else len(sampler.points)
     first, second = sampler.draw_stream(n, stream, 0, 2)
@@ -110,7 +110,7 @@ def different_realizations(sampler: Sampler, n: int, stream: Stream, most: int =
 def _given_count(sampler: Sampler) -> int:
     if isinstance(sampler, GivenPoints):
         return int(sampler.points.shape[1])
-    raise ParameterError(f"n is needed: how many points of {sampler.spec} are to be measured?")
+    raise ParameterError(f"n is missing; give the number of points to draw from {sampler.spec}.")
 
 
 def _names(figures: Sequence[str] | None, dims: int) -> list[str]:
@@ -178,7 +178,7 @@ def _projected(
     """The worst or the mean figure of the projections on two axes."""
     del base
     if points.shape[1] < 3:
-        raise ParameterError("Projections on two axes are of sets in 3 dims or more.")
+        raise ParameterError("Projections on two axes need sets in 3 or more dims.")
     values = [figure(points[:, pair]) for pair in map(list, _pairs(points.shape[1]))]
     return float(choose(np.array(values)))
 
@@ -211,11 +211,13 @@ def _elementary_intervals(points: Array, base: int) -> float | None:
 
 def _transport_cost(points: Array) -> float:
     if points.shape[1] > 2:
-        raise ParameterError(f"The transport cost is for 1 and 2 dims, not for {points.shape[1]}.")
+        raise ParameterError(
+            f"The transport cost is computed in 1 and 2 dims only, not in {points.shape[1]}."
+        )
     if points.shape[1] == 2 and len(points) > _MOST_TRANSPORTED:
         raise ParameterError(
             f"{len(points)} points are too many for the transport cost; "
-            f"{_MOST_TRANSPORTED} are possible."
+            f"give at most {_MOST_TRANSPORTED}."
         )
     from mcspectra.samplers.voronoi import transport_cost
 

@@ -76,12 +76,12 @@ def find_jumps(function: Function, dims: int, side: int, *, scale: float) -> Jum
     side
         Cells along each axis.
     scale
-        Size of typical values: jumps below 1e-7 of it are none.
+        Size of typical values: jumps below 1e-7 of it are ignored.
 
     Notes
     -----
-    A jump that is less than about a sixtieth of what the function changes from one cell to the next
-    anyhow is not told from its slope; of several jumps in one interval the largest is found. Costs
+    A jump smaller than about a sixtieth of the smooth change from one cell to the next is not
+    distinguished from it; of several jumps in one interval the largest is found. Costs
     about 7 evaluations for each of d·side^d intervals and 24 more where there may be a jump.
     """
     heights = np.zeros((dims, *[side] * dims))

@@ -1,4 +1,4 @@
-"""Quality figures over realisations: mean and standard error of each, or why there is none."""
+"""Quality figures over realisations: mean and standard error of each, or the reason for a gap."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class FigureSummary:
     Attributes
     ----------
     name, long_name
-        Its variable, and what it is.
+        Name of its variable, and its long name.
     mean, standard_error
         Over realisations; the standard error is NaN where there is one realisation only.
     missing
-        Why there is none, else empty.
+        Why there is no mean, else empty.
     """
 
     name: str

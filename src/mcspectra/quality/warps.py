@@ -1,4 +1,4 @@
-"""How a warp distorts and tears the unit square: what its densities do to stratification."""
+"""Distortion and jumps of a warp of the unit square, which decide how well strata survive it."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
     Notes
     -----
     Slopes are one-sided differences over a thousandth of a cell, the smaller of both sides, so that
-    they do not straddle a jump. Jumps are found by refinement (`mcspectra.quality.jumps`); what
-    differs between opposite sides of the square does not count. All figures are those of T into the
+    they do not straddle a jump. Jumps are found by refinement (`mcspectra.quality.jumps`); differences
+    between opposite sides of the square do not count. All figures are those of T into the
     unit square: for directions, of the lat-long square, not of the sphere.
     """
     p = make_density(density) if isinstance(density, str) else density
@@ -62,7 +62,7 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
     dims = p.primary_dims
     if dims > 2:
         raise ParameterError(
-            f"The warp of {p.spec} has {dims} primary dims; warps are mapped in 1 and 2 dims."
+            f"The warp of {p.spec} has {dims} primary dims; give a density with 1 or 2."
         )
     side = as_integer("resolution", resolution, least=4, most=1024)
     centers = grid_centers(side, dims)

@@ -128,8 +128,8 @@ class Measurement:
             return found
         if "bsdf" in self.techniques and self.sampler.dims == 2 and receivers.chooses_lobe():
             raise ParameterError(
-                f"A BSDF that is seen in {scene_name(self.lighting.scene)} chooses among lobes by a "
-                "random number of its own; give dims=3, the third coordinate will be that number."
+                f"A visible BSDF of {scene_name(self.lighting.scene)} selects a lobe by an extra random "
+                "number; give dims=3, the third coordinate is that number."
             )
 
         # Moments over realisations of each strategy

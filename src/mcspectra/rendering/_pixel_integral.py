@@ -1,4 +1,4 @@
-"""The integral of what a pixel sees: means of randomised points, with their standard error.
+"""The integral of a pixel: means over randomised points, with their standard error.
 
 A pixel's integrand jumps along curves (edges of lights and of what occludes them) that no axis
 follows: boxes of Gauss-Legendre nodes do not converge on it, nor does their error estimate show

@@ -121,7 +121,7 @@ def load_mitsuba() -> Any:
     Raises
     ------
     MissingDependency
-        Mitsuba is not installed, or no libLLVM works; the message says what to install.
+        Mitsuba is not installed, or no libLLVM works; the message names the package to install.
     """
     with LOCK:
         if not _loaded:
@@ -191,13 +191,13 @@ def _scalar_works() -> bool:
 def import_mitsuba() -> Any:
     """Return the module `mitsuba` with the library that `load_mitsuba` will need, no variant set.
 
-    Dr.Jit looks for libLLVM when it is imported, whatever for: a program that imports it in any
+    Dr.Jit looks for libLLVM when it is imported, for any variant: a program that imports it in any
     other way first may get one that ends the process later.
 
     Raises
     ------
     MissingDependency
-        Mitsuba is not installed. A missing libLLVM is none for this function.
+        Mitsuba is not installed. A missing libLLVM is not an error here.
     """
     with LOCK:
         if importlib.util.find_spec("mitsuba") is None:

@@ -22,7 +22,7 @@ class DictScene:
     Parameters
     ----------
     scene
-        What `mitsuba.load_dict` takes. Its dictionaries, lists and arrays are copied: changing
+        A dictionary for `mitsuba.load_dict`. Its dictionaries, lists and arrays are copied: changing
         them later changes nothing here. Transforms, bitmaps and arrays compare by their numbers,
         objects that Mitsuba has already built by identity.
 
@@ -77,7 +77,7 @@ class _Identity:
 def _copied(value: Any, depth: int = 0) -> Any:
     if depth > _DEEPEST:
         raise ParameterError(
-            f"The scene dictionary is nested more than {_DEEPEST} deep; does it hold itself?"
+            f"The scene dictionary is nested more than {_DEEPEST} deep; remove parts that contain themselves."
         )
     if isinstance(value, Mapping):
         return {_checked_name(name): _copied(entry, depth + 1) for name, entry in value.items()}

@@ -1,4 +1,4 @@
-"""What each technique draws at a pixel: f/p and the densities of all techniques, as arrays.
+"""Samples of each technique at a pixel: f/p and the densities of all techniques, as arrays.
 
 A technique is ``"light"``, ``"bsdf"`` or a `Sky`; a light and skies are not combined, as both would
 sample the environment. Where f is 0 only the technique that drew a direction is said to be able to:
@@ -43,7 +43,7 @@ Technique = str | Sky
 
 @dataclass(frozen=True)
 class Draws:
-    """What M samples of one technique found.
+    """Values of M samples of one technique.
 
     Attributes
     ----------
@@ -60,12 +60,12 @@ class Draws:
 @final
 @dataclass(frozen=True)
 class View:
-    """A pixel of a scene, and what of its light counts.
+    """A pixel of a scene, with the light that is used.
 
     Attributes
     ----------
     scene, x, y, light, channel, dims
-        As of `Pixel`.
+        As for `Pixel`.
     """
 
     scene: Scene

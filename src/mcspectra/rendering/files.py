@@ -1,4 +1,4 @@
-"""Rendered images as files: EXR with all that was measured, PNG to look at."""
+"""Rendered images as files: EXR with all measurements, PNG to look at."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _MOST_STOPS = 64.0
 def write_render(
     path: str | PathLike[str], result: xr.Dataset, *, exposure: float = 0.0
 ) -> list[str]:
-    """Write what `render` found.
+    """Write a result of `render`.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def write_render(
     FileFormatError
         Another extension, or the file cannot be written.
     ParameterError
-        `exposure` is not a number from −64 to 64, or `result` is nothing that `render` returns.
+        `exposure` is not a number from −64 to 64, or `result` is not a result of `render`.
     """
     _check_result(path, result)
     file = check_image_path(path)
@@ -69,7 +69,7 @@ def write_render(
 
 
 def write_comparison(path: str | PathLike[str], images: Mapping[str, xr.Dataset]) -> list[str]:
-    """Write what `compare_strategies` found as one EXR file, a layer for each image.
+    """Write a result of `compare_strategies` as one EXR file, a layer for each image.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def write_comparison(path: str | PathLike[str], images: Mapping[str, xr.Dataset]
     FileFormatError
         Another extension, or the file cannot be written.
     ParameterError
-        An image is nothing that `render` returns, or they are of different sizes.
+        An image is not a result of `render`, or sizes differ.
     """
     file = check_image_path(path, (".exr",))
     layers: dict[str, Array] = {}
@@ -187,22 +187,22 @@ def check_image_path(path: object, extensions: tuple[str, ...] = RENDER_EXTENSIO
         problem = "is a folder" if file.is_dir() else ""
         problem = problem or ("" if file.parent.is_dir() else "is in a folder that does not exist")
     except OSError:  # a name too long
-        problem = "is no possible file name"
+        problem = "is not a possible file name"
     if "\0" in str(file):
-        problem = "is no possible file name"
+        problem = "is not a possible file name"
     if problem:
         raise FileFormatError(f"{str(file)!r} {problem}; give another file name.")
     return file
 
 
 def _check_result(path: object, result: object) -> None:
-    """Refuse what is no image with its channels, such as the path if the two are swapped."""
+    """Refuse a result without an image, for instance the path if the two are swapped."""
     if "image" in getattr(result, "data_vars", ()):
         return
     swapped = "image" in getattr(path, "data_vars", ())
     raise ParameterError(
         f"The result to write is a {_type(result)} without an image; give "
-        + ("the path first, then the result." if swapped else "what render returns.")
+        + ("the path first, then the result." if swapped else "the result of render.")
     )
 
 

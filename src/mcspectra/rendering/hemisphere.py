@@ -35,7 +35,7 @@ def incident_light(
     Parameters
     ----------
     scene, x, y, light
-        As of `Pixel`.
+        As for `Pixel`.
     channel
         ``"luminance"``, 0, 1 or 2.
     resolution
@@ -52,7 +52,7 @@ def incident_light(
     Raises
     ------
     ParameterError
-        As of `Pixel`, or `resolution` is out of range, or the channel is ``"rgb"``.
+        As for `Pixel`, or `resolution` is out of range, or the channel is ``"rgb"``.
     """
     request = as_scene(scene)
     rows = as_integer("resolution", resolution, least=4, most=1024)

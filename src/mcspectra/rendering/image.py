@@ -65,7 +65,7 @@ def render(
     Parameters
     ----------
     scene
-        A scene as of `load_scene`.
+        A scene, as for `load_scene`.
     strategy
         ``"light"``, ``"bsdf"``, their shares of multiple importance sampling ``"mis-light"`` and
         ``"mis-bsdf"``, or ``"mis"``, both.
@@ -80,7 +80,7 @@ def render(
     film
         ``"sampled"``: positions in the pixel are sampled too, with a box filter. ``"center"``.
     light
-        Index or name of one light that counts alone.
+        Index or name of the only light to use.
     heuristic
         ``"balance"`` or ``"power"`` (β = 2).
     rng
@@ -147,7 +147,7 @@ def reference(scene: Scene, spp: int = 1024, *, batches: int = 16, **options: An
     Returns
     -------
     xarray.Dataset
-        As of `render`; ``image_se`` has `batches` − 1 degrees of freedom.
+        As for `render`; ``image_se`` has `batches` − 1 degrees of freedom.
     """
     count = as_integer("batches", batches, least=2, most=_MOST_SAMPLES)
     each, rest = divmod(as_integer("spp", spp, least=count), count)
@@ -174,7 +174,7 @@ def compare_strategies(
     Returns
     -------
     dict
-        ``reference``, ``light``, ``bsdf`` and ``mis``, each as of `render`.
+        ``reference``, ``light``, ``bsdf`` and ``mis``, each as for `render`.
     """
     count = as_integer("spp", spp, least=2, most=_MOST_SAMPLES)
     if count % 2:
@@ -290,6 +290,6 @@ def _as_crop(crop: object, waves: Wavefront) -> tuple[int, int, int, int]:
         raise ParameterError(f"{str(error).rstrip('.')}; {film}.") from None
     if width * height > _MOST_PIXELS:
         raise ParameterError(
-            f"{width * height:.3g} pixels are too many for one image; crop it to {_MOST_PIXELS:.3g}."
+            f"{width * height:.3g} pixels are too many for one image; crop to at most {_MOST_PIXELS:.3g}."
         )
     return x, y, width, height

@@ -68,45 +68,47 @@ class Map(Analysis, frozen=True, kw_only=True):
     realizations: Annotated[int, REALIZATIONS] = 64
     crop: Annotated[
         tuple[int, int, int, int] | None,
-        Meta(description="x0, y0, width and height of the part that is measured.",
+        Meta(description="x0, y0, width and height of the part to measure.",
              extra={"metavar": "X0,Y0,W,H"}),
     ] = None  # fmt: skip
     size: Annotated[
         tuple[_Side, _Side] | None,
-        Meta(description="Pixels of the image; those of the film.", extra={"metavar": "W,H"}),
+        Meta(
+            description="Width and height in pixels; those of the film.", extra={"metavar": "W,H"}
+        ),
     ] = None
     light: Annotated[
         int | str | None,
-        Meta(description="The one light that counts; all by default.", extra={"metavar": "NAME"}),
+        Meta(description="Use this light alone; all by default.", extra={"metavar": "NAME"}),
     ] = None
-    heuristic: Annotated[Literal["balance", "power"], Meta(description="balance or power.")] = (
-        "balance"
-    )
+    heuristic: Annotated[
+        Literal["balance", "power"], Meta(description="Heuristic of MIS: balance or power.")
+    ] = "balance"
     channel: Annotated[
-        int | str, Meta(description="luminance, 0, 1 or 2.", extra={"python": True})
+        int | str, Meta(description="Channel: luminance, 0, 1 or 2.", extra={"python": True})
     ] = "luminance"
     dims: Annotated[
         int,
         Meta(
             ge=2,
             le=3,
-            description="2, or 3 to choose lights and lobes by a third.",
+            description="2, or 3: the third coordinate selects lights and lobes.",
             extra={"flag": "-d", "metavar": "D"},
         ),
     ] = 2
     points: Annotated[
         Literal["shared", "own"],
-        Meta(description="shared, or own: realisations for each pixel alone."),
+        Meta(description="shared: the same points at all pixels; own: independent ones."),
     ] = "shared"
     smoothing: Annotated[
-        int, Meta(ge=1, le=31, description="Odd: average rates over so many squared.")
+        int, Meta(ge=1, le=31, description="Odd width of the window that rates are averaged over.")
     ] = 1
     predict_every: Annotated[
-        int, Meta(ge=0, le=2**31, description="Predict at every so many pixels; 0: nowhere.")
+        int, Meta(ge=0, le=2**31, description="Predict at every k-th pixel in x and y; 0: nowhere.")
     ] = 1
 
     def need(self, subject: Subject) -> Need:
-        """What can be told without the scene."""
+        """The need as far as it is known without the scene."""
         check_channel(self.channel, ("luminance",))
         if len(self.counts) < 2:
             raise ParameterError(
@@ -196,8 +198,8 @@ class Map(Analysis, frozen=True, kw_only=True):
         x0, y0, width, height = window
         if x0 + width > grid[0] or y0 + height > grid[1]:
             raise ParameterError(
-                f"crop is {[*window]}, which leaves the grid of {grid[0]} × {grid[1]} pixels; give "
-                "x0, y0, width and height within it."
+                f"crop is {[*window]}, which reaches outside the grid of {grid[0]} × {grid[1]} "
+                "pixels; give x0, y0, width and height within it."
             )
         strategies, counts = len(self._strategies), len(self.counts)
         numbers = 3 * width * height * strategies * counts
@@ -233,7 +235,7 @@ def variance_map(
     Parameters
     ----------
     scene
-        A scene as of `load_scene`.
+        A scene, as for `load_scene`.
     strategies
         Some of ``"light"``, ``"bsdf"``, the shares of multiple importance sampling ``"mis-light"``
         and ``"mis-bsdf"``, and ``"mis"``, their sum, with n samples of each technique, which brings
@@ -298,8 +300,8 @@ def variance_map(
 
     Notes
     -----
-    Memory: about 200 MiB beside the result, whatever the size of the image: pixels are measured in
-    tiles. A study keeps the tiles that are finished and resumes. Where few realisations meet a light, variances are mostly far too small at the smaller n:
+    Memory: about 200 MiB plus the result, whatever the size of the image: pixels are measured in
+    tiles. A study keeps the tiles that are finished and resumes. Where few realisations hit a light, variances are mostly far too small at the smaller n:
     there is no rate where one is zero, or has a standard error of more than a half of it, at a
     smaller n than others; more realisations give one. ``bottleneck`` is one comparison a
     pixel, of techniques with points of their own, at 95 %: where both rates are equal a pixel in 20 is

@@ -8,7 +8,7 @@ g(u) = f/p at the direction that is made of u in [0,1)²: ``light`` samples a li
 BSDF, ``environment`` a density of ours (`skies`). With ``mis-light`` and ``mis-bsdf`` each is
 weighted by a heuristic [VeachGuibas1995]_ for equal numbers of samples, so that their sum, with
 independent points, is multiple importance sampling; `pixel_mis` has all heuristics, any counts and
-any techniques. What the camera itself sees of a light is no part of it.
+any techniques. Light that reaches the camera directly is not part of it.
 
 Mitsuba computes in float32: values carry relative errors of about 1e-7, and averages of them are
 taken in float64. One light alone is the clean experiment. With all lights Mitsuba selects one
@@ -75,7 +75,7 @@ class Pixel(Integrand):
         ``"light"``, ``"bsdf"``, or their shares of multiple importance sampling, ``"mis-light"``
         and ``"mis-bsdf"``, which belong together; ``"environment"`` samples directions by `density`.
     light
-        Index or name of one light that counts alone, the others being dark but in the way. All
+        Index or name of the only light to use; the others are dark but still occlude. All
         lights by default.
     heuristic
         ``"balance"`` or ``"power"`` (β = 2), for the two ``mis-`` strategies.
@@ -132,7 +132,7 @@ class Pixel(Integrand):
 
     @property
     def integral_source(self) -> str:
-        """What means `integral` is made of: its standard error is that of `integral_accuracy`."""
+        """The means behind `integral`; `integral_accuracy` has their standard error."""
         return SOURCE
 
     def _estimated_integral(self) -> Estimate:
@@ -192,7 +192,7 @@ def check_view(view: View, *, bsdf: bool) -> View:
     Raises
     ------
     ParameterError
-        It cannot be sampled, as of `Pixel`.
+        It cannot be sampled, as for `Pixel`.
     """
     channel = check_channel(view.channel)
     dims = as_integer("dims of a pixel", view.dims, least=2, most=MOST_DIMS)
@@ -211,7 +211,7 @@ def check_view(view: View, *, bsdf: bool) -> View:
 
 
 def describe_pixel(scene: Scene, x: int, y: int) -> dict[str, Any]:
-    """Say what the ray through a pixel's centre meets.
+    """Describe the surface that the ray through a pixel's centre meets.
 
     Returns
     -------

@@ -104,7 +104,7 @@ class PixelMIS(AbstractEstimator):
 
     @property
     def integral_source(self) -> str:
-        """What means the integrals of the techniques are made of."""
+        """The means behind the integrals of the techniques."""
         return SOURCE
 
     @property
@@ -193,7 +193,7 @@ class _Weighted(Integrand):
 
     @property
     def integral_source(self) -> str:
-        """As of `Pixel`."""
+        """As for `Pixel`."""
         return SOURCE
 
     def _estimated_integral(self) -> Estimate:
@@ -252,15 +252,15 @@ def pixel_mis(
     Parameters
     ----------
     scene, x, y, light, channel, dims
-        As of `Pixel`.
+        As for `Pixel`.
     heuristic
         A name or spec of `mcspectra.estimators.HEURISTICS`, or an object. ``optimal`` and
         ``variance-aware`` use a pilot of 4096 random samples with seed 0 unless their spec says
         otherwise; a quadrature is not possible here.
     techniques
-        ``"light"``, ``"bsdf"``, and densities for the environment as of `Pixel`, or
-        ``"environment"`` for the scene's own map; any number of densities, but none beside
-        ``"light"``.
+        ``"light"``, ``"bsdf"``, and densities for the environment as for `Pixel`, or
+        ``"environment"`` for the scene's own map; any number of densities, but not together
+        with ``"light"``.
     counts
         Samples of each technique as multiples of n; the same for all by default.
     sets
@@ -269,7 +269,7 @@ def pixel_mis(
     Raises
     ------
     ParameterError
-        As of `Pixel`; or techniques, counts or heuristic are not as above.
+        As for `Pixel`; or techniques, counts or heuristic are not as above.
 
     Examples
     --------
@@ -287,7 +287,7 @@ def pixel_mis(
     repeated = sum(t == "light" for t in given) > 1 or sum(t == "bsdf" for t in given) > 1
     if repeated or ("light" in given and any(t not in _BY_NAME for t in given)):
         raise ParameterError(
-            f"techniques is {techniques!r:.80}; give 'light' and 'bsdf' once at most, and densities "
+            f"techniques is {techniques!r:.80}; give 'light' and 'bsdf' at most once, and densities "
             "without 'light', which samples the environment too."
         )
     asked = View(as_scene(scene), x, y, light, channel, dims)

@@ -33,7 +33,7 @@ _UNKNOWN = 2**32 - 1  # Mitsuba's wavefront size for "as before"
 
 
 def register_samplers(variant: str | Sequence[str] | None = None) -> tuple[str, ...]:
-    """Make ``<sampler type="mcspectra">`` known to Mitsuba; to do it again changes nothing.
+    """Register ``<sampler type="mcspectra">`` with Mitsuba; a second call changes nothing.
 
     The plugin's properties are ``spec`` (string, default ``"sobol | owen"``), ``sample_count``,
     ``seed``, ``joint_dims`` (integer: the first so many coordinates of a sample come from one set
@@ -103,7 +103,7 @@ def _module(variant: str) -> Any:
 
 @dataclass(frozen=True)
 class _Options:
-    """What a scene says of the sampler."""
+    """Options of the sampler in a scene."""
 
     spec: str = "sobol | owen"
     seed: int = 0

@@ -1,4 +1,4 @@
-"""What a sampler of Mitsuba's carries: the sets of one pixel, or tables for a wavefront.
+"""State of the sampler plugin: the sets of one pixel, or tables for a wavefront.
 
 In vectorised variants all sets are tables in Dr.Jit's memory: lane i is sample i mod n of pixel
 ⌊i / n⌋, and requests are gathered from the sets that `Rounds` lays out. In scalar ones Mitsuba

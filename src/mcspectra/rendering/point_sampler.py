@@ -80,7 +80,7 @@ class MitsubaSampler(Sampler):
         given: object = self.jitter
         if not isinstance(given, bool) or not (given or self.sampler in _STRATA):
             raise ParameterError(
-                f"jitter is {given!r}; it is True or, with {', '.join(_STRATA)}, False."
+                f"jitter is {given!r}; give True or, with {', '.join(_STRATA)}, False."
             )
 
     @property
@@ -143,7 +143,7 @@ class MitsubaObject(Sampler):
         needed = ("fork", "seed", "next_2d", "set_sample_count", "variant_name")
         if isinstance(self.source, type) or not all(hasattr(self.source, name) for name in needed):
             raise ParameterError(
-                f"{self.source!r} is no sampler of Mitsuba; give an object, such as "
+                f"{self.source!r} is not a sampler of Mitsuba; give an object, such as "
                 "scene.sensors()[0].sampler()."
             )
 
@@ -187,7 +187,7 @@ def from_mitsuba(source: Any, dims: int = DEFAULT_DIMS) -> MitsubaObject:
     ----------
     source
         An object of any variant and class, plugins written in Python included. It is forked, so
-        that it stays what it is.
+        that it stays unchanged.
     dims
         Number of dims; pairs of them are requests of two numbers.
 
@@ -199,7 +199,7 @@ def from_mitsuba(source: Any, dims: int = DEFAULT_DIMS) -> MitsubaObject:
     Raises
     ------
     ParameterError
-        `source` is no such object.
+        `source` is not a Mitsuba sampler.
 
     Notes
     -----

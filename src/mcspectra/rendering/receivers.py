@@ -1,4 +1,4 @@
-"""What a pixel sees: the surface point at its centre, or one for every position in the pixel.
+"""Surface points seen by a pixel: at its centre, or at every position in the pixel.
 
 Hold `backend.LOCK` around every call.
 """
@@ -41,7 +41,7 @@ _PROBES = 16  # positions along each side of a pixel at which `check_film_receiv
 
 @dataclass(frozen=True)
 class Hit:
-    """What camera rays meet.
+    """Surfaces met by camera rays.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ def check_pixel(scene: Scene, x: object, y: object) -> tuple[int, int]:
 
 
 def check_receiver(scene: Scene, x: int, y: int) -> Hit:
-    """Return what the pixel's centre sees if it reflects light in a way that can be sampled.
+    """Return the surface at the pixel's centre if its reflection can be sampled.
 
     Raises
     ------
@@ -133,15 +133,17 @@ def check_receiver(scene: Scene, x: int, y: int) -> Hit:
     hit = primary_hit(load_scene(scene), x, y)
     where = f"Pixel ({x}, {y}) of {scene_name(scene)}"
     if hit.light is not None:
-        raise ParameterError(f"{where} sees the light {hit.light!r}; choose a surface it lights.")
+        raise ParameterError(
+            f"{where} sees the light {hit.light!r}; choose a pixel that sees a surface."
+        )
     if not hit.bsdf:
-        raise ParameterError(f"{where} sees nothing; choose one that sees a surface.")
+        raise ParameterError(f"{where} sees nothing; choose a pixel that sees a surface.")
     _raise_delta(where, hit.bsdf, hit.shape)
     return hit
 
 
 def check_film_receivers(scene: Scene, x: int, y: int, *, single_lobe: bool) -> None:
-    """Raise a ParameterError unless what a pixel sees, on a grid of positions, can be sampled.
+    """Raise a ParameterError unless the surfaces on a grid of positions can be sampled.
 
     Parameters
     ----------
@@ -157,7 +159,7 @@ def check_film_receivers(scene: Scene, x: int, y: int, *, single_lobe: bool) -> 
     seen = np.flatnonzero(np.broadcast_to(hits.active.numpy(), len(film)))
     if not seen.size:
         raise ParameterError(
-            f"{where} sees nothing but lights or the void; choose one that sees a surface."
+            f"{where} sees only lights or empty space; choose a pixel that sees a surface."
         )
     shapes, bsdfs = hits.interaction.shape, hits.bsdf
     for k in {str(shapes[int(k)].id()): int(k) for k in seen}.values():
@@ -168,16 +170,15 @@ def check_film_receivers(scene: Scene, x: int, y: int, *, single_lobe: bool) -> 
 
 
 def check_single_lobe(hit: Hit, dims: int) -> None:
-    """Refuse a BSDF that asks for another random number than `dims` can give it."""
+    """Refuse a BSDF that needs one random number more than `dims` has."""
     mitsuba = load_mitsuba()
     grid = (np.arange(8, dtype=np.float32) + 0.5) / 8
     u = mitsuba.Point2f(*(mitsuba.Float(c.ravel()) for c in np.meshgrid(grid, grid)))
     low, high = (_sampled_direction(hit, lobe, u).numpy() for lobe in (0.0, LARGEST_SAMPLE))
     if not np.array_equal(low, high, equal_nan=True):
         raise ParameterError(
-            f"The BSDF of the shape {hit.shape!r} ({hit.bsdf.class_name()}) chooses among lobes by "
-            f"a random number of its own; give dims={dims + 1}, the last coordinate will be that "
-            "number."
+            f"The BSDF of the shape {hit.shape!r} ({hit.bsdf.class_name()}) selects a lobe by "
+            f"an extra random number; give dims={dims + 1}, the last coordinate is that number."
         )
 
 

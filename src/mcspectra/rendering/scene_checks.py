@@ -1,4 +1,4 @@
-"""What of a scene cannot be analysed: media, delta lights and BSDFs, lenses, broken maps."""
+"""Checks for unsupported parts of a scene: media, delta lights and BSDFs, lenses, broken maps."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ __all__ = [
 
 
 def check_scene(scene: Scene, *, light: int | str | None = None) -> list[str]:
-    """List all in a scene that direct illumination by sampled directions cannot deal with.
+    """List the parts of a scene that direct illumination by sampled directions does not support.
 
     Parameters
     ----------
     scene
-        A scene as of `load_scene`.
+        A scene, as for `load_scene`.
     light
-        The one light that will count; by default all will. The others may then be anything.
+        The only light to use; all by default. The others may then be of any kind.
 
     Returns
     -------
@@ -39,7 +39,7 @@ def check_scene(scene: Scene, *, light: int | str | None = None) -> list[str]:
         media, lights that are delta functions (point, spot, directional, …), an environment that
         is scaled or has pixels that are no radiance, shapes whose BSDF has a delta function
         (dielectric, smooth conductor, mask, …). Empty if everything is supported. Shapes inside
-        instances do not show; a pixel that sees one says so itself.
+        instances are not listed; a pixel that sees one reports it.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def check_media(scene: Scene) -> None:
 def check_lights(scene: Scene, light: int | str | None = None) -> None:
     """Raise a ParameterError unless the lights that count can be sampled and reach surfaces.
 
-    There must be at least one, none a delta function, no participating media on the way; an
+    There must be at least one light, no delta functions and no participating media; an
     environment must not be scaled, and its pixels must be radiances.
     """
     check_media(scene)
@@ -83,9 +83,9 @@ def check_lights(scene: Scene, light: int | str | None = None) -> None:
 
 
 def check_environment(scene: Scene, light: int | str | None = None) -> None:
-    """Raise a ParameterError if the environment counts and is scaled or has broken pixels.
+    """Raise a ParameterError if the environment is used and is scaled or has broken pixels.
 
-    Mitsuba takes a scale in silence: its light sampling is then off by the factor of the scale.
+    Mitsuba does not report a scale: its light sampling is then wrong by the factor of the scale.
     """
     with LOCK:
         _raise_first(_environment(scene, light))
@@ -109,10 +109,10 @@ def camera_rays(scene: Scene) -> str:
 
 
 def warn_missed(scene: Scene, strategy: str, light: int | str | None = None) -> None:
-    """Warn of what one strategy alone leaves out of an image.
+    """Warn of the light that one strategy alone leaves out of an image.
 
-    BSDF sampling never meets a light that is a delta function, light sampling gives nothing on a
-    BSDF that is one.
+    BSDF sampling never hits a light that is a delta function; light sampling is 0 on a BSDF that is
+    one.
     """
     with LOCK:
         if strategy == "bsdf":
@@ -175,7 +175,7 @@ def _lens(scene: Scene, loaded: Any) -> list[str]:
     } | {"a shutter (open for a while)": any(s.shutter_open_time() > 0.0 for s in sensors)}
     return [
         f"The camera of {scene_name(scene)} has {what}, which is not sampled: every ray starts at "
-        "the centre of the lens halfway through the time that the shutter is open."
+        "the centre of the lens, halfway through the time that the shutter is open."
         for what, there in found.items()
         if there
     ]
@@ -196,7 +196,7 @@ def _media(scene: Scene, loaded: Any) -> list[str]:
     holders = [_called("shape", s.id()) for s in loaded.shapes() if _has_medium(s)]
     holders += [_called("camera", s.id()) for s in loaded.sensors() if s.get_medium()]
     where = f"The scene {scene_name(scene)} has participating media ({', '.join(holders)})"
-    return [f"{where}, which are not supported; take them out."] if holders else []
+    return [f"{where}, which are not supported; remove them."] if holders else []
 
 
 def _has_medium(shape: Any) -> bool:

@@ -1,4 +1,4 @@
-"""Scenes by name, file or dictionary, loaded once a process, and what finds a pixel in them."""
+"""Scenes by name, file or dictionary, loaded once a process; their pixels, cameras and lights."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def as_scene(scene: object) -> str | Path | DictScene:
     Raises
     ------
     ParameterError
-        It is none of these, or a dictionary that is no scene.
+        `scene` has another type, or is a dictionary without a scene.
     """
     if isinstance(scene, Path | DictScene):
         return scene
@@ -76,7 +76,7 @@ def as_scene(scene: object) -> str | Path | DictScene:
 
 
 def scene_name(scene: Scene) -> str:
-    """Return what messages call a scene, quoted: its name, path, or ``'dict'``."""
+    """Return the name of a scene in messages, quoted: its name, path, or ``'dict'``."""
     return repr(str(as_scene(scene)))
 
 
@@ -149,8 +149,8 @@ def film_size(scene: Scene) -> tuple[int, int]:
 def project(scene: Scene, point: Sequence[float]) -> tuple[float, float]:
     """Return the film coordinates, in pixels, at which the camera sees a point of the world.
 
-    Pixel (i, j) covers [i, i+1) × [j, j+1), so its number is the floor of the result. What stands
-    between the camera and the point is not asked; see `describe_pixel`.
+    Pixel (i, j) covers [i, i+1) × [j, j+1), so its number is the floor of the result. Objects
+    between the camera and the point are ignored; see `describe_pixel`.
 
     Raises
     ------
@@ -178,7 +178,7 @@ def find_emitter(scene: Scene, light: int | str) -> Any:
     Raises
     ------
     ParameterError
-        There is no such light; the message lists those there are.
+        There is no such light; the message lists all lights.
     """
     emitters, names = load_scene(scene).emitters(), emitter_names(scene)
     if isinstance(light, str):

@@ -67,7 +67,7 @@ def environment_of(scene: Scene, light: int | str | None = None) -> Any:
     Raises
     ------
     ParameterError
-        There is none, or other lights count too.
+        There is no environment, or other lights are used too.
     """
     loaded = load_scene(scene)
     found = loaded.environment()
@@ -91,7 +91,7 @@ def sky_pixels(scene: Scene, rows: int = _ROWS) -> Array:
     Parameters
     ----------
     scene
-        A scene as of `load_scene`.
+        A scene, as for `load_scene`.
     rows
         Pixels along θ; along φ there are twice as many.
 
@@ -110,7 +110,10 @@ def sky_pixels(scene: Scene, rows: int = _ROWS) -> Array:
     with LOCK:
         emitter = load_scene(scene).environment()
         if emitter is None:
-            raise ParameterError(f"The scene {scene_name(scene)} has no environment.")
+            raise ParameterError(
+                f"The scene {scene_name(scene)} has no environment; add an <emitter> of type "
+                "'envmap' or 'constant'."
+            )
         return _pixels(emitter, height)
 
 
@@ -120,12 +123,12 @@ def sky_technique(scene: Scene, density: Density | str | None, channel: str | in
     Parameters
     ----------
     scene
-        A scene as of `load_scene`.
+        A scene, as for `load_scene`.
     density
         A density in two dims or its spec string. A spec of ``environment`` without a path means the
-        scene's own environment, `sky_pixels`; None is that, bilinear, by `channel`.
+        scene's own environment, `sky_pixels`; None is the same, bilinear, by `channel`.
     channel
-        What None samples by: a number, or the luminance for ``"luminance"`` and ``"rgb"``.
+        Channel that the default samples by: a number, or the luminance for ``"luminance"`` and ``"rgb"``.
 
     Raises
     ------
@@ -144,7 +147,7 @@ def _sky(loaded: Any, name: str, density: Density | str) -> Sky:
     made = _of_scene(loaded, density) if isinstance(density, str) else density
     if not isinstance(made, Density) or made.dims != 2 or made.primary_dims != 2:
         raise ParameterError(
-            f"The environment of {name} is sampled by a density in 2 dims; {density!r:.80} is none."
+            f"{density!r:.80} is not a density in 2 dims; the environment of {name} needs one."
         )
     return Sky(made, rotation_of(loaded.environment()))
 
@@ -173,8 +176,8 @@ def rotation_of(emitter: Any) -> Array:
     matrix = np.asarray(emitter.world_transform().matrix, np.float64).reshape(4, 4)[:3, :3]
     if not np.allclose(matrix.T @ matrix, np.eye(3), atol=_ORTHONORMAL):
         raise ParameterError(
-            f"The to_world of the environment {emitter_name(emitter)!r} is no rotation or "
-            "reflection, as sampling it correctly needs; take scales out of it."
+            f"The to_world of the environment {emitter_name(emitter)!r} is not a rotation "
+            "or reflection, so it would be sampled wrongly; remove the scaling."
         )
     return matrix
 

@@ -122,7 +122,7 @@ def look_at_sky(hit: Receiver, emitter: Any, direction: Any, active: Any = True)
     Parameters
     ----------
     hit, active
-        As of `sample_light`.
+        As for `sample_light`.
     emitter
         The environment.
     direction

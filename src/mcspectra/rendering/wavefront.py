@@ -93,9 +93,9 @@ class Wavefront:
     Parameters
     ----------
     scene
-        A scene as of `load_scene`.
+        A scene, as for `load_scene`.
     light
-        Index or name of one light that counts alone; all by default.
+        Index or name of the only light to use; all by default.
     film
         ``"center"``: rays through the pixels' centres. ``"sampled"``: through a point of the pixel
         that the first two columns of u choose, uniformly (a box filter).
@@ -216,12 +216,12 @@ class Wavefront:
             )
         if u.ndim == 3 and len(u) != len(pixels):
             raise ParameterError(
-                f"u is for {len(u)} pixels, pixels are {len(pixels)}; give one row each."
+                f"u has {len(u)} rows for {len(pixels)} pixels; give one row for each pixel."
             )
         if u.shape[-1] < self.dims(strategy):
             raise ParameterError(
-                f"u has {u.shape[-1]} dims, but a BSDF of the scene chooses among lobes by a number "
-                f"of its own; give {self.dims(strategy)} dims."
+                f"u has {u.shape[-1]} dims, but a BSDF of the scene selects a lobe by an extra "
+                f"number; give {self.dims(strategy)} dims."
             )
         return pixels, u
 
@@ -368,7 +368,9 @@ def _as_samples(u: Array) -> Array:
     """Return contiguous float32 samples after checking their range."""
     samples = np.ascontiguousarray(u, np.float32)
     if not (samples.min() >= 0.0 and samples.max() <= 1.0):  # NaN fails both
-        raise DomainError("Samples must be finite and in [0,1); some are not.")
+        raise DomainError(
+            "u has samples that are NaN or outside [0,1); give finite numbers in [0,1)."
+        )
     return samples
 
 

@@ -45,21 +45,21 @@ def as_source(engine: object) -> Source:
     if callable(engine) and not isinstance(engine, type | _base()):
         return engine
     raise ParameterError(
-        f"{engine!r} is no engine; give a name in scipy.stats.qmc such as 'Sobol', a QMCEngine, "
+        f"{engine!r} is not an engine; give a name in scipy.stats.qmc such as 'Sobol', a QMCEngine, "
         "its class, or a function that makes one from a generator."
     )
 
 
 def check_options(source: Source, arguments: Mapping[str, Any]) -> None:
-    """Refuse arguments that are set elsewhere, or that a factory could not be given."""
+    """Refuse arguments that are set elsewhere, and all arguments of a factory."""
     if not isinstance(source, str | type) and arguments:
         raise ParameterError(
-            f"A function that makes engines takes no {', '.join(arguments)}; set it inside."
+            f"An engine factory takes no {', '.join(arguments)}; set it inside the function."
         )
     for name in (*_RANDOMNESS, "d", "dims"):
         if name in arguments:
             raise ParameterError(
-                f"{name} is not an option of an engine here; give rng= to draw(), and dims= for d."
+                f"{name} is not an option of the engine; give rng= to draw(), and dims= for d."
             )
 
 
@@ -71,13 +71,15 @@ def make(
     Raises
     ------
     ParameterError
-        The class refuses the arguments, or the factory makes something else.
+        The class refuses the arguments, or the factory returns another type.
     """
     if isinstance(source, str | type):
         return _instance(_class(source), dims, arguments, generator)
     engine = source(generator)
     if not isinstance(engine, _base()):
-        raise ParameterError(f"{qualified_name(source)} made {engine!r}, which is no QMCEngine.")
+        raise ParameterError(
+            f"{qualified_name(source)} returned {engine!r}; it must return a QMCEngine."
+        )
     return engine
 
 
@@ -87,8 +89,8 @@ def taken_apart(engine: object, arguments: Mapping[str, Any]) -> tuple[Source, d
         return as_source(engine), dict(arguments)
     if arguments:
         raise ParameterError(
-            f"An engine has its arguments already; give its class, {type(engine).__name__}, to "
-            f"set {', '.join(arguments)}."
+            f"The engine already has its arguments; to set {', '.join(arguments)}, give its class, "
+            f"{type(engine).__name__}."
         )
     return as_source(type(engine)), _arguments_of(engine)
 
@@ -137,8 +139,8 @@ def _randomness(cls: type[Any], parameters: Mapping[str, inspect.Parameter]) -> 
         if name in parameters:
             return name
     raise ParameterError(
-        f"{qualified_name(cls)} takes neither rng nor seed, so its realisations could not be told "
-        "apart; give a function that makes one from a generator."
+        f"{qualified_name(cls)} takes neither rng nor seed, so its realisations cannot be seeded; "
+        "give a function that makes an engine from a generator."
     )
 
 
@@ -150,7 +152,7 @@ def _arguments_of(engine: Any) -> dict[str, Any]:
         if name in _RANDOMNESS:
             continue
         if parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL):
-            raise ParameterError(_cannot_tell(engine, f"further arguments (*{name})"))
+            raise ParameterError(_cannot_tell(engine, f"*{name}"))
         found[name] = _plain(_attribute(engine, name))
     return found
 
@@ -168,8 +170,8 @@ def _attribute(engine: Any, name: str) -> Any:
 def _cannot_tell(engine: object, what: str) -> str:
     name = type(engine).__name__
     return (
-        f"The engine {name} does not say which {what} it was made with; give the class and its "
-        f"arguments, as in from_scipy({name}, d=2), or a function that makes one from a generator."
+        f"The engine {name} does not store its argument {what}; give the class and its arguments, "
+        f"as in from_scipy({name}, d=2), or a function that makes an engine from a generator."
     )
 
 

@@ -35,8 +35,8 @@ def check_sides(sampler: Any) -> None:
         )
     if math.prod(sides) > MAX_COUNT:
         raise ParameterError(
-            f"{sampler.name}: sides make {float(math.prod(sides)):.3g} cells; "
-            f"{MAX_COUNT:.3g} at most are possible."
+            f"{sampler.name}: sides give {float(math.prod(sides)):.3g} cells; "
+            f"at most {MAX_COUNT:.3g} are possible."
         )
     object.__setattr__(sampler, "sides_", sides)
 
@@ -51,7 +51,7 @@ def grid_counts_near(
 ) -> tuple[int | None, int]:
     """Return the possible counts next to `n`: s^d, or the only one that `sides` allow.
 
-    Where there is none above, what stands for it is too large to be made.
+    Without a possible count above `n`, the second number is too large to be made.
     """
     if sides is not None:
         only = math.prod(sides)

@@ -39,7 +39,7 @@ def as_source(generator: object) -> Any:
     if isinstance(generator, generator_class()):
         return generator
     raise ParameterError(
-        f"{generator!r} is no generator; give a name in qmcpy such as 'DigitalNetB2', an "
+        f"{generator!r} is not a generator; give a name in qmcpy such as 'DigitalNetB2', an "
         "AbstractDiscreteDistribution, or its class."
     )
 
@@ -100,7 +100,7 @@ def _spawned(generator: Any, seed: np.random.SeedSequence) -> Any:
         return generator._spawn(seed, generator.d)
     except Exception as error:
         reason = str(error).rstrip(".")[:200]
-        raise ParameterError(f"This {name} cannot be made anew: {reason}.") from error
+        raise ParameterError(f"This {name} cannot be copied: {reason}.") from error
 
 
 def _classes() -> dict[str, type[Any]]:

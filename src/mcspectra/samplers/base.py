@@ -54,7 +54,7 @@ Draw: TypeAlias = Callable[[int, np.random.Generator], object]
 
 
 class Structure(Enum):
-    """What makes a point set better than random, and so what a randomisation must not break."""
+    """The structure that makes a point set better than random; randomisations must keep it."""
 
     NONE = "independent points"
     UNKNOWN = "points from outside"
@@ -75,7 +75,7 @@ class Sampler(Component, ABC):
     fixed
         Whether all realisations are the same set.
     structure
-        What randomisations of this sampler have to keep: `Structure`.
+        The structure that randomisations of this sampler must keep: `Structure`.
     sequence
         Whether the first k of n points are those of a set of k points, each run of them good.
     antithetic
@@ -83,7 +83,7 @@ class Sampler(Component, ABC):
     independent
         Whether the realisations of a seed are independent of one another.
     max_dims, max_count
-        Most dims and most points of a realisation; beyond, it would take hours or all memory.
+        Largest dims and largest count of a realisation; beyond them, time or memory run out.
     """
 
     dims: int
@@ -98,7 +98,7 @@ class Sampler(Component, ABC):
 
     @property
     def digit_bases(self) -> tuple[int, ...]:
-        """Base of the digits of each coordinate, for randomisations of digits: 2 unless said."""
+        """Base of the digits of each coordinate, for randomisations of digits: 2 by default."""
         return (2,) * self.dims
 
     @property
@@ -158,8 +158,8 @@ class Sampler(Component, ABC):
             raise CountError(str(error)) from None
         if count > self.max_count:
             raise CountError(
-                f"{self.spec} makes {self.max_count} points at most, not {count}; ask for fewer, or "
-                "use a sampler that takes no search.",
+                f"{self.spec} makes at most {self.max_count} points, not {count}; ask for fewer, or "
+                "use a sampler that needs no optimisation.",
                 (self.max_count,),
             )
         below, above = self._counts_near(count)
@@ -189,7 +189,7 @@ class Sampler(Component, ABC):
         base, steps = (self.base, self.steps) if isinstance(self, Randomized) else (self, ())
         if len(steps) == _MOST_STEPS:
             raise ParameterError(
-                f"{base.spec} is followed by {_MOST_STEPS} steps, the most there can be; "
+                f"{base.spec} already has {_MOST_STEPS} randomisations, the most allowed; "
                 "leave the others out."
             )
         return Randomized(base=base._before(fitted), steps=(*steps, fitted))
@@ -199,7 +199,7 @@ class Sampler(Component, ABC):
         """Make realisations first … first+count−1: float64 (count, n, dims)."""
 
     def _before(self, randomization: Randomization) -> Sampler:
-        """Return what to draw from when `randomization` follows: given sets may then be reused."""
+        """Return the sampler to draw from before `randomization`: given sets may then be reused."""
         del randomization
         return self
 
@@ -208,7 +208,7 @@ class Sampler(Component, ABC):
         return n, n
 
     def _count_warning(self, n: int) -> str | None:
-        """Return what to warn of when `n` points, a possible count, are asked for."""
+        """Return a warning for `n` points, a possible but poor count, else None."""
         del n
         return None
 
@@ -264,7 +264,7 @@ class Randomization(Component, ABC):
         Raises
         ------
         ParameterError
-            It would break what the sampler is made for; the message says what and what fits.
+            It would break the structure of the sampler; the message names one that fits.
         """
         if sampler.structure not in self.fits:
             raise ParameterError(
@@ -274,7 +274,7 @@ class Randomization(Component, ABC):
         return self
 
     def left(self, sampler: Sampler) -> Structure:
-        """Return what is left of the structure of `sampler`."""
+        """Return the structure of `sampler` that this randomisation keeps."""
         return self.fits[sampler.structure]
 
     def draw(
@@ -292,20 +292,20 @@ class Randomization(Component, ABC):
         return sampler._counts_near(n)
 
     def max_count(self, sampler: Sampler) -> int:
-        """Return the most points that can be made of what `sampler` makes at most."""
+        """Return the largest count possible with `sampler`."""
         return sampler.max_count
 
     def count_warning(self, sampler: Sampler, n: int) -> str | None:
-        """Return what to warn of when `n` points, a possible count, are asked for."""
+        """Return a warning for `n` points, a possible but poor count, else None."""
         return sampler._count_warning(n)
 
 
 def _advice(structure: Structure) -> str:
     if structure is Structure.TORUS:
-        return "shift keeps them"
+        return "use shift"
     if structure is Structure.DIGITS:
-        return "shift, digital-shift and owen fit"
-    return "shift fits"
+        return "use shift, digital-shift or owen"
+    return "use shift"
 
 
 @final
@@ -338,12 +338,12 @@ class Randomized(Sampler):
 
     @property
     def structure(self) -> Structure:  # type: ignore[override]
-        """What the steps have left of the structure of the sampler inside."""
+        """The structure of the sampler inside that all steps keep."""
         return self.steps[-1].left(self._inner)
 
     @property
     def antithetic(self) -> bool:  # type: ignore[override]
-        """Whether there are still pairs: all steps that are accepted keep them."""
+        """Whether the sampler inside has pairs: all accepted steps keep them."""
         return self.base.antithetic
 
     @property
@@ -358,7 +358,7 @@ class Randomized(Sampler):
 
     @property
     def max_count(self) -> int:  # type: ignore[override]
-        """What the last step makes of the most points inside."""
+        """The largest count of the last step, given that of the sampler inside."""
         return self.steps[-1].max_count(self._inner)
 
     @property
@@ -368,16 +368,16 @@ class Randomized(Sampler):
 
     @property
     def powers_only(self) -> bool:
-        """That of the sampler inside, while something of its structure is left."""
+        """As for the sampler inside, while a part of its structure is kept."""
         return self.base.powers_only and self.structure in (Structure.STRATA, Structure.DIGITS)
 
     def digit_strata(self, n: int, base: int) -> bool:
-        """Those of the sampler inside."""
+        """As for the sampler inside."""
         return self.base.digit_strata(n, base)
 
     @property
     def _inner(self) -> Sampler:
-        """What the last step is applied to."""
+        """The sampler that the last step is applied to."""
         rest = self.steps[:-1]
         return Randomized(base=self.base, steps=rest) if rest else self.base
 
@@ -412,7 +412,7 @@ class GivenPoints(Sampler):
         Whether realisation r is set r mod R. Without a randomisation that repeats data:
         a variance is then that of R sets, however many are drawn.
     dims
-        Number of coordinates; by default what the sets have, else it must agree with them.
+        Number of coordinates; by default that of the sets; a given number must agree with them.
     digest
         First 12 digits of the SHA-256 of shape and coordinates.
 
@@ -423,7 +423,7 @@ class GivenPoints(Sampler):
     ParameterError
         Neither `path` nor `points`, or sets of different shapes.
     DomainError
-        Points outside [0,1), not finite, or none.
+        Points outside [0,1) or not finite, or no points.
     """
 
     name: ClassVar[str] = "points"
@@ -467,7 +467,7 @@ class GivenPoints(Sampler):
 
     @property
     def spec(self) -> str:
-        """Spec string by path; an array, which has none, shows its shape and digest."""
+        """Spec string with the path; for an array, its shape and digest."""
         if not self.path:
             shape = "x".join(map(str, self.points.shape))
             return f"points(<array {shape}, SHA-256 {self.digest}>)"
@@ -479,8 +479,8 @@ class GivenPoints(Sampler):
         sets = len(self.points)
         if first + count > sets and not self.cycle:
             raise CountError(
-                f"{self.spec} holds {sets} realisation{'s' if sets != 1 else ''}, but number {first + count} was asked for; "
-                "ask for fewer, give more sets, or let a randomisation such as '| shift' follow."
+                f"{self.spec} holds {sets} realisation{'s' if sets != 1 else ''}, but {first + count} are needed; "
+                "ask for fewer, give more sets, or add a randomisation such as '| shift'."
             )
         return np.asarray(self.points[np.arange(first, first + count) % sets])
 
@@ -522,12 +522,12 @@ class FunctionSampler(Sampler):
 
     @property
     def unbiased(self) -> bool:  # type: ignore[override]
-        """What was declared."""
+        """As declared by the user."""
         return self.unbiased_
 
     @property
     def spec(self) -> str:
-        """Name of the callable: no spec string makes it again."""
+        """Name of the callable, which no spec string can describe."""
         return f"function({_engines.qualified_name(self.function)})"
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
@@ -555,7 +555,7 @@ class ScipySampler(Sampler):
     Notes
     -----
     Scrambled Sobol, Halton and LatinHypercube, without `optimization`, are known to be unbiased;
-    of any other engine it is not assumed.
+    any other engine is not assumed to be.
     """
 
     name: ClassVar[str] = "scipy"
@@ -594,7 +594,7 @@ class ScipySampler(Sampler):
         Raises
         ------
         ParameterError
-            `engine` is none of these, or the arguments of an instance cannot be found out.
+            `engine` has another type, or the arguments of an instance are not known.
         """
         source, found = _engines.taken_apart(engine, arguments)
         dims = _engines.dims_of(source, found)
@@ -609,7 +609,7 @@ class ScipySampler(Sampler):
 
     @property
     def spec(self) -> str:
-        """Spec string; of a class or factory that is not scipy's, only its name."""
+        """Spec string; for a class or factory from outside scipy, its name only."""
         if isinstance(self.engine, str):
             return format_call(self)
         return f"scipy(engine=<{_engines.qualified_name(self.engine)}>, {self._arguments()})"
@@ -677,7 +677,7 @@ class QmcpySampler(Sampler):
         for name in self.options:
             if name in _SET_ELSEWHERE:
                 raise ParameterError(
-                    f"{name} is not an option of a generator here; give rng= and realizations= "
+                    f"{name} is not an option of the generator; give rng= and realizations= "
                     "to draw(), and dims= for the dimension."
                 )
         if self._pattern.d != self.dims:
@@ -699,7 +699,7 @@ class QmcpySampler(Sampler):
         Raises
         ------
         ParameterError
-            `generator` is none of these, or does not take the arguments.
+            `generator` has another type, or does not take the arguments.
         MissingDependency
             QMCPy is not installed.
         """
@@ -711,8 +711,8 @@ class QmcpySampler(Sampler):
             given = given or [generator.d]
             if options:
                 raise ParameterError(
-                    f"A generator has its arguments already; give its class, "
-                    f"{type(generator).__name__}, to set {', '.join(options)}."
+                    f"The generator already has its arguments; to set {', '.join(options)}, give "
+                    f"its class, {type(generator).__name__}."
                 )
         dims = as_integer("dimension", given[0] if given else DEFAULT_DIMS, least=1)
         return cls(generator=generator, dims=dims, options=options)
@@ -730,7 +730,7 @@ class QmcpySampler(Sampler):
 
     @property
     def spec(self) -> str:
-        """Spec string; of an instance, or a class that is not QMCPy's, what it says of itself."""
+        """Spec string; for an instance, or a class from outside QMCPy, its own description."""
         if isinstance(self.generator, str):
             return format_call(self)
         made = self._pattern
@@ -740,7 +740,7 @@ class QmcpySampler(Sampler):
 
     @cached_property
     def _pattern(self) -> Any:
-        """One generator, to ask what it is and can do."""
+        """One generator, from which dims and limits are read."""
         return self._fresh(np.random.SeedSequence(0))
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:

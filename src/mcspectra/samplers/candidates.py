@@ -1,7 +1,7 @@
 """Points chosen among random places by how far they are from the others, on the torus.
 
-Dart throwing takes the first place that is far enough, Mitchell's method the farthest of some, and
-farthest-point optimisation, again and again, the farthest there is.
+Dart throwing takes the first random place that is far enough, Mitchell's method the farthest of several
+candidates; farthest-point optimisation repeatedly moves each point to the farthest place of all.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _TRIALS = 100_000  # darts in a row that may miss: then less than a ten-thousand
 @final
 @dataclass(frozen=True, kw_only=True)
 class DartThrowing(Sampler):
-    """Random points, those too close to earlier ones rejected, until there are n (Cook's darts).
+    """Random points, each rejected if it is too close to an earlier one, until n are accepted (Cook).
 
     The law is that of `poisson-disk`, whose method is faster, for up to 8 dims; distances are
     toroidal. A set is begun anew when 100,000 darts in a row have missed.
@@ -86,7 +86,7 @@ class DartThrowing(Sampler):
 @final
 @dataclass(frozen=True, kw_only=True)
 class BestCandidate(Sampler):
-    """Every next point is the best of random candidates: the farthest from the points before it.
+    """Each point is the best of random candidates: the farthest from all earlier points.
 
     Progressive: the first points of a set are themselves one. Distances are toroidal. The time is
     O(candidates · n²).
@@ -135,7 +135,7 @@ class FarthestPoint(OptimisedSampler):
     dims
         2.
     sweeps
-        How often every point is moved at most; less if nothing changes any more. After 30 the
+        Largest number of moves of every point; fewer if nothing changes any more. After 30 the
         minimum distance is about 0.92 of that of the hexagonal packing.
 
     References

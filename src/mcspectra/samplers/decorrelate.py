@@ -27,16 +27,16 @@ _MODES = ("shift", "digital-shift", "owen")
 @final
 @dataclass(frozen=True, kw_only=True)
 class Decorrelate(Randomization):
-    """Decorrelate pixels: one realisation of the sampler for all, each pixel with its own shift.
+    """Decorrelate pixels: all share one realisation of the sampler, each with its own shift.
 
     Realisation r is pixel (r mod width, r div width) of an image.
 
     Attributes
     ----------
     mode
-        What is done to the shared set in a pixel: ``"shift"``, ``"digital-shift"`` or ``"owen"``.
+        Randomisation of the shared set in a pixel: ``"shift"``, ``"digital-shift"`` or ``"owen"``.
     mask
-        Where its random numbers come from. ``"white"``: independent in all pixels.
+        Source of its random numbers. ``"white"``: independent in all pixels.
         ``"blue-noise"``: a void-and-cluster dither mask, repeated, at a random place for each
         dim, so that neighbours get very different shifts and the error of the image is blue noise.
         ``"r2"``: the R-sequence of Roberts by the number of the pixel, from a random start.
@@ -79,19 +79,19 @@ class Decorrelate(Randomization):
         object.__setattr__(self, "independent", self.mask == "white")
         if self.mode == "owen" and self.mask != "white":
             raise ParameterError(
-                f"mask is {self.mask!r}, but mode='owen' has no single number for a mask to give; "
-                "use mask='white', or mode='shift'."
+                f"mask is {self.mask!r}, but mode='owen' needs many random numbers for each dim and a "
+                "mask gives one; use mask='white' or mode='shift'."
             )
 
     def fit(self, sampler: Sampler) -> Randomization:
-        """Refuse what the mode refuses, and masks for digits in other bases."""
+        """Refuse samplers that the mode refuses, and masks for digits in other bases."""
         Randomization.fit(self, sampler)
         self._step().fit(sampler)
         others = set(sampler.digit_bases) - {2}
         if self.mode == "digital-shift" and self.mask != "white" and others:
             raise ParameterError(
-                f"mask={self.mask!r} shifts binary digits, {sampler.spec} has digits in base "
-                f"{min(others)}; use mask='white', or mode='shift'."
+                f"mask={self.mask!r} shifts binary digits, but {sampler.spec} has digits in base "
+                f"{min(others)}; use mask='white' or mode='shift'."
             )
         return self
 

@@ -26,7 +26,7 @@ _MAX_DEGREE = 13  # of Niederreiter's polynomials: 1,377 of them are irreducible
 @final
 @dataclass(frozen=True, kw_only=True)
 class Sobol(Sampler):
-    """Sobol' points 0 … n−1, 32 bits, the same every time; randomise with owen or digital-shift.
+    """Sobol' points 0 … n−1, 32 bits, deterministic; randomise with owen or digital-shift.
 
     Notes
     -----
@@ -67,7 +67,7 @@ class Sobol(Sampler):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Niederreiter(Sampler):
-    """Niederreiter points 0 … n−1 in base 2, 32 bits, the same every time; randomise with owen.
+    """Niederreiter points 0 … n−1 in base 2, 32 bits, deterministic; randomise with owen.
 
     Up to 1377 dims; any count, with a warning where it is not a power of two.
 
@@ -113,7 +113,7 @@ class Niederreiter(Sampler):
 @final
 @dataclass(frozen=True, kw_only=True)
 class LarcherPillichshammer(Sampler):
-    """Larcher and Pillichshammer's (0, m, 2)-net of n = 2^m points, the same every time (2-D).
+    """Larcher and Pillichshammer's (0, m, 2)-net of n = 2^m points, deterministic (2-D).
 
     The first coordinate is i/n; the matrix of the second is the upper triangle of ones, which
     makes the star discrepancy less than that of hammersley. Randomise with owen or digital-shift.

@@ -66,7 +66,7 @@ class VoidAndCluster(OptimisedSampler):
     cells
         Cells of the grid for each point, from 4 to 256: more of them, less grid in the points.
     sets
-        How many sets are made at most, None for one a realisation: see `OptimisedSampler`.
+        Largest number of different sets, None for one for each realisation: see `OptimisedSampler`.
 
     References
     ----------

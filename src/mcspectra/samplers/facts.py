@@ -1,4 +1,4 @@
-"""What a registered sampler can do, found out by asking it: dims, counts, sources."""
+"""Facts about a registered sampler, found by probing it: dims, counts, sources."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class Facts:
     Attributes
     ----------
     dims
-        Such as ``any``, ``2`` or ``1–1111``; ``as given`` where parameters decide.
+        For instance ``any``, ``2`` or ``1–1111``; ``as given`` where parameters decide.
     counts
-        Such as ``any`` or ``1, 4, 9, 16, 25, 36, …`` (in 2-D where it can do 2-D).
+        For instance ``any`` or ``1, 4, 9, 16, 25, 36, …`` (in 2-D where it can do 2-D).
     sources
         The references of its docstring, one line.
     """
@@ -46,7 +46,7 @@ def sampler_facts(name: str) -> Facts:
     Raises
     ------
     UnknownName
-        Nobody registered the name.
+        The name is not registered.
     MissingDependency
         It needs a package that is not installed.
     """

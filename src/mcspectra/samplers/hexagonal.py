@@ -27,7 +27,7 @@ class Hexagonal(Sampler):
 
     Notes
     -----
-    The points are 2b rows of a points, every other row moved by half a step, the same every time.
+    The points are 2b rows of a points, every other row moved by half a step; nothing is random.
     On a square torus no such array is quite regular: that takes b = a/√3. The chosen b is off by ½
     at most, and the longer of the two distances between neighbours is then 1.41, 1.12, 1.11, 1.12,
     1.03 and 1.12 times the shorter one at the first six counts, at most 1.06 from n = 56 and 1.02

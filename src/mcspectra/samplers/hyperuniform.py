@@ -121,7 +121,7 @@ def _gains(sides: int, dims: int, beta: float) -> Array:
 @final
 @dataclass(frozen=True, kw_only=True)
 class StealthyHyperuniform(OptimisedSampler):
-    """Points without any power at the frequencies 0 < |m| ≤ K, otherwise disordered; any dims.
+    """Disordered points with zero power at the frequencies 0 < |m| ≤ K; any dims.
 
     Attributes
     ----------
@@ -160,7 +160,7 @@ class StealthyHyperuniform(OptimisedSampler):
         chi = as_real("stealthiness", self.stealthiness, above=0.0)
         if chi >= 0.5:
             raise ParameterError(
-                f"stealthiness is {chi:g}; give less than 0.5: from there on all sets are crystals."
+                f"stealthiness is {chi:g}; give less than 0.5: from 0.5 on, all sets are crystals."
             )
         object.__setattr__(self, "stealthiness", chi)
         steps = as_integer("iterations", self.iterations, least=1, most=10**6)
@@ -182,8 +182,8 @@ class StealthyHyperuniform(OptimisedSampler):
             if power(points)[0] <= 2 * _GOAL:
                 return points
         raise ParameterError(
-            f"stealthy-hyperuniform found no {n} points without low frequencies in {_STARTS} "
-            f"starts; lower stealthiness (now {self.stealthiness:g}) or raise iterations "
+            f"stealthy-hyperuniform found no set of {n} points without low frequencies in "
+            f"{_STARTS} starts; lower stealthiness (now {self.stealthiness:g}) or raise iterations "
             f"(now {self.iterations})."
         )
 

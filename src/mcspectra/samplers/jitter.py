@@ -34,9 +34,9 @@ class BoxJitter(Sampler):
     Notes
     -----
     Every point is uniform on the torus where the boxes tile it: for whole widths from 1 on. Others
-    leave gaps or overlaps at the same places of every cell; shift makes them uniform. What is
-    moved out at one end of the domain comes in at the other. The default is narrow enough to look
-    unlike jittered, and has no source.
+    leave gaps or overlaps at the same places of every cell; shift makes them uniform. Points that
+    leave the domain at one end come in at the other. The default is narrow enough to look
+    unlike jittered, and is not from a paper.
 
     References
     ----------
@@ -83,8 +83,8 @@ class GaussianJitter(Sampler):
     -----
     A point is not uniform: the centers show in its density as 1 + 2 exp(−2π² width²) cos(2πsx) + …
     along each axis, by 58 % at width 0.25 and by 10^-8 at width 1; shift makes it uniform. Points
-    may leave their cells; what leaves the domain comes in at the other end. The default is about
-    the standard deviation of jittered, 0.29, and has no source.
+    may leave their cells; those that leave the domain come in at the other end. The default is about
+    the standard deviation of jittered, 0.29, and is not from a paper.
 
     References
     ----------

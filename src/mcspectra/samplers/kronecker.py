@@ -27,7 +27,7 @@ _S11, _UNIT = np.uint64(11), 2.0**-53
 @final
 @dataclass(frozen=True, kw_only=True)
 class Kronecker(Sampler):
-    """Kronecker points {k α}, k = 0, 1, …, the same every time; randomise with shift.
+    """Kronecker points {k α}, k = 0, 1, …, deterministic; randomise with shift.
 
     Any dims, any count.
 

@@ -26,7 +26,7 @@ _LEAST_CANDIDATES = 16
 @final
 @dataclass(frozen=True, kw_only=True)
 class Rank1Lattice(Sampler):
-    """Rank-1 lattice {k z / n}, k = 0 … n−1, the same every time; randomise with shift.
+    """Rank-1 lattice {k z / n}, k = 0 … n−1, deterministic; randomise with shift.
 
     Any dims, any count.
 
@@ -131,7 +131,7 @@ class Korobov(Sampler):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Fibonacci(Sampler):
-    """Fibonacci lattice: n = F_m points {k (1, F_(m−1)) / n}, the same every time (2-D).
+    """Fibonacci lattice: n = F_m points {k (1, F_(m−1)) / n}, deterministic (2-D).
 
     The counts are the Fibonacci numbers 1, 2, 3, 5, 8, …. Randomise with shift.
 
@@ -210,7 +210,7 @@ def _checked_vector(vector: object, dims: int) -> tuple[int, ...]:
         )
     if len(vector) != dims:
         raise ParameterError(
-            f"vector has {len(vector)} components, dims is {dims}; give one for each dim."
+            f"vector has {len(vector)} components, but dims is {dims}; give one for each dim."
         )
     return tuple(as_integer(f"vector[{j}]", z, least=0) for j, z in enumerate(vector))
 

@@ -32,12 +32,12 @@ class LowDiscrepancyBlueNoise(OptimisedSampler):
     Attributes
     ----------
     chunk
-        How many cells in line share out their offsets as blue noise wants, a power of two up to 64:
+        Number of cells in line whose offsets follow the blue-noise set, a power of two up to 64:
         more of them give cleaner blue noise, fewer a lower discrepancy.
     sweeps
-        How often each point of the blue-noise set that is followed tries to move.
+        Number of tries to move each point of the blue-noise set that is followed.
     sets
-        How many sets are made at most, None for one a realisation: see `OptimisedSampler`.
+        Largest number of different sets, None for one for each realisation: see `OptimisedSampler`.
 
     Notes
     -----

@@ -28,7 +28,7 @@ _IMAGES: dict[Structure, Structure] = {s: s for s in Structure} | {Structure.TOR
 @final
 @dataclass(frozen=True, kw_only=True)
 class Mirror(Randomization):
-    """Mirroring: samples of the integrand's 2^d mirror images, at random, in all, or by folding.
+    """Mirroring: put samples into one random mirror image of the integrand, into all, or fold them.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Mirror(Randomization):
     Reflected at its upper faces, an integrand f on [0,1)^d becomes g(k + x) = f(x reflected in the
     coordinates with k_j = 1), k ∈ {0,1}^d, which is continuous across all faces and of period 2. A
     sample x can be put at k + x for one image k chosen at random, or for all of them, or the whole
-    set can be stretched over [0,2)^d. What comes out here are the arguments of f for each.
+    set can be stretched over [0,2)^d. The result holds the arguments of f for each sample.
 
     1 − u would leave [0,1) for u = 0. Reflected is 1 − 2^-53 − u instead: multiples of 2^-53, which
     float64 points are, go to such multiples one to one, both here and in folding. Uniform samples
@@ -70,11 +70,11 @@ class Mirror(Randomization):
         object.__setattr__(self, "pointwise", self.mode != "uniform")
 
     def fit(self, sampler: Sampler) -> Randomization:
-        """Refuse 2^d images of a point in too many dims."""
+        """Refuse the uniform mode in too many dims."""
         if self.mode == "uniform" and sampler.dims > _MOST_DIMS:
             raise ParameterError(
                 f"mirror(mode='uniform') makes 2^d images of a point, but {sampler.spec} has "
-                f"{sampler.dims} dims; {_MOST_DIMS} at most, use mode='random'."
+                f"{sampler.dims} dims; use at most {_MOST_DIMS}, or mode='random'."
             )
         return Randomization.fit(self, sampler)
 
@@ -91,23 +91,23 @@ class Mirror(Randomization):
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
-        """Draw n points of `sampler`, or n/2^d for the uniform mode, and mirror them."""
+        """Draw n points of `sampler`, or n/2^d in the uniform mode, and mirror them."""
         points = sampler.draw_stream(n // self._images(sampler), stream, first, count)
         return self.apply(points, own, first)
 
     def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
-        """Return 2^d times what `sampler` can do for the uniform mode."""
+        """Return the counts of `sampler`, times 2^d for the uniform mode."""
         images = self._images(sampler)
         below = sampler._counts_near(n // images)[0] if n >= images else None
         above = sampler._counts_near(-(-n // images))[1]
         return (below and below * images), above * images
 
     def max_count(self, sampler: Sampler) -> int:
-        """Return 2^d times what `sampler` can do for the uniform mode."""
+        """Return the counts of `sampler`, times 2^d for the uniform mode."""
         return min(sampler.max_count * self._images(sampler), MAX_COUNT)
 
     def count_warning(self, sampler: Sampler, n: int) -> str | None:
-        """Return what `sampler` warns of."""
+        """Return the warning of `sampler`."""
         return sampler._count_warning(n // self._images(sampler))
 
     def _images(self, sampler: Sampler) -> int:

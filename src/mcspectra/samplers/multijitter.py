@@ -21,7 +21,7 @@ __all__ = ["CorrelatedMultiJittered", "MultiJittered"]
 @final
 @dataclass(frozen=True, kw_only=True)
 class MultiJittered(Sampler):
-    """Jittered in a × b cells and, at once, one point in each n-th of either axis (2-D).
+    """Jittered in a × b cells, with one point in each of n strata of either axis too (2-D).
 
     2-D. The counts are those n = a·b with a ≤ b ≤ 2a; the most nearly square such a × b is taken.
 

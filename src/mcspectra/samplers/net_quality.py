@@ -66,7 +66,9 @@ def elementary_intervals(points: object, base: int = 2, t: int = 0) -> bool:
     """
     x, base, places = _as_net(points, base)
     if base**places != len(x):
-        raise CountError(f"{len(x)} points are not a power of the base {base}; give b^m points.")
+        raise CountError(
+            f"{len(x)}, the number of points, is not a power of the base {base}; give b^m points."
+        )
     level = places - as_integer("t", t, least=0, most=places)
     _check_work(len(x), x.shape[1], level)
     digits = _leading_digits(x, base, places)
@@ -122,6 +124,6 @@ def _check_work(size: int, dims: int, level: int) -> None:
     shapes = math.comb(level + dims - 1, level)
     if size * shapes > _MOST_WORK:
         raise ParameterError(
-            f"There are {shapes:.3g} shapes of elementary intervals to check; "
+            f"Checking {shapes:.3g} shapes of elementary intervals would take too long; "
             "give fewer points or dims."
         )

@@ -28,15 +28,15 @@ from mcspectra.samplers.net_quality import elementary_intervals, net_t_value, t_
 __all__ = ["DigitalNet", "Faure", "elementary_intervals", "net_t_value", "t_value"]
 
 _NO_MATRICES = (
-    "matrices is not a list of matrices; give each as a list of rows of digits "
-    "or of whole numbers, its columns."
+    "matrices is not a list of matrices; give each matrix as a list of rows of "
+    "digits, or as a list of whole numbers, one for each column."
 )
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class DigitalNet(Sampler):
-    """Digital net from given generator matrices, the same every time; randomise with owen or lms.
+    """Digital net from given generator matrices, deterministic; randomise with owen or lms.
 
     As many dims as matrices; at most b^m points for matrices of m columns, balanced (with luck)
     where n is a power of b.
@@ -125,7 +125,7 @@ class DigitalNet(Sampler):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Faure(Sampler):
-    """Faure points 0 … n−1, the same every time: a (0, d)-sequence in a prime base b ≥ d.
+    """Faure points 0 … n−1, deterministic: a (0, d)-sequence in a prime base b ≥ d.
 
     Up to 1000 dims; any count, with a warning where it is not a power of b. Randomise with owen,
     lms or digital-shift.

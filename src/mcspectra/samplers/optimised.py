@@ -1,4 +1,4 @@
-"""What samplers share whose sets an optimisation makes: a cache, progress, sets used again."""
+"""The base class of samplers with optimised sets: a cache, progress reports, reuse of sets."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ _MOST_STRENGTH = 8
 @final
 @dataclass(frozen=True, kw_only=True)
 class LatinHypercube(Sampler):
-    """Each coordinate stratified into n by a random permutation of its own, jittered within.
+    """Each coordinate has n strata in a random order of its own, with one jittered point in each.
 
     Any dims and any count; strength 2: counts p² for primes p ≥ d − 1, up to 1024 dims.
 
@@ -60,7 +60,7 @@ class LatinHypercube(Sampler):
         object.__setattr__(self, "strength", strength)
         if strength == 2 and self.dims > MAX_DIMS:
             raise ParameterError(
-                f"latin-hypercube: dims is {self.dims}; strength 2 does {MAX_DIMS} at most."
+                f"latin-hypercube: dims is {self.dims}; strength 2 allows at most {MAX_DIMS}."
             )
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
@@ -150,14 +150,14 @@ class OrthogonalArray(Sampler):
         as_choice("jitter", self.jitter, _JITTERS)
         if self.dims < strength:
             raise ParameterError(
-                f"orthogonal-array: dims is {self.dims}, but strength {strength} takes "
-                f"{strength} dims at least; use jittered for fewer."
+                f"orthogonal-array: dims is {self.dims}, but strength {strength} needs "
+                f"at least {strength} dims; use jittered for fewer."
             )
         least = _next_prime(max(self.dims, strength) - 1)
         if least**strength > MAX_COUNT:
             raise ParameterError(
-                f"orthogonal-array: {self.dims} dims at strength {strength} take "
-                f"{least}^{strength} points at least, more than can be made; lower the strength."
+                f"orthogonal-array: {self.dims} dims at strength {strength} need "
+                f"at least {least}^{strength} points, more than is possible; lower the strength."
             )
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:

@@ -113,7 +113,7 @@ class PoissonDisk(Sampler):
         if self.mode == "maximal" and self.dims > _MOST_MAXIMAL:
             raise ParameterError(
                 f"Maximal Poisson-disk sets are for 1 to {_MOST_MAXIMAL} dims, not {self.dims} (the "
-                "last gaps take minutes to find); take mode='exact'."
+                "last gaps take minutes to find); use mode='exact'."
             )
         if self.radius_ is None:
             return
@@ -121,8 +121,8 @@ class PoissonDisk(Sampler):
         object.__setattr__(self, "radius_", radius)
         if self.mode == "maximal":
             raise ParameterError(
-                f"radius is {radius:g}, but a maximal set of n points has a radius of its own; "
-                "leave radius out, or take mode='exact'."
+                f"radius is {radius:g}, but each maximal set has its own minimum distance; "
+                "leave radius out, or use mode='exact'."
             )
 
     @property
@@ -136,11 +136,11 @@ class PoissonDisk(Sampler):
         Raises
         ------
         ParameterError
-            In mode "maximal": every set has its own.
+            In mode "maximal": every set has its own minimum distance.
         """
         if self.mode == "maximal":
             raise ParameterError(
-                f"{self.spec} has no radius that holds for all its sets; measure that of the points."
+                f"{self.spec} has no common radius: each set has its own; measure it on the points."
             )
         relative = _DEFAULT_RADIUS[self.dims - 1] if self.radius_ is None else self.radius_
         return relative * densest_distance(self.check_count(n), self.dims)

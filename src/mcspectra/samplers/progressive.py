@@ -108,7 +108,7 @@ class PMJ02BlueNoise(Sampler):
     Attributes
     ----------
     sweeps
-        How often every choice is looked at again, from 1 to 100.
+        Number of passes over all choices, from 1 to 100.
 
     Notes
     -----

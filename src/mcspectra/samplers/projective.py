@@ -52,7 +52,7 @@ class ProjectiveBlueNoise(Sampler):
     radius_
         Minimum distances in projections on k axes, for all k relative to that of the densest known
         packing of n points in k dims; 0.01 to 1. By default 0.65, 0.6, 0.5, 0.4, 0.33 and
-        0.25 in 1 to 6 dims: a little below where darts find no place for 1000 points any more.
+        0.25 in 1 to 6 dims, a little below the largest at which darts place 1000 points.
 
     References
     ----------

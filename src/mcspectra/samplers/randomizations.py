@@ -1,4 +1,4 @@
-"""Randomisations: what can be done to the points of any sampler, one realisation at a time."""
+"""Randomisations of the points of any sampler, one realisation at a time."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Shift(Randomization):
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
-        """Draw realisations of `sampler`, a fixed set once, and translate them."""
+        """Draw realisations of `sampler` (a fixed set once) and translate them."""
         points = sampler.draw_stream(n, stream, first, 1 if sampler.fixed else count)
         return self._moved(points, own, first, count)
 
@@ -58,12 +58,12 @@ class Shift(Randomization):
 @final
 @dataclass(frozen=True, kw_only=True)
 class StrataShift(Randomization):
-    """Fixed toroidal translation by a part of the side n^(-1/d) of a stratum; nothing random.
+    """Deterministic toroidal translation by a fraction of the stratum side n^(-1/d).
 
     Attributes
     ----------
     offset
-        Part of the side, one number or one for each dim.
+        Fraction of the side, one number or one for each dim.
 
     References
     ----------
@@ -82,12 +82,12 @@ class StrataShift(Randomization):
         object.__setattr__(self, "offset", value)
 
     def fit(self, sampler: Sampler) -> Randomization:
-        """Refuse a list of offsets that has not one for each dim."""
+        """Refuse a list of offsets of another length than dims."""
         as_reals("offset", self.offset, sampler.dims)
         return Randomization.fit(self, sampler)
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """Translate all realisations alike."""
+        """Translate all realisations by the same vector."""
         del stream, first
         _, n, dims = points.shape
         offsets = np.array([as_reals("offset", self.offset, dims)]) * n ** (-1.0 / dims) % 1.0

@@ -99,8 +99,8 @@ def sampler(spec: str | Sampler, dims: int | None = None) -> Sampler:
     Parameters
     ----------
     spec
-        A sampler, then any number of randomisations after ``|``. What `as_sampler` takes is
-        taken here too.
+        A sampler, then any number of randomisations after ``|``. Everything that
+        `as_sampler` accepts is accepted here too.
     dims
         Number of dims; None leaves it to the spec, else to the sampler's default (2).
 
@@ -139,7 +139,7 @@ def as_sampler(source: Any, dims: int | None = None) -> Sampler:
     Raises
     ------
     ParameterError
-        `source` is none of these, or has another number of dims.
+        `source` has another type, or another number of dims.
     """
     if isinstance(source, str):
         return sampler(source, dims)

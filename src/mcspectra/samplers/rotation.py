@@ -66,10 +66,10 @@ class RandomRotation(Randomization):
         object.__setattr__(self, "pointwise", self.boundary == "toroidal")
 
     def fit(self, sampler: Sampler) -> Randomization:
-        """Refuse any angle in other than 2 dims."""
+        """Refuse rotations by any angle unless `sampler` has 2 dims."""
         if self.boundary == "clipped" and sampler.dims != 2:
             raise ParameterError(
-                f"random-rotation(boundary='clipped') turns 2 dims, {sampler.spec} has "
+                f"random-rotation(boundary='clipped') needs 2 dims, but {sampler.spec} has "
                 f"{sampler.dims}; use boundary='toroidal'."
             )
         return Randomization.fit(self, sampler)

@@ -1,4 +1,4 @@
-"""Randomisations of digits: what keeps elementary intervals, and strata whose sides are powers.
+"""Randomisations of digits: they keep elementary intervals, and strata whose sides are powers.
 
 All work in the base in which the digits of the sampler mean something (its `digit_bases`): 2, or
 the primes of halton, the base of faure.
@@ -113,8 +113,8 @@ class Permute(Randomization):
 class Owen(Randomization):
     """Owen's nested uniform scrambling: the permutation of a digit depends on all digits above it.
 
-    So many digits are scrambled as reach 2^-32 (32 bits in base 2); what is below becomes
-    independent and uniform. Only the balance of nets in that base survives it: other sets keep
+    Digits are scrambled down to 2^-32 (32 bits in base 2); lower digits become independent
+    and uniform. Only the balance of nets in that base survives it: other sets keep
     their multiplicities in the elementary intervals of each axis and little else.
 
     Attributes
@@ -124,8 +124,8 @@ class Owen(Randomization):
         ``"hash"``: in base 2 only, some six times as fast: all bits by a few multiplications in
         which lower bits of the reversed word change higher ones only. Points are
         exactly uniform, nets stay nets, and the flips of two points below their first different
-        digit are independent as far as tests can tell, which is what variances depend on; those
-        of many points together are not.
+        digit pass tests of independence, on which variances depend; those of many points together
+        do not.
     base
         As for digital-shift.
 
@@ -311,19 +311,19 @@ def _check_pairs(step: Randomization, sampler: Sampler) -> None:
     if sampler.antithetic:
         raise ParameterError(
             f"{step.name} would break the pairs of {sampler.spec}, whose points mirror each other; "
-            "shift, digital-shift and permute keep them."
+            "use shift, digital-shift or permute."
         )
 
 
 def _check_strata(step: _Step, sampler: Sampler, bases: tuple[int, ...]) -> None:
     if len(set(bases)) > 1 or not is_prime(bases[0]):
         raise ParameterError(
-            f"{step.spec} would break the strata of {sampler.spec}; give base= one prime."
+            f"{step.spec} would break the strata of {sampler.spec}; give one prime as base=."
         )
     if next(_powers_possible(sampler, bases[0], range(32)), None) is None:
         raise ParameterError(
-            f"{step.spec} would break the strata of {sampler.spec}, which cannot make a power of "
-            f"{bases[0]}; shift fits."
+            f"{step.spec} would break the strata of {sampler.spec}, whose counts are never "
+            f"powers of {bases[0]}; use shift."
         )
 
 

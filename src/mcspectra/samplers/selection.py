@@ -98,7 +98,7 @@ class Subset(Randomization):
         return self.of or sampler.max_count
 
     def count_warning(self, sampler: Sampler, n: int) -> str | None:
-        """Return what `sampler` warns of for the whole set, if all of it is taken."""
+        """Return the warning of `sampler` for the whole set, if all of it is taken."""
         return sampler._count_warning(n) if self.of is None else None
 
 
@@ -133,12 +133,12 @@ class Skip(Randomization):
         object.__setattr__(self, "count", as_integer("count", self.count, least=0, most=MAX_COUNT))
 
     def fit(self, sampler: Sampler) -> Randomization:
-        """Refuse sets that are no sequences."""
+        """Refuse sets that are not sequences."""
         _check_size(self, sampler, self.count)
         if not (sampler.sequence or sampler.structure is Structure.UNKNOWN):
             raise ParameterError(
-                f"skip would break the cover of the domain by {sampler.spec}, which is no sequence; "
-                "take a sequence such as sobol, halton or kronecker, or subset."
+                f"skip would leave gaps in {sampler.spec}, which is not a sequence; use a sequence "
+                "such as sobol, halton or kronecker, or use subset."
             )
         return Randomization.fit(self, sampler)
 
@@ -161,17 +161,17 @@ class Skip(Randomization):
         return _picked(sampler, n + self.count, pick, stream, first, out)
 
     def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
-        """Return what `sampler` can do, less the points left out."""
+        """Return the counts of `sampler`, less the points left out."""
         below, above = sampler._counts_near(n + self.count)
         kept = 0 if below is None else below - self.count
         return (kept if kept > 0 else None), above - self.count
 
     def max_count(self, sampler: Sampler) -> int:
-        """Return what is left of the most points of `sampler`."""
+        """Return the largest count of `sampler`, less the points left out."""
         return max(sampler.max_count - self.count, 0)
 
     def count_warning(self, sampler: Sampler, n: int) -> str | None:
-        """Return what `sampler` warns of, or that the run does not begin at a multiple of n."""
+        """Return the warning of `sampler`, or one if the run does not begin at a multiple of n."""
         sentence = sampler._count_warning(n)
         if sentence is None and sampler.structure is Structure.DIGITS and self.count % n:
             return (
@@ -205,8 +205,8 @@ class Shuffle(Randomization):
 def _check_size(step: Randomization, sampler: Sampler, size: int) -> None:
     if size * sampler.dims > _MOST_MADE:
         raise ParameterError(
-            f"{step.spec} makes {size} points in {sampler.dims} dims to leave them out again; "
-            f"{_MOST_MADE // sampler.dims} at most."
+            f"{step.spec} has to make {size} points in {sampler.dims} dims first; "
+            f"at most {_MOST_MADE // sampler.dims} are possible."
         )
 
 

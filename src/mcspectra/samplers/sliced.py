@@ -60,7 +60,7 @@ class SlicedOptimalTransport(OptimisedSampler):
         check_sets(self)
         if self.dims < 2:
             raise ParameterError(
-                f"{self.name}: dims is {self.dims}; it must be at least 2, in 1-D take jittered."
+                f"{self.name}: dims is {self.dims}; it must be at least 2, in 1-D use jittered."
             )
         for field in ("iterations", "directions"):
             value = as_integer(field, getattr(self, field), least=1, most=10**6)

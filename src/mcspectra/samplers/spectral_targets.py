@@ -1,4 +1,4 @@
-"""Sets made to measure in 2-D: a step, any radial power spectrum, any pair correlation function.
+"""Sets in 2-D for a given target: a step, a radial power spectrum or a pair correlation.
 
 Frequencies are given as |m|/√n and distances as r√n, in units of the mean distance 1/√n of the
 points, so that one target serves every count.
@@ -64,8 +64,8 @@ class StepBlueNoise(OptimisedSampler):
         cutoff = as_real("cutoff", self.cutoff, above=0.0)
         if cutoff > _LARGEST_STEP:
             raise ParameterError(
-                f"cutoff is {cutoff:g}; a step beyond 1/√π = 0.5642 would need a negative density "
-                "of pairs, give at most that."
+                f"cutoff is {cutoff:g}; give at most 1/√π = 0.5642: a higher cutoff would need a "
+                "negative density of pairs."
             )
         object.__setattr__(self, "cutoff", cutoff)
 
@@ -124,8 +124,8 @@ class TargetSpectrum(OptimisedSampler):
         low, where = _least_transform(self._profile, self.frequencies)
         if low < _NEGATIVE:
             raise ParameterError(
-                f"No points have this power: their pair correlation would be {low:.3g} at the "
-                f"distance {where:.3g}/√n; empty fewer of the low frequencies."
+                f"No point set has this power: its pair correlation would be {low:.3g} at the "
+                f"distance {where:.3g}/√n; lower the power at fewer low frequencies."
             )
 
     def misfit(self, points: object) -> float:
@@ -185,8 +185,8 @@ class TargetPcf(OptimisedSampler):
         low, where = _least_transform(self._correlation, self.distances)
         if low < _NEGATIVE:
             raise ParameterError(
-                f"No points have this pair correlation: their power would be {low:.3g} at the "
-                f"frequency {where:.3g} √n; keep points less far apart."
+                f"No point set has this pair correlation: its power would be {low:.3g} at the "
+                f"frequency {where:.3g} √n; keep the points less far apart."
             )
 
     def misfit(self, points: object) -> float:
@@ -247,8 +247,8 @@ def _check_knots(sampler: TargetSpectrum | TargetPcf, places: str, values: str) 
     x, y = (as_real_array(name, getattr(sampler, name)) for name in (places, values))
     if x.ndim != 1 or x.shape != y.shape or not 0 < x.size <= _MOST_KNOTS:
         raise ParameterError(
-            f"{places} and {values} have shapes {x.shape} and {y.shape}; give two lists of one "
-            f"length, 1 to {_MOST_KNOTS}."
+            f"{places} and {values} have shapes {x.shape} and {y.shape}; give two lists of "
+            f"equal length, 1 to {_MOST_KNOTS}."
         )
     good = np.isfinite(x).all() and x[0] >= 0 and x[-1] <= _LARGEST_PLACE
     if not good or (np.diff(x) <= 0).any():
@@ -256,7 +256,7 @@ def _check_knots(sampler: TargetSpectrum | TargetPcf, places: str, values: str) 
             f"{places} are {x.tolist()}; give increasing numbers from 0 to {_LARGEST_PLACE:g}."
         )
     if not np.isfinite(y).all() or y.min() < 0:
-        raise ParameterError(f"{values} is {y.tolist()}; give finite numbers, none negative.")
+        raise ParameterError(f"{values} is {y.tolist()}; give finite numbers that are at least 0.")
     object.__setattr__(sampler, places, tuple(x.tolist()))
     object.__setattr__(sampler, values, tuple(y.tolist()))
 

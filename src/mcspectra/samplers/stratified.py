@@ -56,7 +56,7 @@ class Random(Sampler):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Regular(Sampler):
-    """Regular grid of s^d points, or of given sides, the same every time; randomise with shift.
+    """Regular grid of s^d points, or of given sides, deterministic; randomise with shift.
 
     Any dims; counts s^d, or only the product of `sides`.
 
@@ -144,7 +144,7 @@ class UniformJitter(Sampler):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Jittered(Sampler):
-    """One uniform point in each of s^d cells, or of cells of given sides.
+    """One uniform point in each of s^d cells, or in each cell of a given grid.
 
     Any dims; counts s^d, or only the product of `sides`.
 

@@ -45,10 +45,10 @@ class Lloyd(OptimisedSampler):
     dims
         2.
     iterations
-        How often all points are moved at most.
+        Largest number of moves of all points.
     tolerance
-        Points are not moved any more when they are so near to their centroids: root mean square,
-        as a multiple of n^(−1/2).
+        The method stops at this distance of points from their centroids: root mean square, as a
+        multiple of n^(−1/2).
     sets
         Reuse of sets, see `OptimisedSampler`.
 
@@ -93,10 +93,10 @@ class Bnot(OptimisedSampler):
     dims
         2.
     iterations
-        How often all points are moved at most.
+        Largest number of moves of all points.
     tolerance
-        Points are not moved any more when they are so near to the centroids of their cells: root
-        mean square, as a multiple of n^(−1/2). Smaller ones order the points into crystals.
+        The method stops at this distance of points from the centroids of their cells: root mean
+        square, as a multiple of n^(−1/2). Smaller values order the points into crystals.
     sets
         Reuse of sets, see `OptimisedSampler`.
 
@@ -208,8 +208,8 @@ def _cost_in_plane(x: Array) -> float:
     lacking = masses - diagram.areas
     if float(np.abs(lacking / masses).max()) > _CLOSE:
         raise DomainError(
-            f"points are so far from uniform that {_NEWTON} steps did not find their transport "
-            "cost; transform them to be nearly uniform, or take fewer."
+            f"The transport cost was not found in {_NEWTON} Newton steps: the points are too far "
+            "from uniform; transform them to be nearly uniform, or give fewer."
         )
     # The dual value: what areas lack counts at its price, so that errors are of second order
     return float(np.sum(diagram.moments) + np.sum(weights * lacking))

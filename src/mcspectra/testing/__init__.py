@@ -1,4 +1,4 @@
-"""Checks for samplers, densities, integrands and analyses of your own: what the library promises of its own.
+"""Checks of your own samplers, densities, integrands and analyses against the library's contracts.
 
 `mcspectra.testing.strategies`, which needs hypothesis, makes random ones for tests by properties.
 """

@@ -30,7 +30,7 @@ _SIZE = 2  # blocks of a chunk
 
 
 def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "jittered") -> None:
-    """Try what every analysis promises.
+    """Check an analysis against the contract of all analyses.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
         The analysis with options that are quick to compute; of more than one block, so that
         merging is tried too.
     estimator, sampler
-        What it is tried on, or specs of them: an estimator or integrand, `gaussian` in two dims by
+        Subject of the check, or specs of it: an estimator or integrand, `gaussian` in two dims by
         default, and a sampler; lists for analyses that take them.
 
     Raises
@@ -59,7 +59,11 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
     _check_need(clean, subject, who)
     first = _computed(clean, subject, who, size=0)
     again = _computed(clean, subject, who, size=_SIZE)
-    demand(pack(first) == pack(again), who, "gives another result in chunks, or with the same seed")
+    demand(
+        pack(first) == pack(again),
+        who,
+        "gives different results in chunks, or for the same seed",
+    )
 
 
 def _subject(analysis: Analysis, estimator: Any, sampler: Any) -> Subject:
@@ -70,7 +74,7 @@ def _subject(analysis: Analysis, estimator: Any, sampler: Any) -> Subject:
 
 
 def _check_options(analysis: Analysis, who: str) -> Analysis:
-    demand(bool(type(analysis).summary()), who, "has no docstring, whose first line is its summary")
+    demand(bool(type(analysis).summary()), who, "has no docstring; its first line is the summary")
     for option in options_of(type(analysis)):
         demand(bool(option.meaning), who, f"has the option {option.name} without a meaning")
         if not option.required:
@@ -82,11 +86,11 @@ def _check_options(analysis: Analysis, who: str) -> Analysis:
 def _check_need(analysis: Analysis, subject: Subject, who: str) -> None:
     start = time.process_time()
     need = called(who, "need", analysis.need, subject)
-    demand(isinstance(need, Need), who, f"needs {need!r}, which is no Need")
+    demand(isinstance(need, Need), who, f"returns {need!r} from need, not a Need")
     finite = math.isfinite(need.cost) and need.cost >= 0 and need.memory >= 0
-    demand(finite, who, f"needs {need!r}, which is not finite")
+    demand(finite, who, f"returns {need!r} from need, which is not finite")
     spent = time.process_time() - start
-    demand(spent < _NEED_SECONDS, who, f"takes {spent:.2g} s to say what it needs")
+    demand(spent < _NEED_SECONDS, who, f"takes {spent:.2g} s in need")
 
 
 def _computed(analysis: Analysis, subject: Subject, who: str, size: int) -> Any:
@@ -100,7 +104,7 @@ def _computed(analysis: Analysis, subject: Subject, who: str, size: int) -> Any:
             found = next(steps) if states is None else steps.send(states)
             states = []
             for each in found:
-                demand(each.key not in seen, who, f"has two reductions of the key {each.key!r}")
+                demand(each.key not in seen, who, f"has two reductions with the key {each.key!r}")
                 seen.add(each.key)
                 demand(each.blocks >= 1, who, f"has a reduction of {each.blocks} blocks")
                 part = called(who, "part", analysis.part, subject, stream, each.key)
@@ -116,6 +120,8 @@ def _merged(reduction: Reduction[Any], who: str, size: int) -> Any:
         if size:
             payload = called(who, "a state as bytes", pack, state)
             state = called(who, "a state from bytes", unpack, reduction.kind, payload)
-            demand(pack(state) == payload, who, "has a state that bytes do not hold")
+            demand(
+                pack(state) == payload, who, "has a state that changes when it is stored as bytes"
+            )
         called(who, "merging states", tree.add, state, chunk[1])
     return called(who, "merging states", tree.total)

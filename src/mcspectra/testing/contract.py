@@ -1,4 +1,4 @@
-"""What the checks share: the error they raise, calls of somebody else's code, sets of points."""
+"""Shared parts of the checks: their error, guarded calls of user code, sets of points."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SETS, _SET_SIZE = 32, 4096
 
 
 class BrokenContract(McspectraError, AssertionError):
-    """A component does not do what it promises; the message says what."""
+    """A component breaks its contract; the message says how."""
 
 
 def demand(holds: bool, who: str, sentence: str) -> None:
@@ -27,7 +27,7 @@ def demand(holds: bool, who: str, sentence: str) -> None:
 
 
 def called(who: str, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Return the function's value; whatever it raises becomes a BrokenContract that says in what."""
+    """Return the function's value; an exception becomes a BrokenContract that names `what`."""
     try:
         with np.errstate(all="ignore"):  # what is not finite is looked at afterwards
             return function(*arguments)

@@ -29,27 +29,27 @@ _RECIPROCAL = 1e-3
 
 
 def check_density(density: Density | str, *, dims: int | None = None) -> None:
-    """Try what every density promises.
+    """Check a density against the contract of all densities.
 
     Parameters
     ----------
     density
         The density, or its spec string.
     dims
-        Number of dims of a spec string that does not say.
+        Number of dims of a spec string without ``dims``.
 
     Raises
     ------
     BrokenContract
         pdf, sample or invert raise, give another shape or type, or change their input; pdf is
         negative, not finite or does not integrate to 1; samples leave [0,1), lie where the pdf is 0
-        or do not follow it (false alarm: 1e-6); invert does not undo sample; breaks are no ascending
+        or do not follow it (false alarm: 1e-6); invert does not undo sample; breaks are not ascending
         numbers within (0, 1); or `reciprocal_integral` is not ∫1/p.
 
     Notes
     -----
-    In 1-D and 2-D samples are counted in cells (Pearson's χ²), besides what `Density.check` does,
-    which says what errors it can see in more dims.
+    In 1-D and 2-D samples are counted in cells (Pearson's χ²), in addition to `Density.check`,
+    which documents the errors it finds in more dims.
 
     Examples
     --------
@@ -57,7 +57,7 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
     """
     given = as_density(density, dims)
     if given is None:
-        raise BrokenContract("None is no density; give one, or its spec.")
+        raise BrokenContract("None is not a density; give one, or its spec.")
     u = point_sets(given.primary_dims)
     u[0, 0] = 0.0
     u[0, 1] = np.nextafter(1.0, 0.0)
@@ -87,14 +87,16 @@ def _kept(density: Density, what: str, points: Array, shape: tuple[int, ...]) ->
     who, before = density.spec, points.copy()
     found = called(who, what, getattr(density, what), points)
     demand(np.array_equal(points, before), who, f"changes the points given to {what}")
-    demand(isinstance(found, np.ndarray), who, f"gives {type(found).__name__} in {what}, no array")
+    demand(
+        isinstance(found, np.ndarray), who, f"gives {type(found).__name__} in {what}, not an array"
+    )
     demand(found.shape == shape, who, f"gives shape {found.shape} in {what}, not {shape}")
     demand(found.dtype == np.float64, who, f"gives {found.dtype} in {what}, not float64")
     alone = called(who, what, getattr(density, what), points[1, 2])
     demand(
         np.allclose(alone, found[1, 2], rtol=_ROUNDING, atol=_ROUNDING),
         who,
-        f"gives other values in {what} for a point by itself than among others",
+        f"gives different values in {what} for a point alone and among others",
     )
     return np.asarray(found)
 
@@ -143,7 +145,7 @@ def _check_reciprocal(density: Density) -> None:
     if type(density).reciprocal_integral is Density.reciprocal_integral:
         return
     found = called(density.spec, "reciprocal_integral", density.reciprocal_integral)
-    demand(found >= 1.0 - _ROUNDING, density.spec, f"says that ∫1/p is {found}, less than 1")
+    demand(found >= 1.0 - _ROUNDING, density.spec, f"gives {found} for ∫1/p, less than 1")
     with np.errstate(divide="ignore", over="ignore"):
         values = 1.0 / density.pdf(point_sets(density.dims))
     if np.isfinite(found) and np.isfinite(values).all():
@@ -154,5 +156,5 @@ def _check_reciprocal(density: Density) -> None:
         demand(
             short or bool(abs(mean - found) <= allowed),
             density.spec,
-            f"says that ∫1/p is {found:.6g}, where points give {mean:.6g} ± {error:.2g}",
+            f"gives {found:.6g} for ∫1/p, but points give {mean:.6g} ± {error:.2g}",
         )

@@ -23,27 +23,27 @@ _FREQUENCIES = ((1,), (-3,), (0, 2), (1, -1), (4, 7), (2, 1, 0), (0, -1, 3))
 
 
 def check_integrand(integrand: Integrand | str, *, dims: int | None = None) -> None:
-    """Try what every integrand promises.
+    """Check an integrand against the contract of all integrands.
 
     Parameters
     ----------
     integrand
         The integrand, or its spec string.
     dims
-        Number of dims of a spec string that does not say.
+        Number of dims of a spec string without ``dims``.
 
     Raises
     ------
     BrokenContract
         Values, integral or coefficients raise, have another shape or type, or are not finite;
-        values depend on the points beside them, or change those given; breaks are no ascending
+        values depend on the other points, or the given points are changed; breaks are not ascending
         numbers within (0, 1); or a closed form (integral, coefficients, means over boxes) is not
         that of the values (false alarm: about 1e-6).
 
     Notes
     -----
-    Closed forms are compared with means over 32 shifted sets of 4096 points; what is further off
-    than seven standard errors is compared with a quadrature as well, in up to three dims.
+    Closed forms are compared with means over 32 shifted sets of 4096 points; those further off
+    than seven standard errors are compared with a quadrature as well, in up to three dims.
     A closed form that is wrong by less than those errors passes. A region of less than 1e-4 of the
     domain, where alone f is not 0, has to be named by `Integrand.landmarks`.
 
@@ -66,7 +66,7 @@ def _check_values(f: Integrand, x: Array) -> None:
     values = called(who, "its values", f, x)
     wanted = (*x.shape[:-1], *_channels(f))
     demand(np.array_equal(x, before), who, "changes the points it is given")
-    demand(isinstance(values, np.ndarray), who, f"gives {type(values).__name__}, no array")
+    demand(isinstance(values, np.ndarray), who, f"gives {type(values).__name__}, not an array")
     demand(values.shape == wanted, who, f"gives shape {values.shape}, not {wanted}")
     demand(values.dtype == np.float64, who, f"gives {values.dtype}, not float64")
     demand(bool(np.isfinite(values).all()), who, "gives values that are not finite")
@@ -74,7 +74,7 @@ def _check_values(f: Integrand, x: Array) -> None:
     demand(
         np.allclose(alone, values[1, 2], rtol=1e-9, atol=0.0),
         who,
-        "gives another value for a point by itself than among others",
+        "gives different values for a point alone and among others",
     )
 
 
@@ -199,7 +199,7 @@ def _compare(f: Integrand, what: str, claimed: Array, x: Array, factors: Array) 
     demand(
         agree,
         f.spec,
-        f"has {what} that its values do not have: {claim:.6g}, where points give {seen:.6g} "
+        f"has {what} in conflict with its values: {claim:.6g}, but points give {seen:.6g} "
         f"± {spread:.2g}",
     )
 

@@ -18,7 +18,7 @@ _FALSE_ALARM = 1e-6
 
 
 def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64)) -> None:
-    """Try what every sampler promises.
+    """Check a sampler against the contract of all samplers.
 
     Parameters
     ----------
@@ -51,7 +51,9 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
 def _check_points(source: Sampler, n: int) -> None:
     points = source.draw(n, realizations=3, rng=1)
     wanted = (3, n, source.dims)
-    _demand(isinstance(points, np.ndarray), source, n, f"gives {type(points).__name__}, no array")
+    _demand(
+        isinstance(points, np.ndarray), source, n, f"gives {type(points).__name__}, not an array"
+    )
     _demand(points.shape == wanted, source, n, f"gives shape {points.shape}, not {wanted}")
     _demand(points.dtype == np.float64, source, n, f"gives {points.dtype}, not float64")
     low, high = float(points.min()), float(points.max())
@@ -68,10 +70,10 @@ def _check_repeats(source: Sampler, n: int) -> None:
             np.array_equal(part, whole[first : first + count]),
             source,
             n,
-            f"gives other points for realisation {first} when it is drawn by another call",
+            f"gives different points for realisation {first} in another call",
         )
     same = not source.fixed or bool((whole == whole[0]).all())
-    _demand(same, source, n, "says it is fixed, but its realisations are different sets")
+    _demand(same, source, n, "is declared fixed, but its realisations are different sets")
 
 
 def _check_uniform(source: Sampler, n: int) -> None:
@@ -90,7 +92,7 @@ def _check_uniform(source: Sampler, n: int) -> None:
         p > _FALSE_ALARM,
         source,
         n,
-        f"says it is unbiased, but its points are not uniform ({worst:.3g} standard errors in one "
+        f"is declared unbiased, but its points are not uniform ({worst:.3g} standard errors in one "
         f"of {deviations.size} cells)",
     )
 

@@ -63,7 +63,7 @@ def spec_strings(kind: str = "sampler", *, dims: int = 2) -> SearchStrategy[str]
 
 
 def samplers(*, dims: int = 2) -> SearchStrategy[Sampler]:
-    """Samplers in `dims` dims, often randomised; none that take seconds for a set."""
+    """Samplers in `dims` dims, often randomised, without the slow ones."""
     return spec_strings("sampler", dims=dims).map(lambda spec: sampler(spec, dims))
 
 
@@ -73,7 +73,7 @@ def densities(*, dims: int = 1) -> SearchStrategy[Density]:
 
 
 def integrands(*, dims: int = 2) -> SearchStrategy[Integrand]:
-    """Integrands in `dims` dims with random parameters, smooth ones and such with jumps."""
+    """Integrands in `dims` dims with random parameters, some smooth, some with jumps."""
     return spec_strings("integrand", dims=dims).map(lambda spec: integrand(spec, dims))
 
 
@@ -91,7 +91,7 @@ def counts(given: Sampler | str, *, most: int = 256) -> SearchStrategy[int]:
     possible = sorted(n for n in near if n <= largest and _is_good(source, n))
     if not possible:
         raise ParameterError(
-            f"{source.spec} makes no set of {largest} points or fewer; give most="
+            f"{source.spec} cannot make a set of at most {largest} points; give most="
             f"{source.nearest_count(1)}."
         )
     return st.sampled_from(possible)

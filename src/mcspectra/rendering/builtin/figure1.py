@@ -33,7 +33,7 @@ _TEXELS = 256
 
 @named_points(P=P, Q=Q)
 def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[str, Any]:
-    """A square light over a floor, and an occluder that hides some of it from one of two points.
+    """A square light over a floor, and an occluder that hides part of the light from one of two points.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the built-in scenes are made of: a camera, rectangles, materials, and points with names."""
+"""Parts of the built-in scenes: a camera, rectangles, materials, and points with names."""
 
 from __future__ import annotations
 

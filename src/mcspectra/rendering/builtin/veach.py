@@ -73,7 +73,7 @@ def veach(
     Raises
     ------
     ParameterError
-        An unknown light, none at all, or a film without pixels.
+        An unknown light, an empty list of lights, or a film without pixels.
 
     Notes
     -----
