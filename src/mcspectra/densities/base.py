@@ -85,7 +85,7 @@ class Density(Component, ABC):
 
     @property
     def primary_dims(self) -> int:
-        """Number of dims of u: those of x, or more where further coordinates choose something."""
+        """Number of dims of u: as many as x, or more if extra coordinates choose a part."""
         return self.dims
 
     def pdf(self, x: object) -> Array:

@@ -65,7 +65,7 @@ class AbstractEstimator(ABC):
 
     @property
     def domain_dims(self) -> int:
-        """Number of dims of the domain view; `dims`, those of primary space, where there is none."""
+        """Number of dims of the domain view; without one, `dims` of primary space."""
         return self.dims if self.domain_integrand is None else self.domain_integrand.dims
 
     @property
@@ -163,7 +163,7 @@ class AbstractEstimator(ABC):
                 raise CountError(where + str(error), error.nearest) from None
 
     def check_independent(self) -> None:
-        """Raise NoClosedForm where the variance is not the sum of those of the techniques."""
+        """Raise NoClosedForm unless the variance is the sum over the techniques."""
         if self.sets != "independent" and len(self.counts) > 1:
             raise NoClosedForm(
                 f"The techniques of {self.spec} are correlated; the variance is known for "

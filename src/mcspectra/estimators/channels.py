@@ -1,4 +1,4 @@
-"""Colour: every channel importance-sampled by a density of its own, or all by one.
+"""Colour: every channel importance-sampled by its own density, or all by one density.
 
 One density for all channels, such as the density of the luminance, gives f_c/p jumps where p jumps
 and f_c does not; a density for each channel removes them, and the rest of f_c sets the rate.

@@ -220,7 +220,7 @@ class Combination:
 
     @cached_property
     def breaks(self) -> tuple[float, ...]:
-        """Where the weights may jump or kink, in the domain: known in 1-D, else none are given.
+        """Points of the domain where the weights may jump or kink: in 1-D only, else empty.
 
         Crossings of densities are found on a grid of 2049 points: two within a cell are missed.
         """

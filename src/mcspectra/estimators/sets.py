@@ -1,4 +1,4 @@
-"""How the point sets of several techniques belong together.
+"""Relations between the point sets of several techniques: independent, shared or joint.
 
 * ``"independent"``: each technique draws a set of its own, from a stream of its own. Covariances
   between techniques are 0.

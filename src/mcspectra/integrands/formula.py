@@ -65,7 +65,7 @@ class Formula(Integrand):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Where a coordinate is compared to a number."""
+        """Places where a coordinate is compared to a number."""
         return compiled(self.expression, self.dims).breaks
 
     def _evaluate(self, x: Array) -> Array:

@@ -252,7 +252,7 @@ class BoxSmoothed(Integrand):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Where the box begins or ends to cover a break of f, or to cross a face."""
+        """Points where the box starts or stops covering a break of f, or crosses a face."""
         half = 0.5 * self.width
         return tuple(
             tuple(

@@ -11,7 +11,7 @@ a midpoint grid, onto whose frequencies those beyond are folded. It is exact up 
 the last step of the sampler is a shift; otherwise it lacks the cross term. Grids of half the
 resolution give the standard error of both, a power without a closed form adds its own.
 
-None of these knows of a light that is so rare that no sample met it. Where one technique saw more
+None of these sees a light that is so rare that no sample hits it. Where one technique saw more
 light than another (`surely`), the other's prediction takes what it missed as a part of its error
 (`unmet`).
 """
@@ -52,7 +52,7 @@ class Prediction(Protocol):
 
     @property
     def samples(self) -> Array:
-        """Where the integrand is needed, (N, dims)."""
+        """Points at which the integrand is needed, (N, dims)."""
 
     def variance(self, values: Array) -> tuple[Array, Array]:
         """Variance and its standard error (P,) from values (N, P) at the samples."""
@@ -62,7 +62,7 @@ class Prediction(Protocol):
 
 
 def surely(prediction: Prediction, values: Array) -> Array:
-    """What the integral of values (N, P) hardly falls short of: (P,), three standard errors below."""
+    """Lower bound (P,) of the integral of values (N, P): three standard errors below its estimate."""
     mean, se = prediction.mean(values)
     return mean - _SURE * se
 

@@ -1,4 +1,4 @@
-"""What is made of variances over an image: rates, the technique that decides them, gains of MIS.
+"""Statistics of variances over an image: rates, the technique that decides them, gains of MIS.
 
 All of it is one weighted least-squares fit of log variance against log n a pixel, as
 `mcspectra.variance.fit` does it for one curve: weights from the relative standard errors, intervals

@@ -39,7 +39,7 @@ _Pixels = Annotated[Array, Join(-1)]
 @final
 @dataclass(frozen=True)
 class Maps:
-    """What was measured at pixels, which are along the last axis of all arrays.
+    """Results at pixels, which are along the last axis of all arrays.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Maps:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """What is measured at every pixel.
+    """The measurement made at every pixel.
 
     Attributes
     ----------

@@ -95,7 +95,7 @@ _loaded: list[Any] = []
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a trial of one library found.
+    """Result of the trial of one library.
 
     Attributes
     ----------
@@ -154,7 +154,7 @@ def find_library(*, fresh: bool = False) -> tuple[Verdict | None, list[Verdict]]
 
 
 def describe() -> dict[str, Any]:
-    """Say what rendering would use, from fresh probes and without importing Mitsuba here.
+    """Describe the backend of rendering, from fresh probes and without importing Mitsuba here.
 
     Returns
     -------

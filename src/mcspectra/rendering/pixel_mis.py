@@ -183,7 +183,7 @@ class _Weighted(Integrand):
 
     @property
     def channels(self) -> int:  # type: ignore[override]
-        """Those of the pixel."""
+        """Channels of the pixel."""
         return self.estimator.channels
 
     @property
@@ -213,7 +213,7 @@ class _PixelPilot(Pilot):
 
     @property
     def channels(self) -> int:  # type: ignore[override]
-        """Those of the pixel."""
+        """Channels of the pixel."""
         return self.estimator.channels
 
     def points(self, technique: int, count: int, seed: int) -> Array:

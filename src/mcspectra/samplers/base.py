@@ -239,7 +239,7 @@ class Sampler(Component, ABC):
 
 
 class Randomization(Component, ABC):
-    """A change to the points of a sampler, with randomness of its own."""
+    """A change to the points of a sampler, with its own randomness."""
 
     stationary: ClassVar[bool] = False
     """Whether the result is statistically the same after any toroidal translation."""
@@ -637,7 +637,7 @@ class ScipySampler(Sampler):
 @final
 @dataclass(frozen=True, kw_only=True)
 class QmcpySampler(Sampler):
-    """A generator of QMCPy, made anew for each realisation with a seed of its own.
+    """A generator of QMCPy, made anew for each realisation with its own seed.
 
     Dims and counts are those of the generator: its ``d_limit`` and ``n_limit``, powers of two where
     its order is the radical inverse; other refusals come when points are drawn.

@@ -172,7 +172,7 @@ class Faure(Sampler):
         return (self.base or prime_from(self.dims),) * self.dims
 
     def generator_matrices(self, digits: int) -> Array:
-        """Return the matrices of so many rows and columns: int64 (dims, digits, digits)."""
+        """Return the matrices with `digits` rows and columns: int64 (dims, digits, digits)."""
         digits = as_integer("digits", digits, least=1, most=32)
         return _pascal_powers(self.digit_bases[0], self.dims, digits)
 

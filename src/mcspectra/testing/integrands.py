@@ -1,4 +1,4 @@
-"""The contract of integrands: shapes, and closed forms that are those of the values."""
+"""The contract of integrands: shapes, and closed forms that agree with the values."""
 
 from __future__ import annotations
 
@@ -150,12 +150,12 @@ class _Seen(Integrand):
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """Those of the other."""
+        """Dims of the other."""
         return self.inner.dims
 
     @property
     def channels(self) -> int:  # type: ignore[override]
-        """Those of the other."""
+        """Channels of the other."""
         return self.inner.channels
 
     @property
@@ -164,14 +164,14 @@ class _Seen(Integrand):
         return self.inner.spec
 
     def landmarks(self) -> Array:
-        """Those of the other that lie in the box."""
+        """Landmarks of the other that lie in the box."""
         low, high = np.array(self.low), np.array(self.high)
         places = (self.inner.landmarks() - low) / (high - low)
         return np.asarray(places[((places >= 0.0) & (places <= 1.0)).all(axis=1)])
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Those of the other that lie in the box."""
+        """Breaks of the other that lie in the box."""
         ends = zip(self.inner.breaks, self.low, self.high, strict=True)
         return tuple(tuple((c - a) / (b - a) for c in axis if a < c < b) for axis, a, b in ends)
 
