@@ -109,7 +109,7 @@ def test_counts_after_skip():
 
 @pytest.mark.parametrize("spec", ["jittered", "uniform-jitter", "rank1-lattice", "latin-hypercube"])
 def test_sets_that_are_no_sequences_cannot_skip(spec):
-    with pytest.raises(ParameterError, match="would leave gaps"):
+    with pytest.raises(ParameterError, match="would break the uniform coverage"):
         mcs.sampler(f"{spec} | skip(count=4)", 2)
 
 

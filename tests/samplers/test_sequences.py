@@ -28,7 +28,7 @@ def test_the_first_points_do_not_depend_on_how_many_there_are(name, chain):
 @pytest.mark.parametrize("chain", ["subset", "shuffle", "mirror(mode='uniform')"])
 def test_steps_that_rearrange_leave_no_sequence(chain):
     assert not mcs.sampler(f"sobol | {chain}").sequence
-    with pytest.raises(ParameterError, match="skip would leave gaps"):
+    with pytest.raises(ParameterError, match="skip would break the uniform coverage"):
         mcs.sampler(f"sobol | {chain} | skip(count=4)")
 
 

@@ -137,8 +137,8 @@ class Skip(Randomization):
         _check_size(self, sampler, self.count)
         if not (sampler.sequence or sampler.structure is Structure.UNKNOWN):
             raise ParameterError(
-                f"skip would leave gaps in {sampler.spec}, which is not a sequence; use a sequence "
-                "such as sobol, halton or kronecker, or use subset."
+                f"skip would break the uniform coverage of {sampler.spec}, which is not a sequence; "
+                "use a sequence such as sobol, halton or kronecker, or use subset."
             )
         return Randomization.fit(self, sampler)
 
