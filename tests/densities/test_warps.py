@@ -328,7 +328,7 @@ def test_unknown_warps(warp):
 def test_huge_tables_are_refused_at_once():
     huge = np.broadcast_to(1.0, (10**6, 10**6))
     start = time.perf_counter()
-    with pytest.raises(ParameterError, match=r"shape \(1000000, 1000000\).* cells at most"):
+    with pytest.raises(ParameterError, match=r"shape \(1000000, 1000000\).* at most .* cells"):
         PiecewiseConstant(values=huge)
     assert time.perf_counter() - start < 1.0
 
