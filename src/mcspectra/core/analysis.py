@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeAlias, Ty
 
 import msgspec
 
+from mcspectra.core.errors import AnalysisError
 from mcspectra.core.memory import check_memory
 from mcspectra.core.options import checked
 from mcspectra.core.parallel import available_workers, map_in_order
@@ -47,6 +48,7 @@ __all__ = [
     "compute_chunk",
     "finished",
     "in_step",
+    "needed",
     "steps_of",
     "whole",
 ]
@@ -238,14 +240,64 @@ def whole(function: Callable[[], xr.Dataset], cost: float = 1.0) -> Reduction[xr
     )
 
 
+def needed(analysis: Analysis, subject: Subject) -> Need:
+    """Return what an analysis says that it needs.
+
+    Raises
+    ------
+    AnalysisError
+        That is no `Need`.
+    McspectraError
+        As of its `need`.
+    """
+    need: Any = analysis.need(subject)
+    if not isinstance(need, Need):
+        raise AnalysisError(
+            f"{type(analysis).__name__} needs {need!r:.80}; its need must return a Need."
+        )
+    return need
+
+
 def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
-    """Return the steps of an analysis, one where it is a single reduction."""
-    found = analysis.reduction(subject, stream)
-    if not isinstance(found, Reduction):
-        return (yield from found)
-    (state,) = yield [found]
-    assert found.result is not None
-    return found.result(state)
+    """Return the steps of an analysis, one where it is a single reduction.
+
+    Raises
+    ------
+    AnalysisError
+        It has no reduction or result, or a step has something else, or two of one key.
+    """
+    name = type(analysis).__name__
+    found: Any = analysis.reduction(subject, stream)
+    if isinstance(found, Reduction):
+        found = _single(found, name)
+    if not isinstance(found, Generator):
+        raise AnalysisError(
+            f"{name} is computed by {found!r:.80}; its reduction must return a Reduction, or be a "
+            "generator that yields lists of them."
+        )
+    states: list[Any] | None = None
+    while True:
+        try:
+            step = found.send(states)
+        except StopIteration as end:
+            result: xr.Dataset = end.value
+            return result
+        if not isinstance(step, list) or not all(isinstance(each, Reduction) for each in step):
+            raise AnalysisError(f"{name} has the step {step!r:.80}; give a list of Reductions.")
+        keys = [each.key for each in step]
+        if len(set(keys)) < len(keys):
+            raise AnalysisError(
+                f"{name} has a step of the keys {', '.join(map(repr, keys))}; give each reduction "
+                "a key of its own."
+            )
+        states = yield step
+
+
+def _single(reduction: Reduction[State], name: str) -> Steps:
+    if reduction.result is None:
+        raise AnalysisError(f"{name} has a Reduction without result; say how its dataset is made.")
+    (state,) = yield [reduction]
+    return reduction.result(state)
 
 
 def finished(analysis: Analysis, result: xr.Dataset, rng: RngLike = None) -> xr.Dataset:
@@ -255,8 +307,8 @@ def finished(analysis: Analysis, result: xr.Dataset, rng: RngLike = None) -> xr.
 
     Raises
     ------
-    TypeError
-        A variable is not declared, or has other dims or another kind: a defect of the analysis.
+    AnalysisError
+        It is no dataset, or a variable is not declared, or has other dims or another kind.
     """
     check_variables(result, type(analysis).variables, type(analysis).__name__)
     return result.assign_attrs(seed=rng) if isinstance(rng, int) else result
@@ -277,12 +329,12 @@ def compute(
     ConfigError
         It needs more memory than there is.
     McspectraError
-        As of the analysis's `need`.
+        As of `needed` and `steps_of`.
     """
     threads = available_workers(workers)
     clean = checked(analysis)
     name = clean.function or type(clean).__name__
-    check_memory(clean.need(subject).memory, name)
+    check_memory(needed(clean, subject).memory, name)
     steps = steps_of(clean, subject, Stream.from_rng(rng))
     states: Any = None
     try:

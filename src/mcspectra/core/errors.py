@@ -15,6 +15,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 __all__ = [
+    "AnalysisError",
     "CacheWarning",
     "ConfigError",
     "CorrelatedFrequenciesWarning",
@@ -97,6 +98,10 @@ class StoreError(McspectraError, RuntimeError):
 
 class StorageError(StoreError):
     """Results cannot be written: the disk is full, a quota is reached, the device fails."""
+
+
+class AnalysisError(McspectraError, TypeError):
+    """An analysis, such as another package's, breaks its contract: whoever wrote it has to mend it."""
 
 
 class NoClosedForm(McspectraError, NotImplementedError):
