@@ -28,7 +28,7 @@ from mcspectra.core.parallel import available_workers, map_in_order
 from mcspectra.core.progress import report
 from mcspectra.core.records import merged
 from mcspectra.core.registry import Registry
-from mcspectra.core.results import Variable, check_variables
+from mcspectra.core.results import Variable, attributes_of, check_variables
 from mcspectra.core.streams import RngLike, Stream
 
 if TYPE_CHECKING:
@@ -114,6 +114,9 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         What it takes: an estimator with a sampler, a sampler with a density at most, or a scene.
     variables
         Names of its variables in `mcspectra.core.results.VARIABLES`, and `Variable`s of its own.
+    provenance
+        Attributes that its result is given: ``estimator`` and ``sampler`` by their spec strings,
+        ``stream_key``, and options by their names.
     companions
         Analyses that a study computes beside it with the same table, such as points of a spectrum.
     """
@@ -122,6 +125,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     verb: ClassVar[str] = ""
     about: ClassVar[Literal["estimator", "sampler", "scene"]] = "estimator"
     variables: ClassVar[tuple[str | Variable, ...]] = ()
+    provenance: ClassVar[tuple[str, ...]] = ()
     companions: ClassVar[tuple[str, ...]] = ()
 
     def need(self, subject: Subject) -> Need:  # noqa: ARG002
@@ -281,7 +285,7 @@ def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
             step = found.send(states)
         except StopIteration as end:
             result: xr.Dataset = end.value
-            return result
+            break
         if not isinstance(step, list) or not all(isinstance(each, Reduction) for each in step):
             raise AnalysisError(f"{name} has the step {step!r:.80}; give a list of Reductions.")
         keys = [each.key for each in step]
@@ -291,6 +295,14 @@ def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
                 "a key of its own."
             )
         states = yield step
+
+    # Say what the result is of
+    if not hasattr(result, "data_vars"):
+        raise AnalysisError(f"{name} gives {result!r:.80} as its result; it must be a dataset.")
+    components = {"estimator": subject.estimator, "sampler": subject.sampler}
+    known = {name: getattr(each, "spec", None) for name, each in components.items()}
+    known |= {"stream_key": f"{stream.key:#x}", **msgspec.structs.asdict(analysis)}
+    return result.assign_attrs(attributes_of(**{name: known[name] for name in analysis.provenance}))
 
 
 def _single(reduction: Reduction[State], name: str) -> Steps:
@@ -308,7 +320,7 @@ def finished(analysis: Analysis, result: xr.Dataset, rng: RngLike = None) -> xr.
     Raises
     ------
     AnalysisError
-        It is no dataset, or a variable is not declared, or has other dims or another kind.
+        A variable is not declared, or has other dims or another kind.
     """
     check_variables(result, type(analysis).variables, type(analysis).__name__)
     return result.assign_attrs(seed=rng) if isinstance(rng, int) else result

@@ -21,7 +21,14 @@ from mcspectra.core.errors import AnalysisError
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["VARIABLES", "Variable", "check_variables", "dataset", "package_versions"]
+__all__ = [
+    "VARIABLES",
+    "Variable",
+    "attributes_of",
+    "check_variables",
+    "dataset",
+    "package_versions",
+]
 
 
 class Variable(NamedTuple):
@@ -218,13 +225,18 @@ def dataset(
         about = {"long_name": VARIABLES[name].meaning, "units": VARIABLES[name].units}
         arrays[name] = (tuple(dim for dim in dims if dim not in drop), values, about)
 
-    # Attributes are what every storage format can hold: numbers, strings, or JSON text
-    attributes: dict[str, Any] = {}
+    attributes = {**attributes_of(**provenance), **package_versions()}
+    return xr.Dataset(arrays, coords=coords, attrs=attributes)
+
+
+def attributes_of(**provenance: Any) -> dict[str, str | int | float]:
+    """Return what every storage format can hold: numbers, strings, or JSON text; None is left out."""
+    attributes = {}
     for key, value in provenance.items():
         plain = value.item() if isinstance(value, np.generic) else value
         if plain is not None:
             attributes[key] = plain if isinstance(plain, str | int | float) else json.dumps(plain)
-    return xr.Dataset(arrays, coords=coords, attrs={**attributes, **package_versions()})
+    return attributes
 
 
 def check_variables(result: xr.Dataset, declared: Sequence[str | Variable], analysis: str) -> None:
@@ -233,12 +245,8 @@ def check_variables(result: xr.Dataset, declared: Sequence[str | Variable], anal
     Raises
     ------
     AnalysisError
-        It is no dataset, or a variable is not declared, or has other dims or another kind of numbers.
+        A variable is not declared, or has other dims or another kind of numbers.
     """
-    import xarray as xr
-
-    if not isinstance(result, xr.Dataset):
-        raise AnalysisError(f"{analysis} gives {result!r:.80} as its result; it must be a dataset.")
     known = {v if isinstance(v, str) else v.name: v for v in declared}
     for name, values in result.data_vars.items():
         about = known.get(str(name))

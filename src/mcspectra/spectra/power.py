@@ -263,6 +263,7 @@ class Points(_OfPointSets, frozen=True, kw_only=True):
     """First realisation of the points, warped by the density where there is one."""
 
     variables = ("points",)
+    provenance = ("sampler", "n")
 
     def need(self, subject: Subject) -> Need:
         """One set of points."""
@@ -279,8 +280,6 @@ class Points(_OfPointSets, frozen=True, kw_only=True):
             return dataset(
                 {"points": (("point", "axis"), drawn if p is None else p.sample(drawn))},
                 {"axis": np.arange(source.dims)},
-                sampler=source.spec,
-                n=self.n,
             )
 
         return whole(points, self.n)
