@@ -178,8 +178,8 @@ def _subject(
             raise ParameterError(f"{name} is about several --density options; give two or more.")
     if options.shares is not None and len(options.shares) != len(densities):
         raise ParameterError(
-            f"--shares has {len(options.shares)} numbers for {len(densities)} densities; give one "
-            "for each."
+            f"--shares is {','.join(map(str, options.shares))}; give {len(densities)} numbers, one for "
+            "each --density."
         )
     if options.plus and densities:
         raise ParameterError("--plus adds whole techniques; it cannot be used with --density.")

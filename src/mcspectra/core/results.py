@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 from collections.abc import Collection, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -28,6 +30,7 @@ __all__ = [
     "check_variables",
     "dataset",
     "package_versions",
+    "strict_json",
 ]
 
 
@@ -237,6 +240,21 @@ def attributes_of(**provenance: Any) -> dict[str, str | int | float]:
         if plain is not None:
             attributes[key] = plain if isinstance(plain, str | int | float) else json.dumps(plain)
     return attributes
+
+
+def strict_json(value: Any) -> Any:
+    """Return what strict JSON can say: lists for arrays, null for NaN and infinity, texts for paths."""
+    if isinstance(value, Mapping):
+        return {str(key): strict_json(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [strict_json(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return strict_json(value.tolist())
+    if isinstance(value, complex):
+        return {"re": strict_json(value.real), "im": strict_json(value.imag)}
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value
 
 
 def check_variables(result: xr.Dataset, declared: Sequence[str | Variable], analysis: str) -> None:

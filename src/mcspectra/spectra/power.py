@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Meta
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute, whole
-from mcspectra.core.checks import MAX_FREQUENCY, Array, as_integer
+from mcspectra.core.checks import MAX_FREQUENCY, Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNT, ENGINE, EPS, HALF_WIDTH, SETS
@@ -144,7 +144,9 @@ class _OfPointSets(Analysis, frozen=True, kw_only=True):
     about = "sampler"
 
     n: Annotated[int, COUNT, Meta(description="Points in a set.")]
-    half_width: Annotated[int, HALF_WIDTH] = 64
+    half_width: Annotated[
+        int, Meta(ge=1, le=2**31, description=HALF_WIDTH.description, extra=HALF_WIDTH.extra)
+    ] = 64
     frequency_step: Annotated[
         float,
         Meta(
@@ -181,7 +183,6 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
         """Refuse sets that are too large, and engines that do not work in these dims."""
         source, p = _warped(subject)
         source.check_count(self.n)
-        as_integer("half_width", self.half_width, least=1)
         dims = max(source.dims, p.dims if p else 0)
         if self.n * dims > _MOST_COORDINATES:
             raise ParameterError(

@@ -307,8 +307,8 @@ def low_frequency_exponent(
     # Cut the window of the fit, which has three lengths at least
     if len(lengths) < 3:
         raise ParameterError(
-            f"The spectrum has {len(lengths)} lengths of frequency; a fit needs three: use a larger "
-            "half_width."
+            f"A fit needs three lengths of frequency, of which the spectrum has {len(lengths)}; use a "
+            "larger half_width."
         )
     if up_to is None:
         quarter = float(half.attrs.get("n", 1)) ** (1 / grid.dims) / 4 / grid.step
