@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeAlias, TypeVar, final
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar, final
 
 import msgspec
 
@@ -173,6 +173,11 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             f"The first step of {type(self).__name__} has no reduction of the key {key!r}: an analysis "
             "of several steps overrides part."
         )
+
+    @classmethod
+    def of(cls, arguments: Mapping[str, Any]) -> Self:
+        """Make one of the arguments of its public function, ``locals()``, named as its options."""
+        return cls(**{name: arguments[name] for name in cls.__struct_fields__})
 
     @classmethod
     def summary(cls) -> str:

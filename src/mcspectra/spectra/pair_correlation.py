@@ -75,13 +75,7 @@ def pair_correlation(
     set is stationary. Only points with first coordinates nearer than max_distance are compared: the
     cost is O(n log n + n² max_distance) a realisation.
     """
-    analysis = PairCorrelation(
-        n=n,
-        bins=bins,
-        realizations=realizations,
-        boundary=boundary,
-        max_distance=max_distance,
-    )
+    analysis = PairCorrelation.of(locals())
     return compute(analysis, Subject(None, as_sampler(sampler)), rng, workers)
 
 

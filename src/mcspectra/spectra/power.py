@@ -124,17 +124,8 @@ def power_spectrum(
     >>> spectrum["power"].dims, bool(64 * spectrum["radial_power"][0] < 0.2)
     (('m0', 'm1'), True)
     """
+    spectrum = Spectrum.of(locals())
     source = as_sampler(sampler, getattr(density, "primary_dims", None))
-    spectrum = Spectrum(
-        n=n,
-        half_width=half_width,
-        frequency_step=frequency_step,
-        realizations=realizations,
-        mean=mean,
-        wedges=wedges,
-        engine=engine,
-        eps=eps,
-    )
     return compute(spectrum, Subject(None, source, as_warp(density, source.dims)), rng, workers)
 
 
