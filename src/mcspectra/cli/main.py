@@ -195,14 +195,18 @@ def _dispatch(given: list[str]) -> int:
 
 
 def _as_typed(sentence: str, parser: argparse.ArgumentParser, *, analyses: bool) -> str:
-    """Say an error with options as they are typed, and with verbs for the functions of analyses."""
+    """Say an error with options as they are typed, and with verbs for the functions of analyses.
+
+    Words within a sentence are options where an analysis is asked for; files have keys of their own.
+    """
     for action in parser._actions:
         flag, name = max(action.option_strings, key=len, default=""), action.dest
         if flag:
-            sentence = re.sub(rf"\b{name}=(['\"]?)([\w.-]+)\1", rf"{flag} \2", sentence)
-            place = r"(?<![\w-])" if "_" in name else "^"
-            behind = r"\b" if "_" in name else r"(?= (?:is|has)\b)"
-            sentence = re.sub(place + name + behind, flag, sentence)
+            sentence = re.sub(rf"^{name}(?= (?:is|has)\b)", flag, sentence)
+        if flag and analyses:
+            outside = r"(?<![\w(])(?<!, )"  # of the brackets of a spec
+            sentence = re.sub(rf"{outside}{name}=(['\"]?)([\w.-]+)\1", rf"{flag} \2", sentence)
+            sentence = re.sub(rf"(?<![\w-]){name}\b", flag, sentence) if "_" in name else sentence
     if not (analyses and re.search(r"[a-z]_[a-z]|use convergence", sentence)):
         return sentence
     from mcspectra.core.analysis import ANALYSES
