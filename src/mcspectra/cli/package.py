@@ -166,7 +166,7 @@ def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
     except (ImportError, OSError, RuntimeError) as error:
         works, transforms = False, f"NUFFT fails: {type(error).__name__}: {error}"
     else:
-        off = float(np.abs(got - direct_sum(points, grid.half_indices())).max())
+        off = float(np.abs(got - direct_sum(points, grid.indices())).max())
         works = off < 1e-8
         transforms = f"NUFFT against the direct sum: largest difference {off:.1e}"
 

@@ -198,7 +198,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
         def block(index: int) -> _SpectrumSums:
             points, weights = weighted_points(source, p, self.n, stream, blocks[index])
             sums = _SpectrumSums(
-                PowerSums.zeros(grid.half_size, self.mean), MeanSums.zeros(polar.size)
+                PowerSums.zeros(grid.stored, self.mean), MeanSums.zeros(polar.size)
             )
             groups = functools.partial(polar.add, sums.polar)
             own = sums.frequencies.power
@@ -364,7 +364,7 @@ class _PolarMeans:
     @staticmethod
     def of(grid: FrequencyGrid, wedges: int) -> _PolarMeans:
         """Make the rings, and the wedges in two dims."""
-        index = grid.half_indices()
+        index = grid.indices()
         length = np.sqrt((index**2).sum(axis=1))
         ring = np.rint(length).astype(np.int64) - 1
         parts = wedges if grid.dims == 2 else 0
