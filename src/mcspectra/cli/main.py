@@ -65,16 +65,8 @@ _MODULES = {
 _VERBS = {verb: text for verbs in _MODULES.values() for verb, text in verbs.items()}
 
 _ANALYSES = {
-    "spectrum": "spectrum",
-    "pcf": "pcf",
-    "variance": "terms",
-    "converge": "convergence",
-    "techniques": "techniques",
-    "remedies": "remedies",
-    "exact": "exact",
-    "anova": "anova",
-    "modes": "modes",
-    "routes": "routes",
+    verb: {"variance": "terms", "converge": "convergence"}.get(verb, verb)
+    for verb in _MODULES["analysis"]
 }
 """Verbs of our analyses, which are not loaded to know them: to their names in the registry."""
 

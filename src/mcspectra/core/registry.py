@@ -15,7 +15,7 @@ from importlib.metadata import entry_points
 from types import MappingProxyType
 from typing import Any
 
-from mcspectra.core.errors import MissingDependency, ParameterError, UnknownName
+from mcspectra.core.errors import MissingDependency, ParameterError, UnknownName, reason_of
 from mcspectra.core.errors import close_match_hint as hint
 from mcspectra.core.spec import Call, Component
 
@@ -87,9 +87,8 @@ class Registry(Mapping[str, str]):
         except MissingDependency:
             raise
         except (Exception, SystemExit) as error:  # whatever the code of others does
-            reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
             raise MissingDependency(
-                f"The {self.kind} {name!r} ({target}) cannot be loaded: {reason}."
+                f"The {self.kind} {name!r} ({target}) cannot be loaded: {reason_of(error)}."
             ) from error
         component = isinstance(found, type) and issubclass(found, self.base)
         if not (component or (self.functions and callable(found))):

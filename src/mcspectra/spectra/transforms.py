@@ -36,7 +36,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import MAX_FREQUENCY, Array, as_choice, as_integer, as_real
-from mcspectra.core.errors import MissingDependency, ParameterError
+from mcspectra.core.errors import MissingDependency, ParameterError, reason_of
 from mcspectra.spectra._kernels import pair_mean, power_sums, split_pair
 
 __all__ = [
@@ -486,7 +486,7 @@ def _gpu_modules() -> tuple[Any, Any]:
         devices = runtime.getDeviceCount()
     except runtime.CUDARuntimeError as error:
         raise MissingDependency(
-            f"engine='gpu' finds no CUDA device: {_sentence(error)}; use engine='nufft'."
+            f"engine='gpu' finds no CUDA device: {reason_of(error)}; use engine='nufft'."
         ) from error
     if not devices:
         raise MissingDependency("engine='gpu' finds no CUDA device; use engine='nufft'.")
@@ -503,18 +503,13 @@ def _load(name: str) -> Any:
                 "pip install 'mcspectra[gpu]'"
             ) from error
         raise MissingDependency(
-            f"engine='gpu' cannot load the package {name}: {_sentence(error)}; use engine='nufft'."
+            f"engine='gpu' cannot load the package {name}: {reason_of(error)}; use engine='nufft'."
         ) from error
 
 
 def _no_room(shape: tuple[int, ...], error: Exception) -> str:
     size = " × ".join(map(str, shape))
     return (
-        f"The GPU cannot transform to {size} frequencies: {_sentence(error)}; "
+        f"The GPU cannot transform to {size} frequencies: {reason_of(error)}; "
         "use a smaller half_width or engine='nufft'."
     )
-
-
-def _sentence(error: Exception) -> str:
-    """Text of an error on one line, without a full stop."""
-    return " ".join(str(error).split()).rstrip(".") or type(error).__name__
