@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import json
 import math
+import re
 from collections.abc import Collection, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -277,26 +278,18 @@ def check_variables(result: xr.Dataset, declared: Sequence[str | Variable], anal
             raise AnalysisError(
                 f"{analysis}: {name} holds {values.dtype}, declared is {about.kind!r}."
             )
+        # Hold the dims against a pattern in which m is any of m0, m1, …, and those with ? may be missing
         found = [str(d) for d in values.dims if d not in _FREE_DIMS or d in (about.dims or ())]
-        if about.dims is not None and not _dims_fit(found, about.dims):
+        pattern = ""
+        for dim in about.dims or ():
+            named = f"({re.escape(dim.removesuffix('?'))} )" + "?" * dim.endswith("?")
+            pattern += r"(m\d* )*" if dim == "m" else named
+        if about.dims is not None and not re.fullmatch(
+            pattern, "".join(f"{dim} " for dim in found)
+        ):
             raise AnalysisError(
                 f"{analysis}: {name} has the dims {found}, declared are {about.dims}."
             )
-
-
-def _dims_fit(found: list[str], declared: Sequence[str]) -> bool:
-    """Whether dims are the declared ones: ``m`` any of m0, m1, …, those with ``?`` or not."""
-    rest = list(found)
-    for dim in declared:
-        name = dim.removesuffix("?")
-        if name == "m":
-            while rest and rest[0].rstrip("0123456789") == "m":
-                rest.pop(0)
-        elif rest and rest[0] == name:
-            rest.pop(0)
-        elif not dim.endswith("?"):
-            return False
-    return not rest
 
 
 @functools.cache
