@@ -278,10 +278,11 @@ def test_a_package_that_does_not_load_gives_its_reason(device, monkeypatch, erro
             raise error
         return load(name)
 
-    monkeypatch.setattr(transforms.importlib, "import_module", fail)
+    monkeypatch.setattr(importlib, "import_module", fail)
     reason = " ".join(str(error).split()).rstrip(".")
     assert _refusal() == (
-        f"engine='gpu' cannot load the package cufinufft: {reason}; use engine='nufft'."
+        f"engine='gpu' needs the package cufinufft; it cannot be loaded: {reason}; "
+        "mend its installation."
     )
 
 
@@ -328,5 +329,5 @@ def test_other_engines_never_load_the_packages(monkeypatch):
         return load(name, *rest)
 
     monkeypatch.setattr(builtins, "__import__", watch)
-    monkeypatch.setattr(transforms, "_load", None)
+    monkeypatch.setattr(transforms, "optional_package", None)
     Transform(FrequencyGrid(2, 16), 256).coefficients(np.zeros((2, 256, 2)))

@@ -19,7 +19,7 @@ from mcspectra.core.errors import MissingDependency, ParameterError, UnknownName
 from mcspectra.core.errors import close_match_hint as hint
 from mcspectra.core.spec import Call, Component
 
-__all__ = ["DEFAULT_DIMS", "Registry"]
+__all__ = ["DEFAULT_DIMS", "Registry", "optional_package"]
 
 DEFAULT_DIMS = 2
 """Number of dims of a spec string when neither it nor its surroundings say: pictures are 2-D."""
@@ -138,6 +138,33 @@ class Registry(Mapping[str, str]):
     def _targets(self) -> dict[str, str]:
         extra = _registered(self.group, tuple(sys.path))
         return dict(sorted({**extra, **self._builtin}.items()))
+
+
+def optional_package(name: str, extra: str, need: str) -> Any:
+    """Load a package, or a module of it, that not everybody has installed; return the package.
+
+    Parameters
+    ----------
+    name, extra
+        Such as ``"pyarrow.parquet"``, and the extra of mcspectra that installs it.
+    need
+        Beginning of the sentence, such as ``"Files .parquet need"``.
+
+    Raises
+    ------
+    MissingDependency
+        It is not installed, or cannot be loaded.
+    """
+    package = name.partition(".")[0]
+    try:
+        importlib.import_module(name)
+    except (ImportError, OSError) as error:
+        missing = getattr(error, "name", None) or ""
+        install = f"install it with: pip install 'mcspectra[{extra}]'"
+        if not (isinstance(error, ModuleNotFoundError) and missing.partition(".")[0] == package):
+            install = f"it cannot be loaded: {reason_of(error)}; mend its installation."
+        raise MissingDependency(f"{need} the package {package}; {install}") from error
+    return sys.modules[package]
 
 
 @functools.lru_cache(maxsize=64)

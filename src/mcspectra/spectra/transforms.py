@@ -27,7 +27,6 @@ to and including that of m = 0, which comes last.
 
 from __future__ import annotations
 
-import importlib
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -37,6 +36,7 @@ import numpy as np
 
 from mcspectra.core.checks import MAX_FREQUENCY, Array, as_choice, as_integer, as_real
 from mcspectra.core.errors import MissingDependency, ParameterError, reason_of
+from mcspectra.core.registry import optional_package
 from mcspectra.spectra._kernels import pair_mean, power_sums, split_pair
 
 __all__ = [
@@ -471,7 +471,7 @@ def gpu_description() -> tuple[bool, str]:
 
 def _gpu_modules() -> tuple[Any, Any]:
     """CuPy and cufinufft, once they and a device are known to work."""
-    cupy = _load("cupy")
+    cupy = optional_package("cupy", "gpu", "engine='gpu' needs")
     # Load the CUDA libraries that pip installs, where cufinufft does not look for them
     try:
         from cuda.pathfinder import load_nvidia_dynamic_lib
@@ -480,7 +480,7 @@ def _gpu_modules() -> tuple[Any, Any]:
             load_nvidia_dynamic_lib(library)
     except (ImportError, RuntimeError):
         pass  # no such package, or no such library: cufinufft may find them all the same
-    cufinufft = _load("cufinufft")
+    cufinufft = optional_package("cufinufft", "gpu", "engine='gpu' needs")
     runtime = cupy.cuda.runtime
     try:
         devices = runtime.getDeviceCount()
@@ -491,20 +491,6 @@ def _gpu_modules() -> tuple[Any, Any]:
     if not devices:
         raise MissingDependency("engine='gpu' finds no CUDA device; use engine='nufft'.")
     return cupy, cufinufft
-
-
-def _load(name: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except (ImportError, OSError) as error:
-        if isinstance(error, ModuleNotFoundError) and error.name == name:
-            raise MissingDependency(
-                f"engine='gpu' needs the package {name}; install it with: "
-                "pip install 'mcspectra[gpu]'"
-            ) from error
-        raise MissingDependency(
-            f"engine='gpu' cannot load the package {name}: {reason_of(error)}; use engine='nufft'."
-        ) from error
 
 
 def _no_room(shape: tuple[int, ...], error: Exception) -> str:
