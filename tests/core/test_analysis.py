@@ -387,7 +387,11 @@ def _no_list():
         (Need(), lambda: [_sum_of()], "or be a generator that yields lists of them"),
         (Need(), lambda: _sum_of(result=None), "Odd has a Reduction without result"),
         (Need(), lambda: _sum_of(result=lambda total: None), "Odd gives None as its result"),
-        (Need(), _two_of_one_key, "Odd has a step of the keys 'a', 'a'; give each reduction a key"),
+        (
+            Need(),
+            _two_of_one_key,
+            "Odd has two reductions of the key 'a'; give each a key of its own",
+        ),
         (Need(), _no_list, "Odd has the step Reduction.*; give a list of Reductions"),
     ],
 )

@@ -298,7 +298,7 @@ def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
     Raises
     ------
     AnalysisError
-        It has no reduction or result, or a step has something else, or two of one key.
+        It has no reduction or result, or a step has something else, or two have one key.
     """
     name = type(analysis).__name__
     found: Any = analysis.reduction(subject, stream)
@@ -310,6 +310,7 @@ def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
             "generator that yields lists of them."
         )
     states: list[Any] | None = None
+    keys: set[str] = set()
     while True:
         try:
             step = found.send(states)
@@ -318,17 +319,19 @@ def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
             break
         if not isinstance(step, list) or not all(isinstance(each, Reduction) for each in step):
             raise AnalysisError(f"{name} has the step {step!r:.80}; give a list of Reductions.")
-        keys = [each.key for each in step]
-        if len(set(keys)) < len(keys):
-            raise AnalysisError(
-                f"{name} has a step of the keys {', '.join(map(repr, keys))}; give each reduction "
-                "a key of its own."
-            )
+        for each in step:
+            if each.key in keys:
+                raise AnalysisError(
+                    f"{name} has two reductions of the key {each.key!r}; give each a key of its own."
+                )
+            keys.add(each.key)
         states = yield step
 
-    # Say what the result is of
     if not hasattr(result, "data_vars"):
         raise AnalysisError(f"{name} gives {result!r:.80} as its result; it must be a dataset.")
+    if not analysis.provenance:
+        return result
+    # Say what it is of
     components = {"estimator": subject.estimator, "sampler": subject.sampler}
     known = {name: getattr(each, "spec", None) for name, each in components.items()}
     known |= {"stream_key": f"{stream.key:#x}", **msgspec.structs.asdict(analysis)}
