@@ -367,6 +367,25 @@ def test_results_are_held_against_what_is_declared(variable, words):
             check_variables(xr.Dataset({"own": (dims, np.ones((2,) * len(dims)))}), declared, "It")
 
 
+def test_a_result_says_what_it_is_of():
+    class Of(Said, frozen=True, kw_only=True):
+        """Of what."""
+
+        provenance: ClassVar = ("estimator", "sampler", "blocks", "stream_key")
+
+    found = compute(Of.of({"blocks": 3, "memory": 0, "rng": 5}), SUBJECT, rng=5).attrs
+    key = Stream.from_rng(5).key
+    assert {name: found.get(name) for name in (*Of.provenance, "seed")} == {
+        "estimator": None,
+        "sampler": "random",
+        "blocks": 3,
+        "stream_key": f"{key:#x}",
+        "seed": 5,
+    }
+    with pytest.raises(KeyError, match="memory"):
+        Of.of({"blocks": 3})
+
+
 def _sum_of(key="0", result=lambda total: _small()):
     return Reduction(kind=MeanSums, block=lambda i: MeanSums.zeros(1), key=key, result=result)
 
