@@ -34,7 +34,7 @@ def _ratio(half_width: int, n: int, realizations: int) -> tuple[float, float, fl
     grid = FrequencyGrid(2, half_width)
     estimator = mcs.Estimator("gaussian(width=0.25)", dims=2)
     sampler = mcs.sampler("jittered", dims=2)
-    labels = np.random.default_rng(0).integers(0, BANDS, grid.half_size)
+    labels = np.random.default_rng(0).integers(0, BANDS, grid.stored)
     bands = grid.full(labels)
     transform, stream = Transform(grid, n), Stream.from_rng(1)
 

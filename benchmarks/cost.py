@@ -94,7 +94,7 @@ def _seconds(n: int, half_width: int, eps: float = EPS, realizations: int = 2) -
     """Least time a realisation of the power of `realizations` sets, one thread."""
     grid = FrequencyGrid(DIMS, half_width)
     points = mcs.sampler("random", dims=DIMS).draw(n, realizations=realizations, rng=1)
-    total, squares = np.zeros(grid.half_size), np.zeros(grid.half_size)
+    total, squares = np.zeros(grid.stored), np.zeros(grid.stored)
     transform = Transform(grid, n, engine="nufft", eps=eps)
     transform.add_power(points, None, total, squares)
     best, stop = np.inf, time.thread_time() + _SECONDS

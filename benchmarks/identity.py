@@ -26,7 +26,7 @@ def _difference(dims: int, name: str, density: str | None, space: str) -> float:
     d = mcs.variance_terms(
         estimator, sampler, n, half_width=half_width, realizations=64, space=space, engine="direct"
     )
-    half = FrequencyGrid(dims, half_width).half_indices()
+    half = FrequencyGrid(dims, half_width).indices()
     m = np.concatenate([half, -half[-2::-1]])
     (u,) = estimator.draw(sampler, n, Stream.from_rng(0), 0, 64)
     if space == "domain":

@@ -21,7 +21,7 @@ def main() -> None:
     transform = Transform(grid, POINTS)
     points = mcs.sampler("jittered", dims=2).draw(POINTS, realizations=REALIZATIONS, rng=1)
     plane = np.random.default_rng(0).random((512, 512)) + 0j
-    total, squares = np.zeros(grid.half_size), np.zeros(grid.half_size)
+    total, squares = np.zeros(grid.stored), np.zeros(grid.stored)
 
     def power() -> None:
         transform.add_power(points, None, total, squares)
@@ -35,8 +35,8 @@ def main() -> None:
     print(f"scipy.fft.fft2, 512²:                          {1e3 * theirs / REALIZATIONS:.2f} ms")
     print(f"ratio a realisation, one thread (aim ≤ 1.5):   {ratio:.2f}")
     got = transform.coefficients(points[:2])
-    chosen = np.random.default_rng(1).choice(grid.half_size, 2000, replace=False)
-    exact = direct_sum(points[:2], grid.half_indices()[chosen])
+    chosen = np.random.default_rng(1).choice(grid.stored, 2000, replace=False)
+    exact = direct_sum(points[:2], grid.indices()[chosen])
     print(
         f"largest error of 2 × 2000 coefficients:        {abs(got[:, chosen] - exact).max():.1e} of the peak"
     )

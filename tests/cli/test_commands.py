@@ -318,12 +318,37 @@ def test_converge_names_the_windows_it_takes(capsys, given):
     assert f"--fit-last is '{given}'; give a whole number of at least 2, or 'auto'." in err
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (
+            "spectrum random -n 4 --half-width 0",
+            "--half-width is 0; give a whole number of at least 1",
+        ),
+        ("spectrum random -n 4 --half-width 100000", "use at most 1.34e+08: --half-width ≤ 5792"),
+        ("spectrum random -n 4 -d 5 --half-width 2 --engine nufft", "use --engine direct."),
+        ("variance gaussian --sampler random -n 4 --eps 0.5", "--eps is 0.5; give a finite number"),
+        ("pcf random -n 1", "'mcspectra pcf' needs n of at least 2"),
+        ("pcf random -n 4 --boundary border --max-distance 0.5", "--max-distance is 0.5; with"),
+        (
+            "exact gaussian --sampler sobol -n 16",
+            "use 'mcspectra converge' or 'mcspectra variance'.",
+        ),
+        ("render veach --film foo", "--film is 'foo'; it must be one of"),
+    ],
+)
+def test_errors_name_options_and_verbs_as_they_are_typed(capsys, arguments, words):
+    code, _, err = run(capsys, *arguments.split())
+    assert code == 2
+    assert words in err
+
+
 def test_converge_fits_two_counts_or_more(capsys):
     code, _, err = run(
         capsys, "converge", "gaussian", "--sampler", "random", "--counts", "4,16", "--fit-last", 1
     )
     assert code == 2
-    assert "--fit-last is 1; give a whole number at least 2" in err
+    assert "--fit-last is 1; give a whole number of at least 2" in err
 
 
 @pytest.mark.parametrize("given", ["0", "-1", "nan", "inf", "x"])

@@ -72,7 +72,10 @@ def test_remedies_as_table_and_as_json(capsys):
         (["--density", "uniform", "--shares", "1,2"], "two or more"),
         (["--density", "uniform", "--density", "linear", "--heuristic", "powr"], "power"),
         (["--density", "uniform", "--density", "linear", "--shares", "1,x"], "--shares"),
-        (["--density", "uniform", "--density", "linear", "--shares", "1"], "--shares has 1"),
+        (
+            ["--density", "uniform", "--density", "linear", "--shares", "1"],
+            "--shares is 1; give 2 numbers",
+        ),
         (["--mirror", "sideways"], "integrand"),
     ],
 )

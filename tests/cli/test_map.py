@@ -142,7 +142,7 @@ def test_options_reach_the_map(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (("veach", "--dims", "7"), "from 2 to 3"),
         (("veach", "--points", "all"), "own, shared"),
         (("veach", "--smoothing", "4"), "odd"),
-        (("veach", "--workers", "0"), "--workers is '0'"),
+        (("veach", "--workers", "0"), "--workers is 0"),
         (("veach", "--seed", "-1"), "--seed"),
     ],
 )

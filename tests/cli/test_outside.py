@@ -94,6 +94,7 @@ def test_an_analysis_of_another_package_is_a_verb(run):
     code, out, _ = run("list", "analyses")
     assert code == 0
     assert "mcspectra gaps" in out
+    assert "no verb: for study files" in out
     assert "not available: The analysis 'broken' (their_nothing:Nothing)" in out
 
 
@@ -150,6 +151,36 @@ def test_what_its_options_refuse_is_one_sentence(run, options, words):
     assert (code, out) == (2, "")
     assert words in err
     assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "door", "word", "owner"),
+    [
+        ("gap-widths", "verb", "gaps", "other-gaps"),
+        ("other-gaps", "verb", "converge", "convergence"),
+        ("other-gaps", "function", "power_spectrum", "spectrum"),
+    ],
+)
+def test_two_analyses_with_one_door_are_named(run, tmp_path, name, door, word, owner):
+    other = MODULE.replace('verb = "gaps"', f'verb = "other"\n    {door} = "{word}"')
+    (tmp_path / "other_gaps.py").write_text(other, encoding="utf-8")
+    entries = tmp_path / "their_gaps-1.0.dist-info" / "entry_points.txt"
+    entries.write_text(entries.read_text() + "other-gaps = other_gaps:Gaps\n")
+    first, second = sorted([name, owner] if owner != "other-gaps" else [name, "other-gaps"])
+    for arguments in (("--help",), ("no-such-verb",)):
+        code, out, err = run(*arguments)
+        assert (code, out) == (2, "")
+        assert f"The analyses {first!r} and {second!r} have the same {door} {word!r};" in err
+    assert run("cite")[0] == 0
+    sys.modules.pop("other_gaps", None)
+
+
+def test_a_verb_of_the_package_itself_is_refused(run, tmp_path):
+    module = tmp_path / "their_gaps.py"
+    module.write_text(MODULE.replace('verb = "gaps"', 'verb = "run"'), encoding="utf-8")
+    code, _, err = run("--help")
+    assert code == 2
+    assert "The analysis 'gap-widths' has the verb 'run', which is one of mcspectra itself" in err
 
 
 def test_our_table_of_verbs_is_that_of_the_analyses():

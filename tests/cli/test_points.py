@@ -103,7 +103,7 @@ def test_quality_of_given_and_of_warped_points(command, tmp_path):
         (("-n", 4, "-o", "no/such/folder/p.svg"), "no/such/folder/p.svg cannot be written"),
         (("-n", 2**20 + 1, "-o", "p.png"), "too many to see"),
         (("-n", 4, "-s", "x"), "--seed is 'x'"),
-        (("-n", 4, "-m", 0, "--quality"), "--realizations is '0'"),
+        (("-n", 4, "-m", 0, "--quality"), "--realizations is 0"),
         (("-n", 4, "--quality", "high"), "nrecognized arguments: high"),
     ],
 )

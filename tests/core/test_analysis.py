@@ -34,9 +34,16 @@ from mcspectra.core.analysis import (
     steps_of,
     whole,
 )
-from mcspectra.core.errors import ConfigError, MissingDependency, ParameterError, UnknownName
+from mcspectra.core.errors import (
+    AnalysisError,
+    ConfigError,
+    MissingDependency,
+    ParameterError,
+    UnknownName,
+)
 from mcspectra.core.options import options_of
 from mcspectra.core.progress import listening
+from mcspectra.core.records import MeanSums
 from mcspectra.core.results import Variable, check_variables, dataset
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import as_subject
@@ -274,7 +281,7 @@ def test_an_error_in_a_block_comes_through_from_threads():
                     raise ValueError("no such integrand")
                 return Skewed(1.0)
 
-            return Reduction(kind=Skewed, block=block, blocks=9)
+            return Reduction(kind=Skewed, block=block, blocks=9, result=lambda _: _small())
 
     for workers in (1, 2):
         with pytest.raises(ValueError, match="no such integrand"):
@@ -358,6 +365,69 @@ def test_results_are_held_against_what_is_declared(variable, words):
     for dims in (("k", "m0"), ("m0", "k", "k2"), ("l0",)):
         with pytest.raises(TypeError, match="own has the dims"):
             check_variables(xr.Dataset({"own": (dims, np.ones((2,) * len(dims)))}), declared, "It")
+
+
+def test_a_result_says_what_it_is_of():
+    class Of(Said, frozen=True, kw_only=True):
+        """Of what."""
+
+        provenance: ClassVar = ("estimator", "sampler", "blocks", "stream_key")
+
+    found = compute(Of.of({"blocks": 3, "memory": 0, "rng": 5}), SUBJECT, rng=5).attrs
+    key = Stream.from_rng(5).key
+    assert {name: found.get(name) for name in (*Of.provenance, "seed")} == {
+        "estimator": None,
+        "sampler": "random",
+        "blocks": 3,
+        "stream_key": f"{key:#x}",
+        "seed": 5,
+    }
+    with pytest.raises(KeyError, match="memory"):
+        Of.of({"blocks": 3})
+
+
+def _sum_of(key="0", result=lambda total: _small()):
+    return Reduction(kind=MeanSums, block=lambda i: MeanSums.zeros(1), key=key, result=result)
+
+
+def _two_of_one_key():
+    yield [_sum_of("a"), _sum_of("a")]
+
+
+def _no_list():
+    yield _sum_of()
+
+
+@pytest.mark.parametrize(
+    ("need", "reduction", "words"),
+    [
+        (3.0, _sum_of, "Odd needs 3.0; its need must return a Need"),
+        (Need(), lambda: None, "Odd is computed by None; its reduction must return a Reduction"),
+        (Need(), lambda: [_sum_of()], "or be a generator that yields lists of them"),
+        (Need(), lambda: _sum_of(result=None), "Odd has a Reduction without result"),
+        (Need(), lambda: _sum_of(result=lambda total: None), "Odd gives None as its result"),
+        (
+            Need(),
+            _two_of_one_key,
+            "Odd has two reductions of the key 'a'; give each a key of its own",
+        ),
+        (Need(), _no_list, "Odd has the step Reduction.*; give a list of Reductions"),
+    ],
+)
+def test_an_analysis_that_breaks_its_contract_is_named(need, reduction, words):
+    class Odd(Analysis, frozen=True, kw_only=True):
+        """Odd."""
+
+        variables: ClassVar = ("variance",)
+
+        def need(self, subject):
+            return need
+
+        def reduction(self, subject, stream):
+            return reduction()
+
+    with pytest.raises(AnalysisError, match=words):
+        compute(Odd(), SUBJECT)
 
 
 def test_variances_of_channels_and_of_many_fit_too():

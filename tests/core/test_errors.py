@@ -105,3 +105,9 @@ def test_hints_list_few_names_and_count_many():
         "zzz", [f"name-{i:02}" for i in range(40)], "mcspectra list samplers"
     )
     assert hint == " There are 40 names; 'mcspectra list samplers' shows them."
+
+
+def test_reasons_are_one_line_without_a_full_stop():
+    assert errors.reason_of(ValueError("two\n  lines. ")) == "two lines"
+    assert errors.reason_of(KeyError()) == "KeyError"
+    assert errors.reason_of(ValueError("long" * 100), 6) == "longlo"

@@ -108,7 +108,7 @@ def test_what_fits_becomes_clean(name, value, clean):
 
 
 WRONG = [
-    ("n", 0, "give a whole number at least 1"),
+    ("n", 0, "give a whole number of at least 1"),
     ("n", 2**62 + 1, "give a whole number"),
     ("n", 2.5, "give a whole number"),
     ("n", True, "give a whole number"),

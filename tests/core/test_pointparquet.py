@@ -1,6 +1,7 @@
 """Parquet files of points: what others write is read, the rest is refused in one sentence."""
 
 import json
+import sys
 
 import numpy as np
 import pyarrow as pa
@@ -110,7 +111,8 @@ def test_sets_of_different_dims_need_several_files(tmp_path):
 
 def test_a_missing_package_is_one_sentence(tmp_path, monkeypatch):
     path = save(tmp_path / "p.parquet", x=[0.5])
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    monkeypatch.delitem(sys.modules, "pyarrow.parquet")
     for call in (lambda: read_points(path), lambda: write_points(path, [np.ones((1, 1))])):
         with pytest.raises(MissingDependency, match=r"pip install 'mcspectra\[parquet\]'"):
             call()

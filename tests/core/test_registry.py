@@ -9,7 +9,7 @@ from typing import ClassVar
 import pytest
 
 from mcspectra.core.errors import MissingDependency, ParameterError, SpecError, UnknownName
-from mcspectra.core.registry import Registry
+from mcspectra.core.registry import Registry, optional_package
 from mcspectra.core.spec import Call, Component, parse
 
 GROUP = "mcspectra.tests"
@@ -158,3 +158,23 @@ def test_a_broken_distribution_hurts_only_who_asks_for_it(registry, install, ent
     assert registry.build(Call("plain", {})) == Plain()
     with pytest.raises(MissingDependency, match=words):
         registry.load("theirs")
+
+
+def test_optional_packages_are_loaded_or_named(monkeypatch):
+    assert optional_package("json.decoder", "any", "It needs").__name__ == "json"
+    for name in ("no_such_package", "no_such_package.part"):
+        with pytest.raises(MissingDependency) as caught:
+            optional_package(name, "extra", "These files need")
+        assert str(caught.value) == (
+            "These files need the package no_such_package; install it with: "
+            "pip install 'mcspectra[extra]'"
+        )
+
+    def fail(name):
+        raise OSError("lib.so: cannot\nopen.")
+
+    monkeypatch.setattr("importlib.import_module", fail)
+    with pytest.raises(
+        MissingDependency, match=r"; it cannot be loaded: lib.so: cannot open; mend"
+    ):
+        optional_package("json", "extra", "It needs")

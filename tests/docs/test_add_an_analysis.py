@@ -85,7 +85,7 @@ def test_python_computes_it_with_the_same_bits_for_any_threads(quantiles):
 
 def test_bad_options_are_one_sentence(quantiles):
     subject = as_subject("gaussian", "jittered")
-    with pytest.raises(mcs.McspectraError, match="n is 0; give a whole number at least 1"):
+    with pytest.raises(mcs.McspectraError, match="n is 0; give a whole number of at least 1"):
         compute(quantiles(n=0), subject)
     with pytest.raises(mcs.McspectraError, match="17"):
         compute(quantiles(n=17), subject)

@@ -332,7 +332,7 @@ def test_bad_properties(properties: dict[str, Any], words: str) -> None:
         (["-D", "a=b"], "a=b"),
         (["-m", "nosuch"], "variant is 'nosuch'"),
         (["-s", "3"], "sensor is 3"),
-        (["--spp", "0"], "--spp is '0'"),
+        (["--spp", "0"], "--spp is 0"),
         (["--seed", "4294967296"], "seed is 4294967296"),
         (["-o", "image.png"], "give an .exr file"),
         (["-o", "nowhere/image.exr"], "in a folder that exists"),

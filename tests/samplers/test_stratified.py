@@ -78,7 +78,7 @@ def test_given_sides_allow_their_product_only(name):
     ("sides", "sentence"),
     [
         ("[3]", "give one for each of the 2 dims"),
-        ("[3, 0]", r"sides\[1\] is 0; give a whole number at least 1"),
+        ("[3, 0]", r"sides\[1\] is 0; give a whole number of at least 1"),
         ("[3, 2.5]", r"sides\[1\] is 2.5"),
         ("[3, True]", r"sides\[1\] is True"),
         ("'33'", "give a list of 2 whole numbers"),

@@ -135,11 +135,11 @@ def _compare(dims, sets, weighted, step, tolerance):
     x, weights = _sets(sets, 31, dims, weighted)
     transform = Transform(grid, 31, engine="gpu")
     assert transform.engine == "gpu"
-    expected = direct_sum(x, grid.half_indices() * step, weights)
+    expected = direct_sum(x, grid.indices() * step, weights)
     scale = 1.0 if weights is None else np.abs(weights).sum(axis=1).max()
     assert np.abs(transform.coefficients(x, weights) - expected).max() < tolerance * scale
-    total, squares = np.zeros(grid.half_size), np.zeros(grid.half_size)
-    mean = np.zeros(grid.half_size, np.complex128)
+    total, squares = np.zeros(grid.stored), np.zeros(grid.stored)
+    mean = np.zeros(grid.stored, np.complex128)
     transform.add_power(x, weights, total, squares, mean)
     power = np.abs(expected) ** 2
     assert np.abs(total - power.sum(axis=0)).max() < 2 * sets * tolerance * scale**2
@@ -205,7 +205,7 @@ def test_threads_take_turns(device):
     for thread in threads:
         thread.join()
     for k, x in enumerate(sets):
-        assert np.abs(found[k] - direct_sum(x, grid.half_indices())).max() < 1e-12
+        assert np.abs(found[k] - direct_sum(x, grid.indices())).max() < 1e-12
 
 
 def test_analyses_take_the_engine_and_say_so(device):
@@ -278,10 +278,11 @@ def test_a_package_that_does_not_load_gives_its_reason(device, monkeypatch, erro
             raise error
         return load(name)
 
-    monkeypatch.setattr(transforms.importlib, "import_module", fail)
+    monkeypatch.setattr(importlib, "import_module", fail)
     reason = " ".join(str(error).split()).rstrip(".")
     assert _refusal() == (
-        f"engine='gpu' cannot load the package cufinufft: {reason}; use engine='nufft'."
+        f"engine='gpu' needs the package cufinufft; it cannot be loaded: {reason}; "
+        "mend its installation."
     )
 
 
@@ -328,5 +329,5 @@ def test_other_engines_never_load_the_packages(monkeypatch):
         return load(name, *rest)
 
     monkeypatch.setattr(builtins, "__import__", watch)
-    monkeypatch.setattr(transforms, "_load", None)
+    monkeypatch.setattr(transforms, "optional_package", None)
     Transform(FrequencyGrid(2, 16), 256).coefficients(np.zeros((2, 256, 2)))

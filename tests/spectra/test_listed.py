@@ -109,7 +109,7 @@ def test_direct_engine_takes_points_in_blocks(monkeypatch):
     monkeypatch.setattr(transforms, "_DIRECT_NUMBERS", 5 * 25)
     blocks = Transform(grid, 23, engine="direct").coefficients(points)
     assert np.abs(whole - blocks).max() < 1e-14
-    assert np.abs(whole - direct_sum(points, grid.half_indices())).max() < 1e-14
+    assert np.abs(whole - direct_sum(points, grid.indices())).max() < 1e-14
 
 
 @pytest.mark.parametrize(

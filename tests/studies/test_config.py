@@ -114,7 +114,7 @@ def test_channels_are_those_of_channel_estimators(colour, way):
         (STEP + 'remedies = { budget = 64, kinds = ["mirorred"] }', "Did you mean 'mirrored'"),
         (STEP + "remedies = { budget = 64, kinds = [] }", "kinds"),
         (STEP + "remedies = { budget = 64, realizations = 99 }", ">= 100"),
-        (TWO + "remedies = { budget = 1 }", "remedies: budget is 1; give a whole number at least"),
+        (TWO + "remedies = { budget = 1 }", "remedies: budget is 1; give a whole number of at least"),
         (STEP + "exact = { counts = [16, 4] }", "give ascending numbers"),
         (STEP + "techniques = { counts = [] }", "counts"),
         (STEP + "techniques = { counts = [4, 4] }", "give ascending numbers"),

@@ -255,9 +255,9 @@ FAULTS = {
     NoRule: "fails in merging states: TypeError: A ndarray has no rule to merge",
     FailingBlock: "fails in block",
     Remembers: "gives different results in chunks, or for the same seed",
-    Undeclared: "fails in its variables: TypeError: .*'power', which it does not declare",
-    OtherDims: r"fails in its variables: TypeError: .*power has the dims \[\]",
-    Twice: "has two reductions with the key '0'",
+    Undeclared: "fails in its variables: AnalysisError: .*'power', which it does not declare",
+    OtherDims: r"fails in its variables: AnalysisError: .*power has the dims \[\]",
+    Twice: "has two reductions of the key '0'",
     Later: "fails in part",
     Empty: "has a reduction of 0 blocks",
 }

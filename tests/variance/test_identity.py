@@ -34,7 +34,7 @@ def _skew(dims):
 def _estimates(estimator, sampler, n, space, half_width, seed):
     """Σ_m conj(f_m) S_m for every realisation, by the direct sum over the whole grid."""
     grid = FrequencyGrid(estimator.dims, half_width)
-    m = np.concatenate([grid.half_indices(), -grid.half_indices()[-2::-1]])
+    m = np.concatenate([grid.indices(), -grid.indices()[-2::-1]])
     points = estimator.draw(sampler, n, Stream.from_rng(seed), 0, REALIZATIONS)
     if space == "domain":
         x, weights = estimator.weighted_points(points)

@@ -17,7 +17,7 @@ HALF_WIDTH, N = 32, 64
 _BLOCK = 2**13
 GRID = FrequencyGrid(2, HALF_WIDTH)
 REALIZATIONS = 240
-BYTES = 16 * GRID.half_size
+BYTES = 16 * GRID.stored
 """Bytes of the spectrum of one realisation."""
 
 LARGE = """
@@ -85,7 +85,7 @@ def test_memory_is_flat_in_realizations(analysis, workers):
 @pytest.mark.parametrize(("dims", "half_width", "n"), [(3, 6, 27), (4, 3, 16)])
 def test_memory_is_flat_in_more_dims(dims, half_width, n):
     sampler = mcs.sampler("jittered", dims=dims)
-    size = FrequencyGrid(dims, half_width).half_size
+    size = FrequencyGrid(dims, half_width).stored
 
     def terms(realizations):
         mcs.variance_terms(
@@ -99,10 +99,10 @@ def test_memory_is_flat_in_more_dims(dims, half_width, n):
 
 
 def test_bands_take_their_square_and_no_more():
-    labels = GRID.full(np.arange(GRID.half_size) % 200)
+    labels = GRID.full(np.arange(GRID.stored) % 200)
     few = _peak(lambda: _terms(REALIZATIONS, workers=1))
     bands = _peak(lambda: _terms(REALIZATIONS, workers=1, bands=labels))
-    realizations_a_block = max(1, _BLOCK // (2 * GRID.half_size))
+    realizations_a_block = max(1, _BLOCK // (2 * GRID.stored))
     # band_covariance: three in every node of the tree, which are the sums and the mean and squares of
     # their spread; in a block, merged, and in the result
     nodes = math.ceil(math.log2(REALIZATIONS / 2))

@@ -18,7 +18,6 @@ import mcspectra as mcs
 from mcspectra.cli.common import (
     Answer,
     Declaration,
-    Read,
     Verb,
     option,
     read_sampler,
@@ -178,8 +177,8 @@ def _subject(
             raise ParameterError(f"{name} is about several --density options; give two or more.")
     if options.shares is not None and len(options.shares) != len(densities):
         raise ParameterError(
-            f"--shares has {len(options.shares)} numbers for {len(densities)} densities; give one "
-            "for each."
+            f"--shares is {','.join(map(str, options.shares))}; give {len(densities)} numbers, one for "
+            "each --density."
         )
     if options.plus and densities:
         raise ParameterError("--plus adds whole techniques; it cannot be used with --density.")
@@ -209,54 +208,50 @@ def _subject(
     return as_subject(estimator, read_sampler(texts, estimator.dims))
 
 
-def declared(option: Option, default_note: str = "") -> Declaration:
+def declared(given: Option, default_note: str = "") -> Declaration:
     """Declare an option of an analysis, which has its default; the note stands behind that in the help."""
-    own = option.extra.get("flag", option.flag)
-    text = option.meaning.rstrip(".")
+    own = given.extra.get("flag", given.flag)
+    text = given.meaning.rstrip(".")
     text = text[:1].lower() + text[1:] if text[1:2].islower() else text
-    choices = (*option.choices, *option.item_choices)
+    choices = (*given.choices, *given.item_choices)
     if any(choice not in text for choice in choices):
         text += f": {', '.join(choices)}"
-    if option.is_flag:
-        switch = own if "flag" in option.extra or not option.default else f"--no-{own[2:]}"
-        help = f"{text}; on by default" if option.default else text
+    if given.is_flag:
+        switch = own if "flag" in given.extra or not given.default else f"--no-{own[2:]}"
+        help = f"{text}; on by default" if given.default else text
         return lambda parser: parser.add_argument(
             switch,
-            dest=option.name,
+            dest=given.name,
             default=None,
             action="store_const",
-            const=not option.default,
+            const=not given.default,
             help=help.replace("%", "%%"),
         )
-    default = option.default
+    default = given.default
     values = default if isinstance(default, tuple) else (default,)
     shown = ",".join(f"{each:g}" if isinstance(each, float) else str(each) for each in values)
-    said = "" if option.required or default is None else f"default {shown}{default_note}"
-    listed = option.lists_texts
+    said = "" if given.required or default is None else f"default {shown}{default_note}"
+    listed = given.lists_texts
 
-    def read(name: str, given: str) -> Any:
+    def read(name: str, text: str) -> Any:
         if not listed:
-            return option.read(given, name)
+            return given.read(text, name)
         # Names have no commas, other texts may: those are given one by one
-        texts = given.split(",") if option.item_choices else [given]
-        return option.check(tuple(text.strip() for text in texts), name)
+        texts = text.split(",") if given.item_choices else [text]
+        return given.check(tuple(each.strip() for each in texts), name)
 
     parts = [part for part in (text, "repeatable" if listed else "", said) if part]
-    word = option.name.rpartition("_")[2].upper()
-    letter = word if option.choices or listed else word[0]
+    word = given.name.rpartition("_")[2].upper()
+    letter = word if given.choices or listed else word[0]
     # One letter may stand for the whole name: -m for --realizations, and -n is all of n
-    flags = (
-        [own] if own == option.flag or f"-{option.name}" == own or listed else [own, option.flag]
-    )
-    return lambda parser: parser.add_argument(
-        *flags,
-        action=Read,
-        read=read,
+    flags = [own] if own == given.flag or f"-{given.name}" == own or listed else [own, given.flag]
+    return option(
+        f"{', '.join(flags)} {given.extra.get('metavar', letter)}",
+        "; ".join(parts).replace("%", "%%"),
+        read,
         repeated="all" if listed else "last",
-        dest=option.name,
-        required=option.required,
-        metavar=option.extra.get("metavar", letter),
-        help="; ".join(parts).replace("%", "%%"),
+        dest=given.name,
+        required=given.required,
     )
 
 

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import argparse
 import inspect
-import math
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
-
-import numpy as np
 
 from mcspectra.core.checks import as_integer, as_real
 from mcspectra.core.errors import FileFormatError, ParameterError
@@ -31,7 +28,6 @@ __all__ = [
     "option",
     "read_sampler",
     "real",
-    "strict",
     "text_table",
     "verb",
     "whole",
@@ -144,14 +140,7 @@ def verb(*options: Declaration) -> Callable[[Callable[[argparse.Namespace], Answ
 def whole(least: int = 1, most: int | None = None) -> Callable[[str, str], int]:
     """Return what reads a whole number within limits."""
 
-    def read(name: str, text: str) -> int:
-        try:
-            return as_integer(name, int(text), least=least, most=most)
-        except ValueError:
-            limit = f"of at least {least}" if most is None else f"from {least} to {most}"
-            raise ParameterError(f"{name} is {text!r}; give a whole number {limit}.") from None
-
-    return read
+    return lambda name, text: as_integer(name, _number(int, text), least=least, most=most)
 
 
 def wholes(form: str = "", least: int = 1) -> Callable[[str, str], list[int]]:
@@ -169,14 +158,15 @@ def wholes(form: str = "", least: int = 1) -> Callable[[str, str], list[int]]:
 def real(**limits: float) -> Callable[[str, str], float]:
     """Return what reads a number within the limits of `as_real`."""
 
-    def read(name: str, text: str) -> float:
-        try:
-            number: float | str = float(text)
-        except ValueError:
-            number = text
-        return as_real(name, number, **limits)
+    return lambda name, text: as_real(name, _number(float, text), **limits)
 
-    return read
+
+def _number(kind: Callable[[str], int | float], text: str) -> int | float | str:
+    """The number that a text is, if it is one."""
+    try:
+        return kind(text)
+    except ValueError:
+        return text
 
 
 def index_or_name(name: str, text: str) -> int | str:
@@ -213,21 +203,6 @@ def writing(path: Path | str) -> Iterator[None]:
         yield
     except OSError as error:
         raise FileFormatError(f"{str(path)!r} cannot be written: {error.strerror}.") from None
-
-
-def strict(value: Any) -> Any:
-    """Return what strict JSON can say: lists for arrays, null for NaN and infinity, texts for paths."""
-    if isinstance(value, dict):
-        return {str(key): strict(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [strict(item) for item in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return strict(value.tolist())
-    if isinstance(value, complex):
-        return {"re": strict(value.real), "im": strict(value.imag)}
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return str(value) if isinstance(value, Path) else value
 
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

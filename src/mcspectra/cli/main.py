@@ -13,9 +13,9 @@ import importlib
 import io
 import json
 import os
+import re
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
 from importlib.metadata import entry_points
 from typing import NoReturn
 
@@ -65,16 +65,8 @@ _MODULES = {
 _VERBS = {verb: text for verbs in _MODULES.values() for verb, text in verbs.items()}
 
 _ANALYSES = {
-    "spectrum": "spectrum",
-    "pcf": "pcf",
-    "variance": "terms",
-    "converge": "convergence",
-    "techniques": "techniques",
-    "remedies": "remedies",
-    "exact": "exact",
-    "anova": "anova",
-    "modes": "modes",
-    "routes": "routes",
+    verb: {"variance": "terms", "converge": "convergence"}.get(verb, verb)
+    for verb in _MODULES["analysis"]
 }
 """Verbs of our analyses, which are not loaded to know them: to their names in the registry."""
 
@@ -143,23 +135,26 @@ def _dispatch(given: list[str]) -> int:
     """Find the verb, read its options, run it and print its answer."""
     if not given or given[0].startswith("-"):
         return _without_verb(given)
-    from mcspectra.cli.common import Read, Verb, one_sentence_warnings, strict, whole
+    from mcspectra.cli.common import Read, Verb, one_sentence_warnings, whole
+    from mcspectra.core.errors import McspectraError, UnknownName, close_match_hint
     from mcspectra.core.progress import progress_bars
+    from mcspectra.core.results import strict_json
 
     name = given[0]
     verb: Verb
-    if name in _VERBS and name not in _ANALYSES:
+    analysis = _ANALYSES.get(name)
+    if name not in _VERBS:
+        analysis = _outside_verbs().get(name)
+        if analysis is None:
+            hint, close = close_match_hint(name, _VERBS, "mcspectra --help")
+            raise UnknownName(f"There is no verb {name!r}.{hint}", close)
+    if analysis is None:
         module = next(module for module, verbs in _MODULES.items() if name in verbs)
         verb = getattr(importlib.import_module(f"mcspectra.cli.{module}"), f"{name}_")
-    elif analysis := _ANALYSES.get(name) or _outside_verbs().get(name):
+    else:
         from mcspectra.cli.analysis import analysis_verb
 
         verb = analysis_verb(analysis)
-    else:
-        from mcspectra.core.errors import UnknownName, close_match_hint
-
-        hint, close = close_match_hint(name, _VERBS, "mcspectra --help")
-        raise UnknownName(f"There is no verb {name!r}.{hint}", close)
 
     # Its own options, and those that all verbs have
     parser = _Parser(
@@ -178,13 +173,41 @@ def _dispatch(given: list[str]) -> int:
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     options = parser.parse_args(given[1:])
 
-    with one_sentence_warnings(options.quiet), progress_bars(not options.quiet):
-        text, data, code = verb.run(options)
+    try:
+        with one_sentence_warnings(options.quiet), progress_bars(not options.quiet):
+            text, data, code = verb.run(options)
+    except McspectraError as error:
+        error.args = (_as_typed(str(error), parser, analyses=analysis is not None),)
+        raise
     if options.json and data is not None:
-        print(json.dumps(strict(data), indent=2, allow_nan=False))
+        print(json.dumps(strict_json(data), indent=2, allow_nan=False))
     elif text and (data is None or not options.quiet):
         print(text)
     return code
+
+
+def _as_typed(sentence: str, parser: argparse.ArgumentParser, *, analyses: bool) -> str:
+    """Say an error with options as they are typed, and with verbs for the functions of analyses.
+
+    Words within a sentence are options where an analysis is asked for; files have keys of their own.
+    """
+    for action in parser._actions:
+        flag, name = max(action.option_strings, key=len, default=""), action.dest
+        if flag:
+            sentence = re.sub(rf"^{name}(?= (?:is|has)\b)", flag, sentence)
+        if flag and analyses:
+            outside = r"(?<![\w(])(?<!, )"  # of the brackets of a spec
+            sentence = re.sub(rf"{outside}{name}=(['\"]?)([\w.-]+)\1", rf"{flag} \2", sentence)
+            sentence = re.sub(rf"(?<![\w-]){name}\b", flag, sentence) if "_" in name else sentence
+    if not (analyses and re.search(r"[a-z]_[a-z]|use convergence", sentence)):
+        return sentence
+    from mcspectra.core.analysis import ANALYSES
+
+    for verb, name in _ANALYSES.items():
+        if function := ANALYSES.load(name).function:
+            place = r"\b" if "_" in function else r"(?<=use )"
+            sentence = re.sub(rf"{place}{function}\b", f"'mcspectra {verb}'", sentence)
+    return sentence
 
 
 def _without_verb(given: list[str]) -> int:
@@ -214,15 +237,24 @@ def _without_verb(given: list[str]) -> int:
 
 
 def _outside_verbs() -> dict[str, str]:
-    """Verbs of other packages' analyses, to the names of these; packages that are broken have none."""
-    names = {entry.name for entry in entry_points(group="mcspectra.analyses")}
-    if not names:
-        return {}
-    from mcspectra.core.analysis import ANALYSES
-    from mcspectra.core.errors import McspectraError
+    """Verbs of other packages' analyses, to the names of these.
 
-    found = {}
-    for name in sorted(names):
-        with suppress(McspectraError):  # `mcspectra list analyses` says what is wrong
-            found[ANALYSES.load(name).verb] = name
-    return {verb: name for verb, name in found.items() if verb and verb not in _VERBS}
+    Raises
+    ------
+    SpecError
+        One is a verb of ours, or as of `mcspectra.core.analysis.verbs`.
+    """
+    if not entry_points(group="mcspectra.analyses"):
+        return {}
+    from mcspectra.core.analysis import ANALYSES, verbs
+    from mcspectra.core.errors import SpecError
+
+    found = {
+        verb: name for verb, name in verbs().items() if not ANALYSES[name].startswith("mcspectra.")
+    }
+    for verb in found.keys() & _VERBS.keys():
+        raise SpecError(
+            f"The analysis {found[verb]!r} has the verb {verb!r}, which is one of mcspectra itself; "
+            "uninstall its package, or have its author rename the verb."
+        )
+    return found

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import os
 import platform
 import shlex
@@ -12,7 +11,8 @@ from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 from mcspectra.cli.common import Answer, option, verb, whole
-from mcspectra.core.errors import MissingDependency, ParameterError
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.registry import optional_package
 from mcspectra.version import __version__
 
 if TYPE_CHECKING:
@@ -130,12 +130,7 @@ def app_(options: argparse.Namespace) -> Answer:
     """
     if options.json or options.seed is not None:
         raise ParameterError("app takes neither --json nor --seed; choose the seed on the page.")
-    try:
-        importlib.import_module("panel")
-    except ImportError:
-        raise MissingDependency(
-            "The explorer needs Panel; install it with pip install 'mcspectra[app]'."
-        ) from None
+    optional_package("panel", "app", "The explorer needs")
     from mcspectra.app.server import serve
 
     serve(options.port, open_browser=not options.no_browser, quiet=options.quiet)
@@ -166,7 +161,7 @@ def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
     except (ImportError, OSError, RuntimeError) as error:
         works, transforms = False, f"NUFFT fails: {type(error).__name__}: {error}"
     else:
-        off = float(np.abs(got - direct_sum(points, grid.half_indices())).max())
+        off = float(np.abs(got - direct_sum(points, grid.indices())).max())
         works = off < 1e-8
         transforms = f"NUFFT against the direct sum: largest difference {off:.1e}"
 

@@ -23,6 +23,7 @@ from mcspectra.core.errors import FileFormatError, MissingDependency
 
 __all__ = ["gallery_", "list_", "points_"]
 
+_NO_VERB = "no verb: for study files"
 _REGISTRIES = {
     "samplers": ("mcspectra.samplers", "SAMPLERS"),
     "randomizations": ("mcspectra.samplers", "RANDOMIZATIONS"),
@@ -72,8 +73,8 @@ def list_(options: argparse.Namespace) -> Answer:
     for row in rows:
         lines.append(f"{row['name'].ljust(widest)}  {row['summary']}")
         more = [", ".join(row["parameters"])]
-        if row.get("verb"):
-            more.append(f"mcspectra {row['verb']}")
+        if "verb" in row:
+            more.append(f"mcspectra {row['verb']}" if row["verb"] else _NO_VERB)
         elif "dims" in row:
             more.append(f"dims: {row['dims']}; n: {row['counts']}")
         lines += [f"{'':{widest}}    {line}" for line in more if line]

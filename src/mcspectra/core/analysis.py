@@ -16,18 +16,20 @@ generator: it yields lists of reductions, is sent their merged states, and retur
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeAlias, TypeVar, final
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar, final
 
 import msgspec
 
+from mcspectra.core.errors import AnalysisError, MissingDependency, SpecError
 from mcspectra.core.memory import check_memory
 from mcspectra.core.options import checked
 from mcspectra.core.parallel import available_workers, map_in_order
 from mcspectra.core.progress import report
 from mcspectra.core.records import merged
 from mcspectra.core.registry import Registry
-from mcspectra.core.results import Variable, check_variables
+from mcspectra.core.results import Variable, attributes_of, check_variables
 from mcspectra.core.streams import RngLike, Stream
 
 if TYPE_CHECKING:
@@ -47,7 +49,9 @@ __all__ = [
     "compute_chunk",
     "finished",
     "in_step",
+    "needed",
     "steps_of",
+    "verbs",
     "whole",
 ]
 
@@ -112,6 +116,9 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         What it takes: an estimator with a sampler, a sampler with a density at most, or a scene.
     variables
         Names of its variables in `mcspectra.core.results.VARIABLES`, and `Variable`s of its own.
+    provenance
+        Attributes that its result is given: ``estimator`` and ``sampler`` by their spec strings,
+        ``stream_key``, and options by their names.
     companions
         Analyses that a study computes beside it with the same table, such as points of a spectrum.
     """
@@ -120,6 +127,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     verb: ClassVar[str] = ""
     about: ClassVar[Literal["estimator", "sampler", "scene"]] = "estimator"
     variables: ClassVar[tuple[str | Variable, ...]] = ()
+    provenance: ClassVar[tuple[str, ...]] = ()
     companions: ClassVar[tuple[str, ...]] = ()
 
     def need(self, subject: Subject) -> Need:  # noqa: ARG002
@@ -167,6 +175,11 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         )
 
     @classmethod
+    def of(cls, arguments: Mapping[str, Any]) -> Self:
+        """Make one of the arguments of its public function, ``locals()``, named as its options."""
+        return cls(**{name: arguments[name] for name in cls.__struct_fields__})
+
+    @classmethod
     def summary(cls) -> str:
         """Return the first line of the docstring."""
         return (cls.__doc__ or "").strip().partition("\n")[0]
@@ -193,6 +206,29 @@ ANALYSES = Registry(
     base=Analysis,
 )
 """Analyses by the names of their tables in study files."""
+
+
+def verbs() -> dict[str, str]:
+    """Return the names of analyses by their verbs, but for those that cannot be loaded.
+
+    Raises
+    ------
+    SpecError
+        Two analyses have one verb, or one function.
+    """
+    owners: dict[tuple[str, str], str] = {}
+    for name in ANALYSES:
+        with suppress(MissingDependency):  # `mcspectra list analyses` says why
+            analysis = ANALYSES.load(name)
+            for door in ("verb", "function"):
+                word = getattr(analysis, door)
+                other = owners.setdefault((door, word), name)
+                if word and other != name:
+                    raise SpecError(
+                        f"The analyses {other!r} and {name!r} have the same {door} {word!r}; "
+                        "uninstall the package of one, or have its author rename it."
+                    )
+    return {word: name for (door, word), name in owners.items() if word and door == "verb"}
 
 
 @final
@@ -238,14 +274,75 @@ def whole(function: Callable[[], xr.Dataset], cost: float = 1.0) -> Reduction[xr
     )
 
 
+def needed(analysis: Analysis, subject: Subject) -> Need:
+    """Return what an analysis says that it needs.
+
+    Raises
+    ------
+    AnalysisError
+        That is no `Need`.
+    McspectraError
+        As of its `need`.
+    """
+    need: Any = analysis.need(subject)
+    if not isinstance(need, Need):
+        raise AnalysisError(
+            f"{type(analysis).__name__} needs {need!r:.80}; its need must return a Need."
+        )
+    return need
+
+
 def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
-    """Return the steps of an analysis, one where it is a single reduction."""
-    found = analysis.reduction(subject, stream)
-    if not isinstance(found, Reduction):
-        return (yield from found)
-    (state,) = yield [found]
-    assert found.result is not None
-    return found.result(state)
+    """Return the steps of an analysis, one where it is a single reduction.
+
+    Raises
+    ------
+    AnalysisError
+        It has no reduction or result, or a step has something else, or two have one key.
+    """
+    name = type(analysis).__name__
+    found: Any = analysis.reduction(subject, stream)
+    if isinstance(found, Reduction):
+        found = _single(found, name)
+    if not isinstance(found, Generator):
+        raise AnalysisError(
+            f"{name} is computed by {found!r:.80}; its reduction must return a Reduction, or be a "
+            "generator that yields lists of them."
+        )
+    states: list[Any] | None = None
+    keys: set[str] = set()
+    while True:
+        try:
+            step = found.send(states)
+        except StopIteration as end:
+            result: xr.Dataset = end.value
+            break
+        if not isinstance(step, list) or not all(isinstance(each, Reduction) for each in step):
+            raise AnalysisError(f"{name} has the step {step!r:.80}; give a list of Reductions.")
+        for each in step:
+            if each.key in keys:
+                raise AnalysisError(
+                    f"{name} has two reductions of the key {each.key!r}; give each a key of its own."
+                )
+            keys.add(each.key)
+        states = yield step
+
+    if not hasattr(result, "data_vars"):
+        raise AnalysisError(f"{name} gives {result!r:.80} as its result; it must be a dataset.")
+    if not analysis.provenance:
+        return result
+    # Say what it is of
+    components = {"estimator": subject.estimator, "sampler": subject.sampler}
+    known = {name: getattr(each, "spec", None) for name, each in components.items()}
+    known |= {"stream_key": f"{stream.key:#x}", **msgspec.structs.asdict(analysis)}
+    return result.assign_attrs(attributes_of(**{name: known[name] for name in analysis.provenance}))
+
+
+def _single(reduction: Reduction[State], name: str) -> Steps:
+    if reduction.result is None:
+        raise AnalysisError(f"{name} has a Reduction without result; say how its dataset is made.")
+    (state,) = yield [reduction]
+    return reduction.result(state)
 
 
 def finished(analysis: Analysis, result: xr.Dataset, rng: RngLike = None) -> xr.Dataset:
@@ -255,8 +352,8 @@ def finished(analysis: Analysis, result: xr.Dataset, rng: RngLike = None) -> xr.
 
     Raises
     ------
-    TypeError
-        A variable is not declared, or has other dims or another kind: a defect of the analysis.
+    AnalysisError
+        A variable is not declared, or has other dims or another kind.
     """
     check_variables(result, type(analysis).variables, type(analysis).__name__)
     return result.assign_attrs(seed=rng) if isinstance(rng, int) else result
@@ -277,12 +374,12 @@ def compute(
     ConfigError
         It needs more memory than there is.
     McspectraError
-        As of the analysis's `need`.
+        As of `needed` and `steps_of`.
     """
     threads = available_workers(workers)
     clean = checked(analysis)
     name = clean.function or type(clean).__name__
-    check_memory(clean.need(subject).memory, name)
+    check_memory(needed(clean, subject).memory, name)
     steps = steps_of(clean, subject, Stream.from_rng(rng))
     states: Any = None
     try:

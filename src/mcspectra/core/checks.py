@@ -40,8 +40,10 @@ def as_integer(name: str, value: object, *, least: int, most: int | None = None)
         whole = True
     if whole and int(value) >= least and (most is None or int(value) <= most):  # type: ignore[call-overload]
         return int(value)  # type: ignore[call-overload, no-any-return]
-    limit = f"at least {least}" if most is None else f"from {least} to {most}"
-    raise ParameterError(f"{name} is {value!r}; give a whole number {limit}.")
+    limit = f"a whole number of at least {least}"
+    if most is not None:
+        limit = f"a whole number from {least} to {most}" if least < most else str(most)
+    raise ParameterError(f"{name} is {value!r}; give {limit}.")
 
 
 def as_real(

@@ -19,7 +19,7 @@ from typing import IO
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import FileFormatError, McspectraError
+from mcspectra.core.errors import FileFormatError, McspectraError, reason_of
 
 __all__ = ["check_decoded_size", "known_path", "opened", "read_npy", "read_npz"]
 
@@ -71,10 +71,8 @@ def opened(
     except FileNotFoundError:
         raise FileFormatError(f"There is no file {file}; give the path of {what}.") from None
     except Exception as error:  # noqa: BLE001 - whatever a parser makes of a broken file
-        said = " ".join(str(error).split()).rstrip(".")[:200]
-        reason = f"it is truncated, damaged or of another format ({said or type(error).__name__})"
-        if isinstance(error, OSError) and error.strerror:
-            reason = error.strerror
+        said = f"it is truncated, damaged or of another format ({reason_of(error, 200)})"
+        reason = getattr(error, "strerror", None) or said  # the system's own word, if it has one
         raise FileFormatError(f"{file} cannot be read as {what}: {reason}.") from None
 
 

@@ -15,6 +15,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 __all__ = [
+    "AnalysisError",
     "CacheWarning",
     "ConfigError",
     "CorrelatedFrequenciesWarning",
@@ -40,6 +41,7 @@ __all__ = [
     "UnknownName",
     "close_match_hint",
     "point_in_words",
+    "reason_of",
     "warn",
 ]
 
@@ -97,6 +99,10 @@ class StoreError(McspectraError, RuntimeError):
 
 class StorageError(StoreError):
     """Results cannot be written: the disk is full, a quota is reached, the device fails."""
+
+
+class AnalysisError(McspectraError, TypeError):
+    """An analysis, such as another package's, breaks its contract: whoever wrote it has to mend it."""
 
 
 class NoClosedForm(McspectraError, NotImplementedError):
@@ -170,6 +176,11 @@ def point_in_words(point: Iterable[float]) -> str:
     more = len(coordinates) - _COORDINATES
     shown = ", ".join(coordinates[:_COORDINATES])
     return f"({shown}, … {more} more)" if more > 0 else f"({shown})"
+
+
+def reason_of(error: BaseException, most: int = 1000) -> str:
+    """Return what an error says, of `most` characters, on one line without a full stop; or its class."""
+    return " ".join(str(error).split())[:most].rstrip(".") or type(error).__name__
 
 
 def warn(message: str, category: type[Warning]) -> None:

@@ -36,8 +36,8 @@ def available_memory() -> int:
         return 2**62
 
 
-def check_memory(needed: int, what: str, limit: int | None = None) -> None:
-    """Refuse what needs more memory than there is.
+def check_memory(needed: int, what: str) -> None:
+    """Refuse what needs more bytes than this machine has.
 
     Parameters
     ----------
@@ -45,15 +45,13 @@ def check_memory(needed: int, what: str, limit: int | None = None) -> None:
         Bytes.
     what
         Beginning of the sentence, such as ``"Estimator 'a', convergence with n = 10"``.
-    limit
-        Bytes that there are; the machine's memory by default.
 
     Raises
     ------
     ConfigError
         With the estimate.
     """
-    most = available_memory() if limit is None else limit
+    most = available_memory()
     if needed > most:
         raise ConfigError(
             f"{what} would take about {shown_bytes(needed)} of memory, and this machine has "

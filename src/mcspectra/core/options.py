@@ -101,7 +101,7 @@ ENGINE = Meta(
     description="How transforms are computed: auto, nufft, direct, or gpu (extra gpu).",
     extra={"choices": ("auto", "nufft", "direct", "gpu")},
 )
-EPS = Meta(gt=0.0, lt=1.0, description="Wanted relative accuracy of the transforms.")
+EPS = Meta(ge=1e-14, le=0.1, description="Wanted relative accuracy of the transforms.")
 
 
 @final

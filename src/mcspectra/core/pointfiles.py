@@ -22,7 +22,6 @@ The sets of a file may differ in size; whether coordinates lie in [0,1) is for s
 
 from __future__ import annotations
 
-import importlib.util
 import io
 import itertools
 import json
@@ -37,7 +36,8 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.decoding import check_decoded_size, known_path, opened, read_npz
-from mcspectra.core.errors import FileFormatError, MissingDependency
+from mcspectra.core.errors import FileFormatError
+from mcspectra.core.registry import optional_package
 
 __all__ = ["EXTENSIONS", "format_dat", "parse_dat", "read_points", "write_points"]
 
@@ -49,6 +49,8 @@ _SET_BYTES = 4096  # that count for a set besides its coordinates: many tiny one
 # UTK text and comma-separated values
 _LONGEST_LINE = 2**22  # bytes
 _VALUE_BYTES = 24  # of a number in text: as it is read, in its set, and in the order of sets
+
+_PARQUET = ("pyarrow.parquet", "parquet", "Files .parquet need")
 
 # UTK binary
 _MAGIC = 0x214B5455
@@ -192,7 +194,7 @@ def _content(
             rows = map(_lines_of, clean, itertools.repeat(","), starts)
             return f"{header}\n{''.join(rows)}".encode()
         case ".parquet":
-            pyarrow = _pyarrow()
+            pyarrow = optional_package(*_PARQUET)
             numbers = {"set": np.repeat(np.arange(len(clean)), [len(x) for x in clean])}
             columns = dict(zip(axes, np.concatenate(clean).T, strict=True))
             table = pyarrow.table({**(numbers if several else {}), **columns})
@@ -379,7 +381,7 @@ def _read_bin(stream: IO[bytes], size: int, name: str) -> Array:
 
 def _read_parquet(stream: IO[bytes], size: int, file: str) -> list[Array]:
     """Read all columns but ``set`` as coordinates, one array (n, d) for each value of that one."""
-    pyarrow = _pyarrow()
+    pyarrow = optional_package(*_PARQUET)
     types, table = pyarrow.types, pyarrow.parquet.ParquetFile(stream)
     schema, rows = table.schema_arrow, table.metadata.num_rows
 
@@ -440,13 +442,3 @@ def _read_parquet(stream: IO[bytes], size: int, file: str) -> list[Array]:
     numbers = texts.indices.take(labels.indices).dictionary_encode()
     check_decoded_size(file, size, _SET_BYTES * len(numbers.dictionary))
     return _split(points, numbers.indices.to_numpy())
-
-
-def _pyarrow() -> Any:
-    if importlib.util.find_spec("pyarrow") is None:
-        raise MissingDependency(
-            "Files .parquet need the package pyarrow; install it with: "
-            "pip install 'mcspectra[parquet]'"
-        )
-    importlib.import_module("pyarrow.parquet")
-    return importlib.import_module("pyarrow")

@@ -87,7 +87,7 @@ def standard_error(spread: Array, count: int) -> Array:
 _MAGIC = b"mcs1"
 _Shape: TypeAlias = tuple[Annotated[int, msgspec.Meta(ge=0)], ...]
 _Kind: TypeAlias = Annotated[str, msgspec.Meta(pattern=r"^[<>|][biufcU]\d{1,9}$")]
-_HEADER = msgspec.msgpack.Decoder(tuple[Any, list[tuple[_Kind, _Shape]]])
+_HEADER = msgspec.msgpack.Decoder(tuple[msgspec.Raw, list[tuple[_Kind, _Shape]]])
 _MOST_LETTER = 0x10FFFF  # of Unicode
 _UNIONS = (Union, UnionType)
 
@@ -141,11 +141,38 @@ def pack(state: Any) -> bytes:
         Something holds Python objects, or an attribute is no number, text or list of them.
     """
     arrays: list[Array] = []
-    tree = _described(state, arrays)
+
+    def plain(value: Any) -> Any:
+        """Arrays as their places in `arrays`, datasets as names and places."""
+        if isinstance(value, np.ndarray):
+            if value.dtype.kind not in "biufcU":
+                raise TypeError(f"An array holds {value.dtype}, which has no numbers.")
+            arrays.append(value)
+            return len(arrays) - 1
+        if isinstance(value, np.generic):
+            return value.item()
+        if not hasattr(value, "data_vars"):
+            raise TypeError(f"A {type(value).__name__} is no part of a result.")
+        variables = []
+        for name, variable in value.variables.items():
+            values = np.ascontiguousarray(variable.values).reshape(variable.shape)
+            own = name in value.coords
+            variables.append((name, own, variable.dims, values, _attributes(variable.attrs)))
+        return {"attrs": _attributes(value.attrs), "variables": variables}
+
+    tree = msgspec.Raw(msgspec.msgpack.encode(state, enc_hook=plain))
     header = msgspec.msgpack.encode((tree, [(a.dtype.str, a.shape) for a in arrays]))
     parts = [_MAGIC, len(header).to_bytes(8, "little"), header]
     parts += [a.tobytes() for a in arrays]
     return b"".join(parts)
+
+
+def _attributes(attributes: Mapping[Any, Any]) -> dict[str, Any]:
+    """Attributes, of which numbers, texts and lists of them come back."""
+    for name, value in attributes.items():
+        if not isinstance(value, str | int | float | list | tuple | dict | np.generic):
+            raise TypeError(f"The attribute {name} is a {type(value).__name__}, which has no text.")
+    return {str(name): value for name, value in attributes.items()}
 
 
 def unpack(kind: Any, payload: bytes) -> Any:
@@ -173,7 +200,20 @@ def unpack(kind: Any, payload: bytes) -> Any:
             start += count * dtype.itemsize
         if start != len(payload):
             raise ValueError("bytes are missing or left over")
-        return _restored(kind, tree, arrays)
+
+        def made(wanted: Any, value: Any) -> Any:
+            if getattr(wanted, "__name__", "") != "Dataset":
+                return arrays[value]
+            import xarray as xr
+
+            variables = {
+                name: (tuple(dims), arrays[place], attrs)
+                for name, _, dims, place, attrs in value["variables"]
+            }
+            coords = [name for name, coord, *_ in value["variables"] if coord]
+            return xr.Dataset(variables, attrs=value["attrs"]).set_coords(coords)
+
+        return msgspec.msgpack.decode(tree, type=kind, dec_hook=made)
     except (
         ValueError,
         TypeError,
@@ -183,66 +223,3 @@ def unpack(kind: Any, payload: bytes) -> Any:
         RecursionError,
     ) as error:
         raise FileFormatError(f"A stored result cannot be read: {error}.") from None
-
-
-def _described(state: Any, arrays: list[Array]) -> Any:
-    """A tree of plain values in which arrays are their places in `arrays`."""
-    if isinstance(state, np.ndarray):
-        if state.dtype.kind not in "biufcU":
-            raise TypeError(f"An array holds {state.dtype}, which has no numbers.")
-        arrays.append(state)
-        return len(arrays) - 1
-    if is_dataclass(state):
-        return {f.name: _described(getattr(state, f.name), arrays) for f in fields(state)}
-    if hasattr(state, "data_vars"):
-        variables = []
-        for name, variable in state.variables.items():
-            values = np.ascontiguousarray(variable.values).reshape(variable.shape)
-            place, attrs = _described(values, arrays), _plain(variable.attrs)
-            variables.append((name, name in state.coords, variable.dims, place, attrs))
-        return {"attrs": _plain(state.attrs), "variables": variables}
-    if isinstance(state, Mapping):
-        return {str(name): _described(value, arrays) for name, value in state.items()}
-    if isinstance(state, list | tuple):
-        return [_described(each, arrays) for each in state]
-    return state.item() if isinstance(state, np.generic) else state
-
-
-def _plain(attributes: Mapping[Any, Any]) -> dict[str, Any]:
-    """Attributes with NumPy's scalars as plain numbers."""
-    plain = {
-        str(name): value.item() if isinstance(value, np.generic) else value
-        for name, value in attributes.items()
-    }
-    for name, value in plain.items():
-        if not isinstance(value, str | int | float | list | tuple | dict):
-            raise TypeError(f"The attribute {name} is a {type(value).__name__}, which has no text.")
-    return plain
-
-
-def _restored(kind: Any, tree: Any, arrays: list[Array]) -> Any:
-    if get_origin(kind) in _UNIONS:
-        inner = [each for each in get_args(kind) if each is not type(None)]
-        return None if tree is None else _restored(inner[0], tree, arrays)
-    if get_origin(kind) is Annotated:
-        kind = get_args(kind)[0]
-    if get_origin(kind) in (list, tuple):
-        (item, *_), made = get_args(kind), get_origin(kind)
-        return made(_restored(item, each, arrays) for each in tree)
-    if is_dataclass(kind):
-        hints = get_type_hints(kind, include_extras=True)
-        return kind(
-            **{f.name: _restored(hints[f.name], tree[f.name], arrays) for f in fields(kind)}
-        )  # type: ignore[operator]
-    if get_origin(kind) is dict:
-        return {name: _restored(get_args(kind)[1], each, arrays) for name, each in tree.items()}
-    if getattr(kind, "__name__", "") == "Dataset":
-        import xarray as xr
-
-        variables = {
-            name: (tuple(dims), arrays[place], attrs)
-            for name, _, dims, place, attrs in tree["variables"]
-        }
-        coords = [name for name, coord, *_ in tree["variables"] if coord]
-        return xr.Dataset(variables, attrs=tree["attrs"]).set_coords(coords)
-    return kind(tree) if kind in (int, float, bool, str) else arrays[tree]

@@ -15,11 +15,11 @@ from importlib.metadata import entry_points
 from types import MappingProxyType
 from typing import Any
 
-from mcspectra.core.errors import MissingDependency, ParameterError, UnknownName
+from mcspectra.core.errors import MissingDependency, ParameterError, UnknownName, reason_of
 from mcspectra.core.errors import close_match_hint as hint
 from mcspectra.core.spec import Call, Component
 
-__all__ = ["DEFAULT_DIMS", "Registry"]
+__all__ = ["DEFAULT_DIMS", "Registry", "optional_package"]
 
 DEFAULT_DIMS = 2
 """Number of dims of a spec string when neither it nor its surroundings say: pictures are 2-D."""
@@ -87,9 +87,8 @@ class Registry(Mapping[str, str]):
         except MissingDependency:
             raise
         except (Exception, SystemExit) as error:  # whatever the code of others does
-            reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
             raise MissingDependency(
-                f"The {self.kind} {name!r} ({target}) cannot be loaded: {reason}."
+                f"The {self.kind} {name!r} ({target}) cannot be loaded: {reason_of(error)}."
             ) from error
         component = isinstance(found, type) and issubclass(found, self.base)
         if not (component or (self.functions and callable(found))):
@@ -139,6 +138,33 @@ class Registry(Mapping[str, str]):
     def _targets(self) -> dict[str, str]:
         extra = _registered(self.group, tuple(sys.path))
         return dict(sorted({**extra, **self._builtin}.items()))
+
+
+def optional_package(name: str, extra: str, need: str) -> Any:
+    """Load a package, or a module of it, that not everybody has installed; return the package.
+
+    Parameters
+    ----------
+    name, extra
+        Such as ``"pyarrow.parquet"``, and the extra of mcspectra that installs it.
+    need
+        Beginning of the sentence, such as ``"Files .parquet need"``.
+
+    Raises
+    ------
+    MissingDependency
+        It is not installed, or cannot be loaded.
+    """
+    package = name.partition(".")[0]
+    try:
+        importlib.import_module(name)
+    except (ImportError, OSError) as error:
+        missing = getattr(error, "name", None) or ""
+        install = f"install it with: pip install 'mcspectra[{extra}]'"
+        if not (isinstance(error, ModuleNotFoundError) and missing.partition(".")[0] == package):
+            install = f"it cannot be loaded: {reason_of(error)}; mend its installation."
+        raise MissingDependency(f"{need} the package {package}; {install}") from error
+    return sys.modules[package]
 
 
 @functools.lru_cache(maxsize=64)

@@ -24,7 +24,9 @@ _WORD = re.compile(r"[A-Za-z_][\w.-]*")
 _NO_NUMBERS = ("nan", "inf", "infinity")
 _MAX_LENGTH = 20_000
 _MAX_SHOWN = 80
-_OPEN, _CLOSE = "([{", ")]}"
+_MARK = re.compile(
+    r"""'(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|['"()\[\]{}|]""", re.DOTALL
+)  # texts are one
 
 
 @dataclass(frozen=True)
@@ -121,29 +123,20 @@ def _literal(value: object) -> str:
 
 def _split(text: str) -> list[str]:
     """Split at '|' outside quotes and brackets."""
-    parts, start, depth, quote, skip = [], 0, 0, "", False
-    for i, c in enumerate(text):
-        if skip:
-            skip = False
-        elif quote:
-            skip = c == "\\"
-            quote = "" if c == quote else quote
-        elif c in "'\"":
-            quote = c
-        elif c in _OPEN:
-            depth += 1
-        elif c in _CLOSE:
-            depth -= 1
-        elif c == "|" and depth == 0:
-            parts.append(text[start:i])
-            start = i + 1
+    parts, start, depth = [], 0, 0
+    for mark in _MARK.finditer(text):
+        depth += (mark[0] in "([{") - (mark[0] in ")]}")
+        if mark[0] == "|" and depth == 0:
+            parts.append(text[start : mark.start()])
+            start = mark.end()
         if depth < 0:
             raise SpecError(
-                f"{_brief(text)!r} closes a bracket that it did not open, at character {i + 1}."
+                f"{_brief(text)!r} closes a bracket that it did not open, at character {mark.end()}."
             )
-    if quote or depth:
-        what = "quote" if quote else "bracket"
-        raise SpecError(f"{_brief(text)!r} opens a {what} and does not close it.")
+        if mark[0] in "'\"":
+            raise SpecError(f"{_brief(text)!r} opens a quote and does not close it.")
+    if depth:
+        raise SpecError(f"{_brief(text)!r} opens a bracket and does not close it.")
     return [*parts, text[start:]]
 
 

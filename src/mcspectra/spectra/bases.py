@@ -25,7 +25,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, final
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -37,7 +37,7 @@ from mcspectra.samplers import Randomized, Sampler
 from mcspectra.samplers.base import Randomization, Structure
 from mcspectra.samplers.mirror import Mirror
 from mcspectra.spectra._kernels import bin_weights
-from mcspectra.spectra.transforms import FrequencyGrid, Transform, given_or_equal
+from mcspectra.spectra.transforms import FrequencyGrid, IndexGrid, Transform, given_or_equal
 
 __all__ = [
     "BASES",
@@ -57,70 +57,10 @@ Coefficients = Callable[[Array, "Array | None"], Array]
 
 
 @dataclass(frozen=True)
-class Basis(ABC):
-    """Products over the axes of functions of one variable, those of up to `half_width` oscillations.
+class Basis(IndexGrid, ABC):
+    """Products over the axes of functions of one variable, those of up to `half_width` oscillations."""
 
-    Attributes
-    ----------
-    dims, half_width
-        d and K.
-    """
-
-    dims: int
-    half_width: int
     name: ClassVar[str] = ""
-    label: ClassVar[str] = "index of the basis function"
-
-    @property
-    def side(self) -> int:
-        """N, the number of indices along one axis."""
-        return 2 * self.half_width + 1
-
-    @property
-    def axis(self) -> Array:
-        """Indices along one axis, as coordinates: int64 (N,)."""
-        return np.arange(self.side)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of the whole array of coefficients."""
-        return (self.side,) * self.dims
-
-    @property
-    def size(self) -> int:
-        """M, the number of functions."""
-        return int(self.side**self.dims)
-
-    @property
-    def stored(self) -> int:
-        """Number of coefficients that are kept: all, unless the others follow from them."""
-        return self.size
-
-    @property
-    def double(self) -> Array:
-        """How many functions each stored coefficient stands for: float64 (stored,)."""
-        return np.ones(self.stored)
-
-    @property
-    def dc(self) -> int:
-        """Place of the constant function among the stored coefficients."""
-        return 0
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the dims, m0, m1, …"""
-        return tuple(f"m{i}" for i in range(self.dims))
-
-    @property
-    def coords(self) -> dict[str, Any]:
-        """Coordinates of these dims."""
-        attributes = {"long_name": self.label, "units": "1"}
-        return {name: (name, self.axis, attributes) for name in self.names}
-
-    def indices(self) -> Array:
-        """Index m of each stored function: int64 (stored, dims)."""
-        flat = np.unravel_index(np.arange(self.stored), self.shape)
-        return np.stack([self.axis[place] for place in flat], axis=-1)
 
     def oscillations(self) -> Array:
         """Least half width at which each stored function takes part, along each axis: (stored, dims)."""
@@ -130,18 +70,6 @@ class Basis(ABC):
     def directions(self) -> Array:
         """Vector along which each stored function oscillates: int64 (stored, dims)."""
         return self.indices()
-
-    def full(self, stored: Array) -> Array:
-        """Reshape stored values (..., stored) to the whole array (..., *shape)."""
-        return stored.reshape(*stored.shape[:-1], *self.shape)
-
-    def pick(self, full: Array) -> Array:
-        """Stored values (stored,) of a whole array (*shape): the inverse of `full`."""
-        return full.reshape(-1)[: self.stored]
-
-    def whole(self) -> tuple[Array, Array]:
-        """For every function, in C order: its place among those stored, and whether it is conjugate."""
-        return np.arange(self.size), np.zeros(self.size, bool)
 
     @abstractmethod
     def transform(self, n: int, engine: str, eps: float) -> tuple[Coefficients, str]:
@@ -162,62 +90,24 @@ class Fourier(Basis):
     """Fourier basis: complex; the coefficients of −m are conjugates of those of m and not kept."""
 
     name: ClassVar[str] = "fourier"
-    label: ClassVar[str] = "frequency"
-
-    @property
-    def grid(self) -> FrequencyGrid:
-        """Its frequencies."""
-        return FrequencyGrid(self.dims, self.half_width)
-
-    @property
-    def axis(self) -> Array:
-        """−K … K."""
-        return self.grid.axis
-
-    @property
-    def coords(self) -> dict[str, Any]:
-        """Frequencies in cycles per unit."""
-        return self.grid.coords
-
-    @property
-    def stored(self) -> int:
-        """Those up to m = 0, which is last."""
-        return self.grid.half_size
-
-    @property
-    def double(self) -> Array:
-        """2 for m and −m, 1 for m = 0."""
-        twice = np.full(self.stored, 2.0)
-        twice[self.dc] = 1.0
-        return twice
-
-    @property
-    def dc(self) -> int:
-        """The last."""
-        return self.stored - 1
-
-    def full(self, stored: Array) -> Array:
-        """Extend to −m, for values that are equal there."""
-        return self.grid.full(stored)
-
-    def whole(self) -> tuple[Array, Array]:
-        """S_{−m} = conj S_m."""
-        place = np.concatenate([np.arange(self.stored), np.arange(self.dc)[::-1]])
-        return place, np.arange(self.size) >= self.stored
+    label: ClassVar[str] = FrequencyGrid.label
+    units: ClassVar[str] = FrequencyGrid.units
+    hermitian: ClassVar[bool] = True
 
     def transform(self, n: int, engine: str, eps: float) -> tuple[Coefficients, str]:
         """By NUFFT or directly."""
-        transform = Transform(self.grid, n, engine=engine, eps=eps)
+        grid = FrequencyGrid(self.dims, self.half_width)
+        transform = Transform(grid, n, engine=engine, eps=eps)
         return transform.coefficients, transform.engine
 
     def integrand(self, f: Integrand) -> tuple[Array, str]:
         """Exact where f knows them."""
         found = f.fourier_grid(self.half_width)
-        half = self.grid.half(found).reshape(self.stored, -1).T
+        half = self.pick(found).reshape(self.stored, -1).T
         return np.ascontiguousarray(half, np.complex128), f.fourier_source
 
     def _axis_oscillations(self) -> Array:
-        return np.abs(self.grid.axis)
+        return np.abs(self.axis)
 
 
 @final

@@ -75,13 +75,7 @@ def pair_correlation(
     set is stationary. Only points with first coordinates nearer than max_distance are compared: the
     cost is O(n log n + n² max_distance) a realisation.
     """
-    analysis = PairCorrelation(
-        n=n,
-        bins=bins,
-        realizations=realizations,
-        boundary=boundary,
-        max_distance=max_distance,
-    )
+    analysis = PairCorrelation.of(locals())
     return compute(analysis, Subject(None, as_sampler(sampler)), rng, workers)
 
 
@@ -93,6 +87,7 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
     verb = "pcf"
     about = "sampler"
     variables = ("pair_correlation", "pair_correlation_se")
+    provenance = ("sampler", "n", "boundary", "realizations", "stream_key")
 
     n: Annotated[int, COUNT, Meta(description="Points in a set, at least 2.")]
     bins: Annotated[int, Meta(ge=1, le=10**6, description="Equal bins of the distance.")] = 100
@@ -141,12 +136,7 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
             return dataset(
                 {"pair_correlation": (("r",), mean), "pair_correlation_se": (("r",), se)},
                 {"r": ("r", center, {"long_name": f"{self.boundary} distance", "units": "1"})},
-                sampler=source.spec,
-                n=n,
                 dims=source.dims,
-                boundary=self.boundary,
-                realizations=self.realizations,
-                stream_key=f"{stream.key:#x}",
             )
 
         return Reduction(

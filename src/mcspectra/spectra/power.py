@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Meta
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute, whole
-from mcspectra.core.checks import MAX_FREQUENCY, Array, as_integer
+from mcspectra.core.checks import MAX_FREQUENCY, Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNT, ENGINE, EPS, HALF_WIDTH, SETS
@@ -124,17 +124,8 @@ def power_spectrum(
     >>> spectrum["power"].dims, bool(64 * spectrum["radial_power"][0] < 0.2)
     (('m0', 'm1'), True)
     """
+    spectrum = Spectrum.of(locals())
     source = as_sampler(sampler, getattr(density, "primary_dims", None))
-    spectrum = Spectrum(
-        n=n,
-        half_width=half_width,
-        frequency_step=frequency_step,
-        realizations=realizations,
-        mean=mean,
-        wedges=wedges,
-        engine=engine,
-        eps=eps,
-    )
     return compute(spectrum, Subject(None, source, as_warp(density, source.dims)), rng, workers)
 
 
@@ -144,7 +135,9 @@ class _OfPointSets(Analysis, frozen=True, kw_only=True):
     about = "sampler"
 
     n: Annotated[int, COUNT, Meta(description="Points in a set.")]
-    half_width: Annotated[int, HALF_WIDTH] = 64
+    half_width: Annotated[
+        int, Meta(ge=1, le=2**31, description=HALF_WIDTH.description, extra=HALF_WIDTH.extra)
+    ] = 64
     frequency_step: Annotated[
         float,
         Meta(
@@ -181,7 +174,6 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
         """Refuse sets that are too large, and engines that do not work in these dims."""
         source, p = _warped(subject)
         source.check_count(self.n)
-        as_integer("half_width", self.half_width, least=1)
         dims = max(source.dims, p.dims if p else 0)
         if self.n * dims > _MOST_COORDINATES:
             raise ParameterError(
@@ -206,7 +198,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
         def block(index: int) -> _SpectrumSums:
             points, weights = weighted_points(source, p, self.n, stream, blocks[index])
             sums = _SpectrumSums(
-                PowerSums.zeros(grid.half_size, self.mean), MeanSums.zeros(polar.size)
+                PowerSums.zeros(grid.stored, self.mean), MeanSums.zeros(polar.size)
             )
             groups = functools.partial(polar.add, sums.polar)
             own = sums.frequencies.power
@@ -263,6 +255,7 @@ class Points(_OfPointSets, frozen=True, kw_only=True):
     """First realisation of the points, warped by the density where there is one."""
 
     variables = ("points",)
+    provenance = ("sampler", "n")
 
     def need(self, subject: Subject) -> Need:
         """One set of points."""
@@ -279,8 +272,6 @@ class Points(_OfPointSets, frozen=True, kw_only=True):
             return dataset(
                 {"points": (("point", "axis"), drawn if p is None else p.sample(drawn))},
                 {"axis": np.arange(source.dims)},
-                sampler=source.spec,
-                n=self.n,
             )
 
         return whole(points, self.n)
@@ -373,7 +364,7 @@ class _PolarMeans:
     @staticmethod
     def of(grid: FrequencyGrid, wedges: int) -> _PolarMeans:
         """Make the rings, and the wedges in two dims."""
-        index = grid.half_indices()
+        index = grid.indices()
         length = np.sqrt((index**2).sum(axis=1))
         ring = np.rint(length).astype(np.int64) - 1
         parts = wedges if grid.dims == 2 else 0

@@ -82,10 +82,10 @@ class _HalfSpectrum:
         axis = power["m0"].to_numpy()
         half_width = len(axis) // 2
         grid = FrequencyGrid(power.ndim, half_width, float(axis[-1] / half_width))
-        half, se = (grid.half(spectrum[name].to_numpy())[:-1] for name in ("power", "power_se"))
+        half, se = (grid.pick(spectrum[name].to_numpy())[:-1] for name in ("power", "power_se"))
         kept = ("sampler", "density", "n", "realizations", "seed", "convention")
         attrs = {key: spectrum.attrs[key] for key in kept if key in spectrum.attrs}
-        return _HalfSpectrum(grid.half_indices()[:-1], half, se, grid, attrs)
+        return _HalfSpectrum(grid.indices()[:-1], half, se, grid, attrs)
 
     @property
     def length(self) -> Array:
@@ -289,7 +289,7 @@ def low_frequency_exponent(
                 f"The spectrum has a frequency step of {grid.step:g}; between the integers its "
                 "power is not that of fluctuations alone: use power_spectrum(…, mean=True)."
             )
-        mean = grid.half(spectrum["mean_coefficient"].to_numpy())[:-1]
+        mean = grid.pick(spectrum["mean_coefficient"].to_numpy())[:-1]
         # ddof = 1: the sample mean holds 1/R of the fluctuation itself
         bessel = 1.0 / (1.0 - 1.0 / float(half.attrs.get("realizations", math.inf)))
         half = replace(half, power=np.maximum(half.power - np.abs(mean) ** 2, 0.0) * bessel)
@@ -307,8 +307,8 @@ def low_frequency_exponent(
     # Cut the window of the fit, which has three lengths at least
     if len(lengths) < 3:
         raise ParameterError(
-            f"The spectrum has {len(lengths)} lengths of frequency; a fit needs three: use a larger "
-            "half_width."
+            f"A fit needs three lengths of frequency, of which the spectrum has {len(lengths)}; use a "
+            "larger half_width."
         )
     if up_to is None:
         quarter = float(half.attrs.get("n", 1)) ** (1 / grid.dims) / 4 / grid.step

@@ -27,22 +27,23 @@ to and including that of m = 0, which comes last.
 
 from __future__ import annotations
 
-import importlib
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 
 from mcspectra.core.checks import MAX_FREQUENCY, Array, as_choice, as_integer, as_real
-from mcspectra.core.errors import MissingDependency, ParameterError
+from mcspectra.core.errors import MissingDependency, ParameterError, reason_of
+from mcspectra.core.registry import optional_package
 from mcspectra.spectra._kernels import pair_mean, power_sums, split_pair
 
 __all__ = [
     "ENGINES",
     "MAX_FREQUENCIES",
     "FrequencyGrid",
+    "IndexGrid",
     "Transform",
     "direct_sum",
     "given_or_equal",
@@ -62,7 +63,96 @@ MAX_FREQUENCIES = 2**27
 
 
 @dataclass(frozen=True)
-class FrequencyGrid:
+class IndexGrid:
+    """Multi-indices m of coefficients, along each axis as many; in C order, those that are *stored* first.
+
+    Attributes
+    ----------
+    dims, half_width
+        d and K.
+    """
+
+    dims: int
+    half_width: int
+    label: ClassVar[str] = "index of the basis function"
+    units: ClassVar[str] = "1"
+    hermitian: ClassVar[bool] = False
+    """Whether indices run from −K, and coefficients of −m are the conjugates of those of m: those up to
+    m = 0, which comes last, are stored."""
+
+    @property
+    def side(self) -> int:
+        """N, the number of indices along one axis."""
+        return 2 * self.half_width + 1
+
+    @property
+    def axis(self) -> Array:
+        """Indices along one axis, as coordinates: (N,)."""
+        return np.arange(self.side) - self.half_width * self.hermitian
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the whole array of coefficients."""
+        return (self.side,) * self.dims
+
+    @property
+    def size(self) -> int:
+        """M, the number of indices."""
+        return int(self.side**self.dims)
+
+    @property
+    def stored(self) -> int:
+        """Number of coefficients that are kept: all, unless the others follow from them."""
+        return (self.size + 1) // 2 if self.hermitian else self.size
+
+    @property
+    def dc(self) -> int:
+        """Place of m = 0 among those stored."""
+        return self.stored - 1 if self.hermitian else 0
+
+    @property
+    def double(self) -> Array:
+        """How many indices each stored coefficient stands for: float64 (stored,)."""
+        twice = np.full(self.stored, 2.0 if self.hermitian else 1.0)
+        twice[self.dc] = 1.0
+        return twice
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the dims, m0, m1, …"""
+        return tuple(f"m{i}" for i in range(self.dims))
+
+    @property
+    def coords(self) -> dict[str, Any]:
+        """Coordinates of these dims."""
+        attributes = {"long_name": self.label, "units": self.units}
+        return {name: (name, self.axis, attributes) for name in self.names}
+
+    def indices(self) -> Array:
+        """Index m of each stored coefficient: int64 (stored, dims)."""
+        places = np.unravel_index(np.arange(self.stored), self.shape)
+        return np.asarray(np.stack(places, axis=-1) - self.half_width * self.hermitian)
+
+    def full(self, stored: Array, *, conjugate: bool = False) -> Array:
+        """Extend stored values (..., stored) to the whole array (..., *shape), −m as m or conjugate."""
+        if self.hermitian:
+            mirrored = stored[..., -2::-1]
+            stored = np.concatenate([stored, mirrored.conj() if conjugate else mirrored], axis=-1)
+        return stored.reshape(*stored.shape[:-1], *self.shape)
+
+    def pick(self, full: Array) -> Array:
+        """Stored values (stored, ...) of a whole array (*shape, ...): the inverse of `full`."""
+        return full.reshape(self.size, *full.shape[self.dims :])[: self.stored]
+
+    def whole(self) -> tuple[Array, Array]:
+        """For every index, in C order: its place among those stored, and whether it is conjugate."""
+        place = np.arange(self.size)
+        return np.where(place < self.stored, place, self.size - 1 - place), place >= self.stored
+
+
+@final
+@dataclass(frozen=True)
+class FrequencyGrid(IndexGrid):
     """Frequencies step · {−half_width … half_width}^dims.
 
     Raises
@@ -71,9 +161,10 @@ class FrequencyGrid:
         A field is out of range, or the grid has more than `MAX_FREQUENCIES` frequencies.
     """
 
-    dims: int
-    half_width: int
     step: float = 1.0
+    label: ClassVar[str] = "frequency"
+    units: ClassVar[str] = "cycles per unit"
+    hermitian: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         as_integer("dims of a frequency grid", self.dims, least=1, most=16)
@@ -87,52 +178,10 @@ class FrequencyGrid:
             )
 
     @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of the full grid."""
-        return (2 * self.half_width + 1,) * self.dims
-
-    @property
-    def size(self) -> int:
-        """M, number of frequencies of the full grid."""
-        return int((2 * self.half_width + 1) ** self.dims)
-
-    @property
-    def half_size(self) -> int:
-        """Number of frequencies of the half grid, m = 0 included (last)."""
-        return (self.size + 1) // 2
-
-    @property
     def axis(self) -> Array:
         """Frequencies along one axis, float64 (or integer where the step is 1)."""
         index = np.arange(-self.half_width, self.half_width + 1)
         return index if self.step == 1.0 else index * self.step
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the frequency dims, m0, m1, …"""
-        return tuple(f"m{i}" for i in range(self.dims))
-
-    @property
-    def coords(self) -> dict[str, Any]:
-        """Coordinates of the frequency dims, with units."""
-        attributes = {"long_name": "frequency", "units": "cycles per unit"}
-        return {name: (name, self.axis, attributes) for name in self.names}
-
-    def half_indices(self) -> Array:
-        """Integer indices m/step of the half grid: int64 (half_size, dims)."""
-        flat = np.arange(self.half_size)
-        index = np.stack(np.unravel_index(flat, self.shape), axis=-1)
-        return np.asarray(index - self.half_width)
-
-    def full(self, half: Array, *, conjugate: bool = False) -> Array:
-        """Extend half-grid values (..., H) to the full grid (..., *shape): even or Hermitian."""
-        mirrored = half[..., -2::-1]
-        whole = np.concatenate([half, mirrored.conj() if conjugate else mirrored], axis=-1)
-        return whole.reshape(*half.shape[:-1], *self.shape)
-
-    def half(self, full: Array) -> Array:
-        """Restrict full-grid values (*shape, ...) to the half grid: (H, ...)."""
-        return full.reshape(self.size, *full.shape[self.dims :])[: self.half_size]
 
 
 class Transform:
@@ -194,7 +243,7 @@ class Transform:
             Real weights (R, n); None means 1/n each.
         """
         weights = given_or_equal(weights, points)
-        out = np.empty((len(points), self.grid.half_size), np.complex128)
+        out = np.empty((len(points), self.grid.stored), np.complex128)
         r = 0
         for packed, pair in self._packed(points, weights):
             if pair:
@@ -311,7 +360,7 @@ class Transform:
             left = self._phases(x[:, :split])[:, :used]
             right = self._phases(x[:, split:]) * weights[low : low + block, None]
             total += left.T @ right
-        return np.asarray(total.ravel()[: grid.half_size])
+        return np.asarray(total.ravel()[: grid.stored])
 
     def _phases(self, points: Array) -> Array:
         """exp(−2πi m·x) of points (n, any) on the grid of as many dims: (n, (2K+1)^any)."""
@@ -422,7 +471,7 @@ def gpu_description() -> tuple[bool, str]:
 
 def _gpu_modules() -> tuple[Any, Any]:
     """CuPy and cufinufft, once they and a device are known to work."""
-    cupy = _load("cupy")
+    cupy = optional_package("cupy", "gpu", "engine='gpu' needs")
     # Load the CUDA libraries that pip installs, where cufinufft does not look for them
     try:
         from cuda.pathfinder import load_nvidia_dynamic_lib
@@ -431,41 +480,22 @@ def _gpu_modules() -> tuple[Any, Any]:
             load_nvidia_dynamic_lib(library)
     except (ImportError, RuntimeError):
         pass  # no such package, or no such library: cufinufft may find them all the same
-    cufinufft = _load("cufinufft")
+    cufinufft = optional_package("cufinufft", "gpu", "engine='gpu' needs")
     runtime = cupy.cuda.runtime
     try:
         devices = runtime.getDeviceCount()
     except runtime.CUDARuntimeError as error:
         raise MissingDependency(
-            f"engine='gpu' finds no CUDA device: {_sentence(error)}; use engine='nufft'."
+            f"engine='gpu' finds no CUDA device: {reason_of(error)}; use engine='nufft'."
         ) from error
     if not devices:
         raise MissingDependency("engine='gpu' finds no CUDA device; use engine='nufft'.")
     return cupy, cufinufft
 
 
-def _load(name: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except (ImportError, OSError) as error:
-        if isinstance(error, ModuleNotFoundError) and error.name == name:
-            raise MissingDependency(
-                f"engine='gpu' needs the package {name}; install it with: "
-                "pip install 'mcspectra[gpu]'"
-            ) from error
-        raise MissingDependency(
-            f"engine='gpu' cannot load the package {name}: {_sentence(error)}; use engine='nufft'."
-        ) from error
-
-
 def _no_room(shape: tuple[int, ...], error: Exception) -> str:
     size = " × ".join(map(str, shape))
     return (
-        f"The GPU cannot transform to {size} frequencies: {_sentence(error)}; "
+        f"The GPU cannot transform to {size} frequencies: {reason_of(error)}; "
         "use a smaller half_width or engine='nufft'."
     )
-
-
-def _sentence(error: Exception) -> str:
-    """Text of an error on one line, without a full stop."""
-    return " ".join(str(error).split()).rstrip(".") or type(error).__name__

@@ -17,10 +17,11 @@ from mcspectra.core.analysis import (
     finished,
     steps_of,
 )
+from mcspectra.core.errors import AnalysisError
 from mcspectra.core.options import checked, options_of
 from mcspectra.core.records import pack, unpack
 from mcspectra.core.streams import Stream
-from mcspectra.testing.contract import called, demand
+from mcspectra.testing.contract import BrokenContract, called, demand
 
 __all__ = ["check_analysis"]
 
@@ -97,18 +98,17 @@ def _computed(analysis: Analysis, subject: Subject, who: str, size: int) -> Any:
     """The result, with states of single blocks, or of chunks of `size` made by `part` and as bytes."""
     stream = Stream.from_rng(_SEED)
     steps = steps_of(analysis, subject, stream)
-    seen: set[str] = set()
     states: list[Any] | None = None
     try:
         while True:
             found = next(steps) if states is None else steps.send(states)
             states = []
             for each in found:
-                demand(each.key not in seen, who, f"has two reductions with the key {each.key!r}")
-                seen.add(each.key)
                 demand(each.blocks >= 1, who, f"has a reduction of {each.blocks} blocks")
                 part = called(who, "part", analysis.part, subject, stream, each.key)
                 states.append(_merged(part if size else each, who, size))
+    except AnalysisError as error:
+        raise BrokenContract(str(error)) from error
     except StopIteration as end:
         return called(who, "its variables", finished, analysis, end.value, _SEED)
 
