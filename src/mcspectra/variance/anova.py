@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Annotated, Any, final
 import numpy as np
 from msgspec import Meta
 
-from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
+from mcspectra.core.analysis import Analysis, Need, Reduction, Subject
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.memory import memory_of
@@ -35,13 +35,14 @@ from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.records import JOIN, Join
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Estimator, Moments, as_subject
+from mcspectra.estimators import AbstractEstimator, Estimator, Moments
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra.bases import fitting_basis
 from mcspectra.spectra.closed_forms import closed_form_power
 from mcspectra.spectra.listed import power_at
+from mcspectra.variance.doors import answer, provenance
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -204,13 +205,8 @@ class Anova(Analysis, frozen=True, kw_only=True):
                 "bound": ["low", "high"],
             },
             drop=() if subject.estimator.channels else alone,
-            estimator=subject.estimator.spec,
-            sampler=subject.sampler.spec,
-            n=self.n,
-            realizations=self.realizations,
-            order=self.order,
+            **provenance(self, subject, stream, "n", "realizations", "order"),
             effective_share=EFFECTIVE_SHARE,
-            stream_key=f"{stream.key:#x}",
         )
 
 
@@ -314,13 +310,8 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
                     "subset_size": ("subset", [len(u) for u in subsets]),
                 },
                 drop=() if f.channels else ("channel",),
-                estimator=subject.estimator.spec,
-                sampler=subject.sampler.spec,
-                n=n,
-                half_width=self.half_width,
-                frequencies=self.frequencies,
+                **provenance(self, subject, stream, "n", "half_width", "frequencies"),
                 power=found.power,
-                stream_key=f"{stream.key:#x}",
             )
 
         cost = self.need(subject).cost
@@ -382,8 +373,7 @@ def anova_variances(
     >>> [round(float(share), 6) for share in parts["anova_share"][:3]]
     [1.0, 0.0, 0.0]
     """
-    analysis = Anova(n=n, order=order, realizations=realizations)
-    return compute(analysis, as_subject(estimator, sampler), rng, workers)
+    return answer(Anova, locals())
 
 
 def anova_spectrum(
@@ -441,14 +431,7 @@ def anova_spectrum(
     >>> bool(parts["anova_variance"][0] < 0.1 * parts["anova_variance"][3])  # strata on each axis
     True
     """
-    analysis = AnovaSpectrum(
-        n=n,
-        order=order,
-        frequencies=frequencies,
-        half_width=half_width,
-        realizations=realizations,
-    )
-    return compute(analysis, as_subject(estimator, sampler), rng)
+    return answer(AnovaSpectrum, locals())
 
 
 @dataclass(frozen=True)

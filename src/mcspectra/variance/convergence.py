@@ -29,7 +29,6 @@ from mcspectra.core.analysis import (
     Reduction,
     Steps,
     Subject,
-    compute,
     in_step,
 )
 from mcspectra.core.checks import Array
@@ -45,10 +44,11 @@ from mcspectra.core.parallel import (
 )
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Moments, as_subject
+from mcspectra.estimators import AbstractEstimator, Moments
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.tails import unsampled_note
 from mcspectra.samplers import Sampler
+from mcspectra.variance.doors import answer, provenance
 from mcspectra.variance.fit import check_window, fit_rates
 
 if TYPE_CHECKING:
@@ -295,12 +295,7 @@ class RealizationsNeeded(Analysis, frozen=True, kw_only=True):
             },
             {"bound": ["low", "high"]},
             drop=() if subject.estimator.channels else ("channel",),
-            estimator=subject.estimator.spec,
-            sampler=subject.sampler.spec,
-            n=self.n,
-            relative_error=self.relative_error,
-            max_realizations=self.max_realizations,
-            stream_key=f"{stream.key:#x}",
+            **provenance(self, subject, stream, "n", "relative_error", "max_realizations"),
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
@@ -368,13 +363,7 @@ def convergence(
     >>> round(float(curve["rate"]), 1)
     -3.0
     """
-    analysis = Convergence(
-        counts=counts,  # type: ignore[arg-type]
-        realizations=realizations,
-        relative_error=relative_error,
-        fit_last=fit_last,  # type: ignore[arg-type]
-    )
-    return compute(analysis, as_subject(estimator, sampler, lists=True), rng, workers)
+    return answer(Convergence, locals(), lists=True)
 
 
 def realizations_needed(
@@ -428,10 +417,7 @@ def realizations_needed(
     >>> bool(found["reached"]), bool(found["variance_relative_se"] <= 0.1)
     (True, True)
     """
-    analysis = RealizationsNeeded(
-        n=n, relative_error=relative_error, max_realizations=max_realizations
-    )
-    return compute(analysis, as_subject(estimator, sampler), rng, workers)
+    return answer(RealizationsNeeded, locals())
 
 
 _Found: TypeAlias = tuple[Moments, bool]  # and whether the wanted precision was reached

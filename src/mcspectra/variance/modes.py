@@ -38,7 +38,6 @@ from mcspectra.core.analysis import (
     Reduction,
     Steps,
     Subject,
-    compute,
     compute_chunk,
 )
 from mcspectra.core.checks import Array, as_choice, as_integer
@@ -57,8 +56,8 @@ from mcspectra.core.options import (
 from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import as_subject
 from mcspectra.variance.bands import check_bands, make_bands
+from mcspectra.variance.doors import answer, provenance
 from mcspectra.variance.sums import BATCHES, spread
 from mcspectra.variance.views import Frequencies, View
 
@@ -238,21 +237,15 @@ class Modes(Analysis, frozen=True, kw_only=True):
             },
             {"mode": mode, **basis.coords},
             drop=("technique",) if techniques == 1 else (),
-            estimator=subject.estimator.spec,
-            sampler=subject.sampler.spec,
-            n=self.n,
-            realizations=self.realizations,
+            **provenance(self, subject, stream, "n", "realizations", "passes", "eps"),
             basis=basis.name,
             space=view.space,
             weighted=int(self.weighted),
             channel=self.channel if subject.estimator.channels else None,
             band=self.band if self.band is None or isinstance(self.band, str) else list(self.band),
-            passes=self.passes,
             real_coefficients=size,
             note=None if self.realizations >= _MANY * size else note,
-            stream_key=f"{stream.key:#x}",
             engine=view.engine,
-            eps=self.eps,
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
@@ -336,22 +329,7 @@ def covariance_modes(
     >>> bool(found["eigenvalue"][0] > found["eigenvalue"][1] > 0)
     True
     """
-    analysis = Modes(
-        n=n,
-        half_width=half_width,
-        modes=modes,
-        weighted=weighted,
-        bands=bands,  # type: ignore[arg-type]
-        band=band,  # type: ignore[arg-type]
-        channel=channel,
-        passes=passes,
-        realizations=realizations,
-        basis=basis,
-        space=space,  # type: ignore[arg-type]
-        engine=engine,
-        eps=eps,
-    )
-    return compute(analysis, as_subject(estimator, sampler), rng, workers)
+    return answer(Modes, locals())
 
 
 @dataclass(frozen=True)

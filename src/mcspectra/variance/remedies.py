@@ -24,14 +24,14 @@ from typing import TYPE_CHECKING, Annotated, Any, final
 import numpy as np
 from msgspec import Meta
 
-from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
+from mcspectra.core.analysis import Analysis, Need, Reduction, Subject
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.parallel import Block, realization_blocks
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, as_subject
+from mcspectra.estimators import AbstractEstimator
 from mcspectra.estimators.moments import rounding_floor, variance_interval
 from mcspectra.samplers import Sampler
 from mcspectra.variance.counterfactuals import (
@@ -45,6 +45,7 @@ from mcspectra.variance.counterfactuals import (
     other_setups,
 )
 from mcspectra.variance.diagnosis import Diagnosis, Jumps, diagnose, jumps_of
+from mcspectra.variance.doors import answer, provenance
 from mcspectra.variance.fit import RateFit, fit_rate, widening
 
 if TYPE_CHECKING:
@@ -233,15 +234,11 @@ class Remedies(Analysis, frozen=True, kw_only=True):
                 "bound": ["low", "high"],
                 "step": np.arange(_STEPS),
             },
-            estimator=subject.estimator.spec,
-            sampler=subject.sampler.spec,
-            budget=self.budget,
-            realizations=self.realizations,
+            **provenance(self, subject, stream, "budget", "realizations"),
             simultaneous_z=z,
             diagnosis=diagnosis.text,
             recommendation=_recommendation(columns, self.budget, reasons),
             not_tried=reasons,
-            stream_key=f"{stream.key:#x}",
             given_error=float(start.errors.error[-1]),
         )
 
@@ -309,12 +306,7 @@ def remedies(
     >>> str(found["remedy"].values[0])
     'unshifted'
     """
-    analysis = Remedies(
-        budget=budget,
-        kinds=kinds,  # type: ignore[arg-type]
-        realizations=realizations,
-    )
-    return compute(analysis, as_subject(estimator, sampler), rng, workers)
+    return answer(Remedies, locals())
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,6 @@ from mcspectra.core.analysis import (
     Reduction,
     Steps,
     Subject,
-    compute,
 )
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import NoClosedForm, ParameterError
@@ -56,6 +55,7 @@ from mcspectra.spectra.bases import fitting_basis, parts_of
 from mcspectra.spectra.closed_forms import closed_form_covariance, closed_form_power
 from mcspectra.spectra.transforms import FrequencyGrid
 from mcspectra.variance._pair_kernels import pair_sum_1d, pair_sum_2d
+from mcspectra.variance.doors import answer
 from mcspectra.variance.exact import exact_variance
 from mcspectra.variance.quadrature import (
     mean_square,
@@ -211,8 +211,7 @@ def variance_routes(
     >>> known.values.round(6)
     array([0.024063, 0.024063, 0.024063])
     """
-    analysis = Routes(n=n, half_width=half_width, realizations=realizations)
-    return compute(analysis, as_subject(estimator, sampler), rng, workers)
+    return answer(Routes, locals())
 
 
 @dataclass(frozen=True)

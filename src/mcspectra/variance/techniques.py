@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 
 import numpy as np
 
-from mcspectra.core.analysis import Analysis, Need, Reduction, Steps, Subject, compute
+from mcspectra.core.analysis import Analysis, Need, Reduction, Steps, Subject
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError, warn
 from mcspectra.core.memory import memory_of
@@ -41,11 +41,12 @@ from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.records import JOIN
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Moments, as_subject
+from mcspectra.estimators import AbstractEstimator, Moments
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler
 from mcspectra.variance.convergence import count_stream
+from mcspectra.variance.doors import answer, provenance
 from mcspectra.variance.fit import check_window, fit_rates
 from mcspectra.variance.sums import BATCHES, Variables, spread
 from mcspectra.variance.views import Frequencies, View
@@ -180,16 +181,11 @@ class Techniques(Analysis, frozen=True, kw_only=True):
                 **({"n": n} if self._several else {}),
             },
             drop=[*(["channel"] if scalar else []), *([] if self._several else ["n"])],
-            estimator=estimator.spec,
-            sampler=subject.sampler.spec,
-            realizations=self.realizations,
-            half_width=self.half_width,
+            **provenance(self, subject, stream, "realizations", "half_width", "eps"),
             basis=frequencies.basis.name,
             space=frequencies.space,
             coefficients=views[0].source,
-            stream_key=f"{stream.key:#x}",
             engine=views[0].engine,
-            eps=self.eps,
             **notes,
         )
 
@@ -276,17 +272,7 @@ def technique_terms(
     >>> d.attrs["bottleneck"]
     'technique 1'
     """
-    analysis = Techniques(
-        counts=counts,  # type: ignore[arg-type]
-        half_width=half_width,
-        realizations=realizations,
-        basis=basis,
-        space=space,  # type: ignore[arg-type]
-        fit_last=fit_last,  # type: ignore[arg-type]
-        engine=engine,
-        eps=eps,
-    )
-    return compute(analysis, as_subject(estimator, sampler), rng, workers)
+    return answer(Techniques, locals())
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 import numpy as np
 from msgspec import Meta
 
-from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
+from mcspectra.core.analysis import Analysis, Need, Reduction, Subject
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError, warn
 from mcspectra.core.memory import memory_of
@@ -33,12 +33,13 @@ from mcspectra.core.options import (
 from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, as_subject
+from mcspectra.estimators import AbstractEstimator
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.tails import unsampled_note
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler
 from mcspectra.variance.bands import check_bands, make_bands
+from mcspectra.variance.doors import answer, provenance
 from mcspectra.variance.sums import BATCHES, Partition, TermSums, Variables, student_t
 from mcspectra.variance.views import Frequencies, View
 
@@ -167,17 +168,12 @@ class Terms(Analysis, frozen=True, kw_only=True):
                     *(["channel"] if estimator.channels == 0 else []),
                     *(["technique"] if techniques == 1 else []),
                 ],
-                estimator=estimator.spec,
-                sampler=subject.sampler.spec,
-                n=n,
-                realizations=self.realizations,
+                **provenance(self, subject, stream, "n", "realizations", "eps"),
                 batches=total.batches.count if total.batches else 0,
                 basis=basis.name,
                 space=view.space,
                 coefficients=view.source,
-                stream_key=f"{stream.key:#x}",
                 engine=view.engine,
-                eps=self.eps,
                 note="; ".join(filter(None, notes)) or None,
             )
 
@@ -272,18 +268,7 @@ def variance_terms(
     >>> bool(terms["cross_term"] < 0 < terms["power_term"])
     True
     """
-    analysis = Terms(
-        n=n,
-        half_width=half_width,
-        realizations=realizations,
-        basis=basis,
-        space=space,  # type: ignore[arg-type]
-        bands=bands,  # type: ignore[arg-type]
-        cross_matrix=cross_matrix,
-        engine=engine,
-        eps=eps,
-    )
-    return compute(analysis, as_subject(estimator, sampler), rng, workers)
+    return answer(Terms, locals())
 
 
 def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
