@@ -120,7 +120,7 @@ class Modes(Analysis, frozen=True, kw_only=True):
         estimator = subject.estimator
         estimator.check_sampler(subject.sampler, self.n)
         as_integer("channel", self.channel, least=0, most=max(0, estimator.channels - 1))
-        frequencies = Frequencies.of(subject, self.space, self.basis, self.half_width)
+        frequencies = Frequencies.of(subject, self)
         check_bands(self.bands, frequencies.basis)
         size, evaluations = frequencies.size, sum(estimator.counts)
         numbers = size * (self.modes + _OVERSAMPLING)
@@ -139,8 +139,8 @@ class Modes(Analysis, frozen=True, kw_only=True):
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
         """A pass over the realisations after the other, each with vectors that the last one gave."""
         estimator, n = subject.estimator, self.n
-        frequencies = Frequencies.of(subject, self.space, self.basis, self.half_width)
-        if frequencies.space == "domain" and estimator.infinite_weights:
+        frequencies = Frequencies.of(subject, self)
+        if frequencies.diverge:
             raise ParameterError(
                 f"∫1/p diverges for {estimator.spec}: its covariances are infinite; use "
                 "space='primary'."
@@ -162,7 +162,7 @@ class Modes(Analysis, frozen=True, kw_only=True):
             if not inside.any():
                 raise ParameterError(f"The bands {given} hold no coefficient; give others.")
 
-        view = View.of(frequencies, n, self.engine, self.eps)
+        view = frequencies.view(n, self)
         coordinates = _Coordinates.of(view, inside, self.channel, weighted=self.weighted)
         as_integer("modes", self.modes, least=1, most=coordinates.size)
         numbers = max(n * estimator.dims * sum(estimator.counts), 4 * coordinates.size)

@@ -22,7 +22,7 @@ import numpy as np
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Steps, Subject
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError, warn
+from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import (
     BASIS,
@@ -99,7 +99,7 @@ class Techniques(Analysis, frozen=True, kw_only=True):
         check_window(self.fit_last, len(counts))
         for n in counts:
             estimator.check_sampler(subject.sampler, n)
-        basis = Frequencies.of(subject, self.space, self.basis, self.half_width).basis
+        basis = Frequencies.of(subject, self).basis
         techniques, evaluations = len(estimator.counts), sum(estimator.counts)
         if techniques**2 * basis.stored > _MOST:
             raise ParameterError(
@@ -115,8 +115,8 @@ class Techniques(Analysis, frozen=True, kw_only=True):
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
         """The sums of all counts at once."""
         estimator, counts = subject.estimator, self._counts
-        frequencies = Frequencies.of(subject, self.space, self.basis, self.half_width)
-        views = [View.of(frequencies, n, self.engine, self.eps, apart=True) for n in counts]
+        frequencies = Frequencies.of(subject, self)
+        views = [frequencies.view(n, self, apart=True) for n in counts]
         techniques = len(estimator.counts)
 
         def of_count(key: str, view: View, n: int, own: Stream) -> Reduction[_Total]:
@@ -151,17 +151,9 @@ class Techniques(Analysis, frozen=True, kw_only=True):
             for name, (dims, _) in parts[0].items()
         }
         notes: dict[str, Any] = {} if self._several else {"n": counts[0]}
-        if frequencies.space == "domain" and estimator.infinite_weights:
+        if frequencies.diverge:
             notes["note"] = "spectral terms are infinite: ∫1/p diverges"
-            variables = {
-                name: (dims, v if name.startswith(_FINITE) else np.full_like(v, math.nan))
-                for name, (dims, v) in variables.items()
-            }
-            warn(
-                f"∫1/p diverges for {estimator.spec}: the spectral terms are infinite although the "
-                "estimate's variance need not be; use space='primary'.",
-                InfiniteWeightVarianceWarning,
-            )
+            variables = frequencies.undefined(variables, _FINITE)
         scalar = estimator.channels == 0
         if self._several:
             window = check_window(self.fit_last, len(counts))

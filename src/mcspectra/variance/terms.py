@@ -10,7 +10,6 @@ points, and the sums run over (technique, m).
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 
 import numpy as np
@@ -18,7 +17,7 @@ from msgspec import Meta
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError, warn
+from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import (
     BANDS,
@@ -85,7 +84,7 @@ class Terms(Analysis, frozen=True, kw_only=True):
         """The spectra fit, and there are such bands."""
         estimator = subject.estimator
         estimator.check_sampler(subject.sampler, self.n)
-        frequencies = Frequencies.of(subject, self.space, self.basis, self.half_width)
+        frequencies = Frequencies.of(subject, self)
         check_bands(self.bands, frequencies.basis)
         size, evaluations = frequencies.size, sum(estimator.counts)
         if self.cross_matrix and size > MAX_MATRIX:
@@ -102,11 +101,10 @@ class Terms(Analysis, frozen=True, kw_only=True):
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[TermSums]:
         """Sums over all realisations; a block is a batch too."""
         estimator, n = subject.estimator, self.n
-        frequencies = Frequencies.of(subject, self.space, self.basis, self.half_width)
-        view = View.of(frequencies, n, self.engine, self.eps)
+        frequencies = Frequencies.of(subject, self)
+        view = frequencies.view(n, self)
         bands = make_bands(self.bands, view.basis)
         partition = view.partition(bands.of, self.cross_matrix)
-        infinite = frequencies.space == "domain" and estimator.infinite_weights
         # Coordinates of a realisation or, where they are more, the numbers of its spectra
         numbers = max(n * estimator.dims * sum(estimator.counts), 2 * partition.double.size)
         blocks = realization_blocks(self.realizations, numbers, multiple=2, least=BATCHES)
@@ -119,20 +117,10 @@ class Terms(Analysis, frozen=True, kw_only=True):
         def result(total: TermSums) -> xr.Dataset:
             variables = _variables(total, view, partition)
             notes = [unsampled_note(estimator, n * self.realizations)]
-            if infinite:
+            if frequencies.diverge:
                 notes.insert(0, "spectral terms are infinite: ∫1/p diverges")
-                # What remains is never a number that means nothing
-                undefined = {"dc_term": math.inf, "power_term": math.inf}
-                variables = {
-                    name: (dims, np.full_like(values, undefined.get(name, math.nan)))
-                    if not name.startswith(("measured_variance", "mean"))
-                    else (dims, values)
-                    for name, (dims, values) in variables.items()
-                }
-                warn(
-                    f"∫1/p diverges for {estimator.spec}: Var(S_0) and the spectral terms are "
-                    "infinite although the estimate's variance need not be; use space='primary'.",
-                    InfiniteWeightVarianceWarning,
+                variables = frequencies.undefined(
+                    variables, ("measured_variance", "mean"), ("dc_term", "power_term")
                 )
             techniques, basis = len(view.transforms), view.basis
 
