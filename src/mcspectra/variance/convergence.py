@@ -160,9 +160,8 @@ class Convergence(Analysis, frozen=True, kw_only=True):
         integral = np.stack([np.atleast_1d(e.integral) for e in estimators])[:, None, None]
         known = np.array([e.integral_error for e in estimators])[:, None, None, None]
         floor = rounding_floor(np.maximum(np.abs(mean), np.abs(integral)))
-        window = check_window(self.fit_last, len(self.counts))
         v, r, f = (np.moveaxis(a, 2, 0) for a in (variance, relative, floor))
-        fits = fit_rates(np.array(self.counts), v, r, f, window)
+        fits = fit_rates(np.array(self.counts), v, r, f, self.fit_last)
         values = {
             "variance": variance,
             "variance_ci": interval,

@@ -72,11 +72,10 @@ class RateFit:
 _NONE = RateFit(math.nan, (math.nan, math.nan), math.nan, math.nan)
 
 
-def check_window(fit_last: int | str | None, counts: int) -> int | str:
-    """Return a window as a number of counts, or ``"auto"``; None is all of them."""
+def check_window(fit_last: int | str | None, counts: int) -> None:
+    """Refuse a window of more counts than there are."""
     if isinstance(fit_last, int) and fit_last > counts:
         raise ParameterError(f"fit_last is {fit_last}, but there are {counts} counts.")
-    return counts if fit_last is None else fit_last
 
 
 def fit_rate(

@@ -334,12 +334,7 @@ class _Trial:
         difference = math.nan if self.biased else found.rate_difference
         slope = _interval(difference, z * found.rate_difference_se)
         return {
-            "name": self.name,
-            "kind": self.kind,
-            "change": self.change,
-            "unbounded": self.unbounded,
-            "inside": self.inside,
-            "biased": self.biased,
+            **vars(self),
             "blind": bool(errors.blind[-1]),
             "error": math.exp(log_error),
             "error_ci": variance_interval(

@@ -156,9 +156,8 @@ class Techniques(Analysis, frozen=True, kw_only=True):
             variables = frequencies.undefined(variables, _FINITE)
         scalar = estimator.channels == 0
         if self._several:
-            window = check_window(self.fit_last, len(counts))
             moments = [total.sums.moments for total in totals]
-            rates, choice = technique_rates(counts, moments, window)
+            rates, choice = technique_rates(counts, moments, self.fit_last)
             variables |= rates
             words = ["undecided" if t == UNDECIDED else f"technique {t}" for t in choice]
             notes["bottleneck"] = words[0] if scalar else "; ".join(words)
@@ -381,7 +380,7 @@ def _paired(f: Array, products: Array) -> Array:
 
 
 def technique_rates(
-    ns: Sequence[int], moments: Sequence[Moments], window: int | str
+    ns: Sequence[int], moments: Sequence[Moments], window: int | str | None = None
 ) -> tuple[Variables, list[int]]:
     """Rates of all techniques and of the whole estimate, and the bottleneck of each channel.
 
