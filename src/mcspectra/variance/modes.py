@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 import numpy as np
 from msgspec import Meta
 
+from mcspectra.core import options
 from mcspectra.core.analysis import (
     Analysis,
     MergeTree,
@@ -43,16 +44,6 @@ from mcspectra.core.analysis import (
 from mcspectra.core.checks import Array, as_choice, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of
-from mcspectra.core.options import (
-    BANDS,
-    BASIS,
-    COUNT,
-    ENGINE,
-    EPS,
-    HALF_WIDTH,
-    REALIZATIONS,
-    SPACE,
-)
 from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
@@ -84,8 +75,8 @@ class Modes(Analysis, frozen=True, kw_only=True):
         *("mode_contribution", "mode_vector", "band_trace", "noise_edge"),
     )
 
-    n: Annotated[int, COUNT]
-    half_width: Annotated[int, HALF_WIDTH] = 32
+    n: Annotated[int, options.COUNT]
+    half_width: Annotated[int, options.HALF_WIDTH] = 32
     modes: Annotated[int, Meta(ge=1, le=2**62, description="How many modes.")] = 8
     weighted: Annotated[
         bool,
@@ -94,7 +85,7 @@ class Modes(Analysis, frozen=True, kw_only=True):
             extra={"flag": "--points-only"},
         ),
     ] = True
-    bands: Annotated[str, BANDS] = "radial"
+    bands: Annotated[str, options.BANDS] = "radial"
     band: Annotated[
         tuple[str, ...] | str | None,
         Meta(
@@ -109,11 +100,11 @@ class Modes(Analysis, frozen=True, kw_only=True):
             ge=2, le=100, description="Passes over the realisations: more part close eigenvalues."
         ),
     ] = 3
-    realizations: Annotated[int, REALIZATIONS] = 1000
-    basis: Annotated[str, BASIS] = "fourier"
-    space: Annotated[Literal["domain", "primary"] | None, SPACE] = None
-    engine: Annotated[str, ENGINE] = "auto"
-    eps: Annotated[float, EPS] = 1e-9
+    realizations: Annotated[int, options.REALIZATIONS] = 1000
+    basis: Annotated[str, options.BASIS] = "fourier"
+    space: Annotated[Literal["domain", "primary"] | None, options.SPACE] = None
+    engine: Annotated[str, options.ENGINE] = "auto"
+    eps: Annotated[float, options.EPS] = 1e-9
 
     def need(self, subject: Subject) -> Need:
         """The vectors fit."""
@@ -200,11 +191,12 @@ class Modes(Analysis, frozen=True, kw_only=True):
             (found,) = yield [product(number, vectors)]
             vectors = _orthonormal(found.product)
         (found,) = yield [product(self.passes - 1, vectors)]
-        pairs = found.eigenpairs(vectors)
+        values, vectors, residuals, errors = found.eigenpairs(vectors)
+        diagonal = found.squares / (found.count - 1)
 
         # Patterns over the frequencies; each vector's sign is such that the mode adds to the estimate
         modes, basis, techniques = self.modes, view.basis, len(view.transforms)
-        values, vectors = pairs.values[:modes], pairs.vectors[:, :modes]
+        values, vectors = values[:modes], vectors[:, :modes]
         amplitude = _product(coordinates.direction[None], vectors)[0]
         vectors = vectors * np.where(amplitude < 0, -1.0, 1.0)
         stored = coordinates.stored(vectors, techniques * basis.stored)
@@ -212,11 +204,11 @@ class Modes(Analysis, frozen=True, kw_only=True):
         patterns = stored.reshape(modes, techniques, basis.stored)[..., place]
         patterns = np.where(conjugate, patterns.conj(), patterns)
         patterns = patterns.reshape(modes, techniques, *basis.shape)
-        trace, size = float(pairs.diagonal.sum()), coordinates.size
+        trace, size = float(diagonal.sum()), coordinates.size
         # Largest sample eigenvalue of a flat spectrum of the same trace, by Marchenko and Pastur: with D
         # coordinates that vary, λ (1 + √(D/(R − 1)))² in the limit of many of both [Marchenko1967]_
-        least = _ROUNDING * pairs.diagonal.max(initial=0.0)
-        varying = int(np.count_nonzero(pairs.diagonal > least))
+        least = _ROUNDING * diagonal.max(initial=0.0)
+        varying = int(np.count_nonzero(diagonal > least))
         level = trace / varying if varying else 0.0
         edge = level * (1.0 + math.sqrt(varying / (self.realizations - 1))) ** 2
         mode = ("mode", np.arange(modes), {"long_name": "mode, by eigenvalue", "units": "1"})
@@ -227,8 +219,8 @@ class Modes(Analysis, frozen=True, kw_only=True):
         return dataset(
             {
                 "eigenvalue": (("mode",), values),
-                "eigenvalue_se": (("mode",), pairs.errors[:modes]),
-                "eigenvalue_residual": (("mode",), pairs.residuals[:modes]),
+                "eigenvalue_se": (("mode",), errors[:modes]),
+                "eigenvalue_residual": (("mode",), residuals[:modes]),
                 "eigenvalue_share": (("mode",), values / trace if trace else values * np.nan),
                 "mode_contribution": (("mode",), values * amplitude**2),
                 "mode_vector": (("mode", "technique", *basis.names), patterns),
@@ -418,8 +410,11 @@ class CovarianceProduct:
             np.concatenate([self.projected, other.projected]),
         )
 
-    def eigenpairs(self, vectors: Array) -> Eigenpairs:
-        """Eigenpairs of the unbiased covariance A in the range of orthonormal vectors (D, k)."""
+    def eigenpairs(self, vectors: Array) -> tuple[Array, Array, Array, Array]:
+        """Eigenpairs of the unbiased covariance A in the range of orthonormal vectors (D, k).
+
+        Eigenvalues, descending; eigenvectors, (D, k); ‖A v − λ v‖; standard errors.
+        """
         image = self.product / (self.count - 1)
         values, rotation = _eigenpairs(_product(vectors.T, image))
         found = _product(vectors, rotation)
@@ -429,24 +424,8 @@ class CovarianceProduct:
             along = np.einsum("ik,bij,jk->bk", rotation, self.projected, rotation)
             share = self.degrees / self.degrees.sum()
             errors = spread(along - _product(share[None], along), share)
-        return Eigenpairs(
-            np.maximum(values, 0.0),
-            found,
-            np.linalg.norm(_product(image, rotation) - found * values, axis=0),
-            errors,
-            self.squares / (self.count - 1),
-        )
-
-
-@dataclass(frozen=True)
-class Eigenpairs:
-    """Eigenvalues, descending; eigenvectors, (D, k); ‖A v − λ v‖; standard errors; the diagonal of A."""
-
-    values: Array
-    vectors: Array
-    residuals: Array
-    errors: Array
-    diagonal: Array
+        residuals = np.linalg.norm(_product(image, rotation) - found * values, axis=0)
+        return np.maximum(values, 0.0), found, residuals, errors
 
 
 def _product(a: Array, b: Array) -> Array:

@@ -20,23 +20,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 
 import numpy as np
 
+from mcspectra.core import options
 from mcspectra.core.analysis import Analysis, Need, Reduction, Steps, Subject
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of
-from mcspectra.core.options import (
-    BASIS,
-    COUNTS,
-    ENGINE,
-    EPS,
-    FIT_LAST,
-    HALF_WIDTH,
-    REALIZATIONS,
-    SPACE,
-    Counts,
-    Positive,
-    Window,
-)
 from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.records import JOIN
 from mcspectra.core.results import dataset
@@ -84,14 +72,14 @@ class Techniques(Analysis, frozen=True, kw_only=True):
         *("technique_rate", "technique_rate_ci", "rate", "rate_ci", "bottleneck"),
     )
 
-    counts: Annotated[Positive | Counts, COUNTS]
-    half_width: Annotated[int, HALF_WIDTH] = 64
-    realizations: Annotated[int, REALIZATIONS] = 1000
-    space: Annotated[Literal["domain", "primary"] | None, SPACE] = None
-    basis: Annotated[str, BASIS] = "fourier"
-    fit_last: Annotated[Window, FIT_LAST] = None
-    engine: Annotated[str, ENGINE] = "auto"
-    eps: Annotated[float, EPS] = 1e-9
+    counts: Annotated[options.Positive | options.Counts, options.COUNTS]
+    half_width: Annotated[int, options.HALF_WIDTH] = 64
+    realizations: Annotated[int, options.REALIZATIONS] = 1000
+    space: Annotated[Literal["domain", "primary"] | None, options.SPACE] = None
+    basis: Annotated[str, options.BASIS] = "fourier"
+    fit_last: Annotated[options.Window, options.FIT_LAST] = None
+    engine: Annotated[str, options.ENGINE] = "auto"
+    eps: Annotated[float, options.EPS] = 1e-9
 
     def need(self, subject: Subject) -> Need:
         """The covariances fit."""

@@ -15,20 +15,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 import numpy as np
 from msgspec import Meta
 
+from mcspectra.core import options
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of
-from mcspectra.core.options import (
-    BANDS,
-    BASIS,
-    COUNT,
-    ENGINE,
-    EPS,
-    HALF_WIDTH,
-    REALIZATIONS,
-    SPACE,
-)
 from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
@@ -68,17 +59,17 @@ class Terms(Analysis, frozen=True, kw_only=True):
         *("mean", "mean_se", "power_contribution", "truncated_variance", "captured_by_half_width"),
     )  # fmt: skip
 
-    n: Annotated[int, COUNT]
-    half_width: Annotated[int, HALF_WIDTH] = 64
-    realizations: Annotated[int, REALIZATIONS] = 1000
-    space: Annotated[Literal["domain", "primary"] | None, SPACE] = None
-    basis: Annotated[str, BASIS] = "fourier"
-    bands: Annotated[str, BANDS] = "radial"
+    n: Annotated[int, options.COUNT]
+    half_width: Annotated[int, options.HALF_WIDTH] = 64
+    realizations: Annotated[int, options.REALIZATIONS] = 1000
+    space: Annotated[Literal["domain", "primary"] | None, options.SPACE] = None
+    basis: Annotated[str, options.BASIS] = "fourier"
+    bands: Annotated[str, options.BANDS] = "radial"
     cross_matrix: Annotated[
         bool, Meta(description="Also the full matrix of covariances (few frequencies only).")
     ] = False
-    engine: Annotated[str, ENGINE] = "auto"
-    eps: Annotated[float, EPS] = 1e-9
+    engine: Annotated[str, options.ENGINE] = "auto"
+    eps: Annotated[float, options.EPS] = 1e-9
 
     def need(self, subject: Subject) -> Need:
         """The spectra fit, and there are such bands."""
