@@ -1,9 +1,5 @@
 """Leading modes of the covariance against the eigenvectors of the full matrix."""
 
-import os
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -12,7 +8,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.studies import open_results, run_study
 from mcspectra.studies.executors import Cluster, Dask
 from mcspectra.studies.files import decode_study
-from mcspectra.variance.modes import CovarianceProduct, _eigenpairs, _orthonormal
+from mcspectra.variance.modes import CovarianceProduct
 
 ARGUMENTS = {"realizations": 200, "rng": 3}
 F1 = mcs.Estimator("linear", dims=1)
@@ -158,33 +154,6 @@ def test_workers_do_not_matter():
     assert one.identical(mcs.covariance_modes(F2, "jittered", 64, workers=2, **arguments))
 
 
-DIGEST = """
-import hashlib
-import mcspectra as mcs
-found = mcs.covariance_modes(
-    mcs.Estimator("gaussian(width=0.1)", dims=2), "random", 16,
-    half_width=12, modes=100, realizations=2000, workers=1,
-)
-print(hashlib.sha256(b"".join(found[name].values.tobytes() for name in found)).hexdigest())
-"""
-
-
-def test_threads_of_blas_do_not_matter():
-    """Wide enough that BLAS would cut the sums of products and of both factorisations."""
-    digests = [
-        subprocess.run(
-            [sys.executable, "-c", DIGEST],
-            env={**os.environ, "OPENBLAS_NUM_THREADS": threads},
-            capture_output=True,
-            check=True,
-            text=True,
-        ).stdout
-        for threads in ("1", "2")
-    ]
-    assert len(digests[0]) == 65
-    assert digests[0] == digests[1]
-
-
 STUDY = """
 title = "modes"
 samplers = ["random"]
@@ -211,24 +180,6 @@ def test_processes_do_not_matter(tmp_path):
     )
     assert one["eigenvalue"].size == 3
     assert one.equals(two)
-
-
-@pytest.mark.parametrize("size", [1, 2, 3, 40])
-def test_factorisations_are_those_of_lapack(size):
-    rng = np.random.default_rng(size)
-    a = rng.standard_normal((50, size)) * 1e-200
-    a[:, size // 2] = a[:, 0]  # of less than full rank
-    q, expected = _orthonormal(a), np.linalg.qr(a)[0]
-    assert np.allclose(q.T @ q, np.eye(size), atol=1e-14)
-    same = np.abs((q * expected).sum(axis=0))[: size // 2]  # but for signs
-    assert np.allclose(same, 1.0, atol=1e-12)
-    assert np.allclose(a, q @ (q.T @ a), atol=1e-212)
-    matrix = a.T @ (a * 1e200)
-    values, vectors = _eigenpairs(matrix)
-    scale = np.abs(matrix).max()
-    assert np.allclose(values, np.linalg.eigvalsh(matrix)[::-1], atol=1e-13 * scale)
-    assert np.allclose(matrix @ vectors, vectors * values, atol=1e-13 * scale)
-    assert np.allclose(vectors.T @ vectors, np.eye(size), atol=1e-13)
 
 
 def test_channels():

@@ -43,6 +43,7 @@ from mcspectra.spectra.bases import fitting_basis
 from mcspectra.spectra.closed_forms import closed_form_power
 from mcspectra.spectra.listed import power_at
 from mcspectra.variance.doors import answer, provenance
+from mcspectra.variance.ordered import weighted_sum
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -153,7 +154,7 @@ class Anova(Analysis, frozen=True, kw_only=True):
 
         def combined(weights: list[Array]) -> tuple[Array, Array]:
             """Combinations (U, S) of the covariances, and their standard errors: (U, channels)."""
-            each = [np.tensordot(row, products, axes=1) for row in weights]
+            each = [weighted_sum(row, products) for row in weights]
             means = np.stack([q.mean(axis=0) for q in each])
             return means, np.stack([q.std(axis=0, ddof=1) for q in each]) / np.sqrt(count)
 

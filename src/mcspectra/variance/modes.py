@@ -13,9 +13,6 @@ product also gives ‖A v − λ v‖, which no eigenvalue of A is farther from 
 coefficients of m and −m conjugates: all is done in the real and imaginary parts of those stored,
 times √2, which is a unitary change of coordinates.
 
-Matrix products are sums in a fixed order (`_product`), and so are the two factorisations: BLAS cuts
-sums into as many parts as it has threads, whose number would be seen in the last digits.
-
 A itself is a sample: batches of realisations each give a variance along v, whose spread is the
 error of λ as the variance along v. That v was picked for a large λ it does not know: `noise_edge`
 is what picking makes of a flat spectrum.
@@ -49,6 +46,7 @@ from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.variance.bands import check_bands, make_bands
 from mcspectra.variance.doors import answer, provenance
+from mcspectra.variance.ordered import eigenpairs, orthonormal, product
 from mcspectra.variance.sums import BATCHES, spread
 from mcspectra.variance.views import Frequencies, View
 
@@ -160,7 +158,7 @@ class Modes(Analysis, frozen=True, kw_only=True):
         blocks = realization_blocks(self.realizations, numbers, multiple=2, least=BATCHES)
         group = -(-len(blocks) // BATCHES)  # of which a batch is made
 
-        def product(number: int, vectors: Array) -> Reduction[CovarianceProduct]:
+        def step(number: int, vectors: Array) -> Reduction[CovarianceProduct]:
             def batch(index: int) -> CovarianceProduct:
                 tree: MergeTree[CovarianceProduct] = MergeTree()
                 for place in range(index * group, min((index + 1) * group, len(blocks))):
@@ -170,7 +168,7 @@ class Modes(Analysis, frozen=True, kw_only=True):
                 # The same as one batch; a single realisation has no covariance and says nothing
                 total = tree.total()
                 some, least = slice(0, int(total.count > 1)), max(total.count - 1, 1)
-                projected = (_product(vectors.T, total.product) / least)[None][some]
+                projected = (product(vectors.T, total.product) / least)[None][some]
                 return replace(
                     total, degrees=np.array([total.count - 1.0])[some], projected=projected
                 )
@@ -188,16 +186,16 @@ class Modes(Analysis, frozen=True, kw_only=True):
         start = np.random.default_rng([stream.key, _START])
         vectors = start.standard_normal((coordinates.size, width))
         for number in range(self.passes - 1):
-            (found,) = yield [product(number, vectors)]
-            vectors = _orthonormal(found.product)
-        (found,) = yield [product(self.passes - 1, vectors)]
+            (found,) = yield [step(number, vectors)]
+            vectors = orthonormal(found.product)
+        (found,) = yield [step(self.passes - 1, vectors)]
         values, vectors, residuals, errors = found.eigenpairs(vectors)
         diagonal = found.squares / (found.count - 1)
 
         # Patterns over the frequencies; each vector's sign is such that the mode adds to the estimate
         modes, basis, techniques = self.modes, view.basis, len(view.transforms)
         values, vectors = values[:modes], vectors[:, :modes]
-        amplitude = _product(coordinates.direction[None], vectors)[0]
+        amplitude = product(coordinates.direction[None], vectors)[0]
         vectors = vectors * np.where(amplitude < 0, -1.0, 1.0)
         stored = coordinates.stored(vectors, techniques * basis.stored)
         place, conjugate = basis.whole()
@@ -390,10 +388,10 @@ class CovarianceProduct:
         """Sums of realisations z, (R, D); of no batch yet."""
         mean, width = z.mean(axis=0), vectors.shape[1]
         deviation = z - mean
-        product = _product(deviation.T, _product(deviation, vectors))
+        total = product(deviation.T, product(deviation, vectors))
         squares = (deviation**2).sum(axis=0)
-        along, none = _product(mean[None], vectors)[0], (np.zeros(0), np.zeros((0, width, width)))
-        return CovarianceProduct(len(z), mean, along, product, squares, *none)
+        along, none = product(mean[None], vectors)[0], (np.zeros(0), np.zeros((0, width, width)))
+        return CovarianceProduct(len(z), mean, along, total, squares, *none)
 
     def merge(self, other: CovarianceProduct) -> CovarianceProduct:
         """Sums over the realisations of both, about their common mean."""
@@ -416,62 +414,13 @@ class CovarianceProduct:
         Eigenvalues, descending; eigenvectors, (D, k); ‖A v − λ v‖; standard errors.
         """
         image = self.product / (self.count - 1)
-        values, rotation = _eigenpairs(_product(vectors.T, image))
-        found = _product(vectors, rotation)
+        values, rotation = eigenpairs(product(vectors.T, image))
+        found = product(vectors, rotation)
         # Standard errors of the variances along the eigenvectors, by batch means
         errors = np.full(len(values), np.nan)
         if len(self.degrees):
             along = np.einsum("ik,bij,jk->bk", rotation, self.projected, rotation)
             share = self.degrees / self.degrees.sum()
-            errors = spread(along - _product(share[None], along), share)
-        residuals = np.linalg.norm(_product(image, rotation) - found * values, axis=0)
+            errors = spread(along - product(share[None], along), share)
+        residuals = np.linalg.norm(product(image, rotation) - found * values, axis=0)
         return np.maximum(values, 0.0), found, residuals, errors
-
-
-def _product(a: Array, b: Array) -> Array:
-    """a b, its sums in a fixed order (without `optimize` einsum does not call BLAS)."""
-    return np.asarray(np.einsum("ij,jk->ik", a, b))
-
-
-def _orthonormal(a: Array) -> Array:
-    """Orthonormal columns whose first k span those of a (D, K), for all k: the Q of a = Q R."""
-    columns: Array = a.T.copy()
-    reflectors: list[Array] = []
-    for j, x in enumerate(columns):
-        for v in reflectors:
-            _reflect(v, x)
-        reflectors.append(_reflector(x[j:]))
-    q = np.eye(*columns.shape)
-    for x in q:
-        for v in reversed(reflectors):
-            _reflect(v, x)
-    return np.ascontiguousarray(q.T)
-
-
-def _eigenpairs(a: Array) -> tuple[Array, Array]:
-    """Eigenvalues (K,), descending, and eigenvectors (K, K) of the symmetric part of a (K, K)."""
-    from scipy.linalg import eigh_tridiagonal
-
-    # Reflect from both sides until three diagonals are left, whose eigenpairs LAPACK finds without BLAS
-    a, reflectors = 0.5 * (a + a.T), []
-    for j in range(len(a) - 2):
-        v = _reflector(a[j + 1 :, j])
-        _reflect(v, a[:, j:])
-        _reflect(v, a[j:].T)
-        reflectors.append(v)
-    values, vectors = eigh_tridiagonal(np.diagonal(a), np.diagonal(a, 1))
-    for v in reversed(reflectors):
-        _reflect(v, vectors)
-    return values[::-1], vectors[:, ::-1]
-
-
-def _reflector(x: Array) -> Array:
-    """v such that x − v vᵀ x is a multiple of the first unit vector; vᵀ v is 2, or 0 for x = 0."""
-    v = x / (np.abs(x).max() or 1.0)
-    v[0] += math.copysign(math.sqrt((v**2).sum()), v[0])
-    return np.asarray(v * math.sqrt(2.0 / ((v**2).sum() or 1.0)))
-
-
-def _reflect(v: Array, a: Array) -> None:
-    """Subtract v vᵀ a in place from the last rows of a, as many as v has."""
-    a[len(a) - len(v) :] -= np.multiply.outer(v, np.einsum("i,i...->...", v, a[len(a) - len(v) :]))

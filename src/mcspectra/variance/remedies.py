@@ -47,6 +47,7 @@ from mcspectra.variance.counterfactuals import (
 from mcspectra.variance.diagnosis import Diagnosis, Jumps, diagnose, jumps_of
 from mcspectra.variance.doors import answer, provenance
 from mcspectra.variance.fit import RateFit, fit_rate, widening
+from mcspectra.variance.ordered import weighted_sum
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -517,7 +518,7 @@ class Errors:
         weight = self.relative_se[used] ** -2.0
         centred = weight * (x - np.average(x, weights=weight))
         slope = centred / (centred * x).sum()
-        return float(slope @ y), np.asarray(slope @ self.influence[used])
+        return float((slope * y).sum()), weighted_sum(slope, self.influence[used])
 
     def fit(self) -> RateFit:
         """The rate with its interval and lack of fit, as `mcspectra.convergence` gives it."""

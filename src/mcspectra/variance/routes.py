@@ -57,6 +57,7 @@ from mcspectra.spectra.transforms import FrequencyGrid
 from mcspectra.variance._pair_kernels import pair_sum_1d, pair_sum_2d
 from mcspectra.variance.doors import answer
 from mcspectra.variance.exact import exact_variance
+from mcspectra.variance.ordered import weighted_sum
 from mcspectra.variance.quadrature import (
     mean_square,
     mesh,
@@ -252,7 +253,7 @@ class Routes(Analysis, frozen=True, kw_only=True):
         except NoClosedForm:
             return np.nan, f.sum(axis=0), _SAMPLED
         power = np.where((m == 0).all(axis=1), 0.0, power)
-        return power @ f, f.sum(axis=0), "power in closed form"
+        return weighted_sum(power, f), f.sum(axis=0), "power in closed form"
 
 
 def variance_routes(

@@ -36,6 +36,7 @@ from mcspectra.samplers import Sampler
 from mcspectra.variance.convergence import count_stream
 from mcspectra.variance.doors import answer, provenance
 from mcspectra.variance.fit import check_window, fit_rates
+from mcspectra.variance.ordered import product, weighted_sum
 from mcspectra.variance.sums import BATCHES, Variables, spread
 from mcspectra.variance.views import Frequencies, View
 
@@ -267,7 +268,7 @@ def _variables(total: _Total, view: View) -> Variables:
     """Result variables of one count, with a leading channel axis."""
     found, moments = total.sums.covariances(view), total.sums.moments
     share = total.weights / total.weights.sum()
-    errors = spread(total.values - np.tensordot(share, total.values, axes=1), share)
+    errors = spread(total.values - weighted_sum(share, total.values), share)
     predicted = found[:3].sum(axis=(0, 2, 3))
     # As `variance_terms` has it: in primary space each technique has frequencies of its own.
     dc, power = (np.einsum("cts->c" if view.space == "domain" else "ctt->c", c) for c in found[:2])
@@ -307,7 +308,9 @@ class TechniqueSums:
         parts = view.spectra(points)
         # What each technique adds to the estimate, (R, C, T), truncated and in full
         weighted = view.integrand_coefficients.conj() * view.basis.double
-        truncated = np.stack([(s @ weighted[:, t].T).real for t, s in enumerate(parts)], axis=2)
+        truncated = np.stack(
+            [product(s, weighted[:, t].T).real for t, s in enumerate(parts)], axis=2
+        )
         full = technique_estimates(view.estimator, points)
         s, values = np.stack(parts, axis=1), np.stack([truncated, full[..., :-1]], axis=1)
         mean, values_mean = s.mean(axis=0), values.mean(axis=0)
