@@ -42,7 +42,7 @@ from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra.bases import fitting_basis
 from mcspectra.spectra.closed_forms import closed_form_power
 from mcspectra.spectra.listed import power_at
-from mcspectra.variance.doors import answer, provenance
+from mcspectra.variance.doors import answer, counted, provenance
 from mcspectra.variance.ordered import weighted_sum
 
 if TYPE_CHECKING:
@@ -190,19 +190,11 @@ class Anova(Analysis, frozen=True, kw_only=True):
                 "variance_ci": (("channel", "bound"), moments.variance_ci),
             },
             {
-                "subset": (
-                    "subset",
-                    np.arange(len(labels)),
-                    {"long_name": "subset of axes", "units": "1"},
-                ),
+                "subset": counted("subset", np.arange(len(labels)), "subset of axes"),
                 "subset_label": ("subset", labels, {"long_name": "axes of the subset"}),
-                "subset_size": ("subset", sizes, {"long_name": "number of axes", "units": "1"}),
-                "axis": ("axis", np.arange(dims), {"long_name": "axis", "units": "1"}),
-                "axes": (
-                    "axes",
-                    np.arange(1, dims + 1),
-                    {"long_name": "number of axes", "units": "1"},
-                ),
+                "subset_size": counted("subset", sizes, "number of axes"),
+                "axis": counted("axis", np.arange(dims), "axis"),
+                "axes": counted("axes", np.arange(1, dims + 1), "number of axes"),
                 "bound": ["low", "high"],
             },
             drop=() if subject.estimator.channels else alone,

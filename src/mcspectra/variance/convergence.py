@@ -48,7 +48,7 @@ from mcspectra.estimators import AbstractEstimator, Moments
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.tails import unsampled_note
 from mcspectra.samplers import Sampler
-from mcspectra.variance.doors import answer, provenance
+from mcspectra.variance.doors import answer, counted, provenance
 from mcspectra.variance.fit import check_window, fit_rates
 
 if TYPE_CHECKING:
@@ -198,7 +198,7 @@ class Convergence(Analysis, frozen=True, kw_only=True):
         return dataset(
             {name: (("estimator", "sampler", *_DIMS[name]), v) for name, v in values.items()},
             {
-                "n": ("n", list(self.counts), {"long_name": "number of points", "units": "1"}),
+                "n": counted("n", list(self.counts), "number of points"),
                 "bound": ["low", "high"],
                 **{name: texts for name, texts in labels.items() if not single[name]},
             },

@@ -12,7 +12,7 @@ from mcspectra.estimators import as_subject
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["answer", "provenance"]
+__all__ = ["answer", "counted", "provenance"]
 
 
 def answer(
@@ -42,3 +42,8 @@ def provenance(asked: Analysis, subject: Subject, stream: Stream, *options: str)
         **{name: getattr(asked, name) for name in options},
         "stream_key": f"{stream.key:#x}",
     }
+
+
+def counted(dim: str, values: Any, meaning: str) -> tuple[str, Any, dict[str, str]]:
+    """A coordinate of pure numbers along a dim."""
+    return dim, values, {"long_name": meaning, "units": "1"}

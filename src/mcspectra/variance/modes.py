@@ -45,7 +45,7 @@ from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.variance.bands import check_bands, make_bands
-from mcspectra.variance.doors import answer, provenance
+from mcspectra.variance.doors import answer, counted, provenance
 from mcspectra.variance.ordered import eigenpairs, orthonormal, product
 from mcspectra.variance.sums import BATCHES, spread
 from mcspectra.variance.views import Frequencies, View
@@ -209,7 +209,7 @@ class Modes(Analysis, frozen=True, kw_only=True):
         varying = int(np.count_nonzero(diagonal > least))
         level = trace / varying if varying else 0.0
         edge = level * (1.0 + math.sqrt(varying / (self.realizations - 1))) ** 2
-        mode = ("mode", np.arange(modes), {"long_name": "mode, by eigenvalue", "units": "1"})
+        mode = counted("mode", np.arange(modes), "mode, by eigenvalue")
         note = (
             f"{self.realizations} realisations of {size} coefficients: eigenvalues are those of the "
             "sample, the largest too large; compare noise_edge, which a flat spectrum would reach."

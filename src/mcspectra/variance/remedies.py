@@ -69,7 +69,6 @@ _TRIES = 3  # changes of a kind, about
 _EXACT, _BY_QUADRATURE = 1e-9, 1e-3  # how well integrals are known, relative to them
 _SIGMAS = 4.0  # or so many of the errors that they say of themselves
 _PRIOR = 20  # realisations' worth of the belief that estimates are normal: Var(ψ) = 2
-_NO_RATE = RateFit(math.nan, (math.nan, math.nan), math.nan, math.nan)
 
 _DIMS: dict[str, tuple[str, ...]] = {
     "error": ("remedy",),
@@ -329,7 +328,7 @@ class _Trial:
         errors, found = self.errors, compare(self.errors, reference, budget)
         log_error, influence = errors.at(budget)
         spread = max(math.sqrt(float(np.mean(influence**2)) / len(influence)), 1e-9)
-        fit = _NO_RATE if self.biased else errors.fit()
+        fit = RateFit() if self.biased else errors.fit()
         is_given = self.kind == "given"
         ratio = _interval(found.log_ratio, z * found.log_ratio_se)
         difference = math.nan if self.biased else found.rate_difference

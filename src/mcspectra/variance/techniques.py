@@ -34,7 +34,7 @@ from mcspectra.estimators.moments import rounding_floor
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler
 from mcspectra.variance.convergence import count_stream
-from mcspectra.variance.doors import answer, provenance
+from mcspectra.variance.doors import answer, counted, provenance
 from mcspectra.variance.fit import check_window, fit_rates
 from mcspectra.variance.ordered import product, weighted_sum
 from mcspectra.variance.sums import BATCHES, Variables, spread
@@ -151,7 +151,7 @@ class Techniques(Analysis, frozen=True, kw_only=True):
             words = ["undecided" if t == UNDECIDED else f"technique {t}" for t in choice]
             notes["bottleneck"] = words[0] if scalar else "; ".join(words)
         numbers = np.arange(len(estimator.counts))
-        n = ("n", list(counts), {"long_name": "number of points", "units": "1"})
+        n = counted("n", list(counts), "number of points")
         return dataset(
             variables,
             {
