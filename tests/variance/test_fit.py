@@ -123,9 +123,10 @@ def test_few_counts(window, kept):
 
 
 def test_windows_that_are_taken():
-    assert check_window(None, 5) == 5
-    assert check_window("auto", 5) == "auto"
-    assert check_window(3, 5) == 3
+    for window in (None, "auto", 3, 5):
+        check_window(window, 5)
+    whole = fit_rate(NS, NS**-1.5, SE, np.zeros(len(NS)))
+    assert fit_rate(NS, NS**-1.5, SE, np.zeros(len(NS)), len(NS)) == whole
 
 
 @pytest.mark.parametrize("window", [0, 1, 6, 2.5, True, "all", [3], float("nan")])

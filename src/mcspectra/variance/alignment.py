@@ -28,6 +28,7 @@ from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler, Shift, StrataShift
 from mcspectra.spectra.bases import parts_of
 from mcspectra.variance.convergence import count_moments, count_stream
+from mcspectra.variance.doors import counted
 from mcspectra.variance.exact import exact_variance
 from mcspectra.variance.fit import fit_rates
 
@@ -132,7 +133,7 @@ def strata_shift_scan(
         {n: ((*axes, *own), v.reshape(*shape, *v.shape[1:])) for n, (own, v) in variables.items()},
         {
             **{axis: (axis, places, attributes) for axis in axes},
-            "n": ("n", ns, {"long_name": "number of points", "units": "1"}),
+            "n": counted("n", ns, "number of points"),
             "bound": ["low", "high"],
         },
         drop=() if given.channels else ("channel",),

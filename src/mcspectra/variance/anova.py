@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Annotated, Any, final
 import numpy as np
 from msgspec import Meta
 
-from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
+from mcspectra.core.analysis import Analysis, Need, Reduction, Subject
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.memory import memory_of
@@ -35,13 +35,15 @@ from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.records import JOIN, Join
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Estimator, Moments, as_subject
+from mcspectra.estimators import AbstractEstimator, Estimator, Moments
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra.bases import fitting_basis
 from mcspectra.spectra.closed_forms import closed_form_power
 from mcspectra.spectra.listed import power_at
+from mcspectra.variance.doors import answer, counted, provenance
+from mcspectra.variance.ordered import weighted_sum
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -152,7 +154,7 @@ class Anova(Analysis, frozen=True, kw_only=True):
 
         def combined(weights: list[Array]) -> tuple[Array, Array]:
             """Combinations (U, S) of the covariances, and their standard errors: (U, channels)."""
-            each = [np.tensordot(row, products, axes=1) for row in weights]
+            each = [weighted_sum(row, products) for row in weights]
             means = np.stack([q.mean(axis=0) for q in each])
             return means, np.stack([q.std(axis=0, ddof=1) for q in each]) / np.sqrt(count)
 
@@ -188,29 +190,16 @@ class Anova(Analysis, frozen=True, kw_only=True):
                 "variance_ci": (("channel", "bound"), moments.variance_ci),
             },
             {
-                "subset": (
-                    "subset",
-                    np.arange(len(labels)),
-                    {"long_name": "subset of axes", "units": "1"},
-                ),
+                "subset": counted("subset", np.arange(len(labels)), "subset of axes"),
                 "subset_label": ("subset", labels, {"long_name": "axes of the subset"}),
-                "subset_size": ("subset", sizes, {"long_name": "number of axes", "units": "1"}),
-                "axis": ("axis", np.arange(dims), {"long_name": "axis", "units": "1"}),
-                "axes": (
-                    "axes",
-                    np.arange(1, dims + 1),
-                    {"long_name": "number of axes", "units": "1"},
-                ),
+                "subset_size": counted("subset", sizes, "number of axes"),
+                "axis": counted("axis", np.arange(dims), "axis"),
+                "axes": counted("axes", np.arange(1, dims + 1), "number of axes"),
                 "bound": ["low", "high"],
             },
             drop=() if subject.estimator.channels else alone,
-            estimator=subject.estimator.spec,
-            sampler=subject.sampler.spec,
-            n=self.n,
-            realizations=self.realizations,
-            order=self.order,
+            **provenance(self, subject, stream, "n", "realizations", "order"),
             effective_share=EFFECTIVE_SHARE,
-            stream_key=f"{stream.key:#x}",
         )
 
 
@@ -314,13 +303,8 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
                     "subset_size": ("subset", [len(u) for u in subsets]),
                 },
                 drop=() if f.channels else ("channel",),
-                estimator=subject.estimator.spec,
-                sampler=subject.sampler.spec,
-                n=n,
-                half_width=self.half_width,
-                frequencies=self.frequencies,
+                **provenance(self, subject, stream, "n", "half_width", "frequencies"),
                 power=found.power,
-                stream_key=f"{stream.key:#x}",
             )
 
         cost = self.need(subject).cost
@@ -382,8 +366,7 @@ def anova_variances(
     >>> [round(float(share), 6) for share in parts["anova_share"][:3]]
     [1.0, 0.0, 0.0]
     """
-    analysis = Anova(n=n, order=order, realizations=realizations)
-    return compute(analysis, as_subject(estimator, sampler), rng, workers)
+    return answer(Anova, locals())
 
 
 def anova_spectrum(
@@ -441,14 +424,7 @@ def anova_spectrum(
     >>> bool(parts["anova_variance"][0] < 0.1 * parts["anova_variance"][3])  # strata on each axis
     True
     """
-    analysis = AnovaSpectrum(
-        n=n,
-        order=order,
-        frequencies=frequencies,
-        half_width=half_width,
-        realizations=realizations,
-    )
-    return compute(analysis, as_subject(estimator, sampler), rng)
+    return answer(AnovaSpectrum, locals())
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,6 @@ from mcspectra.core.analysis import (
     Reduction,
     Steps,
     Subject,
-    compute,
     in_step,
 )
 from mcspectra.core.checks import Array
@@ -45,10 +44,11 @@ from mcspectra.core.parallel import (
 )
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Moments, as_subject
+from mcspectra.estimators import AbstractEstimator, Moments
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.tails import unsampled_note
 from mcspectra.samplers import Sampler
+from mcspectra.variance.doors import answer, counted, provenance
 from mcspectra.variance.fit import check_window, fit_rates
 
 if TYPE_CHECKING:
@@ -141,41 +141,64 @@ class Convergence(Analysis, frozen=True, kw_only=True):
             for part, cell in enumerate(cells)
         ])  # fmt: skip
 
-        # Curves estimator × sampler; what is no list, and a scalar, has no dim
+        # Moments of every estimator, sampler and count; estimators that share realisations come last
         estimators, samplers = _several(subject.estimator), _several(subject.sampler)
+        flat = [each for cell in found for each in cell]
         joint = len(cells[0].estimators) > 1
-        places = np.arange(len(cells)).reshape(-1, len(samplers), len(self.counts))
-        grid = [
-            [
-                self._curve(e, [found[cell][place if joint else 0] for cell in row])
-                for row in places[0 if joint else place]
-            ]
-            for place, e in enumerate(estimators)
-        ]
+        shape = (len(estimators), len(samplers), len(self.counts))
+
+        def of_all(values: list[Any]) -> Array:
+            array = np.array(values)
+            if not joint:
+                return array.reshape(*shape, *array.shape[1:])
+            return np.moveaxis(array.reshape(*shape[1:], shape[0], *array.shape[1:]), 2, 0)
+
+        variance, relative, mean, mean_se, interval, count = (
+            of_all([getattr(moments, name) for moments, _ in flat])
+            for name in ("variance", "relative_se", "mean", "mean_se", "variance_ci", "count")
+        )
+        integral = np.stack([np.atleast_1d(e.integral) for e in estimators])[:, None, None]
+        known = np.array([e.integral_error for e in estimators])[:, None, None, None]
+        floor = rounding_floor(np.maximum(np.abs(mean), np.abs(integral)))
+        v, r, f = (np.moveaxis(a, 2, 0) for a in (variance, relative, floor))
+        fits = fit_rates(np.array(self.counts), v, r, f, self.fit_last)
+        values = {
+            "variance": variance,
+            "variance_ci": interval,
+            "mean": mean,
+            "mean_se": mean_se,
+            "bias": mean - integral,
+            "bias_se": np.hypot(mean_se, known),
+            "mse": (mean - integral) ** 2 + variance * ((count - 1) / count)[..., None],
+            "realizations_used": count,
+            **(
+                {}
+                if self.relative_error is None
+                else {"reached": of_all([int(r) for _, r in flat])}
+            ),
+            "rate": fits["rate"],
+            "rate_ci": fits["interval"],
+            "fit_first_n": fits["first_n"],
+            "fit_chi2": fits["chi2"],
+        }
+
+        # What is no list, and a scalar, has no dim
         single = {
             "estimator": subject.estimator is estimators[0],
             "sampler": subject.sampler is samplers[0],
             "channel": all(e.channels == 0 for e in estimators),
         }
-        variables = {
-            name: (
-                ("estimator", "sampler", *_DIMS[name]),
-                np.stack([np.stack([curve[name] for curve in row]) for row in grid]),
-            )
-            for name in grid[0][0]
-        }
         labels = {
             "estimator": [e.spec for e in estimators],
             "sampler": [s.spec for s in samplers],
         }
-        first = np.array([curve["fit_first_n"] for row in grid for curve in row])
-        fitted = first[np.isfinite(first)]
+        fitted = fits["first_n"][np.isfinite(fits["first_n"])]
         samples = self.counts[-1] * self.realizations
         notes = [f"{e.spec}: {note}" for e in estimators if (note := unsampled_note(e, samples))]
         return dataset(
-            variables,
+            {name: (("estimator", "sampler", *_DIMS[name]), v) for name, v in values.items()},
             {
-                "n": ("n", list(self.counts), {"long_name": "number of points", "units": "1"}),
+                "n": counted("n", list(self.counts), "number of points"),
                 "bound": ["low", "high"],
                 **{name: texts for name, texts in labels.items() if not single[name]},
             },
@@ -211,37 +234,6 @@ class Convergence(Analysis, frozen=True, kw_only=True):
             for sampler in _several(subject.sampler)
             for n in self.counts
         ]
-
-    def _curve(self, estimator: AbstractEstimator, found: list[_Found]) -> dict[str, Array]:
-        """Variables of one estimator with one sampler."""
-        moments, counts = [m for m, _ in found], np.array(self.counts)
-        window = check_window(self.fit_last, len(counts))
-        variance, relative, mean = (
-            np.stack([getattr(m, name) for m in moments])
-            for name in ("variance", "relative_se", "mean")
-        )
-        integral = np.atleast_1d(estimator.integral)
-        mean_se = np.stack([m.mean_se for m in moments])
-        floor = rounding_floor(np.maximum(np.abs(mean), np.abs(integral)))
-        fits = fit_rates(counts, variance, relative, floor, window)
-        curve = {
-            "variance": variance,
-            "variance_ci": np.stack([m.variance_ci for m in moments]),
-            "mean": mean,
-            "mean_se": mean_se,
-            "bias": mean - integral,
-            "mse": (mean - integral) ** 2
-            + variance * np.array([(m.count - 1) / m.count for m in moments])[:, None],
-            "realizations_used": np.array([m.count for m in moments]),
-            "rate": fits["rate"],
-            "rate_ci": fits["interval"],
-            "fit_first_n": fits["first_n"],
-            "fit_chi2": fits["chi2"],
-            "bias_se": np.hypot(mean_se, estimator.integral_error),
-        }
-        if self.relative_error is not None:
-            curve["reached"] = np.array([np.int64(reached) for _, reached in found])
-        return curve
 
 
 @final
@@ -295,12 +287,7 @@ class RealizationsNeeded(Analysis, frozen=True, kw_only=True):
             },
             {"bound": ["low", "high"]},
             drop=() if subject.estimator.channels else ("channel",),
-            estimator=subject.estimator.spec,
-            sampler=subject.sampler.spec,
-            n=self.n,
-            relative_error=self.relative_error,
-            max_realizations=self.max_realizations,
-            stream_key=f"{stream.key:#x}",
+            **provenance(self, subject, stream, "n", "relative_error", "max_realizations"),
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
@@ -368,13 +355,7 @@ def convergence(
     >>> round(float(curve["rate"]), 1)
     -3.0
     """
-    analysis = Convergence(
-        counts=counts,  # type: ignore[arg-type]
-        realizations=realizations,
-        relative_error=relative_error,
-        fit_last=fit_last,  # type: ignore[arg-type]
-    )
-    return compute(analysis, as_subject(estimator, sampler, lists=True), rng, workers)
+    return answer(Convergence, locals(), lists=True)
 
 
 def realizations_needed(
@@ -428,10 +409,7 @@ def realizations_needed(
     >>> bool(found["reached"]), bool(found["variance_relative_se"] <= 0.1)
     (True, True)
     """
-    analysis = RealizationsNeeded(
-        n=n, relative_error=relative_error, max_realizations=max_realizations
-    )
-    return compute(analysis, as_subject(estimator, sampler), rng, workers)
+    return answer(RealizationsNeeded, locals())
 
 
 _Found: TypeAlias = tuple[Moments, bool]  # and whether the wanted precision was reached

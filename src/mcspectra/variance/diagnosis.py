@@ -103,22 +103,11 @@ class Diagnosis:
             return "Its interval does not tell it from the set-up as given."
         if column["verdict"] == "worse":
             return "Its error is larger."
-        reason = self._reason_of_kind(column)
-        if reason or math.isnan(column["rate"]):
-            return reason
-        if column["rate_verdict"] == "better":
-            return f"Its rate is better, {column['rate']:.2f}."
-        return "By how much its rate differs, the intervals leave open."
 
-    @property
-    def _wrapped_jump(self) -> bool:
-        return self.wraps and bool(self.boundary)
-
-    def _reason_of_kind(self, column: Mapping[str, Any]) -> str:
-        """What a kind of change mends that was found; which property of a sampler it is, is not known."""
-        kind, name, wrapped = column["kind"], str(column["name"]), self._wrapped_jump
+        # What a kind of change mends that was found; which property of a sampler it is, is not known
+        name, wrapped = str(column["name"]), self._wrapped_jump
         inside: Jumps | None = column["inside"]
-        match kind:
+        match column["kind"]:
             case "unshifted" if wrapped:
                 return "Without the shift no stratum holds the jump between opposite sides."
             case "mirrored" if wrapped:
@@ -152,7 +141,15 @@ class Diagnosis:
                 return "No channel is left to the samples of a density of another shape."
             case "channels":
                 return "Each channel is divided by a density of its own shape."
-        return ""
+        if math.isnan(column["rate"]):
+            return ""
+        if column["rate_verdict"] == "better":
+            return f"Its rate is better, {column['rate']:.2f}."
+        return "By how much its rate differs, the intervals leave open."
+
+    @property
+    def _wrapped_jump(self) -> bool:
+        return self.wraps and bool(self.boundary)
 
 
 def diagnose(
@@ -173,7 +170,7 @@ def diagnose(
                 for block in realization_blocks(_REALIZATIONS, numbers)
             ]
             moments.append(functools.reduce(Moments.merge, found))
-        _, choice = technique_rates(counts, moments, len(counts))
+        _, choice = technique_rates(counts, moments)
         chosen = {int(t) for t in choice} - {UNDECIDED}
     slow = chosen.pop() if len(chosen) == 1 else None
     named = getattr(estimator, "densities", None) or getattr(estimator, "integrands", None)

@@ -62,6 +62,7 @@ from mcspectra.samplers import (
 )
 from mcspectra.spectra.bases import hadamard, parts_of
 from mcspectra.spectra.gain import gain_coefficients
+from mcspectra.variance.ordered import weighted_sum
 from mcspectra.variance.quadrature import (
     DerivedIntegrand,
     check_cells,
@@ -258,11 +259,11 @@ def _stratified(
     nodes, weights = offset_rule(g, sides, order)
     if jittered:
         spreads = np.stack([spread_within_strata(g, sides, d, order) for d in nodes])
-        return np.asarray(weights @ spreads) / n
+        return weighted_sum(weights, spreads) / n
     # A grid with one random offset: the variance of its mean over the offset
     flat = (math.prod(sides), -1)
     means = np.stack([grid_values(g, sides, d).reshape(flat).mean(axis=0) for d in nodes])
-    return np.asarray(weights @ (means - weights @ means) ** 2)
+    return weighted_sum(weights, (means - weighted_sum(weights, means)) ** 2)
 
 
 def _mirrored(mode: str, inner: Sampler, n: int, g: Integrand, order: int) -> Array:
@@ -315,9 +316,9 @@ def _latin(sampler: Sampler, n: int, g: Integrand, order: int, *, shifted: bool)
             varying = np.indices((2,) * g.dims).sum(axis=0)  # |v|
             gains = np.where(varying > 0, 1.0 + (n - 1.0) * (-1.0 / (n - 1.0)) ** varying, 0.0)
             parts = level_variances(means.reshape(*sides, -1), sides)  # one digit in base n
-            total = (total + np.tensordot(gains, parts, axes=g.dims)) / n
+            total = (total + weighted_sum(gains, parts)) / n
         found.append(total)
-    return np.asarray(weights @ np.stack(found))
+    return weighted_sum(weights, np.stack(found))
 
 
 def _nested(net: Sampler, points: Array, g: Integrand, order: int) -> Array:
@@ -347,7 +348,7 @@ def _nested(net: Sampler, points: Array, g: Integrand, order: int) -> Array:
     means, squares = stratum_moments(g, sides, np.zeros(g.dims), order)
     within = np.maximum(squares - means**2, 0.0).mean(axis=0)
     levels = level_variances(means.reshape(*sides, -1), bases)
-    return np.asarray((within + np.tensordot(gains, levels, axes=g.dims)) / n)
+    return np.asarray((within + weighted_sum(gains, levels)) / n)
 
 
 def _digitally_shifted(net: Sampler, points: Array, g: Integrand, order: int) -> Array:
@@ -374,10 +375,10 @@ def _digitally_shifted(net: Sampler, points: Array, g: Integrand, order: int) ->
     for offset in nodes:
         walsh = _hadamard(grid_values(g, sides, offset), g.dims) / cells**g.dims
         means.append(walsh[(0,) * g.dims])
-        within.append(np.tensordot(spectrum, walsh**2, axes=g.dims))
+        within.append(weighted_sum(spectrum, walsh**2))
     of_offset = np.array(means)
-    spread = (of_offset - weights @ of_offset) ** 2
-    return np.asarray(weights @ (np.array(within) + spread))
+    spread = (of_offset - weighted_sum(weights, of_offset)) ** 2
+    return weighted_sum(weights, np.array(within) + spread)
 
 
 def _hadamard(values: Array, dims: int) -> Array:

@@ -63,20 +63,16 @@ class RateFit:
         Lack of fit, χ² per degree of freedom: about 1 for a straight line; NaN for two counts.
     """
 
-    rate: float
-    interval: tuple[float, float]
-    first_n: float
-    chi2: float
+    rate: float = math.nan
+    interval: tuple[float, float] = (math.nan, math.nan)
+    first_n: float = math.nan
+    chi2: float = math.nan
 
 
-_NONE = RateFit(math.nan, (math.nan, math.nan), math.nan, math.nan)
-
-
-def check_window(fit_last: int | str | None, counts: int) -> int | str:
-    """Return a window as a number of counts, or ``"auto"``; None is all of them."""
+def check_window(fit_last: int | str | None, counts: int) -> None:
+    """Refuse a window of more counts than there are."""
     if isinstance(fit_last, int) and fit_last > counts:
         raise ParameterError(f"fit_last is {fit_last}, but there are {counts} counts.")
-    return counts if fit_last is None else fit_last
 
 
 def fit_rate(
@@ -131,7 +127,7 @@ def fit_rates(
 def _line(x: Array, y: Array, se: Array, *, chosen: bool = False) -> RateFit:
     """Weighted least squares of y against x; a window `chosen` by its data has the scatter's interval."""
     if len(x) < 2:
-        return _NONE
+        return RateFit()
     fit = line_fit(x, y, se**-2.0)
     degrees = len(x) - 2
     chi2 = float(((fit.residuals / se) ** 2).sum() / degrees) if degrees else math.nan

@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 import numpy as np
 from msgspec import Meta
 
+from mcspectra.core import options
 from mcspectra.core.analysis import (
     Analysis,
     MergeTree,
@@ -35,27 +36,17 @@ from mcspectra.core.analysis import (
     Reduction,
     Steps,
     Subject,
-    compute,
     compute_chunk,
 )
 from mcspectra.core.checks import Array, as_choice, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of
-from mcspectra.core.options import (
-    BANDS,
-    BASIS,
-    COUNT,
-    ENGINE,
-    EPS,
-    HALF_WIDTH,
-    REALIZATIONS,
-    SPACE,
-)
 from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import as_subject
 from mcspectra.variance.bands import check_bands, make_bands
+from mcspectra.variance.doors import answer, counted, provenance
+from mcspectra.variance.ordered import eigenpairs, orthonormal, product
 from mcspectra.variance.sums import BATCHES, spread
 from mcspectra.variance.views import Frequencies, View
 
@@ -82,8 +73,8 @@ class Modes(Analysis, frozen=True, kw_only=True):
         *("mode_contribution", "mode_vector", "band_trace", "noise_edge"),
     )
 
-    n: Annotated[int, COUNT]
-    half_width: Annotated[int, HALF_WIDTH] = 32
+    n: Annotated[int, options.COUNT]
+    half_width: Annotated[int, options.HALF_WIDTH] = 32
     modes: Annotated[int, Meta(ge=1, le=2**62, description="How many modes.")] = 8
     weighted: Annotated[
         bool,
@@ -92,7 +83,7 @@ class Modes(Analysis, frozen=True, kw_only=True):
             extra={"flag": "--points-only"},
         ),
     ] = True
-    bands: Annotated[str, BANDS] = "radial"
+    bands: Annotated[str, options.BANDS] = "radial"
     band: Annotated[
         tuple[str, ...] | str | None,
         Meta(
@@ -107,18 +98,18 @@ class Modes(Analysis, frozen=True, kw_only=True):
             ge=2, le=100, description="Passes over the realisations: more part close eigenvalues."
         ),
     ] = 3
-    realizations: Annotated[int, REALIZATIONS] = 1000
-    basis: Annotated[str, BASIS] = "fourier"
-    space: Annotated[Literal["domain", "primary"] | None, SPACE] = None
-    engine: Annotated[str, ENGINE] = "auto"
-    eps: Annotated[float, EPS] = 1e-9
+    realizations: Annotated[int, options.REALIZATIONS] = 1000
+    basis: Annotated[str, options.BASIS] = "fourier"
+    space: Annotated[Literal["domain", "primary"] | None, options.SPACE] = None
+    engine: Annotated[str, options.ENGINE] = "auto"
+    eps: Annotated[float, options.EPS] = 1e-9
 
     def need(self, subject: Subject) -> Need:
         """The vectors fit."""
         estimator = subject.estimator
         estimator.check_sampler(subject.sampler, self.n)
         as_integer("channel", self.channel, least=0, most=max(0, estimator.channels - 1))
-        frequencies = Frequencies.of(subject, self.space, self.basis, self.half_width)
+        frequencies = Frequencies.of(subject, self)
         check_bands(self.bands, frequencies.basis)
         size, evaluations = frequencies.size, sum(estimator.counts)
         numbers = size * (self.modes + _OVERSAMPLING)
@@ -137,8 +128,8 @@ class Modes(Analysis, frozen=True, kw_only=True):
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
         """A pass over the realisations after the other, each with vectors that the last one gave."""
         estimator, n = subject.estimator, self.n
-        frequencies = Frequencies.of(subject, self.space, self.basis, self.half_width)
-        if frequencies.space == "domain" and estimator.infinite_weights:
+        frequencies = Frequencies.of(subject, self)
+        if frequencies.diverge:
             raise ParameterError(
                 f"∫1/p diverges for {estimator.spec}: its covariances are infinite; use "
                 "space='primary'."
@@ -160,14 +151,14 @@ class Modes(Analysis, frozen=True, kw_only=True):
             if not inside.any():
                 raise ParameterError(f"The bands {given} hold no coefficient; give others.")
 
-        view = View.of(frequencies, n, self.engine, self.eps)
+        view = frequencies.view(n, self)
         coordinates = _Coordinates.of(view, inside, self.channel, weighted=self.weighted)
         as_integer("modes", self.modes, least=1, most=coordinates.size)
         numbers = max(n * estimator.dims * sum(estimator.counts), 4 * coordinates.size)
         blocks = realization_blocks(self.realizations, numbers, multiple=2, least=BATCHES)
         group = -(-len(blocks) // BATCHES)  # of which a batch is made
 
-        def product(number: int, vectors: Array) -> Reduction[CovarianceProduct]:
+        def step(number: int, vectors: Array) -> Reduction[CovarianceProduct]:
             def batch(index: int) -> CovarianceProduct:
                 tree: MergeTree[CovarianceProduct] = MergeTree()
                 for place in range(index * group, min((index + 1) * group, len(blocks))):
@@ -177,7 +168,7 @@ class Modes(Analysis, frozen=True, kw_only=True):
                 # The same as one batch; a single realisation has no covariance and says nothing
                 total = tree.total()
                 some, least = slice(0, int(total.count > 1)), max(total.count - 1, 1)
-                projected = (vectors.T @ total.product / least)[None][some]
+                projected = (product(vectors.T, total.product) / least)[None][some]
                 return replace(
                     total, degrees=np.array([total.count - 1.0])[some], projected=projected
                 )
@@ -195,29 +186,30 @@ class Modes(Analysis, frozen=True, kw_only=True):
         start = np.random.default_rng([stream.key, _START])
         vectors = start.standard_normal((coordinates.size, width))
         for number in range(self.passes - 1):
-            (found,) = yield [product(number, vectors)]
-            vectors = np.linalg.qr(found.product)[0]
-        (found,) = yield [product(self.passes - 1, vectors)]
-        pairs = found.eigenpairs(vectors)
+            (found,) = yield [step(number, vectors)]
+            vectors = orthonormal(found.product)
+        (found,) = yield [step(self.passes - 1, vectors)]
+        values, vectors, residuals, errors = found.eigenpairs(vectors)
+        diagonal = found.squares / (found.count - 1)
 
         # Patterns over the frequencies; each vector's sign is such that the mode adds to the estimate
         modes, basis, techniques = self.modes, view.basis, len(view.transforms)
-        values, vectors = pairs.values[:modes], pairs.vectors[:, :modes]
-        amplitude = coordinates.direction @ vectors
+        values, vectors = values[:modes], vectors[:, :modes]
+        amplitude = product(coordinates.direction[None], vectors)[0]
         vectors = vectors * np.where(amplitude < 0, -1.0, 1.0)
         stored = coordinates.stored(vectors, techniques * basis.stored)
         place, conjugate = basis.whole()
         patterns = stored.reshape(modes, techniques, basis.stored)[..., place]
         patterns = np.where(conjugate, patterns.conj(), patterns)
         patterns = patterns.reshape(modes, techniques, *basis.shape)
-        trace, size = float(pairs.diagonal.sum()), coordinates.size
+        trace, size = float(diagonal.sum()), coordinates.size
         # Largest sample eigenvalue of a flat spectrum of the same trace, by Marchenko and Pastur: with D
         # coordinates that vary, λ (1 + √(D/(R − 1)))² in the limit of many of both [Marchenko1967]_
-        least = _ROUNDING * pairs.diagonal.max(initial=0.0)
-        varying = int(np.count_nonzero(pairs.diagonal > least))
+        least = _ROUNDING * diagonal.max(initial=0.0)
+        varying = int(np.count_nonzero(diagonal > least))
         level = trace / varying if varying else 0.0
         edge = level * (1.0 + math.sqrt(varying / (self.realizations - 1))) ** 2
-        mode = ("mode", np.arange(modes), {"long_name": "mode, by eigenvalue", "units": "1"})
+        mode = counted("mode", np.arange(modes), "mode, by eigenvalue")
         note = (
             f"{self.realizations} realisations of {size} coefficients: eigenvalues are those of the "
             "sample, the largest too large; compare noise_edge, which a flat spectrum would reach."
@@ -225,8 +217,8 @@ class Modes(Analysis, frozen=True, kw_only=True):
         return dataset(
             {
                 "eigenvalue": (("mode",), values),
-                "eigenvalue_se": (("mode",), pairs.errors[:modes]),
-                "eigenvalue_residual": (("mode",), pairs.residuals[:modes]),
+                "eigenvalue_se": (("mode",), errors[:modes]),
+                "eigenvalue_residual": (("mode",), residuals[:modes]),
                 "eigenvalue_share": (("mode",), values / trace if trace else values * np.nan),
                 "mode_contribution": (("mode",), values * amplitude**2),
                 "mode_vector": (("mode", "technique", *basis.names), patterns),
@@ -235,21 +227,15 @@ class Modes(Analysis, frozen=True, kw_only=True):
             },
             {"mode": mode, **basis.coords},
             drop=("technique",) if techniques == 1 else (),
-            estimator=subject.estimator.spec,
-            sampler=subject.sampler.spec,
-            n=self.n,
-            realizations=self.realizations,
+            **provenance(self, subject, stream, "n", "realizations", "passes", "eps"),
             basis=basis.name,
             space=view.space,
             weighted=int(self.weighted),
             channel=self.channel if subject.estimator.channels else None,
             band=self.band if self.band is None or isinstance(self.band, str) else list(self.band),
-            passes=self.passes,
             real_coefficients=size,
             note=None if self.realizations >= _MANY * size else note,
-            stream_key=f"{stream.key:#x}",
             engine=view.engine,
-            eps=self.eps,
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
@@ -333,22 +319,7 @@ def covariance_modes(
     >>> bool(found["eigenvalue"][0] > found["eigenvalue"][1] > 0)
     True
     """
-    analysis = Modes(
-        n=n,
-        half_width=half_width,
-        modes=modes,
-        weighted=weighted,
-        bands=bands,  # type: ignore[arg-type]
-        band=band,  # type: ignore[arg-type]
-        channel=channel,
-        passes=passes,
-        realizations=realizations,
-        basis=basis,
-        space=space,  # type: ignore[arg-type]
-        engine=engine,
-        eps=eps,
-    )
-    return compute(analysis, as_subject(estimator, sampler), rng, workers)
+    return answer(Modes, locals())
 
 
 @dataclass(frozen=True)
@@ -417,10 +388,10 @@ class CovarianceProduct:
         """Sums of realisations z, (R, D); of no batch yet."""
         mean, width = z.mean(axis=0), vectors.shape[1]
         deviation = z - mean
-        product = deviation.T @ (deviation @ vectors)
+        total = product(deviation.T, product(deviation, vectors))
         squares = (deviation**2).sum(axis=0)
-        none = np.zeros(0), np.zeros((0, width, width))
-        return CovarianceProduct(len(z), mean, mean @ vectors, product, squares, *none)
+        along, none = product(mean[None], vectors)[0], (np.zeros(0), np.zeros((0, width, width)))
+        return CovarianceProduct(len(z), mean, along, total, squares, *none)
 
     def merge(self, other: CovarianceProduct) -> CovarianceProduct:
         """Sums over the realisations of both, about their common mean."""
@@ -437,34 +408,19 @@ class CovarianceProduct:
             np.concatenate([self.projected, other.projected]),
         )
 
-    def eigenpairs(self, vectors: Array) -> Eigenpairs:
-        """Eigenpairs of the unbiased covariance A in the range of orthonormal vectors (D, k)."""
+    def eigenpairs(self, vectors: Array) -> tuple[Array, Array, Array, Array]:
+        """Eigenpairs of the unbiased covariance A in the range of orthonormal vectors (D, k).
+
+        Eigenvalues, descending; eigenvectors, (D, k); ‖A v − λ v‖; standard errors.
+        """
         image = self.product / (self.count - 1)
-        projected = vectors.T @ image
-        values, rotation = np.linalg.eigh(0.5 * (projected + projected.T))
-        values, rotation = values[::-1], rotation[:, ::-1]
-        found = vectors @ rotation
+        values, rotation = eigenpairs(product(vectors.T, image))
+        found = product(vectors, rotation)
         # Standard errors of the variances along the eigenvectors, by batch means
         errors = np.full(len(values), np.nan)
         if len(self.degrees):
             along = np.einsum("ik,bij,jk->bk", rotation, self.projected, rotation)
             share = self.degrees / self.degrees.sum()
-            errors = spread(along - share @ along, share)
-        return Eigenpairs(
-            np.maximum(values, 0.0),
-            found,
-            np.linalg.norm(image @ rotation - found * values, axis=0),
-            errors,
-            self.squares / (self.count - 1),
-        )
-
-
-@dataclass(frozen=True)
-class Eigenpairs:
-    """Eigenvalues, descending; eigenvectors, (D, k); ‖A v − λ v‖; standard errors; the diagonal of A."""
-
-    values: Array
-    vectors: Array
-    residuals: Array
-    errors: Array
-    diagonal: Array
+            errors = spread(along - product(share[None], along), share)
+        residuals = np.linalg.norm(product(image, rotation) - found * values, axis=0)
+        return np.maximum(values, 0.0), found, residuals, errors

@@ -98,16 +98,6 @@ def check_cells(what: str, cells: float, unit: str = "cells") -> None:
         )
 
 
-@dataclass(frozen=True)
-class _Axis:
-    """Pieces of one axis between strata borders and breaks: ends, stratum, share of the stratum."""
-
-    low: Array
-    high: Array
-    stratum: Array
-    share: Array
-
-
 def mesh(*axes: Array) -> Array:
     """All points of a grid with these coordinates along the axes: (…, d)."""
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
@@ -126,60 +116,51 @@ def stratum_moments(
 ) -> tuple[Array, Array]:
     """Means of g and g² over strata, displaced by `offset` on the torus: (strata, channels or 1)."""
 
-    def cut(graded: tuple[float, ...] = ()) -> list[_Axis]:
-        """Cut every axis at strata borders (j + offset)/sides, at breaks and at the seam 0."""
+    def cut(graded: tuple[float, ...] = ()) -> list[tuple[Array, Array]]:
+        """Ends of the pieces between strata borders (j + offset)/sides, breaks and the seam 0."""
         axes = []
         for s, displaced, breaks in zip(sides, map(float, offset), g.breaks, strict=True):
             borders = (np.arange(s) / s + displaced) % 1.0
             inner = [b for b in (*breaks, *graded) if 0 < b < 1]
             ends = np.unique(np.concatenate([[0.0, 1.0], borders, inner]))
             wide = np.diff(ends) > 1e-15
-            low, high = ends[:-1][wide], ends[1:][wide]
-            stratum = np.floor((0.5 * (low + high) - displaced) % 1.0 * s).astype(np.int64)
-            axes.append(_Axis(low, high, np.minimum(stratum, s - 1), (high - low) * s))
+            axes.append((ends[:-1][wide], ends[1:][wide]))
         return axes
 
-    # Means over all pieces from closed forms, if g has them: (pieces, channels)
+    # Means over all pieces from closed forms, if g has them, else by a tensor Gauss-Legendre rule
     axes = cut()
-    low, high = mesh(*(a.low for a in axes)), mesh(*(a.high for a in axes))
-    moments = g.box_moments(low, high)
+    moments = g.box_moments(mesh(*(low for low, _ in axes)), mesh(*(high for _, high in axes)))
     if moments is None:
         axes = cut(_GRADED.get(g.dims, ()))
-        moments = _gauss_moments(g, axes, order)
-    return _gather(moments[0], axes, sides), _gather(moments[1], axes, sides)
+        pieces = math.prod(len(low) for low, _ in axes)
+        check_cells(
+            f"The stratum quadrature of {g.spec}", float(pieces) * order**g.dims, "evaluations"
+        )
+        node, weight = np.polynomial.legendre.leggauss(order)
+        node, weight = 0.5 * (node + 1.0), 0.5 * weight
+        grids = [low[:, None] + (high - low)[:, None] * node for low, high in axes]
+        mean: Any = 0.0
+        square: Any = 0.0
+        for q in itertools.product(range(order), repeat=g.dims):
+            x = mesh(*(grid[:, i] for grid, i in zip(grids, q, strict=True)))
+            values = g(x).reshape(pieces, -1)
+            w = float(np.prod(weight[list(q)]))
+            mean = mean + w * values
+            square = square + w * values**2
+        moments = mean, square
 
-
-def _gauss_moments(g: Integrand, axes: list[_Axis], order: int) -> tuple[Array, Array]:
-    """Means of g and g² over all pieces by a tensor Gauss-Legendre rule: (pieces, channels)."""
-    dims, pieces = len(axes), [len(a.low) for a in axes]
-    check_cells(
-        f"The stratum quadrature of {g.spec}", float(np.prod(pieces)) * order**dims, "evaluations"
-    )
-    node, weight = np.polynomial.legendre.leggauss(order)
-    node, weight = 0.5 * (node + 1.0), 0.5 * weight
-    grids = [a.low[:, None] + (a.high - a.low)[:, None] * node for a in axes]
-    mean: Any = 0.0
-    square: Any = 0.0
-    for q in itertools.product(range(order), repeat=dims):
-        x = mesh(*(grid[:, i] for grid, i in zip(grids, q, strict=True)))
-        values = g(x).reshape(int(np.prod(pieces)), -1)
-        w = float(np.prod(weight[list(q)]))
-        mean = mean + w * values
-        square = square + w * values**2
-    return mean, square
-
-
-def _gather(piece_means: Array, axes: list[_Axis], sides: tuple[int, ...]) -> Array:
-    """Means over strata from means over pieces: (strata, channels)."""
-    values = piece_means.reshape(*(len(a.low) for a in axes), -1)
-    for i, axis in enumerate(axes):
-        shape = [1] * values.ndim
-        shape[i] = -1
-        gathered = np.zeros((*values.shape[:i], sides[i], *values.shape[i + 1 :]))
-        where: Any = (slice(None),) * i + (axis.stratum,)
-        np.add.at(gathered, where, values * axis.share.reshape(shape))
-        values = gathered
-    return np.asarray(values.reshape(math.prod(sides), -1))
+    # Means over strata: pieces count by their share of the stratum, an axis after the other
+    both = np.stack([m.reshape(*(len(low) for low, _ in axes), -1) for m in moments])
+    for i, (low, high) in enumerate(axes):
+        middle = (0.5 * (low + high) - float(offset[i])) % 1.0
+        stratum = np.minimum(np.floor(middle * sides[i]).astype(np.int64), sides[i] - 1)
+        share = ((high - low) * sides[i]).reshape(-1, *(1,) * (g.dims - i))
+        gathered = np.zeros((*both.shape[: i + 1], sides[i], *both.shape[i + 2 :]))
+        where: Any = (slice(None),) * (i + 1) + (stratum,)
+        np.add.at(gathered, where, both * share)
+        both = gathered
+    means, squares = both.reshape(2, math.prod(sides), -1)
+    return means, squares
 
 
 def offset_rule(g: Integrand, sides: tuple[int, ...], order: int) -> tuple[Array, Array]:

@@ -24,14 +24,14 @@ from typing import TYPE_CHECKING, Annotated, Any, final
 import numpy as np
 from msgspec import Meta
 
-from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
+from mcspectra.core.analysis import Analysis, Need, Reduction, Subject
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.parallel import Block, realization_blocks
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, as_subject
+from mcspectra.estimators import AbstractEstimator
 from mcspectra.estimators.moments import rounding_floor, variance_interval
 from mcspectra.samplers import Sampler
 from mcspectra.variance.counterfactuals import (
@@ -45,7 +45,9 @@ from mcspectra.variance.counterfactuals import (
     other_setups,
 )
 from mcspectra.variance.diagnosis import Diagnosis, Jumps, diagnose, jumps_of
+from mcspectra.variance.doors import answer, provenance
 from mcspectra.variance.fit import RateFit, fit_rate, widening
+from mcspectra.variance.ordered import weighted_sum
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -67,7 +69,6 @@ _TRIES = 3  # changes of a kind, about
 _EXACT, _BY_QUADRATURE = 1e-9, 1e-3  # how well integrals are known, relative to them
 _SIGMAS = 4.0  # or so many of the errors that they say of themselves
 _PRIOR = 20  # realisations' worth of the belief that estimates are normal: Var(ψ) = 2
-_NO_RATE = RateFit(math.nan, (math.nan, math.nan), math.nan, math.nan)
 
 _DIMS: dict[str, tuple[str, ...]] = {
     "error": ("remedy",),
@@ -233,15 +234,11 @@ class Remedies(Analysis, frozen=True, kw_only=True):
                 "bound": ["low", "high"],
                 "step": np.arange(_STEPS),
             },
-            estimator=subject.estimator.spec,
-            sampler=subject.sampler.spec,
-            budget=self.budget,
-            realizations=self.realizations,
+            **provenance(self, subject, stream, "budget", "realizations"),
             simultaneous_z=z,
             diagnosis=diagnosis.text,
             recommendation=_recommendation(columns, self.budget, reasons),
             not_tried=reasons,
-            stream_key=f"{stream.key:#x}",
             given_error=float(start.errors.error[-1]),
         )
 
@@ -309,12 +306,7 @@ def remedies(
     >>> str(found["remedy"].values[0])
     'unshifted'
     """
-    analysis = Remedies(
-        budget=budget,
-        kinds=kinds,  # type: ignore[arg-type]
-        realizations=realizations,
-    )
-    return compute(analysis, as_subject(estimator, sampler), rng, workers)
+    return answer(Remedies, locals())
 
 
 @dataclass(frozen=True)
@@ -336,18 +328,13 @@ class _Trial:
         errors, found = self.errors, compare(self.errors, reference, budget)
         log_error, influence = errors.at(budget)
         spread = max(math.sqrt(float(np.mean(influence**2)) / len(influence)), 1e-9)
-        fit = _NO_RATE if self.biased else errors.fit()
+        fit = RateFit() if self.biased else errors.fit()
         is_given = self.kind == "given"
         ratio = _interval(found.log_ratio, z * found.log_ratio_se)
         difference = math.nan if self.biased else found.rate_difference
         slope = _interval(difference, z * found.rate_difference_se)
         return {
-            "name": self.name,
-            "kind": self.kind,
-            "change": self.change,
-            "unbounded": self.unbounded,
-            "inside": self.inside,
-            "biased": self.biased,
+            **vars(self),
             "blind": bool(errors.blind[-1]),
             "error": math.exp(log_error),
             "error_ci": variance_interval(
@@ -530,7 +517,7 @@ class Errors:
         weight = self.relative_se[used] ** -2.0
         centred = weight * (x - np.average(x, weights=weight))
         slope = centred / (centred * x).sum()
-        return float(slope @ y), np.asarray(slope @ self.influence[used])
+        return float((slope * y).sum()), weighted_sum(slope, self.influence[used])
 
     def fit(self) -> RateFit:
         """The rate with its interval and lack of fit, as `mcspectra.convergence` gives it."""

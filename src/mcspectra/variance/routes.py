@@ -37,7 +37,6 @@ from mcspectra.core.analysis import (
     Reduction,
     Steps,
     Subject,
-    compute,
 )
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import NoClosedForm, ParameterError
@@ -56,7 +55,9 @@ from mcspectra.spectra.bases import fitting_basis, parts_of
 from mcspectra.spectra.closed_forms import closed_form_covariance, closed_form_power
 from mcspectra.spectra.transforms import FrequencyGrid
 from mcspectra.variance._pair_kernels import pair_sum_1d, pair_sum_2d
+from mcspectra.variance.doors import answer
 from mcspectra.variance.exact import exact_variance
+from mcspectra.variance.ordered import weighted_sum
 from mcspectra.variance.quadrature import (
     mean_square,
     mesh,
@@ -119,7 +120,7 @@ class Routes(Analysis, frozen=True, kw_only=True):
 
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
         """Each route that stands apart is a block; the terms are of the realisations measured."""
-        estimator, cost = subject.estimator, self.need(subject).cost
+        estimator, cost, n = subject.estimator, self.need(subject).cost, self.n
         whole = estimator.domain_integrand is not None and not estimator.infinite_weights
         asked = Terms(
             n=self.n,
@@ -129,17 +130,74 @@ class Routes(Analysis, frozen=True, kw_only=True):
         )
         own = Stream.from_rng(np.random.SeedSequence([stream.key, 0]))
         terms = asked.reduction(subject, own)
-        routes = _Routes(self, estimator, subject.sampler, stream.key)
+
+        def of_route(index: int) -> _Rows:
+            """What a route leads to, or NaN and the reason why it leads nowhere."""
+            try:
+                match _APART[index]:
+                    case "exact":
+                        value = exact_variance(estimator, subject.sampler, n)
+                        return row(value, 0.0, 1.0, "quadrature over strata or levels")
+                    case "pairs":
+                        found = variance_from_pair_correlation(
+                            estimator,
+                            subject.sampler,
+                            n,
+                            realizations=self.realizations,
+                            rng=np.random.SeedSequence([stream.key, 1]),
+                            workers=1,
+                        )
+                        value, se = found["variance"].to_numpy(), found["variance_se"].to_numpy()
+                        return row(value, CONFIDENCE_Z * se, 1.0, found.attrs["method"])
+                    case name:
+                        of_spectra = self._of_covariance if name == "covariance" else self._of_power
+                        value, within, source = of_spectra(subject)
+                        return row(value, 0.0, share_of(within), source)
+            except (NoClosedForm, ParameterError) as error:  # arguments were checked before
+                return row(np.nan, np.nan, np.nan, str(error))
+
+        def row(value: Any, half: Any, share: Any, source: str) -> _Rows:
+            """A row of the table, with an interval of so much on either side."""
+            numbers = np.empty((1, 4, max(1, estimator.channels)))
+            for place, number in enumerate((value, value - half, value + half, share)):
+                numbers[0, place] = number
+            return _Rows(numbers, np.array([source]))
+
+        def share_of(within: Array) -> Any:
+            """Part of ∫f² that Σ|f_m|² = `within` is."""
+            try:
+                whole = mean_square(estimator.domain_integrand)
+            except ParameterError:  # too many dims for a quadrature
+                return np.nan
+            return np.divide(within, whole, out=np.ones(len(whole)), where=whole > 0)
+
         apart = Reduction(
             kind=_Rows,
-            block=lambda index: routes.row(_APART[index]),
+            block=of_route,
             blocks=len(_APART),
             cost=max(cost - terms.cost, 1.0),
             key="apart",
         )
         rows, total = yield [apart, replace(terms, key="terms")]
         assert terms.result is not None
-        rows = routes.with_terms(rows, terms.result(total))
+        found = terms.result(total)
+
+        # The power term stands in for a spectrum that is not known in closed form
+        if rows.source[-1] == _SAMPLED:
+            value, half = (found[name].to_numpy() for name in ("power_term", "power_term_se"))
+            sampled = row(value, CONFIDENCE_Z * half, rows.numbers[-1, 3], _SAMPLED)
+            rows = merged(_Rows(rows.numbers[:-1], rows.source[:-1]), sampled)
+        share: Any = np.nan
+        if estimator.domain_integrand is not None:
+            power = np.abs(estimator.domain_integrand.fourier_grid(self.half_width)) ** 2
+            share = share_of(power.reshape(-1, max(1, estimator.channels)).sum(axis=0))
+        for name, part, source in (
+            ("predicted_variance", share, "{space} view, {basis}".format(**found.attrs)),
+            ("measured_variance", 1.0, f"{self.realizations} realisations"),
+        ):
+            last = row(found[name].to_numpy(), 0.0, part, source)
+            last.numbers[0, 1:3] = np.moveaxis(found[f"{name}_ci"].to_numpy(), -1, 0).reshape(2, -1)
+            rows = merged(rows, last)
         return dataset(
             {
                 "route_variance": (("route", "channel"), rows.numbers[:, 0]),
@@ -157,10 +215,45 @@ class Routes(Analysis, frozen=True, kw_only=True):
             drop=() if estimator.channels else ("channel",),
             estimator=estimator.spec,
             sampler=subject.sampler.spec,
-            n=self.n,
+            n=n,
             half_width=self.half_width,
             realizations=self.realizations,
         )
+
+    def _of_covariance(self, subject: Subject) -> tuple[Any, Array, str]:
+        """Σ_m Σ_l conj(f_m) f_l C_ml, Σ_m |f_m|² and the source."""
+        plain, dims = _plain(subject.estimator), subject.estimator.domain_dims
+        side = int(_MOST_FREQUENCIES ** (1.0 / dims) + 1e-9)
+        if side < 3:
+            raise NoClosedForm(f"In {dims} dims the pairs of frequencies are too many to sum.")
+        m = _frequencies(plain.integrand.dims, min(self.half_width, (side - 1) // 2))
+        f = plain.integrand.fourier(m).reshape(len(m), -1)
+        total = np.zeros(f.shape[1])
+        rows = max(1, _PAIRS // len(m))
+        for i in range(0, len(m), rows):
+            c = closed_form_covariance(
+                subject.sampler, self.n, m[i : i + rows, None], m[None], density=plain.density
+            )
+            total += np.einsum("mc,ml,lc->c", np.conj(f[i : i + rows]), c, f).real
+        return total, np.square(np.abs(f)).sum(axis=0), "C_ml in closed form"
+
+    def _of_power(self, subject: Subject) -> tuple[Any, Array, str]:
+        """Σ_{m≠0} |f_m|² ⟨|S_m|²⟩, NaN where the power is not known in closed form, and so on."""
+        plain, sampler = _plain(subject.estimator), subject.sampler
+        stationary = fitting_basis(sampler, self.half_width) == "fourier"
+        if plain.density is not None or not (stationary or sampler.name == "random"):
+            raise NoClosedForm(
+                "The homogenised formula holds for uniform points that are the same after any "
+                f"translation, not for {plain.spec} with {sampler.spec}; add shift."
+            )
+        m = _frequencies(plain.integrand.dims, self.half_width)
+        f = np.abs(plain.integrand.fourier(m).reshape(len(m), -1)) ** 2
+        try:
+            power = closed_form_power(sampler, self.n, m)
+        except NoClosedForm:
+            return np.nan, f.sum(axis=0), _SAMPLED
+        power = np.where((m == 0).all(axis=1), 0.0, power)
+        return weighted_sum(power, f), f.sum(axis=0), "power in closed form"
 
 
 def variance_routes(
@@ -211,8 +304,7 @@ def variance_routes(
     >>> known.values.round(6)
     array([0.024063, 0.024063, 0.024063])
     """
-    analysis = Routes(n=n, half_width=half_width, realizations=realizations)
-    return compute(analysis, as_subject(estimator, sampler), rng, workers)
+    return answer(Routes, locals())
 
 
 @dataclass(frozen=True)
@@ -223,138 +315,18 @@ class _Rows:
     source: JOIN  # texts
 
 
-_Found = tuple[Any, Any, Any, Any, str]  # value, low, high, energy share, source
-
-
-@dataclass(frozen=True)
-class _Routes:
-    """The routes of one estimator, sampler and n; those apart are methods of their names."""
-
-    asked: Routes
-    estimator: AbstractEstimator
-    sampler: Sampler
-    key: int
-
-    def row(self, name: str) -> _Rows:
-        """What a route leads to, or NaN and the reason why it leads nowhere."""
-        try:
-            return self._row(getattr(self, name)())
-        except (NoClosedForm, ParameterError) as error:  # arguments were checked before
-            return self._row((np.nan, np.nan, np.nan, np.nan, str(error)))
-
-    def _row(self, found: _Found) -> _Rows:
-        numbers = np.empty((1, 4, max(1, self.estimator.channels)))
-        for place, value in enumerate(found[:4]):
-            numbers[0, place] = value
-        return _Rows(numbers, np.array([found[4]]))
-
-    def with_terms(self, apart: _Rows, terms: xr.Dataset) -> _Rows:
-        """The rows apart, then the spectral route and what was measured."""
-        if apart.source[-1] == _SAMPLED:
-            value, se = terms["power_term"].to_numpy(), terms["power_term_se"].to_numpy()
-            sampled = self._row(_normal(value, se, apart.numbers[-1, 3], _SAMPLED))
-            apart = merged(_Rows(apart.numbers[:-1], apart.source[:-1]), sampled)
-        share: Any = np.nan
-        f = self.estimator.domain_integrand
-        if f is not None:
-            power = np.abs(f.fourier_grid(self.asked.half_width)) ** 2
-            share = self._share(power.reshape(-1, max(1, self.estimator.channels)).sum(axis=0))
-        spectral, measured = (
-            self._row((
-                terms[name].to_numpy(),
-                *np.moveaxis(terms[f"{name}_ci"].to_numpy(), -1, 0),
-                part,
-                source,
-            ))
-            for name, part, source in (
-                ("predicted_variance", share, "{space} view, {basis}".format(**terms.attrs)),
-                ("measured_variance", 1.0, f"{self.asked.realizations} realisations"),
-            )
-        )  # fmt: skip
-        return merged(merged(apart, spectral), measured)  # type: ignore[no-any-return]
-
-    def exact(self) -> _Found:
-        value = exact_variance(self.estimator, self.sampler, self.asked.n)
-        return _certain(value, 1.0, "quadrature over strata or levels")
-
-    def pairs(self) -> _Found:
-        found = variance_from_pair_correlation(
-            self.estimator,
-            self.sampler,
-            self.asked.n,
-            realizations=self.asked.realizations,
-            rng=np.random.SeedSequence([self.key, 1]),
-            workers=1,
+def _plain(estimator: AbstractEstimator) -> Estimator:
+    """The estimator, if it is of one technique."""
+    if not isinstance(estimator, Estimator):
+        raise NoClosedForm(
+            f"Closed forms of spectra are known for one technique, not for {estimator.spec}."
         )
-        value, se = found["variance"].to_numpy(), found["variance_se"].to_numpy()
-        return _normal(value, se, 1.0, found.attrs["method"])
-
-    def covariance(self) -> _Found:
-        plain = self._plain()
-        side = int(_MOST_FREQUENCIES ** (1.0 / self.estimator.domain_dims) + 1e-9)
-        if side < 3:
-            raise NoClosedForm(
-                f"In {self.estimator.domain_dims} dims the pairs of frequencies are too many to sum."
-            )
-        m = _frequencies(plain.integrand.dims, min(self.asked.half_width, (side - 1) // 2))
-        f = plain.integrand.fourier(m).reshape(len(m), -1)
-        total = np.zeros(f.shape[1])
-        rows = max(1, _PAIRS // len(m))
-        for i in range(0, len(m), rows):
-            c = closed_form_covariance(
-                self.sampler, self.asked.n, m[i : i + rows, None], m[None], density=plain.density
-            )
-            total += np.einsum("mc,ml,lc->c", np.conj(f[i : i + rows]), c, f).real
-        share = self._share(np.square(np.abs(f)).sum(axis=0))
-        return _certain(total, share, "C_ml in closed form")
-
-    def homogenized(self) -> _Found:
-        plain = self._plain()
-        stationary = fitting_basis(self.sampler, self.asked.half_width) == "fourier"
-        if plain.density is not None or not (stationary or self.sampler.name == "random"):
-            raise NoClosedForm(
-                "The homogenised formula holds for uniform points that are the same after any "
-                f"translation, not for {plain.spec} with {self.sampler.spec}; add shift."
-            )
-        m = _frequencies(plain.integrand.dims, self.asked.half_width)
-        f = np.abs(plain.integrand.fourier(m).reshape(len(m), -1)) ** 2
-        share = self._share(f.sum(axis=0))
-        try:
-            power = closed_form_power(self.sampler, self.asked.n, m)
-        except NoClosedForm:
-            return np.nan, np.nan, np.nan, share, _SAMPLED
-        power = np.where((m == 0).all(axis=1), 0.0, power)
-        return _certain(power @ f, share, "power in closed form")
-
-    def _plain(self) -> Estimator:
-        if not isinstance(self.estimator, Estimator):
-            raise NoClosedForm(
-                f"Closed forms of spectra are known for one technique, not for {self.estimator.spec}."
-            )
-        return self.estimator
-
-    def _share(self, within: Array) -> Any:
-        """Part of ∫f² that Σ|f_m|² = `within` is."""
-        assert self.estimator.domain_integrand is not None
-        try:
-            whole = mean_square(self.estimator.domain_integrand)
-        except ParameterError:  # too many dims for a quadrature
-            return np.nan
-        return np.divide(within, whole, out=np.ones(len(whole)), where=whole > 0)
+    return estimator
 
 
 def _frequencies(dims: int, half_width: int) -> Array:
     """All m of a grid: (M, dims)."""
     return mesh(*[np.arange(-half_width, half_width + 1)] * dims).reshape(-1, dims)
-
-
-def _certain(value: Any, share: Any, source: str) -> _Found:
-    return value, value, value, share, source
-
-
-def _normal(value: Any, se: Any, share: Any, source: str) -> _Found:
-    half = CONFIDENCE_Z * se
-    return value, value - half, value + half, share, source
 
 
 def variance_from_pair_correlation(

@@ -31,6 +31,7 @@ from mcspectra.variance._kernels import (
     merge_spreads,
     term_sums,
 )
+from mcspectra.variance.ordered import gram, weighted_sum
 
 __all__ = [
     "BATCHES",
@@ -92,7 +93,8 @@ class SpectralSums:
     band_mean: Array  # (C, A)
     band_m2: Array  # (C, A, A)
     truncated: Moments  # of the estimate truncated at each half width: (C, K+1)
-    matrix: Array | None  # (H, 2H): Σ (S−S̄)_m conj(S−S̄)_l and without conj, see terms.py
+    # (H, 2H): Σ_r (S−S̄)_m conj(S−S̄)_l and without conj, from which all four sign pairs of (m, l) follow
+    matrix: Array | None
 
     @staticmethod
     def of(s: Array, partition: Partition) -> SpectralSums:
@@ -120,7 +122,7 @@ class SpectralSums:
             band_mean=band_mean,
             band_m2=np.einsum("rca,rcb->cab", deviation, deviation),
             truncated=Moments.of(np.cumsum(shells, axis=2)),
-            matrix=_outer(s - mean) if partition.matrix else None,
+            matrix=gram(s - mean) if partition.matrix else None,
         )
 
     def terms(self, partition: Partition) -> tuple[Array, Array, Array]:
@@ -146,7 +148,7 @@ class SpectralSums:
         matrix = None
         if self.matrix is not None and other.matrix is not None:
             delta = (other.mean - self.mean)[None, :]
-            matrix = self.matrix + other.matrix + factor * _outer(delta)
+            matrix = self.matrix + other.matrix + factor * gram(delta)
         mean, m2, cov = merge_moments(
             a, self.mean, self.m2, self.cov, b, other.mean, other.m2, other.cov, shift
         )
@@ -162,11 +164,6 @@ class SpectralSums:
             truncated=self.truncated.merge(other.truncated),
             matrix=matrix,
         )
-
-
-def _outer(deviation: Array) -> Array:
-    """Σ_r d_m conj(d_l) beside Σ_r d_m d_l, from which all four sign pairs of (m, l) follow."""
-    return np.concatenate([deviation.T @ deviation.conj(), deviation.T @ deviation], axis=1)
 
 
 @dataclass(frozen=True)
@@ -246,25 +243,26 @@ class Batches:
         """B, the number of blocks of two or more realisations."""
         return len(self.weights)
 
+    @property
+    def share(self) -> Array:
+        """Weight of each block in a mean, (B,)."""
+        return np.asarray(self.weights / self.weights.sum())
+
     def term_errors(self) -> Array:
         """Standard errors of dc, power and cross term: (3, C)."""
-        values, share = self._shared()
-        return spread(values[:, :3] - np.einsum("b,btc->tc", share, values[:, :3]), share)
+        terms, share = self.values[:, :3], self.share
+        return spread(terms - weighted_sum(share, terms), share)
 
     def captured_half(self) -> Array:
         """Half the 95 % interval of predicted over measured variance: (C,)."""
-        values, share = self._shared()
-        mean = np.einsum("b,btc->tc", share, values)
+        values, share = self.values, self.share
+        mean = weighted_sum(share, values)
         predicted, measured = mean[:3].sum(axis=0), mean[3]
         real = measured > rounding_floor(self.means.mean(axis=0))
         ratio = np.divide(predicted, measured, out=np.full_like(predicted, np.nan), where=real)
         residual = values[:, :3].sum(axis=1) - ratio * values[:, 3]
         half = spread(residual, share) / np.where(real, measured, np.nan)
         return np.asarray(half * student_t(self.count))
-
-    def _shared(self) -> tuple[Array, Array]:
-        """Values of the blocks (B, 4, C) and the weight of each (B,)."""
-        return self.values, self.weights / self.weights.sum()
 
 
 def _real(values: Array) -> Array:
@@ -277,7 +275,7 @@ def spread(deviation: Array, share: Array) -> Array:
     blocks = len(share)
     if blocks < 2:
         return np.full(deviation.shape[1:], np.nan)
-    squares = np.tensordot(share**2, deviation**2, axes=1)
+    squares = weighted_sum(share**2, deviation**2)
     return np.asarray(np.sqrt(squares * blocks / (blocks - 1)))
 
 

@@ -20,33 +20,23 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 
 import numpy as np
 
-from mcspectra.core.analysis import Analysis, Need, Reduction, Steps, Subject, compute
+from mcspectra.core import options
+from mcspectra.core.analysis import Analysis, Need, Reduction, Steps, Subject
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError, warn
+from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of
-from mcspectra.core.options import (
-    BASIS,
-    COUNTS,
-    ENGINE,
-    EPS,
-    FIT_LAST,
-    HALF_WIDTH,
-    REALIZATIONS,
-    SPACE,
-    Counts,
-    Positive,
-    Window,
-)
 from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.records import JOIN
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Moments, as_subject
+from mcspectra.estimators import AbstractEstimator, Moments
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler
 from mcspectra.variance.convergence import count_stream
+from mcspectra.variance.doors import answer, counted, provenance
 from mcspectra.variance.fit import check_window, fit_rates
+from mcspectra.variance.ordered import product, weighted_sum
 from mcspectra.variance.sums import BATCHES, Variables, spread
 from mcspectra.variance.views import Frequencies, View
 
@@ -83,14 +73,14 @@ class Techniques(Analysis, frozen=True, kw_only=True):
         *("technique_rate", "technique_rate_ci", "rate", "rate_ci", "bottleneck"),
     )
 
-    counts: Annotated[Positive | Counts, COUNTS]
-    half_width: Annotated[int, HALF_WIDTH] = 64
-    realizations: Annotated[int, REALIZATIONS] = 1000
-    space: Annotated[Literal["domain", "primary"] | None, SPACE] = None
-    basis: Annotated[str, BASIS] = "fourier"
-    fit_last: Annotated[Window, FIT_LAST] = None
-    engine: Annotated[str, ENGINE] = "auto"
-    eps: Annotated[float, EPS] = 1e-9
+    counts: Annotated[options.Positive | options.Counts, options.COUNTS]
+    half_width: Annotated[int, options.HALF_WIDTH] = 64
+    realizations: Annotated[int, options.REALIZATIONS] = 1000
+    space: Annotated[Literal["domain", "primary"] | None, options.SPACE] = None
+    basis: Annotated[str, options.BASIS] = "fourier"
+    fit_last: Annotated[options.Window, options.FIT_LAST] = None
+    engine: Annotated[str, options.ENGINE] = "auto"
+    eps: Annotated[float, options.EPS] = 1e-9
 
     def need(self, subject: Subject) -> Need:
         """The covariances fit."""
@@ -98,7 +88,7 @@ class Techniques(Analysis, frozen=True, kw_only=True):
         check_window(self.fit_last, len(counts))
         for n in counts:
             estimator.check_sampler(subject.sampler, n)
-        basis = Frequencies.of(subject, self.space, self.basis, self.half_width).basis
+        basis = Frequencies.of(subject, self).basis
         techniques, evaluations = len(estimator.counts), sum(estimator.counts)
         if techniques**2 * basis.stored > _MOST:
             raise ParameterError(
@@ -114,8 +104,8 @@ class Techniques(Analysis, frozen=True, kw_only=True):
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
         """The sums of all counts at once."""
         estimator, counts = subject.estimator, self._counts
-        frequencies = Frequencies.of(subject, self.space, self.basis, self.half_width)
-        views = [View.of(frequencies, n, self.engine, self.eps, apart=True) for n in counts]
+        frequencies = Frequencies.of(subject, self)
+        views = [frequencies.view(n, self, apart=True) for n in counts]
         techniques = len(estimator.counts)
 
         def of_count(key: str, view: View, n: int, own: Stream) -> Reduction[_Total]:
@@ -150,27 +140,18 @@ class Techniques(Analysis, frozen=True, kw_only=True):
             for name, (dims, _) in parts[0].items()
         }
         notes: dict[str, Any] = {} if self._several else {"n": counts[0]}
-        if frequencies.space == "domain" and estimator.infinite_weights:
+        if frequencies.diverge:
             notes["note"] = "spectral terms are infinite: ∫1/p diverges"
-            variables = {
-                name: (dims, v if name.startswith(_FINITE) else np.full_like(v, math.nan))
-                for name, (dims, v) in variables.items()
-            }
-            warn(
-                f"∫1/p diverges for {estimator.spec}: the spectral terms are infinite although the "
-                "estimate's variance need not be; use space='primary'.",
-                InfiniteWeightVarianceWarning,
-            )
+            variables = frequencies.undefined(variables, _FINITE)
         scalar = estimator.channels == 0
         if self._several:
-            window = check_window(self.fit_last, len(counts))
             moments = [total.sums.moments for total in totals]
-            rates, choice = technique_rates(counts, moments, window)
+            rates, choice = technique_rates(counts, moments, self.fit_last)
             variables |= rates
             words = ["undecided" if t == UNDECIDED else f"technique {t}" for t in choice]
             notes["bottleneck"] = words[0] if scalar else "; ".join(words)
         numbers = np.arange(len(estimator.counts))
-        n = ("n", list(counts), {"long_name": "number of points", "units": "1"})
+        n = counted("n", list(counts), "number of points")
         return dataset(
             variables,
             {
@@ -180,16 +161,11 @@ class Techniques(Analysis, frozen=True, kw_only=True):
                 **({"n": n} if self._several else {}),
             },
             drop=[*(["channel"] if scalar else []), *([] if self._several else ["n"])],
-            estimator=estimator.spec,
-            sampler=subject.sampler.spec,
-            realizations=self.realizations,
-            half_width=self.half_width,
+            **provenance(self, subject, stream, "realizations", "half_width", "eps"),
             basis=frequencies.basis.name,
             space=frequencies.space,
             coefficients=views[0].source,
-            stream_key=f"{stream.key:#x}",
             engine=views[0].engine,
-            eps=self.eps,
             **notes,
         )
 
@@ -276,17 +252,7 @@ def technique_terms(
     >>> d.attrs["bottleneck"]
     'technique 1'
     """
-    analysis = Techniques(
-        counts=counts,  # type: ignore[arg-type]
-        half_width=half_width,
-        realizations=realizations,
-        basis=basis,
-        space=space,  # type: ignore[arg-type]
-        fit_last=fit_last,  # type: ignore[arg-type]
-        engine=engine,
-        eps=eps,
-    )
-    return compute(analysis, as_subject(estimator, sampler), rng, workers)
+    return answer(Techniques, locals())
 
 
 @dataclass(frozen=True)
@@ -302,7 +268,7 @@ def _variables(total: _Total, view: View) -> Variables:
     """Result variables of one count, with a leading channel axis."""
     found, moments = total.sums.covariances(view), total.sums.moments
     share = total.weights / total.weights.sum()
-    errors = spread(total.values - np.tensordot(share, total.values, axes=1), share)
+    errors = spread(total.values - weighted_sum(share, total.values), share)
     predicted = found[:3].sum(axis=(0, 2, 3))
     # As `variance_terms` has it: in primary space each technique has frequencies of its own.
     dc, power = (np.einsum("cts->c" if view.space == "domain" else "ctt->c", c) for c in found[:2])
@@ -342,7 +308,9 @@ class TechniqueSums:
         parts = view.spectra(points)
         # What each technique adds to the estimate, (R, C, T), truncated and in full
         weighted = view.integrand_coefficients.conj() * view.basis.double
-        truncated = np.stack([(s @ weighted[:, t].T).real for t, s in enumerate(parts)], axis=2)
+        truncated = np.stack(
+            [product(s, weighted[:, t].T).real for t, s in enumerate(parts)], axis=2
+        )
         full = technique_estimates(view.estimator, points)
         s, values = np.stack(parts, axis=1), np.stack([truncated, full[..., :-1]], axis=1)
         mean, values_mean = s.mean(axis=0), values.mean(axis=0)
@@ -403,7 +371,7 @@ def _paired(f: Array, products: Array) -> Array:
 
 
 def technique_rates(
-    ns: Sequence[int], moments: Sequence[Moments], window: int | str
+    ns: Sequence[int], moments: Sequence[Moments], window: int | str | None = None
 ) -> tuple[Variables, list[int]]:
     """Rates of all techniques and of the whole estimate, and the bottleneck of each channel.
 

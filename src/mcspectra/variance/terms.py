@@ -10,35 +10,26 @@ points, and the sums run over (technique, m).
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 
 import numpy as np
 from msgspec import Meta
 
-from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
+from mcspectra.core import options
+from mcspectra.core.analysis import Analysis, Need, Reduction, Subject
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError, warn
+from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of
-from mcspectra.core.options import (
-    BANDS,
-    BASIS,
-    COUNT,
-    ENGINE,
-    EPS,
-    HALF_WIDTH,
-    REALIZATIONS,
-    SPACE,
-)
 from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, as_subject
+from mcspectra.estimators import AbstractEstimator
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.tails import unsampled_note
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler
 from mcspectra.variance.bands import check_bands, make_bands
+from mcspectra.variance.doors import answer, provenance
 from mcspectra.variance.sums import BATCHES, Partition, TermSums, Variables, student_t
 from mcspectra.variance.views import Frequencies, View
 
@@ -68,23 +59,23 @@ class Terms(Analysis, frozen=True, kw_only=True):
         *("mean", "mean_se", "power_contribution", "truncated_variance", "captured_by_half_width"),
     )  # fmt: skip
 
-    n: Annotated[int, COUNT]
-    half_width: Annotated[int, HALF_WIDTH] = 64
-    realizations: Annotated[int, REALIZATIONS] = 1000
-    space: Annotated[Literal["domain", "primary"] | None, SPACE] = None
-    basis: Annotated[str, BASIS] = "fourier"
-    bands: Annotated[str, BANDS] = "radial"
+    n: Annotated[int, options.COUNT]
+    half_width: Annotated[int, options.HALF_WIDTH] = 64
+    realizations: Annotated[int, options.REALIZATIONS] = 1000
+    space: Annotated[Literal["domain", "primary"] | None, options.SPACE] = None
+    basis: Annotated[str, options.BASIS] = "fourier"
+    bands: Annotated[str, options.BANDS] = "radial"
     cross_matrix: Annotated[
         bool, Meta(description="Also the full matrix of covariances (few frequencies only).")
     ] = False
-    engine: Annotated[str, ENGINE] = "auto"
-    eps: Annotated[float, EPS] = 1e-9
+    engine: Annotated[str, options.ENGINE] = "auto"
+    eps: Annotated[float, options.EPS] = 1e-9
 
     def need(self, subject: Subject) -> Need:
         """The spectra fit, and there are such bands."""
         estimator = subject.estimator
         estimator.check_sampler(subject.sampler, self.n)
-        frequencies = Frequencies.of(subject, self.space, self.basis, self.half_width)
+        frequencies = Frequencies.of(subject, self)
         check_bands(self.bands, frequencies.basis)
         size, evaluations = frequencies.size, sum(estimator.counts)
         if self.cross_matrix and size > MAX_MATRIX:
@@ -101,11 +92,10 @@ class Terms(Analysis, frozen=True, kw_only=True):
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[TermSums]:
         """Sums over all realisations; a block is a batch too."""
         estimator, n = subject.estimator, self.n
-        frequencies = Frequencies.of(subject, self.space, self.basis, self.half_width)
-        view = View.of(frequencies, n, self.engine, self.eps)
+        frequencies = Frequencies.of(subject, self)
+        view = frequencies.view(n, self)
         bands = make_bands(self.bands, view.basis)
         partition = view.partition(bands.of, self.cross_matrix)
-        infinite = frequencies.space == "domain" and estimator.infinite_weights
         # Coordinates of a realisation or, where they are more, the numbers of its spectra
         numbers = max(n * estimator.dims * sum(estimator.counts), 2 * partition.double.size)
         blocks = realization_blocks(self.realizations, numbers, multiple=2, least=BATCHES)
@@ -118,20 +108,10 @@ class Terms(Analysis, frozen=True, kw_only=True):
         def result(total: TermSums) -> xr.Dataset:
             variables = _variables(total, view, partition)
             notes = [unsampled_note(estimator, n * self.realizations)]
-            if infinite:
+            if frequencies.diverge:
                 notes.insert(0, "spectral terms are infinite: ∫1/p diverges")
-                # What remains is never a number that means nothing
-                undefined = {"dc_term": math.inf, "power_term": math.inf}
-                variables = {
-                    name: (dims, np.full_like(values, undefined.get(name, math.nan)))
-                    if not name.startswith(("measured_variance", "mean"))
-                    else (dims, values)
-                    for name, (dims, values) in variables.items()
-                }
-                warn(
-                    f"∫1/p diverges for {estimator.spec}: Var(S_0) and the spectral terms are "
-                    "infinite although the estimate's variance need not be; use space='primary'.",
-                    InfiniteWeightVarianceWarning,
+                variables = frequencies.undefined(
+                    variables, ("measured_variance", "mean"), ("dc_term", "power_term")
                 )
             techniques, basis = len(view.transforms), view.basis
 
@@ -167,17 +147,12 @@ class Terms(Analysis, frozen=True, kw_only=True):
                     *(["channel"] if estimator.channels == 0 else []),
                     *(["technique"] if techniques == 1 else []),
                 ],
-                estimator=estimator.spec,
-                sampler=subject.sampler.spec,
-                n=n,
-                realizations=self.realizations,
+                **provenance(self, subject, stream, "n", "realizations", "eps"),
                 batches=total.batches.count if total.batches else 0,
                 basis=basis.name,
                 space=view.space,
                 coefficients=view.source,
-                stream_key=f"{stream.key:#x}",
                 engine=view.engine,
-                eps=self.eps,
                 note="; ".join(filter(None, notes)) or None,
             )
 
@@ -272,18 +247,7 @@ def variance_terms(
     >>> bool(terms["cross_term"] < 0 < terms["power_term"])
     True
     """
-    analysis = Terms(
-        n=n,
-        half_width=half_width,
-        realizations=realizations,
-        basis=basis,
-        space=space,  # type: ignore[arg-type]
-        bands=bands,  # type: ignore[arg-type]
-        cross_matrix=cross_matrix,
-        engine=engine,
-        eps=eps,
-    )
-    return compute(analysis, as_subject(estimator, sampler), rng, workers)
+    return answer(Terms, locals())
 
 
 def _variables(total: TermSums, view: View, partition: Partition) -> Variables:

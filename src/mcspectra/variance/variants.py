@@ -27,6 +27,7 @@ from mcspectra.integrands import Integrand, as_integrand, integral_accuracy
 from mcspectra.integrands.smoothing import BoxSmoothed, smoothed
 from mcspectra.samplers import Sampler, Shift
 from mcspectra.variance.convergence import convergence
+from mcspectra.variance.doors import counted
 from mcspectra.variance.exact import exact_variance
 from mcspectra.variance.sums import Variables
 
@@ -142,7 +143,7 @@ def smoothing_scan(
             ),
         },
         {
-            "width": ("width", places, {"long_name": "width of smoothed edges", "units": "1"}),
+            "width": counted("width", places, "width of smoothed edges"),
             "n": measured["n"],
             "bound": measured["bound"],
         },

@@ -7,18 +7,19 @@ space every technique has its own integrand g_t and the sampler's own points, an
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
 from mcspectra.core.analysis import Subject
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError, warn
 from mcspectra.estimators import AbstractEstimator, Mirrored
 from mcspectra.samplers.mirror import Mirror
 from mcspectra.spectra.bases import Basis, Coefficients, fitting_basis, make_basis
-from mcspectra.variance.sums import Partition
+from mcspectra.variance.sums import Partition, Variables
 
 __all__ = ["Frequencies", "View"]
 
@@ -33,13 +34,13 @@ class Frequencies:
     basis: Basis
 
     @staticmethod
-    def of(subject: Subject, space: str | None, basis: str, half_width: int) -> Frequencies:
-        """Choose the space and the basis that are left open.
+    def of(subject: Subject, asked: Any) -> Frequencies:
+        """Choose the space and the basis that an analysis leaves open.
 
         The basis ``"auto"`` is the one that fits the points that an estimator makes. A mirrored
         integrand has folded points in the domain, in primary space those of the sampler.
         """
-        estimator = subject.estimator
+        estimator, space, basis = subject.estimator, asked.space, asked.basis
         domain = estimator.domain_integrand
         if space == "domain" and domain is None:
             raise ParameterError(
@@ -52,15 +53,59 @@ class Frequencies:
             mirrored = isinstance(estimator, Mirrored) and estimator.mode == "integrand"
             if chosen == "domain" and mirrored:
                 source = source.then(Mirror(mode="fold"))
-            basis = fitting_basis(source, half_width)
+            basis = fitting_basis(source, asked.half_width)
         dims = estimator.dims if chosen == "primary" else estimator.domain_dims
-        return Frequencies(estimator, chosen, make_basis(basis, dims, half_width))
+        return Frequencies(estimator, chosen, make_basis(basis, dims, asked.half_width))
 
     @property
     def size(self) -> int:
         """Number of coefficients: in primary space of each technique."""
         techniques = len(self.estimator.counts) if self.space == "primary" else 1
         return self.basis.size * techniques
+
+    @property
+    def diverge(self) -> bool:
+        """Whether Var(S_0) and the spectral terms are infinite."""
+        return self.space == "domain" and self.estimator.infinite_weights
+
+    def view(self, n: int, asked: Any, *, apart: bool = False) -> View:
+        """Prepare the transforms of n points and f's coefficients: `apart`, those of each technique.
+
+        In primary space they are always apart.
+        """
+        estimator, basis = self.estimator, self.basis
+        f = estimator.domain_integrand if self.space == "domain" else None
+        techniques = range(len(estimator.counts))
+        counts = estimator.counts if apart or f is None else (sum(estimator.counts),)
+        transforms = [basis.transform(n * count, asked.engine, asked.eps) for count in counts]
+        integrands = [estimator.primary_integrand(t) for t in techniques] if f is None else [f]
+        found = [basis.integrand(g) for g in integrands]
+        stacked = np.stack([coefficients for coefficients, _ in found], axis=1)
+        return View(
+            estimator,
+            self.space,
+            basis,
+            tuple(coefficients for coefficients, _ in transforms),
+            transforms[0][1],
+            np.broadcast_to(stacked, (len(stacked), len(counts), basis.stored)),
+            "; ".join(dict.fromkeys(source for _, source in found)),
+        )
+
+    def undefined(
+        self, variables: Variables, finite: tuple[str, ...], infinite: tuple[str, ...] = ()
+    ) -> Variables:
+        """What is left of the variables of terms that diverge: no number that means nothing."""
+        warn(
+            f"∫1/p diverges for {self.estimator.spec}: Var(S_0) and the spectral terms are infinite "
+            "although the estimate's variance need not be; use space='primary'.",
+            InfiniteWeightVarianceWarning,
+        )
+        return {
+            name: (dims, v)
+            if name.startswith(finite)
+            else (dims, np.full_like(v, math.inf if name in infinite else math.nan))
+            for name, (dims, v) in variables.items()
+        }
 
 
 @dataclass(frozen=True)
@@ -74,32 +119,6 @@ class View:
     engine: str
     integrand_coefficients: Array  # f^t, (C, T, H)
     source: str  # where they come from
-
-    @staticmethod
-    def of(
-        frequencies: Frequencies, n: int, engine: str, eps: float, *, apart: bool = False
-    ) -> View:
-        """Prepare the transforms of n points and f's coefficients: `apart`, those of each technique.
-
-        In primary space they are always apart.
-        """
-        estimator, basis, space = frequencies.estimator, frequencies.basis, frequencies.space
-        f = estimator.domain_integrand if space == "domain" else None
-        techniques = range(len(estimator.counts))
-        counts = estimator.counts if apart or f is None else (sum(estimator.counts),)
-        transforms = [basis.transform(n * count, engine, eps) for count in counts]
-        integrands = [estimator.primary_integrand(t) for t in techniques] if f is None else [f]
-        found = [basis.integrand(g) for g in integrands]
-        stacked = np.stack([coefficients for coefficients, _ in found], axis=1)
-        return View(
-            estimator,
-            space,
-            basis,
-            tuple(coefficients for coefficients, _ in transforms),
-            transforms[0][1],
-            np.broadcast_to(stacked, (len(stacked), len(counts), basis.stored)),
-            "; ".join(dict.fromkeys(source for _, source in found)),
-        )
 
     def spectra(self, points: list[Array]) -> list[Array]:
         """Spectra of a block, (R, H), of each technique, or of all together."""
