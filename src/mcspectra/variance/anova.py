@@ -42,7 +42,7 @@ from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra.bases import fitting_basis
 from mcspectra.spectra.closed_forms import closed_form_power
 from mcspectra.spectra.listed import power_at
-from mcspectra.variance.doors import answer, counted, provenance
+from mcspectra.variance.doors import answer, counted
 from mcspectra.variance.ordered import weighted_sum
 
 if TYPE_CHECKING:
@@ -73,6 +73,7 @@ class Anova(Analysis, frozen=True, kw_only=True):
         *("effective_dimension_truncation", "effective_dimension_superposition", "mean_dimension"),
         *("variance", "variance_ci"),
     )
+    provenance = ("estimator", "sampler", "n", "realizations", "order", "stream_key")
 
     n: Annotated[int, COUNT] = 1
     order: Annotated[int, Meta(ge=1, le=2, description="1: single axes; 2: pairs too.")] = 2
@@ -135,10 +136,10 @@ class Anova(Analysis, frozen=True, kw_only=True):
             block=estimates,
             blocks=len(blocks),
             cost=float(len(masks) * self.realizations * evaluations),
-            result=lambda found: self._labelled(found.values, subject, stream),
+            result=lambda found: self._labelled(found.values, subject),
         )
 
-    def _labelled(self, estimates: Array, subject: Subject, stream: Stream) -> xr.Dataset:
+    def _labelled(self, estimates: Array, subject: Subject) -> xr.Dataset:
         """Linear combinations of the covariances of all subsets with the first, as a dataset."""
         moments, count = Moments.of(estimates[0]), estimates.shape[1]
         # Products of deviations, whose means over realisations are covariances: (S, R, channels)
@@ -198,7 +199,6 @@ class Anova(Analysis, frozen=True, kw_only=True):
                 "bound": ["low", "high"],
             },
             drop=() if subject.estimator.channels else alone,
-            **provenance(self, subject, stream, "n", "realizations", "order"),
             effective_share=EFFECTIVE_SHARE,
         )
 
@@ -209,6 +209,7 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
 
     function = "anova_spectrum"
     variables = ("anova_variance", "anova_variance_se")
+    provenance = ("estimator", "sampler", "n", "half_width", "frequencies", "stream_key")
 
     n: Annotated[int, COUNT]
     order: Annotated[int, Meta(ge=1, le=3, description="Subsets of up to so many axes.")] = 2
@@ -303,7 +304,6 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
                     "subset_size": ("subset", [len(u) for u in subsets]),
                 },
                 drop=() if f.channels else ("channel",),
-                **provenance(self, subject, stream, "n", "half_width", "frequencies"),
                 power=found.power,
             )
 

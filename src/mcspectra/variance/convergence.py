@@ -48,7 +48,7 @@ from mcspectra.estimators import AbstractEstimator, Moments
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.tails import unsampled_note
 from mcspectra.samplers import Sampler
-from mcspectra.variance.doors import answer, counted, provenance
+from mcspectra.variance.doors import answer, counted
 from mcspectra.variance.fit import check_window, fit_rates
 
 if TYPE_CHECKING:
@@ -245,6 +245,7 @@ class RealizationsNeeded(Analysis, frozen=True, kw_only=True):
         *("realizations_used", "reached", "variance", "variance_ci", "variance_relative_se"),
         *("skewness", "kurtosis", "mean", "mean_se"),
     )
+    provenance = ("estimator", "sampler", "n", "relative_error", "max_realizations", "stream_key")
 
     n: Annotated[int, COUNT]
     relative_error: Annotated[
@@ -287,7 +288,6 @@ class RealizationsNeeded(Analysis, frozen=True, kw_only=True):
             },
             {"bound": ["low", "high"]},
             drop=() if subject.estimator.channels else ("channel",),
-            **provenance(self, subject, stream, "n", "relative_error", "max_realizations"),
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:

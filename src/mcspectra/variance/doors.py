@@ -1,18 +1,17 @@
-"""What the public functions of analyses share: their body, and what their results say of themselves."""
+"""What analyses share: the body of their public functions, and coordinates of their results."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from mcspectra.core.analysis import Analysis, Subject, compute
-from mcspectra.core.streams import Stream
+from mcspectra.core.analysis import Analysis, compute
 from mcspectra.estimators import as_subject
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["answer", "counted", "provenance"]
+__all__ = ["answer", "counted"]
 
 
 def answer(
@@ -29,19 +28,8 @@ def answer(
     lists
         Whether there may be lists of estimators and samplers.
     """
-    asked = analysis(**{name: arguments[name] for name in analysis.__struct_fields__})
     subject = as_subject(arguments["estimator"], arguments["sampler"], lists=lists)
-    return compute(asked, subject, arguments["rng"], arguments.get("workers"))
-
-
-def provenance(asked: Analysis, subject: Subject, stream: Stream, *options: str) -> dict[str, Any]:
-    """Attributes of a result: the specs of its subject, its random numbers, and some of its options."""
-    return {
-        "estimator": subject.estimator.spec,
-        "sampler": subject.sampler.spec,
-        **{name: getattr(asked, name) for name in options},
-        "stream_key": f"{stream.key:#x}",
-    }
+    return compute(analysis.of(arguments), subject, arguments["rng"], arguments.get("workers"))
 
 
 def counted(dim: str, values: Any, meaning: str) -> tuple[str, Any, dict[str, str]]:

@@ -45,7 +45,7 @@ from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.variance.bands import check_bands, make_bands
-from mcspectra.variance.doors import answer, counted, provenance
+from mcspectra.variance.doors import answer, counted
 from mcspectra.variance.ordered import eigenpairs, orthonormal, product
 from mcspectra.variance.sums import BATCHES, spread
 from mcspectra.variance.views import Frequencies, View
@@ -72,6 +72,7 @@ class Modes(Analysis, frozen=True, kw_only=True):
         *("eigenvalue", "eigenvalue_se", "eigenvalue_residual", "eigenvalue_share"),
         *("mode_contribution", "mode_vector", "band_trace", "noise_edge"),
     )
+    provenance = ("estimator", "sampler", "n", "realizations", "passes", "eps", "stream_key")
 
     n: Annotated[int, options.COUNT]
     half_width: Annotated[int, options.HALF_WIDTH] = 32
@@ -227,7 +228,6 @@ class Modes(Analysis, frozen=True, kw_only=True):
             },
             {"mode": mode, **basis.coords},
             drop=("technique",) if techniques == 1 else (),
-            **provenance(self, subject, stream, "n", "realizations", "passes", "eps"),
             basis=basis.name,
             space=view.space,
             weighted=int(self.weighted),

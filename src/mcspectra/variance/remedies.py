@@ -45,7 +45,7 @@ from mcspectra.variance.counterfactuals import (
     other_setups,
 )
 from mcspectra.variance.diagnosis import Diagnosis, Jumps, diagnose, jumps_of
-from mcspectra.variance.doors import answer, provenance
+from mcspectra.variance.doors import answer
 from mcspectra.variance.fit import RateFit, fit_rate, widening
 from mcspectra.variance.ordered import weighted_sum
 
@@ -92,6 +92,7 @@ class Remedies(Analysis, frozen=True, kw_only=True):
     function = "remedies"
     verb = "remedies"
     variables = (*_DIMS, "rank_by_rate")
+    provenance = ("estimator", "sampler", "budget", "realizations", "stream_key")
 
     budget: Annotated[
         int,
@@ -163,7 +164,7 @@ class Remedies(Analysis, frozen=True, kw_only=True):
             block=of_kind,
             blocks=1 + len(self._kinds),
             cost=self.need(subject).cost,
-            result=lambda found: self._ranked(found, subject, stream),
+            result=self._ranked,
         )
 
     def _measured(self, change: Counterfactual, given: Setup, stream: Stream) -> _Trial | None:
@@ -205,7 +206,7 @@ class Remedies(Analysis, frozen=True, kw_only=True):
     def _kinds(self) -> tuple[Kind, ...]:
         return tuple(dict.fromkeys(self.kinds or tuple(KINDS)))
 
-    def _ranked(self, found: _Trials, subject: Subject, stream: Stream) -> xr.Dataset:
+    def _ranked(self, found: _Trials) -> xr.Dataset:
         """The dataset of all set-ups, in the order of their errors at the budget."""
         start, diagnosis = found.tried[0], found.diagnosis
         assert diagnosis is not None
@@ -234,7 +235,6 @@ class Remedies(Analysis, frozen=True, kw_only=True):
                 "bound": ["low", "high"],
                 "step": np.arange(_STEPS),
             },
-            **provenance(self, subject, stream, "budget", "realizations"),
             simultaneous_z=z,
             diagnosis=diagnosis.text,
             recommendation=_recommendation(columns, self.budget, reasons),

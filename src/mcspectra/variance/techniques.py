@@ -34,7 +34,7 @@ from mcspectra.estimators.moments import rounding_floor
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler
 from mcspectra.variance.convergence import count_stream
-from mcspectra.variance.doors import answer, counted, provenance
+from mcspectra.variance.doors import answer, counted
 from mcspectra.variance.fit import check_window, fit_rates
 from mcspectra.variance.ordered import product, weighted_sum
 from mcspectra.variance.sums import BATCHES, Variables, spread
@@ -72,6 +72,7 @@ class Techniques(Analysis, frozen=True, kw_only=True):
         *("technique_variance", "technique_variance_ci"),
         *("technique_rate", "technique_rate_ci", "rate", "rate_ci", "bottleneck"),
     )
+    provenance = ("estimator", "sampler", "realizations", "half_width", "eps", "stream_key")
 
     counts: Annotated[options.Positive | options.Counts, options.COUNTS]
     half_width: Annotated[int, options.HALF_WIDTH] = 64
@@ -161,7 +162,6 @@ class Techniques(Analysis, frozen=True, kw_only=True):
                 **({"n": n} if self._several else {}),
             },
             drop=[*(["channel"] if scalar else []), *([] if self._several else ["n"])],
-            **provenance(self, subject, stream, "realizations", "half_width", "eps"),
             basis=frequencies.basis.name,
             space=frequencies.space,
             coefficients=views[0].source,

@@ -29,7 +29,7 @@ from mcspectra.estimators.tails import unsampled_note
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler
 from mcspectra.variance.bands import check_bands, make_bands
-from mcspectra.variance.doors import answer, provenance
+from mcspectra.variance.doors import answer
 from mcspectra.variance.sums import BATCHES, Partition, TermSums, Variables, student_t
 from mcspectra.variance.views import Frequencies, View
 
@@ -58,6 +58,7 @@ class Terms(Analysis, frozen=True, kw_only=True):
           for part in ("", "_ci")),
         *("mean", "mean_se", "power_contribution", "truncated_variance", "captured_by_half_width"),
     )  # fmt: skip
+    provenance = ("estimator", "sampler", "n", "realizations", "eps", "stream_key")
 
     n: Annotated[int, options.COUNT]
     half_width: Annotated[int, options.HALF_WIDTH] = 64
@@ -147,7 +148,6 @@ class Terms(Analysis, frozen=True, kw_only=True):
                     *(["channel"] if estimator.channels == 0 else []),
                     *(["technique"] if techniques == 1 else []),
                 ],
-                **provenance(self, subject, stream, "n", "realizations", "eps"),
                 batches=total.batches.count if total.batches else 0,
                 basis=basis.name,
                 space=view.space,
