@@ -67,7 +67,7 @@ def test_status_says_what_is_done_failed_and_missing(
     assert found["damaged"] == {}
     assert found["recorded"] == 1
     assert found["seed"] == 5
-    assert found["format"] == 3
+    assert found["format"] == 4
     assert found["holder"] is None
     assert found["started"] <= found["started"][:4] + "~"
     assert found["finished"] is None
@@ -160,7 +160,7 @@ def test_status_of_another_format_is_refused(
     document["attributes"]["format"] = number
     root.write_text(json.dumps(document))
     assert main(["status", str(folder)]) == 2
-    assert f"has store format {number!r}; this version reads 3" in capsys.readouterr().err
+    assert f"has store format {number!r}; this version reads 4" in capsys.readouterr().err
 
 
 def test_export_of_a_store_to_a_folder_and_to_a_url(

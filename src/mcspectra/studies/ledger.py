@@ -1,7 +1,7 @@
 """The ledger of a study: ``DIR/study.sqlite``, for one writer and any number of readers.
 
 All that a run knows is rows of one SQLite file: which study it is, its cells in their order, states of
-tasks whose cells are not finished, sentences of cells that failed, results. SQLite gives atomic commits
+tasks whose cells are not finished, sentences of cells that failed, results and their scalars. SQLite gives atomic commits
 and recovery after a crash; ours are the schema, the commit interval and the digests. Each row has a
 SHA-256 over all that it says, which is checked whenever it is read, and the row ``tally`` has the
 number of finished cells and the exclusive or of their digests, so that a row that damage makes vanish
@@ -20,6 +20,7 @@ import datetime as dt
 import functools
 import hashlib
 import itertools
+import json
 import os
 import socket
 import sqlite3
@@ -27,7 +28,8 @@ import threading
 import time
 from collections.abc import Collection, Iterable, Iterator, KeysView, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, TypeVar, final
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar, final
 
 import msgspec
 import numpy as np
@@ -37,6 +39,9 @@ from mcspectra.core.errors import OtherVersionsWarning, StorageError, StoreError
 from mcspectra.core.results import package_versions
 from mcspectra.studies.files import StudyConfig, plain_study
 from mcspectra.studies.vetting import check_inputs
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 __all__ = [
     "FORMAT",
@@ -49,10 +54,11 @@ __all__ = [
     "check_links",
     "is_held",
     "linked",
+    "scalars_of",
 ]
 
-FORMAT = 3
-"""Of ledgers and stores; 1 and 2 were stores of zarr that grew while their studies ran."""
+FORMAT = 4
+"""Of ledgers and stores; 1 and 2 were stores of zarr that grew while their studies ran, 3 had no scalars."""
 
 LEDGER_NAME = "study.sqlite"
 STORE_NAME = "results.zarr"
@@ -69,6 +75,7 @@ _SCHEMA = (
     "CREATE TABLE study (name TEXT PRIMARY KEY, text TEXT, digest BLOB) WITHOUT ROWID",
     "CREATE TABLE cells (place INTEGER PRIMARY KEY, path TEXT UNIQUE, digest BLOB)",
     "CREATE TABLE results (place INTEGER PRIMARY KEY, payload BLOB)",
+    "CREATE TABLE scalars (place INTEGER PRIMARY KEY, text TEXT, digest BLOB)",
     """CREATE TABLE tasks (path TEXT, run TEXT, first INTEGER, blocks INTEGER, seconds REAL,
     host TEXT, digest BLOB, payload BLOB, PRIMARY KEY (path, run, first, blocks))""",
     "CREATE TABLE failures (path TEXT PRIMARY KEY, sentence TEXT, digest BLOB)",
@@ -76,12 +83,12 @@ _SCHEMA = (
 _PUT_NOTE = "INSERT OR REPLACE INTO study VALUES (?, ?, ?)"
 _PUT_CELL = "INSERT INTO cells VALUES (?, ?, NULL)"
 _PUT_RESULT = "INSERT OR REPLACE INTO results SELECT place, ? FROM cells WHERE path = ?"
+_PUT_SCALARS = "INSERT OR REPLACE INTO scalars SELECT place, ?, ? FROM cells WHERE path = ?"
 _PUT_DIGEST = "UPDATE cells SET digest = ? WHERE path = ?"
 _PUT_TASK = "INSERT OR REPLACE INTO tasks VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
 _PUT_FAILURE = "INSERT OR REPLACE INTO failures VALUES (?, ?, ?)"
-_RESULT = (
-    "SELECT path, digest, payload FROM cells LEFT JOIN results USING (place) WHERE cells.{} = ?"
-)
+_RESULT = "SELECT path, digest, payload FROM cells LEFT JOIN results USING (place)"
+_SCALARS = "SELECT path, text, scalars.digest FROM cells LEFT JOIN scalars USING (place)"
 _ONE_TASK = "SELECT * FROM tasks WHERE path = ? AND run = ? AND first = ? AND blocks = ?"
 
 _DAMAGE = "its digest does not match"
@@ -104,7 +111,7 @@ class StudyNote(msgspec.Struct, frozen=True, kw_only=True):
     title, seed
         Of the study.
     config
-        All of it, as JSON.
+        All of it, as JSON; empty in a ledger that was opened, which has it as `Ledger.config`.
     study_hash
         SHA-256 of its canonical JSON, without what results do not depend on.
     versions
@@ -288,8 +295,22 @@ class Ledger:
 
     @property
     def study(self) -> StudyNote:
-        """The study, as it was when the ledger was begun."""
+        """The study, as it was when the ledger was begun, without its `config`."""
         return self._header.study
+
+    @property
+    def config(self) -> str:
+        """All of the study as JSON, megabytes of a large one.
+
+        Raises
+        ------
+        StoreError
+            It is damaged.
+        """
+        for text, digest in self._rows("SELECT text, digest FROM study WHERE name = 'config'"):
+            if isinstance(text, str) and self._is_sound("config", (), text.encode(), digest):
+                return text
+        raise StoreError(f"The study in {str(self._file)!r} is damaged: {_DAMAGE}; {_REMEDY}.")
 
     @property
     def paths(self) -> Sequence[str]:
@@ -334,7 +355,7 @@ class Ledger:
             The study has no such cell, it is not finished, or its result is damaged.
         """
         self.commit()
-        rows = self._rows(_RESULT.format("path"), (path,))
+        rows = self._rows(f"{_RESULT} WHERE path = ?", (path,))
         if not rows:
             raise StoreError(f"The study in {str(self.folder)!r} has no cell {path!r}.")
         _, digest, payload = rows[0]
@@ -346,6 +367,26 @@ class Ledger:
                 f"The cell {path} in {str(self._file)!r} is damaged: {_DAMAGE}; {_REMEDY}."
             )
         return bytes(payload)
+
+    def scalars(self) -> dict[str, dict[str, float]]:
+        """The scalars of all finished cells, by their paths in their order.
+
+        Raises
+        ------
+        StoreError
+            Those of a cell are damaged.
+        """
+        self.commit()
+        found = {}
+        for path, text, digest in self._rows(
+            f"{_SCALARS} WHERE cells.digest NOTNULL ORDER BY place"
+        ):
+            if not self._are_sound(path, text, digest):
+                raise StoreError(
+                    f"The scalars of {path} in {str(self._file)!r} are damaged: {_DAMAGE}; {_REMEDY}."
+                )
+            found[path] = json.loads(text)
+        return found
 
     def record(
         self,
@@ -378,19 +419,26 @@ class Ledger:
             self._recorded.setdefault(path, {})[run, chunk] = None
             self._tell(_Change(path, ((_PUT_TASK, row),), size=len(payload)))
 
-    def finish(self, path: str, payload: bytes) -> None:
+    def finish(
+        self, path: str, payload: bytes, scalars: Mapping[str, float] = MappingProxyType({})
+    ) -> None:
         """Keep the result of a cell; what was recorded of it goes in the same transaction.
+
+        Parameters
+        ----------
+        payload, scalars
+            The result, and those numbers of it that stand alone, by their names.
 
         Raises
         ------
         StoreError
             It is finished already.
         """
-        digest = self._digest("result", (path,), payload)
+        text, digest = json.dumps(dict(scalars)), self._digest("result", (path,), payload)
         with self._guard:
             if path in self.done:
                 raise StoreError(f"The cell {path} in {str(self.folder)!r} is finished already.")
-            self._tell(_result(path, payload, digest, self._forgetting(path)))
+            self._tell(self._result(path, payload, digest, text, self._forgetting(path)))
             self._listing[1][path] = None
 
     def fail(self, path: str, sentence: str) -> None:
@@ -460,6 +508,18 @@ class Ledger:
                 steps.append((f"DELETE FROM {table} WHERE path = ?", (path,)))
         return tuple(steps)
 
+    def _result(
+        self, path: str, payload: bytes, digest: bytes, text: str, steps: tuple[_Step, ...] = ()
+    ) -> _Change:
+        """The result of a cell with its scalars, and what is to be done with it."""
+        own = self._digest("scalars", (path,), text.encode())
+        put = (
+            (_PUT_RESULT, (payload, path)),
+            (_PUT_SCALARS, (text, own, path)),
+            (_PUT_DIGEST, (digest, path)),
+        )
+        return _Change(path, (*put, *steps), digest, len(payload))
+
     def _failure(self, path: str, text: str) -> _Change:
         digest = self._digest("failure", (path,), text.encode())
         return _Change(path, ((_PUT_FAILURE, (path, text, digest)),))
@@ -484,9 +544,11 @@ class Ledger:
                 "version, which alone can continue them; give another --out."
             )
         else:
-            self._header = _Header(study=study, cells=len(paths), plan=_plan_digest(paths))
+            about = msgspec.structs.replace(study, config="")
+            self._header = _Header(study=about, cells=len(paths), plan=_plan_digest(paths))
             self.tally = Tally(started=_now())
-            self._replace(paths, ())
+            self._replace(study.config, paths, ())
+            self.__dict__["_listing"] = list(paths), {}  # those of the plan: there may be a million
 
         # Note who writes from now on, and commit once a second what is told.
         host = socket.gethostname()
@@ -534,7 +596,8 @@ class Ledger:
         if self.damaged or outdated:
             changed = msgspec.structs.replace(self.study, inputs=study.inputs)
             self._header = msgspec.structs.replace(self._header, study=changed)
-            self._replace(paths, (c for c in self._sound(paths) if c.path not in outdated))
+            kept = (change for change in self._sound(paths) if change.path not in outdated)
+            self._replace(study.config, paths, kept)
 
     def _commit_in_time(self) -> None:
         while not self._closed.wait(_COMMIT_SECONDS):
@@ -567,7 +630,7 @@ class Ledger:
                 raise
         return tally
 
-    def _replace(self, paths: Sequence[str], changes: Iterable[_Change]) -> None:
+    def _replace(self, config: str, paths: Sequence[str], changes: Iterable[_Change]) -> None:
         """Write the ledger anew beside its place, with what there is of it, and put it there."""
         partial = self.folder / f".{LEDGER_NAME}.partial"
         tally = msgspec.structs.replace(
@@ -575,8 +638,9 @@ class Ledger:
         )
         tables = ((statement, ()) for statement in _SCHEMA)
         cells = ((_PUT_CELL, each) for each in enumerate(paths))
-        note = _PUT_NOTE, self._row("note", self._header)
-        first = _Change("", itertools.chain(tables, cells, [note]))
+        study = ("config", config, self._digest("config", (), config.encode()))
+        notes = ((_PUT_NOTE, row) for row in (self._row("note", self._header), study))
+        first = _Change("", itertools.chain(tables, cells, notes))
         with _writing(self._file):
             for file in (partial, partial.with_name(f"{partial.name}-journal")):
                 file.unlink(missing_ok=True)
@@ -611,8 +675,8 @@ class Ledger:
             raise StoreError(f"{str(self._file)!r} is no ledger of a study: give another folder.")
         if version != FORMAT:
             raise StoreError(
-                f"{str(self._file)!r} has store format {version}; this version reads {FORMAT}: open "
-                "it with the version that wrote it."
+                f"{str(self._file)!r} has store format {version}; this version reads {FORMAT}: export "
+                "it with the version that wrote it, or run the study again with another --out."
             )
         schema = self._rows("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY rowid")
         header = self._note("note", _Header) if tuple(s for (s,) in schema) == _SCHEMA else None
@@ -698,16 +762,23 @@ class Ledger:
                 self.damaged["file"] = " ".join(str(first).split())
         except StoreError as error:
             self.damaged["file"] = str(error)
+        try:
+            _ = self.config
+        except StoreError as error:
+            self.damaged["text of the study"] = str(error)
         for place, path in enumerate(paths):
             try:
-                ((found, digest, payload),) = self._rows(_RESULT.format("place"), (place,))
+                ((found, digest, payload),) = self._rows(f"{_RESULT} WHERE place = ?", (place,))
+                ((_, text, own),) = self._rows(f"{_SCALARS} WHERE place = ?", (place,))
             except (StoreError, ValueError):
                 found, digest = None, None
             if found != path:
                 self.damaged[path] = "its row cannot be read"
             elif digest is not None:
-                if self._is_sound("result", (path,), payload, digest):
-                    yield _result(path, payload, digest)
+                if self._is_sound("result", (path,), payload, digest) and self._are_sound(
+                    path, text, own
+                ):
+                    yield self._result(path, payload, digest, text)
                 else:
                     self.damaged[path] = _DAMAGE
         try:
@@ -757,8 +828,22 @@ class Ledger:
         digest.update(content)
         return digest.digest()
 
+    def _are_sound(self, path: str, text: Any, digest: Any) -> bool:
+        """Whether the scalars of a cell are as they were written."""
+        content = text.encode() if isinstance(text, str) else None
+        return self._is_sound("scalars", (path,), content, digest)
+
     def _is_sound(self, kind: str, key: tuple[Any, ...], content: Any, digest: Any) -> bool:
         return isinstance(content, bytes) and self._digest(kind, key, content) == digest
+
+
+def scalars_of(result: xr.Dataset) -> dict[str, float]:
+    """Numbers of a result that stand alone: its real variables without dims."""
+    return {
+        str(name): each.values.item()
+        for name, each in result.variables.items()
+        if each.ndim == 0 and each.dtype.kind in "biuf"
+    }
 
 
 def is_held(folder: Path) -> bool:
@@ -811,12 +896,6 @@ def _given_free_if_it_fails(ledger: Ledger) -> Iterator[Ledger]:
     except BaseException:
         ledger.close()
         raise
-
-
-def _result(path: str, payload: bytes, digest: bytes, steps: tuple[_Step, ...] = ()) -> _Change:
-    """The result of a cell, and what is to be done with it."""
-    put = (_PUT_RESULT, (payload, path)), (_PUT_DIGEST, (digest, path))
-    return _Change(path, (*put, *steps), digest, len(payload))
 
 
 def _locked(folder: Path) -> sqlite3.Connection:

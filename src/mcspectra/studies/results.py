@@ -47,10 +47,10 @@ from mcspectra.studies.ledger import (
     STORE_NAME,
     Holder,
     Ledger,
-    StudyNote,
     check_links,
     is_held,
     linked,
+    scalars_of,
 )
 
 if TYPE_CHECKING:
@@ -65,6 +65,7 @@ __all__ = [
     "open_results",
     "output_folder",
     "result_paths",
+    "result_scalars",
     "study_status",
     "write_zarr",
 ]
@@ -164,7 +165,8 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
         ``.zarr.zip`` file, or a URL such as ``s3://bucket/x.zarr`` that fsspec opens.
     select
         Path of a cell, or a pattern such as ``"estimator/*"``; all cells by default. Those alone are
-        read from a ledger; of stores, which are checked as a whole, all is.
+        read from a ledger; of stores, which are checked as a whole, all is. With the path of a cell of
+        a ledger the root has no attribute ``study``, whose text takes longer to read than the cell.
 
     Raises
     ------
@@ -174,6 +176,11 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
     MissingDependency
         A URL is given, and fsspec or what it needs for it is not installed.
     """
+    return _opened(source, select, whole=not _is_path(select))
+
+
+def _opened(source: str | Path, select: str | None, *, whole: bool = True) -> xr.DataTree:
+    """Open results, with the whole study as an attribute or without."""
     import xarray as xr
 
     register_accessor()
@@ -185,7 +192,7 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
         cells = _read_store(files, str(source), select)
     else:
         with ledger:
-            root = _root_attributes(ledger.study)
+            root = _root_attributes(ledger, whole=whole)
             cells = {path: _read_cell(ledger, path) for path in _selected(ledger, select)}
     if select is not None and not cells:
         raise StoreError(f"No cell of {str(source)!r} matches {select!r}; paths are a/b/analysis.")
@@ -205,6 +212,30 @@ def result_paths(source: str | Path) -> tuple[str, ...]:
         return tuple(_read_store(_files(source), str(source), None))
     with ledger:
         return tuple(_selected(ledger, None))
+
+
+def result_scalars(source: str | Path, select: str | None = None) -> dict[str, dict[str, float]]:
+    """Numbers of results that stand alone, such as rates: variables without dims, by cells' paths.
+
+    One query of a study's folder, which reads none of the results themselves.
+
+    Parameters
+    ----------
+    source, select
+        As of `open_results`.
+
+    Raises
+    ------
+    StoreError
+        There are no results, or they cannot be read.
+    """
+    ledger = _ledger(source)
+    if ledger is None:
+        cells = _read_store(_files(source), str(source), select)
+        return {path: scalars_of(cell) for path, cell in cells.items()}
+    with ledger:
+        chosen, found = set(_selected(ledger, select)), ledger.scalars()
+    return {path: each for path, each in found.items() if path in chosen}
 
 
 def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
@@ -289,7 +320,7 @@ def write_zarr(folder: Path) -> Path | None:
                 shutil.rmtree(target)  # of fewer cells
             return None
         cells = ((path, _read_cell(ledger, path)) for path in _selected(ledger, None))
-        attributes = _root_attributes(ledger.study)
+        attributes = _root_attributes(ledger)
         return _replaced(
             target, lambda partial: _write_folder(_store_files(attributes, cells), partial)
         )
@@ -341,7 +372,7 @@ def export_results(source: str | Path, file: str | Path, select: str | None = No
             "to a file of this machine, and copy it."
         )
     if _is_url(file):
-        tree = open_results(source, select)
+        tree = _opened(source, select)
         with _remote(str(file), writing=True) as (files, base):
             if files.exists(base):
                 raise StoreError(f"There is something at {str(file)!r} already; give another --to.")
@@ -357,7 +388,7 @@ def export_results(source: str | Path, file: str | Path, select: str | None = No
     target = Path(file)
     if end == ".zarr" and target.exists():
         raise StorageError(f"{str(target)!r} exists already; give another name.")
-    tree = open_results(source, select)
+    tree = _opened(source, select)
     return _replaced(target, lambda partial: _WRITERS[end](tree, partial))
 
 
@@ -392,9 +423,14 @@ def _ledger(source: str | Path) -> Ledger | None:
     return Ledger.read(source)
 
 
+def _is_path(select: str | None) -> bool:
+    """Whether cells are selected by a path, of one, and not by a pattern."""
+    return select is not None and not any(sign in select for sign in "*?[")
+
+
 def _selected(ledger: Ledger, select: str | None) -> Iterable[str]:
     """Paths of finished cells that match; a list that damage has changed is refused."""
-    if select is not None and not any(sign in select for sign in "*?["):
+    if select is not None and _is_path(select):
         return [select]
     done = ledger.done
     if ledger.damaged:
@@ -430,13 +466,14 @@ def _read_cell(ledger: Ledger, path: str) -> xr.Dataset:
     return cell.drop_vars(texts).assign_attrs(labels)
 
 
-def _root_attributes(study: StudyNote) -> dict[str, Any]:
+def _root_attributes(ledger: Ledger, *, whole: bool = True) -> dict[str, Any]:
+    study = {"study": msgspec.json.decode(ledger.config)} if whole else {}
     return {
         "format": FORMAT,
-        "study": json.loads(study.config),
-        "study_hash": study.study_hash,
+        **study,
+        "study_hash": ledger.study.study_hash,
         "bound": ["low", "high"],
-        **study.versions,
+        **ledger.study.versions,
     }
 
 
@@ -646,7 +683,7 @@ def _files(source: str | Path) -> dict[str, bytes]:
     if version != FORMAT:
         raise StoreError(
             f"{shown!r} has store format {version!r}; this version reads {FORMAT}. "
-            "xarray.open_datatree reads stores of formats 1 and 2 as they are; for reports and exports "
+            "xarray.open_datatree reads stores of earlier formats as they are; for reports and exports "
             "of them take the version that wrote them, or run the study again into another folder."
         )
     digests = {name: hashlib.sha256(files[name]).hexdigest() for name in files if name != _DOCUMENT}

@@ -132,7 +132,7 @@ def run_study(
                     if settled.payload is None:
                         ledger.fail(cell.path, settled.error or "It failed without a reason.")
                     else:
-                        ledger.finish(cell.path, settled.payload)
+                        ledger.finish(cell.path, settled.payload, settled.scalars)
                     left -= cell.need.cost
                     if report is not None:
                         report(Progress(cell, done, len(plan.cells), total - left, total))
