@@ -378,7 +378,7 @@ class Ledger:
         """
         self.commit()
         found = {}
-        for path, text, digest in self._rows(
+        for path, text, digest in self._each(
             f"{_SCALARS} WHERE cells.digest NOTNULL ORDER BY place"
         ):
             if not self._are_sound(path, text, digest):
@@ -707,21 +707,26 @@ class Ledger:
     @functools.cached_property
     def _listing(self) -> tuple[list[str], dict[str, None]]:
         """All paths, and those of finished cells, in their order: checked against the tally."""
+        paths: list[str] = []
+        done: dict[str, None] = {}
+        digests, found = bytearray(), ("", "")
         with self._guard:
             self._rows("BEGIN")  # else a commit might come between
             try:
                 self.tally = self._noted_tally()
-                rows = self._rows("SELECT path, digest FROM cells ORDER BY place")
+                for path, digest in self._each("SELECT path, digest FROM cells ORDER BY place"):
+                    paths.append(path)
+                    if digest is not None:
+                        done[path] = None
+                        digests += digest
+                either = np.bitwise_xor.reduce(
+                    np.frombuffer(digests, np.uint64).reshape(len(done), 4), axis=0
+                )
+                found = either.tobytes().hex(), _plan_digest(paths)
+            except (TypeError, ValueError):  # values of other types than were written
+                pass
             finally:
                 self._opened.rollback()
-        paths = [path for path, _ in rows]
-        done = dict.fromkeys(path for path, digest in rows if digest is not None)
-        try:
-            digests = np.frombuffer(b"".join(d for _, d in rows if d is not None), np.uint64)
-            either = np.bitwise_xor.reduce(digests.reshape(len(done), 4), axis=0)
-            found = either.tobytes().hex(), _plan_digest(paths)
-        except (TypeError, ValueError):  # values of other types than were written
-            found = "", ""
         if found != (self.tally.digest, self._header.plan):
             self.damaged["list of cells"] = "it is not as it was written"
         return paths, done
@@ -800,7 +805,11 @@ class Ledger:
         return self._connection
 
     def _rows(self, statement: str, values: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-        """What a statement finds.
+        """What a statement finds."""
+        return list(self._each(statement, values))
+
+    def _each(self, statement: str, values: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+        """What a statement finds, one by one: there may be a million.
 
         Raises
         ------
@@ -808,7 +817,7 @@ class Ledger:
             The file cannot be read, or is damaged.
         """
         try:
-            return self._opened.execute(statement, values).fetchall()
+            yield from self._opened.execute(statement, values)
         except (sqlite3.Error, MemoryError, OverflowError) as error:
             raise self._unreadable(error) from None
 
