@@ -148,6 +148,10 @@ def test_export(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert capsys.readouterr().out.startswith(f"{tmp_path / 'out.zarr.zip'}: ")
     assert main(["export", str(folder), "--to", "x.txt"]) == 2
     assert "has none of the ends" in capsys.readouterr().err
+    assert main(["export", str(folder), "--to", str(tmp_path / "none" / "x.csv")]) == 2
+    assert "there is no such folder" in capsys.readouterr().err
+    assert main(["export", str(folder), "--to", str(folder / "results.zarr")]) == 2
+    assert "exists already" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("number", [2, 1, 0, None, "2"])

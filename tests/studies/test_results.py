@@ -592,7 +592,7 @@ def test_other_ends_are_refused(folder: Path, tmp_path: Path, name: str) -> None
 def test_what_cannot_be_written_is_a_sentence_and_leaves_nothing(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(StorageError, match="cannot be written: No such file"):
+    with pytest.raises(ParameterError, match="cannot be written: there is no such folder"):
         export_results(folder, tmp_path / "none" / "out.csv")
     with pytest.raises(StoreError, match="no results"):
         export_results(tmp_path, tmp_path / "out.csv")
@@ -639,7 +639,7 @@ def test_a_store_that_is_there_is_not_written_over(
     folder: Path, tmp_path: Path, memory: str
 ) -> None:
     (tmp_path / "x.zarr").mkdir()
-    with pytest.raises(StorageError, match="exists already"):
+    with pytest.raises(ParameterError, match="exists already"):
         export_results(folder, tmp_path / "x.zarr")
     export_results(folder, f"{memory}/x.zarr")
     with pytest.raises(StoreError, match="something at .* already"):

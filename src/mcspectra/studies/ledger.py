@@ -247,7 +247,7 @@ class Ledger:
         ------
         StoreError
             There are results already, another process writes into the folder, it has symbolic links
-            where a run writes, or it cannot be written (StorageError).
+            where a run writes, or it cannot be written; while it is (StorageError).
         """
         with _given_free_if_it_fails(Ledger(folder)) as ledger:
             ledger._begin(study, paths, None)
@@ -909,7 +909,7 @@ def _given_free_if_it_fails(ledger: Ledger) -> Iterator[Ledger]:
 
 def _locked(folder: Path) -> sqlite3.Connection:
     """The right to write into a folder: an exclusive transaction on an empty file, which never ends."""
-    with _writing(folder):
+    with _writing(folder, StoreError, "give another --out"):
         folder.mkdir(parents=True, exist_ok=True)
         lock = _connected(folder / _LOCK_NAME, "rwc", 1.0)  # those who look hold it for a moment
         try:
@@ -951,16 +951,17 @@ def _connected(file: Path, mode: str, patience: float = _BUSY_SECONDS) -> sqlite
 
 
 @contextlib.contextmanager
-def _writing(place: Path) -> Iterator[None]:
+def _writing(
+    place: Path,
+    kind: type[StoreError] = StorageError,
+    remedy: str = "what was finished is kept, and --resume continues it",
+) -> Iterator[None]:
     """Make one sentence of what keeps a place from being written."""
     try:
         yield
     except (OSError, sqlite3.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise StorageError(
-            f"{str(place)!r} cannot be written: {reason}; what was finished is kept, and --resume "
-            "continues it."
-        ) from None
+        raise kind(f"{str(place)!r} cannot be written: {reason}; {remedy}.") from None
 
 
 def _plan_digest(paths: Iterable[str]) -> str:

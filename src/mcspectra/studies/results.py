@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import errno
 import fnmatch
 import hashlib
 import importlib
@@ -84,6 +85,7 @@ _DOCUMENT = "zarr.json"
 _MOST_DOCUMENTS = 100_000  # that readers take all at once, from the root
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the first that a zip file can hold: same results, same bytes
 _GROUP = {"attributes": {}, "zarr_format": 3, "node_type": "group"}
+_FAILING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)  # not what the user has given
 _INLINE = {"kind": "inline", "must_understand": False}
 
 
@@ -352,7 +354,8 @@ def export_results(source: str | Path, file: str | Path, select: str | None = No
     Raises
     ------
     ParameterError
-        The name has another end, or a URL is given for something else than ``.zarr``.
+        The name has another end, a URL is given for something else than ``.zarr``, the file's folder
+        is not there, or a ``.zarr`` is.
     StoreError
         The results cannot be read, are damaged, or a netCDF file cannot hold them.
     StorageError
@@ -387,7 +390,11 @@ def export_results(source: str | Path, file: str | Path, select: str | None = No
         return str(file)
     target = Path(file)
     if end == ".zarr" and target.exists():
-        raise StorageError(f"{str(target)!r} exists already; give another name.")
+        raise ParameterError(f"{str(target)!r} exists already; give another name.")
+    if not target.parent.is_dir():
+        raise ParameterError(
+            f"{str(target)!r} cannot be written: there is no such folder; make it."
+        )
     tree = _opened(source, select)
     return _replaced(target, lambda partial: _WRITERS[end](tree, partial))
 
@@ -745,7 +752,8 @@ def _replaced(target: Path, write: Callable[[Path], Any]) -> Path:
             _remove(target)
         partial.replace(target)
     except OSError as error:
-        raise StorageError(f"{str(target)!r} cannot be written: {error.strerror}.") from None
+        kind = StorageError if error.errno in _FAILING else StoreError
+        raise kind(f"{str(target)!r} cannot be written: {error.strerror}.") from None
     finally:
         _remove(partial)
     return target
