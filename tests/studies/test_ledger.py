@@ -121,8 +121,8 @@ def test_scalars_and_the_text_of_a_study_that_are_damaged_are_noticed(running: P
     import sqlite3
 
     with contextlib.closing(sqlite3.connect(running / LEDGER_NAME)) as connection, connection:
-        connection.execute("UPDATE scalars SET text = '{}' WHERE place = 3")
-        connection.execute("UPDATE study SET text = '{}' WHERE name = 'config'")
+        change = "UPDATE texts SET text = '{}' WHERE kind = ? AND name = ?"
+        connection.executemany(change, [("scalars", PATHS[3]), ("config", "")])
     with Ledger.read(running) as ledger:
         with pytest.raises(StoreError, match=f"The scalars of {PATHS[3]} in .* are damaged"):
             ledger.scalars()
@@ -470,7 +470,7 @@ def test_what_a_commit_of_the_thread_meets_ends_the_run(
     monkeypatch.setattr(ledger_module, "_COMMIT_SECONDS", 0.01)
 
     def finish_all(ledger: Ledger) -> None:
-        monkeypatch.setattr(ledger_module, "_PUT_NOTE", "INSERT INTO none VALUES (?, ?, ?)")
+        monkeypatch.setattr(ledger_module, "_PUT_TEXT", "INSERT INTO none VALUES (?, ?, ?, ?)")
         for path in PATHS:
             ledger.finish(path, payload(path))
             time.sleep(0.02)

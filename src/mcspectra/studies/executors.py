@@ -369,7 +369,16 @@ class Dask:
         except WorkerRefused as refusal:
             raise ClusterError(str(refusal)) from None
         except KilledWorker as error:
-            return self._suspect(pending, getattr(error, "allowed_failures", 0) + 1)
+            # Try a task whose workers died once more, alone; if they die again it is to blame
+            total = pending.deaths + getattr(error, "allowed_failures", 0) + 1
+            if not pending.deaths:
+                self._suspects.append(pending._replace(deaths=total))
+                return None
+            reason = (
+                f"{total} workers died while computing it; it may need more memory than a worker has "
+                "(the worker's log says more)."
+            )
+            return Outcome(task=pending.task, error=reason)
         except OSError as error:
             if future.status == "error":
                 return Outcome(task=pending.task, error=explain(error))
@@ -388,18 +397,6 @@ class Dask:
             return Outcome(task=pending.task, error=reason)
         self._waiting.appendleft(pending._replace(losses=pending.losses + 1))
         return None
-
-    def _suspect(self, pending: _Pending, deaths: int) -> Outcome | None:
-        """Try a task once more whose workers died, alone; if they die again it is to blame."""
-        total = pending.deaths + deaths
-        if not pending.deaths:
-            self._suspects.append(pending._replace(deaths=total))
-            return None
-        reason = (
-            f"{total} workers died while computing it; it may need more memory than a worker has (the "
-            "worker's log says more)."
-        )
-        return Outcome(task=pending.task, error=reason)
 
     def _restart_worker(self, future: Any) -> None:
         """Restart the worker that holds a future's result, as a task that was given up runs there."""

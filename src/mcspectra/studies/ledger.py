@@ -72,23 +72,20 @@ _NOTE_SECONDS = 0.5  # from a lock to the note of its holder, at most
 _MOST_SENTENCE = 10_000  # characters
 
 _SCHEMA = (
-    "CREATE TABLE study (name TEXT PRIMARY KEY, text TEXT, digest BLOB) WITHOUT ROWID",
+    """CREATE TABLE texts (kind TEXT, name TEXT, text TEXT, digest BLOB, PRIMARY KEY (kind, name))
+    WITHOUT ROWID""",
     "CREATE TABLE cells (place INTEGER PRIMARY KEY, path TEXT UNIQUE, digest BLOB)",
     "CREATE TABLE results (place INTEGER PRIMARY KEY, payload BLOB)",
-    "CREATE TABLE scalars (place INTEGER PRIMARY KEY, text TEXT, digest BLOB)",
     """CREATE TABLE tasks (path TEXT, run TEXT, first INTEGER, blocks INTEGER, seconds REAL,
     host TEXT, digest BLOB, payload BLOB, PRIMARY KEY (path, run, first, blocks))""",
-    "CREATE TABLE failures (path TEXT PRIMARY KEY, sentence TEXT, digest BLOB)",
 )
-_PUT_NOTE = "INSERT OR REPLACE INTO study VALUES (?, ?, ?)"
+_PUT_TEXT = "INSERT OR REPLACE INTO texts VALUES (?, ?, ?, ?)"
 _PUT_CELL = "INSERT INTO cells VALUES (?, ?, NULL)"
 _PUT_RESULT = "INSERT OR REPLACE INTO results SELECT place, ? FROM cells WHERE path = ?"
-_PUT_SCALARS = "INSERT OR REPLACE INTO scalars SELECT place, ?, ? FROM cells WHERE path = ?"
 _PUT_DIGEST = "UPDATE cells SET digest = ? WHERE path = ?"
 _PUT_TASK = "INSERT OR REPLACE INTO tasks VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
-_PUT_FAILURE = "INSERT OR REPLACE INTO failures VALUES (?, ?, ?)"
 _RESULT = "SELECT path, digest, payload FROM cells LEFT JOIN results USING (place)"
-_SCALARS = "SELECT path, text, scalars.digest FROM cells LEFT JOIN scalars USING (place)"
+_TEXTS = "SELECT name, text, digest FROM texts WHERE kind = ?"
 _ONE_TASK = "SELECT * FROM tasks WHERE path = ? AND run = ? AND first = ? AND blocks = ?"
 
 _DAMAGE = "its digest does not match"
@@ -307,8 +304,8 @@ class Ledger:
         StoreError
             It is damaged.
         """
-        for text, digest in self._rows("SELECT text, digest FROM study WHERE name = 'config'"):
-            if isinstance(text, str) and self._is_sound("config", (), text.encode(), digest):
+        for _, text in self._texts("config"):
+            if text is not None:
                 return text
         raise StoreError(f"The study in {str(self._file)!r} is damaged: {_DAMAGE}; {_REMEDY}.")
 
@@ -377,16 +374,13 @@ class Ledger:
             Those of a cell are damaged.
         """
         self.commit()
-        found = {}
-        for path, text, digest in self._each(
-            f"{_SCALARS} WHERE cells.digest NOTNULL ORDER BY place"
-        ):
-            if not self._are_sound(path, text, digest):
+        found = dict(self._texts("scalars"))
+        for path in self.done:
+            if found.get(path) is None:
                 raise StoreError(
                     f"The scalars of {path} in {str(self._file)!r} are damaged: {_DAMAGE}; {_REMEDY}."
                 )
-            found[path] = json.loads(text)
-        return found
+        return {path: json.loads(found[path] or "") for path in self.done}
 
     def record(
         self,
@@ -446,7 +440,7 @@ class Ledger:
         text = sentence[:_MOST_SENTENCE].encode("utf-8", "replace").decode()
         with self._guard:
             self._failures[path] = text
-            self._tell(self._failure(path, text))
+            self._tell(_Change(path, [self._text("failure", path, text)]))
 
     def forget(self, paths: Iterable[str]) -> None:
         """Drop failures and recorded states of cells, which are to be tried again."""
@@ -503,26 +497,22 @@ class Ledger:
 
     def _forgetting(self, path: str) -> tuple[_Step, ...]:
         steps: list[_Step] = []
-        for table, known in (("tasks", self._recorded), ("failures", self._failures)):
-            if known.pop(path, None) is not None:
-                steps.append((f"DELETE FROM {table} WHERE path = ?", (path,)))
+        if self._recorded.pop(path, None) is not None:
+            steps.append(("DELETE FROM tasks WHERE path = ?", (path,)))
+        if self._failures.pop(path, None) is not None:
+            steps.append(("DELETE FROM texts WHERE kind = 'failure' AND name = ?", (path,)))
         return tuple(steps)
 
     def _result(
         self, path: str, payload: bytes, digest: bytes, text: str, steps: tuple[_Step, ...] = ()
     ) -> _Change:
         """The result of a cell with its scalars, and what is to be done with it."""
-        own = self._digest("scalars", (path,), text.encode())
         put = (
             (_PUT_RESULT, (payload, path)),
-            (_PUT_SCALARS, (text, own, path)),
             (_PUT_DIGEST, (digest, path)),
+            self._text("scalars", path, text),
         )
         return _Change(path, (*put, *steps), digest, len(payload))
-
-    def _failure(self, path: str, text: str) -> _Change:
-        digest = self._digest("failure", (path,), text.encode())
-        return _Change(path, ((_PUT_FAILURE, (path, text, digest)),))
 
     def _begin(
         self, study: StudyNote, paths: Sequence[str], outdated: Collection[str] | None
@@ -622,7 +612,8 @@ class Ledger:
                         tally = tally.plus(change.digest, change.size)
                 if tally.done == self._header.cells and tally.finished is None:
                     tally = msgspec.structs.replace(tally, finished=_now())
-                connection.execute(_PUT_NOTE, self._row("tally", tally))
+                note = msgspec.json.encode(tally).decode()
+                connection.execute(*self._text("note", "tally", note))
                 connection.execute("COMMIT")
             except BaseException:
                 if connection.in_transaction:
@@ -638,8 +629,8 @@ class Ledger:
         )
         tables = ((statement, ()) for statement in _SCHEMA)
         cells = ((_PUT_CELL, each) for each in enumerate(paths))
-        study = ("config", config, self._digest("config", (), config.encode()))
-        notes = ((_PUT_NOTE, row) for row in (self._row("note", self._header), study))
+        header = msgspec.json.encode(self._header).decode()
+        notes = [self._text("note", "study", header), self._text("config", "", config)]
         first = _Change("", itertools.chain(tables, cells, notes))
         with _writing(self._file):
             for file in (partial, partial.with_name(f"{partial.name}-journal")):
@@ -679,7 +670,7 @@ class Ledger:
                 "it with the version that wrote it, or run the study again with another --out."
             )
         schema = self._rows("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY rowid")
-        header = self._note("note", _Header) if tuple(s for (s,) in schema) == _SCHEMA else None
+        header = self._note("study", _Header) if tuple(s for (s,) in schema) == _SCHEMA else None
         if header is None:
             raise StoreError(
                 f"{str(self._file)!r} is damaged where it says of which study it is, or it is no "
@@ -688,13 +679,13 @@ class Ledger:
         self.tally = self._noted_tally()
 
     def _note(self, name: str, kind: type[_Note]) -> _Note | None:
-        """What a row of the table ``study`` says; None if it is damaged."""
-        for text, digest in self._rows("SELECT text, digest FROM study WHERE name = ?", (name,)):
+        """What a note says; None if it is damaged."""
+        for _, text, digest in self._rows(f"{_TEXTS} AND name = ?", ("note", name)):
             with contextlib.suppress(msgspec.MsgspecError, TypeError, AttributeError):
                 note = msgspec.json.decode(text, type=kind)
                 if isinstance(note, _Header):
                     self._header = note
-                if self._is_sound("study", (name,), text.encode(), digest):
+                if self._is_sound("note", (name,), text.encode(), digest):
                     return note
         return None
 
@@ -741,12 +732,11 @@ class Ledger:
     @functools.cached_property
     def _failures(self) -> dict[str, str]:
         found = {}
-        for path, text, digest in self._rows("SELECT path, sentence, digest FROM failures"):
-            content = text.encode() if isinstance(text, str) else None
-            if self._is_sound("failure", (path,), content, digest):
-                found[path] = text
-            else:
+        for path, text in self._texts("failure"):
+            if text is None:
                 self.damaged[f"failure of {path}"] = _DAMAGE
+            else:
+                found[path] = text
         return found
 
     def _look_for_damage(self, paths: Sequence[str]) -> None:
@@ -774,16 +764,14 @@ class Ledger:
         for place, path in enumerate(paths):
             try:
                 ((found, digest, payload),) = self._rows(f"{_RESULT} WHERE place = ?", (place,))
-                ((_, text, own),) = self._rows(f"{_SCALARS} WHERE place = ?", (place,))
+                scalars = dict(self._texts("scalars", path)).get(path)
             except (StoreError, ValueError):
                 found, digest = None, None
             if found != path:
                 self.damaged[path] = "its row cannot be read"
             elif digest is not None:
-                if self._is_sound("result", (path,), payload, digest) and self._are_sound(
-                    path, text, own
-                ):
-                    yield self._result(path, payload, digest, text)
+                if scalars is not None and self._is_sound("result", (path,), payload, digest):
+                    yield self._result(path, payload, digest, scalars)
                 else:
                     self.damaged[path] = _DAMAGE
         try:
@@ -794,7 +782,8 @@ class Ledger:
                         yield _Change(values[0], ((_PUT_TASK, task),))
                     else:
                         self.damaged[_task_name(*values[:4])] = _DAMAGE
-            yield from itertools.starmap(self._failure, self._failures.items())
+            for path, sentence in self._failures.items():
+                yield _Change(path, [self._text("failure", path, sentence)])
         except StoreError as error:
             self.damaged["recorded tasks and failures"] = str(error)
 
@@ -826,9 +815,16 @@ class Ledger:
         remedy = "give another --out" if lost else _REMEDY
         return StoreError(f"{str(self._file)!r} cannot be read: {error}; {remedy}.")
 
-    def _row(self, name: str, note: msgspec.Struct) -> tuple[str, str, bytes]:
-        text = msgspec.json.encode(note)
-        return name, text.decode(), self._digest("study", (name,), text)
+    def _text(self, kind: str, name: str, text: str) -> _Step:
+        """What keeps a text, with a digest."""
+        return _PUT_TEXT, (kind, name, text, self._digest(kind, (name,), text.encode()))
+
+    def _texts(self, kind: str, name: str | None = None) -> Iterator[tuple[str, str | None]]:
+        """Texts of a kind, or that of a name, with their names; None where they are damaged."""
+        chosen = (f"{_TEXTS} AND name = ?", (kind, name)) if name else (_TEXTS, (kind,))
+        for found, text, digest in self._each(*chosen):
+            content = text.encode() if isinstance(text, str) else None
+            yield found, text if self._is_sound(kind, (found,), content, digest) else None
 
     def _digest(self, kind: str, key: tuple[Any, ...], content: bytes) -> bytes:
         """SHA-256 of a row, which is one of this study."""
@@ -836,11 +832,6 @@ class Ledger:
         digest.update(repr((kind, *key)).encode("utf-8", "surrogatepass"))
         digest.update(content)
         return digest.digest()
-
-    def _are_sound(self, path: str, text: Any, digest: Any) -> bool:
-        """Whether the scalars of a cell are as they were written."""
-        content = text.encode() if isinstance(text, str) else None
-        return self._is_sound("scalars", (path,), content, digest)
 
     def _is_sound(self, kind: str, key: tuple[Any, ...], content: Any, digest: Any) -> bool:
         return isinstance(content, bytes) and self._digest(kind, key, content) == digest

@@ -236,8 +236,8 @@ def result_scalars(source: str | Path, select: str | None = None) -> dict[str, d
         cells = _read_store(_files(source), str(source), select)
         return {path: scalars_of(cell) for path, cell in cells.items()}
     with ledger:
-        chosen, found = set(_selected(ledger, select)), ledger.scalars()
-    return {path: each for path, each in found.items() if path in chosen}
+        found = ledger.scalars()
+        return {path: found[path] for path in _selected(ledger, select) if path in found}
 
 
 def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
