@@ -807,7 +807,7 @@ class Ledger:
         """
         try:
             yield from self._opened.execute(statement, values)
-        except (sqlite3.Error, MemoryError, OverflowError) as error:
+        except (sqlite3.Error, UnicodeError, MemoryError, OverflowError) as error:
             raise self._unreadable(error) from None
 
     def _unreadable(self, error: BaseException) -> StoreError:
