@@ -50,7 +50,7 @@ def running(tmp_path: Path) -> Path:
             ledger.finish(path, payload(path), scalars(path))
         ledger.fail(PATHS[12], "It gave NaN.")
         for block in range(4):
-            ledger.record(PATHS[13], RUN, (block, 1), payload(str(block), 500), 0.5, "worker")
+            ledger.record(PATHS[13], RUN, (block, 1), payload(str(block), 500), "worker")
     return tmp_path
 
 

@@ -148,6 +148,9 @@ def test_numbers_are_read_bit_for_bit_from_the_ledger_and_from_the_store(tmp_pat
         for path, cell in cells.items():
             identical(tree[path].to_dataset(), cell)
     assert result_paths(out) == tuple(cells)
+    plain = xr.open_datatree(out / "results.zarr", mask_and_scale=False, decode_times=False)
+    for path, cell in cells.items():  # of one form
+        xr.testing.assert_identical(plain[path].to_dataset().load(), cell)
 
 
 @pytest.mark.parametrize("consolidated", [True, False])

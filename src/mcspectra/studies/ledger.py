@@ -76,14 +76,14 @@ _SCHEMA = (
     WITHOUT ROWID""",
     "CREATE TABLE cells (place INTEGER PRIMARY KEY, path TEXT UNIQUE, digest BLOB)",
     "CREATE TABLE results (place INTEGER PRIMARY KEY, payload BLOB)",
-    """CREATE TABLE tasks (path TEXT, run TEXT, first INTEGER, blocks INTEGER, seconds REAL,
-    host TEXT, digest BLOB, payload BLOB, PRIMARY KEY (path, run, first, blocks))""",
+    """CREATE TABLE tasks (path TEXT, run TEXT, first INTEGER, blocks INTEGER, digest BLOB,
+    payload BLOB, PRIMARY KEY (path, run, first, blocks))""",
 )
 _PUT_TEXT = "INSERT OR REPLACE INTO texts VALUES (?, ?, ?, ?)"
 _PUT_CELL = "INSERT INTO cells VALUES (?, ?, NULL)"
 _PUT_RESULT = "INSERT OR REPLACE INTO results SELECT place, ? FROM cells WHERE path = ?"
 _PUT_DIGEST = "UPDATE cells SET digest = ? WHERE path = ?"
-_PUT_TASK = "INSERT OR REPLACE INTO tasks VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
+_PUT_TASK = "INSERT OR REPLACE INTO tasks VALUES (?, ?, ?, ?, ?, ?)"
 _RESULT = "SELECT path, digest, payload FROM cells LEFT JOIN results USING (place)"
 _TEXTS = "SELECT name, text, digest FROM texts WHERE kind = ?"
 _ONE_TASK = "SELECT * FROM tasks WHERE path = ? AND run = ? AND first = ? AND blocks = ?"
@@ -337,8 +337,8 @@ class Ledger:
         with self._guard:
             self.commit()
             for row in self._rows(_ONE_TASK, (path, run, *chunk)):
-                if self._is_sound("task", row[:6], row[7], row[6]):
-                    return bytes(row[7])
+                if self._is_sound("task", row[:4], row[5], row[4]):
+                    return bytes(row[5])
             if self._recorded.get(path, {}).pop((run, chunk), False) is None:
                 self.damaged[_task_name(path, run, *chunk)] = _DAMAGE
             return None
@@ -382,30 +382,22 @@ class Ledger:
                 )
         return {path: json.loads(found[path] or "") for path in self.done}
 
-    def record(
-        self,
-        path: str,
-        run: str,
-        chunk: Chunk,
-        payload: bytes,
-        seconds: float = 0.0,
-        host: str = "",
-    ) -> None:
+    def record(self, path: str, run: str, chunk: Chunk, payload: bytes, host: str = "") -> None:
         """Keep the state of a task of a cell that is not finished.
 
         Parameters
         ----------
         run, chunk
             Key of the run, and which of its blocks.
-        seconds, host
-            How long it took, and where.
+        host
+            Where it was computed.
 
         Raises
         ------
         StorageError
             What was told cannot be written; so of all that write.
         """
-        values = (path, run, *chunk, float(seconds), host)
+        values = (path, run, *chunk)
         row = (*values, self._digest("task", values, payload), payload)
         with self._guard:
             if host and host not in self.tally.hosts:
@@ -781,7 +773,7 @@ class Ledger:
                     if self._is_sound("task", tuple(values), payload, digest):
                         yield _Change(values[0], ((_PUT_TASK, task),))
                     else:
-                        self.damaged[_task_name(*values[:4])] = _DAMAGE
+                        self.damaged[_task_name(*values)] = _DAMAGE
             for path, sentence in self._failures.items():
                 yield _Change(path, [self._text("failure", path, sentence)])
         except StoreError as error:

@@ -220,8 +220,7 @@ class _Active:
         if self._unrecorded >= least:
             for key, part in self._parts.items():
                 for chunk, state in part.fresh():
-                    payload = pack(state)
-                    self._ledger.record(self.cell.path, key, chunk, payload, self._unrecorded, host)
+                    self._ledger.record(self.cell.path, key, chunk, pack(state), host)
             self._unrecorded = 0.0
 
     def advance(self, states: list[Any] | None) -> None:
