@@ -373,14 +373,16 @@ class Ledger:
         StoreError
             Those of a cell are damaged.
         """
-        self.commit()
-        found = dict(self._texts("scalars"))
-        for path in self.done:
+        with self._guard:
+            self.commit()
+            done = tuple(self.done)  # first: there may be a commit in between
+            found = dict(self._texts("scalars"))
+        for path in done:
             if found.get(path) is None:
                 raise StoreError(
                     f"The scalars of {path} in {str(self._file)!r} are damaged: {_DAMAGE}; {_REMEDY}."
                 )
-        return {path: json.loads(found[path] or "") for path in self.done}
+        return {path: json.loads(found[path] or "") for path in done}
 
     def record(self, path: str, run: str, chunk: Chunk, payload: bytes, host: str = "") -> None:
         """Keep the state of a task of a cell that is not finished.

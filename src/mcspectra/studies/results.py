@@ -23,6 +23,7 @@ import os
 import shutil
 import warnings
 import zipfile
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -148,12 +149,11 @@ class StudyStatus(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def analyses(self) -> dict[str, AnalysisCount]:
         """Numbers by the analysis: the last part of a cell's path."""
-        counts: dict[str, dict[str, int]] = {}
+        counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
         for kind in ("done", "failed", "missing", "damaged"):
             for path in getattr(self, kind):
                 if " " not in path:
-                    of = counts.setdefault(path[path.rfind("/") + 1 :], {})
-                    of[kind] = of.get(kind, 0) + 1
+                    counts[path[path.rfind("/") + 1 :]][kind] += 1
         return {name: AnalysisCount(**of) for name, of in sorted(counts.items())}
 
 
