@@ -30,11 +30,12 @@ from mcspectra.studies import (
     decode_study,
     make_plan,
     open_results,
+    result_scalars,
     run_study,
     study_status,
 )
 from mcspectra.studies.executors import Cluster, Dask, Threads
-from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote
+from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote, scalars_of
 from mcspectra.studies.plan import Cell, Plan
 from mcspectra.studies.run import MakeExecutor, Progress, drive
 from mcspectra.studies.schedule import Schedule
@@ -85,7 +86,7 @@ def cells() -> None:
     with _timed("compute them", count):
         results = [cell.compute(0) for cell in plan.cells]
     with _timed("make bytes of their results", count):
-        payloads = [pack(result) for result in results]
+        payloads = [(pack(result), scalars_of(result)) for result in results]
     with tempfile.TemporaryDirectory() as folder:
         _record(plan, Path(folder), payloads)
     with tempfile.TemporaryDirectory() as folder, _timed("all of it: the study on 1 thread", count):
@@ -104,11 +105,11 @@ def million(count: int = 10**6) -> None:
         plan = make_plan(config, Path(), force=True)
     _print_memory("with the plan")
     assert len(plan.cells) == count
-    payload = pack(plan.cells[0].compute(0))
+    result = plan.cells[0].compute(0)
     paths = [cell.path for cell in plan.cells]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        _record(plan, folder, itertools.repeat(payload, count))
+        _record(plan, folder, itertools.repeat((pack(result), scalars_of(result)), count))
         _print_memory("with the ledger written")
         with _timed("resume it, all verified", count):
             Ledger.resume(folder, StudyNote.of(config, plan.inputs), paths).close()
@@ -118,17 +119,19 @@ def million(count: int = 10**6) -> None:
             for path in paths[:: count // 10]:
                 open_results(folder, path)
         _print_memory("at the end")
+        with _timed("scalars of all"):
+            assert len(result_scalars(folder)) == count
 
 
-def _record(plan: Plan, folder: Path, payloads: Iterable[bytes]) -> None:
+def _record(plan: Plan, folder: Path, payloads: Iterable[tuple[bytes, dict[str, float]]]) -> None:
     """Write a ledger of finished cells."""
     count = len(plan.cells)
     paths = [cell.path for cell in plan.cells]
     with _timed("begin their ledger", count):
         ledger = Ledger.create(folder, StudyNote.of(plan.config, plan.inputs), paths)
     with _timed("finish them in the ledger", count), ledger:
-        for path, payload in zip(paths, payloads, strict=True):
-            ledger.finish(path, payload)
+        for path, (payload, scalars) in zip(paths, payloads, strict=True):
+            ledger.finish(path, payload, scalars)
     size = (folder / LEDGER_NAME).stat().st_size
     print(f"{size / count:.0f} bytes of the ledger a cell, {size / 1e6:.0f} MB")
 

@@ -67,7 +67,7 @@ def test_status_says_what_is_done_failed_and_missing(
     assert found["damaged"] == {}
     assert found["recorded"] == 1
     assert found["seed"] == 5
-    assert found["format"] == 3
+    assert found["format"] == 4
     assert found["holder"] is None
     assert found["started"] <= found["started"][:4] + "~"
     assert found["finished"] is None
@@ -148,6 +148,10 @@ def test_export(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert capsys.readouterr().out.startswith(f"{tmp_path / 'out.zarr.zip'}: ")
     assert main(["export", str(folder), "--to", "x.txt"]) == 2
     assert "has none of the ends" in capsys.readouterr().err
+    assert main(["export", str(folder), "--to", str(tmp_path / "none" / "x.csv")]) == 2
+    assert "there is no such folder" in capsys.readouterr().err
+    assert main(["export", str(folder), "--to", str(folder / "results.zarr")]) == 2
+    assert "exists already" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("number", [2, 1, 0, None, "2"])
@@ -160,7 +164,7 @@ def test_status_of_another_format_is_refused(
     document["attributes"]["format"] = number
     root.write_text(json.dumps(document))
     assert main(["status", str(folder)]) == 2
-    assert f"has store format {number!r}; this version reads 3" in capsys.readouterr().err
+    assert f"has store format {number!r}; this version reads 4" in capsys.readouterr().err
 
 
 def test_export_of_a_store_to_a_folder_and_to_a_url(

@@ -110,7 +110,7 @@ def test_channels_are_those_of_channel_estimators(colour, way):
         (STEP + 'mirror = "both"', "mirror"),
         (STEP + "smoothed = 0", "> 0"),
         (STEP + "smoothed = nan", "smoothed|width"),
-        (STEP + "anova = { order = 3 }", "order: expected int <= 2"),
+        (STEP + "anova = { order = 3 }", "order: expected a whole number <= 2"),
         (STEP + 'remedies = { budget = 64, kinds = ["mirorred"] }', "Did you mean 'mirrored'"),
         (STEP + "remedies = { budget = 64, kinds = [] }", "kinds"),
         (STEP + "remedies = { budget = 64, realizations = 99 }", ">= 100"),

@@ -23,12 +23,13 @@ from mcspectra.core.errors import MissingDependency, ParameterError, StorageErro
 from mcspectra.core.records import pack
 from mcspectra.core.results import dataset, package_versions
 from mcspectra.studies import results
-from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote
+from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote, scalars_of
 from mcspectra.studies.results import (
     export_results,
     open_results,
     output_folder,
     result_paths,
+    result_scalars,
     study_status,
     write_zarr,
 )
@@ -141,12 +142,15 @@ def test_numbers_are_read_bit_for_bit_from_the_ledger_and_from_the_store(tmp_pat
     out = written(tmp_path, cells)
     for source in (out, out / "results.zarr"):
         tree = open_results(source)
-        assert tree.attrs["format"] == 3
+        assert tree.attrs["format"] == 4
         assert tree.attrs["bound"] == ["low", "high"]
         assert tree.attrs["study"]["title"] == "t ü"
         for path, cell in cells.items():
             identical(tree[path].to_dataset(), cell)
     assert result_paths(out) == tuple(cells)
+    plain = xr.open_datatree(out / "results.zarr", mask_and_scale=False, decode_times=False)
+    for path, cell in cells.items():  # of one form
+        xr.testing.assert_identical(plain[path].to_dataset().load(), cell)
 
 
 @pytest.mark.parametrize("consolidated", [True, False])
@@ -193,6 +197,26 @@ def test_a_part_can_be_opened(folder: Path) -> None:
         open_results(folder, "x/y")
     with pytest.raises(StoreError, match=f"no result of {PATHS[2]}: it is not finished"):
         open_results(folder, PATHS[2])
+
+
+def test_scalars_of_all_results_are_a_table(folder: Path, tmp_path: Path) -> None:
+    with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
+        for path, cell in ((PATHS[0], convergence()), (PATHS[1], numbers())):
+            ledger.finish(path, pack(cell), scalars_of(cell))
+    write_zarr(tmp_path)
+    for source in (tmp_path, tmp_path / "results.zarr"):
+        found = result_scalars(source)
+        assert list(found) == list(PATHS[:2])
+        assert found[PATHS[0]] == {"rate": -1.5}
+        assert np.isnan(found[PATHS[1]]["scalar"])
+        assert result_scalars(source, "a/*") == {PATHS[0]: {"rate": -1.5}}
+
+
+def test_a_cell_by_its_path_comes_without_the_text_of_the_study(folder: Path, copy: Path) -> None:
+    tree = open_results(folder, PATHS[0])
+    assert (tree.attrs["study_hash"], "study" in tree.attrs) == (NOTE.study_hash, False)
+    export_results(folder, copy / "x.json", PATHS[0])
+    assert json.loads((copy / "x.json").read_text())["attributes"]["study"]["title"] == "t ü"
 
 
 def test_results_of_a_running_study_are_read(tmp_path: Path) -> None:
@@ -290,7 +314,7 @@ def test_a_flipped_number_is_noticed_by_plain_readers(copy: Path) -> None:
 def stranger(folder: Path, change: Any) -> Path:
     """A store of one array that somebody has made, with a digest, after `change` of its files."""
     cell = xr.Dataset({"x": ("n", np.arange(30.0))})
-    files = dict(results._store_files({"format": 3}, [("a/b/terms", cell)]))
+    files = dict(results._store_files({"format": 4}, [("a/b/terms", cell)]))
     change(files)
     root = json.loads(files["zarr.json"])
     digests = {
@@ -343,7 +367,7 @@ def test_arrays_that_results_never_hold_are_refused(
         open_results(stranger(tmp_path / "x.zarr", with_metadata(**changes)))
 
 
-@pytest.mark.parametrize("number", [0, 1, 2, 4, "3", None, [2]])
+@pytest.mark.parametrize("number", [0, 1, 2, 3, "4", None, [2]])
 def test_other_formats_are_refused_and_earlier_ones_told_how_to_read(
     copy: Path, number: Any
 ) -> None:
@@ -353,7 +377,7 @@ def test_other_formats_are_refused_and_earlier_ones_told_how_to_read(
     file.write_text(json.dumps(document))
     (copy / LEDGER_NAME).unlink()
     for look in (open_results, study_status, result_paths):
-        with pytest.raises(StoreError, match="has store format .*; this version reads 3"):
+        with pytest.raises(StoreError, match="has store format .*; this version reads 4"):
             look(copy)
     with pytest.raises(StoreError, match="of an earlier version, which alone can continue"):
         Ledger.resume(copy, NOTE, PATHS)
@@ -516,7 +540,7 @@ def test_netcdf(folder: Path, tmp_path: Path) -> None:
         assert found["b.random.terms.coefficient.real"].values.tolist() == [1.0, 0.0]
         assert found["b.random.terms.coefficient.imag"].values.tolist() == [2.0, -0.5]
         assert found["b.random.terms.found"].values.tolist() == [1, 0]
-        assert found.attrs["format"] == 3
+        assert found.attrs["format"] == 4
         assert json.loads(found.attrs["study"])["title"] == "t ü"
         assert json.loads(found.attrs[name])["labels_channel"] == ["red", "green", "blue"]
 
@@ -571,7 +595,7 @@ def test_other_ends_are_refused(folder: Path, tmp_path: Path, name: str) -> None
 def test_what_cannot_be_written_is_a_sentence_and_leaves_nothing(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(StorageError, match="cannot be written: No such file"):
+    with pytest.raises(ParameterError, match="cannot be written: there is no such folder"):
         export_results(folder, tmp_path / "none" / "out.csv")
     with pytest.raises(StoreError, match="no results"):
         export_results(tmp_path, tmp_path / "out.csv")
@@ -618,7 +642,7 @@ def test_a_store_that_is_there_is_not_written_over(
     folder: Path, tmp_path: Path, memory: str
 ) -> None:
     (tmp_path / "x.zarr").mkdir()
-    with pytest.raises(StorageError, match="exists already"):
+    with pytest.raises(ParameterError, match="exists already"):
         export_results(folder, tmp_path / "x.zarr")
     export_results(folder, f"{memory}/x.zarr")
     with pytest.raises(StoreError, match="something at .* already"):
@@ -668,7 +692,7 @@ def test_the_status_says_what_is_done_failed_and_missing(tmp_path: Path) -> None
         ledger.fail(PATHS[1], "It gave NaN.")
         ledger.record(PATHS[2], "0-0-10", (0, 1), b"half")
     status = study_status(tmp_path)
-    assert (status.title, status.seed, status.format) == ("t ü", 5, 3)
+    assert (status.title, status.seed, status.format) == ("t ü", 5, 4)
     assert (status.state, status.holder, status.finished) == ("unfinished", None, None)
     assert (status.done, status.missing) == (PATHS[:1], PATHS[2:])
     assert status.failed == {PATHS[1]: "It gave NaN."}

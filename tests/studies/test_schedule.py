@@ -97,7 +97,7 @@ class Recorded:
         self.asked.append(path)
         return self.states[path, run, chunk]
 
-    def record(self, path, run, chunk, payload, seconds, host):
+    def record(self, path, run, chunk, payload, host):
         self.states[path, run, chunk] = payload
 
 

@@ -134,7 +134,7 @@ def test_the_report_shows_basis_window_precision_and_errors(finished):
     ("old", "new", "words"),
     [
         ('basis = "auto"', 'basis = "fuorier"', "fuorier"),
-        ('basis = "auto"', "basis = 3", "terms.basis: expected str"),
+        ('basis = "auto"', "basis = 3", "terms.basis: expected text"),
         (
             'basis = "auto"',
             'basis = "haar"\nspace = "time"',
@@ -162,7 +162,7 @@ def test_the_report_shows_basis_window_precision_and_errors(finished):
         ("relative_error = 0.1", "relative_error = 1.5", "<= 1"),
         ("relative_error = 0.1", "relative_error = nan", "relative_error"),
         ("relative_error = 0.1", "relative_error = 1e-9", ">= 0.0001"),
-        ("relative_error = 0.1", 'relative_error = "5 %"', "float"),
+        ("relative_error = 0.1", 'relative_error = "5 %"', "expected a number"),
     ],
 )
 def test_settings_are_refused_before_anything_runs(tmp_path, old, new, words):

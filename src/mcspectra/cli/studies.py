@@ -167,7 +167,8 @@ def run_(options: argparse.Namespace) -> Answer:
     rows = summarize(open_results(out))
     page = write_report(out)
     data = {"report": page, "rows": [msgspec.to_builtins(row) for row in rows]}
-    return Answer(f"{_summary_text(rows)}\n\nreport: {page}", data, code)
+    table = f"{_summary_text(rows)}\n\n" if rows else ""
+    return Answer(f"{table}report: {page}", data, code)
 
 
 def _cluster_engine(options: argparse.Namespace, time_limit: float | None) -> MakeExecutor | None:

@@ -9,6 +9,7 @@ from .results import StudyStatus as StudyStatus
 from .results import export_results as export_results
 from .results import open_results as open_results
 from .results import result_paths as result_paths
+from .results import result_scalars as result_scalars
 from .results import study_status as study_status
 from .run import run_study as run_study
 from .schema import study_schema as study_schema
@@ -30,6 +31,7 @@ __all__ = [
     "open_results",
     "read_study",
     "result_paths",
+    "result_scalars",
     "run_study",
     "study_schema",
     "study_status",

@@ -261,7 +261,7 @@ class Dask:
         import distributed  # noqa: F401 - before its log is muted
 
         with contextlib.ExitStack() as opened:
-            opened.enter_context(_muted())
+            self._levels = _muted(opened)
             self._client = _connected(cluster, opened)
             self.address = str(self._client.scheduler.address)
             self.dashboard = str(self._client.dashboard_link or "")
@@ -303,6 +303,8 @@ class Dask:
         if cancel and futures and self._ready:
             with contextlib.suppress(Exception):
                 self._client.cancel(futures, force=True)
+        if cancel:
+            self._levels.clear()
         self._waiting.clear()
         self._suspects.clear()
         self._sent.clear()
@@ -367,7 +369,16 @@ class Dask:
         except WorkerRefused as refusal:
             raise ClusterError(str(refusal)) from None
         except KilledWorker as error:
-            return self._suspect(pending, getattr(error, "allowed_failures", 0) + 1)
+            # Try a task whose workers died once more, alone; if they die again it is to blame
+            total = pending.deaths + getattr(error, "allowed_failures", 0) + 1
+            if not pending.deaths:
+                self._suspects.append(pending._replace(deaths=total))
+                return None
+            reason = (
+                f"{total} workers died while computing it; it may need more memory than a worker has "
+                "(the worker's log says more)."
+            )
+            return Outcome(task=pending.task, error=reason)
         except OSError as error:
             if future.status == "error":
                 return Outcome(task=pending.task, error=explain(error))
@@ -386,18 +397,6 @@ class Dask:
             return Outcome(task=pending.task, error=reason)
         self._waiting.appendleft(pending._replace(losses=pending.losses + 1))
         return None
-
-    def _suspect(self, pending: _Pending, deaths: int) -> Outcome | None:
-        """Try a task once more whose workers died, alone; if they die again it is to blame."""
-        total = pending.deaths + deaths
-        if not pending.deaths:
-            self._suspects.append(pending._replace(deaths=total))
-            return None
-        reason = (
-            f"{total} workers died while computing it; it may need more memory than a worker has (the "
-            "worker's log says more)."
-        )
-        return Outcome(task=pending.task, error=reason)
 
     def _restart_worker(self, future: Any) -> None:
         """Restart the worker that holds a future's result, as a task that was given up runs there."""
@@ -432,9 +431,7 @@ def _connected(options: Cluster, opened: contextlib.ExitStack) -> Any:
 
     make: Any = distributed.Client
     try:
-        target: Any = _local_cluster(options) if options.local else _address(options)
-        if options.local:
-            opened.callback(target.close, timeout=_CLOSING)
+        target: Any = _local_cluster(options, opened) if options.local else _address(options)
         client = make(target, timeout=options.patience, set_as_default=False)
     except (OSError, RuntimeError, ValueError, TypeError) as error:
         if isinstance(error, McspectraError):
@@ -455,8 +452,8 @@ def _connected(options: Cluster, opened: contextlib.ExitStack) -> Any:
     return client
 
 
-def _local_cluster(options: Cluster) -> Any:
-    """Processes of one thread each, which are replaced when they die."""
+def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
+    """Processes of one thread each, which are replaced when they die; `opened` closes them."""
     import dask
     import distributed
 
@@ -465,7 +462,7 @@ def _local_cluster(options: Cluster) -> Any:
     same = {"distributed.nanny.pre-spawn-environ": {"MALLOC_TRIM_THRESHOLD_": 65536}}
     # The cluster's thread is deaf too, which starts workers that replace others.
     with deaf(), dask.config.set(same):
-        return make(
+        cluster = make(
             n_workers=available_workers(options.workers),
             threads_per_worker=1,
             processes=True,
@@ -474,6 +471,8 @@ def _local_cluster(options: Cluster) -> Any:
             memory_limit=0,  # the plan has been held against the machine's
             silence_logs=logging.CRITICAL,
         )
+        opened.callback(cluster.close, timeout=_CLOSING)
+    return cluster
 
 
 def _address(options: Cluster) -> str:
@@ -493,17 +492,23 @@ def _address(options: Cluster) -> str:
         ) from error
 
 
-@contextlib.contextmanager
-def _muted() -> Iterator[None]:
-    """Keep dask's log off the terminal: what matters is said in sentences."""
-    handlers = [(each, each.level) for each in logging.getLogger("distributed").handlers]
-    for handler, _ in handlers:
+def _muted(opened: contextlib.ExitStack) -> dict[logging.Handler, int]:
+    """Keep dask's log off the terminal: what matters is said in sentences.
+
+    `opened` gives back the levels that are left in what is returned. After an interruption it gives none
+    back: dask goes on closing, and logging, until the process ends.
+    """
+    levels = {each: each.level for each in logging.getLogger("distributed").handlers}
+
+    def restore(kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None or issubclass(kind, Exception):
+            for handler, level in levels.items():
+                handler.setLevel(level)
+
+    opened.push(restore)
+    for handler in levels:
         handler.setLevel(logging.CRITICAL + 1)
-    try:
-        yield
-    finally:
-        for handler, level in handlers:
-            handler.setLevel(level)
+    return levels
 
 
 @contextlib.contextmanager

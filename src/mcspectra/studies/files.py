@@ -58,6 +58,14 @@ _TABLE_NAME = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)*")
 _STEP = re.compile(r"([A-Za-z][A-Za-z0-9_-]*)((?:\[\d{1,6}\])*)")
 _PLACEHOLDER = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_WORDS = {
+    "int": "a whole number",
+    "float": "a number",
+    "str": "text",
+    "bool": "true or false",
+    "array": "a list",
+    "object": "a table",
+}
 
 Struct = TypeVar("Struct", bound=msgspec.Struct)
 Grid = dict[str, list[str | int | float | bool | list[Any]]]
@@ -391,7 +399,7 @@ class _Reader:
 def _entries(key: str, entries: Any) -> Iterator[tuple[Any, str]]:
     """Entries of a list of tables, with their places."""
     if not isinstance(entries, list | tuple):
-        raise ConfigError(f"{key}: expected array, got {type(entries).__name__}.")
+        raise ConfigError(f"{key}: expected a list of tables, got {_shown(entries)}.")
     return ((entry, f"{key}[{i}]") for i, entry in enumerate(entries))
 
 
@@ -420,7 +428,7 @@ def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] 
     try:
         return msgspec.convert(table, kind, strict=True)
     except msgspec.ValidationError as error:
-        # "Expected `int`, got `str` - at `$.n`" becomes a sentence.
+        # "Expected `int`, got `str` - at `$.n`" becomes "n: expected a whole number, got 'few'."
         what, _, inner = str(error).partition(" - at `$")
         path = inner.rstrip("`").lstrip(".")
         where = f"{place}{'.' if place and path else ''}{path}"
@@ -429,8 +437,28 @@ def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] 
             (option,) = (each for each in options_of(kind) if each.name == name)
             with contextlib.suppress(TypeError):
                 option.check(table[name], f"{place}.{name}" if place else name)
-        words = f"{what[:1].lower()}{what[1:].replace('`', '')}."
+        lacking = re.fullmatch("Object missing required field `(.*)`", what)
+        if lacking:
+            words = f"the key {lacking[1]!r} is missing."
+        else:
+            given: Any = table
+            for key, index in re.findall(r"([\w-]+)|\[(\d+)\]", path):
+                given = given[key or int(index)]
+            wanted = re.sub("`(.*)`", _in_words, what.partition(", got ")[0])
+            words = f"{wanted[:1].lower()}{wanted[1:]}, got {_shown(given)}."
         raise ConfigError(f"{where}: {words}" if where else words) from None
+
+
+def _in_words(types: re.Match[str]) -> str:
+    """Types as msgspec names them, as the words of the docs."""
+    return " or ".join(_WORDS.get(each, each) for each in types[1].split(" | ") if each != "null")
+
+
+def _shown(value: Any) -> str:
+    """What was given, for messages."""
+    if isinstance(value, dict):
+        return "a table"
+    return str(value).lower() if isinstance(value, bool) else f"{value!r:.60}"
 
 
 @functools.cache

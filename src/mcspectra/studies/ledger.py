@@ -1,7 +1,7 @@
 """The ledger of a study: ``DIR/study.sqlite``, for one writer and any number of readers.
 
 All that a run knows is rows of one SQLite file: which study it is, its cells in their order, states of
-tasks whose cells are not finished, sentences of cells that failed, results. SQLite gives atomic commits
+tasks whose cells are not finished, sentences of cells that failed, results and their scalars. SQLite gives atomic commits
 and recovery after a crash; ours are the schema, the commit interval and the digests. Each row has a
 SHA-256 over all that it says, which is checked whenever it is read, and the row ``tally`` has the
 number of finished cells and the exclusive or of their digests, so that a row that damage makes vanish
@@ -20,6 +20,7 @@ import datetime as dt
 import functools
 import hashlib
 import itertools
+import json
 import os
 import socket
 import sqlite3
@@ -27,7 +28,8 @@ import threading
 import time
 from collections.abc import Collection, Iterable, Iterator, KeysView, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, TypeVar, final
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar, final
 
 import msgspec
 import numpy as np
@@ -37,6 +39,9 @@ from mcspectra.core.errors import OtherVersionsWarning, StorageError, StoreError
 from mcspectra.core.results import package_versions
 from mcspectra.studies.files import StudyConfig, plain_study
 from mcspectra.studies.vetting import check_inputs
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 __all__ = [
     "FORMAT",
@@ -49,10 +54,11 @@ __all__ = [
     "check_links",
     "is_held",
     "linked",
+    "scalars_of",
 ]
 
-FORMAT = 3
-"""Of ledgers and stores; 1 and 2 were stores of zarr that grew while their studies ran."""
+FORMAT = 4
+"""Of ledgers and stores; 1 and 2 were stores of zarr that grew while their studies ran, 3 had no scalars."""
 
 LEDGER_NAME = "study.sqlite"
 STORE_NAME = "results.zarr"
@@ -66,22 +72,20 @@ _NOTE_SECONDS = 0.5  # from a lock to the note of its holder, at most
 _MOST_SENTENCE = 10_000  # characters
 
 _SCHEMA = (
-    "CREATE TABLE study (name TEXT PRIMARY KEY, text TEXT, digest BLOB) WITHOUT ROWID",
+    """CREATE TABLE texts (kind TEXT, name TEXT, text TEXT, digest BLOB, PRIMARY KEY (kind, name))
+    WITHOUT ROWID""",
     "CREATE TABLE cells (place INTEGER PRIMARY KEY, path TEXT UNIQUE, digest BLOB)",
     "CREATE TABLE results (place INTEGER PRIMARY KEY, payload BLOB)",
-    """CREATE TABLE tasks (path TEXT, run TEXT, first INTEGER, blocks INTEGER, seconds REAL,
-    host TEXT, digest BLOB, payload BLOB, PRIMARY KEY (path, run, first, blocks))""",
-    "CREATE TABLE failures (path TEXT PRIMARY KEY, sentence TEXT, digest BLOB)",
+    """CREATE TABLE tasks (path TEXT, run TEXT, first INTEGER, blocks INTEGER, digest BLOB,
+    payload BLOB, PRIMARY KEY (path, run, first, blocks))""",
 )
-_PUT_NOTE = "INSERT OR REPLACE INTO study VALUES (?, ?, ?)"
+_PUT_TEXT = "INSERT OR REPLACE INTO texts VALUES (?, ?, ?, ?)"
 _PUT_CELL = "INSERT INTO cells VALUES (?, ?, NULL)"
 _PUT_RESULT = "INSERT OR REPLACE INTO results SELECT place, ? FROM cells WHERE path = ?"
 _PUT_DIGEST = "UPDATE cells SET digest = ? WHERE path = ?"
-_PUT_TASK = "INSERT OR REPLACE INTO tasks VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
-_PUT_FAILURE = "INSERT OR REPLACE INTO failures VALUES (?, ?, ?)"
-_RESULT = (
-    "SELECT path, digest, payload FROM cells LEFT JOIN results USING (place) WHERE cells.{} = ?"
-)
+_PUT_TASK = "INSERT OR REPLACE INTO tasks VALUES (?, ?, ?, ?, ?, ?)"
+_RESULT = "SELECT path, digest, payload FROM cells LEFT JOIN results USING (place)"
+_TEXTS = "SELECT name, text, digest FROM texts WHERE kind = ?"
 _ONE_TASK = "SELECT * FROM tasks WHERE path = ? AND run = ? AND first = ? AND blocks = ?"
 
 _DAMAGE = "its digest does not match"
@@ -104,7 +108,7 @@ class StudyNote(msgspec.Struct, frozen=True, kw_only=True):
     title, seed
         Of the study.
     config
-        All of it, as JSON.
+        All of it, as JSON; empty in a ledger that was opened, which has it as `Ledger.config`.
     study_hash
         SHA-256 of its canonical JSON, without what results do not depend on.
     versions
@@ -240,7 +244,7 @@ class Ledger:
         ------
         StoreError
             There are results already, another process writes into the folder, it has symbolic links
-            where a run writes, or it cannot be written (StorageError).
+            where a run writes, or it cannot be written; while it is (StorageError).
         """
         with _given_free_if_it_fails(Ledger(folder)) as ledger:
             ledger._begin(study, paths, None)
@@ -288,8 +292,22 @@ class Ledger:
 
     @property
     def study(self) -> StudyNote:
-        """The study, as it was when the ledger was begun."""
+        """The study, as it was when the ledger was begun, without its `config`."""
         return self._header.study
+
+    @property
+    def config(self) -> str:
+        """All of the study as JSON, megabytes of a large one.
+
+        Raises
+        ------
+        StoreError
+            It is damaged.
+        """
+        for _, text in self._texts("config"):
+            if text is not None:
+                return text
+        raise StoreError(f"The study in {str(self._file)!r} is damaged: {_DAMAGE}; {_REMEDY}.")
 
     @property
     def paths(self) -> Sequence[str]:
@@ -319,8 +337,8 @@ class Ledger:
         with self._guard:
             self.commit()
             for row in self._rows(_ONE_TASK, (path, run, *chunk)):
-                if self._is_sound("task", row[:6], row[7], row[6]):
-                    return bytes(row[7])
+                if self._is_sound("task", row[:4], row[5], row[4]):
+                    return bytes(row[5])
             if self._recorded.get(path, {}).pop((run, chunk), False) is None:
                 self.damaged[_task_name(path, run, *chunk)] = _DAMAGE
             return None
@@ -334,7 +352,7 @@ class Ledger:
             The study has no such cell, it is not finished, or its result is damaged.
         """
         self.commit()
-        rows = self._rows(_RESULT.format("path"), (path,))
+        rows = self._rows(f"{_RESULT} WHERE path = ?", (path,))
         if not rows:
             raise StoreError(f"The study in {str(self.folder)!r} has no cell {path!r}.")
         _, digest, payload = rows[0]
@@ -347,30 +365,41 @@ class Ledger:
             )
         return bytes(payload)
 
-    def record(
-        self,
-        path: str,
-        run: str,
-        chunk: Chunk,
-        payload: bytes,
-        seconds: float = 0.0,
-        host: str = "",
-    ) -> None:
+    def scalars(self) -> dict[str, dict[str, float]]:
+        """The scalars of all finished cells, by their paths in their order.
+
+        Raises
+        ------
+        StoreError
+            Those of a cell are damaged.
+        """
+        with self._guard:
+            self.commit()
+            done = tuple(self.done)  # first: there may be a commit in between
+            found = dict(self._texts("scalars"))
+        for path in done:
+            if found.get(path) is None:
+                raise StoreError(
+                    f"The scalars of {path} in {str(self._file)!r} are damaged: {_DAMAGE}; {_REMEDY}."
+                )
+        return {path: json.loads(found[path] or "") for path in done}
+
+    def record(self, path: str, run: str, chunk: Chunk, payload: bytes, host: str = "") -> None:
         """Keep the state of a task of a cell that is not finished.
 
         Parameters
         ----------
         run, chunk
             Key of the run, and which of its blocks.
-        seconds, host
-            How long it took, and where.
+        host
+            Where it was computed.
 
         Raises
         ------
         StorageError
             What was told cannot be written; so of all that write.
         """
-        values = (path, run, *chunk, float(seconds), host)
+        values = (path, run, *chunk)
         row = (*values, self._digest("task", values, payload), payload)
         with self._guard:
             if host and host not in self.tally.hosts:
@@ -378,19 +407,26 @@ class Ledger:
             self._recorded.setdefault(path, {})[run, chunk] = None
             self._tell(_Change(path, ((_PUT_TASK, row),), size=len(payload)))
 
-    def finish(self, path: str, payload: bytes) -> None:
+    def finish(
+        self, path: str, payload: bytes, scalars: Mapping[str, float] = MappingProxyType({})
+    ) -> None:
         """Keep the result of a cell; what was recorded of it goes in the same transaction.
+
+        Parameters
+        ----------
+        payload, scalars
+            The result, and those numbers of it that stand alone, by their names.
 
         Raises
         ------
         StoreError
             It is finished already.
         """
-        digest = self._digest("result", (path,), payload)
+        text, digest = json.dumps(dict(scalars)), self._digest("result", (path,), payload)
         with self._guard:
             if path in self.done:
                 raise StoreError(f"The cell {path} in {str(self.folder)!r} is finished already.")
-            self._tell(_result(path, payload, digest, self._forgetting(path)))
+            self._tell(self._result(path, payload, digest, text, self._forgetting(path)))
             self._listing[1][path] = None
 
     def fail(self, path: str, sentence: str) -> None:
@@ -398,7 +434,7 @@ class Ledger:
         text = sentence[:_MOST_SENTENCE].encode("utf-8", "replace").decode()
         with self._guard:
             self._failures[path] = text
-            self._tell(self._failure(path, text))
+            self._tell(_Change(path, [self._text("failure", path, text)]))
 
     def forget(self, paths: Iterable[str]) -> None:
         """Drop failures and recorded states of cells, which are to be tried again."""
@@ -455,14 +491,22 @@ class Ledger:
 
     def _forgetting(self, path: str) -> tuple[_Step, ...]:
         steps: list[_Step] = []
-        for table, known in (("tasks", self._recorded), ("failures", self._failures)):
-            if known.pop(path, None) is not None:
-                steps.append((f"DELETE FROM {table} WHERE path = ?", (path,)))
+        if self._recorded.pop(path, None) is not None:
+            steps.append(("DELETE FROM tasks WHERE path = ?", (path,)))
+        if self._failures.pop(path, None) is not None:
+            steps.append(("DELETE FROM texts WHERE kind = 'failure' AND name = ?", (path,)))
         return tuple(steps)
 
-    def _failure(self, path: str, text: str) -> _Change:
-        digest = self._digest("failure", (path,), text.encode())
-        return _Change(path, ((_PUT_FAILURE, (path, text, digest)),))
+    def _result(
+        self, path: str, payload: bytes, digest: bytes, text: str, steps: tuple[_Step, ...] = ()
+    ) -> _Change:
+        """The result of a cell with its scalars, and what is to be done with it."""
+        put = (
+            (_PUT_RESULT, (payload, path)),
+            (_PUT_DIGEST, (digest, path)),
+            self._text("scalars", path, text),
+        )
+        return _Change(path, (*put, *steps), digest, len(payload))
 
     def _begin(
         self, study: StudyNote, paths: Sequence[str], outdated: Collection[str] | None
@@ -484,9 +528,11 @@ class Ledger:
                 "version, which alone can continue them; give another --out."
             )
         else:
-            self._header = _Header(study=study, cells=len(paths), plan=_plan_digest(paths))
+            about = msgspec.structs.replace(study, config="")
+            self._header = _Header(study=about, cells=len(paths), plan=_plan_digest(paths))
             self.tally = Tally(started=_now())
-            self._replace(paths, ())
+            self._replace(study.config, paths, ())
+            self.__dict__["_listing"] = list(paths), {}  # those of the plan: there may be a million
 
         # Note who writes from now on, and commit once a second what is told.
         host = socket.gethostname()
@@ -534,7 +580,8 @@ class Ledger:
         if self.damaged or outdated:
             changed = msgspec.structs.replace(self.study, inputs=study.inputs)
             self._header = msgspec.structs.replace(self._header, study=changed)
-            self._replace(paths, (c for c in self._sound(paths) if c.path not in outdated))
+            kept = (change for change in self._sound(paths) if change.path not in outdated)
+            self._replace(study.config, paths, kept)
 
     def _commit_in_time(self) -> None:
         while not self._closed.wait(_COMMIT_SECONDS):
@@ -559,7 +606,8 @@ class Ledger:
                         tally = tally.plus(change.digest, change.size)
                 if tally.done == self._header.cells and tally.finished is None:
                     tally = msgspec.structs.replace(tally, finished=_now())
-                connection.execute(_PUT_NOTE, self._row("tally", tally))
+                note = msgspec.json.encode(tally).decode()
+                connection.execute(*self._text("note", "tally", note))
                 connection.execute("COMMIT")
             except BaseException:
                 if connection.in_transaction:
@@ -567,7 +615,7 @@ class Ledger:
                 raise
         return tally
 
-    def _replace(self, paths: Sequence[str], changes: Iterable[_Change]) -> None:
+    def _replace(self, config: str, paths: Sequence[str], changes: Iterable[_Change]) -> None:
         """Write the ledger anew beside its place, with what there is of it, and put it there."""
         partial = self.folder / f".{LEDGER_NAME}.partial"
         tally = msgspec.structs.replace(
@@ -575,8 +623,9 @@ class Ledger:
         )
         tables = ((statement, ()) for statement in _SCHEMA)
         cells = ((_PUT_CELL, each) for each in enumerate(paths))
-        note = _PUT_NOTE, self._row("note", self._header)
-        first = _Change("", itertools.chain(tables, cells, [note]))
+        header = msgspec.json.encode(self._header).decode()
+        notes = [self._text("note", "study", header), self._text("config", "", config)]
+        first = _Change("", itertools.chain(tables, cells, notes))
         with _writing(self._file):
             for file in (partial, partial.with_name(f"{partial.name}-journal")):
                 file.unlink(missing_ok=True)
@@ -611,11 +660,11 @@ class Ledger:
             raise StoreError(f"{str(self._file)!r} is no ledger of a study: give another folder.")
         if version != FORMAT:
             raise StoreError(
-                f"{str(self._file)!r} has store format {version}; this version reads {FORMAT}: open "
-                "it with the version that wrote it."
+                f"{str(self._file)!r} has store format {version}; this version reads {FORMAT}: export "
+                "it with the version that wrote it, or run the study again with another --out."
             )
         schema = self._rows("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY rowid")
-        header = self._note("note", _Header) if tuple(s for (s,) in schema) == _SCHEMA else None
+        header = self._note("study", _Header) if tuple(s for (s,) in schema) == _SCHEMA else None
         if header is None:
             raise StoreError(
                 f"{str(self._file)!r} is damaged where it says of which study it is, or it is no "
@@ -624,13 +673,13 @@ class Ledger:
         self.tally = self._noted_tally()
 
     def _note(self, name: str, kind: type[_Note]) -> _Note | None:
-        """What a row of the table ``study`` says; None if it is damaged."""
-        for text, digest in self._rows("SELECT text, digest FROM study WHERE name = ?", (name,)):
+        """What a note says; None if it is damaged."""
+        for _, text, digest in self._rows(f"{_TEXTS} AND name = ?", ("note", name)):
             with contextlib.suppress(msgspec.MsgspecError, TypeError, AttributeError):
                 note = msgspec.json.decode(text, type=kind)
                 if isinstance(note, _Header):
                     self._header = note
-                if self._is_sound("study", (name,), text.encode(), digest):
+                if self._is_sound("note", (name,), text.encode(), digest):
                     return note
         return None
 
@@ -643,21 +692,26 @@ class Ledger:
     @functools.cached_property
     def _listing(self) -> tuple[list[str], dict[str, None]]:
         """All paths, and those of finished cells, in their order: checked against the tally."""
+        paths: list[str] = []
+        done: dict[str, None] = {}
+        digests, found = bytearray(), ("", "")
         with self._guard:
             self._rows("BEGIN")  # else a commit might come between
             try:
                 self.tally = self._noted_tally()
-                rows = self._rows("SELECT path, digest FROM cells ORDER BY place")
+                for path, digest in self._each("SELECT path, digest FROM cells ORDER BY place"):
+                    paths.append(path)
+                    if digest is not None:
+                        done[path] = None
+                        digests += digest
+                either = np.bitwise_xor.reduce(
+                    np.frombuffer(digests, np.uint64).reshape(len(done), 4), axis=0
+                )
+                found = either.tobytes().hex(), _plan_digest(paths)
+            except (TypeError, ValueError):  # values of other types than were written
+                pass
             finally:
                 self._opened.rollback()
-        paths = [path for path, _ in rows]
-        done = dict.fromkeys(path for path, digest in rows if digest is not None)
-        try:
-            digests = np.frombuffer(b"".join(d for _, d in rows if d is not None), np.uint64)
-            either = np.bitwise_xor.reduce(digests.reshape(len(done), 4), axis=0)
-            found = either.tobytes().hex(), _plan_digest(paths)
-        except (TypeError, ValueError):  # values of other types than were written
-            found = "", ""
         if found != (self.tally.digest, self._header.plan):
             self.damaged["list of cells"] = "it is not as it was written"
         return paths, done
@@ -672,12 +726,11 @@ class Ledger:
     @functools.cached_property
     def _failures(self) -> dict[str, str]:
         found = {}
-        for path, text, digest in self._rows("SELECT path, sentence, digest FROM failures"):
-            content = text.encode() if isinstance(text, str) else None
-            if self._is_sound("failure", (path,), content, digest):
-                found[path] = text
-            else:
+        for path, text in self._texts("failure"):
+            if text is None:
                 self.damaged[f"failure of {path}"] = _DAMAGE
+            else:
+                found[path] = text
         return found
 
     def _look_for_damage(self, paths: Sequence[str]) -> None:
@@ -698,16 +751,21 @@ class Ledger:
                 self.damaged["file"] = " ".join(str(first).split())
         except StoreError as error:
             self.damaged["file"] = str(error)
+        try:
+            _ = self.config
+        except StoreError as error:
+            self.damaged["text of the study"] = str(error)
         for place, path in enumerate(paths):
             try:
-                ((found, digest, payload),) = self._rows(_RESULT.format("place"), (place,))
+                ((found, digest, payload),) = self._rows(f"{_RESULT} WHERE place = ?", (place,))
+                scalars = dict(self._texts("scalars", path)).get(path)
             except (StoreError, ValueError):
                 found, digest = None, None
             if found != path:
                 self.damaged[path] = "its row cannot be read"
             elif digest is not None:
-                if self._is_sound("result", (path,), payload, digest):
-                    yield _result(path, payload, digest)
+                if scalars is not None and self._is_sound("result", (path,), payload, digest):
+                    yield self._result(path, payload, digest, scalars)
                 else:
                     self.damaged[path] = _DAMAGE
         try:
@@ -717,8 +775,9 @@ class Ledger:
                     if self._is_sound("task", tuple(values), payload, digest):
                         yield _Change(values[0], ((_PUT_TASK, task),))
                     else:
-                        self.damaged[_task_name(*values[:4])] = _DAMAGE
-            yield from itertools.starmap(self._failure, self._failures.items())
+                        self.damaged[_task_name(*values)] = _DAMAGE
+            for path, sentence in self._failures.items():
+                yield _Change(path, [self._text("failure", path, sentence)])
         except StoreError as error:
             self.damaged["recorded tasks and failures"] = str(error)
 
@@ -729,7 +788,11 @@ class Ledger:
         return self._connection
 
     def _rows(self, statement: str, values: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-        """What a statement finds.
+        """What a statement finds."""
+        return list(self._each(statement, values))
+
+    def _each(self, statement: str, values: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+        """What a statement finds, one by one: there may be a million.
 
         Raises
         ------
@@ -737,8 +800,8 @@ class Ledger:
             The file cannot be read, or is damaged.
         """
         try:
-            return self._opened.execute(statement, values).fetchall()
-        except (sqlite3.Error, MemoryError, OverflowError) as error:
+            yield from self._opened.execute(statement, values)
+        except (sqlite3.Error, UnicodeError, MemoryError, OverflowError) as error:
             raise self._unreadable(error) from None
 
     def _unreadable(self, error: BaseException) -> StoreError:
@@ -746,9 +809,16 @@ class Ledger:
         remedy = "give another --out" if lost else _REMEDY
         return StoreError(f"{str(self._file)!r} cannot be read: {error}; {remedy}.")
 
-    def _row(self, name: str, note: msgspec.Struct) -> tuple[str, str, bytes]:
-        text = msgspec.json.encode(note)
-        return name, text.decode(), self._digest("study", (name,), text)
+    def _text(self, kind: str, name: str, text: str) -> _Step:
+        """What keeps a text, with a digest."""
+        return _PUT_TEXT, (kind, name, text, self._digest(kind, (name,), text.encode()))
+
+    def _texts(self, kind: str, name: str | None = None) -> Iterator[tuple[str, str | None]]:
+        """Texts of a kind, or that of a name, with their names; None where they are damaged."""
+        chosen = (f"{_TEXTS} AND name = ?", (kind, name)) if name else (_TEXTS, (kind,))
+        for found, text, digest in self._each(*chosen):
+            content = text.encode() if isinstance(text, str) else None
+            yield found, text if self._is_sound(kind, (found,), content, digest) else None
 
     def _digest(self, kind: str, key: tuple[Any, ...], content: bytes) -> bytes:
         """SHA-256 of a row, which is one of this study."""
@@ -759,6 +829,15 @@ class Ledger:
 
     def _is_sound(self, kind: str, key: tuple[Any, ...], content: Any, digest: Any) -> bool:
         return isinstance(content, bytes) and self._digest(kind, key, content) == digest
+
+
+def scalars_of(result: xr.Dataset) -> dict[str, float]:
+    """Numbers of a result that stand alone: its real variables without dims."""
+    return {
+        str(name): each.values.item()
+        for name, each in result.variables.items()
+        if each.ndim == 0 and each.dtype.kind in "biuf"
+    }
 
 
 def is_held(folder: Path) -> bool:
@@ -813,15 +892,9 @@ def _given_free_if_it_fails(ledger: Ledger) -> Iterator[Ledger]:
         raise
 
 
-def _result(path: str, payload: bytes, digest: bytes, steps: tuple[_Step, ...] = ()) -> _Change:
-    """The result of a cell, and what is to be done with it."""
-    put = (_PUT_RESULT, (payload, path)), (_PUT_DIGEST, (digest, path))
-    return _Change(path, (*put, *steps), digest, len(payload))
-
-
 def _locked(folder: Path) -> sqlite3.Connection:
     """The right to write into a folder: an exclusive transaction on an empty file, which never ends."""
-    with _writing(folder):
+    with _writing(folder, StoreError, "give another --out"):
         folder.mkdir(parents=True, exist_ok=True)
         lock = _connected(folder / _LOCK_NAME, "rwc", 1.0)  # those who look hold it for a moment
         try:
@@ -863,16 +936,17 @@ def _connected(file: Path, mode: str, patience: float = _BUSY_SECONDS) -> sqlite
 
 
 @contextlib.contextmanager
-def _writing(place: Path) -> Iterator[None]:
+def _writing(
+    place: Path,
+    kind: type[StoreError] = StorageError,
+    remedy: str = "what was finished is kept, and --resume continues it",
+) -> Iterator[None]:
     """Make one sentence of what keeps a place from being written."""
     try:
         yield
     except (OSError, sqlite3.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise StorageError(
-            f"{str(place)!r} cannot be written: {reason}; what was finished is kept, and --resume "
-            "continues it."
-        ) from None
+        raise kind(f"{str(place)!r} cannot be written: {reason}; {remedy}.") from None
 
 
 def _plan_digest(paths: Iterable[str]) -> str:

@@ -246,6 +246,7 @@ class _Planner:
         self._one: dict[tuple[str, int | None], tuple[Sampler, Inputs]] = {}
         self._lists: dict[tuple[tuple[str, ...], int | None], list[_Sampler]] = {}
         self._vetted: dict[int, list[_Asked]] = {}
+        self._needs: dict[Need, Need] = {}
 
     def cells(self, entry: EstimatorConfig | SceneConfig) -> Iterator[Cell]:
         """Cells of an estimator, or of a scene, with all its samplers."""
@@ -275,7 +276,8 @@ class _Planner:
                 need = Need(cost=0.0)
                 if error is None:  # refuse what it cannot do, or this machine has no memory for
                     try:
-                        need = analysis.need(subject)
+                        asked_for = analysis.need(subject)
+                        need = self._needs.setdefault(asked_for, asked_for)
                     except McspectraError as refusal:
                         raise ConfigError(f"{whose}, {name}: {refusal}") from refusal
                     check_memory(need.memory, f"{whose}, {name}")

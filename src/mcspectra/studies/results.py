@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import errno
 import fnmatch
 import hashlib
 import importlib
@@ -22,10 +23,12 @@ import os
 import shutil
 import warnings
 import zipfile
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import google_crc32c
 import msgspec
 import numpy as np
 
@@ -46,10 +49,10 @@ from mcspectra.studies.ledger import (
     STORE_NAME,
     Holder,
     Ledger,
-    StudyNote,
     check_links,
     is_held,
     linked,
+    scalars_of,
 )
 
 if TYPE_CHECKING:
@@ -64,6 +67,7 @@ __all__ = [
     "open_results",
     "output_folder",
     "result_paths",
+    "result_scalars",
     "study_status",
     "write_zarr",
 ]
@@ -72,7 +76,7 @@ FORMATS = (".csv", ".parquet", ".nc", ".json", ".zarr.zip", ".zarr")
 """Ends of names of files that results are exported to."""
 
 MOST_STORED = 2000
-"""Most cells that a run writes as a store and a report at its end: xarray takes some 20 ms for each."""
+"""Most cells that a run writes as a store and a report at its end: thirty files, and 6 ms, for each."""
 
 _FIXED = ("estimator", "sampler", "analysis", "variable", "units")  # columns before the coordinates
 _VALUES = ("value", "imaginary")  # columns after them
@@ -82,6 +86,7 @@ _DOCUMENT = "zarr.json"
 _MOST_DOCUMENTS = 100_000  # that readers take all at once, from the root
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the first that a zip file can hold: same results, same bytes
 _GROUP = {"attributes": {}, "zarr_format": 3, "node_type": "group"}
+_FAILING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)  # not what the user has given
 _INLINE = {"kind": "inline", "must_understand": False}
 
 
@@ -144,12 +149,11 @@ class StudyStatus(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def analyses(self) -> dict[str, AnalysisCount]:
         """Numbers by the analysis: the last part of a cell's path."""
-        counts: dict[str, dict[str, int]] = {}
+        counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
         for kind in ("done", "failed", "missing", "damaged"):
             for path in getattr(self, kind):
                 if " " not in path:
-                    of = counts.setdefault(path[path.rfind("/") + 1 :], {})
-                    of[kind] = of.get(kind, 0) + 1
+                    counts[path[path.rfind("/") + 1 :]][kind] += 1
         return {name: AnalysisCount(**of) for name, of in sorted(counts.items())}
 
 
@@ -163,7 +167,8 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
         ``.zarr.zip`` file, or a URL such as ``s3://bucket/x.zarr`` that fsspec opens.
     select
         Path of a cell, or a pattern such as ``"estimator/*"``; all cells by default. Those alone are
-        read from a ledger; of stores, which are checked as a whole, all is.
+        read from a ledger; of stores, which are checked as a whole, all is. With the path of a cell of
+        a ledger the root has no attribute ``study``, whose text takes longer to read than the cell.
 
     Raises
     ------
@@ -173,6 +178,11 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
     MissingDependency
         A URL is given, and fsspec or what it needs for it is not installed.
     """
+    return _opened(source, select, whole=not _is_path(select))
+
+
+def _opened(source: str | Path, select: str | None, *, whole: bool = True) -> xr.DataTree:
+    """Open results, with the whole study as an attribute or without."""
     import xarray as xr
 
     register_accessor()
@@ -184,7 +194,7 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
         cells = _read_store(files, str(source), select)
     else:
         with ledger:
-            root = _root_attributes(ledger.study)
+            root = _root_attributes(ledger, whole=whole)
             cells = {path: _read_cell(ledger, path) for path in _selected(ledger, select)}
     if select is not None and not cells:
         raise StoreError(f"No cell of {str(source)!r} matches {select!r}; paths are a/b/analysis.")
@@ -204,6 +214,30 @@ def result_paths(source: str | Path) -> tuple[str, ...]:
         return tuple(_read_store(_files(source), str(source), None))
     with ledger:
         return tuple(_selected(ledger, None))
+
+
+def result_scalars(source: str | Path, select: str | None = None) -> dict[str, dict[str, float]]:
+    """Numbers of results that stand alone, such as rates: variables without dims, by cells' paths.
+
+    One query of a study's folder, which reads none of the results themselves.
+
+    Parameters
+    ----------
+    source, select
+        As of `open_results`.
+
+    Raises
+    ------
+    StoreError
+        There are no results, or they cannot be read.
+    """
+    ledger = _ledger(source)
+    if ledger is None:
+        cells = _read_store(_files(source), str(source), select)
+        return {path: scalars_of(cell) for path, cell in cells.items()}
+    with ledger:
+        found = ledger.scalars()
+        return {path: found[path] for path in _selected(ledger, select) if path in found}
 
 
 def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
@@ -288,7 +322,7 @@ def write_zarr(folder: Path) -> Path | None:
                 shutil.rmtree(target)  # of fewer cells
             return None
         cells = ((path, _read_cell(ledger, path)) for path in _selected(ledger, None))
-        attributes = _root_attributes(ledger.study)
+        attributes = _root_attributes(ledger)
         return _replaced(
             target, lambda partial: _write_folder(_store_files(attributes, cells), partial)
         )
@@ -320,7 +354,8 @@ def export_results(source: str | Path, file: str | Path, select: str | None = No
     Raises
     ------
     ParameterError
-        The name has another end, or a URL is given for something else than ``.zarr``.
+        The name has another end, a URL is given for something else than ``.zarr``, the file's folder
+        is not there, or a ``.zarr`` is.
     StoreError
         The results cannot be read, are damaged, or a netCDF file cannot hold them.
     StorageError
@@ -340,7 +375,7 @@ def export_results(source: str | Path, file: str | Path, select: str | None = No
             "to a file of this machine, and copy it."
         )
     if _is_url(file):
-        tree = open_results(source, select)
+        tree = _opened(source, select)
         with _remote(str(file), writing=True) as (files, base):
             if files.exists(base):
                 raise StoreError(f"There is something at {str(file)!r} already; give another --to.")
@@ -355,8 +390,12 @@ def export_results(source: str | Path, file: str | Path, select: str | None = No
         return str(file)
     target = Path(file)
     if end == ".zarr" and target.exists():
-        raise StorageError(f"{str(target)!r} exists already; give another name.")
-    tree = open_results(source, select)
+        raise ParameterError(f"{str(target)!r} exists already; give another name.")
+    if not target.parent.is_dir():
+        raise ParameterError(
+            f"{str(target)!r} cannot be written: there is no such folder; make it."
+        )
+    tree = _opened(source, select)
     return _replaced(target, lambda partial: _WRITERS[end](tree, partial))
 
 
@@ -391,9 +430,14 @@ def _ledger(source: str | Path) -> Ledger | None:
     return Ledger.read(source)
 
 
+def _is_path(select: str | None) -> bool:
+    """Whether cells are selected by a path, of one, and not by a pattern."""
+    return select is not None and not any(sign in select for sign in "*?[")
+
+
 def _selected(ledger: Ledger, select: str | None) -> Iterable[str]:
     """Paths of finished cells that match; a list that damage has changed is refused."""
-    if select is not None and not any(sign in select for sign in "*?["):
+    if select is not None and _is_path(select):
         return [select]
     done = ledger.done
     if ledger.damaged:
@@ -429,44 +473,44 @@ def _read_cell(ledger: Ledger, path: str) -> xr.Dataset:
     return cell.drop_vars(texts).assign_attrs(labels)
 
 
-def _root_attributes(study: StudyNote) -> dict[str, Any]:
+def _root_attributes(ledger: Ledger, *, whole: bool = True) -> dict[str, Any]:
+    study = {"study": msgspec.json.decode(ledger.config)} if whole else {}
     return {
         "format": FORMAT,
-        "study": json.loads(study.config),
-        "study_hash": study.study_hash,
+        **study,
+        "study_hash": ledger.study.study_hash,
         "bound": ["low", "high"],
-        **study.versions,
+        **ledger.study.versions,
     }
 
 
 def _store_files(
     attributes: Mapping[Any, Any], cells: Iterable[tuple[str, xr.Dataset]]
 ) -> Iterator[tuple[str, bytes]]:
-    """Files of a store, which xarray writes into memory cell by cell; those of the root come last."""
-    from zarr.codecs import Crc32cCodec
-    from zarr.storage import MemoryStore
+    """Files of a store, cell by cell; those of the root come last.
 
+    What xarray writes of a cell but for its numbers and its own attributes is the same for all cells of
+    a form, and takes 20 ms: it is asked once for each form.
+    """
+    forms: dict[str, dict[str, bytes]] = {}
     documents: dict[str, Any] = {}
     digests: dict[str, str] = {}
     for path, cell in cells:
-        encoding = {
-            # One chunk as it is; plain readers notice most changes of it by its checksum.
-            name: {"compressors": [Crc32cCodec()], "chunks": variable.shape, "_FillValue": None}
-            for name, variable in cell.variables.items()
+        described = ((v.dims, v.dtype.str, v.shape, v.attrs) for v in cell.variables.values())
+        form = repr((list(cell.variables), list(cell.coords), *described))
+        if form not in forms:
+            forms[form] = _documents(cell)
+        own = json.loads(forms[form][_DOCUMENT])
+        own["attributes"] = {**cell.attrs, **own["attributes"]}
+        files = {
+            f"{path}/{_DOCUMENT}": json.dumps(own, indent=2).encode(),
+            **{f"{path}/{name}": each for name, each in forms[form].items() if name != _DOCUMENT},
         }
-        kept: dict[str, Any] = {}
-        with warnings.catch_warnings(action="ignore"):  # of types that Zarr has not specified
-            cell.drop_encoding().to_zarr(
-                MemoryStore(kept),
-                mode="w",
-                zarr_format=3,
-                consolidated=False,
-                encoding=encoding,
-                write_empty_chunks=True,
-            )
-        order = {str(name): place for place, name in enumerate(cell.variables)}
-        names = sorted(kept, key=lambda name: (order.get(name.partition("/")[0], -1), name))
-        files = {f"{path}/{name}": kept[name].to_bytes() for name in names}
+        for name, variable in cell.variables.items():
+            if variable.size:
+                content = np.asarray(variable.values, variable.dtype.newbyteorder("<")).tobytes()
+                checksum = google_crc32c.value(content).to_bytes(4, "little")
+                files["/".join([path, str(name), "c", *"0" * variable.ndim])] = content + checksum
         for parent in map(str, Path(path).parents):
             if parent != "." and parent not in documents:
                 files[f"{parent}/{_DOCUMENT}"] = json.dumps(_GROUP).encode()
@@ -489,11 +533,34 @@ def _store_files(
     yield _DOCUMENT, json.dumps(root).encode()
 
 
+def _documents(cell: xr.Dataset) -> dict[str, bytes]:
+    """The documents that xarray writes of a cell without its attributes, in the order of its variables."""
+    from zarr.codecs import Crc32cCodec
+    from zarr.storage import MemoryStore
+
+    kept: dict[str, Any] = {}
+    bare = cell.drop_encoding()
+    bare.attrs = {}
+    # One chunk as it is; plain readers notice most changes of it by its checksum
+    for variable in bare.variables.values():
+        variable.encoding = {
+            "compressors": [Crc32cCodec()],
+            "chunks": variable.shape,
+            "_FillValue": None,
+        }
+    with warnings.catch_warnings(action="ignore"):  # of types that Zarr has not specified
+        bare.to_zarr(MemoryStore(kept), mode="w", zarr_format=3, consolidated=False)
+    names = ["", *(f"{name}/" for name in cell.variables)]
+    return {f"{name}{_DOCUMENT}": kept[f"{name}{_DOCUMENT}"].to_bytes() for name in names}
+
+
 def _write_folder(files: Iterable[tuple[str, bytes]], folder: Path) -> None:
-    folder.mkdir()
+    made: set[Path] = set()
     for name, content in files:
         file = folder / name
-        file.parent.mkdir(parents=True, exist_ok=True)
+        if file.parent not in made:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            made.add(file.parent)
         file.write_bytes(content)
 
 
@@ -623,7 +690,7 @@ def _files(source: str | Path) -> dict[str, bytes]:
     if version != FORMAT:
         raise StoreError(
             f"{shown!r} has store format {version!r}; this version reads {FORMAT}. "
-            "xarray.open_datatree reads stores of formats 1 and 2 as they are; for reports and exports "
+            "xarray.open_datatree reads stores of earlier formats as they are; for reports and exports "
             "of them take the version that wrote them, or run the study again into another folder."
         )
     digests = {name: hashlib.sha256(files[name]).hexdigest() for name in files if name != _DOCUMENT}
@@ -685,7 +752,8 @@ def _replaced(target: Path, write: Callable[[Path], Any]) -> Path:
             _remove(target)
         partial.replace(target)
     except OSError as error:
-        raise StorageError(f"{str(target)!r} cannot be written: {error.strerror}.") from None
+        kind = StorageError if error.errno in _FAILING else StoreError
+        raise kind(f"{str(target)!r} cannot be written: {error.strerror}.") from None
     finally:
         _remove(partial)
     return target

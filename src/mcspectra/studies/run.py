@@ -118,13 +118,34 @@ def run_study(
     config = msgspec.structs.replace(config, time_limit=limit)
     plan = make_plan(config, Path(folder), trust, force=force)
     text = StudyText.of(config, Path(folder), trust, force=force, inputs=plan.inputs)
-    with _ledger(plan, out, resume=resume, retry=retry) as ledger:
-        _warn_of_damage(ledger)
+    note, paths = StudyNote.of(config, plan.inputs), [cell.path for cell in plan.cells]
+    with (
+        Ledger.resume(out, note, paths, outdated=_outdated(plan, out) if retry else ())
+        if resume
+        else Ledger.create(out, note, paths)
+    ) as ledger:
+        if resume and retry:
+            ledger.forget(list(ledger.failures()))  # with their states: code may have been mended
+
+        # Name what is computed again: the first few, and how many there are
+        damaged = [f"{name} ({reason})" for name, reason in ledger.damaged.items()]
+        if damaged:
+            more = f" and {len(damaged) - _NAMED} more" if len(damaged) > _NAMED else ""
+            warn(
+                f"{len(damaged)} parts of the results in {str(out)!r} are damaged and are computed "
+                f"again: {', '.join(damaged[:_NAMED])}{more}.",
+                DamagedResultsWarning,
+            )
         failed = ledger.failures()
         missing = [c for c in plan.cells if c.path not in ledger.done and c.path not in failed]
         if missing:
             schedule = Schedule(missing, config.seed, ledger, task_seconds(limit))
-            executor = _executor(text, count, limit) if engine is None else engine(text)
+            if engine is not None:
+                executor = engine(text)
+            elif limit is None:
+                executor = Threads(count)
+            else:
+                executor = Dask(text, Cluster(workers=count, time_limit=limit))
             total, left = (sum(c.need.cost for c in cells) for cells in (plan.cells, missing))
             with contextlib.closing(_computed(schedule, executor)) as computed:
                 for done, settled in enumerate(computed, len(plan.cells) - len(missing) + 1):
@@ -132,7 +153,7 @@ def run_study(
                     if settled.payload is None:
                         ledger.fail(cell.path, settled.error or "It failed without a reason.")
                     else:
-                        ledger.finish(cell.path, settled.payload)
+                        ledger.finish(cell.path, settled.payload, settled.scalars)
                     left -= cell.need.cost
                     if report is not None:
                         report(Progress(cell, done, len(plan.cells), total - left, total))
@@ -179,24 +200,6 @@ def _computed(schedule: Schedule, executor: Executor) -> Generator[Settled]:
         executor.close(cancel=not finished)
 
 
-def _executor(text: StudyText, workers: int, limit: float | None) -> Executor:
-    if limit is None:
-        return Threads(workers)
-    return Dask(text, Cluster(workers=workers, time_limit=limit))
-
-
-def _ledger(plan: Plan, out: Path, *, resume: bool, retry: bool) -> Ledger:
-    """The ledger of a run; without what is to be tried again."""
-    note = StudyNote.of(plan.config, plan.inputs)
-    paths = [cell.path for cell in plan.cells]
-    if not resume:
-        return Ledger.create(out, note, paths)
-    ledger = Ledger.resume(out, note, paths, outdated=_outdated(plan, out) if retry else ())
-    if retry:
-        ledger.forget(list(ledger.failures()))  # with their states: code may have been mended
-    return ledger
-
-
 def _outdated(plan: Plan, out: Path) -> frozenset[str]:
     """Paths of cells that depend on files that have changed since the folder's results were begun."""
     if not (out / LEDGER_NAME).exists():
@@ -209,15 +212,3 @@ def _outdated(plan: Plan, out: Path) -> frozenset[str]:
         for cell in plan.cells
         if cell.inputs and (gone or not changed.isdisjoint(cell.inputs))
     )
-
-
-def _warn_of_damage(ledger: Ledger) -> None:
-    """Name what is computed again: the first few, and how many there are."""
-    names = [f"{name} ({reason})" for name, reason in ledger.damaged.items()]
-    if names:
-        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-        warn(
-            f"{len(names)} parts of the results in {str(ledger.folder)!r} are damaged and are computed "
-            f"again: {', '.join(names[:_NAMED])}{more}.",
-            DamagedResultsWarning,
-        )

@@ -12,9 +12,9 @@ import asyncio
 import functools
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, final
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar, final
 
 import xarray as xr
 
@@ -23,11 +23,9 @@ from mcspectra.core.errors import StoreError
 from mcspectra.core.records import merged, pack, unpack
 from mcspectra.core.streams import Stream
 from mcspectra.studies.foreign_code import explain
+from mcspectra.studies.ledger import Ledger, scalars_of
 from mcspectra.studies.plan import Cell
 from mcspectra.studies.tasks import Outcome, Task
-
-if TYPE_CHECKING:
-    from mcspectra.studies.ledger import Ledger
 
 __all__ = ["PartialRun", "Schedule", "Settled", "Work", "task_seconds"]
 
@@ -150,14 +148,15 @@ class Settled:
     ----------
     cell
         Which.
-    payload
-        Its dataset as bytes; None if it failed.
+    payload, scalars
+        Its dataset as bytes, and the scalars of it; None if it failed.
     error
         One sentence about why it failed.
     """
 
     cell: Cell
     payload: bytes | None = None
+    scalars: Mapping[str, float] = field(default_factory=dict)
     error: str | None = None
 
 
@@ -167,7 +166,7 @@ class _Active:
 
     def __init__(self, cell: Cell, seed: int, ledger: Ledger, *, whole: bool) -> None:
         self.cell = cell
-        self.payload: bytes | None = None
+        self.settled: Settled | None = None
         self.pace: float | None = None  # seconds for a unit of cost
         self._seed = seed
         self._ledger = ledger
@@ -207,8 +206,8 @@ class _Active:
         task, payload, state = outcome.task, outcome.payload, outcome.state
         if task.run is None:
             if payload is not None:
-                unpack(xr.Dataset, payload)  # raises where it is damaged
-            self.payload = payload or pack(state)
+                state = unpack(xr.Dataset, payload)  # raises where it is damaged
+            self._settle(state, payload)
             return
         part = self._parts[task.run]
         if payload is not None:
@@ -221,8 +220,7 @@ class _Active:
         if self._unrecorded >= least:
             for key, part in self._parts.items():
                 for chunk, state in part.fresh():
-                    payload = pack(state)
-                    self._ledger.record(self.cell.path, key, chunk, payload, self._unrecorded, host)
+                    self._ledger.record(self.cell.path, key, chunk, pack(state), host)
             self._unrecorded = 0.0
 
     def advance(self, states: list[Any] | None) -> None:
@@ -240,7 +238,11 @@ class _Active:
                 states = self.totals()
         except StopIteration as end:
             self._parts = {}
-            self.payload = pack(self.cell.finished(end.value, self._seed))
+            self._settle(self.cell.finished(end.value, self._seed))
+
+    def _settle(self, result: xr.Dataset, payload: bytes | None = None) -> None:
+        """Keep the result, perhaps as bytes from elsewhere, and its scalars."""
+        self.settled = Settled(self.cell, payload or pack(result), scalars_of(result))
 
     def totals(self) -> list[Any]:
         """States of a complete step."""
@@ -311,7 +313,7 @@ class Schedule:
         if active is None:  # another task of its cell has failed
             return
         if outcome.error is not None:
-            self._settle(active.cell, error=outcome.error)
+            self._settle(Settled(active.cell, error=outcome.error))
             return
         self._learn(active, outcome)
         if not self._guarded(active.cell, lambda: active.add(outcome)):
@@ -319,10 +321,9 @@ class Schedule:
         # What stops at a precision may have many steps; else a complete one is nearly the end.
         if not active.complete or _is_adaptive(active.cell):
             active.record(outcome.host, least=_RECORDED_AFTER)
-        if active.payload is None and active.complete:
+        if active.settled is None and active.complete:
             self._guarded(active.cell, lambda: active.advance(active.totals()))
-        if active.payload is not None:
-            self._settle(active.cell, active.payload)
+        self._settle(active.settled)
 
     def settled(self) -> Iterator[Settled]:
         """Cells that were done or have failed since the last call."""
@@ -337,7 +338,7 @@ class Schedule:
     def _begin(self, cell: Cell) -> bool:
         """Begin a cell; whether that was all, as everything of it was recorded."""
         if cell.error is not None:
-            self._settle(cell, error=cell.error)
+            self._settle(Settled(cell, error=cell.error))
             return False
         seconds = self._paces.get(type(cell.analysis).__name__, math.inf) * cell.need.cost
         # A wanted precision may take any number of realisations, whatever the first ones took.
@@ -350,10 +351,9 @@ class Schedule:
 
         if not self._guarded(cell, begin):  # the estimator, in what comes before the first task
             return False
-        payload = self._active[cell.path].payload
-        if payload is not None:
-            self._settle(cell, payload)
-        return payload is not None
+        settled = self._active[cell.path].settled
+        self._settle(settled)
+        return settled is not None
 
     def _learn(self, active: _Active, outcome: Outcome) -> None:
         """Seconds for a unit of cost: the last of many count, as the first ones may compile."""
@@ -377,13 +377,14 @@ class Schedule:
         except StoreError:  # of the ledger
             raise
         except _FAILURES as error:
-            self._settle(cell, error=explain(error))
+            self._settle(Settled(cell, error=explain(error)))
             return False
         return True
 
-    def _settle(self, cell: Cell, payload: bytes | None = None, error: str | None = None) -> None:
-        self._active.pop(cell.path, None)
-        self._settled.append(Settled(cell, payload, error))
+    def _settle(self, settled: Settled | None) -> None:
+        if settled is not None:
+            self._active.pop(settled.cell.path, None)
+            self._settled.append(settled)
 
 
 def _is_adaptive(cell: Cell) -> bool:
