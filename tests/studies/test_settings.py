@@ -157,7 +157,7 @@ def test_the_report_shows_basis_window_precision_and_errors(finished):
             "convergence.fit_last is 'all'; give a whole number of at least 2, or 'auto'",
         ),
         ('fit_last = "auto"', "fit_last = 1", ">= 2"),
-        ('fit_last = "auto"', "fit_last = 5", "there are 4 counts"),
+        ('fit_last = "auto"', "fit_last = 5", "give at most 4, the number of counts"),
         ("relative_error = 0.1", "relative_error = 0", ">= 0.0001"),
         ("relative_error = 0.1", "relative_error = 1.5", "<= 1"),
         ("relative_error = 0.1", "relative_error = nan", "relative_error"),

@@ -63,7 +63,7 @@ Chunk: TypeAlias = tuple[int, int]
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Subject:
     """What is analysed.
 
@@ -85,7 +85,7 @@ class Subject:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Need:
     """What an analysis takes.
 

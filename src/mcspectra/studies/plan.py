@@ -19,6 +19,7 @@ from mcspectra.core.analysis import (
     Subject,
     compute_chunk,
     finished,
+    needed,
     steps_of,
 )
 from mcspectra.core.errors import ConfigError, McspectraError
@@ -276,7 +277,7 @@ class _Planner:
                 need = Need(cost=0.0)
                 if error is None:  # refuse what it cannot do, or this machine has no memory for
                     try:
-                        asked_for = analysis.need(subject)
+                        asked_for = needed(analysis, subject)
                         need = self._needs.setdefault(asked_for, asked_for)
                     except McspectraError as refusal:
                         raise ConfigError(f"{whose}, {name}: {refusal}") from refusal
