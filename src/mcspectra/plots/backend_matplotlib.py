@@ -415,8 +415,9 @@ def _dots(axes: Axes, mark: Dots, depth: float) -> ScalarMappable | None:
         {"color": color} if plain else {"c": mark.color, "norm": norm, "cmap": colors}
     )
     size = np.broadcast_to(np.square(mark.size), np.shape(mark.x))
+    stroke = float(np.clip(60.0 / max(len(mark.x), 1), 0.25, 1.2)) if mark.marker == "|" else 0.0
     drawn = axes.scatter(
-        mark.x, mark.y, s=size, marker=mark.marker, linewidths=0, zorder=depth,
+        mark.x, mark.y, s=size, marker=mark.marker, linewidths=stroke, zorder=depth,
         rasterized=len(mark.x) > _MOST_VECTORS, **shown,
     )  # fmt: skip
     return None if plain else drawn
@@ -470,7 +471,7 @@ def _norm(scale: Scale) -> tuple[Any, Any]:
 
     if scale.kind == "names":
         chosen: Any = colors.ListedColormap(scale.colors)
-        norm: Any = colors.Normalize(-0.5, len(scale.names) - 0.5)
+        norm: Any = colors.Normalize(scale.low - 0.5, scale.low + len(scale.names) - 0.5)
     else:
         gradient = GRADIENTS[scale.palette]
         chosen = (
@@ -479,11 +480,10 @@ def _norm(scale: Scale) -> tuple[Any, Any]:
             else colors.LinearSegmentedColormap.from_list(scale.palette, gradient)
         )
         ends = (scale.low, scale.high)
-        norm = {
-            "linear": lambda: colors.Normalize(*ends),
-            "log": lambda: colors.LogNorm(*ends),
-            "signed": lambda: colors.SymLogNorm(scale.threshold, _LINEAR, *ends, base=10),
-        }[scale.kind]()
+        if scale.kind == "signed":
+            norm = colors.SymLogNorm(scale.threshold, _LINEAR, *ends, base=10)
+        else:
+            norm = (colors.LogNorm if scale.kind == "log" else colors.Normalize)(*ends)
     return norm, chosen.with_extremes(bad=FAINT)
 
 
@@ -507,7 +507,7 @@ def _color_bar(figure: Figure, scale: Scale, drawn: ScalarMappable, where: list[
         bar.ax.locator_params(axis="y", nbins=5)
     else:
         bar.set_ticks(list(ticks), labels=[_plain(text) for text in ticks.values()])
-    bar.minorticks_off()  # type: ignore[no-untyped-call]
+    bar.minorticks_off()
     bar.set_label(_plain(scale.label), fontsize=_SMALL, color=INK)
 
 
