@@ -35,7 +35,7 @@ from mcspectra.plots.description import (
     Text,
 )
 from mcspectra.plots.scales import log_ticks, signed_place, tick_label
-from mcspectra.plots.style import FAINT, INK
+from mcspectra.plots.style import FAINT, GRADIENTS, INK
 from mcspectra.plots.text import shorten
 
 if TYPE_CHECKING:
@@ -57,7 +57,6 @@ _MARKERS = {
     "X": "x",
 }
 _DASHES = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dashdot"}
-_DIVERGING = ("#08306B", "#0072B2", "#F7F7F7", "#D55E00", "#7F2704")
 _SHADES = 255  # colours of a palette; the shade 0 is that of no value
 _KEPT_BITS = 10  # of the mantissa of values under the pointer: 0.1 %, three digits
 _PIXELS = 4 / 3  # of a point
@@ -155,8 +154,11 @@ class Drawn:
         before = self._shown.panels if self._shown else (None,) * len(plot.panels)
         for frame, panel, old in zip(self._figures, plot.panels, before, strict=True):
             frame.title.text = _plain(shorten(panel.title, 34))
-            _set_axis(frame.xaxis, frame.x_range, panel.x, old and old.x)
-            _set_axis(frame.yaxis, frame.y_range, panel.y, old and old.y)
+            for axis, name in ((frame.below[0], "x"), (frame.left[0], "y")):
+                limits = getattr(frame, f"{name}_range") if panel.marks or not plot.share else None
+                _set_axis(axis, limits, getattr(panel, name), getattr(old, name, None))
+            for side, texts in _texts(panel).items():
+                _set_ticks(getattr(frame, side)[0], list(texts), texts.values())
         for bar, scale in zip(self._bars, _bars(plot), strict=True):
             if bar is not None:
                 _set_bar(bar, scale)
@@ -179,7 +181,10 @@ def _structure(plot: Plot) -> list[Any]:
             found += [
                 (e.glyph, e.fixed, list(e.columns), list(e.hover)) for e in _layers(mark, panel)
             ]
-    return [*found, *((s.kind, s.names, s.ticks is None, k) for s, k in _bars(plot).items())]
+    return [
+        *found,
+        *((s.names, s.ticks is None and s.kind != "log", k) for s, k in _bars(plot).items()),
+    ]
 
 
 def _bars(plot: Plot) -> dict[Scale, int]:
@@ -212,7 +217,7 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
             if mark.low is not None:
                 paint = {
                     "fill_color": color,
-                    "fill_alpha": 0.25 if mark.width else 0.45,
+                    "fill_alpha": 0.2 if mark.width else 1.0,
                     "line_color": None,
                 }
                 found.append(_Layer(glyph="patches", columns=_band(mark, panel), fixed=paint))
@@ -273,11 +278,6 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
                     ),
                 ]
             found += _whiskers(mark, at, along, _INK, mark.lying)
-            if mark.texts:
-                end = along.low if along.flipped else along.high
-                far = np.full(len(at), _place(along, np.nanmax(mark.value) if end is None else end))
-                side = "left" if mark.lying else "below"
-                found.append(_writing({first: at, second: far}, mark.texts, side, _INK))
             return found
         case Image():
             left, width = _extent(mark.x)
@@ -288,7 +288,9 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
             hover: dict[str, Any] = {title: [_compact(each)] for title, each in shown.items()}
             if mark.scale.names:
                 kinds = np.ravel(mark.values)
-                hover[mark.name] = [[mark.scale.names[int(k)] if np.isfinite(k) else "–" for k in kinds]]
+                hover[mark.name] = [
+                    [mark.scale.names[int(k)] if np.isfinite(k) else "–" for k in kinds]
+                ]
             columns = {"image": [_shade(mark.scale, mark.values)], "x": [left], "y": [low]}
             columns |= {"dw": [width], "dh": [height]}
             palette = {"palette": _palette(mark.scale)}
@@ -296,7 +298,7 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
         case Pixels():
             rows, count = mark.rgb.shape[:2]
             rgba = np.full((rows, count, 4), 255, np.uint8)
-            rgba[..., :3] = mark.rgb[::-1]
+            rgba[..., :3] = mark.rgb if panel.y.flipped else mark.rgb[::-1]
             image = [np.ascontiguousarray(rgba).view(np.uint32)[..., 0]]
             columns = {"image": image, "x": [0], "y": [0], "dw": [count], "dh": [rows]}
             return [_Layer(glyph="image_rgba", columns=columns)]
@@ -312,8 +314,8 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
             glyph = "vspan" if mark.axis == "x" else "hspan"
             return [_Layer(glyph=glyph, columns={mark.axis: place}, fixed=stroke)]
         case Text():
-            at = {"x": _place(panel.x, [mark.x]), "y": _place(panel.y, [mark.y])}
-            return [_writing(at, [mark.text], mark.side, _seen(mark.color))]
+            spot = {"x": _place(panel.x, [mark.x]), "y": _place(panel.y, [mark.y])}
+            return [_writing(spot, [mark.text], mark.side, _seen(mark.color))]
         case _:
             assert_never(mark)
 
@@ -439,14 +441,18 @@ def _options(plot: Plot, k: int) -> dict[str, Any]:
         "y_axis_type": "log" if panel.y.kind == "log" else "linear",
         "frame_width": None if stretched else width,
         "frame_height": width if panel.square else round(width * plot.height * relative),
-        "sizing_mode": "stretch_width" if stretched else "fixed",
+        "width_policy": "max" if stretched else "min",
+        "width": None,
+        "height": None,
         "outline_line_color": _INK if panel.framed else None,
+        # Beside a title there is no room for the tools of a narrow panel
+        "toolbar_location": "above" if stretched or not panel.title else "right",
     }
 
 
 def _figure(panel: Panel, options: dict[str, Any]) -> Any:
     """Make an empty figure with tools but none active: these would take gestures that scroll pages."""
-    from bokeh.models import DataRange1d, Range1d
+    from bokeh.models import DataRange1d, LinearAxis, Range1d
     from bokeh.models.annotations import Label
     from bokeh.plotting import figure
 
@@ -458,16 +464,19 @@ def _figure(panel: Panel, options: dict[str, Any]) -> Any:
         for name, axis in (("x_range", panel.x), ("y_range", panel.y))
     }
     made: Any = figure(
-        tools=_TOOLS, active_drag=None, active_scroll=None, toolbar_location="above",
+        tools=_TOOLS, active_drag=None, active_scroll=None,
         background_fill_color=None, border_fill_color=None, min_border_right=12, **ranges, **options,
     )  # fmt: skip
     made.toolbar.logo = None
     made.title.update(text_color=_INK, text_font_style="normal")
     made.grid.grid_line_color = _GRID if panel.grid else None
+    for side in _texts(panel):
+        made.add_layout(LinearAxis(major_tick_line_color=None, axis_line_alpha=0), side)
     for axis in made.axis:
         axis.axis_label_text_color = axis.major_label_text_color = _INK
         axis.axis_label_text_font_style = "normal"
-        axis.axis_line_color = axis.major_tick_line_color = _INK
+        axis.axis_line_color = _INK
+        axis.major_tick_line_color = axis.major_tick_line_color and _INK
         axis.minor_tick_line_color = None
     if panel.note:
         middle = {"x": (options["frame_width"] or _USUAL) / 2, "y": options["frame_height"] / 2}
@@ -477,6 +486,17 @@ def _figure(panel: Panel, options: dict[str, Any]) -> Any:
         )  # fmt: skip
         made.add_layout(note)
     return made
+
+
+def _texts(panel: Panel) -> dict[str, dict[float, str]]:
+    """What is written at the far end of bars, by place: ticks of an axis at the right, or above."""
+    found: dict[str, dict[float, str]] = {}
+    for mark in panel.marks:
+        if isinstance(mark, Bars) and mark.texts:
+            at = _place(panel.y if mark.lying else panel.x, mark.at).tolist()
+            here = found.setdefault("right" if mark.lying else "above", {})
+            here |= dict(zip(at, mark.texts, strict=True))
+    return found
 
 
 def _add(frame: Any, layer: _Layer) -> Any:
@@ -500,18 +520,16 @@ def _add(frame: Any, layer: _Layer) -> Any:
 
 
 @cache
-def _colors(palette: str) -> tuple[str, ...]:
-    from bokeh.palettes import Greys256, Viridis256, interp_palette
+def _gradient(palette: str) -> tuple[str, ...]:
+    from bokeh.palettes import Viridis256, interp_palette
 
-    if palette == "diverging":
-        return tuple(interp_palette(_DIVERGING, _SHADES))
-    found = tuple((Viridis256 if palette == "sequential" else Greys256)[1:])
-    return found[::-1] if palette == "paper" else found
+    colors = GRADIENTS[palette]
+    return tuple(interp_palette(Viridis256 if colors == "viridis" else tuple(colors), _SHADES))
 
 
 def _palette(scale: Scale) -> tuple[str, ...]:
     """A colour for each shade."""
-    return scale.colors or _colors(scale.palette)
+    return scale.colors or _gradient(scale.palette)
 
 
 def _color_bar(frame: Any, scale: Scale) -> Any:
@@ -546,7 +564,9 @@ def _set_axis(axis: Any, limits: Any, new: Axis, old: Axis | None) -> None:
     if new.ticks is not None:
         _set_ticks(axis, _place(new, list(new.ticks)), [shorten(t, 24) for t in new.ticks.values()])
     ends = [None if end is None else float(_place(new, end)) for end in (new.low, new.high)]
-    if old is not None and (new.low, new.high, new.threshold) == (old.low, old.high, old.threshold):
+    if limits is None or (
+        old and (new.low, new.high, new.threshold) == (old.low, old.high, old.threshold)
+    ):
         return
     start, end = reversed(ends) if new.flipped else ends
     known = {name: at for name, at in (("start", start), ("end", end)) if at is not None}
@@ -555,7 +575,7 @@ def _set_axis(axis: Any, limits: Any, new: Axis, old: Axis | None) -> None:
     limits.update(**known)
 
 
-def _set_ticks(axis: Any, places: Array, texts: Iterable[str]) -> None:
+def _set_ticks(axis: Any, places: Iterable[float], texts: Iterable[str]) -> None:
     from bokeh.models import FixedTicker
 
     ticks = [float(place) for place in places]
