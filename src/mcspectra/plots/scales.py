@@ -21,6 +21,7 @@ __all__ = [
     "signed_place",
     "signed_scale",
     "tick_label",
+    "unit_axis",
 ]
 
 _LINEAR_SPAN = 30.0  # up to this ratio of largest to smallest, a linear scale shows both
@@ -57,6 +58,11 @@ def name_axis(names: Sequence[str], label: str = "", *, flipped: bool = True) ->
     """Return an axis with names at 0, 1, 2, …, by default from the top."""
     ticks = {float(k): name for k, name in enumerate(names)}
     return Axis(label=label, low=-0.6, high=len(names) - 0.4, ticks=ticks, flipped=flipped)
+
+
+def unit_axis(label: str) -> Axis:
+    """Return an axis from 0 to 1 with ticks at its ends."""
+    return Axis(label=label, low=0.0, high=1.0, ticks={0.0: "0", 1.0: "1"})
 
 
 def signed_axis(label: str, values: Sequence[Array], most: int = 7) -> Axis:
