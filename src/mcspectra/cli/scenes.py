@@ -222,8 +222,7 @@ def pixel_(options: argparse.Namespace) -> Answer:
     The pixel is X Y, counted from the left and from the top, or the name of one (figure1 has P and Q). With
     --out DIR, DIR/report.html, DIR/pixel.json and DIR/figures/*.png are written.
     """
-    from mcspectra.report.pixel_page import write_pixel
-    from mcspectra.report.pixel_text import pixel_summary
+    from mcspectra.report.pixel_page import pixel_summary, write_pixel
     from mcspectra.studies.pixel import analyse_pixel
 
     x: int | str = options.x
@@ -253,8 +252,8 @@ def pixel_(options: argparse.Namespace) -> Answer:
 
 def _pixel_text(tree: xr.DataTree) -> str:
     """What it sees, the rates, the terms, and the sentences."""
-    from mcspectra.report.formatting import interval, number, rate
-    from mcspectra.report.pixel_text import about_pixel, pixel_rows, pixel_sentences, term_rows
+    from mcspectra.plots.text import interval, number, rate
+    from mcspectra.report.pixel_page import about_pixel, pixel_rows, pixel_sentences, term_rows
 
     known = tree.attrs
     head = [f"pixel ({known['x']}, {known['y']}) of {known['scene']}"]
@@ -322,8 +321,7 @@ def map_(options: argparse.Namespace) -> Answer:
     from mcspectra.core.options import checked
     from mcspectra.core.streams import Stream
     from mcspectra.rendering.maps import Map
-    from mcspectra.report.further_pictures import with_labels
-    from mcspectra.report.map_page import map_note, map_summary, write_map
+    from mcspectra.report.map_page import map_note, map_summary, with_labels, write_map
     from mcspectra.studies import StudyConfig, Trust, open_results, run_study
     from mcspectra.studies.files import SceneConfig
 
