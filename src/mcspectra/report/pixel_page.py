@@ -359,7 +359,7 @@ def _sections(tree: xr.DataTree) -> Iterator[Section]:
                 else STRATEGY_NAMES[name]
             )
             group[title] = node.to_dataset()
-        plot = replace(describe("primary", group), caption=_ABOUT_SPACES)
+        plot = replace(describe("primary", group), caption=_ABOUT_SPACES, wide=True)
         figures = _figures(integrands=plot)
         yield Section(title="Integrands on the square", anchor="integrands", blocks=(figures,))
     plot = replace(incident_maps(tree["incident"].to_dataset()), caption=_ABOUT_INCIDENT)
