@@ -52,6 +52,7 @@ FORMATS = (".png", ".pdf", ".svg")
 """Extensions of the files that `write` makes."""
 
 _NARROW, _WIDE = 4.9, 7.4  # inches: up to two panels abreast, and more or a wide plot
+_LARGEST_SQUARE = 3.4  # inches, of a panel alone
 _LABEL, _SMALL = 8.5, 7.5  # points
 _LETTER = 0.062  # inches, the mean width of a small letter
 _DPI, _PDF_DPI = 120, 200  # of pictures, and of images within a PDF, where all else is vectors
@@ -209,7 +210,12 @@ def _new_figure(plot: Plot, pyplot: bool) -> tuple[Figure, list[Axes]]:
     count, columns = len(plot.panels), min(plot.columns, len(plot.panels))
     rows = math.ceil(count / columns)
     width = _WIDE if plot.wide or columns > 2 else _NARROW
-    side = 0.92 * width / (columns if plot.height < 0.8 or plot.wide else max(columns, 1.35))
+    bar = any(scale.label and scale.kind != "names" for p in plot.panels for scale in p.scales)
+    labelled = 1 if plot.share in ("y", "both") else columns
+    side = (width - 0.85 * bar - 0.5 * labelled) / columns
+    side = (
+        min(side, _LARGEST_SQUARE) if columns == 1 and plot.height > 0.8 and not plot.wide else side
+    )
     heights = [side * plot.height * part for part in plot.rows or (1.0,) * rows]
 
     # Add the strips that titles, tick labels and labels take, and the legend
@@ -297,6 +303,7 @@ def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
         axes.text(
             0.5, 0.5, _plain(panel.note), transform=axes.transAxes, ha="center", va="center",
             fontsize=_SMALL, color=INK, style="italic",
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 2.0},
         )  # fmt: skip
     yield from found.items()
 
@@ -336,12 +343,23 @@ def _finish_axis(axes: Axes, which: str, given: Axis) -> None:
     else:
         axis.set_ticks(list(ticks), labels=[_plain(text) for text in ticks.values()])
         axis.set_minor_locator(NullLocator())
-        letters = sum(len(text) + 2 for text in ticks.values())
-        if which == "x" and letters * _LETTER > axes.get_window_extent().width / axes.figure.dpi:
-            axes.tick_params(axis="x", rotation=90)
     # After the ticks, which would widen them
     getattr(axes, f"set_{which}lim")(*((high, low) if given.flipped else (low, high)))
-    axis.set_label_text(_plain(given.label), fontsize=_LABEL, color=INK)
+    room = axes.get_window_extent()
+    length = (room.width if which == "x" else room.height) / axes.figure.dpi
+    axis.set_label_text(_plain(_broken(given.label, length)), fontsize=_LABEL, color=INK)
+    if which == "x" and ticks:
+        # Turn labels that would touch
+        at = np.sort(axis.get_transform().transform(np.array(list(ticks))))
+        first, last = axis.get_transform().transform(np.array([low, high]))
+        gap = length * np.diff(at).min(initial=np.inf) / (last - first)
+        if _LETTER * (max(map(len, ticks.values())) + 1) > gap:
+            axes.tick_params(axis="x", rotation=90)
+
+
+def _broken(label: str, length: float) -> str:
+    """A label with its note on a line of its own where it is longer than so many inches."""
+    return label.replace("   (", "\n(") if len(label) * _LETTER * 1.15 > length else label
 
 
 def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
@@ -508,7 +526,8 @@ def _color_bar(figure: Figure, scale: Scale, drawn: ScalarMappable, where: list[
     else:
         bar.set_ticks(list(ticks), labels=[_plain(text) for text in ticks.values()])
     bar.minorticks_off()
-    bar.set_label(_plain(scale.label), fontsize=_SMALL, color=INK)
+    length = 0.85 * bar.ax.get_window_extent().height / figure.dpi
+    bar.set_label(_plain(_broken(scale.label, length)), fontsize=_SMALL, color=INK)
 
 
 def _entries(plot: Plot) -> dict[str, list[Mark | str]]:

@@ -211,7 +211,9 @@ def captured(group: Group, styles: Styles) -> Plot:
         if logarithmic
         else Axis(label=label, low=0.0, high=max(1.1, 1.08 * top))
     )
-    panel = Panel(marks=tuple(marks), x=Axis(label="half width of the spectrum"), y=axis, grid=True)
+    widest = max(float(each["half_width"].values[-1]) for each in group.values())
+    below = Axis(label="half width of the spectrum", low=0.0, high=1.03 * widest)
+    panel = Panel(marks=tuple(marks), x=below, y=axis, grid=True)
     return Plot(
         kind="captured",
         panels=(panel,),
