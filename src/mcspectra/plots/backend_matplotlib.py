@@ -52,7 +52,7 @@ FORMATS = (".png", ".pdf", ".svg")
 """Extensions of the files that `write` makes."""
 
 _NARROW, _WIDE = 4.9, 7.4  # inches: up to two panels abreast, and more or a wide plot
-_LARGEST_SQUARE = 3.4  # inches, of a panel alone
+_LEAST_SIDE, _LARGEST_SQUARE = 2.3, 3.4  # inches, of a panel of many, and of one alone
 _LABEL, _SMALL = 8.5, 7.5  # points
 _LETTER = 0.062  # inches, the mean width of a small letter
 _DPI, _PDF_DPI = 120, 200  # of pictures, and of images within a PDF, where all else is vectors
@@ -142,8 +142,8 @@ def encode(figure: Figure) -> tuple[bytes, bytes]:
     return _png(pixels, true_colors), pdf.getvalue()
 
 
-def write(plot: Plot, path: str | PathLike[str]) -> None:
-    """Write a plot with its caption below to a file, in the format of its extension.
+def write(plot: Plot, path: str | PathLike[str], *, captioned: bool = False) -> None:
+    """Write a plot to a file in the format of its extension; a caption takes a legend's place.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def write(plot: Plot, path: str | PathLike[str]) -> None:
     if extension not in FORMATS:
         raise FileFormatError(f"{file} is no picture; give {', '.join(FORMATS)}.")
     figure = draw(plot)
-    if plot.caption:
+    if captioned:
         text = _plain(shorten(plot.caption, int(17 * figure.get_figwidth())))
         figure.supxlabel(text, x=0.02, ha="left", fontsize=_SMALL, color=INK)
     stamps: dict[str, Any] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
@@ -209,7 +209,7 @@ def _new_figure(plot: Plot, pyplot: bool) -> tuple[Figure, list[Axes]]:
 
     count, columns = len(plot.panels), min(plot.columns, len(plot.panels))
     rows = math.ceil(count / columns)
-    width = _WIDE if plot.wide or columns > 2 else _NARROW
+    width = max(_WIDE, _LEAST_SIDE * columns) if plot.wide or columns > 2 else _NARROW
     bar = any(scale.label and scale.kind != "names" for p in plot.panels for scale in p.scales)
     labelled = 1 if plot.share in ("y", "both") else columns
     side = (width - 0.85 * bar - 0.5 * labelled) / columns

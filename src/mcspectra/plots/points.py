@@ -106,7 +106,7 @@ def point_sets(sets: object, caption: str = "") -> Plot:
         caption=", ".join(said),
         words=f"{kept} sets of {n} points.",
         height=0.08 if dims == 1 else 1.0,
-        share="both",
+        share="both" if dims <= 2 else "",
     )
 
 
@@ -255,7 +255,7 @@ def _stroke_panel(
     return Panel(
         marks=tuple(marks),
         x=unit_axis("x"),
-        y=name_axis(rows),
+        y=name_axis(rows) if names else Axis(low=-0.6, high=0.6, ticks={}),
         title=title,
         framed=not names,
     )

@@ -94,7 +94,7 @@ def strategy_curves(curves: xr.Dataset, names: Mapping[str, str], styles: Styles
         )
     )
     return Plot(
-        kind="strategies",
+        kind="strategy-curves",
         panels=tuple(panels),
         columns=2,
         caption="Variance against n by each strategy, with 95 % intervals.",
