@@ -33,7 +33,7 @@ SMALL = {
         {"counts": (4, 16), "half_width": 2, **MANY},
         mcs.MultipleImportance("gaussian", ["linear", "uniform"], dims=1),
         "jittered",
-        ["techniques"],
+        ["techniques", "technique-rates"],
     ),
     "spectrum": ({"n": 16, "half_width": 3, **MANY}, None, "jittered", ["spectrum", "radial"]),
     "points": ({"n": 16}, None, "jittered", ["points"]),
@@ -53,7 +53,7 @@ SMALL = {
         {"scene": "penumbra", "counts": (4, 16), "realizations": 8, "size": (8, 6)},
         None,
         "jittered",
-        [kind for kind in KINDS if kind.startswith("map-") and kind != "map-predicted"],
+        [kind for kind in KINDS if kind.startswith("map-")],
     ),
 }
 TERMS = ("terms", "captured", "contributions", "bands")
@@ -387,6 +387,22 @@ def test_techniques__bars_sum_to_the_variance():
     (bars,) = marks(describe("techniques", {"a": data}), Bars)
     assert bars.value.sum() == matrix.sum()
     assert np.isnan(bars.low).tolist() == [False, False, True]
+
+
+def test_techniques__rates_of_each_and_of_their_sum():
+    both = mcs.MultipleImportance("gaussian", ["linear", "uniform"], dims=1)
+    data = mcs.technique_terms(both, "jittered", [4, 16, 64], half_width=2, realizations=45)
+    plot = describe("technique-rates", {"jittered": data, "again": data})
+    assert [label.split("  ")[0] for label in plot.labels] == [
+        "technique 0",
+        "technique 1",
+        "all together",
+    ]
+    first = marks(plot, Dots)[0]
+    np.testing.assert_array_equal(first.y, data["technique_variance"].isel(technique=0))
+    (bars, _) = marks(describe("techniques", {"a": data, "b": data}), Bars)
+    last = data["technique_covariance"].isel(n=-1)
+    assert bars.value.sum() == pytest.approx(float(last.sum()))
 
 
 def stranger(shift=0.0):
