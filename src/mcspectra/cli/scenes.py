@@ -157,10 +157,10 @@ def _compare(
     options: argparse.Namespace, scene: str, settings: Mapping[str, Any], files: list[Path]
 ) -> Answer:
     """Render a reference and all strategies, write them side by side, say how far each is off."""
+    from mcspectra.plots.backend_matplotlib import draw, encode
+    from mcspectra.plots.maps import rms_error, strategy_images
     from mcspectra.rendering.files import write_comparison
     from mcspectra.rendering.image import compare_strategies
-    from mcspectra.report.encode import encode_exact
-    from mcspectra.report.figures.strategy_images import rms_error, strategy_images
 
     for name in ("strategy", "realizations"):
         if getattr(options, name) is not None:
@@ -177,7 +177,8 @@ def _compare(
             write_comparison(file, images)
         else:
             with writing(file):
-                file.write_bytes(encode_exact(strategy_images(images, exposure=options.exposure)))
+                plot = strategy_images(images, exposure=options.exposure)
+                file.write_bytes(encode(draw(plot))[0])
 
     # Say how far each is off
     data, table = {}, []
@@ -320,8 +321,9 @@ def map_(options: argparse.Namespace) -> Answer:
     from mcspectra.core.analysis import Subject
     from mcspectra.core.options import checked
     from mcspectra.core.streams import Stream
+    from mcspectra.plots.groups import labelled
     from mcspectra.rendering.maps import Map
-    from mcspectra.report.map_page import map_note, map_summary, with_labels, write_map
+    from mcspectra.report.map_page import map_note, map_summary, write_map
     from mcspectra.studies import StudyConfig, Trust, open_results, run_study
     from mcspectra.studies.files import SceneConfig
 
@@ -338,7 +340,7 @@ def map_(options: argparse.Namespace) -> Answer:
     run_study(study, options.out, resume=options.resume, workers=options.workers, trust=trust)
     tree = open_results(options.out)
     (found,) = (node.to_dataset() for node in tree.subtree if node.name == "map" and node.data_vars)
-    result = with_labels(found, "strategy").assign_coords(bound=["low", "high"])
+    result = labelled(found).assign_coords(bound=["low", "high"])
     page, summary = write_map(result, options.out), map_summary(result)
     shown = summary["strategies"]
     rows = [[name, "", *(f"{v:.4g}" for v in row.values())] for name, row in shown.items()]
