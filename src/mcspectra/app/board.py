@@ -12,7 +12,7 @@ from bokeh.models import Column, InlineStyleSheet, Row
 from bokeh.models.widgets.buttons import Button
 from bokeh.models.widgets.markups import Div
 
-from mcspectra.app.compute import Job, Update, make_parts
+from mcspectra.app.compute import KINDS, Job, Update, make_parts
 from mcspectra.app.figures import FIGURES, figures_of
 from mcspectra.app.state import Setup
 from mcspectra.plots.backend_bokeh import Drawn, draw
@@ -45,9 +45,10 @@ class Board:
     later
         Has a function of no arguments called in the page's own thread, holding its lock.
     on_update
-        Called in the job's thread before a part is shown.
+        Called in the job's thread before its first part is shown.
     on_shown
-        Called in the page's thread after one was; with True where figures came or went.
+        Called in the page's thread after a part was, or when the job has ended; with True where
+        figures came or went.
     """
 
     def __init__(
@@ -56,7 +57,7 @@ class Board:
         sheet: InlineStyleSheet,
         *,
         later: Callable[[Callable[[], None]], object],
-        on_update: Callable[[Update], object],
+        on_update: Callable[[], object],
         on_shown: Callable[[bool], object],
     ) -> None:
         self.latest: dict[str, Any] = {}
@@ -96,6 +97,11 @@ class Board:
             if not quiet:
                 self._end("Cancelled; the figures show what was done by then.")
 
+    @property
+    def busy(self) -> bool:
+        """Whether a job is under way."""
+        return self._job is not None
+
     def refuse(self, sentence: str) -> None:
         """Say why what was entered is not computed."""
         self._say(sentence, alert=True)
@@ -111,7 +117,8 @@ class Board:
         return f"<h2>{side}{FIGURES[kind]}</h2>"
 
     def _hear(self, job: Job, update: Update) -> None:
-        self._on_update(update)
+        if update.kind == KINDS[0]:
+            self._on_update()
         self._post(job, update)
 
     def _post(self, job: Job, news: Update | str) -> None:
@@ -156,6 +163,7 @@ class Board:
             children=[texts[0], drawn.model, texts[1]],
             sizing_mode="stretch_width",
             html_attributes={"role": "group", "aria-label": f"{self._side}: {FIGURES[plot.kind]}"},
+            css_classes=["wide"] if len(plot.panels) > 2 else [],
         )
         self.cards[plot.kind] = _Card(drawn, layout)
         return True

@@ -88,7 +88,7 @@ def rounds(setup: Setup) -> Iterator[int]:
 
 
 def compute(kind: str, setup: Setup, realizations: int) -> xr.Dataset:
-    """Compute one of `KINDS`; what does not depend on the integrand is shared by all integrands.
+    """Compute one of `KINDS`; what does not depend on a part of the set-up is kept for all of them.
 
     Raises
     ------
@@ -97,8 +97,11 @@ def compute(kind: str, setup: Setup, realizations: int) -> xr.Dataset:
     """
     if kind in ("points", "spectrum"):
         setup = replace(setup, integrand="constant", mirror="none", smoothing=0.0, basis="fourier")
-    rounds_matter = kind not in ("points", "integrand")
-    return _computed(kind, replace(setup, realizations=realizations if rounds_matter else 2))
+    if kind == "integrand":
+        own = ("integrand", "density", "dims", "mirror", "channel", "smoothing")
+        setup = Setup(**{name: getattr(setup, name) for name in own})
+    once = kind in ("points", "integrand")
+    return _computed(kind, replace(setup, realizations=2 if once else realizations))
 
 
 @lru_cache(_KEPT)

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 __all__ = ["FIGURES", "figures_of"]
 
 FIGURES = {
+    "integrand": "Integrand f, density p, and what is sampled, f/p",
     "points": "Points",
-    "integrand": "Integrand and density",
     "terms": "Terms of the variance",
     "convergence": "Convergence",
     "spectrum": "Power spectrum",

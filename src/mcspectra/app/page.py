@@ -17,7 +17,6 @@ from bokeh.models.widgets.markups import Div
 from tornado.ioloop import IOLoop
 
 from mcspectra.app.board import Board
-from mcspectra.app.compute import Update
 from mcspectra.app.controls import Controls
 from mcspectra.app.export import as_python, as_toml
 from mcspectra.app.figures import FIGURES
@@ -37,12 +36,14 @@ _WIDGETS = """
   --disabled-color: var(--soft); --disabled-background-color: var(--raised);
   --font-size: 13px; }
 .bk-btn { color: var(--ink); background: var(--raised); border-color: var(--line); }
+.bk-btn[disabled] { color: var(--soft); background: var(--raised); opacity: 1; }
 h2 { font-size: 15px; margin: 8px 0 0; } h3 { font-size: 13px; margin: 4px 0 0; font-weight: 500; }
 p { margin: 0 0 4px; } .soft { color: var(--soft); } a { color: var(--link); }
 .alert { border-left: 4px solid #D55E00; padding-left: 8px; font-weight: 600; }
 progress { width: 100%; height: 6px; } td, th { padding: 2px 16px 2px 0; text-align: left; }
 """
 _GRID = ":host {{ display: grid !important; gap: 14px; grid-template-columns: {columns}; }}"
+_SPAN = ":host > .wide { grid-column: 1 / -1; }"
 _ALONE = "repeat(auto-fit, minmax(min(100%, 380px), 1fr))"
 _ABREAST = "repeat(2, minmax(0, 1fr))"
 _NARROW = (
@@ -152,7 +153,11 @@ class Explorer:
         """Figures in the order of their kinds; those of A and B are pairs."""
         boards = list(self._boards.values())
         columns = _ABREAST if len(boards) > 1 else _ALONE
-        self._grid.stylesheets = [_GRID.format(columns=columns), _NARROW]
+        self._grid.stylesheets = [
+            _GRID.format(columns=columns),
+            _NARROW,
+            _SPAN if len(boards) == 1 else "",
+        ]
         kinds = [kind for kind in FIGURES if any(kind in board.cards for board in boards)]
         self._grid.children = [
             board.cards[kind].layout if kind in board.cards else Spacer()
@@ -184,6 +189,7 @@ class Explorer:
         if other is not None:
             self._boards["B"].run(other)
         self._shown(False)
+        self._write_texts()
 
     def _choose_pixel(self, x: int, y: int, strategy: str) -> None:
         side = "B" if self.state.b is not None and self._tabs.active == 1 else "A"
@@ -204,10 +210,8 @@ class Explorer:
         )
         self._themes.text = f"<p>Theme: {' · '.join(links)}</p>"
 
-    def _write_texts(self, update: Update) -> None:
-        """Write the exports once the parts are made; runs in a job's thread."""
-        if update.kind != "points":
-            return
+    def _write_texts(self) -> None:
+        """Write the exports, whose parts are made; runs in a job's thread as well."""
         try:
             texts = as_python(self.state), as_toml(self.state)
         except McspectraError as error:
@@ -223,7 +227,7 @@ class Explorer:
         """Lay figures out where some came or went; a table has the numbers that matter."""
         if moved:
             self._lay_out()
-        rows = [_row(side, setup, self._boards[side].latest) for side, setup in self.state.setups()]
+        rows = [_row(side, setup, self._boards[side]) for side, setup in self.state.setups()]
         head = "".join(
             f'<th scope="col">{name}</th>'
             for name in ("set-up", "sampler", "n", "variance", "captured", "rate")
@@ -257,17 +261,15 @@ def build_page(document: Any) -> None:
     document.template_variables["theme"] = explorer.state.theme
 
 
-def _row(side: str, setup: Setup, latest: dict[str, Any]) -> str:
-    terms, curve = latest.get("terms"), latest.get("convergence")
+def _row(side: str, setup: Setup, board: Board) -> str:
+    terms, curve = board.latest.get("terms"), board.latest.get("convergence")
+    missing = "…" if board.busy else "–"
     cells = [
         setup.displaced_sampler,
         str(setup.n),
-        "…" if terms is None else f"{float(terms['measured_variance']):.4g}",
-        "…" if terms is None else f"{float(terms['captured']):.3g}",
-        "…" if curve is None else f"{float(curve['rate']):.3f}",
+        missing if terms is None else f"{float(terms['measured_variance']):.4g}",
+        missing if terms is None else f"{float(terms['captured']):.3g}",
+        missing if curve is None else f"{float(curve['rate']):.3f}",
     ]
-    return (
-        f'<tr><th scope="row">{side}</th>'
-        + "".join(f"<td>{escape(cell)}</td>" for cell in cells)
-        + "</tr>"
-    )
+    inside = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
+    return f'<tr><th scope="row">{side}</th>{inside}</tr>'

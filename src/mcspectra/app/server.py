@@ -81,10 +81,13 @@ def make_server(port: int = 0) -> Any:
     ParameterError
         The port is out of range or taken.
     """
+    from bokeh.core.validation import silence
+    from bokeh.core.validation.warnings import EMPTY_LAYOUT
     from bokeh.server.server import Server
 
     from mcspectra.app.page import build_page
 
+    silence(EMPTY_LAYOUT)  # which figures fill later
     port = _free_port() if as_integer("port", port, least=0, most=65535) == 0 else port
     try:
         server: Any = Server(

@@ -61,7 +61,7 @@ _DASHES = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dashdot"}
 _SHADES = 255  # colours of a palette; the shade 0 is that of no value
 _KEPT_BITS = 10  # of the mantissa of values under the pointer: 0.1 %, three digits
 _PIXELS = 4 / 3  # of a point
-_ALONE, _WIDE, _ABREAST, _PAIR = 264, 320, 216, 300  # widths of frames in pixels
+_ALONE, _WIDE, _ABREAST, _PAIR = 260, 300, 216, 260  # widths of frames in pixels
 _USUAL = 560  # width in pixels that the height of a figure as wide as its place is taken from
 _TOOLS = "pan,box_zoom,wheel_zoom,reset,save"
 
