@@ -45,7 +45,8 @@ class Board:
     later
         Has a function of no arguments called in the page's own thread, holding its lock.
     on_update
-        Called in the job's thread before its first part is shown.
+        Called in the job's thread before its first part is shown, or with a sentence where nothing
+        can be computed.
     on_shown
         Called in the page's thread after a part was, or when the job has ended; with True where
         figures came or went.
@@ -57,7 +58,7 @@ class Board:
         sheet: InlineStyleSheet,
         *,
         later: Callable[[Callable[[], None]], object],
-        on_update: Callable[[], object],
+        on_update: Callable[[str], object],
         on_shown: Callable[[bool], object],
     ) -> None:
         self.latest: dict[str, Any] = {}
@@ -118,7 +119,7 @@ class Board:
 
     def _hear(self, job: Job, update: Update) -> None:
         if update.kind == KINDS[0]:
-            self._on_update()
+            self._on_update("")
         self._post(job, update)
 
     def _post(self, job: Job, news: Update | str) -> None:
@@ -184,6 +185,8 @@ class Board:
             for kind, value in self.latest.items()
             if kind in ("terms", "convergence") and "note" in value.attrs
         ]
+        if alert:
+            self._on_update(sentence)
         self._fraction = 0.0 if alert else 1.0
         self._say(" ".join(dict.fromkeys([sentence, *notes])), alert=alert)
         self._on_shown(bool(old))
