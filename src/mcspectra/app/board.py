@@ -20,7 +20,8 @@ from mcspectra.plots.description import Plot
 
 __all__ = ["Board"]
 
-_STALE = {"opacity": "0.35", "filter": "grayscale(1)"}
+_FRESH: Any = {"opacity": "1", "filter": "none"}
+_STALE: Any = {"opacity": "0.35", "filter": "grayscale(1)"}
 
 
 @final
@@ -154,8 +155,7 @@ class Board:
         if card is not None and card.drawn.fits(plot):
             card.drawn.update(plot)
             card.layout.children[2].text = words
-            if card.layout.styles:
-                card.layout.styles = {}
+            card.layout.styles = _FRESH
             return False
         drawn = draw(plot)
         texts = [Div(text=t, sizing_mode="stretch_width", stylesheets=[self._sheet], disable_math=True)
@@ -163,6 +163,7 @@ class Board:
         layout = Column(
             children=[texts[0], drawn.model, texts[1]],
             sizing_mode="stretch_width",
+            styles=_FRESH,
             html_attributes={"role": "group", "aria-label": f"{self._side}: {FIGURES[plot.kind]}"},
             css_classes=["wide"] if len(plot.panels) > 2 else [],
         )
