@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mcspectra.app.parts import ladder, make_parts
 
 from mcspectra.app import compute as module
 from mcspectra.app.compute import KINDS, Job, Update, compute, rounds
-from mcspectra.app.parts import ladder, make_parts
 from mcspectra.app.state import Setup
 from mcspectra.core.progress import report
 

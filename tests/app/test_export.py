@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcspectra.app.parts import analyses_of, integrand_specs
 
 from mcspectra.app.compute import compute
 from mcspectra.app.export import as_python, as_toml
-from mcspectra.app.parts import analyses_of, integrand_specs
 from mcspectra.app.state import Setup, State
 from mcspectra.app.uploads import keep_upload
 from mcspectra.studies.files import read_study

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mcspectra.app.state import BASES, MIRRORS, MOST_HALF_WIDTH, MOST_POINTS, THEMES, Setup, State
+from mcspectra.app.state import MIRRORS, MOST_HALF_WIDTH, MOST_POINTS, OPTIONS, THEMES, Setup, State
 from mcspectra.core.errors import ParameterError
 
 UPLOAD = f"upload(digest='{'0a' * 32}')"
@@ -31,7 +31,7 @@ def setups(draw: st.DrawFn) -> Setup:
         strata_shift=draw(st.floats(0, 1, exclude_max=True)),
         mirror=draw(st.sampled_from(MIRRORS)),
         smoothing=draw(st.floats(0, 1)),
-        basis=draw(st.sampled_from(BASES)),
+        basis=draw(st.sampled_from(OPTIONS["basis"].choices)),
         half_width=draw(st.integers(1, MOST_HALF_WIDTH[dims])),
         frequency_step=draw(st.floats(0, 1, exclude_min=True)),
         realizations=draw(st.integers(2, 2**14)),

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from bokeh.document import Document
 from bokeh.models import ColumnDataSource
+from mcspectra.app.look import LOOKS
+from mcspectra.app.views import ConvergenceView, make_views
 
 from mcspectra.app.compute import compute
-from mcspectra.app.look import LOOKS
 from mcspectra.app.state import Setup
-from mcspectra.app.views import ConvergenceView, make_views
 
 SETUPS = {
     "two dims": Setup(n=16, half_width=4),

@@ -22,7 +22,7 @@ __all__ = ["ADDRESS", "Guard", "make_server", "serve"]
 ADDRESS = "127.0.0.1"
 """Where the server listens."""
 
-_TITLE = "mcspectra explorer"
+_MOST_SENT = 64 * 2**20  # bytes: pictures come in as text
 
 
 @final
@@ -81,21 +81,22 @@ def make_server(port: int = 0) -> Any:
     ParameterError
         The port is out of range or taken.
     """
-    import panel as pn
+    from bokeh.core.validation import silence
+    from bokeh.core.validation.warnings import EMPTY_LAYOUT
+    from bokeh.server.server import Server
 
     from mcspectra.app.page import build_page
 
+    silence(EMPTY_LAYOUT)  # which figures fill later
     port = _free_port() if as_integer("port", port, least=0, most=65535) == 0 else port
-    pn.extension(sizing_mode="stretch_width")
     try:
-        server: Any = pn.io.server.get_server(
+        server: Any = Server(
             {"/": build_page},
             port=port,
             address=ADDRESS,
-            websocket_origin=[f"{ADDRESS}:{port}", f"localhost:{port}"],
-            title=_TITLE,
-            http_server_kwargs={"max_buffer_size": 64 * 2**20},
-            websocket_max_message_size=64 * 2**20,
+            allow_websocket_origin=[f"{ADDRESS}:{port}", f"localhost:{port}"],
+            http_server_kwargs={"max_buffer_size": _MOST_SENT},
+            websocket_max_message_size=_MOST_SENT,
         )
     except OSError as error:
         reason = error.strerror or "it is taken"
