@@ -56,17 +56,17 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         "these means. The bias does not average out over pixels or frames; a random shift removes it.",
         plots=(_means(weighted["jittered"], boxes, bounded), _against_n(biases)),
         claims=(
-            *(no_mean(name, each) for name, each in weighted.items()),
-            box_mean(boxes),
-            bounded_border(bounded),
-            toroidal_border(disks),
+            *(_no_mean(name, each) for name, each in weighted.items()),
+            _box_mean(boxes),
+            _bounded_border(bounded),
+            _toroidal_border(disks),
             Claim(
                 f"Points in the middle halves of {N} strata estimate ∫x² with the bias −(1 − w²)/(12N²), w = ½.",
                 normal(*found),
                 expected=box_bias(N),
                 digits=5,
             ),
-            summed_bias(),
+            _summed_bias(),
             _midpoint_rule(),
             largest_distance(
                 f"A random shift removes the bias of those points, N = {_COUNTS[0]} … {_COUNTS[-1]}",
@@ -84,8 +84,7 @@ def sums(name: str, realizations: int, seed: int, density: str = "uniform") -> A
     return np.stack([(weights * np.exp(-2j * np.pi * m * x[..., 0])).mean(axis=1) for m in _M], -1)
 
 
-def no_mean(name: str, found: Array) -> Claim:
-    """Claim that all coefficients but that of m = 0 vanish in the mean."""
+def _no_mean(name: str, found: Array) -> Claim:
     parts = np.concatenate([found.real - (_M == 0), found.imag[:, 1:]], axis=1)
     return largest_distance(
         f"Importance samples of {name} points, p = ½ + x, have ⟨S₀⟩ = 1 and ⟨S_m⟩ = 0, m = 1 … {_M[-1]}, real and "
@@ -100,7 +99,7 @@ def _real_mean(found: Array, m: int) -> Measured:
     return normal(float(mean[m]), float(se[m]))
 
 
-def box_mean(found: Array) -> Claim:
+def _box_mean(found: Array) -> Claim:
     """Each point is uniform in a box about the center of its stratum: (−1)^k sinc(π k w) at m = kN."""
     return Claim(
         f"Points in the middle halves of {N} strata have ⟨S_m⟩ = −sinc(π/2) at m = {N}.",
@@ -110,8 +109,7 @@ def box_mean(found: Array) -> Claim:
     )
 
 
-def bounded_border(found: Array) -> Claim:
-    """Claim that bounded disks crowd at the border."""
+def _bounded_border(found: Array) -> Claim:
     return Claim(
         "Poisson-disk points whose disks stick out of the domain are more likely near its border: Re ⟨S₁⟩ > 0.",
         _real_mean(found, 1),
@@ -119,8 +117,7 @@ def bounded_border(found: Array) -> Claim:
     )
 
 
-def toroidal_border(found: Array) -> Claim:
-    """Claim that toroidal disks do not."""
+def _toroidal_border(found: Array) -> Claim:
     return Claim(
         "With distances around the border, Re ⟨S₁⟩ of Poisson-disk points is 0.",
         _real_mean(found, 1),
@@ -140,7 +137,7 @@ def box_bias(n: int, width: float = WIDTH) -> float:
     return -(1 - width**2) / (12 * n**2)
 
 
-def summed_bias() -> Claim:
+def _summed_bias() -> Claim:
     """Σ_{m ≠ 0} conj(f_m) ⟨S_m⟩: ⟨S⟩ lives on multiples of N, and imaginary parts of ±m cancel."""
     k = np.arange(1, 20_001)
     coefficients = 1 / (2 * (np.pi * k * N) ** 2)

@@ -25,7 +25,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     realizations = 4000 if quick else 40_000
     nu = np.concatenate([_INTEGERS, _REALS])
     simulated = {name: simulate(name, nu, realizations, seed) for name in ("random", "jittered")}
-    as_simulated = [agrees_with_simulation(name, data, nu) for name, data in simulated.items()]
+    as_simulated = [_agrees_with_simulation(name, data, nu) for name, data in simulated.items()]
     random, jittered = (number(float(judge(claim).measured or 0)) for claim in as_simulated)
     return Exhibit(
         caption="The closed forms of the slides hold at real frequencies as at integer ones: simulated "
@@ -34,7 +34,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         "everywhere, jittered ones have less at frequencies below N: N³ times their power at m = 1 tends to π²/3.",
         plots=(_curves(simulated, nu),),
         claims=(
-            *(as_printed(name) for name in simulated),
+            *(_as_printed(name) for name in simulated),
             *as_simulated,
             _in_the_plane(realizations // 4, seed),
             _low_limit(),
@@ -55,8 +55,7 @@ def printed(name: str, m: Array) -> Array:
     return np.asarray((1 - np.sinc(m / N) ** 2) / N + np.sinc(m) ** 2)
 
 
-def as_printed(name: str) -> Claim:
-    """Claim the slides' formula."""
+def _as_printed(name: str) -> Claim:
     nu = np.concatenate([[0.0], _INTEGERS, _REALS])
     return Claim(
         f"The closed form of {name} points is that of the slides, integer and real frequencies: largest difference.",
@@ -70,8 +69,7 @@ def simulate(name: str, nu: Array, realizations: int, seed: int) -> xr.Dataset:
     return mcs.power_at(mcs.sampler(name, 1), N, nu[:, None], realizations=realizations, rng=seed)
 
 
-def agrees_with_simulation(name: str, data: xr.Dataset, nu: Array) -> Claim:
-    """Claim the closed form at all frequencies."""
+def _agrees_with_simulation(name: str, data: xr.Dataset, nu: Array) -> Claim:
     return largest_distance(
         f"Simulated spectra of {name} points agree with the closed form at {nu.size} frequencies, half of them "
         "integers",

@@ -16,6 +16,7 @@ from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import ACCENT, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import GALLERY_FINDINGS, Claim, Exhibit
+from mcspectra.reproduction.panels import in_columns
 
 __all__ = ["exhibit"]
 
@@ -45,12 +46,12 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         claims=(
             _growth(whole),
             _refused(),
-            *(map_is_row_sums(d, data) for d, data in whole.items()),
-            *(bands_are_blocks(d, data) for d, data in whole.items()),
-            *(map_sums(d, data) for d, data in runs.items()),
-            map_holds_the_third(runs),
-            anova(bands["random"]),
-            main_effects(bands),
+            *(_map_is_row_sums(d, data) for d, data in whole.items()),
+            *(_bands_are_blocks(d, data) for d, data in whole.items()),
+            *(_map_sums(d, data) for d, data in runs.items()),
+            _map_holds_the_third(runs),
+            _anova(bands["random"]),
+            _main_effects(bands),
         ),
     )
 
@@ -134,8 +135,7 @@ def _refused() -> Claim:
     return Claim(statement, answer, holds=answer != "a matrix", shown="a refusal")
 
 
-def map_is_row_sums(dims: int, data: xr.Dataset) -> Claim:
-    """Claim that the map is made of the matrix."""
+def _map_is_row_sums(dims: int, data: xr.Dataset) -> Claim:
     rows = data["cross_matrix"].values.sum(axis=1).real
     values = data["contribution"].values.ravel()
     return Claim(
@@ -146,7 +146,7 @@ def map_is_row_sums(dims: int, data: xr.Dataset) -> Claim:
     )
 
 
-def bands_are_blocks(dims: int, data: xr.Dataset) -> Claim:
+def _bands_are_blocks(dims: int, data: xr.Dataset) -> Claim:
     """Sets of entries are compared: the order of bands is that of their labels, not of the numbers."""
     of = subsets(dims, SMALL[dims][1])
     matrix = data["cross_matrix"].values
@@ -160,8 +160,7 @@ def bands_are_blocks(dims: int, data: xr.Dataset) -> Claim:
     )
 
 
-def map_sums(dims: int, data: xr.Dataset) -> Claim:
-    """Claim that map and bands have all of the variance."""
+def _map_sums(dims: int, data: xr.Dataset) -> Claim:
     total, size = float(data["predicted_variance"]), data["contribution"].size
     sums = [float(data[name].sum()) for name in ("contribution", "band_covariance")]
     return Claim(
@@ -173,8 +172,7 @@ def map_sums(dims: int, data: xr.Dataset) -> Claim:
     )
 
 
-def map_holds_the_third(runs: Mapping[int, xr.Dataset]) -> Claim:
-    """Claim that the third term is in the map."""
+def _map_holds_the_third(runs: Mapping[int, xr.Dataset]) -> Claim:
     errors = []
     for data in runs.values():
         third = float((data["contribution"] - data["power_contribution"]).sum())
@@ -187,7 +185,7 @@ def map_holds_the_third(runs: Mapping[int, xr.Dataset]) -> Claim:
     )
 
 
-def anova(data: xr.Dataset) -> Claim:
+def _anova(data: xr.Dataset) -> Claim:
     """Random points: every band's variance is its ANOVA component over N."""
     from scipy.special import stdtrit
 
@@ -211,7 +209,7 @@ def anova(data: xr.Dataset) -> Claim:
     )
 
 
-def main_effects(bands: Mapping[str, xr.Dataset]) -> Claim:
+def _main_effects(bands: Mapping[str, xr.Dataset]) -> Claim:
     """Stein (1987): a Latin hypercube integrates additive functions with o(1/N)."""
     limit = main_share(bands["random"]) / 10
     return Claim(
@@ -236,7 +234,7 @@ def _sizes() -> Plot:
     memory = 2**36 / _BYTES
     marks += [
         Rule(at=memory, color=ACCENT, width=1.0),
-        Text(x=0.8, y=3 * memory, text="64 GiB", color=ACCENT),
+        Text(x=1.0, y=memory, text="64 GiB", color=ACCENT, side="above"),
     ]
     ticks = {float(d): str(int(d)) for d in dims}
     x = Axis(label="number of dims d", low=0.8, high=6.2, ticks=ticks)
@@ -269,7 +267,7 @@ def _map(seed: int, *, quick: bool) -> Plot:
 
 def _bands(bands: Mapping[str, xr.Dataset]) -> Plot:
     return replace(
-        describe("bands", bands),
+        in_columns(describe("bands", bands), first=1),
         kind="band-map",
         caption="Covariances of ANOVA bands in three dims, 64 points: by the coordinates along which the frequencies "
         "of a band are not 0; below, their shares of the variance.",

@@ -38,7 +38,7 @@ Case: TypeAlias = tuple[str, str]
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Draw the integrands of two pixels on the square, and measure their eight rates."""
     f = integrands()
-    options = {"realizations": 80 if quick else 800, "rng": seed}
+    options: dict[str, Any] = {"realizations": 80 if quick else 800, "rng": seed}
     found = mcs.convergence(list(f.values()), list(SAMPLERS), _COUNTS, **options)
     curves = {
         (case, sampler): found.isel(estimator=i, sampler=j)
@@ -63,7 +63,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 )
                 for ((point, strategy), sampler), curve in curves.items()
             ),
-            same_integral(curves),
+            _same_integral(curves),
         ),
     )
 
@@ -79,7 +79,7 @@ def _expected(case: Case, sampler: str) -> float:
     return -2.0 if (case, sampler) == (("P", "light"), "jittered") else -1.5
 
 
-def same_integral(curves: Mapping[tuple[Case, str], xr.Dataset]) -> Claim:
+def _same_integral(curves: Mapping[tuple[Case, str], xr.Dataset]) -> Claim:
     """Differences of light and BSDF sampling at the largest N."""
     differences, errors = [], []
     for point, sampler in itertools.product("PQ", SAMPLERS):
@@ -106,7 +106,7 @@ def _scene(quick: bool, seed: int) -> Plot:
                     Dots(x=x, y=height - y, color="#FFFFFF", size=8.0),
                     Dots(x=x, y=height - y, color=ACCENT, size=6.0),
                     *(
-                        Text(x=px, y=height - py, text=f" {name}", color="#FFFFFF")
+                        Text(x=px, y=height - py, text=name)
                         for name, px, py in zip(
                             mcs.rendering.named_pixels(scene), x, y, strict=True
                         )

@@ -46,7 +46,7 @@ _COSTS = {"one": 1, "own": 3, "mis": 3}  # evaluations of f a point
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Measure rates of three channels by gray, own and mixed densities, and a map in the plane."""
     by = ways()
-    options = {"realizations": 400 if quick else 4000, "rng": seed}
+    options: dict[str, Any] = {"realizations": 400 if quick else 4000, "rng": seed}
     curves = {way: mcs.convergence(by[way], "jittered", COUNTS[way], **options) for way in _WAYS}
     exact = {
         way: np.array([mcs.exact_variance(by[way], "jittered", n) for n in COUNTS[way]])
@@ -56,7 +56,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         way: ", ".join(rate_text(curve.sel(channel=c)) for c in range(3))
         for way, curve in curves.items()
     }
-    gains = [gain(c, curves) for c in range(3)]
+    gains = [_gain(c, curves) for c in range(3)]
     lower = ", ".join(number(float(judge(claim).measured or 0)) for claim in gains)
     return Exhibit(
         caption="A channel over the density of luminance keeps the ratio of both, which jumps wherever the colour "
@@ -66,9 +66,9 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         f"{shown['mis']}.",
         plots=(_map(), _convergence(curves, exact)),
         claims=(
-            *(rate_of(way, c, curves[way], exact[way]) for way in _WAYS for c in range(3)),
+            *(_rate_of(way, c, curves[way], exact[way]) for way in _WAYS for c in range(3)),
             *gains,
-            *(continuous(c) for c in range(3)),
+            *(_continuous(c) for c in range(3)),
             _in_the_plane(60 if quick else 600, seed),
         ),
     )
@@ -89,13 +89,12 @@ def radiance(x: Array) -> Array:
     return np.asarray(PIXELS[pixel] * np.cos(np.pi * (np.asarray(x) - 0.5)))
 
 
-def rate_of(way: str, channel: int, curve: xr.Dataset, exact: Array) -> Claim:
-    """Claim the rate of a channel."""
+def _rate_of(way: str, channel: int, curve: xr.Dataset, exact: Array) -> Claim:
     text = f"Variance of {list(_COLORS)[channel]}, sampled by {_WAYS[way]}, jittered: rate."
     return known_rate(text, curve.sel(channel=channel), RATES[way], exact[:, channel])
 
 
-def gain(channel: int, curves: Mapping[str, xr.Dataset]) -> Claim:
+def _gain(channel: int, curves: Mapping[str, xr.Dataset]) -> Claim:
     """At equal numbers of evaluations: n points, or a third of them for each channel."""
     last = [curves[way].sel(channel=channel).isel(n=-1) for way in ("one", "own")]
     return Claim(
@@ -113,8 +112,7 @@ def weighted(table: Array, channel: int, t: Array) -> Array:
     return np.asarray(times[:, None] * np.cos(np.pi * (x - 0.5)))
 
 
-def continuous(channel: int) -> Claim:
-    """Claim that f/p has no jumps."""
+def _continuous(channel: int) -> Claim:
     own = weighted(PIXELS[:, channel], channel, np.array([0.0, 1.0]))
     return Claim(
         f"f/p of {list(_COLORS)[channel]} has no jumps when it is sampled by its own channel: largest one between "

@@ -57,7 +57,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 for name in ("random", "jittered")
             ),
             Claim(less, reading(one["poisson-disk"], "variance", log=True), below=_exact("random")),
-            weights_sum_to_one(realizations, seed),
+            _weights_sum_to_one(realizations, seed),
             _inner_product(seed),
         ),
     )
@@ -72,8 +72,7 @@ def _exact(name: str) -> float:
     return float(mcs.exact_variance(SQUARE, name, N))
 
 
-def weights_sum_to_one(realizations: int, seed: int) -> Claim:
-    """Claim that S integrates to 1 on average."""
+def _weights_sum_to_one(realizations: int, seed: int) -> Claim:
     mean, se = mean_and_error((1.0 / pdf(_warped("random", N, seed, realizations))).mean(axis=1))
     return Claim(
         f"The peaks of S, of the height 1/(N p), sum to 1 on average, for p = {DENSITY}.",
@@ -112,7 +111,7 @@ def _combs(seed: int) -> Plot:
     f = np.asarray(mcs.integrand(BELL, 1)(x[:, None]))
     top = Panel(
         marks=(
-            Line(x=x, y=f, low=0 * f, high=f, color="#0072B2", width=0.0),
+            Line(x=x, y=f, low=0 * f, high=f, color="#D9E8F2", width=0.0),
             Line(x=x, y=f, color=INK, width=1.4),
             Line(x=x, y=pdf(x), color=ACCENT, dashes="--", width=1.4),
             Rule(at=0.0, width=0.6),
@@ -140,7 +139,7 @@ def _combs(seed: int) -> Plot:
     return Plot(
         kind="estimator",
         panels=(top, *rows),
-        height=0.14,
+        height=0.11,
         rows=(2.2, 1.0, 1.0, 1.0),
         share="x",
         wide=True,

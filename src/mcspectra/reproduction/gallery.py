@@ -385,7 +385,7 @@ def _write_pdf(path: Path, entries: Sequence[Entry]) -> None:
                     for row, (line, weight) in enumerate(lines[start : start + _LINES]):
                         at = (0.08, 0.95 - 0.0145 * row)
                         sheet.text(*at, _plain(line), va="top", fontsize=9, weight=weight)
-                    pdf.savefig(sheet)  # type: ignore[no-untyped-call]
+                    pdf.savefig(sheet)
                 for plot in entry.exhibit.plots if entry.exhibit else ():
                     _add_figure(pdf, plot)
         partial.replace(path)

@@ -14,7 +14,7 @@ from mcspectra.plots.description import Plot
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, reading
-from mcspectra.reproduction.panels import term_panel
+from mcspectra.reproduction.panels import in_columns, term_panel
 
 __all__ = ["exhibit"]
 
@@ -49,9 +49,9 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             _bars(line, bell, weighted),
         ),
         claims=(
-            sum_is_variance(every),
-            third_is_real(every),
-            *line_terms(line["jittered"]),
+            _sum_is_variance(every),
+            _third_is_real(every),
+            *_line_terms(line["jittered"]),
             *_line_limits(),
             Claim(
                 "The first term of random importance samples of p = ½ + x is I² (ln 3 − 1)/N.",
@@ -61,7 +61,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             ),
             *(_valid(name, data) for name, data in weighted.items()),
             *_pairing(),
-            only_power(line["random"]),
+            _only_power(line["random"]),
         ),
     )
 
@@ -79,7 +79,7 @@ def _weighted() -> mcs.Estimator:
     return mcs.Estimator(mcs.integrand(BELL, 1), DENSITY)
 
 
-def sum_is_variance(every: Sequence[xr.Dataset]) -> Claim:
+def _sum_is_variance(every: Sequence[xr.Dataset]) -> Claim:
     """Against the variance of the estimates truncated at the same frequencies, which is measured."""
     errors = [float(d["predicted_variance"] / d["truncated_variance"][-1]) - 1.0 for d in every]
     return Claim(
@@ -91,8 +91,7 @@ def sum_is_variance(every: Sequence[xr.Dataset]) -> Claim:
     )
 
 
-def third_is_real(every: Sequence[xr.Dataset]) -> Claim:
-    """Claim that imaginary parts cancel."""
+def _third_is_real(every: Sequence[xr.Dataset]) -> Claim:
     matrices = [data["cross_matrix"].values for data in every]
     off = [matrix[~np.eye(len(matrix), dtype=bool)] for matrix in matrices]
     return Claim(
@@ -118,8 +117,7 @@ def split(matrix: Array) -> tuple[float, float, float]:
     return first, power, float(matrix.sum().real) - power - first
 
 
-def line_terms(data: xr.Dataset) -> list[Claim]:
-    """Claim the closed form at the same frequencies."""
+def _line_terms(data: xr.Dataset) -> list[Claim]:
     _, *exact = split(_exact_matrix(mcs.integrand(LINE, 1), "jittered", None, HALF_WIDTH))
     return [
         Claim(
@@ -197,8 +195,7 @@ def _pairing() -> list[Claim]:
     ]
 
 
-def only_power(data: xr.Dataset) -> Claim:
-    """Claim that random points have no third term."""
+def _only_power(data: xr.Dataset) -> Claim:
     return Claim(
         "Random points of constant density have no third term on f(x) = x.",
         reading(data, "cross_term"),
@@ -208,7 +205,7 @@ def only_power(data: xr.Dataset) -> Claim:
 
 def _matrices(place: int, label: str, row: Mapping[str, xr.Dataset]) -> Plot:
     return replace(
-        describe("cross-matrix", row),
+        in_columns(describe("cross-matrix", row)),
         kind=f"cross-matrix-{place}",
         caption=f"Real (above) and imaginary parts (below) of conj(f_m) f_l Cov(S_m, S_l) of {N} points, {label}. "
         "In one dim Owen-scrambled Sobol' points are jittered points. Signed logarithmic colours.",

@@ -89,8 +89,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 note="Rounding of phases of 2π·8 at most.",
             ),
             _phase(seed),
-            correlated_before(before),
-            *(correlated_after(name, pair[1]) for name, pair in pairs.items()),
+            _correlated_before(before),
+            *(_correlated_after(name, pair[1]) for name, pair in pairs.items()),
             Claim(
                 "Points that are not random at all become so: ⟨S_m⟩ of a regular grid at its own frequency "
                 "m = (8, 0), 1 or −1 before the shift, is 0 after it (real part).",
@@ -156,8 +156,7 @@ def _phase(seed: int) -> Claim:
     )
 
 
-def correlated_before(before: Coefficients) -> Claim:
-    """Claim the closed form of the covariance of jittered points."""
+def _correlated_before(before: Coefficients) -> Claim:
     expected = N * float(mcs.closed_form_covariance("jittered", N, *PAIRS[0]).real)
     se = float(mean_and_error(before.products.real)[1][0])
     value = normal(float(before.covariance[0].real), se)
@@ -170,8 +169,7 @@ def correlated_before(before: Coefficients) -> Claim:
     )
 
 
-def correlated_after(name: str, after: Coefficients) -> Claim:
-    """Claim that no pair is correlated."""
+def _correlated_after(name: str, after: Coefficients) -> Claim:
     distance, limit = after.farthest()
     return Claim(
         f"After a shift, coefficients of {name} points at different frequencies are not correlated: largest "

@@ -75,12 +75,12 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         plots=(_plot(curves, known),),
         claims=(
             *(
-                rate_of(case, s, curves[case][s], known[case][s])
+                _rate_of(case, s, curves[case][s], known[case][s])
                 for case in cases
                 for s in SAMPLERS
             ),
-            price(curves[LINE]),
-            same(known[COSINE]),
+            _price(curves[LINE]),
+            _same(known[COSINE]),
             Claim(
                 "Other correlations suffer too: on exp(−x² − y²) the rate of Owen-scrambled Sobol' points is worse "
                 "with a shift: difference of the rates.",
@@ -113,14 +113,13 @@ def exact(case: Case, sampler: str) -> Array:
     return np.array([(square - window @ power @ window) / n for n, window in windows])
 
 
-def rate_of(case: Case, sampler: str, curve: xr.Dataset, known: Array) -> Claim:
-    """Claim the rate of a sampler."""
+def _rate_of(case: Case, sampler: str, curve: xr.Dataset, known: Array) -> Claim:
     expected = case.plain if sampler == "jittered" else case.shifted
     text = f"{case.title}: the variance of {sampler} points has the rate {number(expected, 2)}."
     return known_rate(text, curve, expected, known)
 
 
-def price(curves: Mapping[str, xr.Dataset]) -> Claim:
+def _price(curves: Mapping[str, xr.Dataset]) -> Claim:
     """(1/(6N²) − 1/(12N³)) / (1/(12N³)) = 2N − 1."""
     last = [reading(curves[s].isel(n=-1), "variance") for s in reversed(SAMPLERS)]
     return Claim(
@@ -130,8 +129,7 @@ def price(curves: Mapping[str, xr.Dataset]) -> Claim:
     )
 
 
-def same(known: Mapping[str, Array]) -> Claim:
-    """Claim that a shift costs nothing."""
+def _same(known: Mapping[str, Array]) -> Claim:
     return Claim(
         "Counter-example: of cos(2π(x + y)), which is periodic, the exact variances with and without a shift are "
         "the same, N = 16 … 1024: largest relative difference.",

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -15,7 +16,7 @@ from mcspectra.plots.description import Plot
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, reading
-from mcspectra.reproduction.panels import interval_panel
+from mcspectra.reproduction.panels import in_columns, interval_panel
 
 __all__ = ["exhibit"]
 
@@ -41,15 +42,15 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         plots=(_ratios(plain, shifted), _matrices(200 if quick else 2000, seed)),
         claims=(
             *(_closed_sum(n) for n in (16, 256)),
-            *(no_third(name, data) for name, data in shifted.items()),
-            *(all_of_it(name, data) for name, data in shifted.items()),
+            *(_no_third(name, data) for name, data in shifted.items()),
+            *(_all_of_it(name, data) for name, data in shifted.items()),
             Claim(
                 "The first term is 0, as weights are all 1/N: largest, as a share of the variance.",
                 max(float(d["dc_term"]) / float(d["measured_variance"]) for d in shifted.values()),
                 at_most=1e-15,
             ),
             _only_then(),
-            more_than_all(plain["jittered"]),
+            _more_than_all(plain["jittered"]),
         ),
     )
 
@@ -87,8 +88,7 @@ def _closed_sum(n: int) -> Claim:
     )
 
 
-def no_third(name: str, data: xr.Dataset) -> Claim:
-    """Claim that there is no third term."""
+def _no_third(name: str, data: xr.Dataset) -> Claim:
     return Claim(
         f"{name}, shifted: the third term is 0, as a share of the variance.",
         reading(data, "cross_term") / float(data["predicted_variance"]),
@@ -96,8 +96,7 @@ def no_third(name: str, data: xr.Dataset) -> Claim:
     )
 
 
-def all_of_it(name: str, data: xr.Dataset) -> Claim:
-    """Claim that the power term is the measured variance."""
+def _all_of_it(name: str, data: xr.Dataset) -> Claim:
     left_out = beyond() / N / float(data["measured_variance"])
     return Claim(
         f"{name}, shifted: the sum over m ≠ 0 is the measured variance: their ratio.",
@@ -129,8 +128,7 @@ def _only_then() -> Claim:
     )
 
 
-def more_than_all(data: xr.Dataset) -> Claim:
-    """Claim that the formula says too much where points are not shifted."""
+def _more_than_all(data: xr.Dataset) -> Claim:
     return Claim(
         "Jittered points that are not shifted, on the bell: the sum is more than the variance: their ratio.",
         share(data),
@@ -155,12 +153,16 @@ def _ratios(plain: Mapping[str, xr.Dataset], shifted: Mapping[str, xr.Dataset]) 
 
 def _matrices(realizations: int, seed: int) -> Plot:
     f, n = mcs.integrand("linear", 1), 16
-    options = {"half_width": 32, "realizations": realizations, "rng": seed, "cross_matrix": True}
+    options: dict[str, Any] = {
+        "half_width": 32,
+        "realizations": realizations,
+        "rng": seed,
+        "cross_matrix": True,
+    }
     names = ("jittered", "jittered | shift")
+    data = {name: mcs.variance_terms(f, name, n, **options) for name in names}
     return replace(
-        describe(
-            "cross-matrix", {name: mcs.variance_terms(f, name, n, **options) for name in names}
-        ),
+        in_columns(describe("cross-matrix", data)),
         kind="homogenised-matrix",
         caption=f"Cross matrix of {n} points on f(x) = x, estimated from {realizations} realisations: jittered points "
         "have diagonals N apart, which a shift takes away; only the main diagonal is left, and noise.",

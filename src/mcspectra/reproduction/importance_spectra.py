@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -37,11 +38,11 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     realizations = 300 if quick else 3000
     spectra = {name: spectrum(name, realizations, seed) for name in SAMPLERS}
     rings = [
-        ring_level(name, spectra[name], ring)
+        _ring_level(name, spectra[name], ring)
         for name in ("random", "jittered")
         for ring in (1, HALF_WIDTH)
     ]
-    dc = [dc_component(name, realizations, seed) for name in ("random", "jittered")]
+    dc = [_dc_component(name, realizations, seed) for name in ("random", "jittered")]
     low, high, dc_random, dc_jittered = (
         number(float(judge(claim).measured or 0)) for claim in (*rings[2:], *dc)
     )
@@ -54,11 +55,11 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         plots=(_images(spectra, realizations, seed), _radial(spectra)),
         claims=(
             *rings,
-            below_random(spectra["poisson-disk"]),
+            _below_random(spectra["poisson-disk"]),
             *dc,
             _rate(1),
             _rate(0),
-            without_weights(realizations, seed),
+            _without_weights(realizations, seed),
             Claim(
                 "At high frequencies, m = (4000, 0), jittered importance samples have the level ∫1/p of random ones: "
                 "relative difference.",
@@ -73,7 +74,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 def spectrum(name: str, realizations: int, seed: int) -> xr.Dataset:
     """Expected power of weighted points in the plane."""
-    options = {"half_width": HALF_WIDTH, "realizations": realizations, "rng": seed}
+    options: dict[str, Any] = {"half_width": HALF_WIDTH, "realizations": realizations, "rng": seed}
     return mcs.power_spectrum(mcs.sampler(name, 2), N, density=DENSITY, **options)
 
 
@@ -81,8 +82,7 @@ def _closed_ring(name: str, ring: int) -> float:
     return N * ring_mean(lambda m: mcs.closed_form_power(name, N, m, DENSITY), HALF_WIDTH, ring)
 
 
-def ring_level(name: str, data: xr.Dataset, ring: int) -> Claim:
-    """Claim the mean of the closed form over a ring."""
+def _ring_level(name: str, data: xr.Dataset, ring: int) -> Claim:
     what = "∫1/p" if name == "random" else "that of the closed form"
     return Claim(
         f"N⟨|S_m|²⟩ of {name} importance samples, the mean over |m| ≈ {ring}, is {what}.",
@@ -92,8 +92,7 @@ def ring_level(name: str, data: xr.Dataset, ring: int) -> Claim:
     )
 
 
-def below_random(data: xr.Dataset) -> Claim:
-    """Claim that Poisson-disk points are between jittered and random ones."""
+def _below_random(data: xr.Dataset) -> Claim:
     return Claim(
         "Poisson-disk points, warped, have less power than random ones at |m| ≈ 1, but more than jittered ones.",
         at_ring(data, 1, N),
@@ -102,7 +101,7 @@ def below_random(data: xr.Dataset) -> Claim:
     )
 
 
-def dc_component(name: str, realizations: int, seed: int) -> Claim:
+def _dc_component(name: str, realizations: int, seed: int) -> Claim:
     """S_0 is the mean of 1/p; its variance against the closed form."""
     squares = N * (sums(name, realizations * 4, seed, weighted=True)[:, 0].real - 1.0) ** 2
     zero = np.zeros((1, 2))
@@ -139,7 +138,7 @@ def _rate(m: int) -> Claim:
     )
 
 
-def without_weights(realizations: int, seed: int) -> Claim:
+def _without_weights(realizations: int, seed: int) -> Claim:
     """N random points of p: 1/N + (1 − 1/N) |p_m|², p_m = i s/(2πm) of a linear density."""
     power = np.abs(sums("random", realizations, seed, weighted=False)[:, 1]) ** 2
     return Claim(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import numpy as np
 import xarray as xr
@@ -57,7 +57,11 @@ class Case:
     def terms(self, realizations: int, seed: int) -> xr.Dataset:
         """The terms, with half widths that the function needs."""
         half_width = _MANY if self.function in ("line", "bar") else _FEW
-        options = {"half_width": half_width, "realizations": realizations, "rng": seed}
+        options: dict[str, Any] = {
+            "half_width": half_width,
+            "realizations": realizations,
+            "rng": seed,
+        }
         return mcs.variance_terms(self.estimator, self.sampler, N, **options)
 
     def exact_random(self) -> tuple[float, float, float]:
@@ -79,7 +83,7 @@ BAR = Case("bar, p = 1, jittered", "bar", 0.0, "jittered")
 GOOD = Case("cosine, p as f, random", "cosine", -0.8, "random")
 STRATIFIED = Case("cosine, p as f, jittered", "cosine", -0.8, "jittered")
 BAD = Case("cosine, p against f, random", "cosine", 0.8, "random")
-FLAT = Case("f = 1, p as the cosine, random", "one", -0.8, "random")
+FLAT = Case("f = 1, p as cosine, random", "one", -0.8, "random")
 
 
 def _wave(height: float) -> mcs.Integrand:
@@ -111,27 +115,27 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         f"over N: {third[GOOD]} where p is high where f is, {third[BAD]} where it is low there.",
         plots=(_bars(of),),
         claims=(
-            second_positive([*(data for case, data in of.items() if case != FLAT), shifted]),
+            _second_positive([*(data for case, data in of.items() if case != FLAT), shifted]),
             Claim(
                 "For constant PDF the first term is zero: largest.",
                 max(float(data["dc_term"]) for data in (of[LINE], of[BAR], shifted)),
                 at_most=1e-20,
             ),
-            negative(
+            _negative(
                 "For constant PDF the third term is negative on f(x) = x, jittered points.",
                 of[LINE],
             ),
-            bar_adds(of[BAR]),
-            shift_removes(shifted),
-            *predictions(of),
-            negative(with_f.format("random"), of[GOOD]),
-            negative(with_f.format("jittered"), of[STRATIFIED]),
+            _bar_adds(of[BAR]),
+            _shift_removes(shifted),
+            *_predictions(of),
+            _negative(with_f.format("random"), of[GOOD]),
+            _negative(with_f.format("jittered"), of[STRATIFIED]),
             Claim(
                 "Counter-example: with IS that is low where f is high, the third term is positive.",
                 reading(of[BAD], "cross_term"),
                 above=0.0,
             ),
-            *(crucial(case, of[case]) for case in (LINE, GOOD)),
+            *(_crucial(case, of[case]) for case in (LINE, GOOD)),
             Claim(
                 "The first term does not reduce the variance: it is I² Var(S₀), which is never negative; with IS "
                 "that follows f it is I² (∫1/p − 1)/N.",
@@ -140,14 +144,13 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 digits=4,
                 note="The statement of the slides holds in so far as the third term outweighs it.",
             ),
-            all_first(of[FLAT]),
+            _all_first(of[FLAT]),
             _perfect(seed),
         ),
     )
 
 
-def second_positive(every: Sequence[xr.Dataset]) -> Claim:
-    """Claim it of the case whose interval comes nearest to 0."""
+def _second_positive(every: Sequence[xr.Dataset]) -> Claim:
     found = [reading(data, "power_term") for data in every]
     return Claim(
         f"The second term is always positive: that of the {len(every)} cases (f = 1 aside, which has none) whose "
@@ -157,8 +160,7 @@ def second_positive(every: Sequence[xr.Dataset]) -> Claim:
     )
 
 
-def negative(statement: str, data: xr.Dataset) -> Claim:
-    """Claim a negative third term."""
+def _negative(statement: str, data: xr.Dataset) -> Claim:
     return Claim(statement, reading(data, "cross_term"), below=0.0)
 
 
@@ -171,7 +173,7 @@ def exact_bar(half_width: int) -> float:
     return float((matrix.sum() - np.trace(matrix)).real)
 
 
-def bar_adds(data: xr.Dataset) -> Claim:
+def _bar_adds(data: xr.Dataset) -> Claim:
     """Variance: ¼ of both strata over N²; after a shift 1/6 of each: the third term is the difference."""
     return Claim(
         "Counter-example: the third term of jittered points of constant PDF is positive for a bar whose edges halve "
@@ -183,8 +185,7 @@ def bar_adds(data: xr.Dataset) -> Claim:
     )
 
 
-def shift_removes(data: xr.Dataset) -> Claim:
-    """Claim that there is no third term after a shift."""
+def _shift_removes(data: xr.Dataset) -> Claim:
     return Claim(
         "Counter-example: of shifted points of constant PDF the third term is neither negative nor positive.",
         reading(data, "cross_term"),
@@ -192,8 +193,7 @@ def shift_removes(data: xr.Dataset) -> Claim:
     )
 
 
-def predictions(of: Mapping[Case, xr.Dataset]) -> list[Claim]:
-    """Claim the third term of random points."""
+def _predictions(of: Mapping[Case, xr.Dataset]) -> list[Claim]:
     return [
         Claim(
             f"{case.title}: the third term is the covariance of f² and 1/p over the domain, over N.",
@@ -205,7 +205,7 @@ def predictions(of: Mapping[Case, xr.Dataset]) -> list[Claim]:
     ]
 
 
-def crucial(case: Case, data: xr.Dataset) -> Claim:
+def _crucial(case: Case, data: xr.Dataset) -> Claim:
     """First and second term over the measured variance, whose interval it takes."""
     both = float(data["dc_term"] + data["power_term"])
     variance = reading(data, "measured_variance")
@@ -218,8 +218,7 @@ def crucial(case: Case, data: xr.Dataset) -> Claim:
     )
 
 
-def all_first(data: xr.Dataset) -> Claim:
-    """Claim that f = 1 has the first term alone."""
+def _all_first(data: xr.Dataset) -> Claim:
     return Claim(
         "First term cannot be ignored for IS: of f = 1 it is the whole variance; its share less 1.",
         float(data["dc_term"] / data["measured_variance"]) - 1.0,

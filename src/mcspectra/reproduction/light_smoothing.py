@@ -37,7 +37,7 @@ BUDGETS = (64, 256, 1024)
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Measure a pixel under a light with a sharp and a smooth edge, a ramp, and a smoothed disk."""
     pixels = {name: _pixel(edge) for name, edge in _EDGES.items()}
-    options = {"realizations": 80 if quick else 800, "rng": seed}
+    options: dict[str, Any] = {"realizations": 80 if quick else 800, "rng": seed}
     found = mcs.convergence(list(pixels.values()), "jittered", _COUNTS, **options)
     curves = {name: found.isel(estimator=i) for i, name in enumerate(pixels)}
     options["realizations"] = 300 if quick else 3000
@@ -67,11 +67,11 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 ratio(*map(_relative, curves.values())),
                 above=1.0,
             ),
-            ramp(0.2),
-            ramp(0.05),
-            bias(scan),
-            *(best_pays(scan, n) for n in BUDGETS),
-            narrower(scan),
+            _ramp(0.2),
+            _ramp(0.05),
+            _bias(scan),
+            *(_best_pays(scan, n) for n in BUDGETS),
+            _narrower(scan),
         ),
     )
 
@@ -89,7 +89,7 @@ def _relative(curve: xr.Dataset) -> Measured:
     return reading(last, "variance") / float(last["mean"]) ** 2
 
 
-def ramp(width: float) -> Claim:
+def _ramp(width: float) -> Claim:
     """Exact: within strata of a ramp of the slope 1/δ, 1/(12 δ n³) in all."""
     n = 1024
     smoothed = mcs.smoothed(mcs.integrand("step(at=0.47)", dims=1), width)
@@ -106,7 +106,7 @@ def ramp(width: float) -> Claim:
     )
 
 
-def bias(scan: xr.Dataset) -> Claim:
+def _bias(scan: xr.Dataset) -> Claim:
     """A ramp of the width δ about the radius R: π(R² + δ²/12)."""
     width = scan["width"].values[1:]
     error = scan["smoothing_bias"].values[1:] / (np.pi * width**2 / 12) - 1.0
@@ -118,7 +118,7 @@ def bias(scan: xr.Dataset) -> Claim:
     )
 
 
-def best_pays(scan: xr.Dataset, n: int) -> Claim:
+def _best_pays(scan: xr.Dataset, n: int) -> Claim:
     """Mean squared error with the edge over that of the best width."""
     cell = scan.sel(n=n)
     best = int(np.argmin(cell["mse"].values))
@@ -130,8 +130,7 @@ def best_pays(scan: xr.Dataset, n: int) -> Claim:
     )
 
 
-def narrower(scan: xr.Dataset) -> Claim:
-    """Claim that the best width shrinks."""
+def _narrower(scan: xr.Dataset) -> Claim:
     first, last = (float(scan["best_width"].sel(n=n)) for n in (BUDGETS[0], BUDGETS[-1]))
     return Claim(
         f"The best width shrinks with the budget: that of N = {BUDGETS[-1]} over that of N = {BUDGETS[0]}.",

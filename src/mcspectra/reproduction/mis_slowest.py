@@ -54,15 +54,15 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         "smooth, adding BSDF samples is worse from some N on.",
         plots=(_pixel_plot(pixels), _toy_plot(toy)),
         claims=(
-            *(toy_rate(toy, technique) for technique in (0, 1)),
+            *(_toy_rate(toy, technique) for technique in (0, 1)),
             known_rate(
                 "Toy: the sum has the rate of the slower technique.",
                 toy["sum"],
                 -2.0,
-                sum(map(exact, (0, 1))),
+                exact(0) + exact(1),
             ),
-            bottleneck(toy["sum"].attrs["bottleneck"]),
-            toy_formula(),
+            _bottleneck(toy["sum"].attrs["bottleneck"]),
+            _toy_formula(),
             *(
                 pixel_rate(
                     f"Veach's scene, {_WHERE[where]}: rate of {name}, jittered.",
@@ -72,8 +72,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 for where, found in pixels.items()
                 for i, (name, rate) in enumerate(_RATES.items())
             ),
-            *(follows(where, found) for where, found in pixels.items()),
-            *(what_is_left(where, found) for where, found in pixels.items()),
+            *(_follows(where, found) for where, found in pixels.items()),
+            *(_what_is_left(where, found) for where, found in pixels.items()),
         ),
     )
 
@@ -103,15 +103,13 @@ def exact(technique: int) -> Array:
     return np.asarray(1 / (12 * n**3) if technique == 0 else part * (1 - part) / n**2)
 
 
-def toy_rate(toy: Mapping[str, xr.Dataset], technique: int) -> Claim:
-    """Claim the rate of a technique."""
+def _toy_rate(toy: Mapping[str, xr.Dataset], technique: int) -> Claim:
     name, expected = list(TECHNIQUES.items())[technique]
     text = f"Toy: rate of the technique {name}, jittered."
     return known_rate(text, toy[name], expected, exact(technique))
 
 
-def bottleneck(found: str) -> Claim:
-    """Claim that the analysis names the slower technique."""
+def _bottleneck(found: str) -> Claim:
     return Claim(
         "Toy: the technique whose interval lies above all others is the slower one.",
         found,
@@ -120,8 +118,7 @@ def bottleneck(found: str) -> Claim:
     )
 
 
-def toy_formula() -> Claim:
-    """Claim the exact variance of the sum."""
+def _toy_formula() -> Claim:
     found = np.array([mcs.exact_variance(_toy(), "jittered", n) for n in _COUNTS])
     return Claim(
         "Toy: the variance of the sum is 1/(12N³) + {aN}(1 − {aN})/N², {·} the fractional part: largest relative "
@@ -145,7 +142,7 @@ def _pixel(where: str, sides: Sequence[int], realizations: int, seed: int) -> xr
     )
 
 
-def follows(where: str, found: xr.Dataset) -> Claim:
+def _follows(where: str, found: xr.Dataset) -> Claim:
     """Difference of two rates, both with intervals, taken as independent."""
     return Claim(
         f"Veach's scene, {_WHERE[where]}: rate of MIS minus that of BSDF sampling.",
@@ -157,7 +154,7 @@ def follows(where: str, found: xr.Dataset) -> Claim:
     )
 
 
-def what_is_left(where: str, found: xr.Dataset) -> Claim:
+def _what_is_left(where: str, found: xr.Dataset) -> Claim:
     """Share of the BSDF technique in the variance of MIS at the largest N."""
     light, bsdf = (found.isel(estimator=i, n=-1) for i in (3, 4))
     return Claim(
@@ -198,7 +195,6 @@ def _toy_plot(toy: Mapping[str, xr.Dataset]) -> Plot:
     return Plot(
         kind="toy-techniques",
         panels=(variance_panel(toy, exact=known, title="two techniques and their sum", x=x),),
-        height=0.7,
         caption="Measured variances (marks) and exact ones (lines) of two techniques and of their sum, jittered points, "
         "with 95 % intervals.",
         words="Logarithmic plot: the linear technique falls with slope −3, the step with −2, and the sum lies on the "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -46,20 +47,25 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         "the variance, as the power spectrum has lost the phase.",
         plots=(_curves(pairs), _comparison(variances)),
         claims=(
-            *(as_closed(name, pairs[name]) for name in ("random", "jittered")),
-            hole(pairs["poisson-disk"]),
-            *(transformed(name) for name in ("random", "jittered")),
+            *(_as_closed(name, pairs[name]) for name in ("random", "jittered")),
+            _hole(pairs["poisson-disk"]),
+            *(_transformed(name) for name in ("random", "jittered")),
             _one_dim(),
             *(_known_pairs(name) for name in ("random", "jittered")),
-            *(counted_pairs(name, *pair) for name, pair in variances.items()),
-            shifted(variances["jittered | shift"][0]),
+            *(_counted_pairs(name, *pair) for name, pair in variances.items()),
+            _shifted(variances["jittered | shift"][0]),
         ),
     )
 
 
 def count_pairs(name: str, realizations: int, seed: int) -> xr.Dataset:
     """Pairs of points in the plane by their distance."""
-    options = {"bins": 60, "realizations": realizations, "rng": seed, "max_distance": 0.4}
+    options: dict[str, Any] = {
+        "bins": 60,
+        "realizations": realizations,
+        "rng": seed,
+        "max_distance": 0.4,
+    }
     return mcs.pair_correlation(mcs.sampler(name, 2), N, **options)
 
 
@@ -73,8 +79,7 @@ def routes(name: str, realizations: int, seed: int) -> tuple[Measured, Measured]
     return counted, reading(curve.isel(n=0), "variance")
 
 
-def as_closed(name: str, data: xr.Dataset) -> Claim:
-    """Claim the closed form at all distances."""
+def _as_closed(name: str, data: xr.Dataset) -> Claim:
     r, width = data["r"].values, float(data["r"][1] - data["r"][0])
     # A bin counts pairs in proportion to r: Simpson's rule with that weight
     nodes = [(-0.5, 1), (0.0, 4), (0.5, 1)]
@@ -88,8 +93,7 @@ def as_closed(name: str, data: xr.Dataset) -> Claim:
     )
 
 
-def hole(data: xr.Dataset) -> Claim:
-    """Claim that there is no pair below the radius."""
+def _hole(data: xr.Dataset) -> Claim:
     radius = mcs.samplers.PoissonDisk(dims=2).radius(N)
     width = float(data["r"][1] - data["r"][0])
     inside = data["pair_correlation"].values[data["r"].values + width / 2 < radius]
@@ -100,7 +104,7 @@ def hole(data: xr.Dataset) -> Claim:
     )
 
 
-def transformed(name: str) -> Claim:
+def _transformed(name: str) -> Claim:
     """N⟨|S_m|²⟩ = 1 + (N − 1) ∫ g(|h|) cos(2πmh) dh over the torus, m ≠ 0, in 1-D."""
     n, m = 16, np.arange(1, 49)
     # g is linear up to 1/n and constant beyond: Gauss-Legendre nodes in pieces of 1/n
@@ -138,7 +142,7 @@ def _known_pairs(name: str) -> Claim:
     )
 
 
-def counted_pairs(name: str, counted: Measured, measured: Measured) -> Claim:
+def _counted_pairs(name: str, counted: Measured, measured: Measured) -> Claim:
     """The ratio of both, with the errors of both."""
     times = counted.value / measured.value
     errors = (
@@ -153,8 +157,7 @@ def counted_pairs(name: str, counted: Measured, measured: Measured) -> Claim:
     )
 
 
-def shifted(counted: Measured) -> Claim:
-    """Claim the exact variance."""
+def _shifted(counted: Measured) -> Claim:
     return Claim(
         "From counted pairs of jittered | shift points the variance is that of quadrature.",
         counted,

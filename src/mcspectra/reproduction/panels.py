@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -16,6 +17,7 @@ from mcspectra.plots.description import (
     Line,
     Mark,
     Panel,
+    Plot,
     Rule,
     Scale,
     Text,
@@ -29,6 +31,7 @@ __all__ = [
     "UNIT",
     "at_ring",
     "frequency_panel",
+    "in_columns",
     "interval_panel",
     "primary_panel",
     "ring_mean",
@@ -42,7 +45,7 @@ __all__ = [
 UNIT = {0.0: "0", 1.0: "1"}
 """Ticks of an axis from 0 to 1."""
 
-_TERMS = {"dc_term": "first", "power_term": "second", "cross_term": "third"}
+_TERMS = {"dc_term": "1st", "power_term": "2nd", "cross_term": "3rd"}
 _RESOLUTION = 256
 _ROUNDING = 1e-12  # terms that small beside the largest are rounding errors
 
@@ -154,6 +157,12 @@ def primary_panel(integrand: Callable[[Array], Array], title: str) -> Panel:
     scale = Scale(label="f/p (over its mean)", high=float(shown.max()))
     image = Image(values=shown, x=u, y=u, scale=scale, name="f/p over its mean")
     return square_panel([image], title, "u₀ u₁")
+
+
+def in_columns(plot: Plot, first: int = 0) -> Plot:
+    """Return a plot of two panels a sampler with one column a sampler; `first` is the panel on top."""
+    panels = (*plot.panels[first::2], *plot.panels[1 - first :: 2])
+    return replace(plot, panels=panels, columns=len(panels) // 2, wide=True)
 
 
 def interval_panel(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -45,17 +46,17 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         "functions of equal power spectra differ in the third term alone.",
         plots=(_offsets(scan), _convergence(curves), _functions()),
         claims=(
-            same_second(list(scan.values())),
+            _same_second(list(scan.values())),
             _turned(),
-            *(variance_of(offset, scan[offset]) for offset in LABELS),
-            at_borders(scan[0.0]),
+            *(_variance_of(offset, scan[offset]) for offset in LABELS),
+            _at_borders(scan[0.0]),
             Claim(
                 "Phase decides the sign of the third term: with the edges in the middle it is positive.",
                 reading(scan[0.5], "cross_term"),
                 above=0.0,
             ),
             _mean_of_third(),
-            *(rate_of(offset, curve) for offset, curve in curves.items()),
+            *(_rate_of(offset, curve) for offset, curve in curves.items()),
             *_equal_power_claims(),
         ),
     )
@@ -68,7 +69,7 @@ def displaced(offset: float) -> str:
 
 def bar_terms(offset: float, realizations: int, seed: int) -> xr.Dataset:
     """Terms of the bar."""
-    options = {"half_width": HALF_WIDTH, "realizations": realizations, "rng": seed}
+    options: dict[str, Any] = {"half_width": HALF_WIDTH, "realizations": realizations, "rng": seed}
     return mcs.variance_terms(mcs.integrand(BAR, 1), displaced(offset), N, **options)
 
 
@@ -118,8 +119,7 @@ def _third(f: Array, c: Array) -> float:
     return float((matrix.sum() - np.trace(matrix)).real)
 
 
-def same_second(scan: Sequence[xr.Dataset]) -> Claim:
-    """Claim that displacement leaves the power."""
+def _same_second(scan: Sequence[xr.Dataset]) -> Claim:
     second = np.array([float(d["power_term"]) for d in scan])
     return Claim(
         f"The second term does not depend on where the strata lie, for {len(scan)} offsets and the same random "
@@ -143,8 +143,7 @@ def _turned() -> Claim:
     )
 
 
-def variance_of(offset: float, data: xr.Dataset) -> Claim:
-    """Claim the variance of the bar."""
+def _variance_of(offset: float, data: xr.Dataset) -> Claim:
     return Claim(
         f"Bar, strata {LABELS[offset]}: the variance is 2 s(1 − s)/N², with s = {number(offset)}.",
         reading(data, "measured_variance", log=True),
@@ -154,8 +153,7 @@ def variance_of(offset: float, data: xr.Dataset) -> Claim:
     )
 
 
-def at_borders(data: xr.Dataset) -> Claim:
-    """Claim a negative third term."""
+def _at_borders(data: xr.Dataset) -> Claim:
     return Claim(
         "Phase decides the sign of the third term: with the edges at borders of strata it is negative.",
         reading(data, "cross_term"),
@@ -174,8 +172,7 @@ def _mean_of_third() -> Claim:
     )
 
 
-def rate_of(offset: float, curve: xr.Dataset) -> Claim:
-    """Claim the rate of the bar and the cosine."""
+def _rate_of(offset: float, curve: xr.Dataset) -> Claim:
     expected = -3.0 if offset == 0.0 else -2.0
     text = f"bar and cosine, strata {LABELS[offset]}: rate {number(expected, 2)}."
     return known_rate(

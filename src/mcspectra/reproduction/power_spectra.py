@@ -29,15 +29,15 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     single, expected = measured_spectra(1, seed), measured_spectra(realizations, seed)
     random, jittered, disk = (expected[name] for name in SAMPLERS)
     claims = (
-        speckle("one set", single["random"], 1),
-        speckle(f"the mean over {realizations} sets", random, realizations),
-        ring_level("random", random, 1, 1.0),
-        ring_level("jittered", jittered, 1, closed_ring(1)),
-        ring_level("jittered", jittered, HALF_WIDTH, closed_ring(HALF_WIDTH)),
-        below_random(disk),
-        peak(disk),
-        exponent("jittered", jittered, 2.0),
-        exponent("random", random, 0.0),
+        _speckle("one set", single["random"], 1),
+        _speckle(f"the mean over {realizations} sets", random, realizations),
+        _ring_level("random", random, 1, 1.0),
+        _ring_level("jittered", jittered, 1, closed_ring(1)),
+        _ring_level("jittered", jittered, HALF_WIDTH, closed_ring(HALF_WIDTH)),
+        _below_random(disk),
+        _peak(disk),
+        _exponent("jittered", jittered, 2.0),
+        _exponent("random", random, 0.0),
     )
     low = ", ".join(f"{number(at_ring(d, 1, N).value)} ({name})" for name, d in expected.items())
     strength = " and ".join(number(float(judge(c).measured or 0)) for c in claims[:2])
@@ -61,8 +61,7 @@ def measured_spectra(realizations: int, seed: int) -> dict[str, xr.Dataset]:
     }
 
 
-def speckle(what: str, spectrum: xr.Dataset, realizations: int) -> Claim:
-    """Claim the coefficient of variation of powers that are exponential, averaged R times: 1/√R."""
+def _speckle(what: str, spectrum: xr.Dataset, realizations: int) -> Claim:
     flat = np.asarray(spectrum["power"].values).ravel()
     power = N * flat[: flat.size // 2]  # one of each pair ±m, without m = 0
     # Of M values of Gamma(R): variance of the coefficient (1 + 1/R) / (2 R M)
@@ -83,8 +82,7 @@ def closed_ring(ring: int) -> float:
     return N * ring_mean(lambda m: mcs.closed_form_power("jittered", N, m), HALF_WIDTH, ring)
 
 
-def ring_level(name: str, spectrum: xr.Dataset, ring: int, expected: float) -> Claim:
-    """Claim the mean of the closed form over a ring."""
+def _ring_level(name: str, spectrum: xr.Dataset, ring: int, expected: float) -> Claim:
     return Claim(
         f"N · ⟨P⟩ of {name} points, the mean over |m| ≈ {ring}, is that of the closed form.",
         at_ring(spectrum, ring, N),
@@ -93,8 +91,7 @@ def ring_level(name: str, spectrum: xr.Dataset, ring: int, expected: float) -> C
     )
 
 
-def below_random(spectrum: xr.Dataset) -> Claim:
-    """Claim that Poisson-disk points are between jittered and random ones."""
+def _below_random(spectrum: xr.Dataset) -> Claim:
     return Claim(
         "Poisson-disk points have less power than random ones at |m| ≈ 1, but more than jittered ones.",
         at_ring(spectrum, 1, N),
@@ -103,15 +100,13 @@ def below_random(spectrum: xr.Dataset) -> Claim:
     )
 
 
-def peak(spectrum: xr.Dataset) -> Claim:
-    """Claim a ring above the level of random points."""
+def _peak(spectrum: xr.Dataset) -> Claim:
     ring = int(np.argmax(spectrum["radial_power"].values)) + 1
     statement = f"Poisson-disk points have a ring above the level of random ones, at |m| ≈ {ring}."
     return Claim(statement, at_ring(spectrum, ring, N), above=1.0)
 
 
-def exponent(name: str, spectrum: xr.Dataset, expected: float) -> Claim:
-    """Claim the exponent over the lowest frequencies, where 1 − sinc² has bent by little."""
+def _exponent(name: str, spectrum: xr.Dataset, expected: float) -> Claim:
     return Claim(
         f"The power of {name} points starts as |ν|^{expected:.0f}.",
         reading(mcs.low_frequency_exponent(spectrum, up_to=3.0), "low_frequency_exponent"),

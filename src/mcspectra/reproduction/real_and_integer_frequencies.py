@@ -50,11 +50,11 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         f"{levels}, with the rate 0, for every sampler.",
         plots=(_convergence(curves), _spectrum()),
         claims=(
-            *(measured_rate(name, "jittered", curves[name]) for name in NAMES),
-            *(measured_rate(name, "random", curves[name]) for name in NAMES),
-            *(integers(*pair) for pair in pairs),
-            *(real_rate(*pair) for pair in pairs),
-            *(real_level(name) for name in NAMES),
+            *(_measured_rate(name, "jittered", curves[name]) for name in NAMES),
+            *(_measured_rate(name, "random", curves[name]) for name in NAMES),
+            *(_integers(*pair) for pair in pairs),
+            *(_real_rate(*pair) for pair in pairs),
+            *(_real_level(name) for name in NAMES),
             _power_between(200 if quick else 2000, seed),
         ),
     )
@@ -117,8 +117,7 @@ def transform(name: str, nu: Array) -> Array:
     return np.asarray(np.exp(-1j * w) * (1j / w + 1 / w**2) - 1 / w**2)
 
 
-def measured_rate(name: str, sampler: str, curves: xr.Dataset) -> Claim:
-    """Claim the rate of the measured variance."""
+def _measured_rate(name: str, sampler: str, curves: xr.Dataset) -> Claim:
     expected, shown = RATES[name] if sampler == "jittered" else -1.0, SAMPLERS[sampler]
     return known_rate(
         f"The variance of {name} converges, with {shown} points, at the rate {number(expected, 2)}.",
@@ -128,8 +127,7 @@ def measured_rate(name: str, sampler: str, curves: xr.Dataset) -> Claim:
     )
 
 
-def integers(name: str, sampler: str) -> Claim:
-    """Claim that integers give the variance."""
+def _integers(name: str, sampler: str) -> Claim:
     error = np.abs(frequency_sums(name, sampler, 1.0) / exact_variances(name, sampler) - 1.0)
     return Claim(
         f"The sum over integer frequencies is the variance of {name} with {sampler} points, shifted: largest "
@@ -140,8 +138,7 @@ def integers(name: str, sampler: str) -> Claim:
     )
 
 
-def real_rate(name: str, sampler: str) -> Claim:
-    """Claim that real frequencies predict no convergence."""
+def _real_rate(name: str, sampler: str) -> Claim:
     last = frequency_sums(name, sampler, 0.5)[-2:]
     return Claim(
         f"The rate that real frequencies predict for {name} with {sampler} points tends to 0, "
@@ -153,8 +150,7 @@ def real_rate(name: str, sampler: str) -> Claim:
     )
 
 
-def real_level(name: str) -> Claim:
-    """Claim the level that real frequencies tend to."""
+def _real_level(name: str) -> Claim:
     limit = real_limit(name)
     return Claim(
         f"The sum over half-integer frequencies of {name} tends to ∫ (f ⋆ box)² − I²/2, jittered points.",
@@ -191,8 +187,8 @@ def _convergence(curves: dict[str, xr.Dataset]) -> Plot:
             marks.append(whiskers(n, curve["variance"].values, ends, k, f"{sampler}: measured"))
         low = float(exact_variances(name, "jittered").min()) / 2
         high = 2 * float(frequency_sums(name, "random", 0.5).max())
-        x, y = count_axis("number of points N", COUNTS), log_axis("variance", low, high)
-        panels.append(Panel(marks=tuple(marks), x=x, y=y, title=title, grid=True))
+        x, y_axis = count_axis("number of points N", COUNTS), log_axis("variance", low, high)
+        panels.append(Panel(marks=tuple(marks), x=x, y=y_axis, title=title, grid=True))
     return Plot(
         kind="real-and-integer-frequencies",
         panels=tuple(panels),

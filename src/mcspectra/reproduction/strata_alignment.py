@@ -47,9 +47,9 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         "without homogenisation does alignment help. An oblique edge cuts strata wherever they lie.",
         plots=(_strata(), _convergence(plain, shifted)),
         claims=(
-            rate_of(ALIGNED, plain, -2.0),
-            rate_of(CUT, plain, -1.5),
-            *(level(name, plain[name]) for name in PLACES),
+            _rate_of(ALIGNED, plain, -2.0),
+            _rate_of(CUT, plain, -1.5),
+            *(_level(name, plain[name]) for name in PLACES),
             *(
                 known_rate(
                     f"After a shift, edge at {name.rpartition(' ')[2]}: the rate is −1.5, aligned before or not.",
@@ -66,7 +66,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 oblique,
             ),
             _bent(),
-            gain(plain),
+            _gain(plain),
         ),
     )
 
@@ -102,14 +102,12 @@ def measured(f: mcs.Integrand | str, sampler: str, realizations: int, seed: int)
     return mcs.convergence(f, sampler, list(COUNTS), realizations=realizations, rng=seed)
 
 
-def rate_of(name: str, curves: Mapping[str, xr.Dataset], expected: float) -> Claim:
-    """Claim the rate of jittered points with an edge at one of the places."""
+def _rate_of(name: str, curves: Mapping[str, xr.Dataset], expected: float) -> Claim:
     text = f"Jittered points, {name}: the variance has the rate {number(expected, 2)}."
     return known_rate(text, curves[name], expected, exact(PLACES[name]))
 
 
-def level(name: str, curve: xr.Dataset) -> Claim:
-    """Claim the variance at the largest N."""
+def _level(name: str, curve: xr.Dataset) -> Claim:
     return Claim(
         f"{name.capitalize()}: the variance is s(1 − s) N^(−3/2) + 1/(12N²), with s the share of a stratum left of "
         f"the edge, at N = {COUNTS[-1]}.",
@@ -131,8 +129,7 @@ def _bent() -> Claim:
     )
 
 
-def gain(plain: Mapping[str, xr.Dataset]) -> Claim:
-    """Claim what alignment is worth."""
+def _gain(plain: Mapping[str, xr.Dataset]) -> Claim:
     return Claim(
         f"What alignment is worth: variance of the edge at 1/3 over that of the edge at 1/2, N = {COUNTS[-1]}.",
         ratio(*(reading(plain[name].isel(n=-1), "variance") for name in (CUT, ALIGNED))),

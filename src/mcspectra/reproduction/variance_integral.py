@@ -8,6 +8,7 @@ import xarray as xr
 import mcspectra as mcs
 from mcspectra.core.checks import Array
 from mcspectra.plots.description import Plot, Scale
+from mcspectra.plots.scales import log_scale
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import (
     Claim,
@@ -50,7 +51,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         f"not: of random points of p = {DENSITY} it is {number(missed)} times the variance.",
         plots=(_products(terms), _ratios(terms, weighted)),
         claims=(
-            *(closed_sum(name) for name in SAMPLERS[:2]),
+            *(_closed_sum(name) for name in SAMPLERS[:2]),
             *(
                 Claim(
                     f"Σ |f_m|² ⟨|S_m|²⟩ with the simulated spectrum of {name} points is the exact variance.",
@@ -60,7 +61,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 )
                 for name in SAMPLERS[:2]
             ),
-            *(diagonal(name, terms[name]) for name in SAMPLERS),
+            *(_diagonal(name, terms[name]) for name in SAMPLERS),
             _rate(quick, seed),
             _not_weighted(weighted),
         ),
@@ -96,8 +97,7 @@ def integrand_power() -> tuple[Array, Array]:
     return m, np.abs(mcs.integrand(BELL, 2).fourier(m)) ** 2
 
 
-def closed_sum(name: str) -> Claim:
-    """Claim the exact variance of the sum with the closed form."""
+def _closed_sum(name: str) -> Claim:
     m, power = integrand_power()
     total = float((power * mcs.closed_form_power(name, N, m)).sum())
     return Claim(
@@ -109,8 +109,7 @@ def closed_sum(name: str) -> Claim:
     )
 
 
-def diagonal(name: str, data: xr.Dataset) -> Claim:
-    """Claim that there is no third term."""
+def _diagonal(name: str, data: xr.Dataset) -> Claim:
     return Claim(
         f"Nothing is missing for {name} points: correlations between frequencies add nothing, as a share "
         "of the measured variance.",
@@ -151,7 +150,7 @@ def _products(terms: dict[str, xr.Dataset]) -> Plot:
     without = np.arange(power.size).reshape(power.shape) != power.size // 2
     top = 1e6 * max(float(each[without].max()) for each in products.values())
     above = Scale(label="N · ⟨P_S⟩   (random: 1)", high=2.0, beyond=True)
-    below = Scale(label="variance · 10⁶", high=top)
+    below = log_scale("variance · 10⁶", 1e-4 * top, top)
     return Plot(
         kind="variance-integral",
         panels=(
@@ -166,7 +165,7 @@ def _products(terms: dict[str, xr.Dataset]) -> Plot:
         share="both",
         wide=True,
         caption=f"Above, the power of {N} points of three stationary samplers; below, its product with the "
-        "power of a Gaussian bell: the sum of the lower image is the variance. m = 0 is left out.",
+        "power of a Gaussian bell: the sum of the lower image (logarithmic colours) is the variance. m = 0 is left out.",
         words="Two rows of three images over the frequencies. Below, random has a spot around 0; jittered and "
         "Poisson disk, whose power has a hole there, a weaker one.",
     )

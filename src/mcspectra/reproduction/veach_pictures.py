@@ -46,7 +46,7 @@ _WHERE = {
     "plate-0": "around the reflection of the widest light in the smoothest plate",
     "wall": "on the diffuse wall",
 }
-_LABELS = {"plate-0": "smoothest plate", "wall": "wall"}
+_LABELS = {"plate-0": ("smoothest plate", "#FFFFFF"), "wall": ("wall", INK)}  # with their colours
 
 
 @final
@@ -89,9 +89,9 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         f"would do. Mean squared errors of a pixel, as displayed: {values}.{fewer if quick else ''}",
         plots=(_pictures(renders), _who_wins(renders)),
         claims=(
-            *(region(renders, *case) for case in _CASES),
-            whole(renders),
-            *(same_mean(renders, strategy) for strategy in ("light", "mis")),
+            *(_region(renders, *case) for case in _CASES),
+            _whole(renders),
+            *(_same_mean(renders, strategy) for strategy in ("light", "mis")),
         ),
     )
 
@@ -123,8 +123,7 @@ def _ratio(above: Array, below: Array) -> Measured:
     return Measured(value, value * float(np.exp(-half)), value * float(np.exp(half)), log=True)
 
 
-def whole(renders: Renders) -> Claim:
-    """Claim that MIS is better than BSDF sampling."""
+def _whole(renders: Renders) -> Claim:
     return Claim(
         "At equal numbers of samples: squared error, as displayed, of BSDF sampling over that of MIS, whole image.",
         _ratio(*(renders.errors(s).mean(axis=(1, 2)) for s in ("bsdf", "mis"))),
@@ -133,8 +132,7 @@ def whole(renders: Renders) -> Claim:
     )
 
 
-def region(renders: Renders, name: str, worse: str, better: str) -> Claim:
-    """Claim that a strategy fails in a region."""
+def _region(renders: Renders, name: str, worse: str, better: str) -> Claim:
     rows, columns = renders.window(name)
     means = (renders.errors(s)[:, rows, columns].mean(axis=(1, 2)) for s in (worse, better))
     short = _SHORT[worse]
@@ -145,7 +143,7 @@ def region(renders: Renders, name: str, worse: str, better: str) -> Claim:
     )
 
 
-def same_mean(renders: Renders, strategy: str) -> Claim:
+def _same_mean(renders: Renders, strategy: str) -> Claim:
     """Mean of the image over that of the reference."""
     (value, se), (mean, mean_se) = (
         mean_and_error(images.mean(axis=(1, 2, 3)))
@@ -198,7 +196,7 @@ def _who_wins(renders: Renders) -> Plot:
     marks: list[Mark] = [
         Image(values=values, x=np.arange(width) + 0.5, y=np.arange(height) + 0.5, scale=scale)
     ]
-    for name, label in _LABELS.items():
+    for name, (label, color) in _LABELS.items():
         rows, columns = renders.window(name)
         left, right, low, high = (
             columns.start,
@@ -209,7 +207,9 @@ def _who_wins(renders: Renders) -> Plot:
         corners = np.array([(left, low), (right, low), (right, high), (left, high)], float)
         ends = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
         marks += [Segments(ends=ends, color="#FFFFFF", width=3.2), Segments(ends=ends, color=INK)]
-        marks.append(Text(x=(left + right) / 2, y=float(high), text=label, side="above"))
+        marks.append(
+            Text(x=(left + right) / 2, y=float(high), text=label, color=color, side="above")
+        )
     axis = Axis(ticks={})
     return Plot(
         kind="veach-errors",
