@@ -90,8 +90,8 @@ def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False) -> Figure:
         figure, panels = _given(axes, len(plot.panels))
         for each in panels[1:]:
             _share(each, panels[0], plot.share)
-    elif all(isinstance(mark, Pixels) for panel in plot.panels for mark in panel.marks):
-        figure, panels = _exact_figure(plot, pyplot)
+    elif pictures := [m.rgb for panel in plot.panels for m in panel.marks if isinstance(m, Pixels)]:
+        figure, panels = _exact_figure(plot, pictures[0].shape, pyplot)
     else:
         figure, panels = _new_figure(plot, pyplot)
     bars: dict[Scale, tuple[ScalarMappable, list[Axes]]] = {}
@@ -248,10 +248,10 @@ def _new_figure(plot: Plot, pyplot: bool) -> tuple[Figure, list[Axes]]:
     return figure, made
 
 
-def _exact_figure(plot: Plot, pyplot: bool) -> tuple[Figure, list[Axes]]:
+def _exact_figure(plot: Plot, shape: tuple[int, ...], pyplot: bool) -> tuple[Figure, list[Axes]]:
     """Make a figure in whose PNG a pixel of its pictures is a square of whole pixels."""
     least, gap, strip = 240, 12, 25  # pixels: of a panel, between panels, of a title
-    height, width = next(m.rgb.shape[:2] for p in plot.panels for m in p.marks if hasattr(m, "rgb"))
+    height, width, _ = shape
     zoom, columns = max(1, -(-least // width)), min(plot.columns, len(plot.panels))
     foot = gap + 16 * max(panel.x.label.count("\n") + 1 for panel in plot.panels)
     across, down = gap + width * zoom, strip + height * zoom + foot

@@ -64,6 +64,7 @@ KINDS: Mapping[str, Kind] = {
     "points": Kind(points.points, ("points", "axis")),
     "remedies": Kind(variance.remedies, ("remedy", "error_ratio", "error_ratio_ci", "verdict")),
     "techniques": Kind(variance.techniques, ("technique_covariance", "technique_variance_ci")),
+    "technique-rates": Kind(variance.technique_rates, ("n", "technique_variance", "technique_rate", "rate_ci")),
     "anova": Kind(variance.anova, ("anova_variance", "anova_variance_se", "subset_label")),
     "exact": Kind(variance.exact, ("n", "exact_variance")),
     "routes": Kind(variance.routes, ("route_variance", "route_variance_ci", "energy_share")),

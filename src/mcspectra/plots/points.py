@@ -199,7 +199,7 @@ def _square(
     named: bool = True,
     labels: tuple[str, str] = ("", ""),
 ) -> Panel:
-    size: float | Array = float(np.clip(90.0 / np.sqrt(len(x)), 0.8, 5.0))
+    size: float | Array = float(np.clip(50.0 / np.sqrt(len(x)), 0.4, 5.0))
     first, second = x[:, axes[0]], x[:, axes[1]] if axes[0] != axes[1] else np.full(len(x), 0.5)
     shown = {} if len(x) > _MOST_NAMED else {"x": numbers(first), "y": numbers(second)}
     if weights is not None:

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from mcspectra.report.formatting import (
+from mcspectra.plots.text import (
     interval,
     number,
     number_beside,
