@@ -6,12 +6,12 @@ import base64
 import json
 import math
 import re
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
 from markupsafe import Markup
+from tests.report.parsed import Parsed
 
 from mcspectra.core.errors import StoreError
 from mcspectra.plots import backend_matplotlib
@@ -35,34 +35,6 @@ from mcspectra.report.page import (
 )
 
 EVIL = "</script><u>&\"'"
-
-
-class Parsed(HTMLParser):
-    """Parses strictly: every tag closed in order, text and attributes kept."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(convert_charrefs=True)
-        self.open: list[str] = []
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.text = ""
-        self.feed(text)
-        self.close()
-        assert self.open == []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append((tag, dict(attrs)))
-        if tag not in {"meta", "img", "br"}:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if not {"style", "script"} & set(self.open):
-            self.text += data
-
-    def all(self, tag: str) -> list[dict[str, str | None]]:
-        return [attributes for name, attributes in self.tags if name == tag]
 
 
 def plot(words: str = "A line from 0 to 1.", kind: str = "line") -> Plot:

@@ -182,8 +182,7 @@ def gallery_(options: argparse.Namespace) -> Answer:
     Writes DIR/index.html (one page that stands alone) or, with --markdown, DIR/index.md and pictures;
     DIR/gallery.json holds the numbers. Without a SPEC, all samplers that can be named.
     """
-    from mcspectra.report.sampler_cards import FULL, QUICK
-    from mcspectra.report.sampler_gallery import write_gallery
+    from mcspectra.report.sampler_gallery import FULL, QUICK, write_gallery
 
     page = write_gallery(
         options.out,

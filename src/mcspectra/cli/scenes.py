@@ -223,8 +223,7 @@ def pixel_(options: argparse.Namespace) -> Answer:
     The pixel is X Y, counted from the left and from the top, or the name of one (figure1 has P and Q). With
     --out DIR, DIR/report.html, DIR/pixel.json and DIR/figures/*.png are written.
     """
-    from mcspectra.report.pixel_page import write_pixel
-    from mcspectra.report.pixel_text import pixel_summary
+    from mcspectra.report.pixel_page import pixel_summary, write_pixel
     from mcspectra.studies.pixel import analyse_pixel
 
     x: int | str = options.x
@@ -254,8 +253,8 @@ def pixel_(options: argparse.Namespace) -> Answer:
 
 def _pixel_text(tree: xr.DataTree) -> str:
     """What it sees, the rates, the terms, and the sentences."""
-    from mcspectra.report.formatting import interval, number, rate
-    from mcspectra.report.pixel_text import about_pixel, pixel_rows, pixel_sentences, term_rows
+    from mcspectra.plots.text import interval, number, rate
+    from mcspectra.report.pixel_page import about_pixel, pixel_rows, pixel_sentences, term_rows
 
     known = tree.attrs
     head = [f"pixel ({known['x']}, {known['y']}) of {known['scene']}"]

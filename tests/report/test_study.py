@@ -5,51 +5,23 @@ import re
 import socket
 from collections import Counter
 from collections.abc import Callable
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.report.parsed import Parsed
 
 from mcspectra.core.errors import StoreError
-from mcspectra.report import html, write_report
-from mcspectra.report.embed import bokeh_script
-from mcspectra.report.html import study_toml
-from mcspectra.studies import open_results
+from mcspectra.plots.backend_bokeh import script
+from mcspectra.report import study as module
+from mcspectra.report import write_report
+from mcspectra.report.page import Table, Text
+from mcspectra.report.study import study_toml
+from mcspectra.studies import StudyStatus, open_results
 from mcspectra.studies.files import decode_study, plain_study
 from mcspectra.studies.ledger import StudyNote
 
 Make = dict[str, Callable[..., Any]]
-VOID = {"meta", "img", "br"}
-
-
-class Page(HTMLParser):
-    """Parses strictly: every tag closed in order, text and attributes kept."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(convert_charrefs=True)
-        self.open: list[str] = []
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.text = ""
-        self.feed(text)
-        self.close()
-        assert self.open == []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if not {"style", "script"} & set(self.open):
-            self.text += data
-
-    def all(self, tag: str) -> list[dict[str, str | None]]:
-        """Attributes of all elements of a kind."""
-        return [attributes for name, attributes in self.tags if name == tag]
 
 
 @pytest.fixture(scope="module")
@@ -61,12 +33,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequ
 
 
 @pytest.fixture(scope="module")
-def page(folder: Path) -> Page:
+def page(folder: Path) -> Parsed:
     """Its page, parsed."""
-    return Page((folder / "report.html").read_text(encoding="utf-8"))
+    return Parsed((folder / "report.html").read_text(encoding="utf-8"))
 
 
-def test_sections(page: Page) -> None:
+def test_sections(page: Parsed) -> None:
     ids = [attributes["id"] for attributes in page.all("section")]
     assert ids[0] == "summary"
     assert ids[-1] == "provenance"
@@ -77,14 +49,14 @@ def test_sections(page: Page) -> None:
     assert all(attributes["scope"] in ("col", "row") for attributes in page.all("th"))
 
 
-def test_ids_are_unique(page: Page) -> None:
+def test_ids_are_unique(page: Parsed) -> None:
     ids = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
     assert len(set(ids)) == len(ids)
 
 
-def test_nothing_is_loaded(folder: Path, page: Page) -> None:
+def test_nothing_is_loaded(folder: Path, page: Parsed) -> None:
     text = (folder / "report.html").read_text(encoding="utf-8")
-    own = text.replace(bokeh_script(), "")
+    own = text.replace(script(), "")
     assert len(own) < len(text) - 200_000
     assert not re.search(r"https?://|//[a-z]+\.[a-z]", re.sub(r"base64,[^\"]*", "", own))
     assert not {"link", "iframe", "object", "base", "form"} & {t for t, _ in page.tags}
@@ -94,16 +66,16 @@ def test_nothing_is_loaded(folder: Path, page: Page) -> None:
         assert str(attributes["src"]).startswith("data:image/png;base64,")
 
 
-def test_interactive_figures_have_pictures_too(page: Page) -> None:
+def test_interactive_figures_have_pictures_too(page: Parsed) -> None:
     packed = [s for s in page.all("script") if s.get("type") == "application/gzip"]
     assert packed.pop()["id"] == "bokeh"
-    assert len(packed) == 7 + 3  # all but captured and cross-matrix
+    assert len(packed) == 6 + 3  # all but captured, bands and cross-matrix
     plots = [d for d in page.all("div") if d.get("class") == "plot"]
     assert len(plots) == len(packed)
     assert all(len(str(attributes["aria-label"])) > 40 for attributes in plots)
 
 
-def test_overview_can_be_sorted_and_leads_to_sections(page: Page) -> None:
+def test_overview_can_be_sorted_and_leads_to_sections(page: Parsed) -> None:
     (table,) = (t for t in page.all("table") if t.get("class") == "sortable")
     assert table
     orders = [float(str(d["data-order"])) for d in page.all("td") if "data-order" in d]
@@ -122,7 +94,7 @@ def test_page_elsewhere(make: Make, tmp_path: Path) -> None:
         write_report(study, tmp_path / "nowhere" / "x.html")
 
 
-def test_figures_have_words_and_sizes(page: Page) -> None:
+def test_figures_have_words_and_sizes(page: Parsed) -> None:
     images = page.all("img")
     assert len(images) == 9 + 3  # all kinds in 1-D; image, radial mean and points in 2-D
     for attributes in images:
@@ -131,7 +103,7 @@ def test_figures_have_words_and_sizes(page: Page) -> None:
     assert page.tags.count(("figcaption", {})) == len(images)
 
 
-def test_figure_files(folder: Path, page: Page) -> None:
+def test_figure_files(folder: Path, page: Parsed) -> None:
     names = sorted(p.name for p in (folder / "figures").iterdir())
     assert len(names) == 2 * len(page.all("img"))
     assert all(re.fullmatch(r"[a-z0-9.-]+\.(png|pdf)", name) for name in names)
@@ -141,19 +113,20 @@ def test_figure_files(folder: Path, page: Page) -> None:
         assert path.stat().st_size > 1000
 
 
-def test_numbers_and_sentences(page: Page) -> None:
+def test_numbers_and_sentences(page: Parsed) -> None:
     assert "−3.00 ± 0.03" in page.text
-    assert "7.45×10⁻¹¹ (n = 1024)" in page.text
+    assert "Variance at n = 1024" in page.text
+    assert "7.45×10⁻¹¹" in page.text
     assert "The cross term removes" in page.text
     assert "nan" not in page.text.lower().split()
 
 
-def test_samplers_in_the_order_of_the_study(page: Page) -> None:
+def test_samplers_in_the_order_of_the_study(page: Parsed) -> None:
     places = [page.text.index(f"{s}: The rate") for s in ("random", "jittered", "jittered | shift")]
     assert places == sorted(places)
 
 
-def test_provenance(folder: Path, page: Page) -> None:
+def test_provenance(folder: Path, page: Parsed) -> None:
     tree = open_results(folder)
     assert tree.attrs["study_hash"] in page.text
     assert "mcspectra run study.toml" in page.text
@@ -174,7 +147,7 @@ def test_provenance(folder: Path, page: Page) -> None:
     ],
 )
 def test_python_functions_are_allowed_by_the_command(study: str, options: str) -> None:
-    assert html._allowed(study) == options
+    assert module._allowed(study) == options
 
 
 def test_the_study_in_the_page_is_the_study(folder: Path) -> None:
@@ -215,7 +188,7 @@ def test_names_are_escaped(make: Make, tmp_path: Path) -> None:
     evil = '<script>alert("1")</script> & $\\frac{$'
     cells = {(evil, evil): {"convergence": make["curve"]("random")}}
     text = write_report(make["study"](tmp_path, cells, title=evil)).read_text(encoding="utf-8")
-    page = Page(text)
+    page = Parsed(text)
     assert "<script>alert" not in text
     assert page.text.count(evil) >= 4
     assert evil in str(page.all("img")[0]["alt"])
@@ -235,7 +208,7 @@ def test_odd_results(make: Make, tmp_path: Path) -> None:
         ("part", "shift"): {"points": make["points"](n=4)},
         ("techniques", "random"): {"terms": make["terms"](**small, techniques=2)},
     }
-    page = Page(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
+    page = Parsed(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
     assert "infinite because ∫1/p diverges" in page.text
     assert "random, channel 2" in page.text
     assert "Shown: channel 0 of 3." in page.text
@@ -249,7 +222,7 @@ def test_odd_results(make: Make, tmp_path: Path) -> None:
 
 def test_only_spectra(make: Make, tmp_path: Path) -> None:
     cells = {("e", "random"): {"spectrum": make["spectrum"](dims=3, n=8, half_width=2)}}
-    page = Page(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
+    page = Parsed(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
     assert "neither convergence nor terms" in page.text
     assert len(page.all("img")) == 1
     assert "In this many dims it stands for the whole spectrum." in page.text
@@ -257,7 +230,7 @@ def test_only_spectra(make: Make, tmp_path: Path) -> None:
 
 def test_no_results_yet(make: Make, tmp_path: Path) -> None:
     cells: Any = {("e", "random"): {}}
-    page = Page(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
+    page = Parsed(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
     assert "There are no results yet." in page.text
 
 
@@ -271,3 +244,83 @@ def test_figures_cannot_be_written(make: Make, tmp_path: Path) -> None:
     (tmp_path / "figures").write_text("a file in the way")
     with pytest.raises(StoreError, match="cannot be written"):
         write_report(tmp_path)
+
+
+@pytest.fixture(name="small")
+def _small(make: Make, tmp_path: Path) -> Path:
+    """A finished study of one cell."""
+    study: Path = make["study"](tmp_path, {("e", "random"): {"convergence": make["curve"]()}})
+    return study
+
+
+def lacking(failed: dict[str, str], missing: tuple[str, ...] = ()) -> StudyStatus:
+    """A status with one finished cell beside these."""
+    return StudyStatus(
+        title="t", study_hash="", seed=1, versions={}, format=3, state="unfinished", holder=None,
+        hosts=(), started=None, finished=None, done=("e/random/points",), failed=failed,
+        missing=missing, damaged={}, recorded=0, results_bytes=0, ledger_bytes=0, verified=False,
+    )  # fmt: skip
+
+
+def gaps() -> tuple[str, Table]:
+    """Sentence and table of what a study lacks."""
+    _, sentence, table = module._gaps(Path())
+    assert isinstance(sentence, Text)
+    assert isinstance(table, Table)
+    return str(sentence.text), table
+
+
+def test_a_finished_study_lacks_nothing(small: Path) -> None:
+    assert list(module._gaps(small)) == []
+    text = write_report(small).read_text(encoding="utf-8")
+    assert "What is missing" not in text
+
+
+def test_analyses_of_one_reason_share_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    failed = {
+        "e/random/terms": "It raised.",
+        "e/random/spectrum": "It raised.",
+        "a/b/exact": "NaN.",
+    }
+    monkeypatch.setattr(module, "study_status", lambda _: lacking(failed, ("e/shift/terms",)))
+    sentence, table = gaps()
+    assert [tuple(cell.text for cell in row) for row in table.rows] == [
+        ("a", "b", "exact", "NaN."),
+        ("e", "random", "spectrum, terms", "It raised."),
+        ("e", "shift", "terms", "not computed yet"),
+    ]
+    assert "Of 5 analyses, 3 failed and 1 not computed yet;" in sentence
+    assert "--resume --retry" in sentence
+
+
+def test_only_missing_ones_need_no_retry(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "study_status", lambda _: lacking({}, ("e/shift/terms",)))
+    (_, sentence, _) = module._gaps(Path())
+    assert isinstance(sentence, Text)
+    assert "--resume" in sentence.text
+    assert "--retry" not in sentence.text
+
+
+def test_thousands_are_not_listed(monkeypatch: pytest.MonkeyPatch) -> None:
+    failed = {f"e{i:05}/random/terms": "It raised." for i in range(3000)}
+    monkeypatch.setattr(module, "study_status", lambda _: lacking(failed))
+    _, table = gaps()
+    assert len(table.rows) == 50
+    assert "2950 more rows" in table.caption
+
+
+def test_an_unreadable_ledger_is_said(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(_: Path) -> StudyStatus:
+        raise StoreError("The ledger has format 9 <x>.")
+
+    monkeypatch.setattr(module, "study_status", refuse)
+    text = write_report(small).read_text(encoding="utf-8")
+    assert "Whether analyses failed is unknown. The ledger has format 9 &lt;x&gt;." in text
+
+
+def test_the_page_has_the_reasons(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    status = lacking({"e/random/terms": "It raised ValueError: <b>."})
+    monkeypatch.setattr(module, "study_status", lambda _: status)
+    text = write_report(small).read_text(encoding="utf-8")
+    assert "What is missing" in text
+    assert "It raised ValueError: &lt;b&gt;." in text
