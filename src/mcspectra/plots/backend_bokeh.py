@@ -292,7 +292,10 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
             if mark.scale.names:
                 kinds = np.ravel(mark.values)
                 hover[mark.name] = [
-                    [mark.scale.names[int(k - mark.scale.low)] if np.isfinite(k) else "–" for k in kinds]
+                    [
+                        mark.scale.names[int(k - mark.scale.low)] if np.isfinite(k) else "–"
+                        for k in kinds
+                    ]
                 ]
             columns = {"image": [_shade(mark.scale, mark.values)], "x": [left], "y": [low]}
             columns |= {"dw": [width], "dh": [height]}
@@ -440,9 +443,14 @@ def _options(plot: Plot, k: int) -> dict[str, Any]:
         width = _PAIR if plot.columns <= 2 and not panel.square else _ABREAST
     ratio = plot.height
     if panel.square:
-        spans = [None if axis.low is None or axis.high is None else axis.high - axis.low for axis in (panel.x, panel.y)]
+        spans = [
+            None if axis.low is None or axis.high is None else axis.high - axis.low
+            for axis in (panel.x, panel.y)
+        ]
         ratio = spans[1] / spans[0] if spans[0] and spans[1] else 1.0
-    relative = 1.0 if panel.square or not plot.rows else plot.rows[k // plot.columns] / max(plot.rows)
+    relative = (
+        1.0 if panel.square or not plot.rows else plot.rows[k // plot.columns] / max(plot.rows)
+    )
     return {
         "x_axis_type": "log" if panel.x.kind == "log" else "linear",
         "y_axis_type": "log" if panel.y.kind == "log" else "linear",
