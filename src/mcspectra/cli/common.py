@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import argparse
 import inspect
-import math
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
-
-import numpy as np
 
 from mcspectra.core.checks import as_integer, as_real
 from mcspectra.core.errors import FileFormatError, ParameterError
@@ -31,7 +28,6 @@ __all__ = [
     "option",
     "read_sampler",
     "real",
-    "strict",
     "text_table",
     "verb",
     "whole",
@@ -213,21 +209,6 @@ def writing(path: Path | str) -> Iterator[None]:
         yield
     except OSError as error:
         raise FileFormatError(f"{str(path)!r} cannot be written: {error.strerror}.") from None
-
-
-def strict(value: Any) -> Any:
-    """Return what strict JSON can say: lists for arrays, null for NaN and infinity, texts for paths."""
-    if isinstance(value, dict):
-        return {str(key): strict(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [strict(item) for item in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return strict(value.tolist())
-    if isinstance(value, complex):
-        return {"re": strict(value.real), "im": strict(value.imag)}
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return str(value) if isinstance(value, Path) else value
 
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -143,7 +143,7 @@ def _dispatch(given: list[str]) -> int:
     """Find the verb, read its options, run it and print its answer."""
     if not given or given[0].startswith("-"):
         return _without_verb(given)
-    from mcspectra.cli.common import Read, Verb, one_sentence_warnings, strict, whole
+    from mcspectra.cli.common import Read, Verb, one_sentence_warnings, whole
     from mcspectra.core.progress import progress_bars
 
     name = given[0]
@@ -181,6 +181,8 @@ def _dispatch(given: list[str]) -> int:
     with one_sentence_warnings(options.quiet), progress_bars(not options.quiet):
         text, data, code = verb.run(options)
     if options.json and data is not None:
+        from mcspectra.core.results import strict
+
         print(json.dumps(strict(data), indent=2, allow_nan=False))
     elif text and (data is None or not options.quiet):
         print(text)

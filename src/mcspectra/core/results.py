@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 from collections.abc import Collection, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -20,7 +22,14 @@ from mcspectra.core.display import register_accessor
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["VARIABLES", "Variable", "check_variables", "dataset", "package_versions"]
+__all__ = [
+    "VARIABLES",
+    "Variable",
+    "check_variables",
+    "dataset",
+    "package_versions",
+    "strict",
+]
 
 
 class Variable(NamedTuple):
@@ -322,3 +331,18 @@ def package_versions() -> dict[str, str]:
         except PackageNotFoundError:
             found[f"version_{name}"] = "unknown"
     return found
+
+
+def strict(value: Any) -> Any:
+    """Return what strict JSON can say: lists for arrays, null for NaN and infinity, texts for paths."""
+    if isinstance(value, Mapping):
+        return {str(key): strict(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [strict(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return strict(value.tolist())
+    if isinstance(value, complex):
+        return {"re": strict(value.real), "im": strict(value.imag)}
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value

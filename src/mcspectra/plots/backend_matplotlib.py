@@ -48,10 +48,11 @@ __all__ = ["FORMATS", "GivenAxes", "draw", "encode", "panel_axes", "write"]
 GivenAxes: TypeAlias = "Axes | Iterable[Axes] | np.ndarray[Any, Any] | None"
 """Axes to draw into, one a panel (an array is read row by row); None makes a figure."""
 
-FORMATS = (".png", ".pdf", ".svg")
+FORMATS = (".svg", ".png", ".pdf")
 """Extensions of the files that `write` makes."""
 
 _NARROW, _WIDE = 4.9, 7.4  # inches: up to two panels abreast, and more or a wide plot
+_LEAST_SIDE, _LARGEST_SQUARE = 2.3, 3.4  # inches, of a panel of many, and of one alone
 _LABEL, _SMALL = 8.5, 7.5  # points
 _LETTER = 0.062  # inches, the mean width of a small letter
 _DPI, _PDF_DPI = 120, 200  # of pictures, and of images within a PDF, where all else is vectors
@@ -89,8 +90,8 @@ def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False) -> Figure:
         figure, panels = _given(axes, len(plot.panels))
         for each in panels[1:]:
             _share(each, panels[0], plot.share)
-    elif all(isinstance(mark, Pixels) for panel in plot.panels for mark in panel.marks):
-        figure, panels = _exact_figure(plot, pyplot)
+    elif pictures := [m.rgb for panel in plot.panels for m in panel.marks if isinstance(m, Pixels)]:
+        figure, panels = _exact_figure(plot, pictures[0].shape, pyplot)
     else:
         figure, panels = _new_figure(plot, pyplot)
     bars: dict[Scale, tuple[ScalarMappable, list[Axes]]] = {}
@@ -141,8 +142,8 @@ def encode(figure: Figure) -> tuple[bytes, bytes]:
     return _png(pixels, true_colors), pdf.getvalue()
 
 
-def write(plot: Plot, path: str | PathLike[str]) -> None:
-    """Write a plot with its caption below to a file, in the format of its extension.
+def write(plot: Plot, path: str | PathLike[str], *, captioned: bool = False) -> None:
+    """Write a plot to a file in the format of its extension; a caption takes a legend's place.
 
     Raises
     ------
@@ -156,7 +157,7 @@ def write(plot: Plot, path: str | PathLike[str]) -> None:
     if extension not in FORMATS:
         raise FileFormatError(f"{file} is no picture; give {', '.join(FORMATS)}.")
     figure = draw(plot)
-    if plot.caption:
+    if captioned:
         text = _plain(shorten(plot.caption, int(17 * figure.get_figwidth())))
         figure.supxlabel(text, x=0.02, ha="left", fontsize=_SMALL, color=INK)
     stamps: dict[str, Any] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
@@ -208,8 +209,13 @@ def _new_figure(plot: Plot, pyplot: bool) -> tuple[Figure, list[Axes]]:
 
     count, columns = len(plot.panels), min(plot.columns, len(plot.panels))
     rows = math.ceil(count / columns)
-    width = _WIDE if plot.wide or columns > 2 else _NARROW
-    side = 0.92 * width / (columns if plot.height < 0.8 or plot.wide else max(columns, 1.35))
+    width = max(_WIDE, _LEAST_SIDE * columns) if plot.wide or columns > 2 else _NARROW
+    bar = any(scale.label and scale.kind != "names" for p in plot.panels for scale in p.scales)
+    labelled = 1 if plot.share in ("y", "both") else columns
+    side = (width - 0.85 * bar - 0.5 * labelled) / columns
+    side = (
+        min(side, _LARGEST_SQUARE) if columns == 1 and plot.height > 0.8 and not plot.wide else side
+    )
     heights = [side * plot.height * part for part in plot.rows or (1.0,) * rows]
 
     # Add the strips that titles, tick labels and labels take, and the legend
@@ -242,10 +248,10 @@ def _new_figure(plot: Plot, pyplot: bool) -> tuple[Figure, list[Axes]]:
     return figure, made
 
 
-def _exact_figure(plot: Plot, pyplot: bool) -> tuple[Figure, list[Axes]]:
+def _exact_figure(plot: Plot, shape: tuple[int, ...], pyplot: bool) -> tuple[Figure, list[Axes]]:
     """Make a figure in whose PNG a pixel of its pictures is a square of whole pixels."""
     least, gap, strip = 240, 12, 25  # pixels: of a panel, between panels, of a title
-    height, width = next(m.rgb.shape[:2] for p in plot.panels for m in p.marks if hasattr(m, "rgb"))
+    height, width, _ = shape
     zoom, columns = max(1, -(-least // width)), min(plot.columns, len(plot.panels))
     foot = gap + 16 * max(panel.x.label.count("\n") + 1 for panel in plot.panels)
     across, down = gap + width * zoom, strip + height * zoom + foot
@@ -297,6 +303,7 @@ def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
         axes.text(
             0.5, 0.5, _plain(panel.note), transform=axes.transAxes, ha="center", va="center",
             fontsize=_SMALL, color=INK, style="italic",
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 2.0},
         )  # fmt: skip
     yield from found.items()
 
@@ -336,12 +343,23 @@ def _finish_axis(axes: Axes, which: str, given: Axis) -> None:
     else:
         axis.set_ticks(list(ticks), labels=[_plain(text) for text in ticks.values()])
         axis.set_minor_locator(NullLocator())
-        letters = sum(len(text) + 2 for text in ticks.values())
-        if which == "x" and letters * _LETTER > axes.get_window_extent().width / axes.figure.dpi:
-            axes.tick_params(axis="x", rotation=90)
     # After the ticks, which would widen them
     getattr(axes, f"set_{which}lim")(*((high, low) if given.flipped else (low, high)))
-    axis.set_label_text(_plain(given.label), fontsize=_LABEL, color=INK)
+    room = axes.get_window_extent()
+    length = (room.width if which == "x" else room.height) / axes.figure.dpi
+    axis.set_label_text(_plain(_broken(given.label, length)), fontsize=_LABEL, color=INK)
+    if which == "x" and ticks:
+        # Turn labels that would touch
+        at = np.sort(axis.get_transform().transform(np.array(list(ticks))))
+        first, last = axis.get_transform().transform(np.array([low, high]))
+        gap = length * np.diff(at).min(initial=np.inf) / (last - first)
+        if _LETTER * (max(map(len, ticks.values())) + 1) > gap:
+            axes.tick_params(axis="x", rotation=90)
+
+
+def _broken(label: str, length: float) -> str:
+    """A label with its note on a line of its own where it is longer than so many inches."""
+    return label.replace("   (", "\n(") if len(label) * _LETTER * 1.15 > length else label
 
 
 def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
@@ -508,7 +526,8 @@ def _color_bar(figure: Figure, scale: Scale, drawn: ScalarMappable, where: list[
     else:
         bar.set_ticks(list(ticks), labels=[_plain(text) for text in ticks.values()])
     bar.minorticks_off()
-    bar.set_label(_plain(scale.label), fontsize=_SMALL, color=INK)
+    length = 0.85 * bar.ax.get_window_extent().height / figure.dpi
+    bar.set_label(_plain(_broken(scale.label, length)), fontsize=_SMALL, color=INK)
 
 
 def _entries(plot: Plot) -> dict[str, list[Mark | str]]:

@@ -25,6 +25,7 @@ __all__ = [
     "for_each",
     "frequency_dims",
     "intervals",
+    "labelled",
     "numbers",
     "pairs",
     "variant_dims",
@@ -72,7 +73,7 @@ def as_group(data: Data) -> tuple[dict[str, xr.Dataset], str]:
     channels = max(each.sizes.get("channel", 0) for each in group.values())
     note = f"Shown: channel 0 of {channels}." if channels > 1 else ""
     first = {n: d.isel(channel=0) if "channel" in d.dims else d for n, d in group.items()}
-    return {name: _labelled(each) for name, each in first.items()}, note
+    return {name: labelled(each) for name, each in first.items()}, note
 
 
 def pairs(data: xr.Dataset) -> Iterator[tuple[str, str, str, xr.Dataset]]:
@@ -142,8 +143,8 @@ def _place(dim: str, value: Any) -> str:
     return str(value) if value.dtype.kind == "U" else f"{dim} {value}"
 
 
-def _labelled(stored: xr.Dataset) -> xr.Dataset:
-    """Make the coordinates of text again, which a store keeps as attributes ``labels_*``."""
+def labelled(stored: xr.Dataset) -> xr.Dataset:
+    """Return a stored result with its coordinates of text, kept as attributes ``labels_*``."""
     texts = {
         str(key).removeprefix("labels_"): np.array(value)
         for key, value in stored.attrs.items()

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 from mcspectra.core.checks import as_choice
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.results import VARIABLES, Variable
 from mcspectra.plots import maps, points, spectra, variance, warps
 from mcspectra.plots.anything import anything, shown_variables
 from mcspectra.plots.description import Plot
@@ -18,7 +17,7 @@ from mcspectra.plots.style import sampler_styles
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["KINDS", "Kind", "describe", "has_plot", "kinds_of"]
+__all__ = ["KINDS", "Kind", "describe", "kinds_of"]
 
 
 @final
@@ -65,6 +64,7 @@ KINDS: Mapping[str, Kind] = {
     "points": Kind(points.points, ("points", "axis")),
     "remedies": Kind(variance.remedies, ("remedy", "error_ratio", "error_ratio_ci", "verdict")),
     "techniques": Kind(variance.techniques, ("technique_covariance", "technique_variance_ci")),
+    "technique-rates": Kind(variance.technique_rates, ("n", "technique_variance", "technique_rate", "rate_ci")),
     "anova": Kind(variance.anova, ("anova_variance", "anova_variance_se", "subset_label")),
     "exact": Kind(variance.exact, ("n", "exact_variance")),
     "routes": Kind(variance.routes, ("route_variance", "route_variance_ci", "energy_share")),
@@ -117,10 +117,3 @@ def describe(kind: str, data: Data, styles: Styles | None = None) -> Plot:
             )
     plot = chosen.describe(group, styles or sampler_styles(list(group)))
     return replace(plot, caption=f"{plot.caption} {note}".strip())
-
-
-def has_plot(declared: Iterable[str | Variable]) -> bool:
-    """Return whether a kind of its own shows results with these variables, as an analysis declares them."""
-    names = {each if isinstance(each, str) else each.name for each in declared}
-    drawn = ({v for v in kind.variables if v in VARIABLES} for kind in KINDS.values())
-    return any(needed and needed <= names for needed in drawn)

@@ -246,7 +246,7 @@ def strategy_images(images: Group, *, exposure: float = 0.0) -> Plot:
                 if known
                 else ""
             )
-        title, label = _NAMES.get(name, name), f"{count} samples a pixel\n{error}"
+        title, label = _NAMES.get(name, name), f"{count} samples a pixel\n{error}".strip()
         shown = np.rint(255.0 * encode_srgb(data["image"].values * gain)).astype(np.uint8)
         height, width, _ = shown.shape
         panels.append(

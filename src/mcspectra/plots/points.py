@@ -106,7 +106,7 @@ def point_sets(sets: object, caption: str = "") -> Plot:
         caption=", ".join(said),
         words=f"{kept} sets of {n} points.",
         height=0.08 if dims == 1 else 1.0,
-        share="both",
+        share="both" if dims <= 2 else "",
     )
 
 
@@ -199,7 +199,7 @@ def _square(
     named: bool = True,
     labels: tuple[str, str] = ("", ""),
 ) -> Panel:
-    size: float | Array = float(np.clip(90.0 / np.sqrt(len(x)), 0.8, 5.0))
+    size: float | Array = float(np.clip(50.0 / np.sqrt(len(x)), 0.4, 5.0))
     first, second = x[:, axes[0]], x[:, axes[1]] if axes[0] != axes[1] else np.full(len(x), 0.5)
     shown = {} if len(x) > _MOST_NAMED else {"x": numbers(first), "y": numbers(second)}
     if weights is not None:
@@ -255,7 +255,7 @@ def _stroke_panel(
     return Panel(
         marks=tuple(marks),
         x=unit_axis("x"),
-        y=name_axis(rows),
+        y=name_axis(rows) if names else Axis(low=-0.6, high=0.6, ticks={}),
         title=title,
         framed=not names,
     )

@@ -241,25 +241,6 @@ def bands(group: Group, styles: Styles) -> Plot:
         ticks = {float(k): names[k] for k in range(0, count, stride)}
         at = np.arange(float(count))
         each = {"share of band a by itself": own, "share of band a with others": through}
-        image = Image(
-            values=matrix,
-            x=at,
-            y=at,
-            scale=scale,
-            name="covariance",
-            hover={title: np.broadcast_to(v[:, None], matrix.shape) for title, v in each.items()},
-        )
-        finite = np.isfinite(matrix).any()
-        panels.append(
-            Panel(
-                marks=(image,),
-                x=Axis(label=f"band b{unit}", low=-0.5, high=count - 0.5, ticks=ticks),
-                y=Axis(label=f"band a{unit}", low=-0.5, high=count - 0.5, ticks=ticks),
-                title=name,
-                square=True,
-                note="" if finite else _INFINITE,
-            )
-        )
         marks = [
             Bars(
                 at=at + side,
@@ -283,6 +264,25 @@ def bands(group: Group, styles: Styles) -> Plot:
                 note="" if np.isfinite(own).any() else "no finite share",
             )
         )
+        image = Image(
+            values=matrix,
+            x=at,
+            y=at,
+            scale=scale,
+            name="covariance",
+            hover={title: np.broadcast_to(v[:, None], matrix.shape) for title, v in each.items()},
+        )
+        finite = np.isfinite(matrix).any()
+        panels.append(
+            Panel(
+                marks=(image,),
+                x=Axis(label=f"band b{unit}", low=-0.5, high=count - 0.5, ticks=ticks),
+                y=Axis(label=f"band a{unit}", low=-0.5, high=count - 0.5, ticks=ticks),
+                title=name,
+                square=True,
+                note="" if finite else _INFINITE,
+            )
+        )
     first = next(iter(group.values()))
     meaning = str(first["band"].attrs.get("long_name", "")) if "band" in first.coords else ""
     meaning = (
@@ -296,6 +296,7 @@ def bands(group: Group, styles: Styles) -> Plot:
         "predicted variance by itself and through the other bands.",
         words="Matrix of covariances between frequency bands. " + for_each(group, _band_words),
         height=0.92,
+        wide=not all(name.isdigit() for name in names),
     )
 
 

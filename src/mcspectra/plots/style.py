@@ -18,6 +18,7 @@ __all__ = [
     "GRADIENTS",
     "GRAY",
     "INK",
+    "MARKERS",
     "PALETTE",
     "PAPER",
     "LineStyle",
@@ -27,7 +28,15 @@ __all__ = [
 ]
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#4D4D4D")
-MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+MARKERS: tuple[Literal["o", "s", "^", "D", "v", "P", "X"], ...] = (
+    "o",
+    "s",
+    "^",
+    "D",
+    "v",
+    "P",
+    "X",
+)
 DASHES = ("-", "--", ":", "-.")
 INK, GRAY, FAINT, PAPER = "#262626", "#8A8A8A", "#DCDCDC", "#FCFCFA"
 """Text and main marks, marks of lesser weight, grids and shapes behind, the ground. Backends turn them about on dark pages."""

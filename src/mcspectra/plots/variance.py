@@ -14,7 +14,16 @@ from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.plots.description import Axis, Bars, Dots, Line, Mark, Panel, Plot, Rule
 from mcspectra.plots.groups import Group, Styles, abreast, for_each, intervals, numbers
 from mcspectra.plots.scales import count_axis, log_axis, name_axis, signed_axis
-from mcspectra.plots.style import ACCENT, GRAY, INK, LineStyle, labels, line_widths
+from mcspectra.plots.style import (
+    ACCENT,
+    GRAY,
+    INK,
+    MARKERS,
+    PALETTE,
+    LineStyle,
+    labels,
+    line_widths,
+)
 from mcspectra.plots.text import MISSING, NEGLIGIBLE, number, number_beside, percent, rate, shorten
 
 if TYPE_CHECKING:
@@ -28,6 +37,7 @@ __all__ = [
     "remedies",
     "routes",
     "strategy_curves",
+    "technique_rates",
     "techniques",
     "terms",
     "usable_counts",
@@ -42,6 +52,7 @@ _TERMS = {
 }
 _LINEAR_TOP = 4.0  # captured shares up to here are shown on a linear axis
 _VERDICTS = {"better": "#009E73", "worse": ACCENT, "given": INK}
+_CURVE = ("variance", "variance_ci", "rate", "rate_ci")
 _INFINITE = "infinite: ∫1/p diverges"
 
 
@@ -94,7 +105,7 @@ def strategy_curves(curves: xr.Dataset, names: Mapping[str, str], styles: Styles
         )
     )
     return Plot(
-        kind="strategies",
+        kind="strategy-curves",
         panels=tuple(panels),
         columns=2,
         caption="Variance against n by each strategy, with 95 % intervals.",
@@ -211,7 +222,9 @@ def captured(group: Group, styles: Styles) -> Plot:
         if logarithmic
         else Axis(label=label, low=0.0, high=max(1.1, 1.08 * top))
     )
-    panel = Panel(marks=tuple(marks), x=Axis(label="half width of the spectrum"), y=axis, grid=True)
+    widest = max(float(each["half_width"].values[-1]) for each in group.values())
+    below = Axis(label="half width of the spectrum", low=0.0, high=1.03 * widest)
+    panel = Panel(marks=tuple(marks), x=below, y=axis, grid=True)
     return Plot(
         kind="captured",
         panels=(panel,),
@@ -224,10 +237,11 @@ def captured(group: Group, styles: Styles) -> Plot:
 
 
 def techniques(group: Group, styles: Styles) -> Plot:
-    """Covariance of each pair of techniques: what each contributes to the variance."""
+    """Covariance of each pair of techniques at the largest n: what each contributes."""
     panels = []
+    group = {name: each.isel(n=-1) if "n" in each.dims else each for name, each in group.items()}
     values = {name: each["technique_covariance"].values for name, each in group.items()}
-    axis = signed_axis("part of the variance", list(values.values()), 5)
+    axis = signed_axis("part of the variance", [2.0 * v for v in values.values()], 5)
     for name, each in group.items():
         matrix, ends = values[name], each["technique_variance_ci"].values
         places = [(i, j) for i in range(len(matrix)) for j in range(i, len(matrix))]
@@ -249,6 +263,49 @@ def techniques(group: Group, styles: Styles) -> Plot:
         ),
         height=0.1 + 0.05 * max(len(panel.y.ticks or ()) for panel in panels),
         share="x" if len({v.shape for v in values.values()}) == 1 else "",
+    )
+
+
+def technique_rates(group: Group, styles: Styles) -> Plot:
+    """Variance of each technique against n with its rate, a panel for each sampler."""
+    del styles  # colours are those of the techniques
+    curves: dict[str, dict[str, tuple[xr.Dataset, LineStyle]]] = {}
+    for name, each in group.items():
+        curves[name] = {
+            f"technique {t}": (
+                each[["mean"]].assign(
+                    {k: each[f"technique_{k}"].isel(technique=t) for k in _CURVE}
+                ),
+                LineStyle(color=PALETTE[t % len(PALETTE)], marker=MARKERS[t % len(MARKERS)]),
+            )
+            for t in range(each.sizes["technique"])
+        }
+        measured = {k: each[k.replace("variance", "measured_variance")] for k in _CURVE}
+        whole = (each[["mean"]].assign(measured), LineStyle(color=INK, marker="X", dashes="--"))
+        curves[name]["all together"] = whole
+    results = [data for parts in curves.values() for data, _ in parts.values()]
+    panels = [
+        replace(
+            _variance_panel(
+                [m for key, part in parts.items() for m in _curve(*part, key)], results
+            ),
+            title=name,
+        )
+        for name, parts in curves.items()
+    ]
+    said = [
+        f"{name}, {key}: {_rate_text(data)}"
+        for name, parts in curves.items()
+        for key, (data, _) in parts.items()
+    ]
+    return Plot(
+        kind="technique-rates",
+        panels=tuple(panels),
+        columns=min(2, len(panels)),
+        caption="Variance of each technique's part of the estimate and of their sum against the number "
+        "of points, with 95 % intervals and rates: the slowest technique decides the rate.",
+        words="Logarithmic plot of variance against n. " + "; ".join(said) + ".",
+        share="both",
     )
 
 

@@ -20,7 +20,7 @@ from mcspectra.core.spec import Component
 from mcspectra.densities import Density
 from mcspectra.estimators import AbstractEstimator, Estimator
 from mcspectra.integrands import Integrand
-from mcspectra.report.formatting import interval, number, shorten
+from mcspectra.plots.text import interval, number, shorten
 from mcspectra.report.pictograms import curve, map_image, scatter, strip
 from mcspectra.samplers import Sampler
 from mcspectra.samplers.base import Structure
