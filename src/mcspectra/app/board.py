@@ -20,7 +20,8 @@ from mcspectra.plots.description import Plot
 
 __all__ = ["Board"]
 
-_STALE = {"opacity": "0.35", "filter": "grayscale(1)"}
+_FRESH: Any = {"opacity": "1", "filter": "none"}
+_STALE: Any = {"opacity": "0.35", "filter": "grayscale(1)"}
 
 
 @final
@@ -45,7 +46,8 @@ class Board:
     later
         Has a function of no arguments called in the page's own thread, holding its lock.
     on_update
-        Called in the job's thread before its first part is shown.
+        Called in the job's thread before its first part is shown, or with a sentence where nothing
+        can be computed.
     on_shown
         Called in the page's thread after a part was, or when the job has ended; with True where
         figures came or went.
@@ -57,7 +59,7 @@ class Board:
         sheet: InlineStyleSheet,
         *,
         later: Callable[[Callable[[], None]], object],
-        on_update: Callable[[], object],
+        on_update: Callable[[str], object],
         on_shown: Callable[[bool], object],
     ) -> None:
         self.latest: dict[str, Any] = {}
@@ -118,7 +120,7 @@ class Board:
 
     def _hear(self, job: Job, update: Update) -> None:
         if update.kind == KINDS[0]:
-            self._on_update()
+            self._on_update("")
         self._post(job, update)
 
     def _post(self, job: Job, news: Update | str) -> None:
@@ -153,8 +155,7 @@ class Board:
         if card is not None and card.drawn.fits(plot):
             card.drawn.update(plot)
             card.layout.children[2].text = words
-            if card.layout.styles:
-                card.layout.styles = {}
+            card.layout.styles = _FRESH
             return False
         drawn = draw(plot)
         texts = [Div(text=t, sizing_mode="stretch_width", stylesheets=[self._sheet], disable_math=True)
@@ -162,6 +163,7 @@ class Board:
         layout = Column(
             children=[texts[0], drawn.model, texts[1]],
             sizing_mode="stretch_width",
+            styles=_FRESH,
             html_attributes={"role": "group", "aria-label": f"{self._side}: {FIGURES[plot.kind]}"},
             css_classes=["wide"] if len(plot.panels) > 2 else [],
         )
@@ -184,6 +186,8 @@ class Board:
             for kind, value in self.latest.items()
             if kind in ("terms", "convergence") and "note" in value.attrs
         ]
+        if alert:
+            self._on_update(sentence)
         self._fraction = 0.0 if alert else 1.0
         self._say(" ".join(dict.fromkeys([sentence, *notes])), alert=alert)
         self._on_shown(bool(old))

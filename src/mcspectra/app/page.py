@@ -189,7 +189,7 @@ class Explorer:
         if other is not None:
             self._boards["B"].run(other)
         self._shown(False)
-        self._write_texts()
+        self._write_texts("")
 
     def _choose_pixel(self, x: int, y: int, strategy: str) -> None:
         side = "B" if self.state.b is not None and self._tabs.active == 1 else "A"
@@ -210,10 +210,12 @@ class Explorer:
         )
         self._themes.text = f"<p>Theme: {' · '.join(links)}</p>"
 
-    def _write_texts(self) -> None:
+    def _write_texts(self, refused: str) -> None:
         """Write the exports, whose parts are made; runs in a job's thread as well."""
         try:
-            texts = as_python(self.state), as_toml(self.state)
+            texts = (
+                (f"# {refused}",) * 2 if refused else (as_python(self.state), as_toml(self.state))
+            )
         except McspectraError as error:
             texts = (f"# {error}",) * 2
 

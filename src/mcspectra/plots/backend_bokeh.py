@@ -35,7 +35,7 @@ from mcspectra.plots.description import (
     Text,
 )
 from mcspectra.plots.scales import log_ticks, signed_place, tick_label
-from mcspectra.plots.style import FAINT, GRADIENTS, INK
+from mcspectra.plots.style import FAINT, GRADIENTS, GRAY, INK
 from mcspectra.plots.text import shorten
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ __all__ = ["Drawn", "draw", "packed", "script"]
 
 _INK = "#767676"  # a contrast of 4.5 to white and of 3.9 to the dark page
 _GRID = "rgba(128, 128, 128, 0.25)"
-_SEEN = {INK: _INK, FAINT: _GRID, "#4D4D4D": "#8A8A8A"}  # on light and dark pages
+_SEEN = {INK: _INK, GRAY: "#ABABAB", FAINT: _GRID, "#4D4D4D": "#8A8A8A"}  # on light and dark pages
 _NOWHERE = "#808080"
 _MARKERS = {
     "o": "circle",
