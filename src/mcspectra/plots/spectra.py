@@ -20,6 +20,7 @@ from mcspectra.plots.description import (
     Dots,
     Image,
     Line,
+    Mark,
     Panel,
     Plot,
     Rule,
