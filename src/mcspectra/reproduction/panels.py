@@ -54,7 +54,7 @@ def whiskers(x: Array, y: Array, ends: Array, k: int, label: str, size: float = 
     """Return dots with intervals (…, 2), in the k-th look."""
     return Dots(
         x=np.asarray(x, float), y=y, low=ends[..., 0], high=ends[..., 1],
-        color=PALETTE[k], marker=MARKERS[k], size=size, label=label,  # type: ignore[arg-type]
+        color=PALETTE[k], marker=MARKERS[k], size=size, label=label,
     )  # fmt: skip
 
 
@@ -177,7 +177,7 @@ def interval_panel(
         marks.append(
             Dots(
                 x=value, y=np.arange(len(found)) + away, low=low, high=high, across=True,
-                color=PALETTE[k], marker=MARKERS[k], size=5.0, label=label,  # type: ignore[arg-type]
+                color=PALETTE[k], marker=MARKERS[k], size=5.0, label=label,
             )
         )  # fmt: skip
     high = max(each.high for row in rows.values() for each in row)
