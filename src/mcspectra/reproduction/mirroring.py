@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -19,8 +20,20 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Dots, Image, Line, Mark, Panel, Plot, Rule, Scale
+from mcspectra.plots.description import (
+    Axis,
+    Dots,
+    Image,
+    Line,
+    Mark,
+    Panel,
+    Plot,
+    Rule,
+    Scale,
+    Text,
+)
 from mcspectra.plots.style import ACCENT, INK, PALETTE
+from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
 from mcspectra.reproduction.panels import square_panel, strata, variance_panel
 
@@ -218,19 +231,23 @@ def _samples(seed: int) -> Plot:
 def _convergence(
     cells: Mapping[tuple[str, bool], xr.Dataset], exact: Mapping[tuple[str, bool], Array]
 ) -> Plot:
+    panels, label = [], "measured and exact"
+    for shifted, mirroring in itertools.product((True, False), _TITLES):
+        key = mirroring, shifted
+        panel = variance_panel(
+            {label: cells[key]},
+            exact={label: exact[key]},
+            rates={label: RATES[key]},
+            title=f"{_TITLES[mirroring]}, {'shifted' if shifted else 'not shifted'}",
+            x="number of samples N",
+            limits=(1e-9, 1e-3),
+        )
+        at, text = float(exact[key][1]), f"slope {number(RATES[key], 2)}"
+        slope = Text(x=float(_COUNTS[1]), y=2.0 * at, text=text)
+        panels.append(replace(panel, marks=(*panel.marks, slope)))
     return Plot(
         kind="mirroring-convergence",
-        panels=tuple(
-            variance_panel(
-                {"measured and exact": cells[m, h]},
-                exact={"measured and exact": exact[m, h]},
-                rates={"measured and exact": RATES[m, h]},
-                title=f"{_TITLES[m]}, {'shifted' if h else 'not shifted'}",
-                x="number of samples N",
-                limits=(1e-9, 1e-3),
-            )
-            for h, m in itertools.product((True, False), _TITLES)
-        ),
+        panels=tuple(panels),
         columns=3,
         height=0.8,
         share="both",

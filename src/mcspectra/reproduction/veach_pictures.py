@@ -46,7 +46,7 @@ _WHERE = {
     "plate-0": "around the reflection of the widest light in the smoothest plate",
     "wall": "on the diffuse wall",
 }
-_LABELS = {"plate-0": ("smoothest plate", "#FFFFFF"), "wall": ("wall", INK)}  # with their colours
+_LABELS = {"plate-0": "smoothest plate", "wall": "wall"}
 
 
 @final
@@ -192,7 +192,7 @@ def _who_wins(renders: Renders) -> Plot:
     marks: list[Mark] = [
         Image(values=values, x=np.arange(width) + 0.5, y=np.arange(height) + 0.5, scale=scale)
     ]
-    for name, (label, color) in _LABELS.items():
+    for name, label in _LABELS.items():
         rows, columns = renders.window(name)
         left, right, low, high = (
             columns.start,
@@ -204,7 +204,8 @@ def _who_wins(renders: Renders) -> Plot:
         ends = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
         marks += [Segments(ends=ends, color="#FFFFFF", width=3.2), Segments(ends=ends, color=INK)]
         marks.append(
-            Text(x=(left + right) / 2, y=float(high), text=label, color=color, side="above")
+            # Above the reflection, which is dark
+            Text(x=(left + right) / 2, y=2.0 * high - low, text=label, side="above")
         )
     axis = Axis(ticks={})
     return Plot(
