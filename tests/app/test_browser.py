@@ -11,6 +11,7 @@ import sys
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from importlib.resources import files
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
@@ -256,6 +257,18 @@ def test_the_integrand_stands_beside_its_density(page: Page, address: str) -> No
     card = page.get_by_role("group", name=re.compile("^A: Integrand f"))
     expect(card.get_by_text("f/p from")).to_be_visible()
     assert card.locator("canvas").count() >= 3
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_serious(page: Page, address: str, scheme: str) -> None:
+    page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+    pair = "&".join(f"b.{each}" for each in _SMALL.split("&"))
+    open_state(page, address, f"{_SMALL}&{pair}&b.sampler=random")
+    done(page, "B")
+    page.evaluate((files("axe_playwright_python") / "axe.min.js").read_text("utf-8"))
+    found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
+    page.emulate_media(color_scheme="light")
+    assert [each["id"] for each in found if each["impact"] in ("serious", "critical")] == []
 
 
 def test_a_narrow_page_does_not_scroll_sideways(page: Page, address: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, final
 
@@ -32,9 +32,18 @@ _NEEDS_MORE = {
 }  # fmt: skip
 _OTHER = "as written below"
 _EXPONENTS = range(2, 13)  # of 2: the counts on the slider
-_REALIZATIONS = (64, 256, 1024, 4096)
 _EXAMPLE = "exp(-x**2 - y**2)"
 _PICTURES = ".png,.jpg,.jpeg,.exr,.npy"
+_TEXTS = {
+    "sampler": "Sampler spec", "density": "Density spec", "integrand": "Integrand spec",
+    "n": "Exact n", "seed": "Seed",
+}  # fmt: skip
+_PARTS = {"strata_shift": ("Strata shift", 0.95, 0.05), "smoothing": ("Smoothing width", 0.5, 0.01)}
+_CHOICES: dict[str, tuple[str, Sequence[Any]]] = {
+    "channel": ("Channel", list(zip(CHANNELS, ("luminance", "red", "green", "blue"), strict=True))),
+    "mirror": ("Mirror", MIRRORS),
+    "realizations": ("Realisations", ("64", "256", "1024", "4096")),
+}
 _SLIDERS: dict[str, tuple[tuple[str, float, float, float], ...]] = {
     "linear": (("slope", -1.9, 1.9, 1.0),),
     "power": (("exponent", 0.0, 4.0, 1.0),),
@@ -103,9 +112,10 @@ class Controls:
         self._fill()
 
     def change(self, **values: Any) -> None:
-        """Change fields of the set-up as if by hand."""
+        """Change fields of the set-up as if by hand; texts are read as those of an address."""
         try:
-            setup = replace(self.setup, **values)
+            read = {k: Setup.read(k, v) if isinstance(v, str) else v for k, v in values.items()}
+            setup = replace(self.setup, **read)
         except McspectraError as error:
             self._on_error(str(error))
             return
@@ -115,86 +125,63 @@ class Controls:
 
     def _made(self) -> dict[str, Any]:
         # What is chosen beside its spec
+        make, density, integrand = self._make, self._named("density"), self._named("integrand")
+        steps = CheckboxGroup(labels=_STEPS, stylesheets=[self._sheet])
+        self._watch(steps, "active", self._choose_sampler)
         made = {
-            "base": self._select("Sampler", _offered(SAMPLERS), act=self._choose_sampler),
-            "steps": CheckboxGroup(labels=_STEPS, stylesheets=[self._sheet]),
-            "count": CategoricalSlider(
-                title=self._label("Points n"),
-                categories=["1"],
-                value="1",
-                stylesheets=[self._sheet],
+            "base": make(Select, "Sampler", self._choose_sampler, options=_offered(SAMPLERS)),
+            "steps": steps,
+            "count": make(
+                CategoricalSlider, "Points n", self._entered("n"), "value_throttled",
+                categories=["1"], value="1",
             ),
-            "density_name": self._select(
-                "Density", _offered(DENSITIES), act=self._named("density")
-            ),
-            "integrand_name": self._select(
-                "Integrand", _offered(INTEGRANDS), act=self._named("integrand")
-            ),
-            "formula": self._text("Formula", self._choose_formula, placeholder=_EXAMPLE),
-            "upload": FileInput(
-                title=self._label("Picture as integrand"),
+            "density_name": make(Select, "Density", density, options=_offered(DENSITIES)),
+            "integrand_name": make(Select, "Integrand", integrand, options=_offered(INTEGRANDS)),
+            "formula": make(TextInput, "Formula", self._choose_formula, placeholder=_EXAMPLE),
+            "upload": make(
+                FileInput, "Picture as integrand", lambda _: self._later(self._take_upload),
                 accept=_PICTURES,
-                stylesheets=[self._sheet],
             ),
-            "dims": self._select("Dims", ["1", "2"], act=self._choose_dims),
-        }
-        self._on(made["steps"], "active", self._choose_sampler)
-        self._on(made["count"], "value_throttled", lambda text: self.change(n=int(text)))
-        self._on(made["upload"], "value", lambda _: self._later(self._take_upload))
+            "dims": make(Select, "Dims", self._choose_dims, options=["1", "2"]),
+        }  # fmt: skip
         # Fields of the set-up
-        for name, label in (
-            ("sampler", "Sampler"),
-            ("density", "Density"),
-            ("integrand", "Integrand"),
-        ):
-            made[name] = self._text(f"{label} spec", self._field(name))
-        for name, label in (("n", "Exact n"), ("seed", "Seed")):
-            made[name] = self._text(label, self._whole(name, label))
-        for name, label, most in (("strata_shift", "Strata shift", 0.95), ("smoothing", "Smoothing width", 0.5)):  # fmt: skip
-            slider = Slider(
-                title=self._label(label), start=0.0, end=most, step=0.05 if most > 0.5 else 0.01,
-                value=0.0, stylesheets=[self._sheet],
-            )  # fmt: skip
-            self._on(slider, "value_throttled", self._field(name))
-            made[name] = slider
-        channels = list(zip(CHANNELS, ("luminance", "red", "green", "blue"), strict=True))
-        made["channel"] = self._select("Channel", channels, act=self._field("channel"))
-        made["mirror"] = self._select("Mirror", list(MIRRORS), act=self._field("mirror"))
-        counts = [str(count) for count in _REALIZATIONS]
-        made["realizations"] = self._select(
-            "Realisations", counts, act=lambda text: self.change(realizations=int(text))
-        )
+        for name, label in _TEXTS.items():
+            made[name] = make(TextInput, label, self._entered(name))
+        for name, (label, most, step) in _PARTS.items():
+            options = {"start": 0.0, "end": most, "step": step, "value": 0.0}
+            made[name] = make(Slider, label, self._entered(name), "value_throttled", **options)
+        for name, (label, choices) in _CHOICES.items():
+            made[name] = make(Select, label, self._entered(name), options=list(choices))
         # Options of the analyses
         for name, option in OPTIONS.items():
             label = name.replace("_", " ").capitalize()
             free = option.required or option.default is None
             if option.choices and option.choices != ("auto",):  # which stands for numbers too
-                given = [(choice, choice) for choice in option.choices]
-                choices = [("", "by default"), *given] if free else given
-                widget = self._select(label, choices, act=self._option(name))
+                choices = [
+                    *([("", "by default")] if free else []),
+                    *((c, c) for c in option.choices),
+                ]
+                widget = make(Select, label, self._entered(name), options=choices)
             else:
                 shown = "chosen to fit" if free else str(option.default)
-                widget = self._text(label, self._option(name), placeholder=shown)
+                widget = make(TextInput, label, self._entered(name), placeholder=shown)
             widget.description = option.meaning
             made[name] = widget
         return made
 
-    def _label(self, text: str) -> str:
-        return f"{text}, {self._side}"
-
-    def _select(self, label: str, options: Any, *, act: Callable[[Any], object]) -> Any:
-        widget = Select(title=self._label(label), options=options, stylesheets=[self._sheet])
-        self._on(widget, "value", act)
+    def _make(
+        self,
+        kind: Any,
+        label: str,
+        act: Callable[[Any], object],
+        name: str = "value",
+        **options: Any,
+    ) -> Any:
+        widget = kind(title=f"{label}, {self._side}", stylesheets=[self._sheet], **options)
+        self._watch(widget, name, act)
         return widget
 
-    def _text(self, label: str, act: Callable[[Any], object], placeholder: str = "") -> Any:
-        widget = TextInput(
-            title=self._label(label), placeholder=placeholder, stylesheets=[self._sheet]
-        )
-        self._on(widget, "value", act)
-        return widget
-
-    def _on(self, widget: Any, name: str, act: Callable[[Any], object]) -> None:
+    def _watch(self, widget: Any, name: str, act: Callable[[Any], object]) -> None:
         """Have `act` called with what the user enters, not with what `_fill` does."""
         widget.sizing_mode = "stretch_width"
 
@@ -206,34 +193,11 @@ class Controls:
 
         widget.on_change(name, heard)
 
-    def _field(self, name: str) -> Callable[[Any], None]:
+    def _entered(self, name: str) -> Callable[[Any], None]:
         return lambda value: self.change(**{name: value})
 
     def _named(self, kind: str) -> Callable[[str], None]:
         return lambda name: None if name == _OTHER else self.change(**{kind: name})
-
-    def _whole(self, name: str, label: str) -> Callable[[str], None]:
-        def act(text: str) -> None:
-            if text.strip().isdecimal():
-                self.change(**{name: int(text)})
-            else:
-                self._on_error(f"{label} is {text[:40]!r}; give a whole number.")
-
-        return act
-
-    def _option(self, name: str) -> Callable[[str], None]:
-        """Read the text of an option, an empty one as the default."""
-
-        def act(text: str) -> None:
-            default = next(f.default for f in Setup.__dataclass_fields__.values() if f.name == name)
-            try:
-                value = OPTIONS[name].read(text, name) if text.strip() else default
-            except McspectraError as error:
-                self._on_error(str(error))
-                return
-            self.change(**{name: value})
-
-        return act
 
     def _choose_sampler(self, _: Any) -> None:
         w = self._widgets
@@ -274,7 +238,7 @@ class Controls:
             w["steps"].active = [w["steps"].labels.index(step) for step in steps]
             counts = {_nearest(setup.sampler, setup.dims, 2**k) for k in _EXPONENTS} | {setup.n}
             w["count"].categories = [str(count) for count in sorted(counts)]
-            w["count"].value = w["n"].value = str(setup.n)
+            w["count"].value = str(setup.n)
             for kind in ("density", "integrand"):
                 name = parse(getattr(setup, kind)).name
                 offered = w[f"{kind}_name"].options
@@ -284,14 +248,10 @@ class Controls:
             w["formula"].value = str(written)
             now = str(setup.realizations)
             w["realizations"].options = sorted({*w["realizations"].options, now}, key=int)
-            for name in ("dims", "seed", "realizations"):
-                w[name].value = str(getattr(setup, name))
-            for name in ("sampler", "density", "integrand", "channel", "mirror", "strata_shift", "smoothing"):  # fmt: skip
+            for name in ("dims", *_TEXTS, *_CHOICES, *OPTIONS):
+                w[name].value = setup.text(name)
+            for name in _PARTS:
                 w[name].value = getattr(setup, name)
-            for name in OPTIONS:
-                value = getattr(setup, name)
-                listed = ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
-                w[name].value = "" if value is None else listed
             self._fill_density()
         finally:
             self._filling = False
@@ -300,17 +260,17 @@ class Controls:
         """Sliders for the numbers of the density; made anew when it is another one."""
         call = parse(self.setup.density)
         ranges = _SLIDERS.get(call.name, ())
-        labels = [self._label(f"Density {key}") for key, *_ in ranges]
-        if [slider.title for slider in self._density_sliders.children] != labels:
-            self._density_sliders.children = [
-                Slider(title=label, start=low, end=high, step=0.05, value=start, stylesheets=[self._sheet])
-                for label, (_, low, high, start) in zip(labels, ranges, strict=True)
+        sliders = self._density_sliders
+        titles = [f"Density {key}, {self._side}" for key, *_ in ranges]
+        if [slider.title for slider in sliders.children] != titles:
+            sliders.children = [
+                self._make(
+                    Slider, f"Density {key}", self._moved(key), "value_throttled",
+                    start=low, end=high, step=0.05, value=start,
+                )
+                for key, low, high, start in ranges
             ]  # fmt: skip
-            for slider, (key, *_) in zip(self._density_sliders.children, ranges, strict=True):
-                self._on(slider, "value_throttled", self._moved(key))
-        for slider, (key, low, high, start) in zip(
-            self._density_sliders.children, ranges, strict=True
-        ):
+        for slider, (key, low, high, start) in zip(sliders.children, ranges, strict=True):
             value = call.arguments.get(key, start)
             known = isinstance(value, int | float) and low <= value <= high
             slider.value = float(value) if known else start

@@ -8,6 +8,7 @@ every request must name this server as its Host, and as its Origin where it has 
 from __future__ import annotations
 
 import socket
+import threading
 import warnings
 from collections.abc import Awaitable
 from typing import Any, final
@@ -129,9 +130,19 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
     if not quiet:
         print(f"The explorer is at {address}; stop it by Ctrl-C.", flush=True)
     server.start()
+    threading.Thread(target=_warm_up, name="explorer warm-up", daemon=True).start()
     if open_browser:
         server.io_loop.add_callback(_open, address)
     server.io_loop.start()
+
+
+def _warm_up() -> None:
+    """Load and compile what the first page needs while the browser loads it: half of its wait."""
+    from mcspectra.app.compute import KINDS, compute
+    from mcspectra.app.state import Setup
+
+    for kind in KINDS:
+        compute(kind, Setup(half_width=4), 2)
 
 
 def _open(address: str) -> None:

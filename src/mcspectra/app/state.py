@@ -158,7 +158,7 @@ class Setup:
     def differences(self) -> dict[str, str]:
         """What is not as by default, as text."""
         return {
-            each.name: _text(getattr(self, each.name))
+            each.name: self.text(each.name)
             for each in dataclasses.fields(self)
             if getattr(self, each.name) != each.default
         }
@@ -173,20 +173,39 @@ class Setup:
             An unknown key, text that is no number where one is needed, or a value that a
             `Setup` refuses.
         """
-        fields = {each.name: each for each in dataclasses.fields(Setup)}
-        values: dict[str, Any] = {}
-        for key, text in texts.items():
-            if key not in fields:
-                hint, close = close_match_hint(key, fields)
-                known = hint if close else f" Known are {', '.join(fields)}."
-                raise ParameterError(f"The address has an unknown key {key[:40]!r}.{known}")
-            if key in OPTIONS:
-                values[key] = OPTIONS[key].read(text, key)
-            elif isinstance(fields[key].default, str):
-                values[key] = text
-            else:
-                values[key] = _number(key, text, type(fields[key].default))
-        return Setup(**values)
+        return Setup(**{name: Setup.read(name, text) for name, text in texts.items()})
+
+    @staticmethod
+    def read(name: str, text: str) -> Any:
+        """Return what a text means as the value of a field; an empty one of an option, its default.
+
+        Raises
+        ------
+        ParameterError
+            No such field, or no number where one is needed.
+        """
+        defaults = {each.name: each.default for each in dataclasses.fields(Setup)}
+        if name not in defaults:
+            hint, close = close_match_hint(name, defaults)
+            known = hint if close else f" Known are {', '.join(defaults)}."
+            raise ParameterError(f"The address has an unknown key {name[:40]!r}.{known}")
+        kind: Any = type(defaults[name])
+        if name in OPTIONS:
+            return OPTIONS[name].read(text, name) if text.strip() else defaults[name]
+        if kind is str:
+            return text
+        try:
+            return kind(text)
+        except ValueError:
+            what = "whole number" if kind is int else "number"
+            raise ParameterError(f"{name} is {text[:40]!r}; give a {what}.") from None
+
+    def text(self, name: str) -> str:
+        """Return the text of a field that `read` reads."""
+        value = getattr(self, name)
+        if value is None:
+            return ""
+        return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 OPTIONS = {
@@ -271,15 +290,3 @@ def _pairs(query: str) -> list[tuple[str, str]]:
         raise ParameterError(
             "The address cannot be read; its part after '?' is key=value pairs joined by '&'."
         ) from None
-
-
-def _text(value: Any) -> str:
-    return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
-
-
-def _number(key: str, text: str, kind: type) -> Any:
-    try:
-        return kind(text)
-    except ValueError:
-        what = "whole number" if kind is int else "number"
-        raise ParameterError(f"{key} is {text[:40]!r}; give a {what}.") from None

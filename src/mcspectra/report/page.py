@@ -245,8 +245,11 @@ def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
             figures.mkdir(exist_ok=True)
         text = _html(page, figures, file.parent)
         partial = file.parent / f".{file.name}.partial"
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(file)
+        try:
+            partial.write_text(text, encoding="utf-8")
+            partial.replace(file)
+        finally:
+            partial.unlink(missing_ok=True)
     except OSError as error:
         raise (StoreError if isinstance(error, _WRONG_PLACE) else StorageError)(
             f"The page cannot be written to {str(file)!r}: {error.strerror}."
