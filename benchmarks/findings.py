@@ -22,7 +22,7 @@ from benchmarks.finding_figures import (
     variance_plot,
     with_interval,
 )
-from mcspectra.plots.backend_matplotlib import write
+from mcspectra.plots.backend_matplotlib import draw, encode
 from mcspectra.plots.description import Axis, Line, Panel, Plot, Rule, Segments
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.scales import log_axis
@@ -191,7 +191,7 @@ def main(*flags: str) -> None:
         kept.append(text)
         if "--plot" in flags:
             for name, plot in plots.items():
-                write(plot, FOLDER / f"{name}.png")
+                (FOLDER / f"{name}.png").write_bytes(encode(draw(plot))[0])
     if "--plot" in flags:
         (FOLDER / "numbers.txt").write_text("".join(kept), encoding="utf-8")
         print(f"drawn to {FOLDER.relative_to(FOLDER.parents[1])}")

@@ -106,9 +106,9 @@ class Visit:
 def sweep(visit: Visit, plot: Any, word: str) -> bool:
     """Move the pointer over a plot, row by row, until a tooltip shows `word`."""
     box = plot.bounding_box()
-    for part in range(60):
+    for part in range(100):
         x = box["x"] + box["width"] * (0.35 + 0.06 * (part % 10))
-        visit.page.mouse.move(x, box["y"] + 60 + 25 * (part // 10))
+        visit.page.mouse.move(x, box["y"] + 60 + 17 * (part // 10))
         visit.page.wait_for_timeout(60)
         if visit.page.locator(".bk-Tooltip").get_by_text(word).count():
             return True
@@ -120,7 +120,9 @@ def test_the_pointer_shows_exact_values(browser: Browser, folder: Path) -> None:
     assert sweep(visit, visit.show("Bars of the three terms"), "95 %:")
     assert sweep(
         visit,
-        visit.show("Contribution of each frequency to the variance. random: largest", last=True),
+        visit.show(
+            "Signed contribution of each frequency to the variance. random: largest", last=True
+        ),
         "power part:",
     )
     visit.leave()

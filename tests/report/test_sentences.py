@@ -198,7 +198,7 @@ def test_the_cross_term_follows_its_own_interval() -> None:
     ("options", "words"),
     [
         ({"predicted": 2.9}, "The Fourier sum has not converged at half width 32 (basis = 'auto'"),
-        ({"predicted": 0.5, "power": 0.5}, "50 % of the variance lies beyond half width 32."),
+        ({"predicted": 0.5, "power": 0.5}, "50 % of the variance lies beyond half width\u00a032."),
         ({"predicted": 0.5, "measured": 0.5}, "Correlation removes 50 % of dc + power."),
         ({"predicted": 1.5, "measured": 1.5}, "Correlation adds 50 % to dc + power."),
         ({}, "Prediction agrees."),

@@ -14,11 +14,12 @@ from mcspectra.reproduction.claims import (
     largest_distance,
     normal_limit,
 )
+from mcspectra.reproduction.gallery import make_exhibit
 
 
 @pytest.fixture(scope="module")
 def made() -> Exhibit:
-    return bias.exhibit(quick=True, seed=1)
+    return make_exhibit("bias", quick=True, seed=1)
 
 
 def test_all_findings_agree(made: Exhibit) -> None:

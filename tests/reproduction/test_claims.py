@@ -13,7 +13,6 @@ from mcspectra.reproduction.claims import (
     Claim,
     Measured,
     judge,
-    normal,
     pixel_rate,
     rate_claim,
 )
@@ -32,7 +31,7 @@ def test_true_statements_agree_as_often_as_they_should() -> None:
 
 
 def test_an_expected_number_at_the_ends_of_the_interval() -> None:
-    measured = normal(2.0, 0.1)
+    measured = Measured.normal(2.0, 0.1)
     low, high = measured.verdict_interval
 
     def agrees(expected: float, tolerance: float = 0.0) -> bool | None:

@@ -7,11 +7,12 @@ import pytest
 
 from mcspectra.reproduction import closed_forms
 from mcspectra.reproduction.claims import Exhibit, judge, largest_distance
+from mcspectra.reproduction.gallery import make_exhibit
 
 
 @pytest.fixture(scope="module")
 def made() -> Exhibit:
-    return closed_forms.exhibit(quick=True, seed=1)
+    return make_exhibit("closed-forms", quick=True, seed=1)
 
 
 def test_all_findings_agree(made: Exhibit) -> None:

@@ -8,11 +8,12 @@ import pytest
 from mcspectra.integrands.registry import integrand
 from mcspectra.reproduction import dimensionality as module
 from mcspectra.reproduction.claims import Exhibit, judge
+from mcspectra.reproduction.gallery import make_exhibit
 
 
 @pytest.fixture(scope="module")
 def made() -> Exhibit:
-    return module.exhibit(quick=True, seed=1)
+    return make_exhibit("dimensionality", quick=True, seed=1)
 
 
 def test_all_findings_agree(made: Exhibit) -> None:

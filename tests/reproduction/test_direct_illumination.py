@@ -8,13 +8,14 @@ import xarray as xr
 
 from mcspectra.reproduction import direct_illumination as direct
 from mcspectra.reproduction.claims import Exhibit, judge, pixel_rate
+from mcspectra.reproduction.gallery import make_exhibit
 
 pytestmark = pytest.mark.render
 
 
 @pytest.fixture(scope="module")
 def made() -> Exhibit:
-    return direct.exhibit(quick=True, seed=1)
+    return make_exhibit("direct-illumination", quick=True, seed=1)
 
 
 def test_all_findings_agree(made: Exhibit) -> None:

@@ -10,11 +10,12 @@ import mcspectra as mcs
 from mcspectra.plots.backend_matplotlib import draw, panel_axes
 from mcspectra.reproduction import environment_channels as channels
 from mcspectra.reproduction.claims import Exhibit, judge
+from mcspectra.reproduction.gallery import make_exhibit
 
 
 @pytest.fixture(scope="module")
 def made() -> Exhibit:
-    return channels.exhibit(quick=True, seed=1)
+    return make_exhibit("environment-channels", quick=True, seed=1)
 
 
 def test_all_findings_agree(made: Exhibit) -> None:

@@ -8,11 +8,12 @@ from scipy.integrate import quad
 
 from mcspectra.reproduction import estimator
 from mcspectra.reproduction.claims import Exhibit, judge
+from mcspectra.reproduction.gallery import make_exhibit
 
 
 @pytest.fixture(scope="module")
 def made() -> Exhibit:
-    return estimator.exhibit(quick=True, seed=1)
+    return make_exhibit("estimator", quick=True, seed=1)
 
 
 def test_all_findings_agree(made: Exhibit) -> None:

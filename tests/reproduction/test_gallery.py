@@ -6,6 +6,7 @@ import base64
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +24,11 @@ SLIDES = {
         title="A good one",
         summary="good things",
         slide="Slide & quotation",
+        caption="quick {quick}, seed {seed}",
+        plots={k: {"caption": "A $ sign.", "words": '"Words"'} for k in ("photo", "plot")},
         formula=r"\frac{1}{N} \sum_k x_k",
     ),
-    "bad": Slide(title="A bad one", summary="bad things", slide="Nothing"),
+    "bad": Slide(title="A bad one", summary="bad things", slide="Nothing", caption="", plots={}),
 }
 
 
@@ -36,14 +39,12 @@ def _plot(photograph: bool) -> Plot:
     return Plot(
         kind="photo" if photograph else "plot",
         panels=(Panel(marks=(mark,)),),
-        caption="A $ sign.",
-        words='"Words"',
     )
 
 
 def _good(*, quick: bool, seed: int) -> Exhibit:
     return Exhibit(
-        caption=f"quick {quick}, seed {seed}",
+        numbers={"quick": quick, "seed": seed},
         plots=(_plot(False), _plot(True)),
         claims=(
             Claim("One is <one>.", Measured(1.0, 0.9, 1.1), expected=1.0),
@@ -151,7 +152,7 @@ def test_captions_in_the_pdf_lie_below_legends() -> None:
             top, bottom = drawn[-1]
             assert top < bottom
 
-    gallery._add_figure(Sheets(), _plot(False))  # type: ignore[arg-type]
+    gallery._add_figure(Sheets(), replace(_plot(False), caption="A $ sign."))  # type: ignore[arg-type]
 
 
 def test_fonts_in_the_pdf_can_be_edited(tmp_path: Path) -> None:

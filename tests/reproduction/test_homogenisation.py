@@ -7,13 +7,14 @@ import pytest
 
 from mcspectra.reproduction import homogenisation
 from mcspectra.reproduction.claims import Exhibit, judge
+from mcspectra.reproduction.gallery import make_exhibit
 from mcspectra.reproduction.homogenisation import PAIRS, Coefficients, before_and_after, grid_mean
 from mcspectra.spectra.closed_forms import closed_form_covariance
 
 
 @pytest.fixture(scope="module")
 def made() -> Exhibit:
-    return homogenisation.exhibit(quick=True, seed=1)
+    return make_exhibit("homogenisation", quick=True, seed=1)
 
 
 def test_all_findings_agree(made: Exhibit) -> None:

@@ -9,11 +9,12 @@ from scipy.integrate import quad
 import mcspectra as mcs
 from mcspectra.reproduction import importance_spectra as spectra
 from mcspectra.reproduction.claims import Exhibit, judge
+from mcspectra.reproduction.gallery import make_exhibit
 
 
 @pytest.fixture(scope="module")
 def made() -> Exhibit:
-    return spectra.exhibit(quick=True, seed=1)
+    return make_exhibit("importance-spectra", quick=True, seed=1)
 
 
 def test_all_findings_agree(made: Exhibit) -> None:

@@ -9,13 +9,14 @@ from scipy.integrate import quad
 from mcspectra.plots.description import Text
 from mcspectra.reproduction import importance_terms as module
 from mcspectra.reproduction.claims import Exhibit, judge
+from mcspectra.reproduction.gallery import make_exhibit
 from mcspectra.reproduction.panels import term_panel
 from mcspectra.variance.exact import exact_variance
 
 
 @pytest.fixture(scope="module")
 def made() -> Exhibit:
-    return module.exhibit(quick=True, seed=1)
+    return make_exhibit("importance-terms", quick=True, seed=1)
 
 
 def test_all_findings_agree(made: Exhibit) -> None:

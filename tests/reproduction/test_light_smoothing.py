@@ -8,13 +8,14 @@ import pytest
 import mcspectra as mcs
 from mcspectra.reproduction import light_smoothing as smoothing
 from mcspectra.reproduction.claims import Exhibit, judge
+from mcspectra.reproduction.gallery import make_exhibit
 
 pytestmark = pytest.mark.render
 
 
 @pytest.fixture(scope="module")
 def made() -> Exhibit:
-    return smoothing.exhibit(quick=True, seed=1)
+    return make_exhibit("light-smoothing", quick=True, seed=1)
 
 
 def test_all_findings_agree(made: Exhibit) -> None:

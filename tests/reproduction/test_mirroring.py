@@ -8,12 +8,13 @@ from scipy.integrate import dblquad
 
 import mcspectra as mcs
 from mcspectra.reproduction import mirroring
-from mcspectra.reproduction.claims import Exhibit, judge, known_rate, ratio, reading
+from mcspectra.reproduction.claims import Exhibit, Measured, judge, known_rate
+from mcspectra.reproduction.gallery import make_exhibit
 
 
 @pytest.fixture(scope="module")
 def made() -> Exhibit:
-    return mirroring.exhibit(quick=True, seed=1)
+    return make_exhibit("mirroring", quick=True, seed=1)
 
 
 def test_all_findings_agree(made: Exhibit) -> None:
@@ -65,7 +66,8 @@ def test_the_six_rates_disagree_with_their_neighbors() -> None:
         key = ("original", homogenized)
         assert judge(mirroring._rate_of(key, cell, n**right)).agrees is True
         assert judge(known_rate("", cell, wrong, n**wrong)).agrees is False
-    times = ratio(*(reading(cells[h].isel(n=-1), "variance") for h in (True, False)))
+    moved, plain = (Measured.of(cells[h].isel(n=-1), "variance") for h in (True, False))
+    times = moved / plain
     assert 1.0 < times.low < times.value < times.high
 
 

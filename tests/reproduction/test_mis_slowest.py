@@ -8,13 +8,14 @@ import xarray as xr
 
 from mcspectra.reproduction import mis_slowest as slowest
 from mcspectra.reproduction.claims import Exhibit, judge
+from mcspectra.reproduction.gallery import make_exhibit
 
 pytestmark = pytest.mark.render
 
 
 @pytest.fixture(scope="module")
 def made() -> Exhibit:
-    return slowest.exhibit(quick=True, seed=1)
+    return make_exhibit("mis-slowest", quick=True, seed=1)
 
 
 def test_all_findings_agree(made: Exhibit) -> None:

@@ -9,11 +9,12 @@ import pytest
 import mcspectra as mcs
 from mcspectra.reproduction import pair_correlation as pairs
 from mcspectra.reproduction.claims import Exhibit, judge
+from mcspectra.reproduction.gallery import make_exhibit
 
 
 @pytest.fixture(scope="module")
 def made() -> Exhibit:
-    return pairs.exhibit(quick=True, seed=1)
+    return make_exhibit("pair-correlation", quick=True, seed=1)
 
 
 def test_all_findings_agree(made: Exhibit) -> None:

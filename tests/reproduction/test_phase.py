@@ -8,12 +8,13 @@ import pytest
 from mcspectra.integrands.registry import integrand
 from mcspectra.reproduction import phase as module
 from mcspectra.reproduction.claims import Exhibit, judge
+from mcspectra.reproduction.gallery import make_exhibit
 from mcspectra.variance.exact import exact_variance
 
 
 @pytest.fixture(scope="module")
 def made() -> Exhibit:
-    return module.exhibit(quick=True, seed=1)
+    return make_exhibit("phase", quick=True, seed=1)
 
 
 def test_all_findings_agree(made: Exhibit) -> None:

@@ -8,11 +8,12 @@ import xarray as xr
 
 from mcspectra.reproduction import power_spectra
 from mcspectra.reproduction.claims import Exhibit, judge
+from mcspectra.reproduction.gallery import make_exhibit
 
 
 @pytest.fixture(scope="module")
 def made() -> Exhibit:
-    return power_spectra.exhibit(quick=True, seed=1)
+    return make_exhibit("power-spectra", quick=True, seed=1)
 
 
 def test_all_findings_agree(made: Exhibit) -> None:

@@ -8,11 +8,12 @@ from scipy.integrate import quad
 
 from mcspectra.reproduction import real_and_integer_frequencies as frequencies
 from mcspectra.reproduction.claims import Exhibit, judge
+from mcspectra.reproduction.gallery import make_exhibit
 
 
 @pytest.fixture(scope="module")
 def made() -> Exhibit:
-    return frequencies.exhibit(quick=True, seed=1)
+    return make_exhibit("real-and-integer-frequencies", quick=True, seed=1)
 
 
 def test_all_findings_agree(made: Exhibit) -> None:

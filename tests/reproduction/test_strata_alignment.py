@@ -7,12 +7,13 @@ import pytest
 
 from mcspectra.reproduction import strata_alignment as module
 from mcspectra.reproduction.claims import Exhibit, judge
+from mcspectra.reproduction.gallery import make_exhibit
 from mcspectra.variance.exact import exact_variance
 
 
 @pytest.fixture(scope="module")
 def made() -> Exhibit:
-    return module.exhibit(quick=True, seed=1)
+    return make_exhibit("strata-alignment", quick=True, seed=1)
 
 
 def test_all_findings_agree(made: Exhibit) -> None:

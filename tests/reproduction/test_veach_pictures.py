@@ -7,13 +7,14 @@ import pytest
 
 from mcspectra.reproduction import veach_pictures as veach
 from mcspectra.reproduction.claims import Exhibit, judge
+from mcspectra.reproduction.gallery import make_exhibit
 
 pytestmark = pytest.mark.render
 
 
 @pytest.fixture(scope="module")
 def made() -> Exhibit:
-    return veach.exhibit(quick=True, seed=1)
+    return make_exhibit("veach-pictures", quick=True, seed=1)
 
 
 def test_all_findings_agree(made: Exhibit) -> None:

@@ -70,7 +70,7 @@ def headline(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
             parts.append(f"the {basis} sum has not converged at half width {width}{cure}")
         elif high < 1.0 and row.captured < 1.0 - _CLOSE:
             share = percent(1.0 - row.captured)
-            parts.append(f"{share} of the variance lies beyond half width {width}")
+            parts.append(f"{share} of the variance lies beyond half width\u00a0{width}")
         elif row.cross_high is not None and row.cross_high < 0:
             parts.append(f"correlation removes {_cross_share(row)} of dc + power")
         elif row.cross_low is not None and row.cross_low > 0:
@@ -96,8 +96,8 @@ def bottleneck(row: SummaryRow, terms: xr.Dataset | None = None, technique: str 
     # Strata of n points are n^(-1/d) wide: a quarter of that frequency is coarse for all samplers
     dims = sum(str(dim).startswith("m") and str(dim)[1:].isdigit() for dim in terms.dims)
     if half <= 0.25 * row.terms_n ** (1.0 / max(dims, 1)):
-        return f"coarse shape (|m| ≤ {half:.2g})"
-    return f"edges and detail (|m| ≥ {half:.2g})"
+        return f"coarse shape (|m|\u00a0≤\u00a0{half:.2g})"
+    return f"edges and detail (|m|\u00a0≥\u00a0{half:.2g})"
 
 
 def further_sentences(analyses: Mapping[str, xr.Dataset]) -> str:

@@ -12,14 +12,7 @@ from mcspectra.plots.description import Axis, Mark, Panel, Plot, Rule
 from mcspectra.plots.scales import count_axis
 from mcspectra.plots.style import PALETTE
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import (
-    Claim,
-    Exhibit,
-    Measured,
-    largest_distance,
-    mean_and_error,
-    normal,
-)
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, largest_distance, mean_and_error
 from mcspectra.reproduction.panels import whiskers
 
 __all__ = ["exhibit"]
@@ -50,10 +43,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     found = biases["middle halves of strata"][N]
     mean, bias = number(float(boxes.mean(axis=0)[N].real)), number(found[0])
     return Exhibit(
-        caption="Points that are each distributed as p have ⟨S_m⟩ = 0 at all integer m ≠ 0 and ⟨S₀⟩ = 1, however they "
-        f"are correlated; weighted by 1/p too. Points that keep to the middle halves of {N} strata do not: "
-        f"⟨S_m⟩ = {mean} at m = {N}. The estimate of ∫x² is then off by {bias}, the sum of f's coefficients times "
-        "these means. The bias does not average out over pixels or frames; a random shift removes it.",
+        numbers={"N": N, "mean": mean, "bias": bias},
         plots=(_means(weighted["jittered"], boxes, bounded), _against_n(biases)),
         claims=(
             *(_no_mean(name, each) for name, each in weighted.items()),
@@ -62,7 +52,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             _toroidal_border(disks),
             Claim(
                 f"Points in the middle halves of {N} strata estimate ∫x² with the bias −(1 − w²)/(12N²), w = ½.",
-                normal(*found),
+                Measured.normal(*found),
                 expected=box_bias(N),
                 digits=5,
             ),
@@ -95,8 +85,7 @@ def _no_mean(name: str, found: Array) -> Claim:
 
 def _real_mean(found: Array, m: int) -> Measured:
     """Re ⟨S_m⟩."""
-    mean, se = mean_and_error(found.real)
-    return normal(float(mean[m]), float(se[m]))
+    return Measured.mean(found[:, m].real)
 
 
 def _box_mean(found: Array) -> Claim:
@@ -172,18 +161,7 @@ def _means(weighted: Array, boxes: Array, bounded: Array) -> Plot:
         x = Axis(label="frequency m (cycles per unit)")
         y = Axis(label="" if k else "Re ⟨S_m⟩")
         panels.append(Panel(marks=marks, x=x, y=y, title=title, grid=True))
-    return Plot(
-        kind="bias-coefficients",
-        panels=tuple(panels),
-        columns=3,
-        height=0.85,
-        wide=True,
-        caption=f"Mean of S_m with 95 % intervals, {N} points; m = 0, where it is 1, is left out, and scales differ. "
-        f"Left, importance samples: all about 0. Middle, points in the middle halves of their strata: −0.64 at m = "
-        f"{N}. Right, Poisson-disk points, which are denser at the border: above 0 at low frequencies.",
-        words="Three plots of means against the frequency. Left, all scatter about zero. Middle, zero but for a low dot "
-        "at minus 0.64 for frequency 16. Right, a plateau at 0.025 for low frequencies.",
-    )
+    return Plot(kind="bias-coefficients", panels=tuple(panels), columns=3, height=0.85, wide=True)
 
 
 def _against_n(biases: Mapping[str, Mapping[int, tuple[float, float]]]) -> Plot:
@@ -198,12 +176,5 @@ def _against_n(biases: Mapping[str, Mapping[int, tuple[float, float]]]) -> Plot:
         marks.append(whiskers(n * 1.04 ** (k - 1), mean, ends, k, label))
     x, y = count_axis("number of points N", _COUNTS), Axis(label="N² · bias of ∫x²")
     return Plot(
-        kind="bias",
-        panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),),
-        height=0.4,
-        wide=True,
-        caption="N² times the distance of the mean estimate from the integral, with 95 % intervals. Of points in the "
-        "middle halves of strata it is −1/16; of jittered points, and of the former after a random shift, 0.",
-        words="Plot against N. Dots of points in the middle halves of strata lie on a level line at minus 0.0625, those "
-        "of jittered and of shifted points about zero; intervals of the shifted ones grow with N.",
+        kind="bias", panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),), height=0.4, wide=True
     )

@@ -8,8 +8,8 @@ with 95 % intervals a dozen would be taken for wrong by chance, so each is judge
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from decimal import ROUND_CEILING, Decimal
 from typing import Protocol, TypeAlias, final
 
@@ -29,18 +29,14 @@ __all__ = [
     "ExhibitFunction",
     "Finding",
     "Measured",
-    "difference",
     "judge",
     "known_rate",
     "largest_distance",
     "mean_and_error",
-    "normal",
     "normal_limit",
     "pixel_rate",
     "rate_claim",
     "rate_text",
-    "ratio",
-    "reading",
     "slope",
 ]
 
@@ -79,9 +75,39 @@ class Measured:
     high: float
     log: bool = False
 
-    def __truediv__(self, scale: float) -> Measured:
-        """Divide by a number that has no error."""
-        return Measured(self.value / scale, self.low / scale, self.high / scale, self.log)
+    @classmethod
+    def normal(cls, value: float, se: float) -> Measured:
+        """Return a number with a normal error of standard deviation `se`."""
+        value, half = float(value), CONFIDENCE_Z * float(se)
+        return cls(value, value - half, value + half)
+
+    @classmethod
+    def mean(cls, values: Array) -> Measured:
+        """Return the mean of independent values, with its normal error."""
+        return cls.normal(*map(float, mean_and_error(values)))
+
+    @classmethod
+    def of(cls, data: xr.Dataset, name: str, *, log: bool = False) -> Measured:
+        """Return a variable of a result that has an interval, ``NAME_ci``."""
+        low, high = (float(end) for end in data[f"{name}_ci"].values)
+        return cls(float(data[name]), low, high, log)
+
+    def __truediv__(self, other: Measured | float) -> Measured:
+        """Divide by a number without error, or by another variance that is independent of this one.
+
+        Common random numbers, which vary together, make the interval too wide.
+        """
+        if not isinstance(other, Measured):
+            return Measured(self.value / other, self.low / other, self.high / other, self.log)
+        value = self.value / other.value
+        half = math.hypot(*(math.log(each.high / each.low) / 2 for each in (self, other)))
+        return Measured(value, value * math.exp(-half), value * math.exp(half), log=True)
+
+    def __sub__(self, other: Measured) -> Measured:
+        """Subtract another number that is independent of this one."""
+        value = self.value - other.value
+        half = math.hypot(*((each.high - each.low) / 2 for each in (self, other)))
+        return Measured(value, value - half, value + half)
 
     @property
     def verdict_interval(self) -> Interval:
@@ -170,19 +196,24 @@ class Finding:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Exhibit:
-    """One figure or statement of the slides, made again.
+    """One figure or statement of the slides, made again; its texts stand in ``slides.toml``.
 
     Attributes
     ----------
-    caption
-        What was found, with the measured figures.
-    plots, claims
+    numbers
+        What the texts name in braces, as it is shown.
+    plots
+        In the order in which they are shown; their texts are found by their kinds.
+    claims
         In the order in which they are shown.
+    caption
+        What was found: filled in with the texts.
     """
 
-    caption: str
     plots: tuple[Plot, ...]
     claims: tuple[Claim, ...]
+    numbers: Mapping[str, object] = field(default_factory=dict)
+    caption: str = ""
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -237,35 +268,6 @@ def _limit(at_most: float) -> str:
     return f"{digits}e{int(exponent)}"
 
 
-def normal(value: float, se: float) -> Measured:
-    """Return a number with a normal error of standard deviation `se`."""
-    value, half = float(value), CONFIDENCE_Z * float(se)
-    return Measured(value, value - half, value + half)
-
-
-def reading(data: xr.Dataset, name: str, *, log: bool = False) -> Measured:
-    """Return a variable of a result that has an interval, ``NAME_ci``."""
-    low, high = (float(end) for end in data[f"{name}_ci"].values)
-    return Measured(float(data[name]), low, high, log)
-
-
-def ratio(above: Measured, below: Measured) -> Measured:
-    """Return a ratio of two measured variances, as of independent ones.
-
-    Common random numbers, which vary together, make the interval too wide.
-    """
-    value = above.value / below.value
-    half = math.hypot(*(math.log(each.high / each.low) / 2 for each in (above, below)))
-    return Measured(value, value * math.exp(-half), value * math.exp(half), log=True)
-
-
-def difference(left: Measured, right: Measured) -> Measured:
-    """Return a difference of two measured numbers, as of independent ones."""
-    value = left.value - right.value
-    half = math.hypot(*((each.high - each.low) / 2 for each in (left, right)))
-    return Measured(value, value - half, value + half)
-
-
 def mean_and_error(values: Array) -> tuple[Array, Array]:
     """Return mean and standard error over the first axis."""
     return values.mean(axis=0), values.std(axis=0, ddof=1) / len(values) ** 0.5
@@ -288,7 +290,7 @@ def rate_claim(
     shown = number(expected, 2)
     return Claim(
         statement,
-        reading(curve, "rate"),
+        Measured.of(curve, "rate"),
         expected=expected,
         tolerance=tolerance,
         shown=f"{shown} ± {number(tolerance, 2)}" if tolerance >= _VISIBLE else shown,

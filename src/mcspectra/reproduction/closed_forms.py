@@ -11,7 +11,7 @@ from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import PALETTE, line_widths
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, judge, largest_distance, normal
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, judge, largest_distance
 
 __all__ = ["exhibit"]
 
@@ -28,10 +28,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     as_simulated = [_agrees_with_simulation(name, data, nu) for name, data in simulated.items()]
     random, jittered = (number(float(judge(claim).measured or 0)) for claim in as_simulated)
     return Exhibit(
-        caption="The closed forms of the slides hold at real frequencies as at integer ones: simulated "
-        f"spectra of N = {N} points lie within {random} (random) and {jittered} (jittered) standard errors "
-        f"at all of {nu.size} frequencies. At the integers the Sinc(πm) vanish: random points have 1/N "
-        "everywhere, jittered ones have less at frequencies below N: N³ times their power at m = 1 tends to π²/3.",
+        numbers={"N": N, "random": random, "jittered": jittered, "frequencies": nu.size},
         plots=(_curves(simulated, nu),),
         claims=(
             *(_as_printed(name) for name in simulated),
@@ -122,7 +119,7 @@ def _level(realizations: int, seed: int) -> Claim:
     )
     return Claim(
         "Of random importance samples of p = ½ + x the power at integers is ∫1/p / N = ln 3 / N.",
-        normal(float(found["power"][0]), float(found["power_se"][0])),
+        Measured.normal(float(found["power"][0]), float(found["power_se"][0])),
         expected=float(np.log(3.0) / N),
         digits=5,
     )
@@ -152,14 +149,5 @@ def _curves(simulated: dict[str, xr.Dataset], nu: Array) -> Plot:
         y_axis = log_axis("⟨|S|²⟩", 5e-4, 1.0)
         panels.append(Panel(marks=tuple(marks), x=x, y=y_axis, title=title, grid=True))
     return Plot(
-        kind="closed-forms",
-        panels=tuple(panels),
-        columns=2,
-        height=0.8,
-        share="y",
-        wide=True,
-        caption=f"Closed forms (lines) and simulated spectra (dots, with 95 % intervals) of {N} random and "
-        "jittered points, at integer and at real frequencies.",
-        words="Two logarithmic plots of power against frequency. At integers random points are level at 1/16, "
-        "jittered ones rise to it; at real frequencies both carry the lobes of sinc². Dots lie on the lines.",
+        kind="closed-forms", panels=tuple(panels), columns=2, height=0.8, share="y", wide=True
     )

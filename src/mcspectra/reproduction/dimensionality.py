@@ -37,11 +37,13 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     one, two, three = (entries(d, 64) for d in (1, 2, 3))
     shares = ", ".join(f"{number(main_share(data))} ({name})" for name, data in bands.items())
     return Exhibit(
-        caption=f"At |m| ≤ 64 the matrix has {number(one)} entries in one dim, {number(two)} in two "
-        f"({number(two * _BYTES / 2**30)} GiB), {number(three)} in three. Its row sums, one number for each "
-        "frequency, need no matrix: the contribution map sums to the variance and shows where correlation gives and "
-        "takes; covariances of bands show it in any number of dims. In three dims the functions of one coordinate "
-        f"have, of the variance of 64 points on a Gaussian bell, the shares {shares}.",
+        numbers={
+            "one": number(one),
+            "two": number(two),
+            "gib": number(two * _BYTES / 2**30),
+            "three": number(three),
+            "shares": shares,
+        },
         plots=(_sizes(), _map(seed, quick=quick), _bands(bands)),
         claims=(
             _growth(whole),
@@ -244,33 +246,14 @@ def _sizes() -> Plot:
         panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),),
         height=0.42,
         wide=True,
-        caption="Entries of the third term's matrix, (2K + 1)^(2d), and of a contribution map, (2K + 1)^d, for "
-        "frequencies |m| ≤ K. The orange line is what fits into 64 GiB.",
-        words="Logarithmic plot over 1 to 6 dims. Lines of the matrix rise twice as steeply as those of the maps; for "
-        "K = 64 the matrix is beyond 64 GiB from three dims on, the map from five on.",
     )
 
 
 def _map(seed: int, *, quick: bool) -> Plot:
     names, size = ("jittered", "jittered | shift"), (64, 24)
     data = {name: bell_terms(name, 2, size, 600 if quick else 20_000, seed) for name in names}
-    return replace(
-        describe("contributions", data),
-        kind="contribution-map",
-        caption="Contribution maps in two dims, 64 points on a Gaussian bell that the border cuts: 49² numbers "
-        "instead of a matrix of 5.8 million. Jittered points as they are gain along the axes, where f has its jumps "
-        "at the border.",
-        words="Two images over the frequencies with a cross along the axes around a dark spot. For jittered points the "
-        "arms of the cross have both signs; after the shift they are positive, but for noise.",
-    )
+    return replace(describe("contributions", data), kind="contribution-map")
 
 
 def _bands(bands: Mapping[str, xr.Dataset]) -> Plot:
-    return replace(
-        in_columns(describe("bands", bands), first=1),
-        kind="band-map",
-        caption="Covariances of ANOVA bands in three dims, 64 points: by the coordinates along which the frequencies "
-        "of a band are not 0; below, their shares of the variance.",
-        words="For random, jittered and Latin hypercube points a matrix of 8 × 8 bands, and bars of shares. Those of "
-        "one coordinate are the largest for random points and vanish for the Latin hypercube.",
-    )
+    return replace(in_columns(describe("bands", bands), first=1), kind="band-map")

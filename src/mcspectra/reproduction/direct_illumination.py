@@ -14,13 +14,7 @@ import mcspectra as mcs
 from mcspectra.plots.description import Dots, Panel, Pixels, Plot, Text
 from mcspectra.plots.style import ACCENT
 from mcspectra.rendering.files import encode_srgb
-from mcspectra.reproduction.claims import (
-    Claim,
-    Exhibit,
-    largest_distance,
-    pixel_rate,
-    rate_text,
-)
+from mcspectra.reproduction.claims import Claim, Exhibit, largest_distance, pixel_rate, rate_text
 from mcspectra.reproduction.panels import primary_panel, variance_panel
 
 __all__ = ["exhibit"]
@@ -37,7 +31,7 @@ Case: TypeAlias = tuple[str, str]
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Draw the integrands of two pixels on the square, and measure their eight rates."""
-    f = integrands()
+    f, spp = integrands(), 16 if quick else 64
     options: dict[str, Any] = {"realizations": 80 if quick else 800, "rng": seed}
     found = mcs.convergence(list(f.values()), list(SAMPLERS), _COUNTS, **options)
     curves = {
@@ -49,11 +43,15 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         [shown[case, sampler] for case in _CASES] for sampler in SAMPLERS
     )
     return Exhibit(
-        caption="What the random numbers see is f/p on the unit square. Under light sampling P, which sees all of the "
-        f"light, has a smooth one: rate {p_light} with jittered points. Under BSDF sampling the light's outline is an "
-        f"edge in it: {p_bsdf}. At Q the occluder cuts both: {q_light} and {q_bsdf}. A random shift makes an edge of "
-        f"the border of the square, and takes light sampling at P to {shifted[0]}.",
-        plots=(_scene(quick, seed), _squares(f), _convergence(curves)),
+        numbers={
+            "p_light": p_light,
+            "p_bsdf": p_bsdf,
+            "q_light": q_light,
+            "q_bsdf": q_bsdf,
+            "shifted": shifted[0],
+            "spp": spp,
+        },
+        plots=(_scene(spp, seed), _squares(f), _convergence(curves)),
         claims=(
             *(
                 pixel_rate(
@@ -90,8 +88,8 @@ def _same_integral(curves: Mapping[tuple[Case, str], xr.Dataset]) -> Claim:
     return largest_distance(text, np.array(differences), np.array(errors))
 
 
-def _scene(quick: bool, seed: int) -> Plot:
-    spp, width = (16, 192) if quick else (64, 384)
+def _scene(spp: int, seed: int) -> Plot:
+    width = 48 * math.isqrt(spp)
     height = width * 2 // 3
     scene = f"{_SCENE}(width={width}, height={height})"
     sampler = "sobol | owen | decorrelate"
@@ -111,15 +109,11 @@ def _scene(quick: bool, seed: int) -> Plot:
                             mcs.rendering.named_pixels(scene), x, y, strict=True
                         )
                     ),
-                ),
+                )
             ),
         ),
         height=2 / 3,
         wide=True,
-        caption=f"A square light over a floor, and an occluder; light sampling, {spp} samples a pixel. P sees all of "
-        "the light, Q a part of it. The arrangement is that of the paper's Figure 1; its numbers are ours.",
-        words="A floor lit by a square light from above, with the shadow of a square occluder at the right; P is marked "
-        "in the light at the left, Q at the border of the shadow.",
     )
 
 
@@ -130,10 +124,6 @@ def _squares(f: Mapping[Case, Any]) -> Plot:
         columns=2,
         height=1.0,
         share="both",
-        caption="f/p over the random numbers u in [0,1)², divided by its mean.",
-        words="Four squares. P by light sampling: a smooth gradient. P by BSDF sampling: a bright patch with a sharp "
-        "outline on black. Q by light sampling: a gradient with a black part cut off; Q by BSDF sampling: a patch of "
-        "which a part is cut off.",
     )
 
 
@@ -155,8 +145,4 @@ def _convergence(curves: Mapping[tuple[Case, str], xr.Dataset]) -> Plot:
         height=0.66,
         share="x",
         wide=True,
-        caption="Variance over the squared mean, with 95 % intervals, of jittered points, shifted or not; dashed, the "
-        "rates of theory.",
-        words="Four logarithmic plots against N. P by light sampling: slope −2 without and −1.5 with a shift. In the "
-        "three others both curves have the slope −1.5.",
     )

@@ -13,15 +13,7 @@ from mcspectra.core.checks import Array
 from mcspectra.plots.description import Axis, Line, Mark, Panel, Plot
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import (
-    Claim,
-    Exhibit,
-    judge,
-    known_rate,
-    rate_text,
-    ratio,
-    reading,
-)
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, judge, known_rate, rate_text
 from mcspectra.reproduction.panels import UNIT, variance_panel
 
 __all__ = ["exhibit"]
@@ -59,11 +51,13 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     gains = [_gain(c, curves) for c in range(3)]
     lower = ", ".join(number(float(judge(claim).measured or 0)) for claim in gains)
     return Exhibit(
-        caption="A channel over the density of luminance keeps the ratio of both, which jumps wherever the colour "
-        f"changes. With jittered points the rates of red, green and blue are {shown['one']}; each sampled by its own "
-        f"channel, {shown['own']}. At {COUNTS['one'][-1]} evaluations the variance is {lower} times lower. MIS over "
-        "the three densities weights every point for every channel and brings the jumps back: "
-        f"{shown['mis']}.",
+        numbers={
+            "gray": shown["one"],
+            "own": shown["own"],
+            "evaluations": COUNTS["one"][-1],
+            "lower": lower,
+            "mis": shown["mis"],
+        },
         plots=(_map(), _convergence(curves, exact)),
         claims=(
             *(_rate_of(way, c, curves[way], exact[way]) for way in _WAYS for c in range(3)),
@@ -96,11 +90,14 @@ def _rate_of(way: str, channel: int, curve: xr.Dataset, exact: Array) -> Claim:
 
 def _gain(channel: int, curves: Mapping[str, xr.Dataset]) -> Claim:
     """At equal numbers of evaluations: n points, or a third of them for each channel."""
-    last = [curves[way].sel(channel=channel).isel(n=-1) for way in ("one", "own")]
+    one, own = (
+        Measured.of(curves[way].sel(channel=channel).isel(n=-1), "variance")
+        for way in ("one", "own")
+    )
     return Claim(
         f"At {COUNTS['one'][-1]} evaluations, variance of {list(_COLORS)[channel]} by the gray channel over that by "
         "its own channel.",
-        ratio(*(reading(each, "variance") for each in last)),
+        one / own,
         above=1.0,
     )
 
@@ -128,9 +125,10 @@ def _in_the_plane(realizations: int, seed: int) -> Claim:
     densities = [f"environment(channel={c!r}, interpolation='bilinear')" for c in ("luminance", 0)]
     estimators = [mcs.Estimator(f, p) for p in densities]
     found = mcs.convergence(estimators, "jittered", [1024], realizations=realizations, rng=seed)
+    gray, red = (Measured.of(found.isel(n=0, estimator=i), "variance") for i in (0, 1))
     return Claim(
         "Of a whole sky, irradiance in red with 1024 jittered points: variance by luminance over that by red.",
-        ratio(*(reading(found.isel(n=0, estimator=i), "variance") for i in (0, 1))),
+        gray / red,
         above=1.0,
     )
 
@@ -179,11 +177,6 @@ def _map() -> Plot:
         columns=3,
         height=0.9,
         wide=True,
-        caption="Left, a map of eight pixels (values by channel). Then f/p against the random number u in primary "
-        "space: with p by the gray channel it jumps where the colour changes; with p by the channel itself it is "
-        "continuous.",
-        words="A step plot of three channels over eight pixels; then three curves with many jumps; then three "
-        "continuous arches.",
     )
 
 
@@ -206,7 +199,4 @@ def _convergence(curves: Mapping[str, xr.Dataset], exact: Mapping[str, Array]) -
         height=1.1,
         share="y",
         wide=True,
-        caption="Variance of each channel against the number of evaluations, jittered, 95 % intervals; lines are exact.",
-        words="Three logarithmic plots. By the gray channel and by MIS of all channels variance falls with slope −2, by "
-        "its own channel with slope −3; red and blue gain most.",
     )

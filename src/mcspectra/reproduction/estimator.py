@@ -9,7 +9,7 @@ from mcspectra.core.checks import Array
 from mcspectra.plots.description import Axis, Dots, Line, Panel, Plot, Rule, Segments, Text
 from mcspectra.plots.style import ACCENT, INK, sampler_styles
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, mean_and_error, normal, reading
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured
 from mcspectra.reproduction.panels import square_panel
 
 __all__ = ["exhibit"]
@@ -32,16 +32,13 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
     less = "Correlated points lower the variance: 64 Poisson-disk points are below random ones."
     return Exhibit(
-        caption="The estimate is the integral of f times a comb of peaks S, one for each point, of the "
-        "height 1/(N p). Its mean is the integral for all three samplers: of exp(−x² − y²), "
-        f"{number(integral(), 4)}, with N = {N} points the means are {means}. What differs is the "
-        f"variance: {variances}.",
+        numbers={"integral": number(integral(), 4), "N": N, "means": means, "variances": variances},
         plots=(_combs(seed), _points(seed)),
         claims=(
             *(
                 Claim(
                     f"The mean of I_N is the integral for {name} points.",
-                    normal(float(data["mean"]), float(data["mean_se"])),
+                    Measured.normal(float(data["mean"]), float(data["mean_se"])),
                     expected=integral(),
                     digits=7,
                 )
@@ -50,13 +47,15 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             *(
                 Claim(
                     f"The variance of I_N with {N} {name} points is that of quadrature over strata.",
-                    reading(one[name], "variance", log=True),
+                    Measured.of(one[name], "variance", log=True),
                     expected=_exact(name),
                     digits=4,
                 )
                 for name in ("random", "jittered")
             ),
-            Claim(less, reading(one["poisson-disk"], "variance", log=True), below=_exact("random")),
+            Claim(
+                less, Measured.of(one["poisson-disk"], "variance", log=True), below=_exact("random")
+            ),
             _weights_sum_to_one(realizations, seed),
             _inner_product(seed),
         ),
@@ -73,10 +72,10 @@ def _exact(name: str) -> float:
 
 
 def _weights_sum_to_one(realizations: int, seed: int) -> Claim:
-    mean, se = mean_and_error((1.0 / pdf(_warped("random", N, seed, realizations))).mean(axis=1))
+    sums = (1.0 / pdf(_warped("random", N, seed, realizations))).mean(axis=1)
     return Claim(
         f"The peaks of S, of the height 1/(N p), sum to 1 on average, for p = {DENSITY}.",
-        normal(float(mean), float(se)),
+        Measured.mean(sums),
         expected=1.0,
         shown="1",
     )
@@ -143,11 +142,6 @@ def _combs(seed: int) -> Plot:
         rows=(2.2, 1.0, 1.0, 1.0),
         share="x",
         wide=True,
-        caption="Above, an integrand f and an importance density p; below, the sampling function S of "
-        f"{n} points of p: peaks of the height 1/(N p(x_k)), dense and low where p is large.",
-        words="Curves of f and p over x from 0 to 1, and three rows of vertical peaks at the points: "
-        "irregular for random points, one in each stratum for jittered, with a minimum distance for "
-        "Poisson disk.",
     )
 
 
@@ -156,14 +150,4 @@ def _points(seed: int) -> Plot:
     for name, style in sampler_styles(SAMPLERS).items():
         x, y = mcs.sampler(name, 2).draw(n, rng=seed)[0].T
         panels.append(square_panel([Dots(x=x, y=y, color=style.color, size=2.0)], name))
-    return Plot(
-        kind="points",
-        panels=tuple(panels),
-        columns=3,
-        height=1.0,
-        share="y",
-        wide=True,
-        caption=f"{n} points in the unit square of each sampler: random ones clump and leave holes, "
-        "jittered ones lie one to a stratum, Poisson-disk points keep a minimum distance.",
-        words="Three squares of points: random, jittered, Poisson disk, from clumped to evenly spaced.",
-    )
+    return Plot(kind="points", panels=tuple(panels), columns=3, height=1.0, share="y", wide=True)

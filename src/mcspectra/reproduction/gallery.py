@@ -9,7 +9,7 @@ import platform
 import textwrap
 import time
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib import resources
@@ -43,12 +43,7 @@ from mcspectra.report.page import (
     write_json,
     write_page,
 )
-from mcspectra.reproduction.claims import (
-    GALLERY_FINDINGS,
-    Exhibit,
-    ExhibitFunction,
-    Finding,
-)
+from mcspectra.reproduction.claims import GALLERY_FINDINGS, Exhibit, ExhibitFunction, Finding
 from mcspectra.version import __version__
 
 if TYPE_CHECKING:
@@ -63,6 +58,7 @@ __all__ = [
     "Slide",
     "exhibit_names",
     "load_exhibit",
+    "make_exhibit",
     "measured_text",
     "reproduce",
     "slides",
@@ -93,6 +89,10 @@ class Slide:
         A few words, and what it shows in one line for lists.
     slide
         The statement or figure of the slides, quoted.
+    caption
+        What was found; names in braces are numbers of the exhibit.
+    plots
+        Caption and words of every plot, by its kind.
     formula
         LaTeX, shown beside the quotation; none by default.
     """
@@ -100,6 +100,8 @@ class Slide:
     title: str
     summary: str
     slide: str
+    caption: str
+    plots: Mapping[str, Mapping[str, str]]
     formula: str = ""
 
 
@@ -178,6 +180,21 @@ def load_exhibit(name: str) -> ExhibitFunction:
     return cast("ExhibitFunction", module.exhibit)
 
 
+def make_exhibit(name: str, *, quick: bool, seed: int) -> Exhibit:
+    """Make an exhibit and fill in its texts."""
+    made, slide = load_exhibit(name)(quick=quick, seed=seed), slides()[name]
+
+    def filled(text: str) -> str:
+        return text.format(**made.numbers)
+
+    plots = []
+    for plot in made.plots:
+        texts = slide.plots[plot.kind]
+        caption, words = filled(texts["caption"]), filled(texts["words"])
+        plots.append(replace(plot, caption=caption, words=words))
+    return replace(made, plots=tuple(plots), caption=filled(slide.caption))
+
+
 def reproduce(
     folder: str | Path,
     names: Sequence[str] = (),
@@ -248,7 +265,7 @@ def _entry(name: str, quick: bool, seed: int) -> Entry:
     """Make an exhibit; whatever goes wrong in it becomes the entry's problem."""
     start = time.perf_counter()
     try:
-        made = load_exhibit(name)(quick=quick, seed=seed)
+        made = make_exhibit(name, quick=quick, seed=seed)
         seconds = time.perf_counter() - start
         return Entry(name=name, exhibit=made, findings=made.findings, seconds=seconds)
     except Exception as error:  # noqa: BLE001 - one exhibit must not take the others with it
@@ -335,7 +352,7 @@ def _section(entry: Entry) -> Section:
         if slide.formula:
             from latex2mathml.converter import convert
 
-            formula = Markup(convert(slide.formula, display="block"))
+            formula = Markup(convert(" ".join(slide.formula.split()), display="block"))
             blocks.append(Text(text=formula, kind="formula"))
         blocks.append(Text(text=entry.exhibit.caption))
         figures = [Figure(plot=plot, name=_file_name(entry, plot)) for plot in entry.exhibit.plots]

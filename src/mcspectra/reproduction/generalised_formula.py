@@ -13,7 +13,7 @@ from mcspectra.core.checks import Array
 from mcspectra.plots.description import Plot
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, reading
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured
 from mcspectra.reproduction.panels import in_columns, term_panel
 
 __all__ = ["exhibit"]
@@ -38,16 +38,15 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     first, all_ = (number(float(weighted["random"][k])) for k in ("dc_term", "predicted_variance"))
     integral = float(np.squeeze(mcs.integrand(BELL, 1).integral))
     return Exhibit(
-        caption="All of the variance is in a matrix over pairs of frequencies, conj(f_m) f_l Cov(S_m, S_l): its "
-        "centre is the first term, its diagonal the second, all else the third, whose imaginary part cancels. On "
-        f"f(x) = x with {N} jittered points the second term is {power}, of which the third takes back {cross}. With "
-        f"importance samples of p = ½ + x the first term no longer vanishes: {first} of {all_} for random points on "
-        "the bell. The slides conjugate the other S: that is the variance of the reflected integrand.",
-        plots=(
-            _matrices(1, "f(x) = x", line),
-            _matrices(2, "bell", bell),
-            _bars(line, bell, weighted),
-        ),
+        numbers={
+            "N": N,
+            "power": power,
+            "cross": cross,
+            "first": first,
+            "all": all_,
+            "half_width": HALF_WIDTH,
+        },
+        plots=(_matrices(1, line), _matrices(2, bell), _bars(line, bell, weighted)),
         claims=(
             _sum_is_variance(every),
             _third_is_real(every),
@@ -55,7 +54,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             *_line_limits(),
             Claim(
                 "The first term of random importance samples of p = ½ + x is I² (ln 3 − 1)/N.",
-                reading(weighted["random"], "dc_term"),
+                Measured.of(weighted["random"], "dc_term"),
                 expected=integral**2 * (np.log(3.0) - 1.0) / N,
                 digits=4,
             ),
@@ -122,7 +121,7 @@ def _line_terms(data: xr.Dataset) -> list[Claim]:
     return [
         Claim(
             f"f(x) = x, {N} jittered points: the {word} term, over |m| ≤ {HALF_WIDTH}, is that of the closed form.",
-            reading(data, name),
+            Measured.of(data, name),
             expected=value,
             digits=4,
         )
@@ -159,7 +158,7 @@ def _valid(name: str, data: xr.Dataset) -> Claim:
     return Claim(
         f"The formula holds for importance samples: the three terms of {name} points of p = ½ + x sum to the exact "
         "variance.",
-        reading(data, "predicted_variance", log=True),
+        Measured.of(data, "predicted_variance", log=True),
         expected=expected,
         tolerance=1e-3 * expected,
         shown=f"{number(expected, 4)} ± 0.1 %",
@@ -198,20 +197,13 @@ def _pairing() -> list[Claim]:
 def _only_power(data: xr.Dataset) -> Claim:
     return Claim(
         "Random points of constant density have no third term on f(x) = x.",
-        reading(data, "cross_term"),
+        Measured.of(data, "cross_term"),
         expected=0.0,
     )
 
 
-def _matrices(place: int, label: str, row: Mapping[str, xr.Dataset]) -> Plot:
-    return replace(
-        in_columns(describe("cross-matrix", row)),
-        kind=f"cross-matrix-{place}",
-        caption=f"Real (above) and imaginary parts (below) of conj(f_m) f_l Cov(S_m, S_l) of {N} points, {label}. "
-        "In one dim Owen-scrambled Sobol' points are jittered points. Signed logarithmic colours.",
-        words=f"Six square images over m and l, for {', '.join(row)}: a main diagonal, to which jittered and Sobol' "
-        "points add negative stripes 16 apart. Imaginary parts are antisymmetric.",
-    )
+def _matrices(place: int, row: Mapping[str, xr.Dataset]) -> Plot:
+    return replace(in_columns(describe("cross-matrix", row)), kind=f"cross-matrix-{place}")
 
 
 def _bars(
@@ -231,7 +223,4 @@ def _bars(
         columns=3,
         height=0.8,
         wide=True,
-        caption=f"The three terms and their sum, over |m| ≤ {HALF_WIDTH}, {N} points, with 95 % intervals.",
-        words="Six panels of four bars. The first term is 0 but for importance samples; the third is negative for "
-        "jittered and Sobol' points and makes the sum much smaller than the second.",
     )

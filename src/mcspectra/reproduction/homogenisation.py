@@ -12,14 +12,7 @@ from mcspectra.core.checks import Array
 from mcspectra.plots.description import Axis, Dots, Panel, Plot, Segments
 from mcspectra.plots.style import ACCENT, FAINT, GRAY, INK, PALETTE
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import (
-    Claim,
-    Exhibit,
-    Measured,
-    mean_and_error,
-    normal,
-    normal_limit,
-)
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, mean_and_error, normal_limit
 from mcspectra.reproduction.panels import UNIT
 
 __all__ = ["exhibit"]
@@ -74,10 +67,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     powers = [[np.abs(each.values) ** 2 for each in pair] for pair in pairs.values()]
     c0, c1 = (number(N * float(each.covariance[0].real)) for each in (before, after))
     return Exhibit(
-        caption="One random vector Δ moves all points; what leaves the domain comes in again at the other side. "
-        f"The power |S_m|² of every realisation stays, its phase becomes random. Of {N} jittered points in two "
-        f"dims, N·Cov(S_m, S_l) at {_PAIR} is {c0} before the shift and {c1} after it: coefficients of different "
-        "frequencies are no longer correlated, for any sampler, which makes the points stationary.",
+        numbers={"N": N, "pair": _PAIR, "c0": c0, "c1": c1},
         plots=(_steps(seed), _spread(before, after)),
         claims=(
             _one_translation(seed),
@@ -128,8 +118,7 @@ def _sums(x: Array, m: Array) -> Array:
 def grid_mean(name: str, realizations: int, seed: int) -> Measured:
     """Mean of Re S_m of 8 × 8 points at m = (8, 0)."""
     x = mcs.sampler(name, 2).draw(N, realizations=realizations, rng=seed)
-    mean, se = mean_and_error(_sums(x, np.array((8, 0))).real)
-    return normal(float(mean), float(se))
+    return Measured.mean(_sums(x, np.array((8, 0))).real)
 
 
 def _one_translation(seed: int) -> Claim:
@@ -159,7 +148,7 @@ def _phase(seed: int) -> Claim:
 def _correlated_before(before: Coefficients) -> Claim:
     expected = N * float(mcs.closed_form_covariance("jittered", N, *PAIRS[0]).real)
     se = float(mean_and_error(before.products.real)[1][0])
-    value = normal(float(before.covariance[0].real), se)
+    value = Measured.normal(float(before.covariance[0].real), se)
     return Claim(
         "Before the shift, coefficients of jittered points one stratum's frequency apart are correlated: "
         f"N·Cov(S_m, S_l) at {_PAIR} is its closed form.",
@@ -225,10 +214,6 @@ def _steps(seed: int) -> Plot:
         height=1.0,
         share="y",
         wide=True,
-        caption="16 jittered points with their strata; shifted by Δ = (0.42, 0.30), which moves the strata too; "
-        "those outside the domain (orange) wrapped around. Strata now are cut by the border of the domain.",
-        words="Three squares. Left, one point in each of 16 strata; middle, points and strata moved up and to the "
-        "right, beyond the square; right, those beyond have come in again at the left and below.",
     )
 
 
@@ -246,6 +231,4 @@ def _spread(before: Coefficients, after: Coefficients) -> Plot:
         height=0.75,
         share="both",
         wide=True,
-        caption=f"Re S_l against Re S_m in 500 realisations, {_PAIR}: related before the shift, not after it.",
-        words="Two clouds of dots. The left one is elongated along a diagonal, the right one is round.",
     )

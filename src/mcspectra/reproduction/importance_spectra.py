@@ -14,7 +14,7 @@ from mcspectra.plots.description import Dots, Mark, Panel, Plot, Rule, Scale
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, judge, mean_and_error, normal
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, judge
 from mcspectra.reproduction.panels import (
     at_ring,
     frequency_panel,
@@ -47,12 +47,18 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         number(float(judge(claim).measured or 0)) for claim in (*rings[2:], *dc)
     )
     return Exhibit(
-        caption=f"Points of p = Π (1 + {SLOPE}(x − ½)), weighted by 1/p. The level of random points is ∫1/p = "
-        f"{number(LEVEL, 4)} in place of 1. Jittered ones still have little power at low frequencies, N⟨|S|²⟩ = {low} "
-        f"at |m| ≈ 1, and reach the level at high ones ({high} at |m| ≈ {HALF_WIDTH}): a warp keeps strata, though not "
-        "their shapes. What is new is the component at m = 0: the weights do not sum to 1, and N Var(S₀) is "
-        f"{dc_random} with random and {dc_jittered} with jittered points.",
-        plots=(_images(spectra, realizations, seed), _radial(spectra)),
+        numbers={
+            "slope": SLOPE,
+            "level": number(LEVEL, 4),
+            "low": low,
+            "high": high,
+            "half_width": HALF_WIDTH,
+            "dc_random": dc_random,
+            "dc_jittered": dc_jittered,
+            "N": N,
+            "realizations": realizations,
+        },
+        plots=(_images(spectra, seed), _radial(spectra)),
         claims=(
             *rings,
             _below_random(spectra["poisson-disk"]),
@@ -107,7 +113,7 @@ def _dc_component(name: str, realizations: int, seed: int) -> Claim:
     zero = np.zeros((1, 2))
     return Claim(
         f"The component at m = 0 of {name} importance samples varies: N Var(S₀) is that of the closed form.",
-        normal(*map(float, mean_and_error(squares))),
+        Measured.mean(squares),
         expected=N * float(mcs.closed_form_covariance(name, N, zero, zero, DENSITY).real[0]),
         digits=4,
     )
@@ -143,13 +149,13 @@ def _without_weights(realizations: int, seed: int) -> Claim:
     power = np.abs(sums("random", realizations, seed, weighted=False)[:, 1]) ** 2
     return Claim(
         "Without the weights 1/p the spectrum is that of the density: ⟨|S_m|²⟩ → |p_m|² at m = (1, 0).",
-        normal(*map(float, mean_and_error(power))),
+        Measured.mean(power),
         expected=1 / N + (1 - 1 / N) * (SLOPE / (2 * np.pi)) ** 2,
         digits=4,
     )
 
 
-def _images(spectra: Mapping[str, xr.Dataset], realizations: int, seed: int) -> Plot:
+def _images(spectra: Mapping[str, xr.Dataset], seed: int) -> Plot:
     scale = Scale(label="N · ⟨|S|²⟩", high=1.5 * LEVEL, beyond=True)
     p, points = mcs.density(DENSITY, 2), []
     for name in SAMPLERS:
@@ -167,10 +173,6 @@ def _images(spectra: Mapping[str, xr.Dataset], realizations: int, seed: int) -> 
         columns=3,
         height=1.0,
         wide=True,
-        caption=f"Above, {N} importance samples of p = Π (1 + {SLOPE}(x − ½)), denser at the upper right. Below, N times "
-        f"the expected power of the weighted points, {realizations} sets; m = 0 is left out.",
-        words="Three squares of points that are denser at the upper right, and three images of power below: flat for "
-        "random, a small dark hole for jittered, a blurred dark disk for Poisson disk.",
     )
 
 
@@ -183,11 +185,4 @@ def _radial(spectra: Mapping[str, xr.Dataset]) -> Plot:
         marks.append(whiskers(rings, np.array([each.value for each in found]), ends, k, name, 3.0))
     x = log_axis("|m| (cycles per unit)", 1.0, float(HALF_WIDTH))
     y = log_axis("N · ⟨|S|²⟩", _closed_ring("jittered", 1) / 1.5, 4.0)
-    return Plot(
-        kind="importance-radial",
-        panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),),
-        caption="The expected power of weighted points, averaged over directions, with 95 % intervals. The level of "
-        "random points is ∫1/p.",
-        words="Logarithmic plot against the length of the frequency: random level at 1.89, jittered rising from 0.1 "
-        "with slope 2 to it, Poisson disk in between at the left.",
-    )
+    return Plot(kind="importance-radial", panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),))

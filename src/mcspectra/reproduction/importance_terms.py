@@ -13,7 +13,7 @@ import mcspectra as mcs
 from mcspectra.core.checks import Array
 from mcspectra.plots.description import Plot
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, Measured, reading
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured
 from mcspectra.reproduction.panels import term_panel
 
 __all__ = ["exhibit"]
@@ -108,11 +108,13 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     third = {case: number(float(data["cross_term"])) for case, data in of.items()}
     with_f = "With IS that follows f, {} points, the third term is negative."
     return Exhibit(
-        caption="The second term is a sum of variances and never negative. So is the first, I² Var(S₀): it never "
-        "reduces the variance, but without it there is no prediction of importance sampling; for f = 1 it is all "
-        f"there is. For constant PDF the third term is {third[LINE]} on f(x) = x, but {third[BAR]} on a bar whose "
-        "edges cut strata in the middle, and 0 after a shift. For random points it is the covariance of f² and 1/p "
-        f"over N: {third[GOOD]} where p is high where f is, {third[BAD]} where it is low there.",
+        numbers={
+            "line": third[LINE],
+            "bar": third[BAR],
+            "good": third[GOOD],
+            "bad": third[BAD],
+            "N": N,
+        },
         plots=(_bars(of),),
         claims=(
             _second_positive([*(data for case, data in of.items() if case != FLAT), shifted]),
@@ -132,14 +134,14 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             _negative(with_f.format("jittered"), of[STRATIFIED]),
             Claim(
                 "Counter-example: with IS that is low where f is high, the third term is positive.",
-                reading(of[BAD], "cross_term"),
+                Measured.of(of[BAD], "cross_term"),
                 above=0.0,
             ),
             *(_crucial(case, of[case]) for case in (LINE, GOOD)),
             Claim(
                 "The first term does not reduce the variance: it is I² Var(S₀), which is never negative; with IS "
                 "that follows f it is I² (∫1/p − 1)/N.",
-                reading(of[GOOD], "dc_term"),
+                Measured.of(of[GOOD], "dc_term"),
                 expected=GOOD.exact_random()[0],
                 digits=4,
                 note="The statement of the slides holds in so far as the third term outweighs it.",
@@ -151,7 +153,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _second_positive(every: Sequence[xr.Dataset]) -> Claim:
-    found = [reading(data, "power_term") for data in every]
+    found = [Measured.of(data, "power_term") for data in every]
     return Claim(
         f"The second term is always positive: that of the {len(every)} cases (f = 1 aside, which has none) whose "
         "interval comes nearest to 0.",
@@ -161,7 +163,7 @@ def _second_positive(every: Sequence[xr.Dataset]) -> Claim:
 
 
 def _negative(statement: str, data: xr.Dataset) -> Claim:
-    return Claim(statement, reading(data, "cross_term"), below=0.0)
+    return Claim(statement, Measured.of(data, "cross_term"), below=0.0)
 
 
 def exact_bar(half_width: int) -> float:
@@ -178,7 +180,7 @@ def _bar_adds(data: xr.Dataset) -> Claim:
     return Claim(
         "Counter-example: the third term of jittered points of constant PDF is positive for a bar whose edges halve "
         "strata, 1/(6N²) in all, here over |m| ≤ 64.",
-        reading(data, "cross_term"),
+        Measured.of(data, "cross_term"),
         expected=exact_bar(_MANY),
         digits=4,
         note=f"1/(6N²) is {number(1 / (6 * N**2))}.",
@@ -188,7 +190,7 @@ def _bar_adds(data: xr.Dataset) -> Claim:
 def _shift_removes(data: xr.Dataset) -> Claim:
     return Claim(
         "Counter-example: of shifted points of constant PDF the third term is neither negative nor positive.",
-        reading(data, "cross_term"),
+        Measured.of(data, "cross_term"),
         expected=0.0,
     )
 
@@ -197,7 +199,7 @@ def _predictions(of: Mapping[Case, xr.Dataset]) -> list[Claim]:
     return [
         Claim(
             f"{case.title}: the third term is the covariance of f² and 1/p over the domain, over N.",
-            reading(of[case], "cross_term"),
+            Measured.of(of[case], "cross_term"),
             expected=case.exact_random()[2],
             digits=4,
         )
@@ -208,7 +210,7 @@ def _predictions(of: Mapping[Case, xr.Dataset]) -> list[Claim]:
 def _crucial(case: Case, data: xr.Dataset) -> Claim:
     """First and second term over the measured variance, whose interval it takes."""
     both = float(data["dc_term"] + data["power_term"])
-    variance = reading(data, "measured_variance")
+    variance = Measured.of(data, "measured_variance")
     ends = both / variance.high, both / variance.low
     return Claim(
         f"Third term is crucial, {case.title}: without it the first two predict more than twice the variance: their "
@@ -248,8 +250,4 @@ def _bars(of: Mapping[Case, xr.Dataset]) -> Plot:
         columns=3,
         height=0.8,
         wide=True,
-        caption=f"The three terms and their sum, {N} points, with 95 % intervals. The bar is 1 from 4.5/16 to "
-        "10.5/16, the cosine 1 − cos 2πx; p is 1 ∓ 0.8 cos 2πx.",
-        words="Six panels of four bars. The third bar is below zero for f = x and where the density follows f, above "
-        "zero for the bar and where the density is against f; for f = 1 only the first bar is not zero.",
     )

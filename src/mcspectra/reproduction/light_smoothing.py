@@ -13,15 +13,7 @@ from mcspectra.plots.description import Line, Mark, Panel, Plot, Rule
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import (
-    Claim,
-    Exhibit,
-    Measured,
-    pixel_rate,
-    rate_text,
-    ratio,
-    reading,
-)
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, pixel_rate, rate_text
 from mcspectra.reproduction.panels import primary_panel, variance_panel, whiskers
 
 __all__ = ["exhibit"]
@@ -48,10 +40,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         for width, n in zip(scan["best_width"], BUDGETS, strict=True)
     )
     return Exhibit(
-        caption=f"BSDF sampling of a square light converges at {sharp}: its outline is an edge in f/p. A light that "
-        f"fades to its border has none, and {smooth}. Fading changes the light, though, and a smoothed edge of a "
-        "given picture is a bias that N does not lower. Of a disk the width with the least squared error is "
-        f"{best}: it shrinks with the budget.",
+        numbers={"sharp": sharp, "smooth": smooth, "best": best, "radius": RADIUS},
         plots=(_squares(pixels), _convergence(curves), _widths(scan)),
         claims=(
             *(
@@ -64,7 +53,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             ),
             Claim(
                 f"At N = {_COUNTS[-1]}, variance over squared mean with the sharp edge over that with the smooth one.",
-                ratio(*map(_relative, curves.values())),
+                _relative(curves["sharp"]) / _relative(curves["smooth"]),
                 above=1.0,
             ),
             _ramp(0.2),
@@ -86,7 +75,7 @@ def _pixel(edge: float) -> Any:
 def _relative(curve: xr.Dataset) -> Measured:
     """Variance over the squared mean, at the largest N."""
     last = curve.isel(n=-1)
-    return reading(last, "variance") / float(last["mean"]) ** 2
+    return Measured.of(last, "variance") / float(last["mean"]) ** 2
 
 
 def _ramp(width: float) -> Claim:
@@ -122,10 +111,11 @@ def _best_pays(scan: xr.Dataset, n: int) -> Claim:
     """Mean squared error with the edge over that of the best width."""
     cell = scan.sel(n=n)
     best = int(np.argmin(cell["mse"].values))
+    edge, least = (Measured.of(cell.isel(width=k), "mse") for k in (0, best))
     return Claim(
         f"There is a width that pays: squared error of a disk with its edge over that of the best width, bias included, "
         f"N = {n}.",
-        ratio(*(reading(cell.isel(width=k), "mse") for k in (0, best))),
+        edge / least,
         above=1.0,
     )
 
@@ -148,8 +138,6 @@ def _squares(pixels: Mapping[str, Any]) -> Plot:
         columns=2,
         height=1.0,
         share="y",
-        caption="f/p under BSDF sampling at P, over the random numbers: a light with a sharp and with a smooth edge.",
-        words="Two squares. Left, a bright patch with a sharp outline on black; right, one that fades to black.",
     )
 
 
@@ -162,13 +150,7 @@ def _convergence(curves: Mapping[str, xr.Dataset]) -> Plot:
         x="number of samples N",
         y="variance / mean²",
     )
-    return Plot(
-        kind="light-smoothing",
-        panels=(panel,),
-        caption="Variance over the squared mean with 95 % intervals; dashed, the rates of theory, −1.5 and −2.",
-        words="Logarithmic plot against N: the smooth edge starts with more variance, relative to its smaller mean, "
-        "falls with slope −2 and crosses the sharp one, which falls with −1.5.",
-    )
+    return Plot(kind="light-smoothing", panels=(panel,))
 
 
 def _widths(scan: xr.Dataset) -> Plot:
@@ -192,8 +174,4 @@ def _widths(scan: xr.Dataset) -> Plot:
         panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),),
         height=0.45,
         wide=True,
-        caption=f"Mean squared error, bias² + variance, of a disk of the radius {RADIUS} against the width of its edge, "
-        "jittered, 95 % intervals; dotted, with its edge.",
-        words="Logarithmic plot against the width. Each count has a curve that falls, has a minimum, further left for "
-        "more points, and rises with the line of the squared bias.",
     )

@@ -14,12 +14,10 @@ from mcspectra.plots.description import Plot
 from mcspectra.reproduction.claims import (
     Claim,
     Exhibit,
-    difference,
+    Measured,
     known_rate,
     pixel_rate,
     rate_text,
-    ratio,
-    reading,
 )
 from mcspectra.reproduction.panels import variance_panel
 
@@ -48,10 +46,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         for where, found in pixels.items()
     )
     return Exhibit(
-        caption="Techniques have points of their own, so that their variances add up, and of a sum of powers of N the "
-        f"slowest is left. At two pixels of Veach's scene under its widest light, jittered: {rates}. Weights lower "
-        "the edge that BSDF sampling sees and leave it there: MIS has its rate, and where light sampling alone is "
-        "smooth, adding BSDF samples is worse from some N on.",
+        numbers={"rates": rates},
         plots=(_pixel_plot(pixels), _toy_plot(toy)),
         claims=(
             *(_toy_rate(toy, technique) for technique in (0, 1)),
@@ -144,9 +139,10 @@ def _pixel(where: str, sides: Sequence[int], realizations: int, seed: int) -> xr
 
 def _follows(where: str, found: xr.Dataset) -> Claim:
     """Difference of two rates, both with intervals, taken as independent."""
+    bsdf, mis = (Measured.of(found.isel(estimator=i), "rate") for i in (1, 2))
     return Claim(
         f"Veach's scene, {_WHERE[where]}: rate of MIS minus that of BSDF sampling.",
-        difference(*(reading(found.isel(estimator=i), "rate") for i in (2, 1))),
+        mis - bsdf,
         expected=0.0,
         tolerance=0.125,
         shown="0 ± 0.12",
@@ -160,7 +156,7 @@ def _what_is_left(where: str, found: xr.Dataset) -> Claim:
     return Claim(
         f"Veach's scene, {_WHERE[where]}: what is left of MIS at N = {int(light['n'])} is its BSDF technique; variance "
         "of that over that of its light technique.",
-        ratio(reading(bsdf, "variance"), reading(light, "variance")),
+        Measured.of(bsdf, "variance") / Measured.of(light, "variance"),
         above=1.0,
     )
 
@@ -182,10 +178,6 @@ def _pixel_plot(pixels: Mapping[str, xr.Dataset]) -> Plot:
         columns=2,
         height=0.9,
         wide=True,
-        caption="Variance over the squared mean at two pixels of Veach's scene, with 95 % intervals, jittered; MIS has N "
-        "samples of each technique, balance heuristic. Dashed, the rates of theory.",
-        words="Two logarithmic plots. Light sampling falls with slope −2; BSDF sampling and, below it, MIS fall with "
-        "slope −1.5.",
     )
 
 
@@ -195,8 +187,4 @@ def _toy_plot(toy: Mapping[str, xr.Dataset]) -> Plot:
     return Plot(
         kind="toy-techniques",
         panels=(variance_panel(toy, exact=known, title="two techniques and their sum", x=x),),
-        caption="Measured variances (marks) and exact ones (lines) of two techniques and of their sum, jittered points, "
-        "with 95 % intervals.",
-        words="Logarithmic plot: the linear technique falls with slope −3, the step with −2, and the sum lies on the "
-        "step's curve.",
     )

@@ -13,14 +13,7 @@ from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.plots.description import Axis, Line, Mark, Panel, Plot
 from mcspectra.plots.style import PALETTE
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import (
-    Claim,
-    Exhibit,
-    Measured,
-    largest_distance,
-    normal,
-    reading,
-)
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, largest_distance
 from mcspectra.reproduction.panels import interval_panel, whiskers
 
 __all__ = ["exhibit"]
@@ -41,10 +34,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         for name, (counted, measured) in variances.items()
     )
     return Exhibit(
-        caption="Power and pair correlation say the same in two ways: N⟨|S_m|²⟩ − 1 is N − 1 times the transform of the "
-        f"density of differences. So pairs alone give the variance. Of exp(−x² − y²) with N = {N} points: {both}. For "
-        "points that are not stationary G depends on both places, and a curve g(r), their mean, has lost what decides "
-        "the variance, as the power spectrum has lost the phase.",
+        numbers={"N": N, "both": both},
         plots=(_curves(pairs), _comparison(variances)),
         claims=(
             *(_as_closed(name, pairs[name]) for name in ("random", "jittered")),
@@ -75,8 +65,8 @@ def routes(name: str, realizations: int, seed: int) -> tuple[Measured, Measured]
         _SMOOTH, name, N, realizations=2 * realizations, rng=seed
     )
     curve = mcs.convergence(_SMOOTH, name, [N], realizations=10 * realizations, rng=seed + 1)
-    counted = normal(float(found["variance"]), float(found["variance_se"]))
-    return counted, reading(curve.isel(n=0), "variance")
+    counted = Measured.normal(float(found["variance"]), float(found["variance_se"]))
+    return counted, Measured.of(curve.isel(n=0), "variance")
 
 
 def _as_closed(name: str, data: xr.Dataset) -> Claim:
@@ -151,7 +141,7 @@ def _counted_pairs(name: str, counted: Measured, measured: Measured) -> Claim:
     )
     return Claim(
         f"From counted pairs of {name} points the variance is the measured one: ratio.",
-        normal(times, times * float(np.hypot(*errors))),
+        Measured.normal(times, times * float(np.hypot(*errors))),
         expected=1.0,
         shown="1",
     )
@@ -181,10 +171,6 @@ def _curves(pairs: Mapping[str, xr.Dataset]) -> Plot:
         panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),),
         height=0.42,
         wide=True,
-        caption=f"Density of pairs at a distance, random points = 1, of {N} points in the plane: counted (dots, 95 % "
-        "intervals) and closed forms (lines); dots of Poisson-disk points are joined.",
-        words="Plot of g against r. Random: level at 1. Jittered: rises from 0 to just above 1 within a stratum's "
-        "diagonal. Poisson disk: 0 up to the radius, then a peak and a ripple about 1.",
     )
 
 
@@ -194,7 +180,4 @@ def _comparison(variances: Mapping[str, tuple[Measured, Measured]]) -> Plot:
         kind="variance-from-pairs",
         panels=(interval_panel(rows, ("from pairs", "measured"), "variance of I_N, times 10⁴"),),
         height=0.32,
-        caption=f"The variance of exp(−x² − y²) with {N} points from counted pairs, and measured, with 95 % intervals.",
-        words="Two rows, jittered with shift and Poisson disk; in each the dot from pairs and the measured square "
-        "coincide within their intervals.",
     )

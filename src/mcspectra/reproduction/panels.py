@@ -25,7 +25,7 @@ from mcspectra.plots.description import (
 from mcspectra.plots.scales import count_axis, log_axis, name_axis
 from mcspectra.plots.style import FAINT, INK, MARKERS, PALETTE, line_widths
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Measured, normal, reading
+from mcspectra.reproduction.claims import Measured
 
 __all__ = [
     "UNIT",
@@ -110,7 +110,9 @@ def variance_panel(
 def at_ring(spectrum: xr.Dataset, ring: int, scale: float) -> Measured:
     """Return the radial power at |m| ≈ ring, times `scale`."""
     row = spectrum.isel(radius=ring - 1)
-    return normal(scale * float(row["radial_power"]), scale * float(row["radial_power_se"]))
+    return Measured.normal(
+        scale * float(row["radial_power"]), scale * float(row["radial_power_se"])
+    )
 
 
 def ring_mean(power: Callable[[Array], Array], half_width: int, ring: int) -> float:
@@ -188,7 +190,7 @@ def interval_panel(
 def term_panel(data: xr.Dataset, scale: float, title: str, y: str = "") -> Panel:
     """Return bars of the three terms and their sum over `scale`, with 95 % intervals."""
     names = {**_TERMS, "predicted_variance": "sum"}
-    found = [reading(data, name) / scale for name in names]
+    found = [Measured.of(data, name) / scale for name in names]
     value, low, high = np.array([(each.value, each.low, each.high) for each in found]).T
     rounding = _ROUNDING * np.abs(value).max()
     texts = [number(v, 2) if abs(v) > rounding else "0" for v in value]

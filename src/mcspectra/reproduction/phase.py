@@ -13,7 +13,7 @@ from mcspectra.core.checks import Array
 from mcspectra.plots.description import Axis, Line, Mark, Panel, Plot, Rule
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, known_rate, rate_text, reading
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
 from mcspectra.reproduction.panels import variance_panel, whiskers
 
 __all__ = ["exhibit"]
@@ -40,10 +40,14 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     second = number(float(scan[0.0]["power_term"]))
     rates = ", ".join(f"{rate_text(curve)} ({LABELS[offset]})" for offset, curve in curves.items())
     return Exhibit(
-        caption="Strata moved by a part of their side keep all |S_m|, and with them the second term, "
-        f"{second} for {N} jittered points and a bar; the third follows the phase, from {number(min(third))} to "
-        f"{number(max(third))}. Displacement affects convergence: rates of a bar and a cosine are {rates}. Two "
-        "functions of equal power spectra differ in the third term alone.",
+        numbers={
+            "second": second,
+            "N": N,
+            "least": number(min(third)),
+            "most": number(max(third)),
+            "rates": rates,
+            "half_width": HALF_WIDTH,
+        },
         plots=(_offsets(scan), _convergence(curves), _functions()),
         claims=(
             _same_second(list(scan.values())),
@@ -52,7 +56,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             _at_borders(scan[0.0]),
             Claim(
                 "Phase decides the sign of the third term: with the edges in the middle it is positive.",
-                reading(scan[0.5], "cross_term"),
+                Measured.of(scan[0.5], "cross_term"),
                 above=0.0,
             ),
             _mean_of_third(),
@@ -146,7 +150,7 @@ def _turned() -> Claim:
 def _variance_of(offset: float, data: xr.Dataset) -> Claim:
     return Claim(
         f"Bar, strata {LABELS[offset]}: the variance is 2 s(1 − s)/N², with s = {number(offset)}.",
-        reading(data, "measured_variance", log=True),
+        Measured.of(data, "measured_variance", log=True),
         expected=exact_bar(offset, N),
         tolerance=1e-25,
         note="Tolerance: rounding." if offset == 0.0 else "",
@@ -156,7 +160,7 @@ def _variance_of(offset: float, data: xr.Dataset) -> Claim:
 def _at_borders(data: xr.Dataset) -> Claim:
     return Claim(
         "Phase decides the sign of the third term: with the edges at borders of strata it is negative.",
-        reading(data, "cross_term"),
+        Measured.of(data, "cross_term"),
         below=0.0,
     )
 
@@ -237,7 +241,7 @@ def _offsets(scan: Mapping[float, xr.Dataset]) -> Plot:
     at, s = np.array(OFFSETS), np.linspace(0.0, 1.0, 100)
     marks: list[Mark] = [Rule(at=0.0, color=INK, width=0.7)]
     for k, (name, label) in enumerate(names.items()):
-        found = [reading(data, name) / 1e-3 for data in scan.values()]
+        found = [Measured.of(data, name) / 1e-3 for data in scan.values()]
         values = np.array([each.value for each in found])
         ends = np.array([(each.low, each.high) for each in found])
         marks += [
@@ -253,10 +257,6 @@ def _offsets(scan: Mapping[float, xr.Dataset]) -> Plot:
         panels=(Panel(marks=tuple(marks), x=x, y=Axis(label="terms · 10³"), grid=True),),
         height=0.4,
         wide=True,
-        caption=f"Terms of the variance of a bar with {N} jittered points against the offset of the strata, over "
-        f"|m| ≤ {HALF_WIDTH}, with 95 % intervals.",
-        words="Curves over the offset. The second term is level; the third is negative at 0 and positive at a half; "
-        "their sum follows the arch of the exact variance.",
     )
 
 
@@ -266,10 +266,6 @@ def _convergence(curves: Mapping[float, xr.Dataset]) -> Plot:
     return Plot(
         kind="phase-convergence",
         panels=(variance_panel(shown, exact=exact, title="bar and cosine, jittered points"),),
-        caption="Variance against the number of points for strata displaced by parts of their side: measured, with "
-        "95 % intervals, and exact (lines).",
-        words="Logarithmic plot of three falling lines. That of strata that are not displaced is steeper than the "
-        "other two, which are parallel.",
     )
 
 
@@ -287,12 +283,4 @@ def _functions() -> Plot:
                 grid=True,
             )
         )
-    return Plot(
-        kind="phase-functions",
-        panels=tuple(panels),
-        columns=2,
-        wide=True,
-        caption=f"Two functions with the same power spectrum, and their exact variances with {N} jittered points.",
-        words="On the left a function with one peak at the border of the domain, on the right one whose waves are "
-        "spread over the domain.",
-    )
+    return Plot(kind="phase-functions", panels=tuple(panels), columns=2, wide=True)

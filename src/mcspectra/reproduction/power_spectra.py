@@ -13,7 +13,7 @@ import mcspectra as mcs
 from mcspectra.plots.description import Plot, Scale
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, judge, normal, reading
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, judge
 from mcspectra.reproduction.panels import at_ring, frequency_panel, ring_mean
 
 __all__ = ["exhibit"]
@@ -42,11 +42,14 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     low = ", ".join(f"{number(at_ring(d, 1, N).value)} ({name})" for name, d in expected.items())
     strength = " and ".join(number(float(judge(c).measured or 0)) for c in claims[:2])
     return Exhibit(
-        caption="The spectrum of one set is speckle, as strong as its mean; averaging removes it "
-        f"(standard deviation over mean of random points: {strength}) and leaves what belongs to the "
-        f"sampler. At the lowest frequencies N times the power is {low}: random points are flat, "
-        "jittered ones fall to nothing as |ν|², Poisson-disk points keep a low level and a ring around it.",
-        plots=(_images(single, expected, realizations), _radial(expected)),
+        numbers={
+            "strength": strength,
+            "low": low,
+            "half_width": HALF_WIDTH,
+            "N": N,
+            "realizations": realizations,
+        },
+        plots=(_images(single, expected), _radial(expected)),
         claims=claims,
     )
 
@@ -69,7 +72,7 @@ def _speckle(what: str, spectrum: xr.Dataset, realizations: int) -> Claim:
     return Claim(
         f"Of {what} of random points, the power at a frequency varies by 1/√R of its mean "
         f"(R = {realizations}).",
-        normal(float(power.std(ddof=1) / power.mean()), se),
+        Measured.normal(float(power.std(ddof=1) / power.mean()), se),
         expected=realizations**-0.5,
         # |S_m|² is exponential for N → ∞ only, and powers correlate: both change it by about 1/N
         tolerance=1.0 / N * realizations**-0.5,
@@ -109,7 +112,7 @@ def _peak(spectrum: xr.Dataset) -> Claim:
 def _exponent(name: str, spectrum: xr.Dataset, expected: float) -> Claim:
     return Claim(
         f"The power of {name} points starts as |ν|^{expected:.0f}.",
-        reading(mcs.low_frequency_exponent(spectrum, up_to=3.0), "low_frequency_exponent"),
+        Measured.of(mcs.low_frequency_exponent(spectrum, up_to=3.0), "low_frequency_exponent"),
         expected=expected,
         # d log(1 − sinc²(πν/s)) / d log ν = 2 − 4/15 (πν/s)² …, s = 16, ν ≤ 3
         tolerance=0.1 if expected else 0.0,
@@ -117,9 +120,7 @@ def _exponent(name: str, spectrum: xr.Dataset, expected: float) -> Claim:
     )
 
 
-def _images(
-    single: Mapping[str, xr.Dataset], expected: Mapping[str, xr.Dataset], realizations: int
-) -> Plot:
+def _images(single: Mapping[str, xr.Dataset], expected: Mapping[str, xr.Dataset]) -> Plot:
     scale = Scale(label="N · |S|²   (random: 1)", high=2.5, beyond=True)
     return Plot(
         kind="power-spectra",
@@ -132,19 +133,8 @@ def _images(
         height=1.0,
         share="both",
         wide=True,
-        caption=f"N times the power over the frequencies m₀, m₁ = −{HALF_WIDTH} … {HALF_WIDTH} (cycles per "
-        f"unit), N = {N}. Above, of one set; below, its mean over {realizations} sets. m = 0 is left out.",
-        words="Six images of power. One set: grainy. Expected: flat for random, a small dark hole for "
-        "jittered, a dark disk within a bright ring for Poisson disk.",
     )
 
 
 def _radial(expected: Mapping[str, xr.Dataset]) -> Plot:
-    return replace(
-        describe("radial", expected),
-        kind="radial",
-        caption="The expected power, averaged over directions, against the length of the frequency: the "
-        "slope at the left is 0 for random and Poisson-disk points, 2 for jittered ones.",
-        words="Logarithmic plot of N times the radial mean power: random constant at 1, jittered rising "
-        "with slope 2, Poisson disk low and constant, then a peak above 1.",
-    )
+    return replace(describe("radial", expected), kind="radial")

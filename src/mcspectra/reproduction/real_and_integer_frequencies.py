@@ -19,7 +19,7 @@ from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot
 from mcspectra.plots.scales import count_axis, log_axis
 from mcspectra.plots.style import ACCENT, INK, PALETTE
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, known_rate, normal, rate_text
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
 from mcspectra.reproduction.panels import whiskers
 
 __all__ = ["exhibit"]
@@ -43,11 +43,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     levels = " and ".join(f"{number(real_limit(name))} for {name}" for name in NAMES)
     pairs = [(name, sampler) for name in NAMES for sampler in SAMPLERS]
     return Exhibit(
-        caption="Of f(x) = x, which jumps where the domain ends, and g(x) = (1 − cos 2πx)/2, which does not, "
-        f"jittered and shifted points converge with the rates {rates}. The sum over integer frequencies "
-        "follows the variance. Between the integers ⟨S⟩ is the transform of the domain itself, whatever N, "
-        "and a sum over real frequencies takes it for variance: it tends to "
-        f"{levels}, with the rate 0, for every sampler.",
+        numbers={"rates": rates, "levels": levels},
         plots=(_convergence(curves), _spectrum()),
         claims=(
             *(_measured_rate(name, "jittered", curves[name]) for name in NAMES),
@@ -167,7 +163,7 @@ def _power_between(realizations: int, seed: int) -> Claim:
     return Claim(
         "Between the integers the power does not vanish: at ν = ½ that of 64 jittered points is (2/π)² and the "
         "little that their variance adds.",
-        normal(float(found["power"][0]), float(found["power_se"][0])),
+        Measured.normal(float(found["power"][0]), float(found["power_se"][0])),
         expected=float(mcs.closed_form_power("jittered", 64, [[0.5]])[0]),
         digits=6,
     )
@@ -190,15 +186,7 @@ def _convergence(curves: dict[str, xr.Dataset]) -> Plot:
         x, y_axis = count_axis("number of points N", COUNTS), log_axis("variance", low, high)
         panels.append(Panel(marks=tuple(marks), x=x, y=y_axis, title=title, grid=True))
     return Plot(
-        kind="real-and-integer-frequencies",
-        panels=tuple(panels),
-        columns=2,
-        wide=True,
-        height=0.9,
-        caption="Measured variance with 95 % intervals, and what sums over integer and over half-integer "
-        "frequencies predict. Jittered points are shifted where the variance is measured.",
-        words="Two logarithmic plots against N. Measured points lie on the lines of integer frequencies, which "
-        "fall; those of real frequencies become level, for random and jittered points alike.",
+        kind="real-and-integer-frequencies", panels=tuple(panels), columns=2, wide=True, height=0.9
     )
 
 
@@ -211,11 +199,4 @@ def _spectrum() -> Plot:
         marks.append(Dots(x=whole, y=notches, color=ACCENT))
     x = Axis(label="frequency ν (cycles per unit)", low=0.0, high=4.1)
     y = log_axis("⟨|S|²⟩", float(notches.min()), 1.0)
-    return Plot(
-        kind="spectrum",
-        panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),),
-        caption="Expected power of jittered points at real frequencies (lines) and at the integers (orange "
-        "dots): the lobes between them stay as N grows.",
-        words="Three curves with lobes of equal height between the integers, and deep notches at these, deeper "
-        "for larger N.",
-    )
+    return Plot(kind="spectrum", panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),))

@@ -12,15 +12,7 @@ from mcspectra.core.checks import Array
 from mcspectra.plots.description import Image, Line, Plot, Scale
 from mcspectra.plots.style import INK
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import (
-    Claim,
-    Exhibit,
-    known_rate,
-    rate_text,
-    ratio,
-    reading,
-    slope,
-)
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text, slope
 from mcspectra.reproduction.panels import square_panel, strata, variance_panel
 
 __all__ = ["exhibit"]
@@ -42,9 +34,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     oblique = np.array([float(mcs.exact_variance(_OBLIQUE, "jittered", n)) for n in COUNTS])
     a, b, c, d = map(rate_text, (*plain.values(), *shifted.values()))
     return Exhibit(
-        caption=f"An edge along a border of strata costs nothing: jittered points have the rate {a}. At 1/3, where "
-        f"strata are cut, it is {b}. After a random shift borders lie anywhere, and the rates are {c} and {d}: only "
-        "without homogenisation does alignment help. An oblique edge cuts strata wherever they lie.",
+        numbers={"a": a, "b": b, "c": c, "d": d},
         plots=(_strata(), _convergence(plain, shifted)),
         claims=(
             _rate_of(ALIGNED, plain, -2.0),
@@ -111,7 +101,7 @@ def _level(name: str, curve: xr.Dataset) -> Claim:
     return Claim(
         f"{name.capitalize()}: the variance is s(1 − s) N^(−3/2) + 1/(12N²), with s the share of a stratum left of "
         f"the edge, at N = {COUNTS[-1]}.",
-        reading(curve.isel(n=-1), "variance", log=True),
+        Measured.of(curve.isel(n=-1), "variance", log=True),
         expected=float(exact(PLACES[name])[-1]),
         digits=4,
     )
@@ -130,9 +120,10 @@ def _bent() -> Claim:
 
 
 def _gain(plain: Mapping[str, xr.Dataset]) -> Claim:
+    aligned, cut = (Measured.of(plain[name].isel(n=-1), "variance") for name in PLACES)
     return Claim(
         f"What alignment is worth: variance of the edge at 1/3 over that of the edge at 1/2, N = {COUNTS[-1]}.",
-        ratio(*(reading(plain[name].isel(n=-1), "variance") for name in (CUT, ALIGNED))),
+        cut / aligned,
         expected=float(exact(PLACES[CUT])[-1] / exact(PLACES[ALIGNED])[-1]),
     )
 
@@ -164,16 +155,7 @@ def _strata() -> Plot:
             )
         )
     return Plot(
-        kind="strata-alignment",
-        panels=tuple(panels),
-        columns=3,
-        height=1.0,
-        share="y",
-        wide=True,
-        caption="Edges of three integrands and 8 × 8 strata: those that the edge cuts (orange) have a variance of "
-        "the order of the jump, all others only that of the smooth rest.",
-        words="Three squares with a grid of strata. On the left the edge runs along a border and no stratum is cut; "
-        "in the middle a column of 8 strata is cut, on the right an oblique band of them.",
+        kind="strata-alignment", panels=tuple(panels), columns=3, height=1.0, share="y", wide=True
     )
 
 
@@ -191,8 +173,4 @@ def _convergence(plain: Mapping[str, xr.Dataset], shifted: Mapping[str, xr.Datas
         height=0.8,
         share="y",
         wide=True,
-        caption="Variance of an edge and a ramp against the number of points: measured, with 95 % intervals, and "
-        "exact (lines). Left, jittered points; right, the same shifted at random.",
-        words="Two logarithmic plots. On the left the line of the aligned edge falls more steeply; on the right both "
-        "lines coincide.",
     )

@@ -10,15 +10,7 @@ from mcspectra.core.checks import Array
 from mcspectra.plots.description import Plot, Scale
 from mcspectra.plots.scales import log_scale
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import (
-    Claim,
-    Exhibit,
-    Measured,
-    judge,
-    rate_claim,
-    reading,
-    slope,
-)
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, judge, rate_claim, slope
 from mcspectra.reproduction.panels import frequency_panel, interval_panel
 
 __all__ = ["exhibit"]
@@ -46,16 +38,14 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
     missed = float(weighted["power_term"]) / float(weighted["measured_variance"])
     return Exhibit(
-        caption="For points that are the same after any translation, of constant density, the sum over "
-        f"integer frequencies of ⟨P_S⟩ times P_f is the variance: {each}. For importance samples it is "
-        f"not: of random points of p = {DENSITY} it is {number(missed)} times the variance.",
+        numbers={"each": each, "density": DENSITY, "missed": number(missed), "N": N},
         plots=(_products(terms), _ratios(terms, weighted)),
         claims=(
             *(_closed_sum(name) for name in SAMPLERS[:2]),
             *(
                 Claim(
                     f"Σ |f_m|² ⟨|S_m|²⟩ with the simulated spectrum of {name} points is the exact variance.",
-                    reading(terms[name], "power_term"),
+                    Measured.of(terms[name], "power_term"),
                     expected=exact(name),
                     digits=4,
                 )
@@ -113,7 +103,7 @@ def _diagonal(name: str, data: xr.Dataset) -> Claim:
     return Claim(
         f"Nothing is missing for {name} points: correlations between frequencies add nothing, as a share "
         "of the measured variance.",
-        reading(data, "cross_term") / float(data["measured_variance"]),
+        Measured.of(data, "cross_term") / float(data["measured_variance"]),
         expected=0.0,
     )
 
@@ -135,7 +125,7 @@ def _rate(quick: bool, seed: int) -> Claim:
 
 def _not_weighted(data: xr.Dataset) -> Claim:
     """Of random points of a density, against their exact variance."""
-    value = reading(data, "power_term") / exact_weighted()
+    value = Measured.of(data, "power_term") / exact_weighted()
     return Claim(
         f"With importance samples of {DENSITY} the sum of products is not the variance: their ratio is not 1.",
         value,
@@ -164,30 +154,22 @@ def _products(terms: dict[str, xr.Dataset]) -> Plot:
         height=1.0,
         share="both",
         wide=True,
-        caption=f"Above, the power of {N} points of three stationary samplers; below, its product with the "
-        "power of a Gaussian bell: the sum of the lower image (logarithmic colours) is the variance. m = 0 is left out.",
-        words="Two rows of three images over the frequencies. Below, random has a spot around 0; jittered and "
-        "Poisson disk, whose power has a hole there, a weaker one.",
     )
 
 
 def _ratios(terms: dict[str, xr.Dataset], weighted: xr.Dataset) -> Plot:
     """The sum over the exact variance; of Poisson-disk points over the measured one, with its error."""
-    shown = {name: reading(terms[name], "power_term") / exact(name) for name in SAMPLERS[:2]}
+    shown = {name: Measured.of(terms[name], "power_term") / exact(name) for name in SAMPLERS[:2]}
     disk = terms["poisson-disk"]
-    power, variance = float(disk["power_term"]), reading(disk, "measured_variance")
+    power, variance = float(disk["power_term"]), Measured.of(disk, "measured_variance")
     shown["poisson-disk"] = Measured(
         power / variance.value, power / variance.high, power / variance.low
     )
-    shown[f"random, p = {DENSITY}"] = reading(weighted, "power_term") / exact_weighted()
+    shown[f"random, p = {DENSITY}"] = Measured.of(weighted, "power_term") / exact_weighted()
     x = "Σ P_f ⟨P_S⟩ over variance (1: all of it)"
     return Plot(
         kind="ratio",
         panels=(interval_panel({name: [each] for name, each in shown.items()}, [""], x, at=1.0),),
         height=0.3,
         wide=True,
-        caption="The sum of products over the exact variance (for Poisson-disk points the measured one), "
-        "with 95 % intervals: 1 for stationary samples of constant density, another number for "
-        "importance samples.",
-        words="Four intervals on an axis of the ratio: three at 1, that of importance samples away from it.",
     )

@@ -23,7 +23,7 @@ from mcspectra.plots.description import (
 from mcspectra.plots.style import INK
 from mcspectra.plots.text import number
 from mcspectra.rendering.files import encode_srgb
-from mcspectra.reproduction.claims import Claim, Exhibit, Measured, mean_and_error, normal
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, mean_and_error
 
 __all__ = ["exhibit"]
 
@@ -46,7 +46,7 @@ _WHERE = {
     "plate-0": "around the reflection of the widest light in the smoothest plate",
     "wall": "on the diffuse wall",
 }
-_LABELS = {"plate-0": ("smoothest plate", "#FFFFFF"), "wall": ("wall", INK)}  # with their colours
+_LABELS = {"plate-0": "smoothest plate", "wall": "wall"}
 
 
 @final
@@ -83,10 +83,11 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     spp = renders.reference_spp
     fewer = f" The reference has {spp} samples of each technique a pixel here, in place of 1024."
     return Exhibit(
-        caption="Light sampling is noisy where a smooth plate reflects a wide light, since most of the light's points "
-        "are not in its narrow lobe; BSDF sampling is where a light is small and the surface rough, since hardly a "
-        "direction meets it. MIS fails in neither place, though half of its samples are lost where one technique "
-        f"would do. Mean squared errors of a pixel, as displayed: {values}.{fewer if quick else ''}",
+        numbers={
+            "values": values,
+            "fewer": fewer if quick else "",
+            "repeats": len(renders.repeats["light"]),
+        },
         plots=(_pictures(renders), _who_wins(renders)),
         claims=(
             *(_region(renders, *case) for case in _CASES),
@@ -152,7 +153,7 @@ def _same_mean(renders: Renders, strategy: str) -> Claim:
     times = float(value / mean)
     return Claim(
         f"The mean of images by {_SHORT[strategy]} is that of the reference: ratio.",
-        normal(times, times * float(np.hypot(se / value, mean_se / mean))),
+        Measured.normal(times, times * float(np.hypot(se / value, mean_se / mean))),
         expected=1.0,
         shown="1",
         note="BSDF sampling is left out: too few of its samples meet the smallest light for a normal interval."
@@ -177,11 +178,6 @@ def _pictures(renders: Renders) -> Plot:
         ),
         columns=2,
         wide=True,
-        caption="Veach's scene: four plates, the one farthest back the smoothest, under four spheres of equal power and "
-        "a fill light. All images at the same exposure; the reference has samples of both techniques.",
-        words="Four images of plates that reflect lights. The reference is smooth. Light sampling has noise in the "
-        "reflections of the wide light at the back plate; BSDF sampling has noise on the wall and in reflections of "
-        "small lights; MIS has little everywhere.",
     )
 
 
@@ -196,7 +192,7 @@ def _who_wins(renders: Renders) -> Plot:
     marks: list[Mark] = [
         Image(values=values, x=np.arange(width) + 0.5, y=np.arange(height) + 0.5, scale=scale)
     ]
-    for name, (label, color) in _LABELS.items():
+    for name, label in _LABELS.items():
         rows, columns = renders.window(name)
         left, right, low, high = (
             columns.start,
@@ -208,7 +204,8 @@ def _who_wins(renders: Renders) -> Plot:
         ends = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
         marks += [Segments(ends=ends, color="#FFFFFF", width=3.2), Segments(ends=ends, color=INK)]
         marks.append(
-            Text(x=(left + right) / 2, y=float(high), text=label, color=color, side="above")
+            # Above the reflection, which is dark
+            Text(x=(left + right) / 2, y=2.0 * high - low, text=label, side="above")
         )
     axis = Axis(ticks={})
     return Plot(
@@ -216,9 +213,4 @@ def _who_wins(renders: Renders) -> Plot:
         panels=(Panel(marks=tuple(marks), x=axis, y=axis, square=True),),
         height=2 / 3,
         wide=True,
-        caption="Squared error, as displayed, by light sampling over that by BSDF sampling, mean of "
-        f"{len(renders.repeats['light'])} images: blue, light sampling is better; orange, BSDF sampling. Frames: the "
-        "two regions of the findings.",
-        words="The scene in two colours. Blue on wall, floor and in most reflections; orange where the smooth plates at "
-        "the back reflect the wide lights.",
     )
