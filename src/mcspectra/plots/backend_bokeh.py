@@ -13,9 +13,28 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import TYPE_CHECKING, Any, assert_never, cast, final
+from typing import Any, assert_never, final
 
 import numpy as np
+from bokeh.core.json_encoder import serialize_json
+from bokeh.core.properties import value
+from bokeh.embed import json_item
+from bokeh.models import (
+    Column,
+    ColumnDataSource,
+    DataRange1d,
+    FixedTicker,
+    HoverTool,
+    LayoutDOM,
+    LinearAxis,
+    LinearColorMapper,
+    Range1d,
+    Row,
+)
+from bokeh.models.annotations import ColorBar, Label, Legend, LegendItem
+from bokeh.palettes import Viridis256, interp_palette
+from bokeh.plotting import figure
+from bokeh.resources import Resources
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
@@ -37,9 +56,6 @@ from mcspectra.plots.description import (
 from mcspectra.plots.scales import log_ticks, signed_place, tick_label
 from mcspectra.plots.style import FAINT, GRADIENTS, GRAY, INK
 from mcspectra.plots.text import shorten
-
-if TYPE_CHECKING:
-    from bokeh.models import LayoutDOM
 
 __all__ = ["Drawn", "draw", "packed", "script"]
 
@@ -77,9 +93,6 @@ def packed(model: LayoutDOM) -> str:
     The same plot gives the same text: bokeh counts its models through the life of a process, here
     they count from 0 in each plot.
     """
-    from bokeh.core.json_encoder import serialize_json
-    from bokeh.embed import json_item
-
     item = json.loads(serialize_json(json_item(model)))
     numbers: dict[str, str] = {}
     document = _renumbered(item["doc"], numbers)
@@ -91,8 +104,6 @@ def packed(model: LayoutDOM) -> str:
 @cache
 def script() -> str:
     """Return bokeh's own script, without widgets, tables and WebGL, gzipped, in base 64."""
-    from bokeh.resources import Resources
-
     resources = Resources(mode="inline", components=["bokeh"], log_level="error")
     return _compressed("\n".join(resources.js_raw))
 
@@ -150,8 +161,6 @@ class Drawn:
 
     def _say(self, plot: Plot) -> None:
         """Set limits, ticks and texts."""
-        from bokeh.core.properties import value
-
         before = self._shown.panels if self._shown else (None,) * len(plot.panels)
         for frame, panel, old in zip(self._figures, plot.panels, before, strict=True):
             frame.title.text = _plain(shorten(panel.title, 34))
@@ -179,13 +188,10 @@ def _structure(plot: Plot) -> list[Any]:
         for mark in panel.marks:
             label = getattr(mark, "label", "")
             found.append(plot.labels.index(label) if label else None)
-            found += [
-                (e.glyph, e.fixed, list(e.columns), list(e.hover)) for e in _layers(mark, panel)
-            ]
-    return [
-        *found,
-        *((s.names, s.ticks is None and s.kind != "log", k) for s, k in _bars(plot).items()),
-    ]
+            for each in _layers(mark, panel):
+                found.append((each.glyph, each.fixed, list(each.columns), list(each.hover)))
+    bars = ((s.names, s.ticks is None and s.kind != "log", k) for s, k in _bars(plot).items())
+    return [*found, *bars]
 
 
 def _bars(plot: Plot) -> dict[Scale, int]:
@@ -194,7 +200,7 @@ def _bars(plot: Plot) -> dict[Scale, int]:
     return {scale: k for scale, k in found.items() if scale.label or scale.names}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class _Layer:
     """One glyph of bokeh: its properties that are data, those that stay, and what the pointer shows."""
 
@@ -216,19 +222,15 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
             color = _seen(mark.color)
             found = []
             if mark.low is not None:
-                paint = {
-                    "fill_color": color,
-                    "fill_alpha": 0.2 if mark.width else 1.0,
-                    "line_color": None,
-                }
-                found.append(_Layer(glyph="patches", columns=_band(mark, panel), fixed=paint))
+                paint = {"color": color, "fill_alpha": 0.2 if mark.width else 1.0, "line_width": 0}
+                found.append(_Layer("patches", _band(mark, panel), paint))
             if mark.width:
                 mode = {"mode": "center"} if mark.step else {}
                 line = {"line_color": color, **_stroke(mark), **mode}
-                found.append(_Layer(glyph="step" if mark.step else "line", columns=xy, fixed=line))
+                found.append(_Layer("step" if mark.step else "line", xy, line))
             if mark.hover:  # on unseen dots, since steps have no items to point at
                 unseen = {"size": 9, "fill_alpha": 0, "line_alpha": 0}
-                found.append(_Layer(glyph="scatter", columns=xy, fixed=unseen, hover=mark.hover))
+                found.append(_Layer("scatter", xy, unseen, mark.hover))
             return found
         case Dots():
             size = np.broadcast_to(_PIXELS * np.asarray(mark.size, dtype=float), len(mark.x))
@@ -243,82 +245,63 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
                 assert mark.scale is not None
                 color, fixed["palette"] = _INK, _palette(mark.scale)
                 xy["color"] = _shade(mark.scale, mark.color)
-            dots = _Layer(glyph="scatter", columns=xy, fixed=fixed, hover=mark.hover)
-            at = xy["y" if mark.across else "x"]
-            return [
-                dots,
-                *_whiskers(mark, at, panel.x if mark.across else panel.y, color, mark.across),
-            ]
+            dots = _Layer("scatter", xy, fixed, mark.hover)
+            at, along = (xy["y"], panel.x) if mark.across else (xy["x"], panel.y)
+            return [dots, *_whiskers(mark, at, along, color, mark.across)]
         case Bars():
-            along, across = (panel.x, panel.y) if mark.lying else (panel.y, panel.x)
+            along, other = (panel.x, panel.y) if mark.lying else (panel.y, panel.x)
             base = along.low if along.kind == "log" and mark.base <= 0 else mark.base
-            at, value = _place(across, mark.at), _place(along, mark.value)
+            at, end = _place(other, mark.at), _place(along, mark.value)
             start = np.full(len(at), _place(along, base))
-            color = mark.color if isinstance(mark.color, str) else ""
-            paint = {"alpha": mark.opacity} | ({"color": _seen(color)} if color else {})
-            colors = {} if color else {"color": [_seen(each) for each in mark.color]}
-            first, second = ("y", "x") if mark.lying else ("x", "y")
+            several = [mark.color] * len(at) if isinstance(mark.color, str) else mark.color
+            colors, paint = [_seen(each) for each in several], {"alpha": mark.opacity}
             if mark.thickness:
-                sides = (
-                    ("y", "height", "right", "left")
-                    if mark.lying
-                    else ("x", "width", "top", "bottom")
-                )
-                ends = dict(
-                    zip(sides, (at, np.full(len(at), mark.thickness), value, start), strict=True)
-                )
-                glyph = "hbar" if mark.lying else "vbar"
-                found = [_Layer(glyph=glyph, columns=ends | colors, fixed=paint, hover=mark.hover)]
+                near, far = at - mark.thickness / 2, at + mark.thickness / 2
+                sides = ("left", "right", "bottom", "top")
+                places = (start, end, near, far) if mark.lying else (near, far, start, end)
+                box = {**dict(zip(sides, places, strict=True)), "color": colors}
+                found = [_Layer("quad", box, paint, mark.hover)]
             else:
-                stem = {f"{first}0": at, f"{first}1": at, f"{second}0": start, f"{second}1": value}
-                tip = {first: at, second: value, **colors}
+                stems = {**_segments(at, start, end, mark.lying), "color": colors}
+                x, y = (end, at) if mark.lying else (at, end)
+                tips = {"x": x, "y": y, "color": colors}
                 found = [
-                    _Layer(
-                        glyph="segment", columns=stem | colors, fixed=paint | {"line_width": 1.5}
-                    ),
-                    _Layer(
-                        glyph="scatter", columns=tip, fixed=paint | {"size": 4}, hover=mark.hover
-                    ),
+                    _Layer("segment", stems, {**paint, "line_width": 1.5}),
+                    _Layer("scatter", tips, {**paint, "size": 4}, mark.hover),
                 ]
-            found += _whiskers(mark, at, along, _INK, mark.lying)
-            return found
+            return [*found, *_whiskers(mark, at, along, _INK, mark.lying)]
         case Image():
             left, width = _extent(mark.x)
             low, height = _extent(mark.y)
-            x, y = np.meshgrid(mark.x, mark.y)
-            names = (panel.x.label or "x", panel.y.label or "y")
-            shown = {**dict(zip(names, (x, y), strict=True)), mark.name: mark.values, **mark.hover}
+            across, up = np.meshgrid(mark.x, mark.y)
+            shown = {panel.x.label or "x": across, panel.y.label or "y": up, mark.name: mark.values}
+            shown |= mark.hover
             hover: dict[str, Any] = {title: [_compact(each)] for title, each in shown.items()}
             if mark.scale.names:
-                kinds = np.ravel(mark.values)
-                hover[mark.name] = [
-                    [
-                        mark.scale.names[int(k - mark.scale.low)] if np.isfinite(k) else "–"
-                        for k in kinds
-                    ]
-                ]
+                kinds = np.nan_to_num(np.ravel(mark.values) - mark.scale.low, nan=-1.0)
+                hover[mark.name] = [[(*mark.scale.names, "–")[int(k)] for k in kinds]]
             columns = {"image": [_shade(mark.scale, mark.values)], "x": [left], "y": [low]}
             columns |= {"dw": [width], "dh": [height]}
             palette = {"palette": _palette(mark.scale)}
-            return [_Layer(glyph="image", columns=columns, fixed=palette, hover=hover)]
+            return [_Layer("image", columns, palette, hover)]
         case Pixels():
             rows, count = mark.rgb.shape[:2]
             rgba = np.full((rows, count, 4), 255, np.uint8)
             rgba[..., :3] = mark.rgb if panel.y.flipped else mark.rgb[::-1]
             image = [np.ascontiguousarray(rgba).view(np.uint32)[..., 0]]
             columns = {"image": image, "x": [0], "y": [0], "dw": [count], "dh": [rows]}
-            return [_Layer(glyph="image_rgba", columns=columns)]
+            return [_Layer("image_rgba", columns)]
         case Segments():
             pairs = np.moveaxis(np.asarray(mark.ends, dtype=float), 0, -1)
             columns = {f"x{k}": _place(panel.x, pairs[k, 0]) for k in (0, 1)}
             columns |= {f"y{k}": _place(panel.y, pairs[k, 1]) for k in (0, 1)}
             paint = {"line_color": _seen(mark.color), "line_width": mark.width * _PIXELS}
-            return [_Layer(glyph="segment", columns=columns, fixed=paint)]
+            return [_Layer("segment", columns, paint)]
         case Rule():
             place = _place(panel.x if mark.axis == "x" else panel.y, [mark.at])
             stroke = {"line_color": _seen(mark.color), **_stroke(mark)}
             glyph = "vspan" if mark.axis == "x" else "hspan"
-            return [_Layer(glyph=glyph, columns={mark.axis: place}, fixed=stroke)]
+            return [_Layer(glyph, {mark.axis: place}, stroke)]
         case Text():
             spot = {"x": _place(panel.x, [mark.x]), "y": _place(panel.y, [mark.y])}
             return [_writing(spot, [mark.text], mark.side, _seen(mark.color))]
@@ -342,19 +325,19 @@ def _writing(xy: Mapping[str, Any], texts: Sequence[str], side: str, color: str)
         "text_color": color, "text_font_size": "11px", "text_align": align, "text_baseline": baseline,
         "x_offset": x, "y_offset": y,
     }  # fmt: skip
-    return _Layer(
-        glyph="text", columns={**xy, "text": [_plain(each) for each in texts]}, fixed=fixed
-    )
+    return _Layer("text", {**xy, "text": [_plain(each) for each in texts]}, fixed)
 
 
 def _whiskers(mark: Dots | Bars, at: Array, axis: Axis, color: str, lying: bool) -> list[_Layer]:
     if mark.low is None or mark.high is None:
         return []
-    low, high = _ends(axis, mark.low, mark.high)
+    ends = _segments(at, *_ends(axis, mark.low, mark.high), lying)
+    return [_Layer("segment", ends, {"line_color": color, "line_width": 1.7})]
+
+
+def _segments(at: Array, start: Array, end: Array, lying: bool) -> dict[str, Any]:
     first, second = ("y", "x") if lying else ("x", "y")
-    columns = {f"{first}0": at, f"{first}1": at, f"{second}0": low, f"{second}1": high}
-    fixed = {"line_color": color, "line_width": 1.7}
-    return [_Layer(glyph="segment", columns=columns, fixed=fixed)]
+    return {f"{first}0": at, f"{first}1": at, f"{second}0": start, f"{second}1": end}
 
 
 def _band(mark: Line, panel: Panel) -> dict[str, Any]:
@@ -397,10 +380,14 @@ def _shade(scale: Scale, values: Array) -> Array:
     if scale.kind == "names":
         shades = 1.0 + given - scale.low
     else:
-        low, high = _along(scale, [_low(scale), scale.high])
+        low, high = _along(scale, _limits(scale))
         share = np.clip((_along(scale, given) - low) / ((high - low) or 1.0), 0.0, 1.0)
         shades = 1.0 + np.rint((_SHADES - 1) * share)
     return np.where(np.isfinite(given) & np.isfinite(shades), shades, 0.0).astype(np.uint8)
+
+
+def _limits(scale: Scale) -> tuple[float, float]:
+    return -scale.high if scale.kind == "signed" else scale.low, scale.high
 
 
 def _along(scale: Scale, values: Any) -> Array:
@@ -409,10 +396,6 @@ def _along(scale: Scale, values: Any) -> Array:
     if scale.kind == "signed":
         return signed_place(given, scale.threshold)
     return np.log10(np.maximum(given, 1e-300)) if scale.kind == "log" else given
-
-
-def _low(scale: Scale) -> float:
-    return -scale.high if scale.kind == "signed" else scale.low
 
 
 def _extent(places: Array) -> tuple[float, float]:
@@ -441,21 +424,16 @@ def _options(plot: Plot, k: int) -> dict[str, Any]:
         width = _WIDE if plot.wide else _ALONE
     else:
         width = _PAIR if plot.columns <= 2 and not panel.square else _ABREAST
-    ratio = plot.height
+    ratio = plot.height * (plot.rows[k // plot.columns] / max(plot.rows) if plot.rows else 1.0)
     if panel.square:
-        spans = [
-            None if axis.low is None or axis.high is None else axis.high - axis.low
-            for axis in (panel.x, panel.y)
-        ]
-        ratio = spans[1] / spans[0] if spans[0] and spans[1] else 1.0
-    relative = (
-        1.0 if panel.square or not plot.rows else plot.rows[k // plot.columns] / max(plot.rows)
-    )
+        x, y = ((axis.high or 0.0) - (axis.low or 0.0) for axis in (panel.x, panel.y))
+        known = None not in (panel.x.low, panel.x.high, panel.y.low, panel.y.high)
+        ratio = y / x if known else 1.0
     return {
         "x_axis_type": "log" if panel.x.kind == "log" else "linear",
         "y_axis_type": "log" if panel.y.kind == "log" else "linear",
         "frame_width": None if stretched else width,
-        "frame_height": round(width * ratio * relative),
+        "frame_height": round(width * ratio),
         "width_policy": "max" if stretched else "min",
         "width": None,
         "height": None,
@@ -467,10 +445,6 @@ def _options(plot: Plot, k: int) -> dict[str, Any]:
 
 def _figure(panel: Panel, options: dict[str, Any]) -> Any:
     """Make an empty figure with tools but none active: these would take gestures that scroll pages."""
-    from bokeh.models import DataRange1d, LinearAxis, Range1d
-    from bokeh.models.annotations import Label
-    from bokeh.plotting import figure
-
     padding = 0.0 if any(isinstance(mark, Image | Pixels) for mark in panel.marks) else 0.06
     ranges: Any = {
         name: DataRange1d(flipped=axis.flipped, range_padding=padding)
@@ -516,8 +490,6 @@ def _texts(panel: Panel) -> dict[str, dict[float, str]]:
 
 def _add(frame: Any, layer: _Layer) -> Any:
     """Draw a layer."""
-    from bokeh.models import ColumnDataSource, HoverTool, LinearColorMapper
-
     options: dict[str, Any] = {**layer.fixed, **{name: name for name in layer.columns}}
     if colors := options.pop("palette", ()):
         mapper = LinearColorMapper(
@@ -536,8 +508,6 @@ def _add(frame: Any, layer: _Layer) -> Any:
 
 @cache
 def _gradient(palette: str) -> tuple[str, ...]:
-    from bokeh.palettes import Viridis256, interp_palette
-
     colors = GRADIENTS[palette]
     return tuple(interp_palette(Viridis256 if colors == "viridis" else tuple(colors), _SHADES))
 
@@ -548,9 +518,6 @@ def _palette(scale: Scale) -> tuple[str, ...]:
 
 
 def _color_bar(frame: Any, scale: Scale) -> Any:
-    from bokeh.models import LinearColorMapper
-    from bokeh.models.annotations import ColorBar
-
     bar = ColorBar(
         color_mapper=LinearColorMapper(palette=list(_palette(scale)), low=0.0, high=1.0),
         height=8, title_text_color=_INK, major_label_text_color=_INK, title_text_font_size="11px",
@@ -561,7 +528,7 @@ def _color_bar(frame: Any, scale: Scale) -> Any:
 
 
 def _set_bar(bar: Any, scale: Scale) -> None:
-    low, high = (float(end) for end in _along(scale, [_low(scale), scale.high]))
+    low, high = (float(end) for end in _along(scale, _limits(scale)))
     bar.color_mapper.update(low=low, high=high)
     bar.title = _plain(f"{scale.label}   (▶ and above)" if scale.beyond else scale.label)
     ticks = scale.ticks
@@ -573,15 +540,12 @@ def _set_bar(bar: Any, scale: Scale) -> None:
 
 def _set_axis(axis: Any, limits: Any, new: Axis, old: Axis | None) -> None:
     """Set label, ticks and, where they are others than before, limits."""
-    from bokeh.models import Range1d
-
     axis.axis_label = _plain(new.label)
     if new.ticks is not None:
         _set_ticks(axis, _place(new, list(new.ticks)), [shorten(t, 24) for t in new.ticks.values()])
     ends = [None if end is None else float(_place(new, end)) for end in (new.low, new.high)]
-    if limits is None or (
-        old and (new.low, new.high, new.threshold) == (old.low, old.high, old.threshold)
-    ):
+    same = old and (new.low, new.high, new.threshold) == (old.low, old.high, old.threshold)
+    if limits is None or same:
         return
     start, end = reversed(ends) if new.flipped else ends
     known = {name: at for name, at in (("start", start), ("end", end)) if at is not None}
@@ -591,8 +555,6 @@ def _set_axis(axis: Any, limits: Any, new: Axis, old: Axis | None) -> None:
 
 
 def _set_ticks(axis: Any, places: Iterable[float], texts: Iterable[str]) -> None:
-    from bokeh.models import FixedTicker
-
     ticks = [float(place) for place in places]
     if isinstance(axis.ticker, FixedTicker):
         axis.ticker.ticks = ticks
@@ -603,13 +565,11 @@ def _set_ticks(axis: Any, places: Iterable[float], texts: Iterable[str]) -> None
 
 def _names(frame: Any, scale: Scale) -> None:
     """Put the names of a scale's colours below a figure."""
-    _legend(
-        frame,
-        {
-            name: [frame.scatter([np.nan], [np.nan], marker="square", size=10, color=color)]
-            for name, color in zip(scale.names, scale.colors, strict=True)
-        },
-    )
+    entries = {
+        name: [frame.scatter([np.nan], [np.nan], marker="square", size=10, color=color)]
+        for name, color in zip(scale.names, scale.colors, strict=True)
+    }
+    _legend(frame, entries)
 
 
 def _legends(figures: Sequence[Any], entries: Mapping[str, Mapping[int, list[Any]]]) -> list[Any]:
@@ -628,8 +588,6 @@ def _legends(figures: Sequence[Any], entries: Mapping[str, Mapping[int, list[Any
 
 def _legend(frame: Any, entries: Mapping[str, list[Any]]) -> list[Any]:
     """Put a legend under a figure, a row for each entry; a click hides or shows its marks."""
-    from bokeh.models.annotations import Legend, LegendItem
-
     items = [LegendItem(label=_plain(label), renderers=drawn) for label, drawn in entries.items()]
     legend = Legend(
         items=items, click_policy="hide", location="top_left", background_fill_color=None,
@@ -642,16 +600,15 @@ def _legend(frame: Any, entries: Mapping[str, list[Any]]) -> list[Any]:
 
 def _arranged(plot: Plot, figures: list[Any]) -> LayoutDOM:
     """Panels side by side in as many rows as the place is narrow, or one above the other."""
-    from bokeh.models import Column, Row
-
-    first = figures[0]
+    first: Any = figures[0]
     for other in figures[1:]:
         if plot.share in ("x", "both"):
             other.x_range = first.x_range
         if plot.share in ("y", "both"):
             other.y_range = first.y_range
     if len(figures) == 1:
-        return cast("LayoutDOM", first)
+        only: LayoutDOM = first
+        return only
     if plot.columns == 1:
         return Column(children=figures, sizing_mode="stretch_width")
     wrap: Any = {"flex-wrap": "wrap", "justify-content": "center", "gap": "8px"}
