@@ -322,7 +322,7 @@ def test_many_dots_are_an_image_within_the_svg(tmp_path):
 
 def test_files_that_are_no_pictures_or_cannot_be_written(tmp_path):
     one = plot(Panel(marks=()))
-    with pytest.raises(FileFormatError, match="give .png, .pdf, .svg"):
+    with pytest.raises(FileFormatError, match="give .svg, .png, .pdf"):
         write(one, tmp_path / "p.gif")
     with pytest.raises(FileFormatError, match="cannot be written"):
         write(one, tmp_path / "no" / "p.png")

@@ -63,7 +63,7 @@ def test_grid_lines_are_broken_where_the_warp_jumps():
 def test_warps__several_and_one_alone():
     plot = describe("warp", {"a": warp("disk"), "b": warp('disk(warp="polar")')})
     assert len({image.scale for image in marks(plot, Image)}) == 1
-    assert "continuous, mean stretch" in plot.panels[1].x.label
+    assert "continuous\nmean stretch" in plot.panels[1].x.label
     assert len(plot.panels) == 4
     assert describe("warp", warp("disk")).panels[0].title == "disk"
     drawn_by_both(describe("warp", warp("uniform")))

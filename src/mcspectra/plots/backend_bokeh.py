@@ -35,7 +35,7 @@ from mcspectra.plots.description import (
     Text,
 )
 from mcspectra.plots.scales import log_ticks, signed_place, tick_label
-from mcspectra.plots.style import FAINT, GRADIENTS, INK
+from mcspectra.plots.style import FAINT, GRADIENTS, GRAY, INK
 from mcspectra.plots.text import shorten
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ __all__ = ["Drawn", "draw", "packed", "script"]
 
 _INK = "#767676"  # a contrast of 4.5 to white and of 3.9 to the dark page
 _GRID = "rgba(128, 128, 128, 0.25)"
-_SEEN = {INK: _INK, FAINT: _GRID, "#4D4D4D": "#8A8A8A"}  # on light and dark pages
+_SEEN = {INK: _INK, GRAY: "#ABABAB", FAINT: _GRID, "#4D4D4D": "#8A8A8A"}  # on light and dark pages
 _NOWHERE = "#808080"
 _MARKERS = {
     "o": "circle",
@@ -55,12 +55,13 @@ _MARKERS = {
     "v": "inverted_triangle",
     "P": "plus",
     "X": "x",
+    "|": "dash",  # which lies, and is turned
 }
 _DASHES = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dashdot"}
 _SHADES = 255  # colours of a palette; the shade 0 is that of no value
 _KEPT_BITS = 10  # of the mantissa of values under the pointer: 0.1 %, three digits
 _PIXELS = 4 / 3  # of a point
-_ALONE, _ABREAST, _PAIR = 264, 216, 300  # widths of frames in pixels
+_ALONE, _WIDE, _ABREAST, _PAIR = 260, 300, 216, 260  # widths of frames in pixels
 _USUAL = 560  # width in pixels that the height of a figure as wide as its place is taken from
 _TOOLS = "pan,box_zoom,wheel_zoom,reset,save"
 
@@ -232,8 +233,10 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
         case Dots():
             size = np.broadcast_to(_PIXELS * np.asarray(mark.size, dtype=float), len(mark.x))
             xy = {"x": _place(panel.x, mark.x), "y": _place(panel.y, mark.y), "size": size}
-            width = 2 if mark.marker in "PX" else 0.5
+            width = 2 if mark.marker in "PX|" else 0.5
             fixed: dict[str, Any] = {"marker": _MARKERS[mark.marker], "line_width": width}
+            if mark.marker == "|":
+                fixed["angle"] = np.pi / 2
             if isinstance(mark.color, str):
                 color = fixed["color"] = _seen(mark.color)
             else:
@@ -289,7 +292,10 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
             if mark.scale.names:
                 kinds = np.ravel(mark.values)
                 hover[mark.name] = [
-                    [mark.scale.names[int(k)] if np.isfinite(k) else "–" for k in kinds]
+                    [
+                        mark.scale.names[int(k - mark.scale.low)] if np.isfinite(k) else "–"
+                        for k in kinds
+                    ]
                 ]
             columns = {"image": [_shade(mark.scale, mark.values)], "x": [left], "y": [low]}
             columns |= {"dw": [width], "dh": [height]}
@@ -389,7 +395,7 @@ def _shade(scale: Scale, values: Array) -> Array:
     """Colours of values: 1 to 255 along the palette, 0 for what is not finite."""
     given = np.asarray(values, dtype=float)
     if scale.kind == "names":
-        shades = 1.0 + given
+        shades = 1.0 + given - scale.low
     else:
         low, high = _along(scale, [_low(scale), scale.high])
         share = np.clip((_along(scale, given) - low) / ((high - low) or 1.0), 0.0, 1.0)
@@ -432,15 +438,24 @@ def _options(plot: Plot, k: int) -> dict[str, Any]:
     if stretched:
         width = _USUAL
     elif len(plot.panels) == 1:
-        width = _ALONE
+        width = _WIDE if plot.wide else _ALONE
     else:
         width = _PAIR if plot.columns <= 2 and not panel.square else _ABREAST
-    relative = plot.rows[k // plot.columns] / max(plot.rows) if plot.rows else 1.0
+    ratio = plot.height
+    if panel.square:
+        spans = [
+            None if axis.low is None or axis.high is None else axis.high - axis.low
+            for axis in (panel.x, panel.y)
+        ]
+        ratio = spans[1] / spans[0] if spans[0] and spans[1] else 1.0
+    relative = (
+        1.0 if panel.square or not plot.rows else plot.rows[k // plot.columns] / max(plot.rows)
+    )
     return {
         "x_axis_type": "log" if panel.x.kind == "log" else "linear",
         "y_axis_type": "log" if panel.y.kind == "log" else "linear",
         "frame_width": None if stretched else width,
-        "frame_height": width if panel.square else round(width * plot.height * relative),
+        "frame_height": round(width * ratio * relative),
         "width_policy": "max" if stretched else "min",
         "width": None,
         "height": None,

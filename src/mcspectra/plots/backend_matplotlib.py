@@ -48,7 +48,7 @@ __all__ = ["FORMATS", "GivenAxes", "draw", "encode", "panel_axes", "write"]
 GivenAxes: TypeAlias = "Axes | Iterable[Axes] | np.ndarray[Any, Any] | None"
 """Axes to draw into, one a panel (an array is read row by row); None makes a figure."""
 
-FORMATS = (".png", ".pdf", ".svg")
+FORMATS = (".svg", ".png", ".pdf")
 """Extensions of the files that `write` makes."""
 
 _NARROW, _WIDE = 4.9, 7.4  # inches: up to two panels abreast, and more or a wide plot

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots.style import LineStyle
+from mcspectra.plots.description import Line
+from mcspectra.plots.style import LineStyle, labels, line_widths
 from mcspectra.plots.text import interval, number
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ __all__ = [
     "frequency_dims",
     "intervals",
     "labelled",
+    "lines_of",
     "numbers",
     "pairs",
     "variant_dims",
@@ -115,6 +117,48 @@ def abreast(count: int) -> int:
 def for_each(group: Group, words: Callable[[xr.Dataset], str]) -> str:
     """Return what is said of each result, after its name."""
     return "; ".join(f"{name}: {words(each)}" for name, each in group.items()) + "."
+
+
+def lines_of(
+    curves: Mapping[str, Sequence[Array]],
+    styles: Styles,
+    under: tuple[str, str],
+    *,
+    texts: Mapping[str, Sequence[str]] | None = None,
+    notes: Mapping[str, str] | None = None,
+) -> list[Line]:
+    """Return lines by name, the first ones thickest, so that one that coincides still shows.
+
+    Parameters
+    ----------
+    curves
+        x and y, and for a band its ends.
+    styles
+        How each name is drawn.
+    under
+        Titles of x and y under the pointer.
+    texts
+        What stands for y there; by default its number.
+    notes
+        What the legend adds to a name.
+    """
+    names, made = labels(list(curves), 40), list[Line]()
+    for (name, (x, y, *ends)), width in zip(curves.items(), line_widths(len(curves)), strict=True):
+        shown = (texts or {}).get(name) or numbers(y)
+        made.append(
+            Line(
+                x=x,
+                y=y,
+                color=styles[name].color,
+                dashes=styles[name].dashes,
+                width=width,
+                low=ends[0] if ends else None,
+                high=ends[1] if ends else None,
+                label=names[name] + (notes or {}).get(name, ""),
+                hover={"sampler": [name] * x.size, under[0]: numbers(x), under[1]: shown},
+            )
+        )
+    return made
 
 
 def numbers(values: Array | Iterable[float], digits: int = 4) -> list[str]:

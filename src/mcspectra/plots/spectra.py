@@ -26,9 +26,17 @@ from mcspectra.plots.description import (
     Rule,
     Scale,
 )
-from mcspectra.plots.groups import Group, Styles, abreast, for_each, frequency_dims, numbers
+from mcspectra.plots.groups import (
+    Group,
+    Styles,
+    abreast,
+    for_each,
+    frequency_dims,
+    lines_of,
+    numbers,
+)
 from mcspectra.plots.scales import log_axis, signed_axis, signed_scale
-from mcspectra.plots.style import FAINT, GRAY, INK, labels, line_widths
+from mcspectra.plots.style import FAINT, GRAY, INK
 from mcspectra.plots.text import number, percent
 
 if TYPE_CHECKING:
@@ -122,23 +130,11 @@ def radial(group: Group, styles: Styles) -> Plot:
 
 def pair_correlation(group: Group, styles: Styles) -> Plot:
     """Pair correlation g(r) with a band of two standard errors, and the level of random points."""
-    names, marks = labels(list(group), 40), [Rule(at=1.0)]
-    found: list[Mark] = [*marks]
+    curves = {}
     for name, each in group.items():
-        r, g = each["r"].values, each["pair_correlation"].values
-        spread = 2.0 * each["pair_correlation_se"].values
-        found.append(
-            Line(
-                x=r,
-                y=g,
-                color=styles[name].color,
-                dashes=styles[name].dashes,
-                low=g - spread,
-                high=g + spread,
-                label=names[name],
-                hover={"sampler": [name] * r.size, "r": numbers(r), "g": numbers(g)},
-            )
-        )
+        g, spread = each["pair_correlation"].values, 2.0 * each["pair_correlation_se"].values
+        curves[name] = (each["r"].values, g, g - spread, g + spread)
+    found: list[Mark] = [Rule(at=1.0), *lines_of(curves, styles, ("r", "g"))]
     axis = Axis(label="pair correlation g(r)", low=0.0)
     panel = Panel(marks=tuple(found), x=Axis(label="distance r"), y=axis, grid=True)
     return Plot(
@@ -433,23 +429,12 @@ def _power_panel(
     axis: Axis,
 ) -> Panel:
     """Power as lines; logarithmic where frequencies are, or peaks would hide the rest."""
-    names, frequency = labels(list(curves), 40), axis.label.partition(" ")[0]
     every = np.concatenate([y[np.isfinite(y)] for _, y in curves.values()])
     top, low = float(every.max(initial=1.5)), float(every.min(initial=0.5))
     logarithmic = axis.kind == "log" or top > _LINEAR_TOP
-    marks: list[Mark] = [Rule(at=1.0)]
-    for (name, (x, y)), width in zip(curves.items(), line_widths(len(curves)), strict=True):
-        marks.append(
-            Line(
-                x=x,
-                y=np.maximum(y, _FLOOR) if logarithmic else y,
-                color=styles[name].color,
-                dashes=styles[name].dashes,
-                width=width,
-                label=names[name],
-                hover={"sampler": [name] * x.size, frequency: numbers(x), "power": hover[name]},
-            )
-        )
+    shown = {n: (x, np.maximum(y, _FLOOR) if logarithmic else y) for n, (x, y) in curves.items()}
+    under = (axis.label.partition(" ")[0], "power")
+    marks: list[Mark] = [Rule(at=1.0), *lines_of(shown, styles, under, texts=hover)]
     power = log_axis("", max(low, _FLOOR), top) if logarithmic else Axis(low=0.0, high=1.08 * top)
     return Panel(marks=tuple(marks), x=axis, y=power, grid=True)
 

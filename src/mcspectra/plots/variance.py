@@ -12,7 +12,7 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.plots.description import Axis, Bars, Dots, Line, Mark, Panel, Plot, Rule
-from mcspectra.plots.groups import Group, Styles, abreast, for_each, intervals, numbers
+from mcspectra.plots.groups import Group, Styles, abreast, for_each, intervals, lines_of, numbers
 from mcspectra.plots.scales import count_axis, log_axis, name_axis, signed_axis
 from mcspectra.plots.style import (
     ACCENT,
@@ -22,7 +22,6 @@ from mcspectra.plots.style import (
     PALETTE,
     LineStyle,
     labels,
-    line_widths,
 )
 from mcspectra.plots.text import MISSING, NEGLIGIBLE, number, number_beside, percent, rate, shorten
 
@@ -88,28 +87,23 @@ def strategy_curves(curves: xr.Dataset, names: Mapping[str, str], styles: Styles
     styles
         How each sampler is drawn.
     """
-    panels = []
-    for strategy in map(str, curves["strategy"].values):
-        own = curves.sel(strategy=strategy)
-        marks: list[Mark] = []
-        for sampler in map(str, curves["sampler"].values):
-            each = own.sel(sampler=sampler)
-            marks += _curve(each, styles[sampler], shorten(sampler), joined=True)
-        panel = _variance_panel(marks, [curves.sel(sampler=s) for s in curves["sampler"]])
-        label = replace(panel.x, label="number of samples n of each technique")
-        panels.append(replace(panel, x=label, title=names[strategy]))
-    words = (
-        f"{names[str(each['strategy'].values)]}, {each['sampler'].values}: {_rate_text(each)}"
-        for each in (
-            curves.isel(strategy=i, sampler=j) for i, j in np.ndindex(curves["rate"].shape)
-        )
+    panels, said = _curve_panels(
+        {
+            names[strategy]: {
+                shorten(sampler): (curves.sel(strategy=strategy, sampler=sampler), styles[sampler])
+                for sampler in map(str, curves["sampler"].values)
+            }
+            for strategy in map(str, curves["strategy"].values)
+        },
+        "number of samples n of each technique",
+        joined=True,
     )
     return Plot(
         kind="strategy-curves",
-        panels=tuple(panels),
+        panels=panels,
         columns=2,
         caption="Variance against n by each strategy, with 95 % intervals.",
-        words="Logarithmic plots of variance against n. " + "; ".join(words) + ".",
+        words=said,
         share="both",
         wide=True,
     )
@@ -117,22 +111,19 @@ def strategy_curves(curves: xr.Dataset, names: Mapping[str, str], styles: Styles
 
 def exact(group: Group, styles: Styles) -> Plot:
     """Exact variances against n."""
-    names = labels(list(group), 44)
-    marks: list[Mark] = []
+    curves = {}
     for name, each in group.items():
         there = each["exact_variance"].values > 0
-        n, variance = each["n"].values[there].astype(float), each["exact_variance"].values[there]
-        label = names[name] + ("" if there.any() else ": no closed form")
-        shown = {
-            "sampler": [name] * n.size,
-            "n": numbers(n),
-            "exact variance": numbers(variance, 6),
-        }
-        style = styles[name]
-        marks.append(Line(x=n, y=variance, color=style.color, dashes=style.dashes, label=label))
-        marks.append(
-            Dots(x=n, y=variance, color=style.color, marker=style.marker, label=label, hover=shown)
-        )
+        n, variance = each["n"].values.astype(float), each["exact_variance"].values
+        curves[name] = (n[there], variance[there])
+    notes = {name: "" if n.size else ": no closed form" for name, (n, _) in curves.items()}
+    marks: list[Mark] = []
+    for name, line in zip(
+        curves, lines_of(curves, styles, ("n", "exact variance"), notes=notes), strict=True
+    ):
+        marker = styles[name].marker
+        dots = Dots(x=line.x, y=line.y, color=line.color, marker=marker, label=line.label)
+        marks += [line, dots]
     values = np.concatenate([each["exact_variance"].values for each in group.values()])
     counts = [int(n) for each in group.values() for n in each["n"].values]
     found = values[values > 0]
@@ -192,30 +183,23 @@ def terms(group: Group, styles: Styles) -> Plot:
 
 def captured(group: Group, styles: Styles) -> Plot:
     """Predicted over measured variance against the half width of the spectrum."""
-    names = labels(list(group), 40)
     curves = {n: d["captured_by_half_width"].values for n, d in group.items()}
     every = np.concatenate(list(curves.values()))
     # Half width 0 is the dc term alone: rounding (1e-20) where weights are uniform
     positive = every[np.isfinite(every) & (every > NEGLIGIBLE)]
     logarithmic = float(positive.max(initial=1.0)) > _LINEAR_TOP
-    marks: list[Mark] = [Rule(at=1.0)]
-    for (name, curve), width in zip(curves.items(), line_widths(len(curves)), strict=True):
-        half = group[name]["half_width"].values.astype(float)
-        marks.append(
-            Line(
-                x=half,
-                y=np.where(curve > NEGLIGIBLE, curve, np.nan) if logarithmic else curve,
-                color=styles[name].color,
-                dashes=styles[name].dashes,
-                width=width,
-                label=names[name] + ("" if np.isfinite(curve).any() else ": no finite prediction"),
-                hover={
-                    "sampler": [name] * len(half),
-                    "half width": numbers(half),
-                    "share": numbers(curve),
-                },
-            )
+    shown = {
+        name: (
+            group[name]["half_width"].values.astype(float),
+            np.where(curve > NEGLIGIBLE, curve, np.nan) if logarithmic else curve,
         )
+        for name, curve in curves.items()
+    }
+    none = {n: "" if np.isfinite(c).any() else ": no finite prediction" for n, c in curves.items()}
+    marks: list[Mark] = [
+        Rule(at=1.0),
+        *lines_of(shown, styles, ("half width", "share"), notes=none),
+    ]
     label, top = "predicted / measured", float(positive.max(initial=1.0))
     axis = (
         log_axis(label, min(float(positive.min(initial=1.0)), 1.0), top)
@@ -283,28 +267,14 @@ def technique_rates(group: Group, styles: Styles) -> Plot:
         measured = {k: each[k.replace("variance", "measured_variance")] for k in _CURVE}
         whole = (each[["mean"]].assign(measured), LineStyle(color=INK, marker="X", dashes="--"))
         curves[name]["all together"] = whole
-    results = [data for parts in curves.values() for data, _ in parts.values()]
-    panels = [
-        replace(
-            _variance_panel(
-                [m for key, part in parts.items() for m in _curve(*part, key)], results
-            ),
-            title=name,
-        )
-        for name, parts in curves.items()
-    ]
-    said = [
-        f"{name}, {key}: {_rate_text(data)}"
-        for name, parts in curves.items()
-        for key, (data, _) in parts.items()
-    ]
+    panels, said = _curve_panels(curves)
     return Plot(
         kind="technique-rates",
-        panels=tuple(panels),
+        panels=panels,
         columns=min(2, len(panels)),
         caption="Variance of each technique's part of the estimate and of their sum against the number "
         "of points, with 95 % intervals and rates: the slowest technique decides the rate.",
-        words="Logarithmic plot of variance against n. " + "; ".join(said) + ".",
+        words=said,
         share="both",
     )
 
@@ -400,7 +370,7 @@ def remedies(group: Group, styles: Styles) -> Plot:
     known = np.concatenate([each["error_ratio_ci"].values.ravel() for each in group.values()])
     known = known[np.isfinite(known) & (known > 0)]
     axis = log_axis(
-        "error at the budget / that of the set-up as given",
+        "error / error of the set-up as given",
         float(known.min(initial=0.5)),
         float(known.max(initial=2.0)),
     )
@@ -507,6 +477,23 @@ def _variance_panel(marks: Sequence[Mark], results: Iterable[xr.Dataset]) -> Pan
         grid=True,
         note="" if every.size else "no variance above rounding noise",
     )
+
+
+def _curve_panels(
+    parts: Mapping[str, Mapping[str, tuple[xr.Dataset, LineStyle]]],
+    label: str = "number of points n",
+    *,
+    joined: bool = False,
+) -> tuple[tuple[Panel, ...], str]:
+    """Panels of curves by title and name, on the same axes, and their rates in words."""
+    every = [data for curves in parts.values() for data, _ in curves.values()]
+    panels, said = [], []
+    for title, curves in parts.items():
+        marks = [m for name, each in curves.items() for m in _curve(*each, name, joined=joined)]
+        panel = _variance_panel(marks, every)
+        panels.append(replace(panel, x=replace(panel.x, label=label), title=title))
+        said += [f"{title}, {name}: {_rate_text(data)}" for name, (data, _) in curves.items()]
+    return tuple(panels), f"Logarithmic plots of variance against n. {'; '.join(said)}."
 
 
 def _curve(data: xr.Dataset, style: LineStyle, name: str, *, joined: bool = False) -> list[Mark]:

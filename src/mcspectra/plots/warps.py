@@ -67,7 +67,7 @@ def warp(group: Group, styles: Styles) -> Plot:
             panels.append(
                 Panel(
                     marks=marks,
-                    x=unit_axis(f"u₀\n{_warp_words(each)}"),
+                    x=unit_axis("u₀\n" + _warp_words(each).replace(", ", "\n")),
                     y=unit_axis("u₁"),
                     title=f"{name}: stretch",
                     square=True,
@@ -77,7 +77,7 @@ def warp(group: Group, styles: Styles) -> Plot:
     return Plot(
         kind="warp",
         panels=tuple(panels),
-        columns=abreast(len(panels)) if dims == 1 else 2,
+        columns=abreast(len(panels)) if dims == 1 else 2 if len(group) <= 3 else 4,
         caption=caption,
         words="Warps. " + for_each(group, _warp_words),
         height=0.75 if dims == 1 else 1.0,

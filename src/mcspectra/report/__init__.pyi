@@ -1,6 +1,4 @@
-from . import figures as figures
 from .compare import write_comparison as write_comparison
-from .reproduction.run import reproduce as reproduce
 from .sentences import explain as explain
 from .study import write_report as write_report
 from .tables import summary_table as summary_table
@@ -8,8 +6,6 @@ from .tables import terms_table as terms_table
 
 __all__ = [
     "explain",
-    "figures",
-    "reproduce",
     "summary_table",
     "terms_table",
     "write_comparison",

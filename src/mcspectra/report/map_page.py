@@ -32,7 +32,7 @@ from mcspectra.report.page import (
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["map_layers", "map_note", "map_summary", "with_labels", "write_map"]
+__all__ = ["map_layers", "map_note", "map_summary", "write_map"]
 
 _COLUMNS = {
     "mean": "Mean",
@@ -110,19 +110,6 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         ),
     )
     return write_page(page, root / "report.html", root)
-
-
-def with_labels(stored: xr.Dataset, dim: str) -> xr.Dataset:
-    """Make the coordinates of text along `dim` again, which a store keeps as ``labels_*``."""
-    head = "labels_"
-    texts = {str(key): value for key, value in stored.attrs.items() if str(key).startswith(head)}
-    return stored.assign_coords(
-        {
-            key.removeprefix(head): (dim, np.array(value))
-            for key, value in texts.items()
-            if len(value) == stored.sizes[dim]
-        }
-    )
 
 
 def map_layers(result: xr.Dataset) -> dict[str, Array]:

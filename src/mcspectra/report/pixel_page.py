@@ -12,7 +12,7 @@ from mcspectra.plots.description import Plot
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.maps import incident_maps
 from mcspectra.plots.style import sampler_styles
-from mcspectra.plots.text import MISSING, interval, number, percent, rate
+from mcspectra.plots.text import MISSING, number, percent, rate
 from mcspectra.plots.variance import strategy_curves
 from mcspectra.report.page import (
     Cell,
@@ -25,12 +25,11 @@ from mcspectra.report.page import (
     Table,
     Text,
     columns_of,
-    text_cells,
     write_json,
     write_page,
 )
 from mcspectra.report.sentences import explain
-from mcspectra.report.tables import summary_table, terms_table
+from mcspectra.report.tables import analysis_table, summary_table, terms_table
 from mcspectra.studies import SummaryRow, summarize
 
 if TYPE_CHECKING:
@@ -359,7 +358,7 @@ def _sections(tree: xr.DataTree) -> Iterator[Section]:
                 else STRATEGY_NAMES[name]
             )
             group[title] = node.to_dataset()
-        plot = replace(describe("primary", group), caption=_ABOUT_SPACES)
+        plot = replace(describe("primary", group), caption=_ABOUT_SPACES, wide=True)
         figures = _figures(integrands=plot)
         yield Section(title="Integrands on the square", anchor="integrands", blocks=(figures,))
     plot = replace(incident_maps(tree["incident"].to_dataset()), caption=_ABOUT_INCIDENT)
@@ -397,26 +396,12 @@ def _sections(tree: xr.DataTree) -> Iterator[Section]:
     if "remedies" not in tree.children:
         return
     found = tree["remedies"].to_dataset()
-    cells = []
-    for name in found["remedy"].values:
-        one = found.sel(remedy=name)
-        cells.append(
-            (
-                *text_cells(str(name), str(one["verdict"].item())),
-                Cell(text=number(float(one["error_ratio"]))),
-                Cell(text=interval(*one["error_ratio_ci"].values.tolist())),
-                Cell(text=rate(float(one["rate"]), *map(float, one["rate_ci"].values))),
-                *text_cells(str(one["reason"].item())),
-            )
-        )
-    table = Table(
-        caption=f"At {found.attrs['budget']} evaluations, in the order of the error.",
-        columns=("Change", "Verdict", "Error ratio", "95 % interval", "Rate", "Why"),
-        rows=tuple(cells),
-    )
+    made = analysis_table("remedies", {str(known["sampler"]): found})
+    assert made is not None
+    table = columns_of(made[1], made[1].columns[1:])
     text = Text(text=found.attrs["recommendation"])
     figures = _figures(remedies=describe("remedies", found))
-    yield Section(title="Remedies", anchor="remedies", blocks=(text, table, figures))
+    yield Section(title=made[0], anchor="remedies", blocks=(text, table, figures))
 
 
 def _figures(**plots: Plot) -> Figures:

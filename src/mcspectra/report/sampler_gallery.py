@@ -435,12 +435,14 @@ def _table(cards: Sequence[Card], names: Sequence[str]) -> Table:
         rows.append(tuple(cells))
     return Table(
         caption="Rates are exponents of variance in n with half their 95 % intervals, figures of quality "
-        "means with standard errors.",
+        "means with standard errors: "
+        + "; ".join(f"{key.replace('_', ' ')}, {name}" for key, name in figures.items())
+        + ".",
         columns=(
             "Sampler",
             "n",
             *(f"Rate on {text.partition('(')[0]}" for text in texts),
-            *(name[:1].upper() + name[1:] for name in figures.values()),
+            *(key.replace("_", " ").capitalize() for key in figures),
             "Points/s",
         ),
         rows=tuple(rows),

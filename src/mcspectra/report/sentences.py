@@ -21,6 +21,7 @@ _CLOSE = 0.1  # prediction and measurement agree up to this relative difference
 _RATE_MARGIN = (
     1.5  # times the 95 % interval: 3 standard errors, as a page makes dozens of statements
 )
+_SURE = 0.2  # a rate known less well may be another than that of random sampling
 _REMEDY_WORDS = ("diagnosis", "recommendation")
 _TERMS = {
     "dc": "weights: p does not follow f",
@@ -69,13 +70,13 @@ def headline(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
             parts.append(f"the {basis} sum has not converged at half width {width}{cure}")
         elif high < 1.0 and row.captured < 1.0 - _CLOSE:
             share = percent(1.0 - row.captured)
-            parts.append(f"{share} of the variance lies beyond half width {width}")
+            parts.append(f"{share} of the variance lies beyond half width\u00a0{width}")
         elif row.cross_high is not None and row.cross_high < 0:
             parts.append(f"correlation removes {_cross_share(row)} of dc + power")
         elif row.cross_low is not None and row.cross_low > 0:
             parts.append(f"correlation adds {_cross_share(row)} to dc + power")
         else:
-            parts.append("prediction and measurement agree")
+            parts.append("prediction agrees")
     text = "; ".join(part for part in parts if part)
     return f"{text[:1].upper()}{text[1:]}." if text else ""
 
@@ -95,8 +96,8 @@ def bottleneck(row: SummaryRow, terms: xr.Dataset | None = None, technique: str 
     # Strata of n points are n^(-1/d) wide: a quarter of that frequency is coarse for all samplers
     dims = sum(str(dim).startswith("m") and str(dim)[1:].isdigit() for dim in terms.dims)
     if half <= 0.25 * row.terms_n ** (1.0 / max(dims, 1)):
-        return f"coarse shape of f (|m| ≤ {half:.2g})"
-    return f"edges and detail of f (|m| ≥ {half:.2g})"
+        return f"coarse shape (|m|\u00a0≤\u00a0{half:.2g})"
+    return f"edges and detail (|m|\u00a0≥\u00a0{half:.2g})"
 
 
 def further_sentences(analyses: Mapping[str, xr.Dataset]) -> str:
@@ -115,11 +116,9 @@ def _verdict(row: SummaryRow) -> str:
     half = 0.5 * _RATE_MARGIN * (row.rate_high - row.rate_low)
     if row.rate + half < -1.0:
         return "faster than random sampling"
-    return (
-        "slower than random sampling"
-        if row.rate - half > -1.0
-        else "rate within the error of random sampling's −1"
-    )
+    if row.rate - half > -1.0:
+        return "slower than random sampling"
+    return "random sampling's rate" if half < _SURE else "rate undecided"
 
 
 def _rate_sentence(row: SummaryRow) -> str:
@@ -135,7 +134,7 @@ def _rate_sentence(row: SummaryRow) -> str:
     if row.fit_first_n is not None:
         fitted += f", fitted over n = {row.fit_first_n} … {row.n},"
     verdict = _verdict(row)
-    if verdict.startswith("rate"):
+    if not verdict.endswith("sampling"):
         return f"The rate {fitted} lies within three standard errors of random sampling's −1."
     return f"The rate {fitted} is {verdict}'s −1."
 

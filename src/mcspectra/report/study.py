@@ -50,13 +50,19 @@ _LIVE = frozenset(
     {"convergence", "terms", "contributions", "spectrum", "lines", "radial", "points"}
 )
 _DETAILS: Mapping[str, tuple[str, ...]] = {
-    "Frequencies: which of them make the variance": (
+    "Frequencies": (
         "contributions",
         "captured",
         "bands",
         "cross-matrix",
     ),
-    "Samples: spectra and points": ("spectrum", "lines", "radial", "pair-correlation", "points"),
+    "Spectra and points of the samples": (
+        "spectrum",
+        "lines",
+        "radial",
+        "pair-correlation",
+        "points",
+    ),
 }
 """Figures that are folded, by what they show."""
 
@@ -394,7 +400,7 @@ def _estimator(
     # Tables
     terms = terms_table([row for rows in each.rows.values() for row in rows])
     if terms.rows:
-        yield Folded(summary="The three terms against the measured variance", blocks=(terms,))
+        yield Folded(summary="Three terms in numbers", blocks=(terms,))
     for analysis, found in each.analyses.items():
         made = analysis_table(analysis, found)
         if made is not None:

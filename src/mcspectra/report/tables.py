@@ -11,6 +11,7 @@ import numpy as np
 
 from mcspectra.core.analysis import ANALYSES
 from mcspectra.core.errors import McspectraError
+from mcspectra.plots.groups import labelled
 from mcspectra.plots.text import (
     MISSING,
     interval,
@@ -203,16 +204,16 @@ def _prediction(
 
 
 def _remedies(sampler: str, data: xr.Dataset) -> Rows:
-    names, changes, verdicts = (data.attrs[f"labels_{k}"] for k in ("remedy", "change", "verdict"))
-    for i, name in enumerate(names):
-        one = data.isel(remedy=i)
+    found = labelled(data)
+    for name in found["remedy"].values:
+        one = found.sel(remedy=name)
         yield (
-            *text_cells(sampler, name),
+            *text_cells(sampler, str(name)),
             Cell(text=number(float(one["error"]))),
             Cell(text=number(float(one["error_ratio"]))),
             Cell(text=interval(*_ends(one["error_ratio_ci"]))),
             Cell(text=rate(float(one["rate"]), *_ends(one["rate_ci"]))),
-            *text_cells(verdicts[i], changes[i]),
+            *text_cells(str(one["verdict"].item()), str(one["change"].item())),
         )
 
 
