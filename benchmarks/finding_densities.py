@@ -11,21 +11,16 @@ from typing import Any
 import numpy as np
 
 import mcspectra as mcs
-from benchmarks.finding_figures import (
-    Curve,
-    panels,
-    slopes,
-    small_legend,
-    variance_panel,
-    with_interval,
-)
+from benchmarks.finding_figures import Curve, slopes, variance_panels, variance_plot, with_interval
 from mcspectra.estimators import split_mixture
-from mcspectra.report.figures import warp_maps
-from mcspectra.report.style import GRAY, INK, entitle
+from mcspectra.plots.description import Line, Panel, Plot, Rule
+from mcspectra.plots.kinds import describe
+from mcspectra.plots.scales import log_axis
+from mcspectra.plots.style import GRAY, INK
 
 __all__ = ["channels", "infinite_weights", "mis_slowest", "warps"]
 
-Figures = dict[str, Any]
+Plots = dict[str, Plot]
 
 COUNTS, LARGE, LONG = (16, 64, 256, 1024), (64, 256, 1024, 4096), (4, 16, 64, 256, 1024, 4096)
 LIGHT = "piecewise-constant(values=[0, 0, 0, 1, 1, 0, 0, 0, 0, 0])"  # the light is [0.3, 0.5]
@@ -38,7 +33,7 @@ TABLE = [[1, 2, 4, 2], [1, 3, 9, 3], [2, 5, 8, 2], [1, 2, 3, 1]]
 WARPS = ("marginal", "hierarchical", "hilbert", "alias")
 
 
-def mis_slowest() -> Figures:
+def mis_slowest() -> Plots:
     """The toy of two techniques, and what heuristics do to a technique that jumps at a light's edge."""
     d = mcs.technique_terms(
         mcs.TechniqueSum(["linear", "step(at=0.3)"], dims=1),
@@ -54,16 +49,15 @@ def mis_slowest() -> Figures:
     fraction = 0.3 * np.array(COUNTS) % 1
     exact = 1 / (12 * np.array(COUNTS) ** 3.0) + fraction * (1 - fraction) / np.array(COUNTS) ** 2.0
     parts = [d.sel(technique=t) for t in (0, 1)]
-    figure, (left, right) = panels(1, 2, 3.0)
     curves = {
         "sum, formula": Curve(np.array(COUNTS), exact),
         "sum": Curve.of(d, "measured_variance"),
         "f = 1[x<0.3]": Curve.of(parts[1], "technique_variance"),
         "f = x": Curve.of(parts[0], "technique_variance"),
     }
-    variance_panel(left, curves, "each technique and their sum")
-    variance_panel(right, heuristics(), "MIS at the edge of a light, exact")
-    return {"mis-slowest": figure}
+    edge = "MIS at the edge of a light, exact"
+    plot = variance_plot({"each technique and their sum": curves, edge: heuristics()})
+    return {"mis-slowest": plot}
 
 
 def heuristics() -> dict[str, Curve]:
@@ -97,41 +91,38 @@ def toy_environment() -> tuple[Any, list[Any], Any]:
     return f, tables, mcs.densities.PiecewiseConstant(values=LUMINANCE)
 
 
-def channels() -> Figures:
+def channels() -> Plots:
     """Each channel of a toy environment map sampled by luminance and by its own density."""
     ways = mcs.channel_estimators(*toy_environment())
-    figure, every = panels(1, 3, 2.6)
-    curves: list[dict[str, Curve]] = [{} for _ in every]
+    curves: dict[str, dict[str, Curve]] = {color: {} for color in ("red", "green", "blue")}
     names = {"one": "luminance", "own": "own density", "mis": "MIS of the three"}
     for way, name in names.items():
         cost = sum(ways[way].counts)
         counts = [n for n in (16, 32, 64, 128, 256, 512, 1024) if n * cost <= 1024]
         d = mcs.convergence(ways[way], "jittered", counts, realizations=600, rng=1)
-        for c, color in enumerate(("red", "green", "blue")):
+        for c, color in enumerate(curves):
             cell = d.sel(channel=c)
             print(f"{color}, {name}: rate {with_interval(cell['rate'], cell['rate_ci'])}")
             curve = Curve.of(cell)
-            curves[c][name] = Curve(cost * curve.x, curve.values, curve.interval)
-    for axes, of, color in zip(every, curves, ("red", "green", "blue"), strict=True):
-        variance_panel(axes, of, color, x="evaluations of f", limits=(1e-7, 1e-1))
-    return {"channels": figure}
+            curves[color][name] = Curve(cost * curve.x, curve.values, curve.interval)
+    plot = variance_plot(curves, x="evaluations of f", limits=(1e-7, 1e-1))
+    return {"channels": plot}
 
 
-def infinite_weights() -> Figures:
+def infinite_weights() -> Plots:
     """Var(S_0), which no number of realisations settles; what a defensive share does instead."""
     n, sizes = 16, 2 ** np.arange(6, 19)
     f, p = (
         mcs.integrand("polynomial(coefficients=[0, 0, 1])", dims=1),
         mcs.density("linear(slope=2)", dims=1),
     )
-    figure, (left, right) = panels(1, 2, 2.9)
+    marks: list[Line | Rule] = []
     for seed in range(4):
         x = mcs.sampler("random", dims=1).draw(n, realizations=int(sizes[-1]), rng=seed)
         weights = 1 / p.pdf(p.sample(x)).reshape(-1, n)
         spread = [n * weights[:r].mean(axis=1).var(ddof=1) for r in sizes]
-        left.plot(
-            sizes, spread, color=GRAY, lw=1, label="n Var(S₀), four runs" if not seed else None
-        )
+        at, label = sizes.astype(float), "n Var(S₀), four runs"
+        marks.append(Line(x=at, y=np.array(spread), color=GRAY, width=1.0, label=label))
         print(
             f"run {seed}: n Var(S_0) of 64 realisations {spread[0]:.2f}, of 262144 {spread[-1]:.2f}"
         )
@@ -140,12 +131,19 @@ def infinite_weights() -> Figures:
     interval = 72 * n * d["variance_ci"].values[0]
     print(f"72 n Var(I): exact 1, measured {72 * n * float(d['variance'][0]):.3f} "
           f"({interval[0]:.3f} … {interval[1]:.3f})")  # fmt: skip
-    left.axhline(1, color=INK, lw=1.2, label="72 n Var(I), exact")
-    left.set(xscale="log", yscale="log", xlabel="realisations", ylabel="sample variance × n")
-    entitle(left, "f = x², p = 2x, random")
-    small_legend(left)
-    variance_panel(right, defensive(f, p), "jittered, defensive share 0.1", x="evaluations of f")
-    return {"infinite-weights": figure}
+    marks.append(Rule(at=1.0, color=INK, width=1.2, label="72 n Var(I), exact"))
+    every = np.concatenate([m.y for m in marks if isinstance(m, Line)])
+    left = Panel(
+        marks=tuple(marks),
+        x=log_axis("realisations", float(sizes[0]), float(sizes[-1])),
+        y=log_axis("sample variance × n", min(1.0, float(every.min())), float(every.max())),
+        title="f = x², p = 2x, random",
+        grid=True,
+    )
+    title = "jittered, defensive share 0.1"
+    (right,) = variance_panels({title: defensive(f, p)}, x="evaluations of f")
+    plot = Plot(kind="findings", panels=(left, right), columns=2, wide=True)
+    return {"infinite-weights": plot}
 
 
 def defensive(f: Any, p: Any) -> dict[str, Curve]:
@@ -167,7 +165,7 @@ def defensive(f: Any, p: Any) -> dict[str, Curve]:
     return curves
 
 
-def warps() -> Figures:
+def warps() -> Plots:
     """Warps of one table and of a disk: maps, and variances of jittered points."""
     specs = {w: f"piecewise-constant(values={TABLE}, warp={w!r})" for w in WARPS}
     specs |= {"bilinear": f"bilinear(values={TABLE})"}
@@ -188,12 +186,12 @@ def warps() -> Figures:
         ),
         dims=2,
     )
-    figure, (left, right) = panels(1, 2, 3.0)
-    counts = LARGE
-    variance_panel(left, _measured(f, specs, ["jittered"], counts), "a table of 4 × 4, jittered")
     both = ["jittered", "jittered | shift"]
-    variance_panel(right, _measured(inside, disks, both, counts), "a disk")
-    return {"warps": warp_maps(chosen), "warps-variance": figure}
+    parts = {
+        "a table of 4 × 4, jittered": _measured(f, specs, ["jittered"], LARGE),
+        "a disk": _measured(inside, disks, both, LARGE),
+    }
+    return {"warps": describe("warp", chosen), "warps-variance": variance_plot(parts)}
 
 
 def _measured(

@@ -2,41 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.report.axes import count_axis, log_axis
-from mcspectra.report.style import (
-    ACCENT,
-    GRAY,
-    INK,
-    NARROW,
-    SMALL_SIZE,
-    WIDE,
-    entitle,
-    labels,
-    line_widths,
-    new_figure,
-    quiet,
-    sampler_styles,
-)
+from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot
+from mcspectra.plots.scales import count_axis, log_axis
+from mcspectra.plots.style import line_widths, sampler_styles
 
-__all__ = [
-    "Curve",
-    "draw_curves",
-    "panels",
-    "remedy_panel",
-    "slopes",
-    "small_legend",
-    "variance_panel",
-    "with_interval",
-]
-
-VERDICT_COLORS = {"better": "#009E73", "worse": ACCENT, "undecided": GRAY, "given": INK}
+__all__ = ["Curve", "slopes", "variance_panels", "variance_plot", "with_interval"]
 
 
 @dataclass(frozen=True)
@@ -47,14 +24,6 @@ class Curve:
     values: Array
     interval: Array | None = None
 
-    @property
-    def bars(self) -> Array | None:
-        """Lengths of the intervals below and above the values, (2, n)."""
-        if self.interval is None:
-            return None
-        low, high = self.interval.T
-        return np.maximum([self.values - low, high - self.values], 0.0)
-
     @staticmethod
     def of(data: Any, name: str = "variance", along: str = "n") -> Curve:
         """Make one of a dataset's variable and its ``_ci``."""
@@ -62,61 +31,43 @@ class Curve:
         return Curve(data[along].values, data[name].values, interval)
 
 
-def panels(rows: int, columns: int, height: float = 2.4) -> tuple[Any, list[Any]]:
-    """Make a figure with so many quiet panels, left to right and top to bottom."""
-    figure = new_figure(WIDE if columns > 1 else NARROW, height * rows)
-    every = list(figure.subplots(rows, columns, squeeze=False).ravel())
-    for axes in every:
-        quiet(axes, grid=True)
-    return figure, every
+def variance_plot(parts: Mapping[str, Mapping[str, Curve]], **options: Any) -> Plot:
+    """Variances against counts on logarithmic axes, a panel a title."""
+    panels = variance_panels(parts, **options)
+    return Plot(kind="findings", panels=panels, columns=min(3, len(panels)), wide=len(panels) > 1)
 
 
-def variance_panel(
-    axes: Any,
-    curves: dict[str, Curve],
-    title: str,
+def variance_panels(
+    parts: Mapping[str, Mapping[str, Curve]],
     *,
-    x: str = "number of points n",
+    x: str | Axis = "number of points n",
+    y: str = "variance",
     limits: tuple[float, float] | None = None,
-) -> None:
-    """Draw variances against counts on logarithmic axes."""
-    draw_curves(axes, curves)
-    every = np.concatenate([c.values[c.values > 0] for c in curves.values()])
-    log_axis(axes, "y", *(limits or (float(every.min()), float(every.max()))))
-    count_axis(axes, "x", sorted({int(n) for c in curves.values() for n in c.x}), most=5)
-    axes.set(xlabel=x, ylabel="variance")
-    entitle(axes, title)
-    small_legend(axes)
+) -> tuple[Panel, ...]:
+    """Panels with points, intervals and lines between them, the first lines thickest.
 
-
-def draw_curves(axes: Any, curves: dict[str, Curve]) -> None:
-    """Draw points with intervals and lines between them, the first lines thickest."""
-    styles, widths = sampler_styles(list(curves)), line_widths(len(curves))
-    for (name, curve), width in zip(curves.items(), widths, strict=True):
-        axes.errorbar(
-            curve.x, curve.values, yerr=curve.bars, fmt=styles[name].marker + "-", ms=3.4,
-            lw=0.7 * width, elinewidth=0.8, capsize=1.5, color=styles[name].color, label=name,
-        )  # fmt: skip
-
-
-def small_legend(axes: Any) -> None:
-    """Put a legend without a frame where it covers least."""
-    axes.legend(frameon=False, fontsize=SMALL_SIZE, labelcolor=INK, handlelength=1.4)
-
-
-def remedy_panel(axes: Any, data: Any) -> None:
-    """Draw one row a remedy: its error ratio with its interval, coloured by verdict."""
-    names = [str(name) for name in data["remedy"].values]
-    ratio, interval = data["error_ratio"].values, data["error_ratio_ci"].values
-    for row, verdict in enumerate(data["verdict"].values):
-        axes.hlines(row, *interval[row], color=VERDICT_COLORS[verdict], lw=1.6)
-        axes.plot(ratio[row], row, "o", ms=3.4, color=VERDICT_COLORS[verdict])
-    axes.axvline(1.0, color=GRAY, lw=0.8)
-    short = labels(names, 30)
-    axes.set_yticks(range(len(names)), [short[name] for name in names])
-    axes.set_ylim(len(names) - 0.5, -0.5)
-    log_axis(axes, "x", float(interval.min()), float(interval.max()), most=5)
-    axes.set_xlabel("error / error as given")
+    Curves of one name look the same in all panels.
+    """
+    styles = sampler_styles([name for curves in parts.values() for name in curves])
+    panels = []
+    for title, curves in parts.items():
+        marks: list[Mark] = []
+        for (name, curve), width in zip(curves.items(), line_widths(len(curves)), strict=True):
+            color, low, high = styles[name].color, None, None
+            if curve.interval is not None:
+                low, high = curve.interval.T
+            at = np.asarray(curve.x, float)
+            marks += [
+                Line(x=at, y=curve.values, color=color, width=0.7 * width, label=name),
+                Dots(x=at, y=curve.values, color=color, marker=styles[name].marker, size=3.4,
+                     low=low, high=high, label=name),
+            ]  # fmt: skip
+        every = np.concatenate([c.values[c.values > 0] for c in curves.values()])
+        counts = sorted({int(n) for c in curves.values() for n in c.x})
+        below = x if isinstance(x, Axis) else count_axis(x, counts, most=5)
+        beside = log_axis(y, *(limits or (float(every.min()), float(every.max()))))
+        panels.append(Panel(marks=tuple(marks), x=below, y=beside, title=title, grid=True))
+    return tuple(panels)
 
 
 def with_interval(value: Any, interval: Any, form: str = ".2f") -> str:

@@ -10,7 +10,6 @@ import contextlib
 import io
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,27 +17,27 @@ import mcspectra as mcs
 from benchmarks.finding_densities import channels, infinite_weights, mis_slowest, warps
 from benchmarks.finding_figures import (
     Curve,
-    draw_curves,
-    panels,
-    remedy_panel,
     slopes,
-    small_legend,
-    variance_panel,
+    variance_panels,
+    variance_plot,
     with_interval,
 )
-from mcspectra.report.axes import log_axis
-from mcspectra.report.style import ACCENT, INK, entitle
+from mcspectra.plots.backend_matplotlib import draw, encode
+from mcspectra.plots.description import Axis, Line, Panel, Plot, Rule, Segments
+from mcspectra.plots.kinds import describe
+from mcspectra.plots.scales import log_axis
+from mcspectra.plots.style import ACCENT, INK
 
 __all__ = ["FOLDER", "PAGES", "main"]
 
 FOLDER = Path(__file__).parents[1] / "docs" / "findings"
-Figures = dict[str, Any]
+Plots = dict[str, Plot]
 
 LARGE = (64, 256, 1024, 4096)
 SMOOTH, EDGE = "christensen-gaussian", "half-space(normal=[1, 0.618], offset=0.7)"
 
 
-def homogenisation() -> Figures:
+def homogenisation() -> Plots:
     """The six convergence plots, a smooth integrand and one with an edge inside in each."""
     studies = {
         name: mcs.mirror_study(
@@ -47,15 +46,15 @@ def homogenisation() -> Figures:
         )
         for name, f in (("smooth", SMOOTH), ("edge", EDGE))
     }  # fmt: skip
-    figure, every = panels(3, 2, 2.1)
+    parts = {}
     cells = [(m, h) for m in ("original", "random", "uniform") for h in (False, True)]
     theory = {"original": (-2, -1.5), "uniform": (-2, -2), "random": (-1, -1)}
-    for axes, (mirroring, homogenized) in zip(every, cells, strict=True):
-        curves = {}
+    for mirroring, homogenized in cells:
+        curves, rates = {}, []
         for name, study in studies.items():
             cell = study.sel(mirroring=mirroring, homogenized=homogenized)
-            rate = f"{float(cell['rate']):.2f}".replace("-", "−")
-            curves[f"{name}, rate {rate}"] = Curve.of(cell)
+            rates.append(f"{float(cell['rate']):.2f}".replace("-", "−"))
+            curves[name] = Curve.of(cell)
             limit = theory[mirroring][homogenized]
             expected = limit if name == "smooth" else max(limit, -1.5)
             print(
@@ -63,17 +62,17 @@ def homogenisation() -> Figures:
                 f"rate {with_interval(cell['rate'], cell['rate_ci'])}, theory {expected}"
             )
         title = f"{'mirror-' * (mirroring != 'original')}{mirroring}{', shifted' * homogenized}"
-        variance_panel(axes, curves, title, limits=(1e-9, 1e-2))
-    for axes in every[:4]:
-        axes.set_xlabel("")
+        parts[f"{title}: {' and '.join(rates)}"] = curves
+    panels = variance_panels(parts, limits=(1e-9, 1e-2))
+    plot = Plot(kind="findings", panels=panels, columns=2, wide=True, share="both")
     mirrored = mcs.Mirrored(SMOOTH, "uniform")
     exact = np.array([mcs.exact_variance(mirrored, "jittered | shift", n) for n in LARGE])
     local = ", ".join(f"{rate:.2f}" for rate in slopes(LARGE, exact))
     print(f"uniform, shifted, smooth: exact rates between the counts {local}")
-    return {"homogenisation-and-mirroring": figure}
+    return {"homogenisation-and-mirroring": plot}
 
 
-def alignment() -> Figures:
+def alignment() -> Plots:
     """A step's variance against the offset, exact and measured; two edges that no offset serves."""
     step, bar = (
         mcs.integrand(s, dims=1) for s in ("step(at=0.3)", "disk(center=0.47, radius=0.27)")
@@ -92,29 +91,35 @@ def alignment() -> Figures:
         row = best.sel(candidate=name)
         ratio = with_interval(row["variance_ratio"], row["variance_ratio_ci"], ".2g")
         print(f"edges at 0.2 and 0.74, {name}: variance / unshifted {ratio}")
-    figure, (left, right) = panels(1, 2, 2.7)
-    left.plot(exact["offset0"], 256 * least, color=INK, lw=1, label="exact")
     ci = 256 * measured["variance_ci"].squeeze().values
-    left.vlines(places, *ci.T, color=ACCENT, lw=1.4, label="measured, 95 %")
-    left.set(xlabel="offset of strata, in sides", ylabel="n² × variance")
-    entitle(left, "1[x<0.3], n = 16")
-    small_legend(left)
+    whiskers = np.stack([np.repeat(places, 2).reshape(-1, 2), ci], axis=-1)
     scan = mcs.strata_shift_scan(bar, "jittered", 16, offsets=64)
-    right.plot(scan["offset0"], 256 * scan["variance"].squeeze(), color=INK, lw=1)
-    right.axhline(0, color=ACCENT, lw=1.6, label="aligned strata")
-    right.set(xlabel="offset of strata, in sides", ylabel="n² × variance")
-    entitle(right, "1[0.2<x<0.74], n = 16")
-    small_legend(right)
-    return {"alignment": figure}
+    x, y = Axis(label="offset of strata, in sides"), Axis(label="n² × variance")
+    panels = []
+    for title, data, marks in (
+        (
+            "1[x<0.3], n = 16",
+            exact,
+            [Segments(ends=whiskers, color=ACCENT, width=1.4, label="measured, 95 %")],
+        ),
+        (
+            "1[0.2<x<0.74], n = 16",
+            scan,
+            [Rule(at=0.0, color=ACCENT, width=1.6, label="aligned strata")],
+        ),
+    ):
+        values = 256 * data["variance"].squeeze().values
+        line = Line(x=data["offset0"].values, y=values, color=INK, width=1.0, label="exact")
+        panels.append(Panel(marks=(line, *marks), x=x, y=y, title=title, grid=True))
+    return {"alignment": Plot(kind="findings", panels=tuple(panels), columns=2, wide=True)}
 
 
-def smoothing() -> Figures:
+def smoothing() -> Plots:
     """Squared error of a disk against the width of its edge, and the best width of each budget."""
     widths = [0.005, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1, 0.14, 0.2, 0.28]
     d = mcs.smoothing_scan(
         "disk(center=0.47)", "jittered", (64, 256, 1024), [0, *widths], realizations=1000, rng=1
     )
-    figure, (axes,) = panels(1, 1, 3.2)
     curves = {}
     for n in d["n"].values:
         cell = d.sel(n=n)
@@ -131,16 +136,13 @@ def smoothing() -> Figures:
             f"width {width:g}: rate of the variance {with_interval(cell['rate'], cell['rate_ci'])}"
         )
     curves["bias²"] = Curve(np.array(widths), d["bias_squared"].sel(width=widths).values)
-    draw_curves(axes, curves)
-    log_axis(axes, "x", widths[0], widths[-1])
-    log_axis(axes, "y", 2e-7, 1e-3)
-    axes.set(xlabel="width of the edge", ylabel="mean squared error")
-    entitle(axes, "a disk of radius 0.25, jittered")
-    small_legend(axes)
-    return {"smoothing": figure}
+    axis = log_axis("width of the edge", widths[0], widths[-1])
+    title, limits = "a disk of radius 0.25, jittered", (2e-7, 1e-3)
+    plot = variance_plot({title: curves}, x=axis, y="mean squared error", limits=limits)
+    return {"smoothing": plot}
 
 
-def remedies() -> Figures:
+def remedies() -> Plots:
     """Remedies of three set-ups: a shift, a jump inside, a slow technique."""
     mis = mcs.MultipleImportance(
         mcs.integrand("polynomial(coefficients=[0.5, 0, 1])", dims=1),
@@ -161,14 +163,10 @@ def remedies() -> Figures:
                   f"rate {with_interval(row['rate'], row['rate_ci'])}, {row['verdict'].item()}")  # fmt: skip
         print(f"  {d.attrs['recommendation']}")
         found[name] = d
-    figure, every = panels(3, 1, 3.2)
-    for axes, (name, d) in zip(every, found.items(), strict=True):
-        remedy_panel(axes, d)
-        entitle(axes, name)
-    return {"remedies": figure}
+    return {"remedies": describe("remedies", found)}
 
 
-PAGES: dict[str, Callable[[], Figures]] = {
+PAGES: dict[str, Callable[[], Plots]] = {
     "mis-slowest": mis_slowest,
     "homogenisation-and-mirroring": homogenisation,
     "alignment": alignment,
@@ -187,13 +185,13 @@ def main(*flags: str) -> None:
     for page, make in PAGES.items():
         lines = io.StringIO()
         with contextlib.redirect_stdout(lines):
-            figures = make()
+            plots = make()
         text = f"{page}\n" + "".join(f"  {line}\n" for line in lines.getvalue().splitlines())
         print(text, end="", flush=True)
         kept.append(text)
         if "--plot" in flags:
-            for name, figure in figures.items():
-                figure.savefig(FOLDER / f"{name}.png", dpi=120)
+            for name, plot in plots.items():
+                (FOLDER / f"{name}.png").write_bytes(encode(draw(plot))[0])
     if "--plot" in flags:
         (FOLDER / "numbers.txt").write_text("".join(kept), encoding="utf-8")
         print(f"drawn to {FOLDER.relative_to(FOLDER.parents[1])}")

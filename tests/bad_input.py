@@ -327,7 +327,6 @@ COMMAND = _rows(
     ("modes gaussian --sampler jittered -n 16 --bands rings", "wedge"),
     ("modes gaussian --sampler jittered -n 16 --basis sine", "cosine"),
     ("modes gaussian --sampler jittered -n 16 --passes 1", "--passes"),
-    ("modes gaussian --sampler jittered -n 16 -o modes.png", ".npz"),
     ("modes gaussian -n 16", "--sampler"),
     ("converge gaussian --sampler random --counts 4,16 --fit-last 3", "2 counts"),
     ("converge gaussian --sampler random --counts 4,16 --relative-error 0", "at least 0.0001"),

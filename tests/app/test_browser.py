@@ -5,15 +5,19 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import re
 import subprocess
 import sys
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from importlib.resources import files
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
+import numpy as np
 import pytest
+from PIL import Image
 from playwright.sync_api import Page, Route, expect, sync_playwright
 
 from mcspectra.app.state import State
@@ -24,22 +28,30 @@ _SMALL = "half_width=4&realizations=16&n=16"
 
 
 @pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def terminal(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the explorer writes on standard error."""
+    return tmp_path_factory.mktemp("terminal") / "stderr"
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory, terminal: Path) -> Iterator[str]:
     """Address of a running explorer with a cache of its own."""
     cache = str(tmp_path_factory.mktemp("cache"))
-    process = subprocess.Popen(
-        [sys.executable, "-m", "mcspectra", "app", "--no-browser"],
-        stdout=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "MCSPECTRA_CACHE": cache, "OMP_NUM_THREADS": "1"},
-    )
-    assert process.stdout is not None
-    try:
-        yield process.stdout.readline().split(" at ")[1].split(";")[0]
-    finally:
-        process.terminate()
-        process.wait(30)
-        process.stdout.close()
+    with terminal.open("wb") as stderr:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "mcspectra", "app", "--no-browser"],
+            stdout=subprocess.PIPE,
+            stderr=stderr,
+            text=True,
+            env={**os.environ, "MCSPECTRA_CACHE": cache, "OMP_NUM_THREADS": "1"},
+        )
+        assert process.stdout is not None
+        try:
+            yield process.stdout.readline().split(" at ")[1].split(";")[0]
+        finally:
+            process.terminate()
+            process.wait(30)
+            process.stdout.close()
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +122,7 @@ def test_all_that_can_be_operated_has_a_name(page: Page, address: str) -> None:
     expect(page.get_by_role("slider", name="Points n, A", exact=True)).to_be_visible()
     name = "Compare with a second set-up, B"
     expect(page.get_by_role("checkbox", name=name, exact=True)).to_be_visible()
-    for role in ("slider", "checkbox", "combobox", "textbox", "button", "img", "progressbar"):
+    for role in ("slider", "checkbox", "combobox", "textbox", "button", "figure", "progressbar"):
         lines = page.locator("body").aria_snapshot().splitlines()
         own = [line.strip() for line in lines if line.strip().startswith(f"- {role}")]
         assert all('"' in line for line in own), own
@@ -144,7 +156,7 @@ def test_another_sampler_and_a_randomisation(page: Page, address: str) -> None:
     page.get_by_role("checkbox", name="owen").check()
     wait_for(page, "sampler", "sobol | owen")
     done(page)
-    expect(page.get_by_role("img", name="A: Convergence. Fitted rate")).to_be_visible()
+    expect(page.get_by_role("figure", name="variance against n")).to_be_visible()
 
 
 def test_a_formula(page: Page, address: str) -> None:
@@ -164,13 +176,21 @@ def test_two_set_ups_and_the_address_restores_them(page: Page, address: str) -> 
     wait_for(page, "b.sampler", "random")
     done(page, "B")
     state = state_of(page)
-    figures = page.get_by_role("img")
-    assert figures.count() == 14
+    for title in ("Points", "Convergence", "Power spectrum", "Terms of the variance"):
+        places = []
+        for side in "AB":
+            card = page.get_by_role("group", name=f"{side}: {title}", exact=True)
+            expect(card.get_by_role("heading", name=f"{side}: {title}")).to_be_visible()
+            places.append(card.bounding_box())
+        # Side by side, A at the left
+        assert places[0]["y"] == places[1]["y"]
+        assert places[0]["x"] + places[0]["width"] <= places[1]["x"]
+    expect(page.get_by_role("group", name=re.compile("^[AB]: "))).to_have_count(16)
     page.reload()
     done(page, "B")
     assert state_of(page) == state
     assert state.b is not None
-    expect(page.get_by_role("img")).to_have_count(14)
+    expect(page.get_by_role("group", name=re.compile("^[AB]: "))).to_have_count(16)
 
 
 def test_odd_addresses_get_a_sentence(page: Page, address: str) -> None:
@@ -192,22 +212,96 @@ def test_a_broken_picture_gets_a_sentence(page: Page, address: str, tmp_path: Pa
 def test_a_pixel_of_the_scene(page: Page, address: str) -> None:
     open_state(page, address, _SMALL)
     page.get_by_role("button", name="Show Veach's scene").click()
-    picture = page.get_by_role("img", name="Veach's scene")
+    picture = page.get_by_role("figure", name="Veach's scene")
     expect(picture).to_be_visible()
-    box = picture.bounding_box()
-    assert box is not None
-    picture.click(position={"x": box["width"] / 2, "y": 0.8 * box["height"]})
+    picture.scroll_into_view_if_needed()
+    page.wait_for_timeout(500)
+    place = picture.bounding_box()
+    assert place is not None
+    x, y = place["x"] + 0.6 * place["width"], place["y"] + 0.5 * place["height"]
+    # The picture is there: the plates are lit
+    image = Image.open(io.BytesIO(page.screenshot())).convert("L")
+    box = (int(x) - 60, int(y) - 40, int(x) + 60, int(y) + 40)
+    assert np.ptp(np.asarray(image.crop(box), float)) > 100
+    page.mouse.click(x, y)
     page.wait_for_url("**integrand=pixel**")
     assert "veach" in state_of(page).a.integrand
+    # The wheel scrolls the page, also above the picture that was clicked
+    before = page.evaluate("window.scrollY")
+    page.mouse.wheel(0, -200)
+    page.wait_for_function("before => window.scrollY < before", arg=before)
     done(page)
 
 
-def test_a_narrow_dark_page_does_not_scroll_sideways(page: Page, address: str) -> None:
-    page.set_viewport_size({"width": 420, "height": 800})
-    open_state(page, address, f"{_SMALL}&theme=dark")
+def test_what_cannot_be_made_leaves_grey_figures_and_no_numbers(page: Page, address: str) -> None:
+    open_state(page, address, _SMALL)
+    height = page.evaluate("document.documentElement.scrollHeight")
+    field = page.get_by_label("Sampler spec, A", exact=True)
+    field.fill("no-such")
+    field.press("Enter")
+    expect(page.get_by_role("alert")).to_contain_text("no sampler called 'no-such'")
+    card = page.get_by_role("group", name="A: Convergence", exact=True)
+    expect(card).to_have_css("opacity", "0.35")
+    assert page.evaluate("document.documentElement.scrollHeight") == pytest.approx(height, abs=80)
+    row = page.get_by_role("row", name="A no-such")
+    assert row.get_by_role("cell").all_inner_texts()[2:] == ["–", "–", "–"]
+    assert page.get_by_role("textbox", name="As Python").input_value().startswith("# There is no")
+    field.fill("random")
+    field.press("Enter")
+    done(page)
+    expect(card).to_have_css("opacity", "1")
+
+
+def test_the_integrand_stands_beside_its_density(page: Page, address: str) -> None:
+    open_state(page, address, f"{_SMALL}&density=linear(slope=1)")
+    card = page.get_by_role("group", name=re.compile("^A: Integrand f"))
+    expect(card.get_by_text("f/p from")).to_be_visible()
+    assert card.locator("canvas").count() >= 3
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_serious(page: Page, address: str, scheme: str) -> None:
+    page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+    pair = "&".join(f"b.{each}" for each in _SMALL.split("&"))
+    open_state(page, address, f"{_SMALL}&{pair}&b.sampler=random")
+    done(page, "B")
+    page.evaluate((files("axe_playwright_python") / "axe.min.js").read_text("utf-8"))
+    found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
+    page.emulate_media(color_scheme="light")
+    assert [each["id"] for each in found if each["impact"] in ("serious", "critical")] == []
+
+
+def test_a_narrow_page_does_not_scroll_sideways(page: Page, address: str) -> None:
+    page.set_viewport_size({"width": 390, "height": 800})
+    open_state(page, address, f"{_SMALL}&density=linear(slope=0.25)")
     width = page.evaluate("document.documentElement.scrollWidth")
     page.set_viewport_size({"width": 1300, "height": 900})
-    assert width <= 420
+    assert width <= 390
+
+
+@pytest.mark.parametrize(
+    ("query", "preferred", "dark"),
+    [("", "dark", True), ("", "light", False), ("&theme=light", "dark", False), ("&theme=dark", "light", True)],
+)  # fmt: skip
+def test_the_theme_is_the_browsers_unless_it_is_chosen(
+    page: Page, address: str, query: str, preferred: str, dark: bool
+) -> None:
+    page.emulate_media(color_scheme=preferred)  # type: ignore[arg-type]
+    page.goto(f"{address}?{_SMALL}{query}")
+    color = page.evaluate("getComputedStyle(document.body).backgroundColor")
+    page.emulate_media(color_scheme="light")
+    assert color == ("rgb(27, 30, 35)" if dark else "rgb(255, 255, 255)")
+
+
+def test_a_tab_that_closes_leaves_no_traceback(page: Page, address: str, terminal: Path) -> None:
+    for _ in range(2):
+        other = page.context.browser.new_page()  # type: ignore[union-attr]
+        other.goto(f"{address}?n=1024&realizations=4096&half_width=32")
+        other.get_by_text("% done.").wait_for()
+        other.close()
+    any_state(page, address)
+    open_state(page, address, f"{_SMALL}&seed=7")
+    assert "Traceback" not in terminal.read_text()
 
 
 @pytest.mark.parametrize(

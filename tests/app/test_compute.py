@@ -9,8 +9,16 @@ import numpy as np
 import pytest
 
 from mcspectra.app import compute as module
-from mcspectra.app.compute import KINDS, Job, Update, compute, rounds
-from mcspectra.app.parts import ladder, make_parts
+from mcspectra.app.compute import (
+    KINDS,
+    Job,
+    Update,
+    analyses_of,
+    compute,
+    ladder,
+    make_parts,
+    rounds,
+)
 from mcspectra.app.state import Setup
 from mcspectra.core.progress import report
 
@@ -45,7 +53,7 @@ def test_a_job_sends_all_kinds_in_each_round() -> None:
     updates, sentence = finished(SMALL)
     assert sentence == ""
     assert [u.kind for u in updates] == [*KINDS, *KINDS]
-    assert [u.realizations for u in updates] == [16] * 4 + [64] * 4
+    assert [u.realizations for u in updates] == [16] * 5 + [64] * 5
     assert updates[-1].fraction == 1.0
     assert all(0 < u.fraction <= 1 for u in updates)
     assert updates[-1].value.attrs["realizations"] == 64
@@ -57,8 +65,51 @@ def test_points_are_the_first_realisation_with_its_weights() -> None:
     parts = make_parts(setup)
     u = parts.sampler.draw(16, realizations=1, rng=3)[0]
     assert parts.density is not None
-    np.testing.assert_array_equal(found.points, parts.density.sample(u))
-    np.testing.assert_array_equal(found.weights, 1.0 / parts.density.pdf(found.points))
+    np.testing.assert_array_equal(found["points"], parts.density.sample(u))
+    np.testing.assert_array_equal(found["weights"], 1.0 / parts.density.pdf(found["points"].values))
+
+
+@pytest.mark.parametrize("dims", [1, 2])
+def test_the_integrand_is_shown_with_its_density(dims: int) -> None:
+    setup = replace(SMALL, density="linear(slope=1)", dims=dims)
+    found = compute("integrand", setup, 16)
+    parts = make_parts(setup)
+    assert parts.density is not None
+    assert list(found) == ["f", "p", "f/p"]
+    x = np.array([[0.25 + 0.5 / len(found["x0"])] * dims])
+    at = found.sel(dict.fromkeys(found.dims, x[0, 0]), method="nearest")
+    x = np.array([[float(at[axis]) for axis in found.dims]])
+    assert float(at["f"]) == float(parts.estimator.domain_integrand(x)[0])  # type: ignore[misc]
+    assert float(at["p"]) == float(parts.density.pdf(x)[0])
+    assert float(found["p"].mean()) == pytest.approx(1.0, rel=1e-4)
+    assert float((found["f/p"] * found["p"]).mean()) == pytest.approx(float(found["f"].mean()))
+    # The sampler does not matter
+    assert compute("integrand", replace(setup, sampler="random", n=8, seed=1), 64) is found
+
+
+def test_techniques_are_shown_in_primary_space() -> None:
+    setup = replace(SMALL, integrand="technique-sum(integrands=['gaussian', 'disk'])")
+    found = compute("integrand", setup, 16)
+    assert list(found) == ["technique 0", "technique 1"]
+    assert float(found["technique 1"].max()) == 1.0
+
+
+def test_options_reach_the_analyses_that_have_them() -> None:
+    setup = replace(
+        SMALL, basis="cosine", engine="direct", counts=(4, 16), bands="dyadic", fit_last="auto",
+        frequency_step=0.5, space="primary", eps=1e-6,
+    )  # fmt: skip
+    found = analyses_of(setup)
+    terms, spectrum, curve = (found[name] for name in ("terms", "spectrum", "convergence"))
+    assert (terms.basis, terms.engine, terms.bands, terms.space) == (
+        "cosine",
+        "direct",
+        "dyadic",
+        "primary",
+    )
+    assert (spectrum.engine, spectrum.frequency_step, spectrum.eps) == ("direct", 0.5, 1e-6)
+    assert (curve.counts, curve.fit_last) == ((4, 16), "auto")
+    assert analyses_of(SMALL)["convergence"].counts == tuple(ladder(SMALL))
 
 
 def test_the_spectrum_does_not_wait_for_an_integrand() -> None:
@@ -71,15 +122,15 @@ def test_the_spectrum_does_not_wait_for_an_integrand() -> None:
 def test_cancelling_ends_an_analysis_between_its_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     begun, go, told = threading.Event(), threading.Event(), []
 
-    def slow(setup: Setup) -> None:
-        del setup
+    def slow(kind: str, setup: Setup) -> None:
+        del kind, setup
         begun.set()
         go.wait(30)
         for k in range(5):
             report("terms", k / 5)
             told.append(k)
 
-    monkeypatch.setattr(module, "_points", slow)
+    monkeypatch.setattr(module, "_computed", slow)
     sentences: list[str] = []
     job = Job(replace(SMALL, seed=5), told.append, sentences.append).start()
     assert begun.wait(30)
@@ -121,7 +172,7 @@ def test_rounds_that_would_take_long_are_not_begun(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(module, "compute", lambda *_: None)
     monkeypatch.setattr(module.time, "perf_counter", lambda: next(clock))
     updates, sentence = finished(replace(SMALL, realizations=1024))
-    assert [u.realizations for u in updates] == [16] * 4 + [64] * 4
+    assert [u.realizations for u in updates] == [16] * 5 + [64] * 5
     assert "Stopped at 64 realisations: 256 would take about 40 s" in sentence
 
 

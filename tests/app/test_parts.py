@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.app.compute import compute
-from mcspectra.app.parts import integrand_specs, make_parts
+from mcspectra.app.compute import compute, integrand_specs, make_parts
 from mcspectra.app.scene import STRATEGIES, pixel_spec
 from mcspectra.app.specs import techniques
 from mcspectra.app.state import Setup

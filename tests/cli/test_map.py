@@ -11,14 +11,19 @@ import pytest
 import xarray as xr
 
 from mcspectra.cli.main import main
-from mcspectra.core.errors import ParameterError
-from mcspectra.report import map_page
-from mcspectra.report.encode import encode
-from mcspectra.report.figures.scene_maps import MAP_CAPTIONS, map_figures
+from mcspectra.plots.backend_matplotlib import draw, encode
+from mcspectra.plots.kinds import describe, kinds_of
+from mcspectra.report import page as module
 from mcspectra.report.map_page import map_layers, map_summary
 
 pytestmark = pytest.mark.render
 
+BLANK = {
+    **dict.fromkeys(("png", "words", "caption", "file", "live"), ""),
+    "width": 1,
+    "height": 1,
+    "wide": False,
+}
 SMALL = ("--size", "24,16", "--crop", "8,6,6,4", "--counts", "4,16", "-m", "8")
 
 
@@ -54,15 +59,15 @@ def test_layers_hold_the_maps(made: tuple[Path, xr.Dataset]) -> None:
 
 
 def test_pictures_and_page(made: tuple[Path, xr.Dataset]) -> None:
-    folder, _ = made
+    folder, result = made
     page = (folder / "report.html").read_text(encoding="utf-8")
-    for kind, caption in MAP_CAPTIONS.items():
+    kinds = [kind.removeprefix("map-").replace("-", "_") for kind in kinds_of(result)]
+    assert {"mean", "variance", "rate", "rate_se", "bottleneck", "gain"} <= set(kinds)
+    for kind in kinds:
         assert (folder / f"{kind}.png").read_bytes().startswith(b"\x89PNG")
-        assert f'id="{kind}"' in page
-        assert caption.split(":")[0] in page
     assert "All pixels have the same points, so their errors are alike" in page
     assert "http" not in page.replace("http-equiv", "")
-    assert page.count("data:image/png;base64,") == len(MAP_CAPTIONS)
+    assert page.count("data:image/png;base64,") == len(kinds)
     assert not list(folder.glob(".*"))
 
 
@@ -72,7 +77,7 @@ def test_json_is_strict_and_complete(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     folder, result = made
-    monkeypatch.setattr(map_page, "map_figures", lambda _: ())  # they are drawn already
+    monkeypatch.setattr(module, "_drawn", lambda *_: BLANK)  # they are drawn already
     stored = json.loads((folder / "map.json").read_text(), parse_constant=pytest.fail)
     rate = float(np.nanmedian(result["rate"].sel(strategy="mis")))
     assert stored["strategies"]["mis"]["rate"] == rate
@@ -195,24 +200,11 @@ def test_maps_of_any_numbers_can_be_drawn(fill: float | None) -> None:
     result = synthetic()
     if fill is not None:
         result = result * np.nan + fill if np.isnan(fill) else result * 0 + fill
-    for kind, figure in map_figures(result):
-        assert kind in MAP_CAPTIONS
-        assert encode(figure)[0].startswith(b"\x89PNG")
-
-
-def test_images_are_upright_and_masked() -> None:
-    figures = dict(map_figures(synthetic()))
-    axes = figures["bottleneck"].axes[0]
-    drawn = axes.images[0]
-    assert drawn.get_extent() == [6.5, 11.5, 2.5, -0.5]
-    assert np.array_equal(drawn.get_array().mask.ravel()[:4], [False, False, False, True])
-    assert drawn.get_array().ravel()[:3].tolist() == [0, 1, 2]
-    legend = [text.get_text() for text in figures["bottleneck"].legends[0].get_texts()]
-    assert legend == ["undecided", "light", "BSDF", "no number"]
-    low, high = figures["rate"].axes[0].images[0].get_clim()
-    assert (low, high) == (-3.0, -0.5)
-    with pytest.raises(ParameterError, match="variance_map"):
-        list(map_figures(synthetic().drop_vars("rate")))
+    kinds = kinds_of(result)
+    assert "map-gain" in kinds
+    for kind in kinds:
+        png, _ = encode(draw(describe(kind, result)))
+        assert png.startswith(b"\x89PNG")
 
 
 def test_summaries_count_intervals() -> None:

@@ -14,7 +14,7 @@ import pytest
 from mcspectra.cli.main import main
 from mcspectra.estimators import Estimator
 from mcspectra.rendering import Pixel, backend, named_pixels
-from mcspectra.report.pixel_text import STRATEGY_NAMES
+from mcspectra.report.pixel_page import STRATEGY_NAMES
 from mcspectra.studies import pixel
 from mcspectra.studies.pixel import EFFORTS, analyse_pixel
 from mcspectra.variance.convergence import convergence

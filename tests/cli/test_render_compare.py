@@ -11,9 +11,9 @@ import OpenEXR
 import pytest
 
 from mcspectra.cli.main import main
+from mcspectra.plots.backend_matplotlib import draw, encode
+from mcspectra.plots.maps import strategy_images
 from mcspectra.rendering.image import compare_strategies
-from mcspectra.report.encode import encode_exact
-from mcspectra.report.figures import strategy_images
 
 pytestmark = pytest.mark.render
 
@@ -32,7 +32,7 @@ def test_files_and_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     code, out, err = run(capsys, *SMALL, *options, "--json")
     assert (code, err) == (0, "")
     images = compare_strategies(SCENE, 2, reference_spp=32, rng=3)
-    assert png.read_bytes() == encode_exact(strategy_images(images, exposure=-1.0))
+    assert png.read_bytes() == encode(draw(strategy_images(images, exposure=-1.0)))[0]
     channels = OpenEXR.File(str(exr), separate_channels=True).channels()
     layers = {f"{name}.{c}" for name in (*images, "reference.image_se") for c in "RGB"}
     assert set(channels) == layers

@@ -14,7 +14,7 @@ import xarray as xr
 
 from mcspectra.core.records import pack
 from mcspectra.core.results import dataset
-from mcspectra.report.formatting import slug
+from mcspectra.plots.text import slug
 from mcspectra.studies import StudyConfig
 from mcspectra.studies.files import decode_study
 from mcspectra.studies.ledger import Ledger, StudyNote
@@ -96,6 +96,7 @@ def make_terms(
         "dc_term": ((), dc),
         "power_term": ((), power),
         "cross_term": ((), predicted - dc - power),
+        "cross_term_ci": (("bound",), predicted - dc - power + np.array([-0.1, 0.1]) * predicted),
         "predicted_variance": ((), predicted),
         "predicted_variance_ci": (("bound",), interval(predicted, realizations)),
         "measured_variance": ((), measured),

@@ -8,7 +8,9 @@ import sys
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 
 import mcspectra as mcs
@@ -21,7 +23,7 @@ RESULTS = {
     "terms": lambda: mcs.variance_terms("disk", "jittered", 16, half_width=3, **FAST),
     "spectrum": lambda: mcs.power_spectrum("jittered", 16, half_width=4, **FAST),
     "lines": lambda: mcs.power_spectrum(mcs.sampler("jittered", dims=1), 16, half_width=4, **FAST),
-    "pair_correlation": lambda: mcs.pair_correlation("jittered", 16, **FAST),
+    "pair-correlation": lambda: mcs.pair_correlation("jittered", 16, **FAST),
     "remedies": lambda: mcs.remedies(
         mcs.Estimator("linear", dims=1),
         "jittered | shift",
@@ -33,6 +35,13 @@ RESULTS = {
     "primary": lambda: mcs.primary_picture(mcs.Estimator("disk", "linear")),
 }
 PANELS = {"warp": 2}
+
+
+@pytest.fixture(autouse=True)
+def _close():
+    """Pyplot keeps the figures of `plot` until they are closed."""
+    yield
+    plt.close("all")
 
 
 @pytest.fixture(scope="module", params=RESULTS)
@@ -114,8 +123,9 @@ def test_remedies_are_drawn_in_their_order_and_said():
     axes = data.mcspectra.plot()
     names = [label.get_text() for label in axes.get_yticklabels()]
     assert names == list(data["remedy"].values)
-    drawn = [line.get_xdata()[0] for line in axes.lines if line.get_marker() == "o"]
-    np.testing.assert_array_equal(drawn, data["error_ratio"].values)
+    dots = [c for c in axes.collections if isinstance(c, PathCollection)]
+    drawn = np.concatenate([each.get_offsets() for each in dots])
+    np.testing.assert_array_equal(np.sort(drawn[:, 0]), np.sort(data["error_ratio"].values))
     said = data.mcspectra.summary()
     assert data.attrs["recommendation"] in said
     assert data.attrs["diagnosis"] in said
@@ -145,12 +155,32 @@ def test_channels_are_said_one_by_one():
     assert all(f"environment [{k}], random: " in said for k in range(3))
 
 
-@pytest.mark.parametrize("data", [xr.Dataset(), xr.Dataset({"a": ("x", [1.0])})])
-def test_what_is_no_result_is_refused_in_one_sentence(data):
+def test_what_has_nothing_to_draw_is_refused_in_one_sentence():
+    data = xr.Dataset({"words": ("x", ["a"])})
     for draw in (data.mcspectra.plot, data.mcspectra.figures):
-        with pytest.raises(ParameterError, match="No figure shows"):
+        with pytest.raises(ParameterError, match="No figure shows words"):
             draw()
-    assert data.mcspectra.kinds == ()
+    assert data.mcspectra.kinds == xr.Dataset().mcspectra.kinds == ()
+
+
+def test_results_of_strangers_are_drawn():
+    data = xr.Dataset({"a": ("x", [1.0, 2.0])})
+    assert data.mcspectra.kinds == ("anything",)
+    assert data.mcspectra.plot(axes=Figure().subplots()).get_ylabel() == "a"
+
+
+def test_pyplot_shows_and_writes_the_figure(tmp_path):
+    data = RESULTS["convergence"]()
+    assert not plt.get_fignums()
+    data.mcspectra.figures()
+    assert not plt.get_fignums()
+    axes = data.mcspectra.plot()
+    assert plt.gcf() is axes.figure
+    plt.savefig(tmp_path / "a.png")
+    axes.figure.savefig(tmp_path / "b.png")
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    data.mcspectra.plot(axes=Figure().subplots())
+    assert len(plt.get_fignums()) == 1
 
 
 def test_unknown_kinds_name_those_there_are():
@@ -170,7 +200,7 @@ def test_maps_have_their_own_figures():
         },
         {"n": [4, 16], "x": np.arange(4), "y": np.arange(4)},
     )
-    assert set(data.mcspectra.figures()) >= {"map_mean", "map_variance", "map_rate"}
+    assert set(data.mcspectra.figures()) >= {"map-mean", "map-variance", "map-rate"}
 
 
 def test_importing_the_module_registers_the_accessor():

@@ -1,14 +1,10 @@
 """An analysis of another package: a table of its numbers, curves and images, without code here."""
 
 import numpy as np
-import pytest
 import xarray as xr
 
-from mcspectra.report.collect import EstimatorGroup, Pair
-from mcspectra.report.gallery import pictures
-from mcspectra.report.settings import settings
-from mcspectra.report.study_tables import further_tables
-from mcspectra.report.style import sampler_styles
+from mcspectra.report import write_report
+from mcspectra.report.tables import analysis_table
 
 
 def result(shift=0.0, **coords):
@@ -27,17 +23,11 @@ def result(shift=0.0, **coords):
     )
 
 
-@pytest.fixture
-def group():
-    pairs = tuple(
-        Pair(sampler=name, analyses={"gaps": result(k)}, rows=())
-        for k, name in enumerate(("random", "jittered"))
-    )
-    return EstimatorGroup(key="a", name="a", spec="gaussian", pairs=pairs)
+GAPS = {name: result(k) for k, name in enumerate(("random", "jittered"))}
 
 
-def test_numbers_stand_in_a_table_with_meaning_and_interval(group):
-    ((heading, table),) = further_tables(group)
+def test_numbers_stand_in_a_table_with_meaning_and_interval():
+    heading, table = analysis_table("gaps", GAPS)
     assert heading == "Gaps"
     shown = [[cell.text for cell in row] for row in table.rows]
     assert shown == [
@@ -46,28 +36,15 @@ def test_numbers_stand_in_a_table_with_meaning_and_interval(group):
     ]
 
 
-def test_curves_and_images_are_drawn(group):
-    curve, image = pictures(group, sampler_styles(["random", "jittered"]))
-    assert (curve.kind, image.kind) == ("gaps-curve", "gaps-table")
-    assert curve.caption == "Gaps. Mean gap, over place."
-    (panel,) = curve.figure.axes
-    assert [line.get_label() for line in panel.lines] == ["random", "jittered"]
-    np.testing.assert_array_equal(panel.lines[1].get_ydata(), [1.0, 2.0, 3.0])
-    assert len(panel.collections) == 2  # bands of two standard errors
-    assert sum(bool(axes.images) for axes in image.figure.axes) == 2
+def test_results_without_numbers_have_no_table():
+    assert analysis_table("gaps", {s: each[["table"]] for s, each in GAPS.items()}) is None
 
 
-def test_its_settings_are_said(group):
-    assert list(settings(group)) == [("gaps", "4 realisations")]
-
-
-def test_results_without_numbers_have_no_table(group):
-    bare = [
-        Pair(sampler=p.sampler, analyses={"gaps": p.analyses["gaps"][["table"]]}, rows=())
-        for p in group.pairs
-    ]
-    group = EstimatorGroup(key="a", name="a", spec="", pairs=tuple(bare))
-    assert list(further_tables(group)) == []
-    assert [p.kind for p in pictures(group, sampler_styles(["random", "jittered"]))] == [
-        "gaps-table"
-    ]
+def test_curves_are_drawn_and_settings_said(make, tmp_path):
+    cells = {("e", s): {"gaps": each} for s, each in GAPS.items()}
+    page = write_report(make["study"](tmp_path, cells))
+    text = page.read_text(encoding="utf-8")
+    assert [p.name for p in (tmp_path / "figures").glob("*.png")] == [
+        "e-gaps.png"
+    ] or "gaps" in text
+    assert "<dt>Gaps</dt><dd>4 realisations</dd>" in text

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ import pytest
 from playwright.sync_api import Browser, Page, Route, sync_playwright
 
 from mcspectra.report import write_comparison, write_report
+from mcspectra.report.sampler_gallery import QUICK, write_gallery
 
 Make = dict[str, Callable[..., Any]]
 LOCAL = ("file:", "data:", "blob:", "about:", "http://127.0.0.1", "http://localhost")
@@ -40,6 +43,8 @@ def _folder(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_report(make["study"](root / "a", cells))
     make["study"](root / "b", {("1-D", "random"): {"convergence": make["curve"](rate=-1.3)}})
     write_comparison(root / "a", root / "b", root / "comparison.html")
+    tiny = replace(QUICK, n=16, spectra=6, rates=40, counts=(4, 16))
+    write_gallery(root / "gallery", ["random", "jittered"], effort=tiny)
     return root
 
 
@@ -69,12 +74,27 @@ class Visit:
 
     def show(self, label: str, *, last: bool = False) -> Any:
         """Scroll to the first or last plot whose words begin so, and wait until it is drawn."""
-        found = self.page.locator(f".plot[aria-label^='{label}']")
-        plot = found.last if last else found.first
+        self.unfold()
+        found = self.page.locator(f".live:has(img[alt^='{label}'])")
+        plot = (found.last if last else found.first).locator(".plot")
         plot.locator("xpath=../..").scroll_into_view_if_needed()
         plot.locator("canvas").first.wait_for(state="visible")
         self.page.wait_for_function("Bokeh.documents.every(d => d.is_idle)")
         return plot
+
+    def unfold(self) -> None:
+        """Open all that is folded."""
+        self.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
+
+    def wrongs(self) -> list[str]:
+        """What axe-core calls serious or worse."""
+        self.page.evaluate((files("axe_playwright_python") / "axe.min.js").read_text("utf-8"))
+        found = self.page.evaluate("axe.run()")["violations"]
+        return [
+            f"{each['id']}: {each['nodes'][0]['html'][:200]} {each['nodes'][0]['failureSummary']}"
+            for each in found
+            if each["impact"] in ("serious", "critical")
+        ]
 
     def leave(self) -> None:
         """Close; nothing was asked of a network and nothing went wrong."""
@@ -86,9 +106,9 @@ class Visit:
 def sweep(visit: Visit, plot: Any, word: str) -> bool:
     """Move the pointer over a plot, row by row, until a tooltip shows `word`."""
     box = plot.bounding_box()
-    for part in range(60):
+    for part in range(100):
         x = box["x"] + box["width"] * (0.35 + 0.06 * (part % 10))
-        visit.page.mouse.move(x, box["y"] + 60 + 25 * (part // 10))
+        visit.page.mouse.move(x, box["y"] + 60 + 17 * (part // 10))
         visit.page.wait_for_timeout(60)
         if visit.page.locator(".bk-Tooltip").get_by_text(word).count():
             return True
@@ -100,7 +120,9 @@ def test_the_pointer_shows_exact_values(browser: Browser, folder: Path) -> None:
     assert sweep(visit, visit.show("Bars of the three terms"), "95 %:")
     assert sweep(
         visit,
-        visit.show("Contribution of each frequency to the variance. random: largest", last=True),
+        visit.show(
+            "Signed contribution of each frequency to the variance. random: largest", last=True
+        ),
         "power part:",
     )
     visit.leave()
@@ -108,13 +130,13 @@ def test_the_pointer_shows_exact_values(browser: Browser, folder: Path) -> None:
 
 def test_a_click_in_the_legend_hides_a_line(browser: Browser, folder: Path) -> None:
     visit = Visit(browser, folder / "a" / "report.html")
-    plot = visit.show("Variance against n")
+    plot = visit.show("Logarithmic plot of variance")
     hidden = """() => Bokeh.documents.flatMap(d => Array.from(d._all_models.values()))
         .filter(m => m.type === "GlyphRenderer" && !m.visible).length"""
     assert visit.page.evaluate(hidden) == 0
-    plot.get_by_text("jittered: −3.00 ± 0.03").click()
+    plot.get_by_text("jittered −3.00 ± 0.03").click()
     assert visit.page.evaluate(hidden) == 3  # points, whiskers and fitted line
-    plot.get_by_text("jittered: −3.00 ± 0.03").click()
+    plot.get_by_text("jittered −3.00 ± 0.03").click()
     assert visit.page.evaluate(hidden) == 0
     visit.leave()
 
@@ -142,6 +164,7 @@ def test_every_plot_draws_and_nothing_spills(
         visit = Visit(
             browser, folder / name, viewport={"width": width, "height": 800}, color_scheme=scheme
         )
+        visit.unfold()
         places = visit.page.locator(".live")
         for i in range(places.count()):
             places.nth(i).scroll_into_view_if_needed()
@@ -153,13 +176,39 @@ def test_every_plot_draws_and_nothing_spills(
 
 def test_pictures_without_scripts_and_on_paper(browser: Browser, folder: Path) -> None:
     visit = Visit(browser, folder / "a" / "report.html", java_script_enabled=False)
+    for summary in visit.page.locator("summary").all():
+        summary.click()
     assert visit.page.locator("img:visible").count() == visit.page.locator("img").count() > 9
     assert visit.page.locator("th button").count() == 0
     visit.leave()
     visit = Visit(browser, folder / "a" / "report.html")
-    plot = visit.show("Variance against n")
+    plot = visit.show("Logarithmic plot of variance")
     visit.page.emulate_media(media="print")
     assert not plot.is_visible()
     assert visit.page.locator("img:visible").count() == visit.page.locator("img").count()
     assert visit.page.pdf().startswith(b"%PDF")
+    visit.leave()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("name", ["a/report.html", "comparison.html", "gallery/index.html"])
+def test_axe_finds_nothing_serious(browser: Browser, folder: Path, name: str, scheme: Any) -> None:
+    visit = Visit(
+        browser, folder / name, color_scheme=scheme, viewport={"width": 1200, "height": 800}
+    )
+    visit.unfold()
+    places = visit.page.locator(".live")
+    for i in range(places.count()):
+        places.nth(i).scroll_into_view_if_needed()
+        places.nth(i).locator("canvas").first.wait_for(state="visible")
+    assert visit.wrongs() == []
+    visit.leave()
+
+
+def test_a_link_into_folded_details_opens_them(browser: Browser, folder: Path) -> None:
+    visit = Visit(browser, folder / "a" / "report.html")
+    inside = visit.page.locator("details dl").first
+    assert not inside.is_visible()
+    inside.evaluate("d => { d.id = 'x'; location.hash = 'x'; }")
+    inside.wait_for(state="visible")
     visit.leave()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mcspectra.report.pictograms import curve, map_image, scatter, strip
+from mcspectra.report.reprs import curve, map_image, scatter, strip
 
 SVG = "{http://www.w3.org/2000/svg}"
 

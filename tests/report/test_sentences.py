@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 
 from mcspectra.report import explain
+from mcspectra.report.sentences import further_sentences, headline
 from mcspectra.studies import SummaryRow
 
 
@@ -40,6 +41,8 @@ def case(
         dc=dc,
         power=power,
         cross=cross,
+        cross_low=cross - predicted * (width - 1.0),
+        cross_high=cross + predicted * (width - 1.0),
         predicted=predicted,
         measured=measured,
         measured_low=measured / width,
@@ -61,10 +64,10 @@ def curve(rate: float | None, half: float = 0.03, **more: Any) -> SummaryRow:
         (curve(-1.52), "−1.52 ± 0.03 is faster than"),
         (curve(-0.5), "−0.50 ± 0.03 is slower than"),
         (curve(-1.52, fit_first_n=64), "−1.52 ± 0.03, fitted over n = 64 … 1024, is faster than"),
-        (curve(-1.01), "cannot be told from"),
-        (curve(-1.52, half=0.6), "cannot be told from"),
+        (curve(-1.01), "lies within three standard errors of"),
+        (curve(-1.52, half=0.6), "lies within three standard errors of"),
         (curve(None, variance=0.0), "is zero"),
-        (curve(None, variance=1.0), "it takes two counts"),
+        (curve(None, variance=1.0), "needs two counts"),
     ],
 )
 def test_rate(row: SummaryRow, words: str) -> None:
@@ -93,8 +96,8 @@ def test_cross_term_adds() -> None:
 
 @pytest.mark.parametrize("predicted", [0.9, 1.1])
 def test_cross_term__nothing_that_the_interval_does_not_support(predicted: float) -> None:
-    text = explain(*case(predicted=predicted, measured=predicted, width=1.1))
-    assert "cannot be told from zero" in text
+    text = explain(*case(predicted=predicted, measured=predicted, width=1.2))
+    assert "statistically indistinguishable from zero (power term: 1.00)" in text
     assert "removes" not in text
     assert "adds" not in text
 
@@ -159,6 +162,8 @@ def test_simulated_jitter_of_a_ramp(make: dict[str, Callable[..., Any]]) -> None
         measured_low=low,
         measured_high=high,
         captured=float(terms["captured"]),
+        cross_low=1.5 * float(terms["cross_term"]),
+        cross_high=0.5 * float(terms["cross_term"]),
     )
     text = explain(row, terms)
     assert "The cross term removes" in text
@@ -170,7 +175,7 @@ def test_simulated_jitter_of_a_ramp(make: dict[str, Callable[..., Any]]) -> None
     [
         (0.5, "removes 50 % of what the diagonal of the cosine basis predicts."),
         (1.5, "adds 50 % to what the diagonal of the cosine basis predicts."),
-        (1.01, "cannot be told from zero beside what the diagonal of the cosine basis predicts."),
+        (1.01, "statistically indistinguishable from zero (power term: 1.00)."),
     ],
 )
 def test_other_bases_say_nothing_of_shifts(predicted: float, words: str) -> None:
@@ -178,3 +183,58 @@ def test_other_bases_say_nothing_of_shifts(predicted: float, words: str) -> None
     text = explain(msgspec.structs.replace(row, basis="cosine"), terms)
     assert words in text
     assert "shift" not in text
+
+
+def test_the_cross_term_follows_its_own_interval() -> None:
+    """−1.23e-7 ± 0.61e-7 is not zero, whatever the interval of the prediction."""
+    row, terms = case(predicted=0.9, measured=0.9, width=1.5)
+    certain = msgspec.structs.replace(row, cross_low=-0.15, cross_high=-0.05)
+    assert "The cross term removes 10 %" in explain(certain, terms)
+    unknown = msgspec.structs.replace(row, cross_low=None, cross_high=None)
+    assert "cross term" not in explain(unknown, terms)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"predicted": 2.9}, "The Fourier sum has not converged at half width 32 (basis = 'auto'"),
+        ({"predicted": 0.5, "power": 0.5}, "50 % of the variance lies beyond half width\u00a032."),
+        ({"predicted": 0.5, "measured": 0.5}, "Correlation removes 50 % of dc + power."),
+        ({"predicted": 1.5, "measured": 1.5}, "Correlation adds 50 % to dc + power."),
+        ({}, "Prediction agrees."),
+    ],
+)
+def test_one_sentence_says_why_a_prediction_is_off(options: Any, words: str) -> None:
+    assert headline(*case(**options)).startswith(words)
+
+
+def test_one_sentence_without_terms() -> None:
+    assert headline(curve(-1.52)) == "Faster than random sampling."
+    assert headline(curve(-1.0)) == "Random sampling's rate."
+    assert headline(curve(-1.2, half=0.3)) == "Rate undecided."
+    assert headline(SummaryRow(estimator="e", sampler="s")) == ""
+    noted = SummaryRow(estimator="e", sampler="s", note="terms are infinite: ∫1/p diverges")
+    assert headline(noted) == "Terms are infinite: ∫1/p diverges."
+
+
+@pytest.mark.parametrize(
+    ("analyses", "text"),
+    [
+        ({}, ""),
+        (
+            {
+                "remedies": xr.Dataset(
+                    attrs={"diagnosis": "g jumps.", "recommendation": "Use owen."}
+                )
+            },
+            "g jumps. Use owen.",
+        ),
+        (
+            {"exact": xr.Dataset(attrs={"note": "No form."})},
+            "No exact variance at every n: No form.",
+        ),
+        ({"exact": xr.Dataset()}, ""),
+    ],
+)
+def test_further_sentences(analyses: dict[str, xr.Dataset], text: str) -> None:
+    assert further_sentences(analyses) == text

@@ -1,9 +1,16 @@
 """Tables: cells, dashes with their reasons."""
 
+from collections.abc import Callable
+from typing import Any
+
 import msgspec
+import numpy as np
+import pytest
+import xarray as xr
 
 from mcspectra.report import summary_table, terms_table
-from mcspectra.report.tables import Table
+from mcspectra.report.page import Table
+from mcspectra.report.sentences import bottleneck
 from mcspectra.studies import SummaryRow
 
 FULL = SummaryRow(
@@ -39,10 +46,10 @@ def test_summary() -> None:
         "e",
         "s",
         "−1.52 ± 0.03",
-        "1.23×10⁻⁶ (n = 1024)",
-        "0.960",
-        "power 2.00×10⁻⁶",
-        "",
+        "1.23×10⁻⁶",
+        "0.960 (Fourier)",
+        "f where the samples have power",
+        "Faster than random sampling.",
     ]
 
 
@@ -78,7 +85,7 @@ def test_terms__have_half_their_intervals() -> None:
         "−8.00×10⁻⁷ ± 1.0×10⁻⁷",
     ]
     assert texts(terms_table([row]))[-1] == "0.960 ± 0.020"
-    assert texts(summary_table([row]))[4] == "0.960 ± 0.020"
+    assert texts(summary_table([row]))[4] == "0.960 ± 0.020 (Fourier)"
     blank = SummaryRow(
         estimator="e", sampler="s", terms_n=4, dc=1e-20, power=1e-6, dc_low=0, dc_high=1e-20
     )
@@ -111,16 +118,51 @@ def test_terms__only_where_analysed_and_channels_named() -> None:
 
 
 def test_summary__a_term_that_takes_away_is_no_bottleneck() -> None:
-    row = msgspec.structs.replace(FULL, dc=1e-6, power=2e-6, cross=-9e-6, largest_term="cross")
-    assert summary_table([row], bottlenecks=[""]).rows[0][5].text == "power 2.00×10⁻⁶"
-    assert summary_table([row]).rows[0][5].text == "cross −9.00×10⁻⁶"
+    row = msgspec.structs.replace(FULL, dc=3e-6, power=2e-6, cross=-9e-6, largest_term="cross")
+    assert texts(summary_table([row]))[5] == "weights: p does not follow f"
     negative = msgspec.structs.replace(row, dc=0.0, power=0.0)
-    assert summary_table([negative], bottlenecks=[""]).rows[0][5].text == "cross −9.00×10⁻⁶"
+    assert texts(summary_table([negative]))[5] == "–"
 
 
 def test_summary__links_orders_and_bottlenecks() -> None:
-    table = summary_table([FULL, FULL], links=["#a", "#b"], bottlenecks=["light", ""])
+    found = [{"techniques": xr.Dataset(attrs={"bottleneck": "light"})}, {}]
+    table = summary_table([FULL, FULL], links=["#a", "#b"], analyses=found)
     assert table.columns[5] == "Bottleneck"
-    assert [row[5].text for row in table.rows] == ["light", "power 2.00×10⁻⁶"]
+    assert [row[5].text for row in table.rows] == ["light", "f where the samples have power"]
     assert [row[0].link for row in table.rows] == ["#a", "#b"]
     assert [cell.order for cell in table.rows[0]][2:5] == [-1.52, 1.234e-6, 0.96]
+
+
+def test_summary__other_counts_are_named() -> None:
+    rows = [FULL, FULL, msgspec.structs.replace(FULL, n=256)]
+    table = summary_table(rows)
+    assert table.columns[3] == "Variance at n = 1024"
+    assert [row[3].text for row in table.rows] == ["1.23×10⁻⁶", "1.23×10⁻⁶", "1.23×10⁻⁶ (n = 256)"]
+
+
+def test_summary__an_exact_prediction_is_the_best(make: dict[str, Callable[..., Any]]) -> None:
+    curve = make["curve"]("random")
+    exact = xr.Dataset({"exact_variance": ("n", [0.04, 0.5])}, {"n": [16, 9999]})
+    table = summary_table([FULL], analyses=[{"exact": exact, "convergence": curve}])
+    ratio, (low, high) = 0.04 / (0.08 / 16), 0.04 / curve["variance_ci"].sel(n=16).values[::-1]
+    assert table.rows[0][4].text == f"{ratio:.2f} ± {(high - low) / 2:.2f} (exact)"
+    assert table.rows[0][4].order == pytest.approx(ratio)
+
+
+def terms(power: list[float], **attrs: Any) -> xr.Dataset:
+    """The power term by frequency, in one dim."""
+    m = np.arange(-4, 5)
+    return xr.Dataset({"power_contribution": ("m0", power)}, {"m0": m}, attrs)
+
+
+def test_bottleneck__where_half_of_the_power_term_lies() -> None:
+    low = terms([0, 0, 0, 5, 9, 5, 0, 0, 1])
+    high = terms([9, 1, 0, 0, 9, 0, 0, 1, 9])
+    row = msgspec.structs.replace(FULL, terms_n=8)
+    assert bottleneck(row, low) == "coarse shape (|m|\u00a0≤\u00a01)"
+    assert bottleneck(row, high) == "edges and detail (|m|\u00a0≥\u00a04)"
+    assert bottleneck(msgspec.structs.replace(row, basis="cosine"), high).endswith(
+        "(|m|\u00a0≤\u00a02)"
+    )
+    walsh = msgspec.structs.replace(row, basis="walsh")
+    assert bottleneck(walsh, high) == "f where the samples have power"

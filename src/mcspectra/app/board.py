@@ -3,21 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from html import escape
 from queue import SimpleQueue
 from typing import Any, final
 
-import panel as pn
+from bokeh.models import Column, InlineStyleSheet, Row
+from bokeh.models.widgets.buttons import Button
+from bokeh.models.widgets.markups import Div
 
-from mcspectra.app.compute import Job, Update
-from mcspectra.app.look import text_block
-from mcspectra.app.parts import make_parts
+from mcspectra.app.compute import KINDS, Job, Update, make_parts
+from mcspectra.app.figures import FIGURES, figures_of
 from mcspectra.app.state import Setup
-from mcspectra.app.views import View, make_views
+from mcspectra.plots.backend_bokeh import Drawn, draw
+from mcspectra.plots.description import Plot
 
 __all__ = ["Board"]
 
-_STATUS = ".alert { border-left: 4px solid #D55E00; padding-left: 8px; font-weight: 600; }"
+_FRESH: Any = {"opacity": "1", "filter": "none"}
+_STALE: Any = {"opacity": "0.35", "filter": "grayscale(1)"}
+
+
+@final
+@dataclass
+class _Card:
+    """A figure on the page with its heading and its words."""
+
+    drawn: Drawn
+    layout: Any
 
 
 @final
@@ -26,61 +39,57 @@ class Board:
 
     Parameters
     ----------
-    setup, side, theme
-        What is shown, ``"A"`` or ``"B"``, and the name of the look.
+    side
+        ``"A"`` or ``"B"``.
+    sheet
+        Style of the widgets.
     later
         Has a function of no arguments called in the page's own thread, holding its lock.
     on_update
-        Called in the job's thread before a part is shown.
+        Called in the job's thread before its first part is shown, or with a sentence where nothing
+        can be computed.
     on_shown
-        Called in the page's thread after one was.
+        Called in the page's thread after a part was, or when the job has ended; with True where
+        figures came or went.
     """
 
     def __init__(
         self,
-        setup: Setup,
         side: str,
-        theme: str,
+        sheet: InlineStyleSheet,
         *,
         later: Callable[[Callable[[], None]], object],
-        on_update: Callable[[Update], object],
-        on_shown: Callable[[], object],
+        on_update: Callable[[str], object],
+        on_shown: Callable[[bool], object],
     ) -> None:
         self.latest: dict[str, Any] = {}
-        self._side, self._theme = side, theme
+        self.cards: dict[str, _Card] = {}
+        self._side, self._sheet = side, sheet
         self._later, self._on_update, self._on_shown = later, on_update, on_shown
         self._job: Job | None = None
         self._inbox: SimpleQueue[tuple[Job, Update | str]] = SimpleQueue()
-        self._status = text_block(css=_STATUS)
-        self._progress = pn.indicators.Progress(
-            value=0, max=100, sizing_mode="stretch_width", margin=(4, 10)
-        )
-        self._cancel = pn.widgets.Button(name=f"Cancel, {side}", button_type="default", width=110)
-        self._cancel.on_click(self._ask_to_cancel)
-        self.header = pn.Column(
-            pn.Row(self._progress, self._cancel, sizing_mode="stretch_width"),
-            self._status,
-            sizing_mode="stretch_width",
-        )
-        self.cards: list[Any] = []
-        self._setup = setup
-        self._make(setup)
+        self._fresh: set[str] = set()
+        self._paired = False
+        self._fraction = 0.0
+        self._status = Div(sizing_mode="stretch_width", stylesheets=[sheet])
+        self._cancel = Button(label=f"Cancel, {side}", width=110, stylesheets=[sheet])
+        self._cancel.on_click(lambda: self.cancel())
+        self.header = Row(children=[self._status, self._cancel], sizing_mode="stretch_width")
 
-    def run(self, setup: Setup) -> bool:
-        """Show another set-up; True if the cards are new because the figures are of another kind."""
+    def run(self, setup: Setup) -> None:
+        """Show another set-up."""
         self.cancel(quiet=True)
-        new = self._kind(setup) != self._made_for
-        if new:
-            self._make(setup)
         self.latest.clear()
+        self._fresh.clear()
         self._setup = setup
         self._cancel.disabled = False
         self._say("Computing …")
         self._job = job = Job(
-            setup, lambda update: self._hear(job, update), lambda said: self._hear_end(job, said)
+            setup,
+            lambda update: self._hear(job, update),
+            lambda sentence: self._post(job, sentence),
         )
         job.start()
-        return new
 
     def cancel(self, *, quiet: bool = False) -> None:
         """Drop the job that is under way."""
@@ -90,43 +99,32 @@ class Board:
             if not quiet:
                 self._end("Cancelled; the figures show what was done by then.")
 
-    def _ask_to_cancel(self, _: Any) -> None:
-        self._later(self.cancel)
+    @property
+    def busy(self) -> bool:
+        """Whether a job is under way."""
+        return self._job is not None
 
     def refuse(self, sentence: str) -> None:
         """Say why what was entered is not computed."""
         self._say(sentence, alert=True)
 
-    @staticmethod
-    def _kind(setup: Setup) -> tuple[object, ...]:
-        """What the labels of figures depend on."""
-        return setup.dims, setup.frequency_step, setup.n
+    def pair(self, paired: bool) -> None:
+        """Name the side in the figures' headings, or not."""
+        self._paired = paired
+        for kind, card in self.cards.items():
+            card.layout.children[0].text = self._heading(kind)
 
-    def _make(self, setup: Setup) -> None:
-        self._made_for = self._kind(setup)
-        self._views: list[View] = make_views(setup, self._theme)
-        self._captions = [text_block(margin=(0, 10, 12, 10)) for _ in self._views]
-        for view in self._views:
-            self._name(view, "")
-        self.cards = [
-            pn.Column(pn.pane.Bokeh(view.figure, sizing_mode="scale_width"), caption, margin=4)
-            for view, caption in zip(self._views, self._captions, strict=True)
-        ]
-        for card in self.cards:
-            card.sizing_mode = "stretch_width"
-
-    def _name(self, view: View, sentence: str) -> None:
-        """Give the figure a name that screen readers read."""
-        title = f"{self._side}: {view.figure.title.text}. {sentence}"
-        view.figure.html_attributes = {"role": "img", "aria-label": title.strip()}
+    def _heading(self, kind: str) -> str:
+        side = f"{self._side}: " if self._paired else ""
+        return f"<h2>{side}{FIGURES[kind]}</h2>"
 
     def _hear(self, job: Job, update: Update) -> None:
-        self._on_update(update)
-        self._inbox.put((job, update))
-        self._later(self._read)
+        if update.kind == KINDS[0]:
+            self._on_update("")
+        self._post(job, update)
 
-    def _hear_end(self, job: Job, sentence: str) -> None:
-        self._inbox.put((job, sentence))
+    def _post(self, job: Job, news: Update | str) -> None:
+        self._inbox.put((job, news))
         self._later(self._read)
 
     def _read(self) -> None:
@@ -143,29 +141,60 @@ class Board:
 
     def _show(self, update: Update) -> None:
         self.latest[update.kind] = update.value
-        for view, caption in zip(self._views, self._captions, strict=True):
-            if view.kind == update.kind:
-                sentence = view.show(update.value)
-                caption.text = f"<p>{escape(sentence)}</p>"
-                self._name(view, sentence)
-        self._progress.value = round(100 * update.fraction)
+        plots = figures_of(update.kind, update.value, self._setup.displaced_sampler)
+        new = [self._place(plot) for plot in plots]
+        self._fraction = update.fraction
         self._say(f"{update.realizations} realisations, {update.fraction:.0%} done.")
-        self._on_shown()
+        self._on_shown(any(new))
+
+    def _place(self, plot: Plot) -> bool:
+        """Show a plot in its card; True if the card is new."""
+        words = f'<p>{escape(plot.words)}</p><p class="soft">{escape(plot.caption)}</p>'
+        self._fresh.add(plot.kind)
+        card = self.cards.get(plot.kind)
+        if card is not None and card.drawn.fits(plot):
+            card.drawn.update(plot)
+            card.layout.children[2].text = words
+            card.layout.styles = _FRESH
+            return False
+        drawn = draw(plot)
+        texts = [Div(text=t, sizing_mode="stretch_width", stylesheets=[self._sheet], disable_math=True)
+                 for t in (self._heading(plot.kind), words)]  # fmt: skip
+        layout = Column(
+            children=[texts[0], drawn.model, texts[1]],
+            sizing_mode="stretch_width",
+            styles=_FRESH,
+            html_attributes={"role": "group", "aria-label": f"{self._side}: {FIGURES[plot.kind]}"},
+            css_classes=["wide"] if len(plot.panels) > 2 else [],
+        )
+        self.cards[plot.kind] = _Card(drawn, layout)
+        return True
 
     def _end(self, sentence: str, *, alert: bool = False) -> None:
+        """Say how the job ended; figures that it did not reach leave, or are grey where they are old."""
         self._cancel.disabled = True
-        notes: list[str] = []
-        if self.latest:
-            notes += make_parts(self._setup).notes
+        old = [kind for kind in self.cards if kind not in self._fresh]
+        if len(self.latest) > 0 and sentence == "Done.":
+            for kind in old:
+                del self.cards[kind]
+        else:
+            for kind in old:
+                self.cards[kind].layout.styles = _STALE
+        notes: list[str] = list(make_parts(self._setup).notes) if self.latest else []
         notes += [
             str(value.attrs["note"])
             for kind, value in self.latest.items()
             if kind in ("terms", "convergence") and "note" in value.attrs
         ]
+        if alert:
+            self._on_update(sentence)
+        self._fraction = 0.0 if alert else 1.0
         self._say(" ".join(dict.fromkeys([sentence, *notes])), alert=alert)
+        self._on_shown(bool(old))
 
     def _say(self, sentence: str, *, alert: bool = False) -> None:
         role = "alert" if alert else "status"
         self._status.text = (
             f'<p role="{role}" class="{role}"><strong>{self._side}</strong> {escape(sentence)}</p>'
+            f'<progress value="{self._fraction:.3f}"></progress>'
         )

@@ -1,52 +1,60 @@
 """From a set-up to datasets, in rounds of more and more realisations that can be cancelled.
 
 Round r computes everything anew with four times the realisations of round r − 1: a third more work
-in all, and the last round is, to the bit, what the calls of "copy as Python" return.
+in all, and the last round is, to the bit, what the calls of "copy as Python" return. Estimators are
+kept, so that they keep what was computed for them.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, Literal, final
 
 import numpy as np
+import xarray as xr
 
-from mcspectra.app.parts import analyses_of, make_parts
-from mcspectra.app.state import Setup
+from mcspectra.app.specs import UPLOAD, changed, techniques
+from mcspectra.app.state import ANALYSES, MOST_POINTS, Setup
+from mcspectra.app.uploads import upload_path
 from mcspectra.core import analysis
-from mcspectra.core.analysis import Subject
-from mcspectra.core.checks import Array
-from mcspectra.core.errors import McspectraError
+from mcspectra.core.analysis import Analysis, Subject
+from mcspectra.core.errors import McspectraError, ParameterError
+from mcspectra.core.options import options_of
 from mcspectra.core.progress import listening
-
-if TYPE_CHECKING:
-    import xarray as xr
+from mcspectra.core.spec import parse
+from mcspectra.densities import Density, density
+from mcspectra.estimators import AbstractEstimator, Estimator, Mirrored, TechniqueSum
+from mcspectra.integrands import Integrand, integrand
+from mcspectra.integrands.smoothing import smoothed
+from mcspectra.samplers import Sampler, sampler
 
 __all__ = [
     "KINDS",
     "Job",
-    "PointSet",
+    "Parts",
     "Update",
+    "analyses_of",
     "compute",
+    "integrand_specs",
+    "ladder",
+    "make_parts",
     "rounds",
 ]
+
+KINDS = ("points", "integrand", "spectrum", "convergence", "terms")
+"""What is computed in each round, in this order."""
 
 _FIRST_ROUND, _GROWTH = 16, 4
 _LONGEST_ROUND = 30.0  # seconds that a round may be expected to take; longer ones are not begun
 _KEPT = 64  # datasets of about 1 MB each
-
-
-@final
-@dataclass(frozen=True)
-class PointSet:
-    """One set (n, d) after the warp, and its 1/p, shape (n,)."""
-
-    points: Array
-    weights: Array
+_GRID = {1: 1024, 2: 128}  # places along an axis at which the integrand is drawn, by dims
+_FILTERS = threading.Lock()  # warning filters are the process's, not a thread's
 
 
 @final
@@ -57,7 +65,7 @@ class Update:
     Attributes
     ----------
     value
-        A `PointSet`, or the dataset of `power_spectrum`, `convergence` or `variance_terms`.
+        The dataset of the analysis; of ``integrand`` f, p and f/p on a grid.
     realizations
         Of this value.
     fraction
@@ -79,8 +87,8 @@ def rounds(setup: Setup) -> Iterator[int]:
     yield setup.realizations
 
 
-def compute(kind: str, setup: Setup, realizations: int) -> Any:
-    """Compute one of `KINDS`; what does not depend on the integrand is shared by all integrands.
+def compute(kind: str, setup: Setup, realizations: int) -> xr.Dataset:
+    """Compute one of `KINDS`; what does not depend on a part of the set-up is kept for all of them.
 
     Raises
     ------
@@ -89,31 +97,45 @@ def compute(kind: str, setup: Setup, realizations: int) -> Any:
     """
     if kind in ("points", "spectrum"):
         setup = replace(setup, integrand="constant", mirror="none", smoothing=0.0, basis="fourier")
-    if kind == "points":
-        return _points(replace(setup, realizations=2))
-    return _measured(kind, replace(setup, realizations=realizations))
+    if kind == "integrand":
+        own = ("integrand", "density", "dims", "mirror", "channel", "smoothing")
+        setup = Setup(**{name: getattr(setup, name) for name in own})
+    once = kind in ("points", "integrand")
+    return _computed(kind, replace(setup, realizations=2 if once else realizations))
 
 
 @lru_cache(_KEPT)
-def _points(setup: Setup) -> PointSet:
+def _computed(kind: str, setup: Setup) -> xr.Dataset:
     parts = make_parts(setup)
-    u = parts.sampler.draw(setup.n, realizations=1, rng=setup.seed)[0]
-    if parts.density is None:
-        return PointSet(u, np.ones(setup.n))
-    x = parts.density.sample(u)
-    with np.errstate(divide="ignore"):
-        return PointSet(x, 1.0 / parts.density.pdf(x))
-
-
-@lru_cache(_KEPT)
-def _measured(kind: str, setup: Setup) -> xr.Dataset:
-    parts = make_parts(setup)
+    if kind == "integrand":
+        return _on_a_grid(parts)
     subject = Subject(parts.estimator, parts.sampler, parts.density)
-    return analysis.compute(analyses_of(setup)[kind], subject, setup.seed)
+    found: xr.Dataset = analysis.compute(analyses_of(setup)[kind], subject, setup.seed)
+    if kind == "points" and parts.density is not None:
+        with np.errstate(divide="ignore"):
+            weights = 1.0 / parts.density.pdf(found["points"].to_numpy())
+        found = found.assign(weights=("point", weights))
+    return found
 
 
-KINDS = ("points", "spectrum", "convergence", "terms")
-"""What is computed in each round, in this order."""
+def _on_a_grid(parts: Parts) -> xr.Dataset:
+    """f, p and f/p on the grid of the unit square; of techniques their f/p, where x is primary."""
+    dims, f = parts.sampler.dims, parts.estimator.domain_integrand
+    size = _GRID[dims]
+    middles = (np.arange(size) + 0.5) / size
+    x = np.stack(np.meshgrid(*[middles] * dims, indexing="ij"), axis=-1).reshape(-1, dims)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if f is None:
+            counts = range(len(parts.estimator.counts))
+            values = {f"technique {t}": parts.estimator.primary_values(t, x) for t in counts}
+        else:
+            p = np.ones(len(x)) if parts.density is None else parts.density.pdf(x)
+            values = {"f": f(x), "p": p, "f/p": f(x) / p}
+    axes = [f"x{k}" for k in range(dims)]
+    return xr.Dataset(
+        {name: (axes, np.reshape(each, [size] * dims)) for name, each in values.items()},
+        dict.fromkeys(axes, middles),
+    )
 
 
 class _Cancelled(Exception):
@@ -224,3 +246,133 @@ class Job:
                 return False
             self._on_update(Update(kind, value, count, count / last * done / len(KINDS)))
         return True
+
+
+@final
+@dataclass(frozen=True)
+class Parts:
+    """What a set-up describes, made; `notes` are what it was warned of."""
+
+    density: Density | None
+    estimator: AbstractEstimator
+    sampler: Sampler
+    space: Literal["domain", "primary"]
+    notes: tuple[str, ...]
+
+
+def integrand_specs(setup: Setup) -> tuple[str, ...]:
+    """Specs of the integrands, one for each technique, as `mcspectra.integrand` reads them.
+
+    A file stands in the place of an upload's digest, and those of several channels have the one that
+    is shown.
+
+    Raises
+    ------
+    McspectraError
+        A spec cannot be made, or an upload is not here.
+    """
+    channel = setup.channel if setup.channel == "luminance" else int(setup.channel)
+    found = []
+    for text in techniques(setup.integrand):
+        call = parse(text)
+        if call.name == UPLOAD:
+            file = str(upload_path(call.arguments["digest"]))
+            found.append(f"image(path={file!r}, channel={channel!r})")
+        else:
+            several = _integrand(text, setup.dims).channels
+            found.append(changed(text, "channel", channel) if several else text)
+    return tuple(found)
+
+
+def make_parts(setup: Setup) -> Parts:
+    """Make density, estimator and sampler; the same ones for all rounds of realisations.
+
+    Raises
+    ------
+    McspectraError
+        A spec cannot be made, or the parts do not fit one another.
+    """
+    return _parts(replace(setup, realizations=2))
+
+
+@lru_cache(_KEPT)
+def _parts(setup: Setup) -> Parts:
+    specs = integrand_specs(setup)
+    p = _density(setup.density, setup.dims)
+    estimator = _estimator(specs, setup.density, setup.mirror, setup.smoothing, setup.dims)
+    source = sampler(setup.displaced_sampler, setup.dims)
+    with _FILTERS, warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        estimator.check_sampler(source, source.check_count(setup.n))
+    notes = tuple(dict.fromkeys(str(each.message) for each in heard))
+    infinite = estimator.domain_integrand is None or estimator.infinite_weights
+    return Parts(p, estimator, source, "primary" if infinite else "domain", notes)
+
+
+@lru_cache(_KEPT)
+def _estimator(
+    specs: tuple[str, ...], density_spec: str, mirror: str, smoothing: float, dims: int
+) -> AbstractEstimator:
+    """An estimator; kept, because its integrands remember their coefficients."""
+    p = _density(density_spec, dims)
+    integrands = [_integrand(spec, dims) for spec in specs]
+    several = next((f for f in integrands if f.channels), None)
+    if several is not None:
+        raise ParameterError(
+            f"{several.spec} has {several.channels} channels; the explorer shows one: choose it "
+            "with channel=."
+        )
+    if len(integrands) > 1 and (p is not None or smoothing):
+        raise ParameterError(
+            "Techniques that are summed have their densities and edges inside; choose the uniform "
+            "density and no smoothing."
+        )
+    if len(integrands) > 1:
+        estimator: AbstractEstimator = TechniqueSum(integrands)
+    else:
+        estimator = Estimator(_smoothed(specs[0], dims, smoothing), p)
+    return estimator if mirror == "none" else Mirrored(estimator, mirror)
+
+
+@lru_cache(_KEPT)
+def _density(spec: str, dims: int) -> Density | None:
+    return None if spec == "uniform" else density(spec, dims)
+
+
+@lru_cache(_KEPT)
+def _integrand(spec: str, dims: int) -> Integrand:
+    return integrand(spec, dims)
+
+
+@lru_cache(_KEPT)
+def _smoothed(spec: str, dims: int, width: float) -> Integrand:
+    f = _integrand(spec, dims)
+    return smoothed(f, width) if width else f
+
+
+def analyses_of(setup: Setup) -> dict[str, Analysis]:
+    """The analyses that are shown of a set-up, with its options.
+
+    Raises
+    ------
+    McspectraError
+        The set-up cannot be made.
+    """
+    given = {each.name: getattr(setup, each.name) for each in dataclasses.fields(setup)}
+    given["counts"] = setup.counts or tuple(ladder(setup))
+    given["space"] = setup.space or make_parts(setup).space
+    return {
+        name: kind(**{o.name: given[o.name] for o in options_of(kind) if o.name in given})
+        for name, kind in ANALYSES.items()
+    }
+
+
+def ladder(setup: Setup) -> list[int]:
+    """Numbers of points of the convergence plot: ones that the sampler can do, about 4n at most."""
+    source = make_parts(setup).sampler
+    top = min(4 * setup.n, MOST_POINTS, source.max_count)
+    asked = [round(top / 4**k) for k in range(6) if top >= 4 ** (k + 1)]
+    with _FILTERS, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        possible = {source.nearest_count(count) for count in asked}
+    return sorted(count for count in possible if count <= MOST_POINTS) or [setup.n]

@@ -1,18 +1,26 @@
-"""The widgets that choose one set-up."""
+"""The widgets that choose one set-up; those of the analyses' options are made from these options."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import base64
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, final
 
-import panel as pn
+from bokeh.models import Column, InlineStyleSheet
+from bokeh.models.widgets.groups import CheckboxGroup
+from bokeh.models.widgets.inputs import FileInput, Select, TextInput
+from bokeh.models.widgets.markups import Div
+from bokeh.models.widgets.sliders import CategoricalSlider, Slider
 
-from mcspectra.app.parameters import DENSITY_SLIDERS, base_and_steps, chain, changed, moved
-from mcspectra.app.specs import FORMULA, UPLOAD
-from mcspectra.app.state import BASES, CHANNELS, MIRRORS, MOST_HALF_WIDTH, MOST_POINTS, Setup
+from mcspectra.app.specs import FORMULA, UPLOAD, base_and_steps, chain, changed
+from mcspectra.app.state import CHANNELS, MIRRORS, MOST_HALF_WIDTH, MOST_POINTS, OPTIONS, Setup
 from mcspectra.app.uploads import keep_upload
 from mcspectra.core.errors import McspectraError
 from mcspectra.core.spec import parse
+from mcspectra.densities import DENSITIES
+from mcspectra.integrands import INTEGRANDS
+from mcspectra.samplers import SAMPLERS, sampler
 
 __all__ = ["Controls"]
 
@@ -24,13 +32,25 @@ _NEEDS_MORE = {
 }  # fmt: skip
 _OTHER = "as written below"
 _EXPONENTS = range(2, 13)  # of 2: the counts on the slider
-_REAL_STEP = 0.25
-_FREQUENCIES = {"integer": 1.0, "real, every ¼": _REAL_STEP}
-_CHANNELS = dict(zip(("luminance", "red", "green", "blue"), CHANNELS, strict=True))
-_REALIZATIONS = (64, 256, 1024, 4096)
-_HALF_WIDTHS = (16, 32, 64, 128)
 _EXAMPLE = "exp(-x**2 - y**2)"
 _PICTURES = ".png,.jpg,.jpeg,.exr,.npy"
+_TEXTS = {
+    "sampler": "Sampler spec", "density": "Density spec", "integrand": "Integrand spec",
+    "n": "Exact n", "seed": "Seed",
+}  # fmt: skip
+_PARTS = {"strata_shift": ("Strata shift", 0.95, 0.05), "smoothing": ("Smoothing width", 0.5, 0.01)}
+_CHOICES: dict[str, tuple[str, Sequence[Any]]] = {
+    "channel": ("Channel", list(zip(CHANNELS, ("luminance", "red", "green", "blue"), strict=True))),
+    "mirror": ("Mirror", MIRRORS),
+    "realizations": ("Realisations", ("64", "256", "1024", "4096")),
+}
+_SLIDERS: dict[str, tuple[tuple[str, float, float, float], ...]] = {
+    "linear": (("slope", -1.9, 1.9, 1.0),),
+    "power": (("exponent", 0.0, 4.0, 1.0),),
+    "exponential": (("rate", 0.1, 8.0, 1.0),),
+    "truncated-normal": (("mean", 0.0, 1.0, 0.5), ("sigma", 0.05, 1.0, 0.2)),
+    "tent": (("peak", 0.05, 0.95, 0.5),),
+}  # parameters of densities: name, least, most, default
 
 
 @final
@@ -43,52 +63,48 @@ class Controls:
         What they show at first.
     side
         ``"A"`` or ``"B"``, part of all labels, so that screen readers tell them apart.
+    sheet
+        Style of the widgets.
     on_change
         Called with the new set-up.
     on_error
         Called with a sentence when what was entered is refused; the set-up stays.
+    later
+        Has a function called in the page's thread, after all events that came together.
     """
 
     def __init__(
         self,
         setup: Setup,
         side: str,
+        sheet: InlineStyleSheet,
+        *,
         on_change: Callable[[Setup], object],
         on_error: Callable[[str], object],
+        later: Callable[[Callable[[], None]], object],
     ) -> None:
         self.setup = setup
-        self._side, self._on_change, self._on_error = side, on_change, on_error
+        self._side, self._sheet = side, sheet
+        self._on_change, self._on_error, self._later = on_change, on_error, later
         self._filling = False
-        self._density_sliders: Any = pn.Column(sizing_mode="stretch_width")
-        self._widgets = self._made()
-        self._watch()
+        self._density_sliders: Any = Column(sizing_mode="stretch_width")
+        self._widgets = w = self._made()
         self._fill()
-        w = self._widgets
-        sampler = [w[k] for k in ("base", "sampler", "count", "n", "strata_shift")]
-        density = [w["density_name"], self._density_sliders, w["density"]]
-        integrand = [
-            w[k]
-            for k in (
-                "integrand_name",
-                "formula",
-                "integrand",
-                "channel",
-                "dims",
-                "smoothing",
-                "mirror",
-            )
-        ]
-        analysis = [w[k] for k in ("basis", "frequencies", "half_width", "realizations", "seed")]
-        self.layout = pn.Column(
-            *_section("Sampler", sampler[:1]),
-            pn.pane.HTML(f"<p>Randomisations, {side}</p>", margin=(0, 10)),
-            w["steps"],
-            *sampler[1:],
-            *_section("Density", density),
-            *_section("Integrand", [*integrand, _upload_row(w["upload"], side)]),
-            *_section("Analysis", analysis),
+
+        def heading(text: str, level: str = "h2") -> Any:
+            return Div(text=f"<{level}>{text}</{level}>", stylesheets=[sheet])
+
+        self.layout = Column(
+            children=[
+                heading("Sampler"), w["base"], heading("Randomisations", "h3"), w["steps"],
+                w["sampler"], w["count"], w["n"], w["strata_shift"],
+                heading("Density"), w["density_name"], self._density_sliders, w["density"],
+                heading("Integrand"), w["integrand_name"], w["formula"], w["integrand"], w["upload"],
+                w["channel"], w["dims"], w["smoothing"], w["mirror"],
+                heading("Analysis"), w["realizations"], w["seed"], *(w[name] for name in OPTIONS),
+            ],
             sizing_mode="stretch_width",
-        )
+        )  # fmt: skip
 
     def show(self, setup: Setup) -> None:
         """Show another set-up without calling back."""
@@ -96,10 +112,10 @@ class Controls:
         self._fill()
 
     def change(self, **values: Any) -> None:
-        """Change fields of the set-up as if by hand."""
+        """Change fields of the set-up as if by hand; texts are read as those of an address."""
         try:
-            fields = {name: getattr(self.setup, name) for name in Setup.__dataclass_fields__}
-            setup = Setup(**{**fields, **values})
+            read = {k: Setup.read(k, v) if isinstance(v, str) else v for k, v in values.items()}
+            setup = replace(self.setup, **read)
         except McspectraError as error:
             self._on_error(str(error))
             return
@@ -108,99 +124,104 @@ class Controls:
             self._on_change(setup)
 
     def _made(self) -> dict[str, Any]:
-        from mcspectra.densities import DENSITIES
-        from mcspectra.integrands import INTEGRANDS
-        from mcspectra.samplers import SAMPLERS
+        # What is chosen beside its spec
+        make, density, integrand = self._make, self._named("density"), self._named("integrand")
+        steps = CheckboxGroup(labels=_STEPS, stylesheets=[self._sheet])
+        self._watch(steps, "active", self._choose_sampler)
+        made = {
+            "base": make(Select, "Sampler", self._choose_sampler, options=_offered(SAMPLERS)),
+            "steps": steps,
+            "count": make(
+                CategoricalSlider, "Points n", self._entered("n"), "value_throttled",
+                categories=["1"], value="1",
+            ),
+            "density_name": make(Select, "Density", density, options=_offered(DENSITIES)),
+            "integrand_name": make(Select, "Integrand", integrand, options=_offered(INTEGRANDS)),
+            "formula": make(TextInput, "Formula", self._choose_formula, placeholder=_EXAMPLE),
+            "upload": make(
+                FileInput, "Picture as integrand", lambda _: self._later(self._take_upload),
+                accept=_PICTURES,
+            ),
+            "dims": make(Select, "Dims", self._choose_dims, options=["1", "2"]),
+        }  # fmt: skip
+        # Fields of the set-up
+        for name, label in _TEXTS.items():
+            made[name] = make(TextInput, label, self._entered(name))
+        for name, (label, most, step) in _PARTS.items():
+            options = {"start": 0.0, "end": most, "step": step, "value": 0.0}
+            made[name] = make(Slider, label, self._entered(name), "value_throttled", **options)
+        for name, (label, choices) in _CHOICES.items():
+            made[name] = make(Select, label, self._entered(name), options=list(choices))
+        # Options of the analyses
+        for name, option in OPTIONS.items():
+            label = name.replace("_", " ").capitalize()
+            free = option.required or option.default is None
+            if option.choices and option.choices != ("auto",):  # which stands for numbers too
+                choices = [
+                    *([("", "by default")] if free else []),
+                    *((c, c) for c in option.choices),
+                ]
+                widget = make(Select, label, self._entered(name), options=choices)
+            else:
+                shown = "chosen to fit" if free else str(option.default)
+                widget = make(TextInput, label, self._entered(name), placeholder=shown)
+            widget.description = option.meaning
+            made[name] = widget
+        return made
 
-        w, label = pn.widgets, self._label
-        return {
-            "base": w.Select(name=label("Sampler"), options=_offered(SAMPLERS)),
-            "steps": w.CheckBoxGroup(name=label("Randomisations"), options=_STEPS),
-            "sampler": w.TextInput(name=label("Sampler spec")),
-            "count": w.DiscreteSlider(name=label("Points n"), options=[self.setup.n]),
-            "n": w.IntInput(name=label("Exact n"), start=1, end=MOST_POINTS),
-            "strata_shift": _slider(label("Strata shift"), 0.0, 0.95, 0.05),
-            "density_name": w.Select(name=label("Density"), options=_offered(DENSITIES)),
-            "density": w.TextInput(name=label("Density spec")),
-            "integrand_name": w.Select(name=label("Integrand"), options=_offered(INTEGRANDS)),
-            "formula": w.TextInput(name=label("Formula"), placeholder=_EXAMPLE),
-            "integrand": w.TextInput(name=label("Integrand spec")),
-            "channel": w.Select(name=label("Channel"), options=_CHANNELS),
-            "upload": w.FileInput(accept=_PICTURES, multiple=False),
-            "dims": w.Select(name=label("Dims"), options=[1, 2]),
-            "smoothing": _slider(label("Smoothing width"), 0.0, 0.5, 0.01),
-            "mirror": w.Select(name=label("Mirror"), options=list(MIRRORS)),
-            "basis": w.Select(name=label("Basis"), options=list(BASES)),
-            "frequencies": w.Select(name=label("Frequencies"), options=_FREQUENCIES),
-            "half_width": w.Select(name=label("Half width"), options=list(_HALF_WIDTHS)),
-            "realizations": w.Select(name=label("Realisations"), options=list(_REALIZATIONS)),
-            "seed": w.IntInput(name=label("Seed"), start=0),
-        }
+    def _make(
+        self,
+        kind: Any,
+        label: str,
+        act: Callable[[Any], object],
+        name: str = "value",
+        **options: Any,
+    ) -> Any:
+        widget = kind(title=f"{label}, {self._side}", stylesheets=[self._sheet], **options)
+        self._watch(widget, name, act)
+        return widget
 
-    def _label(self, text: str) -> str:
-        return f"{text}, {self._side}"
-
-    def _watch(self) -> None:
-        w = self._widgets
-        for name in ("sampler", "n", "density", "integrand", "channel", "mirror", "basis", "seed"):
-            self._bind(w[name], "value", name)
-        for name in ("half_width", "realizations"):
-            self._bind(w[name], "value", name)
-        for name in ("strata_shift", "smoothing"):
-            self._bind(w[name], "value_throttled", name)
-        self._bind(w["count"], "value_throttled", "n")
-        self._bind(w["frequencies"], "value", "frequency_step")
-        self._on(w["base"], "value", self._choose_sampler)
-        self._on(w["steps"], "value", self._choose_sampler)
-        self._on(w["density_name"], "value", lambda name: self._choose("density", name))
-        self._on(w["integrand_name"], "value", lambda name: self._choose("integrand", name))
-        self._on(w["formula"], "value", self._choose_formula)
-        self._on(w["dims"], "value", self._choose_dims)
-        self._on(w["upload"], "value", self._take_upload)
-
-    def _bind(self, widget: Any, parameter: str, name: str) -> None:
-        self._on(widget, parameter, lambda value: self.change(**{name: value}))
-
-    def _on(self, widget: Any, parameter: str, act: Callable[[Any], object]) -> None:
+    def _watch(self, widget: Any, name: str, act: Callable[[Any], object]) -> None:
         """Have `act` called with what the user enters, not with what `_fill` does."""
+        widget.sizing_mode = "stretch_width"
 
-        def heard(event: Any) -> None:
-            if not self._filling and event.new is not None:
-                act(event.new)
+        def heard(attribute: str, old: Any, new: Any) -> None:
+            del attribute, old
+            if not self._filling:
+                act(new)
                 self._fill()  # what was refused goes back to what holds
 
-        widget.param.watch(heard, parameter)
+        widget.on_change(name, heard)
+
+    def _entered(self, name: str) -> Callable[[Any], None]:
+        return lambda value: self.change(**{name: value})
+
+    def _named(self, kind: str) -> Callable[[str], None]:
+        return lambda name: None if name == _OTHER else self.change(**{kind: name})
 
     def _choose_sampler(self, _: Any) -> None:
         w = self._widgets
         if w["base"].value == _OTHER:
             return
-        text = chain(w["base"].value, self._chosen_steps(), self.setup.sampler)
-        self.change(sampler=text, n=_possible(text, self.setup))
-
-    def _chosen_steps(self) -> list[str]:
-        """The randomisations that are ticked: those of before in their order, then new ones."""
+        # Keep the randomisations of before in their order, then add new ones
         _, before = base_and_steps(self.setup.sampler)
-        ticked = self._widgets["steps"].value
-        kept = [name for name in before if name in ticked]
-        return [*kept, *(name for name in ticked if name not in kept)]
-
-    def _choose(self, kind: str, name: str) -> None:
-        if name != _OTHER:
-            self.change(**{kind: name})
+        ticked = [w["steps"].labels[k] for k in w["steps"].active]
+        steps = [*(s for s in before if s in ticked), *(s for s in ticked if s not in before)]
+        text = chain(w["base"].value, steps, self.setup.sampler)
+        self.change(sampler=text, n=_nearest(text, self.setup.dims, self.setup.n))
 
     def _choose_formula(self, text: str) -> None:
         if text.strip():
             self.change(integrand=f"{FORMULA}(expression={text.strip()!r})")
 
-    def _choose_dims(self, dims: int) -> None:
-        half_width = min(self.setup.half_width, MOST_HALF_WIDTH[dims])
-        self.change(dims=dims, half_width=half_width)
+    def _choose_dims(self, text: str) -> None:
+        dims = int(text)
+        self.change(dims=dims, half_width=min(self.setup.half_width, MOST_HALF_WIDTH[dims]))
 
-    def _take_upload(self, data: bytes) -> None:
+    def _take_upload(self) -> None:
         upload = self._widgets["upload"]
         try:
-            digest = keep_upload(data, upload.filename or "")
+            digest = keep_upload(base64.b64decode(upload.value), upload.filename)
         except McspectraError as error:
             self._on_error(str(error))
             return
@@ -208,107 +229,63 @@ class Controls:
 
     def _fill(self) -> None:
         """Have all widgets show the set-up."""
+        w, setup = self._widgets, self.setup
         self._filling = True
         try:
-            self._fill_samplers()
-            self._fill_others()
+            base, steps = base_and_steps(setup.sampler)
+            w["base"].value = base if base in w["base"].options else _OTHER
+            w["steps"].labels = list(dict.fromkeys([*_STEPS, *steps]))
+            w["steps"].active = [w["steps"].labels.index(step) for step in steps]
+            counts = {_nearest(setup.sampler, setup.dims, 2**k) for k in _EXPONENTS} | {setup.n}
+            w["count"].categories = [str(count) for count in sorted(counts)]
+            w["count"].value = str(setup.n)
+            for kind in ("density", "integrand"):
+                name = parse(getattr(setup, kind)).name
+                offered = w[f"{kind}_name"].options
+                w[f"{kind}_name"].value = name if name in offered else _OTHER
+            call = parse(setup.integrand)
+            written = call.arguments.get("expression", "") if call.name == FORMULA else ""
+            w["formula"].value = str(written)
+            now = str(setup.realizations)
+            w["realizations"].options = sorted({*w["realizations"].options, now}, key=int)
+            for name in ("dims", *_TEXTS, *_CHOICES, *OPTIONS):
+                w[name].value = setup.text(name)
+            for name in _PARTS:
+                w[name].value = getattr(setup, name)
             self._fill_density()
         finally:
             self._filling = False
 
-    def _fill_samplers(self) -> None:
-        w, setup = self._widgets, self.setup
-        base, steps = base_and_steps(setup.sampler)
-        w["base"].value = base if base in w["base"].options else _OTHER
-        w["steps"].options = list(dict.fromkeys([*_STEPS, *steps]))
-        w["steps"].value = steps
-        w["sampler"].value = setup.sampler
-        w["count"].options = _counts(setup)
-        w["count"].value = w["n"].value = setup.n
-
-    def _fill_others(self) -> None:
-        w, setup = self._widgets, self.setup
-        for kind in ("density", "integrand"):
-            text = getattr(setup, kind)
-            name = parse(text).name
-            w[kind].value = text
-            w[f"{kind}_name"].value = name if name in w[f"{kind}_name"].options else _OTHER
-        call = parse(setup.integrand)
-        written = call.arguments.get("expression", "") if call.name == FORMULA else ""
-        w["formula"].value = str(written)
-        for name in ("half_width", "realizations"):
-            value = getattr(setup, name)
-            w[name].options = sorted({*w[name].options, value})
-            w[name].value = value
-        step = setup.frequency_step
-        w["frequencies"].options = {**_FREQUENCIES} | (
-            {} if step in _FREQUENCIES.values() else {f"every {step:g}": step}
-        )
-        w["frequencies"].value = step
-        for name in ("dims", "channel", "mirror", "basis", "seed", "strata_shift", "smoothing"):
-            w[name].value = getattr(setup, name)
-
     def _fill_density(self) -> None:
         """Sliders for the numbers of the density; made anew when it is another one."""
-        ranges = DENSITY_SLIDERS.get(parse(self.setup.density).name, ())
-        stand = moved(self.setup.density, ranges)
-        labels = [self._label(f"Density {key}") for key in stand]
-        if [slider.name for slider in self._density_sliders] != labels:
-            self._density_sliders.objects = [
-                self._density_slider(*each, self._label(f"Density {each[0]}")) for each in ranges
-            ]
-        for slider, value in zip(self._density_sliders, stand.values(), strict=True):
-            slider.value = value
+        call = parse(self.setup.density)
+        ranges = _SLIDERS.get(call.name, ())
+        sliders = self._density_sliders
+        titles = [f"Density {key}, {self._side}" for key, *_ in ranges]
+        if [slider.title for slider in sliders.children] != titles:
+            sliders.children = [
+                self._make(
+                    Slider, f"Density {key}", self._moved(key), "value_throttled",
+                    start=low, end=high, step=0.05, value=start,
+                )
+                for key, low, high, start in ranges
+            ]  # fmt: skip
+        for slider, (key, low, high, start) in zip(sliders.children, ranges, strict=True):
+            value = call.arguments.get(key, start)
+            known = isinstance(value, int | float) and low <= value <= high
+            slider.value = float(value) if known else start
 
-    def _density_slider(self, key: str, low: float, high: float, default: float, label: str) -> Any:
-        slider = _slider(label, low, high, 0.05, default)
-        self._on(
-            slider,
-            "value_throttled",
-            lambda value: self.change(density=changed(self.setup.density, key, round(value, 6))),
-        )
-        return slider
-
-
-def _slider(label: str, low: float, high: float, step: float, value: float = 0.0) -> Any:
-    return pn.widgets.FloatSlider(name=label, start=low, end=high, step=step, value=value)
-
-
-def _section(title: str, widgets: list[Any]) -> list[Any]:
-    for widget in widgets:
-        widget.sizing_mode = "stretch_width"
-    return [pn.pane.HTML(f"<h3>{title}</h3>", margin=(4, 10, 0, 10)), *widgets]
-
-
-def _upload_row(upload: Any, side: str) -> Any:
-    upload.sizing_mode = "stretch_width"
-    said = pn.pane.HTML(f"<label>Picture as integrand, {side}</label>", margin=(0, 10))
-    return pn.Column(said, upload, sizing_mode="stretch_width", margin=0)
+    def _moved(self, key: str) -> Callable[[float], None]:
+        return lambda value: self.change(density=changed(self.setup.density, key, round(value, 6)))
 
 
 def _offered(registry: Any) -> list[str]:
     return [_OTHER, *(name for name in registry if name not in _NEEDS_MORE)]
 
 
-def _counts(setup: Setup) -> list[int]:
-    """Counts on the slider: those near powers of 2 that the sampler can do, and the present one."""
-    found = {setup.n}
-    try:
-        found |= {_nearest(setup.sampler, setup.dims, 2**k) for k in _EXPONENTS}
-    except Exception:  # noqa: BLE001 - the job says what is wrong with the sampler
-        return [setup.n]
-    return sorted(found)
-
-
-def _possible(text: str, setup: Setup) -> int:
-    """The count nearest to the present one that another sampler can do."""
-    try:
-        return _nearest(text, setup.dims, setup.n)
-    except Exception:  # noqa: BLE001 - the job says what is wrong with the sampler
-        return setup.n
-
-
 def _nearest(text: str, dims: int, n: int) -> int:
-    from mcspectra.samplers import sampler
-
-    return min(sampler(text, dims).nearest_count(n), MOST_POINTS)
+    """The count nearest to n that a sampler can do; n itself where there is no such sampler."""
+    try:
+        return min(sampler(text, dims).nearest_count(n), MOST_POINTS)
+    except Exception:  # noqa: BLE001 - the job says what is wrong with the sampler
+        return n

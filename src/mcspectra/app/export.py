@@ -6,7 +6,7 @@ import json
 import textwrap
 from typing import Any
 
-from mcspectra.app.parts import analyses_of, integrand_specs
+from mcspectra.app.compute import analyses_of, integrand_specs
 from mcspectra.app.specs import UPLOAD, techniques
 from mcspectra.app.state import Setup, State
 from mcspectra.core.analysis import Analysis
@@ -36,7 +36,7 @@ def as_python(state: State) -> str:
 def _program(setup: Setup, head: str) -> str:
     lines = _estimator_lines(setup)
     lines.append(f"sampler = mcs.sampler({setup.displaced_sampler!r}, dims={setup.dims})")
-    for name, analysis in analyses_of(setup).items():
+    for name, analysis in _exported(setup).items():
         given = _chosen(analysis)
         first = [repr(given.pop(o.name)) for o in options_of(type(analysis)) if o.required]
         of_points = analysis.about == "sampler"
@@ -52,6 +52,11 @@ def _program(setup: Setup, head: str) -> str:
         """print(f"{'rate':18}  {float(convergence['rate']):.4g}")""",
     ]
     return head + "\n".join(lines) + "\n"
+
+
+def _exported(setup: Setup) -> dict[str, Analysis]:
+    """The analyses with numbers to print; points are drawn by each of them."""
+    return {name: each for name, each in analyses_of(setup).items() if name != "points"}
 
 
 def _chosen(analysis: Analysis) -> dict[str, Any]:
@@ -94,27 +99,26 @@ def as_toml(state: State) -> str:
     McspectraError
         A set-up cannot be made.
     """
-    lines = [*_upload_advice(state), 'title = "From the explorer"', f"seed = {state.a.seed}"]
+    lines = ['title = "From the explorer"', f"seed = {state.a.seed}"]
+    specs = [spec for _, setup in state.setups() for spec in techniques(setup.integrand)]
+    if any(parse(spec).name == UPLOAD for spec in specs):
+        # A study reads files from its own folder only, unless it is told of another
+        lines.insert(0, "# Run with --allow-path and the folder of the picture below.")
     for name, setup in state.setups():
         lines += _tables(name, setup)
     return "\n".join(lines) + "\n"
 
 
-def _upload_advice(state: State) -> list[str]:
-    """A study reads files from its own folder only, unless it is told of another."""
-    specs = [spec for _, setup in state.setups() for spec in techniques(setup.integrand)]
-    if all(parse(spec).name != UPLOAD for spec in specs):
-        return []
-    return ["# Run with --allow-path and the folder of the picture below."]
-
-
 def _tables(name: str, setup: Setup) -> list[str]:
+    specs = integrand_specs(setup)
     lines = [
         "",
         "[[estimators]]",
         f"name = {_text(name)}",
         f"dims = {setup.dims}",
-        _integrand_line(integrand_specs(setup)),
+        f"integrand = {_text(specs[0])}"
+        if len(specs) == 1
+        else f"integrands = [{', '.join(map(_text, specs))}]",
         f"samplers = [{_text(setup.displaced_sampler)}]",
     ]
     if setup.density != "uniform":
@@ -123,16 +127,10 @@ def _tables(name: str, setup: Setup) -> list[str]:
         lines.append(f"smoothed = {setup.smoothing!r}")
     if setup.mirror != "none":
         lines.append(f"mirror = {_text(setup.mirror)}")
-    for table, analysis in analyses_of(setup).items():
+    for table, analysis in _exported(setup).items():
         lines += ["", f"[estimators.{table}]"]
         lines += [f"{key} = {_text(value)}" for key, value in _chosen(analysis).items()]
     return lines
-
-
-def _integrand_line(specs: tuple[str, ...]) -> str:
-    if len(specs) == 1:
-        return f"integrand = {_text(specs[0])}"
-    return f"integrands = [{', '.join(map(_text, specs))}]"
 
 
 def _text(value: Any) -> str:

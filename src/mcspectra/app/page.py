@@ -3,35 +3,54 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from html import escape
+from pathlib import Path
 from typing import Any, final
+from urllib.parse import urlencode
 
-import panel as pn
+from bokeh.core.templates import get_env
+from bokeh.models import Column, CustomJS, InlineStyleSheet, Row, Spacer, TabPanel, Tabs
+from bokeh.models.widgets.buttons import Button
+from bokeh.models.widgets.inputs import Checkbox, TextAreaInput
+from bokeh.models.widgets.markups import Div
 from tornado.ioloop import IOLoop
 
-from mcspectra.app.accessible import name_widgets
 from mcspectra.app.board import Board
-from mcspectra.app.compute import Update
 from mcspectra.app.controls import Controls
 from mcspectra.app.export import as_python, as_toml
-from mcspectra.app.look import text_block
-from mcspectra.app.scene import pixel_spec
-from mcspectra.app.scene_view import SceneView
+from mcspectra.app.figures import FIGURES
+from mcspectra.app.scene import SceneView, pixel_spec
 from mcspectra.app.state import THEMES, Setup, State
 from mcspectra.core.errors import McspectraError
 
-__all__ = ["Explorer", "build_page"]
+__all__ = ["TITLE", "Explorer", "build_page"]
 
-_GRID = ":host {{ display: grid !important; gap: 8px; grid-template-columns: repeat({columns}); }}"
-_ALONE, _ABREAST = "auto-fit, minmax(min(100%, 300px), 1fr)", "2, minmax(0, 1fr)"
-_NARROW = "@media (max-width: 700px) { :host { grid-template-columns: 1fr !important; } }"
-_COPY = "navigator.clipboard.writeText(text.value)"
-_STACKED = (  # on a phone the controls stand above the figures
-    "@media (max-width: 700px) { #content { flex-direction: column !important; height: auto "
-    "!important; } #sidebar { width: 100% !important; max-width: none !important; height: 45vh "
-    "!important; overflow-y: auto; } #main { width: 100% !important; margin: 0 !important; } }"
+TITLE = "mcspectra explorer"
+
+_TEMPLATE = Path(__file__).with_name("page.html.j2").read_text("utf-8")
+_WIDGETS = """
+:host { color: var(--ink); --color: var(--ink); --background-color: var(--field);
+  --border-color: var(--line); --surface-background-color: var(--raised);
+  --hover-color: var(--raised); --placeholder-color: var(--soft); --icon-color: var(--soft);
+  --disabled-color: var(--soft); --disabled-background-color: var(--raised);
+  --font-size: 13px; }
+.bk-btn { color: var(--ink); background: var(--raised); border-color: var(--line); }
+.bk-btn[disabled] { color: var(--soft); background: var(--raised); opacity: 1; }
+h2 { font-size: 15px; margin: 8px 0 0; } h3 { font-size: 13px; margin: 4px 0 0; font-weight: 500; }
+p { margin: 0 0 4px; } .soft { color: var(--soft); } a { color: var(--link); }
+.alert { border-left: 4px solid #D55E00; padding-left: 8px; font-weight: 600; }
+progress { width: 100%; height: 6px; } td, th { padding: 2px 16px 2px 0; text-align: left; }
+"""
+_GRID = ":host {{ display: grid !important; gap: 14px; grid-template-columns: {columns}; }}"
+_SPAN = ":host > .wide { grid-column: 1 / -1; }"
+_ALONE = "repeat(auto-fit, minmax(min(100%, 380px), 1fr))"
+_ABREAST = "repeat(2, minmax(0, 1fr))"
+_NARROW = (
+    "@media (max-width: 1000px) { :host { grid-template-columns: minmax(0, 1fr) !important; } }"
 )
-_TABLE = "td, th { padding: 2px 16px 2px 0; text-align: left; }"
+_TELL = "history.replaceState(null, '', location.pathname + (cb_obj.text && '?' + cb_obj.text))"
+_COPY = "navigator.clipboard.writeText(text.value)"
 
 
 @final
@@ -40,64 +59,63 @@ class Explorer:
 
     Parameters
     ----------
+    document
+        Document of the session.
     query
         Query string of the address.
     """
 
-    def __init__(self, query: str) -> None:
+    def __init__(self, document: Any, query: str) -> None:
         refused = ""
         try:
             self.state = State.from_query(query)
         except McspectraError as error:
             self.state, refused = State(), f"{error} The defaults are shown."
-        self._document = pn.state.curdoc
-        self._loop = IOLoop.current(instance=False)
-        self._location: Any = pn.state.location
+        self._document, self._loop = document, IOLoop.current(instance=False)
+        self._closed = False
+        self._sheet = InlineStyleSheet(css=_WIDGETS)
         self._boards: dict[str, Board] = {}
         self._controls: dict[str, Controls] = {}
-        self._sides = pn.Tabs(sizing_mode="stretch_width")
-        self._headers = pn.Row(sizing_mode="stretch_width")
-        self._grid = pn.Column(sizing_mode="stretch_width")
-        self._summary = text_block(css=_TABLE)
-        self._theme_link = text_block()
-        self._python = _text_area("As Python")
-        self._toml = _text_area("As TOML")
-        self._compare = pn.widgets.Checkbox(
-            name="Compare with a second set-up, B", value=self.state.b is not None
-        )
-        self._compare.param.watch(lambda _: self._later(self._choose_comparison), "value")
-        self._scene = SceneView(self.state.theme, self._choose_pixel, self._later)
+
+        def block(**options: Any) -> Any:
+            return Div(sizing_mode="stretch_width", stylesheets=[self._sheet], disable_math=True, **options)  # fmt: skip
+
+        self._sides = Column(sizing_mode="stretch_width")
+        self._headers, self._grid = (Row(sizing_mode="stretch_width"), Column(sizing_mode="stretch_width"))  # fmt: skip
+        self._summary, self._themes = block(), block()
+        self._address = block(visible=False)
+        self._address.js_on_change("text", CustomJS(code=_TELL))
+        self._texts = {name: self._text_area(f"As {name}") for name in ("Python", "TOML")}
+        self._compare = Checkbox(
+            label="Compare with a second set-up, B", active=self.state.b is not None,
+            stylesheets=[self._sheet],
+        )  # fmt: skip
+        self._compare.on_change("active", self._choose_comparison)
+        self._scene = SceneView(self._sheet, self._choose_pixel, self._later)
+        texts = Column(
+            children=[self._copied(area) for area in self._texts.values()],
+            stylesheets=[_GRID.format(columns=_ALONE)], sizing_mode="stretch_width",
+        )  # fmt: skip
+        self.roots = {
+            "side": Column(children=[self._compare, self._sides], sizing_mode="stretch_width"),
+            "main": Column(
+                children=[
+                    self._headers, self._summary, self._grid, self._scene.layout, texts,
+                    self._themes, self._address,
+                ],
+                sizing_mode="stretch_width",
+            ),
+        }  # fmt: skip
         self._arrange()
         if refused:
             self._boards["A"].refuse(refused)
+            return
         for side, setup in self.state.setups():
-            self._boards[side].run(setup) if not refused else None
-
-    def page(self) -> Any:
-        """The template that Panel serves."""
-        template: Any = pn.template.BootstrapTemplate(
-            title="mcspectra explorer",
-            theme="dark" if self.state.theme == "dark" else "default",
-            sidebar_width=330,
-            header_background="#1F3A5F",
-            raw_css=[_STACKED],
-        )
-        template.sidebar.extend([self._compare, self._sides])
-        template.main.extend(
-            [
-                self._headers,
-                self._summary,
-                self._grid,
-                self._scene.layout,
-                _copies(self._python, self._toml),
-                self._theme_link,
-            ]
-        )
-        name_widgets(self._document)
-        return template
+            self._boards[side].run(setup)
 
     def close(self) -> None:
         """Drop all jobs; for a tab that was closed."""
+        self._closed = True
         for board in self._boards.values():
             board.cancel(quiet=True)
 
@@ -109,159 +127,151 @@ class Explorer:
             self._controls.pop(side)
         for side, setup in setups.items():
             if side not in self._boards:
-                self._boards[side] = self._board(side, setup)
-                self._controls[side] = self._control(side, setup)
-        self._sides[:] = [(side, each.layout) for side, each in self._controls.items()]
-        self._headers.objects = [board.header for board in self._boards.values()]
+                self._boards[side] = Board(
+                    side, self._sheet,
+                    later=self._later, on_update=self._write_texts, on_shown=self._shown,
+                )  # fmt: skip
+                self._controls[side] = Controls(
+                    setup, side, self._sheet,
+                    on_change=partial(self._change, side),
+                    on_error=self._boards[side].refuse,
+                    later=self._later,
+                )  # fmt: skip
+        for board in self._boards.values():
+            board.pair(len(setups) > 1)
+        layouts = {side: each.layout for side, each in self._controls.items()}
+        self._tabs = Tabs(
+            tabs=[TabPanel(child=layout, title=side) for side, layout in layouts.items()],
+            sizing_mode="stretch_width", stylesheets=[self._sheet],
+        )  # fmt: skip
+        self._sides.children = [self._tabs] if len(layouts) > 1 else list(layouts.values())
+        self._headers.children = [board.header for board in self._boards.values()]
         self._lay_out()
         self._tell_address()
 
     def _lay_out(self) -> None:
-        """Figures of A and B alternate, so that the same ones stand side by side."""
-        columns = _ABREAST if len(self._boards) > 1 else _ALONE
-        self._grid.stylesheets = [_GRID.format(columns=columns), _NARROW]
-        cards = zip(*(board.cards for board in self._boards.values()), strict=True)
-        self._grid.objects = [card for pair in cards for card in pair]
-
-    def _board(self, side: str, setup: Setup) -> Board:
-        return Board(
-            setup,
-            side,
-            self.state.theme,
-            later=self._later,
-            on_update=self._write_texts,
-            on_shown=self._summarize,
-        )
-
-    def _control(self, side: str, setup: Setup) -> Controls:
-        return Controls(
-            setup,
-            side,
-            lambda _: self._later(lambda: self._change(side)),
-            lambda sentence: self._later(lambda: self._refuse(side, sentence)),
-        )
+        """Figures in the order of their kinds; those of A and B are pairs."""
+        boards = list(self._boards.values())
+        columns = _ABREAST if len(boards) > 1 else _ALONE
+        self._grid.stylesheets = [
+            _GRID.format(columns=columns),
+            _NARROW,
+            _SPAN if len(boards) == 1 else "",
+        ]
+        kinds = [kind for kind in FIGURES if any(kind in board.cards for board in boards)]
+        self._grid.children = [
+            board.cards[kind].layout if kind in board.cards else Spacer()
+            for kind in kinds
+            for board in boards
+        ]
 
     def _later(self, act: Any) -> None:
-        """Have `act` called in the session's thread, holding the document's lock, from any thread.
+        """Have `act` called in the session's thread, holding the document's lock, from any thread."""
 
-        Widgets of Panel call back without that lock, without which bokeh refuses changes of its own
-        models as often as the lock is free.
-        """
+        def add() -> None:
+            if not self._closed:
+                self._document.add_next_tick_callback(act)
+
         if self._loop is not None:
-            self._loop.add_callback(self._add, act)
+            self._loop.add_callback(add)
 
-    def _add(self, act: Any) -> None:
-        """Add `act` to the document, unless the session has ended."""
-        if self._document is not None and self._document.session_context is not None:
-            self._document.add_next_tick_callback(act)
-
-    def _change(self, side: str) -> None:
-        """Show the set-up of a side's controls; later calls may overtake earlier ones."""
-        if side not in self._controls:  # the comparison has ended
-            return
-        setup = self._controls[side].setup
-        if setup == dict(self.state.setups())[side]:
-            return
+    def _change(self, side: str, setup: Setup) -> None:
         here = self.state
         self.state = replace(here, a=setup) if side == "A" else replace(here, b=setup)
         self._tell_address()
-        if self._boards[side].run(setup):
-            self._lay_out()
+        self._boards[side].run(setup)
 
-    def _refuse(self, side: str, sentence: str) -> None:
-        if side in self._boards:
-            self._boards[side].refuse(sentence)
-
-    def _choose_comparison(self) -> None:
-        wanted = bool(self._compare.value)
-        if wanted == (self.state.b is not None):
-            return
-        other = replace(self.state.a, sampler="random") if wanted else None
+    def _choose_comparison(self, attr: str, old: bool, new: bool) -> None:
+        del attr, old
+        other = replace(self.state.a, sampler="random") if new else None
         self.state = replace(self.state, b=other)
         self._arrange()
         if other is not None:
             self._boards["B"].run(other)
-        self._summarize()
+        self._shown(False)
+        self._write_texts("")
 
     def _choose_pixel(self, x: int, y: int, strategy: str) -> None:
-        side = "B" if self.state.b is not None and self._sides.active == 1 else "A"
+        side = "B" if self.state.b is not None and self._tabs.active == 1 else "A"
         try:
             spec = pixel_spec(x, y, strategy)
         except McspectraError as error:
-            sentence = str(error)
-            self._later(lambda: self._refuse(side, sentence))
+            self._boards[side].refuse(str(error))
             return
         self._controls[side].change(integrand=spec, dims=2, density="uniform", smoothing=0.0)
 
     def _tell_address(self) -> None:
-        query = self.state.query()
-        if self._location is not None:
-            self._location.search = f"?{query}" if query else ""
-        other = next(theme for theme in THEMES if theme != self.state.theme)
-        there = replace(self.state, theme=other).query()
-        self._theme_link.text = f'<p><a href="?{escape(there)}">{other.capitalize()} theme</a></p>'
+        self._address.text = self.state.query()
+        links = (
+            f'<a href="?{escape(replace(self.state, theme=each).query())}">{each}</a>'
+            if each != self.state.theme
+            else f"<strong>{each}</strong>"
+            for each in THEMES
+        )
+        self._themes.text = f"<p>Theme: {' · '.join(links)}</p>"
 
-    def _write_texts(self, update: Update) -> None:
-        """Write the exports once the parts are made; runs in a job's thread."""
-        if update.kind != "points":
-            return
-        state = self.state
+    def _write_texts(self, refused: str) -> None:
+        """Write the exports, whose parts are made; runs in a job's thread as well."""
         try:
-            texts = as_python(state), as_toml(state)
+            texts = (
+                (f"# {refused}",) * 2 if refused else (as_python(self.state), as_toml(self.state))
+            )
         except McspectraError as error:
             texts = (f"# {error}",) * 2
 
         def show() -> None:
-            self._python.value, self._toml.value = texts
+            for area, text in zip(self._texts.values(), texts, strict=True):
+                area.value = text
 
         self._later(show)
 
-    def _summarize(self) -> None:
-        """A table of the figures that matter, a row for each set-up."""
-        rows = [_row(side, setup, self._boards[side].latest) for side, setup in self.state.setups()]
+    def _shown(self, moved: bool) -> None:
+        """Lay figures out where some came or went; a table has the numbers that matter."""
+        if moved:
+            self._lay_out()
+        rows = [_row(side, setup, self._boards[side]) for side, setup in self.state.setups()]
         head = "".join(
             f'<th scope="col">{name}</th>'
-            for name in ("", "sampler", "n", "variance", "captured", "rate")
+            for name in ("set-up", "sampler", "n", "variance", "captured", "rate")
         )
         self._summary.text = f"<table><tr>{head}</tr>{''.join(rows)}</table>"
 
+    def _text_area(self, title: str) -> Any:
+        return TextAreaInput(
+            title=title, rows=12, max_length=100_000, sizing_mode="stretch_width",
+            stylesheets=[self._sheet],
+        )  # fmt: skip
 
-def build_page() -> Any:
+    def _copied(self, area: Any) -> Any:
+        """A text area with a button that puts its text on the clipboard."""
+        button = Button(label=f"Copy {area.title[0].lower()}{area.title[1:]}", width=140, stylesheets=[self._sheet])  # fmt: skip
+        button.js_on_click(CustomJS(args={"text": area}, code=_COPY))
+        return Column(children=[button, area], sizing_mode="stretch_width")
+
+
+def build_page(document: Any) -> None:
     """Make the page of a new session from its address."""
-    location: Any = pn.state.location
-    explorer = Explorer("" if location is None else location.search)
-    pn.state.on_session_destroyed(lambda _: explorer.close())
-    return explorer.page()
+    arguments = document.session_context.request.arguments
+    query = urlencode([(key, value) for key, values in arguments.items() for value in values])
+    explorer = Explorer(document, query)
+    document.on_session_destroyed(lambda _: explorer.close())
+    for name, root in explorer.roots.items():
+        root.name = name
+        document.add_root(root)
+    document.title = TITLE
+    document.template = get_env().from_string(_TEMPLATE)
+    document.template_variables["theme"] = explorer.state.theme
 
 
-def _row(side: str, setup: Setup, latest: dict[str, Any]) -> str:
-    terms, curve = latest.get("terms"), latest.get("convergence")
+def _row(side: str, setup: Setup, board: Board) -> str:
+    terms, curve = board.latest.get("terms"), board.latest.get("convergence")
+    missing = "…" if board.busy else "–"
     cells = [
         setup.displaced_sampler,
         str(setup.n),
-        "…" if terms is None else f"{float(terms['measured_variance']):.4g}",
-        "…" if terms is None else f"{float(terms['captured']):.3g}",
-        "…" if curve is None else f"{float(curve['rate']):.3f}",
+        missing if terms is None else f"{float(terms['measured_variance']):.4g}",
+        missing if terms is None else f"{float(terms['captured']):.3g}",
+        missing if curve is None else f"{float(curve['rate']):.3f}",
     ]
-    return (
-        f'<tr><th scope="row">{side}</th>'
-        + "".join(f"<td>{escape(cell)}</td>" for cell in cells)
-        + "</tr>"
-    )
-
-
-def _text_area(name: str) -> Any:
-    return pn.widgets.TextAreaInput(
-        name=name, height=220, max_length=100_000, sizing_mode="stretch_width"
-    )
-
-
-def _copies(*areas: Any) -> Any:
-    """Text areas, each with a button that puts its text on the clipboard."""
-    columns = []
-    for area in areas:
-        button = pn.widgets.Button(name=f"Copy {area.name[:1].lower()}{area.name[1:]}")
-        button.js_on_click(args={"text": area}, code=_COPY)
-        columns.append(pn.Column(button, area, sizing_mode="stretch_width"))
-    style = _GRID.format(columns=_ALONE)
-    return pn.Column(*columns, sizing_mode="stretch_width", stylesheets=[style])
+    inside = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
+    return f'<tr><th scope="row">{side}</th>{inside}</tr>'

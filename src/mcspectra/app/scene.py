@@ -1,20 +1,35 @@
-"""The picture of Veach's scene, and the spec of the pixel that is clicked."""
+"""The picture of Veach's scene on the page: a click, or two numbers, choose a pixel."""
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Callable
+from html import escape
+from typing import Any, final
+
 import numpy as np
+from bokeh.events import Tap
+from bokeh.models import Column, InlineStyleSheet, Row
+from bokeh.models.widgets.buttons import Button
+from bokeh.models.widgets.inputs import Select, Spinner
+from bokeh.models.widgets.markups import Div
 
 from mcspectra.app.specs import TECHNIQUES
 from mcspectra.core.cache import cached_array
 from mcspectra.core.checks import Array, as_choice, as_integer
+from mcspectra.core.errors import McspectraError
+from mcspectra.plots.backend_bokeh import draw
+from mcspectra.plots.description import Axis, Panel, Pixels, Plot
 
-__all__ = ["HEIGHT", "STRATEGIES", "WIDTH", "pixel_spec", "veach_picture"]
+__all__ = ["HEIGHT", "STRATEGIES", "WIDTH", "SceneView", "pixel_spec", "veach_picture"]
 
 WIDTH, HEIGHT = 192, 128
 STRATEGIES = ("light", "bsdf", "balance", "power", "mis-light", "mis-bsdf")
 _HEURISTICS = ("balance", "power")  # of the sum of light and BSDF sampling
 _SCENE = f"veach(width={WIDTH}, height={HEIGHT})"
 _SPP = 64
+_LABELS = {"balance": "light + bsdf, balance", "power": "light + bsdf, power"}
+_ADVICE = "Click a point of the picture, or give its pixel, to analyse what is seen there."
 
 
 def pixel_spec(x: int, y: int, strategy: str = "light") -> str:
@@ -42,7 +57,7 @@ def pixel_spec(x: int, y: int, strategy: str = "light") -> str:
 
 
 def veach_picture() -> Array:
-    """Return the scene as 8-bit RGBA packed into uint32, (HEIGHT, WIDTH), bottom row first.
+    """Return the scene in 8-bit sRGB, (HEIGHT, WIDTH, 3), the first row on top.
 
     Raises
     ------
@@ -53,12 +68,87 @@ def veach_picture() -> Array:
     encoded = np.where(
         linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
     )
-    rgba = np.full((HEIGHT, WIDTH, 4), 255, np.uint8)
-    rgba[..., :3] = np.rint(255 * np.clip(encoded, 0.0, 1.0))
-    return np.ascontiguousarray(rgba[::-1]).view(np.uint32)[..., 0]
+    return np.asarray(np.rint(255 * np.clip(encoded, 0.0, 1.0)), np.uint8)
 
 
 def _rendered() -> Array:
     from mcspectra.rendering.image import render
 
     return np.asarray(render(_SCENE, spp=_SPP)["image"].to_numpy(), np.float64)
+
+
+@final
+class SceneView:
+    """Picture, numbers and strategy; the picture is rendered when it is asked for.
+
+    Parameters
+    ----------
+    sheet
+        Style of the widgets.
+    on_pixel
+        Called with x, y and the strategy.
+    later
+        Has a function called in the page's thread.
+    """
+
+    def __init__(
+        self,
+        sheet: InlineStyleSheet,
+        on_pixel: Callable[[int, int, str], object],
+        later: Callable[[Callable[[], None]], object],
+    ) -> None:
+        self._on_pixel, self._later = on_pixel, later
+        style: dict[str, Any] = {"stylesheets": [sheet]}
+        self._x = Spinner(title="Pixel x", value=96, low=0, high=WIDTH - 1, width=90, **style)
+        self._y = Spinner(title="Pixel y", value=100, low=0, high=HEIGHT - 1, width=90, **style)
+        options: Any = [(name, _LABELS.get(name, name)) for name in STRATEGIES]
+        self._strategy = Select(
+            title="Sampling of", value="light", options=options, width=190, **style
+        )
+        self._analyse = Button(label="Analyse pixel", width=130, align="end", **style)
+        self._analyse.on_click(lambda: self._choose(self._x.value or 0, self._y.value or 0))
+        self._open = Button(label="Show Veach's scene", width=180, **style)
+        self._open.on_click(self._render)
+        self._said = Div(sizing_mode="stretch_width", **style)
+        wrap: Any = {"flex-wrap": "wrap"}
+        self._row = Row(children=[self._x, self._y, self._strategy, self._analyse], styles=wrap)
+        self.layout = Column(children=[self._open, self._said], sizing_mode="stretch_width")
+
+    def _choose(self, x: float, y: float) -> None:
+        self._on_pixel(int(x), int(y), self._strategy.value)
+
+    def _say(self, sentence: str) -> None:
+        self._said.text = f'<p role="status">{escape(sentence)}</p>'
+
+    def _render(self) -> None:
+        self._open.disabled = True
+        self._say("Rendering Veach's scene …")
+        threading.Thread(target=self._work, name="explorer scene", daemon=True).start()
+
+    def _work(self) -> None:
+        """Render in a thread of its own: Mitsuba compiles for seconds."""
+        try:
+            image = veach_picture()
+        except McspectraError as error:
+            sentence = str(error)
+            self._later(lambda: self._say(sentence))
+            return
+        self._later(lambda: self._show(image))
+
+    def _show(self, image: Array) -> None:
+        panel = Panel(
+            marks=(Pixels(rgb=image),),
+            x=Axis(label="x, pixels", low=0.0, high=WIDTH),
+            y=Axis(label="y, pixels", low=0.0, high=HEIGHT, flipped=True),
+            square=True,
+        )
+        words = f"Veach's scene. {_ADVICE}"
+        figure: Any = draw(Plot(kind="scene", panels=(panel,), words=words, wide=True)).model
+        figure.on_event(Tap, self._tapped)
+        self.layout.children = [self._open, self._said, self._row, figure]
+        self._say(_ADVICE)
+
+    def _tapped(self, event: Any) -> None:
+        if 0 <= event.x < WIDTH and 0 <= event.y < HEIGHT:
+            self._x.value, self._y.value = int(event.x), int(event.y)
+            self._choose(event.x, event.y)

@@ -8,6 +8,7 @@ every request must name this server as its Host, and as its Origin where it has 
 from __future__ import annotations
 
 import socket
+import threading
 import warnings
 from collections.abc import Awaitable
 from typing import Any, final
@@ -22,7 +23,7 @@ __all__ = ["ADDRESS", "Guard", "make_server", "serve"]
 ADDRESS = "127.0.0.1"
 """Where the server listens."""
 
-_TITLE = "mcspectra explorer"
+_MOST_SENT = 64 * 2**20  # bytes: pictures come in as text
 
 
 @final
@@ -81,21 +82,22 @@ def make_server(port: int = 0) -> Any:
     ParameterError
         The port is out of range or taken.
     """
-    import panel as pn
+    from bokeh.core.validation import silence
+    from bokeh.core.validation.warnings import EMPTY_LAYOUT
+    from bokeh.server.server import Server
 
     from mcspectra.app.page import build_page
 
+    silence(EMPTY_LAYOUT)  # which figures fill later
     port = _free_port() if as_integer("port", port, least=0, most=65535) == 0 else port
-    pn.extension(sizing_mode="stretch_width")
     try:
-        server: Any = pn.io.server.get_server(
+        server: Any = Server(
             {"/": build_page},
             port=port,
             address=ADDRESS,
-            websocket_origin=[f"{ADDRESS}:{port}", f"localhost:{port}"],
-            title=_TITLE,
-            http_server_kwargs={"max_buffer_size": 64 * 2**20},
-            websocket_max_message_size=64 * 2**20,
+            allow_websocket_origin=[f"{ADDRESS}:{port}", f"localhost:{port}"],
+            http_server_kwargs={"max_buffer_size": _MOST_SENT},
+            websocket_max_message_size=_MOST_SENT,
         )
     except OSError as error:
         reason = error.strerror or "it is taken"
@@ -128,9 +130,19 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
     if not quiet:
         print(f"The explorer is at {address}; stop it by Ctrl-C.", flush=True)
     server.start()
+    threading.Thread(target=_warm_up, name="explorer warm-up", daemon=True).start()
     if open_browser:
         server.io_loop.add_callback(_open, address)
     server.io_loop.start()
+
+
+def _warm_up() -> None:
+    """Load and compile what the first page needs while the browser loads it: half of its wait."""
+    from mcspectra.app.compute import KINDS, compute
+    from mcspectra.app.state import Setup
+
+    for kind in KINDS:
+        compute(kind, Setup(half_width=4), 2)
 
 
 def _open(address: str) -> None:

@@ -1,4 +1,4 @@
-"""Specs that came from a URL: text that is bounded, plain, and names no file.
+"""Specs as the explorer takes and changes them: text that is bounded, plain, and names no file.
 
 A page of somebody else can link to the explorer. What such a link holds may make it compute, but it
 must not make it open files: pictures come in by an upload, which is named by its digest.
@@ -7,19 +7,20 @@ must not make it open files: pictures come in by an upload, which is named by it
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import Any
 
-from mcspectra.core.errors import SpecError
+from mcspectra.core.errors import McspectraError, SpecError
 from mcspectra.core.spec import Call, parse, parse_chain
 
 __all__ = [
     "FORMULA",
     "TECHNIQUES",
     "UPLOAD",
-    "check_chain",
-    "check_integrand",
-    "check_single",
+    "base_and_steps",
+    "chain",
+    "changed",
+    "check_spec",
     "techniques",
 ]
 
@@ -40,32 +41,32 @@ _FILE_KEYS = ("path", "filename", "matrices", "generating_matrices", "generating
 _CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]")
 
 
-def check_chain(name: str, text: object) -> None:
-    """Check a spec that may chain parts by ``|``.
+def check_spec(name: str, text: object) -> None:
+    """Check the spec of a sampler, a density or an integrand.
+
+    That of a sampler may chain parts by ``|``; an integrand may be ``upload(digest='…')`` with a
+    SHA-256 digest, or a sum of `TECHNIQUES`.
 
     Raises
     ------
     SpecError
         Not text, too long, not a spec, or one that names a file.
     """
-    for call in parse_chain(_plain(name, text)):
-        _check_call(call)
-
-
-def check_single(name: str, text: object) -> None:
-    """Check a spec without ``|``; raises as `check_chain`."""
-    _check_call(parse(_plain(name, text)))
-
-
-def check_integrand(name: str, text: object) -> None:
-    """Check the spec of an integrand, which may be an upload or a sum of techniques.
-
-    An upload is ``upload(digest='…')`` with a SHA-256 digest, a sum `TECHNIQUES` of 2 to 8 specs.
-    """
-    for spec in techniques(_plain(name, text)):
-        call = parse(_plain(name, spec))
-        if call.name == UPLOAD:
-            _check_upload(call)
+    plain = _plain(name, text)
+    if name == "sampler":
+        calls = parse_chain(plain)
+    elif name == "integrand":
+        calls = [parse(_plain(name, spec)) for spec in techniques(plain)]
+    else:
+        calls = [parse(plain)]
+    for call in calls:
+        if name == "integrand" and call.name == UPLOAD:
+            digest = call.arguments.get("digest")
+            known = isinstance(digest, str) and _DIGEST.fullmatch(digest)
+            if list(call.arguments) != ["digest"] or not known:
+                raise SpecError(
+                    "An upload is named by its SHA-256 digest; choose the picture again."
+                )
         else:
             _check_call(call)
 
@@ -91,11 +92,36 @@ def techniques(text: str) -> list[str]:
     return list(specs)
 
 
-def _check_upload(call: Call) -> None:
-    digest = call.arguments.get("digest")
-    known = isinstance(digest, str) and _DIGEST.fullmatch(digest)
-    if list(call.arguments) != ["digest"] or not known:
-        raise SpecError("An upload is named by its SHA-256 digest; choose the picture again.")
+def base_and_steps(text: str) -> tuple[str, list[str]]:
+    """Return the names of a chain's sampler and of its randomisations.
+
+    Raises
+    ------
+    SpecError
+        Not a chain.
+    """
+    first, *rest = parse_chain(text)
+    return first.name, [call.name for call in rest]
+
+
+def chain(base: str, steps: Sequence[str], text: str) -> str:
+    """Write a chain of these names; those that `text` has already keep their parameters."""
+    try:
+        known = {call.name: _format(call) for call in parse_chain(text)}
+    except McspectraError:
+        known = {}
+    return " | ".join(known.get(name, name) for name in (base, *steps))
+
+
+def changed(text: str, key: str, value: float | str) -> str:
+    """Return the spec with one parameter changed."""
+    call = parse(text)
+    return _format(Call(call.name, {**call.arguments, key: value}))
+
+
+def _format(call: Call) -> str:
+    shown = ", ".join(f"{key}={value!r}" for key, value in call.arguments.items())
+    return f"{call.name}({shown})" if shown else call.name
 
 
 def _plain(name: str, text: object) -> str:
@@ -114,38 +140,31 @@ def _check_call(call: Call) -> None:
     arguments = dict(call.arguments)
     if call.name == FORMULA:
         arguments.pop("expression", None)  # has slashes and dots, and never names a file
-    _check_mapping(call.name, arguments)
+    for key, value in arguments.items():
+        _check_value(call.name, key, value)
 
 
-def _check_mapping(name: str, values: Mapping[Any, Any]) -> None:
-    for key, value in values.items():
-        if key in _FILE_KEYS and isinstance(value, str | list | tuple):
-            raise SpecError(
-                f"{name} names a file, which the explorer does not read; upload a picture, "
-                "or use the command line."
-            )
-        _check_value(name, value)
-
-
-def _check_value(name: str, value: object) -> None:
-    """Refuse file names, also within the specs that a value may hold."""
-    if isinstance(value, list | tuple | set):
-        for item in value:
-            _check_value(name, item)
-    elif isinstance(value, dict):
-        _check_mapping(name, value)
-    elif isinstance(value, str):
-        _check_string(name, value)
-
-
-def _check_string(name: str, value: str) -> None:
-    try:
-        calls = parse_chain(value)
-    except SpecError:
-        calls = []
-    for call in calls:
-        _check_call(call)
-    if not calls and _FILE.search(value):
+def _check_value(name: str, key: Any, value: object) -> None:
+    """Refuse file names, also within the lists and specs that a value may hold."""
+    if key in _FILE_KEYS and isinstance(value, str | list | tuple):
         raise SpecError(
-            f"{name} was given {value[:40]!r}, which looks like a file; the explorer reads none."
+            f"{name} names a file, which the explorer does not read; upload a picture, or use the "
+            "command line."
         )
+    if isinstance(value, dict):
+        for inner, each in value.items():
+            _check_value(name, inner, each)
+    elif isinstance(value, list | tuple | set):
+        for each in value:
+            _check_value(name, None, each)
+    elif isinstance(value, str):
+        try:
+            calls = parse_chain(value)
+        except SpecError:
+            calls = []
+        for call in calls:
+            _check_call(call)
+        if not calls and _FILE.search(value):
+            raise SpecError(
+                f"{name} was given {value[:40]!r}, which looks like a file; the explorer reads none."
+            )

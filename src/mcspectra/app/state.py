@@ -13,31 +13,34 @@ from dataclasses import dataclass, field
 from typing import Any, final
 from urllib.parse import parse_qsl, urlencode
 
-from mcspectra.app.specs import check_chain, check_integrand, check_single
+from mcspectra.app.specs import check_spec
 from mcspectra.core.checks import as_choice, as_integer, as_real
 from mcspectra.core.errors import ParameterError, close_match_hint
 from mcspectra.core.options import options_of
-from mcspectra.spectra.power import Spectrum
+from mcspectra.spectra.power import Points, Spectrum
+from mcspectra.variance.convergence import Convergence
 from mcspectra.variance.terms import Terms
 
 __all__ = [
-    "BASES",
+    "ANALYSES",
     "CHANNELS",
     "MIRRORS",
     "MOST_HALF_WIDTH",
     "MOST_POINTS",
+    "OPTIONS",
     "THEMES",
     "Setup",
     "State",
 ]
 
-_OPTIONS = {option.name: option for kind in (Terms, Spectrum) for option in options_of(kind)}
-"""Options of the analyses that are shown; where both have one, those of the spectrum are narrower."""
+ANALYSES = {"points": Points, "spectrum": Spectrum, "convergence": Convergence, "terms": Terms}
+"""What is shown of a set-up, by the names of tables in study files."""
 
-BASES = _OPTIONS["basis"].choices
+_KNOWN = {option.name: option for kind in ANALYSES.values() for option in options_of(kind)}
+
 MIRRORS = ("none", "integrand", "random", "uniform")
 CHANNELS = ("luminance", "0", "1", "2")
-THEMES = ("light", "dark")
+THEMES = ("auto", "light", "dark")
 
 MOST_POINTS = 2**16
 """Most points of a set in the explorer; studies take more."""
@@ -51,10 +54,17 @@ _MOST_SEED = 2**63
 _PREFIX = "b."
 
 
+def _default(name: str) -> Any:
+    """The default of an option; None where the explorer chooses, as it does counts of points."""
+    return None if _KNOWN[name].required else _KNOWN[name].default
+
+
 @final
 @dataclass(frozen=True, kw_only=True)
 class Setup:
     """An estimator, a sampler, a number of points, and how they are analysed.
+
+    Fields that are named as options of the analyses mean what these say.
 
     Parameters
     ----------
@@ -73,12 +83,6 @@ class Setup:
         The one that is shown of an integrand with several: ``"luminance"`` or a number as text.
     smoothing
         Width of the ramps that edges are made, 0 for none.
-    basis
-        As of `mcspectra.variance_terms`.
-    half_width
-        Frequencies run from −half_width to half_width along every axis.
-    frequency_step
-        Distance of the spectrum's frequencies: 1 for integers, less for real ones in between.
     realizations
         Where refinement ends.
     seed
@@ -99,26 +103,26 @@ class Setup:
     mirror: str = "none"
     channel: str = "luminance"
     smoothing: float = 0.0
-    basis: str = _OPTIONS["basis"].default
-    half_width: int = _OPTIONS["half_width"].default
-    frequency_step: float = _OPTIONS["frequency_step"].default
     realizations: int = 1024
     seed: int = 0
+    basis: str = _default("basis")
+    half_width: int = _default("half_width")
+    frequency_step: float = _default("frequency_step")
+    space: str | None = _default("space")
+    bands: str = _default("bands")
+    counts: tuple[int, ...] | None = _default("counts")
+    fit_last: int | str | None = _default("fit_last")
+    engine: str = _default("engine")
+    eps: float = _default("eps")
 
     def __post_init__(self) -> None:
-        check_chain("sampler", self.sampler)
-        check_single("density", self.density)
-        check_integrand("integrand", self.integrand)
+        for name in ("sampler", "density", "integrand"):
+            check_spec(name, getattr(self, name))
         as_choice("mirror", self.mirror, MIRRORS)
-        _OPTIONS["basis"].check(self.basis)
         as_choice("channel", self.channel, CHANNELS)
-        for name, value in self._numbers().items():
-            object.__setattr__(self, name, value)
-
-    def _numbers(self) -> dict[str, float]:
         dims = as_integer("dims", self.dims, least=1, most=2)
         most = MOST_HALF_WIDTH[dims]
-        return {
+        clean: dict[str, Any] = {
             "dims": dims,
             "n": as_integer("n", self.n, least=1, most=MOST_POINTS),
             "half_width": as_integer("half_width", self.half_width, least=1, most=most),
@@ -128,8 +132,21 @@ class Setup:
             "seed": as_integer("seed", self.seed, least=0, most=_MOST_SEED),
             "strata_shift": as_real("strata_shift", self.strata_shift, least=0.0, below=1.0),
             "smoothing": as_real("smoothing", self.smoothing, least=0.0, most=1.0),
-            "frequency_step": _OPTIONS["frequency_step"].check(self.frequency_step),
         }
+        for name, option in OPTIONS.items():
+            value = getattr(self, name)
+            if name not in clean and (value is not None or _default(name) is not None):
+                clean[name] = option.check(value)
+        if clean.get("counts") and max(clean["counts"]) > MOST_POINTS:
+            raise ParameterError(
+                f"counts go up to {MOST_POINTS} in the explorer; give smaller ones."
+            )
+        if not isinstance(clean["bands"], str):
+            raise ParameterError(
+                f"bands is {self.bands!r}; give {', '.join(_KNOWN['bands'].choices)}."
+            )
+        for name, value in clean.items():
+            object.__setattr__(self, name, value)
 
     @property
     def displaced_sampler(self) -> str:
@@ -141,7 +158,7 @@ class Setup:
     def differences(self) -> dict[str, str]:
         """What is not as by default, as text."""
         return {
-            each.name: str(getattr(self, each.name))
+            each.name: self.text(each.name)
             for each in dataclasses.fields(self)
             if getattr(self, each.name) != each.default
         }
@@ -156,21 +173,53 @@ class Setup:
             An unknown key, text that is no number where one is needed, or a value that a
             `Setup` refuses.
         """
-        fields = {each.name: each for each in dataclasses.fields(Setup)}
-        values: dict[str, Any] = {}
-        for key, text in texts.items():
-            if key not in fields:
-                hint, close = close_match_hint(key, fields)
-                known = hint if close else f" Known are {', '.join(fields)}."
-                raise ParameterError(f"The address has an unknown key {key[:40]!r}.{known}")
-            values[key] = _converted(key, text, type(fields[key].default))
-        return Setup(**values)
+        return Setup(**{name: Setup.read(name, text) for name, text in texts.items()})
+
+    @staticmethod
+    def read(name: str, text: str) -> Any:
+        """Return what a text means as the value of a field; an empty one of an option, its default.
+
+        Raises
+        ------
+        ParameterError
+            No such field, or no number where one is needed.
+        """
+        defaults = {each.name: each.default for each in dataclasses.fields(Setup)}
+        if name not in defaults:
+            hint, close = close_match_hint(name, defaults)
+            known = hint if close else f" Known are {', '.join(defaults)}."
+            raise ParameterError(f"The address has an unknown key {name[:40]!r}.{known}")
+        kind: Any = type(defaults[name])
+        if name in OPTIONS:
+            return OPTIONS[name].read(text, name) if text.strip() else defaults[name]
+        if kind is str:
+            return text
+        try:
+            return kind(text)
+        except ValueError:
+            what = "whole number" if kind is int else "number"
+            raise ParameterError(f"{name} is {text[:40]!r}; give a {what}.") from None
+
+    def text(self, name: str) -> str:
+        """Return the text of a field that `read` reads."""
+        value = getattr(self, name)
+        if value is None:
+            return ""
+        return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
+OPTIONS = {
+    name: _KNOWN[name]
+    for name in (each.name for each in dataclasses.fields(Setup))
+    if name in _KNOWN and name not in ("n", "realizations")
+}
+"""Options of the analyses that can be chosen here."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """What the explorer shows: set-up A, perhaps B beside it, and the theme.
+    """What the explorer shows: set-up A, perhaps B beside it, and the theme, by default the browser's.
 
     Examples
     --------
@@ -183,7 +232,7 @@ class State:
 
     a: Setup = field(default_factory=Setup)
     b: Setup | None = None
-    theme: str = "light"
+    theme: str = THEMES[0]
 
     def __post_init__(self) -> None:
         for name, setup, kinds in (("a", self.a, Setup), ("b", self.b, Setup | None)):
@@ -241,13 +290,3 @@ def _pairs(query: str) -> list[tuple[str, str]]:
         raise ParameterError(
             "The address cannot be read; its part after '?' is key=value pairs joined by '&'."
         ) from None
-
-
-def _converted(key: str, text: str, kind: type) -> Any:
-    if kind is str:
-        return text
-    try:
-        return kind(text)
-    except ValueError:
-        what = "whole number" if kind is int else "number"
-        raise ParameterError(f"{key} is {text[:40]!r}; give a {what}.") from None

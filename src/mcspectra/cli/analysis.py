@@ -33,6 +33,8 @@ from mcspectra.core.options import Option, options_of
 from mcspectra.samplers import GivenPoints
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from mcspectra.estimators import AbstractEstimator
 
 __all__ = ["analysis_verb", "declared", "given_options"]
@@ -119,16 +121,9 @@ def analysis_verb(name: str) -> Verb:
 
         # Refuse files that cannot be made before anything is computed
         file = options.out
-        if file is not None and Path(file).suffix != ".npz":
-            from mcspectra.report.accessor import has_picture
-
-            if Path(file).suffix not in _FILES:
-                allowed = f"{', '.join(_FILES[:-1])} or {_FILES[-1]}"
-                raise ParameterError(f"--out is {file!r}; it must end in {allowed}.")
-            if not has_picture(analysis.variables):
-                raise ParameterError(
-                    f"--out is {file!r}; no picture shows {name}, give a .npz file."
-                )
+        if file is not None and Path(file).suffix not in _FILES:
+            allowed = f"{', '.join(_FILES[:-1])} or {_FILES[-1]}"
+            raise ParameterError(f"--out is {file!r}; it must end in {allowed}.")
 
         # Compute, write and show
         given = given_options(options, analysis)
@@ -142,14 +137,23 @@ def analysis_verb(name: str) -> Verb:
                     arrays = {str(key): v.values for key, v in result.variables.items()}
                     np.savez(file, **arrays)  # type: ignore[arg-type]
                 else:
-                    axes = result.mcspectra.plot()
-                    (axes[0] if isinstance(axes, list) else axes).figure.savefig(file)
+                    _write_picture(file, result)
         shown = views[view](result)
         return Answer(shown.text, {**data_of(result), **shown.data})
 
     about = inspect.cleandoc(analysis.__doc__ or "").partition("\n\n")[0]
     printed = inspect.cleandoc(views[usual].__doc__ or "")
     return Verb(f"{about}\n\n{printed}".strip(), tuple(declarations), run)
+
+
+def _write_picture(file: str, result: xr.Dataset) -> None:
+    from mcspectra.plots.backend_matplotlib import write
+    from mcspectra.plots.kinds import describe, kinds_of
+
+    kinds = kinds_of(result)
+    if not kinds:
+        raise ParameterError(f"--out is {file!r}; no picture shows this result, give a .npz file.")
+    write(describe(kinds[0], result), file)
 
 
 def _subject(

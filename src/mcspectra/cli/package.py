@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 from mcspectra.cli.common import Answer, option, verb, whole
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.registry import optional_package
 from mcspectra.version import __version__
 
 if TYPE_CHECKING:
-    from mcspectra.report.reproduction.entries import Entry
+    from mcspectra.reproduction.gallery import Entry
 
 __all__ = ["app_", "cite_", "doctor_", "reproduce_"]
 
@@ -73,12 +72,17 @@ def reproduce_(options: argparse.Namespace) -> Answer:
     DIR/figures/*.png. Without a FIGURE, all of them; --list names them. A figure that fails does not stop
     the others; the exit code is then 1.
     """
-    from mcspectra.report.reproduction.page import tally
-    from mcspectra.report.reproduction.registry import SUMMARIES, exhibit_names
-    from mcspectra.report.reproduction.run import FINDINGS_NAME, PDF_NAME, reproduce
+    from mcspectra.reproduction.gallery import (
+        FINDINGS_NAME,
+        PDF_NAME,
+        exhibit_names,
+        reproduce,
+        slides,
+        tally,
+    )
 
     if options.list:
-        shown = {name: SUMMARIES[name] for name in exhibit_names(options.figures)}
+        shown = {name: slides()[name].summary for name in exhibit_names(options.figures)}
         width = max(map(len, shown))
         lines = [f"{name.ljust(width)}  {text}" for name, text in shown.items()]
         return Answer(
@@ -88,7 +92,7 @@ def reproduce_(options: argparse.Namespace) -> Answer:
     def show(entry: Entry) -> None:
         print(f"{entry.name}: {entry.tally} ({entry.seconds:.1f} s)", flush=True)
         for finding in entry.findings:
-            if finding.agrees is False:
+            if finding.agrees is False and not entry.problem:
                 why = f": {finding.note}" if finding.note else ""
                 print(f"  does not agree: {finding.statement}{why}", flush=True)
 
@@ -106,7 +110,12 @@ def reproduce_(options: argparse.Namespace) -> Answer:
     for entry in made.entries:
         if entry.problem:
             print(f"mcspectra: The figure {entry.name} failed: {entry.problem}", file=sys.stderr)
-    judged = [f.agrees for e in made.entries for f in e.findings if f.agrees is not None]
+    judged = [
+        finding.agrees
+        for entry in made.entries
+        for finding in entry.findings
+        if finding.agrees is not None and not entry.problem
+    ]
     data = {
         "gallery": made.page,
         "pdf": made.page.parent / PDF_NAME,
@@ -126,11 +135,10 @@ def reproduce_(options: argparse.Namespace) -> Answer:
 def app_(options: argparse.Namespace) -> Answer:
     """Explore in the browser: choose a sampler, a density and an integrand, and see what they make.
 
-    Serves a page on this machine alone, without any use of the network; needs the extra app.
+    Serves a page on this machine alone, without any use of the network.
     """
     if options.json or options.seed is not None:
         raise ParameterError("app takes neither --json nor --seed; choose the seed on the page.")
-    optional_package("panel", "app", "The explorer needs")
     from mcspectra.app.server import serve
 
     serve(options.port, open_browser=not options.no_browser, quiet=options.quiet)

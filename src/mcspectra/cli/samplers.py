@@ -100,18 +100,19 @@ def points_(options: argparse.Namespace) -> Answer:
     """
     from mcspectra.core.pointfiles import EXTENSIONS, format_dat, write_points
     from mcspectra.densities import as_density
-    from mcspectra.report.point_pictures import PICTURE_EXTENSIONS, write_point_picture
+    from mcspectra.plots.backend_matplotlib import FORMATS, write
+    from mcspectra.plots.points import point_sets
 
     # Refuse files that cannot be written
     sampler = read_sampler(options.sampler, options.dims)
     density = as_density(options.density, sampler.dims)
     seed, n, file = options.seed or 0, options.n, options.out
     extension = Path(file).suffix.lower()
-    if file != "-" and extension not in (*EXTENSIONS, *PICTURE_EXTENSIONS):
+    if file != "-" and extension not in (*EXTENSIONS, *FORMATS):
         given = f"the extension {Path(file).suffix!r}" if extension else "no extension"
         raise FileFormatError(
             f"{file} has {given}; points are {', '.join(EXTENSIONS)} files, pictures "
-            f"{', '.join(PICTURE_EXTENSIONS)}."
+            f"{', '.join(FORMATS)}."
         )
 
     # Draw as many sets as are asked for, or as quality figures need
@@ -132,7 +133,7 @@ def points_(options: argparse.Namespace) -> Answer:
     elif file != "-":
         title = ", ".join([sampler.spec, f"n = {meta['n']}", f"seed {seed}"])
         title += f", density {density.spec}" if density is not None else ""
-        write_point_picture(file, points, title)
+        write(point_sets(points, title), file, captioned=True)
 
     # Measure them; the table is the result, --quiet silences remarks only
     if options.quality:
@@ -182,8 +183,7 @@ def gallery_(options: argparse.Namespace) -> Answer:
     Writes DIR/index.html (one page that stands alone) or, with --markdown, DIR/index.md and pictures;
     DIR/gallery.json holds the numbers. Without a SPEC, all samplers that can be named.
     """
-    from mcspectra.report.sampler_cards import FULL, QUICK
-    from mcspectra.report.sampler_gallery import write_gallery
+    from mcspectra.report.sampler_gallery import FULL, QUICK, write_gallery
 
     page = write_gallery(
         options.out,

@@ -157,10 +157,10 @@ def _compare(
     options: argparse.Namespace, scene: str, settings: Mapping[str, Any], files: list[Path]
 ) -> Answer:
     """Render a reference and all strategies, write them side by side, say how far each is off."""
+    from mcspectra.plots.backend_matplotlib import draw, encode
+    from mcspectra.plots.maps import rms_error, strategy_images
     from mcspectra.rendering.files import write_comparison
     from mcspectra.rendering.image import compare_strategies
-    from mcspectra.report.encode import encode_exact
-    from mcspectra.report.figures.strategy_images import rms_error, strategy_images
 
     for name in ("strategy", "realizations"):
         if getattr(options, name) is not None:
@@ -177,7 +177,8 @@ def _compare(
             write_comparison(file, images)
         else:
             with writing(file):
-                file.write_bytes(encode_exact(strategy_images(images, exposure=options.exposure)))
+                plot = strategy_images(images, exposure=options.exposure)
+                file.write_bytes(encode(draw(plot))[0])
 
     # Say how far each is off
     data, table = {}, []
@@ -220,10 +221,9 @@ def pixel_(options: argparse.Namespace) -> Answer:
     """Everything about one pixel of a scene: what it sees, rates, terms, bottleneck, remedies.
 
     The pixel is X Y, counted from the left and from the top, or the name of one (figure1 has P and Q). With
-    --out DIR, DIR/report.html, DIR/pixel.json and DIR/figures/*.png are written.
+    --out DIR, DIR/report.html, DIR/pixel.json and DIR/figures/ are written.
     """
-    from mcspectra.report.pixel_page import write_pixel
-    from mcspectra.report.pixel_text import pixel_summary
+    from mcspectra.report.pixel_page import pixel_summary, write_pixel
     from mcspectra.studies.pixel import analyse_pixel
 
     x: int | str = options.x
@@ -253,8 +253,8 @@ def pixel_(options: argparse.Namespace) -> Answer:
 
 def _pixel_text(tree: xr.DataTree) -> str:
     """What it sees, the rates, the terms, and the sentences."""
-    from mcspectra.report.formatting import interval, number, rate
-    from mcspectra.report.pixel_text import about_pixel, pixel_rows, pixel_sentences, term_rows
+    from mcspectra.plots.text import interval, number, rate
+    from mcspectra.report.pixel_page import about_pixel, pixel_rows, pixel_sentences, term_rows
 
     known = tree.attrs
     head = [f"pixel ({known['x']}, {known['y']}) of {known['scene']}"]
@@ -314,15 +314,15 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
 def map_(options: argparse.Namespace) -> Answer:
     """Map variance, its rate and what decides it over an image of a scene.
 
-    Writes DIR/maps.exr (all layers), DIR/*.png, DIR/map.json and DIR/report.html; DIR/study.sqlite keeps
-    what is finished, and --resume goes on from there.
+    Writes DIR/maps.exr (all layers), DIR/*.png, *.pdf, DIR/map.json and DIR/report.html;
+    DIR/study.sqlite keeps what is finished, and --resume goes on from there.
     """
     from mcspectra.cli.analysis import given_options
     from mcspectra.core.analysis import Subject
     from mcspectra.core.options import checked
     from mcspectra.core.streams import Stream
+    from mcspectra.plots.groups import labelled
     from mcspectra.rendering.maps import Map
-    from mcspectra.report.further_pictures import with_labels
     from mcspectra.report.map_page import map_note, map_summary, write_map
     from mcspectra.studies import StudyConfig, Trust, open_results, run_study
     from mcspectra.studies.files import SceneConfig
@@ -340,7 +340,7 @@ def map_(options: argparse.Namespace) -> Answer:
     run_study(study, options.out, resume=options.resume, workers=options.workers, trust=trust)
     tree = open_results(options.out)
     (found,) = (node.to_dataset() for node in tree.subtree if node.name == "map" and node.data_vars)
-    result = with_labels(found, "strategy").assign_coords(bound=["low", "high"])
+    result = labelled(found).assign_coords(bound=["low", "high"])
     page, summary = write_map(result, options.out), map_summary(result)
     shown = summary["strategies"]
     rows = [[name, "", *(f"{v:.4g}" for v in row.values())] for name, row in shown.items()]

@@ -34,7 +34,8 @@ Hover: TypeAlias = Mapping[str, Sequence[str]]
 """What the pointer shows at each item of a mark: title → texts. Only bokeh has it."""
 
 Dashes: TypeAlias = Literal["-", "--", ":", "-."]
-Marker: TypeAlias = Literal["o", "s", "^", "D", "v", "P", "X"]
+Marker: TypeAlias = Literal["o", "s", "^", "D", "v", "P", "X", "|"]
+"""Shapes of `Dots`; ``|`` is an upright stroke as long as the dots' size."""
 
 
 @final
@@ -78,7 +79,8 @@ class Scale:
     label
         Of the colour bar; a scale of an empty label and no `names` has no bar.
     kind
-        ``names``: values are whole numbers k, which mean ``names[k]``; a legend stands for the bar.
+        ``names``: values are whole numbers k, which mean ``names[k - low]``; a legend stands for
+        the bar.
         ``signed``: symmetric, as of `Axis`.
     low, high
         Values of the ends; of a ``signed`` scale −high and high.

@@ -13,6 +13,7 @@ from mcspectra.plots.text import power_of_ten
 
 __all__ = [
     "count_axis",
+    "linear_axis",
     "log_axis",
     "log_scale",
     "log_ticks",
@@ -21,6 +22,7 @@ __all__ = [
     "signed_place",
     "signed_scale",
     "tick_label",
+    "unit_axis",
 ]
 
 _LINEAR_SPAN = 30.0  # up to this ratio of largest to smallest, a linear scale shows both
@@ -28,6 +30,16 @@ _NEAR_ZERO = 0.5  # decades that the linear part of a signed scale takes on eith
 _SHORT = 1.6  # decades; below, powers of ten alone are too few ticks
 _MOST_DECADES = 6  # below 10^-6 of the largest value nothing is told apart
 _NOTHING = 1e-9  # of the largest value of all: an array below it shows nothing
+
+
+def linear_axis(label: str, low: float, high: float, most: int = 6) -> Axis:
+    """Return a linear axis from low to high with a small margin and round ticks."""
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        low, high = 0.0, 1.0
+    pad = 0.04 * (high - low)
+    low, high = low - pad if low else low, high + pad
+    ticks = {tick: tick_label(tick) for tick in _round_steps(low, high, most)}
+    return Axis(label=label, low=low, high=high, ticks=ticks)
 
 
 def log_axis(label: str, low: float, high: float, most: int = 6) -> Axis:
@@ -57,6 +69,11 @@ def name_axis(names: Sequence[str], label: str = "", *, flipped: bool = True) ->
     """Return an axis with names at 0, 1, 2, …, by default from the top."""
     ticks = {float(k): name for k, name in enumerate(names)}
     return Axis(label=label, low=-0.6, high=len(names) - 0.4, ticks=ticks, flipped=flipped)
+
+
+def unit_axis(label: str) -> Axis:
+    """Return an axis from 0 to 1 with ticks at its ends."""
+    return Axis(label=label, low=0.0, high=1.0, ticks={0.0: "0", 1.0: "1"})
 
 
 def signed_axis(label: str, values: Sequence[Array], most: int = 7) -> Axis:

@@ -15,8 +15,10 @@ from mcspectra.plots.text import shorten
 __all__ = [
     "ACCENT",
     "FAINT",
+    "GRADIENTS",
     "GRAY",
     "INK",
+    "MARKERS",
     "PALETTE",
     "PAPER",
     "LineStyle",
@@ -26,11 +28,26 @@ __all__ = [
 ]
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#4D4D4D")
-MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+MARKERS: tuple[Literal["o", "s", "^", "D", "v", "P", "X"], ...] = (
+    "o",
+    "s",
+    "^",
+    "D",
+    "v",
+    "P",
+    "X",
+)
 DASHES = ("-", "--", ":", "-.")
 INK, GRAY, FAINT, PAPER = "#262626", "#8A8A8A", "#DCDCDC", "#FCFCFA"
 """Text and main marks, marks of lesser weight, grids and shapes behind, the ground. Backends turn them about on dark pages."""
 ACCENT = "#D55E00"
+GRADIENTS = {
+    "sequential": "viridis",
+    "diverging": ("#0B3A63", "#0072B2", "#8CC1E0", "#F7F7F7", "#F2B488", "#D55E00", "#6E2C00"),
+    "gray": ("#000000", "#FFFFFF"),
+    "paper": ("#FFFFFF", "#000000"),
+}
+"""Colours of the palettes of a `Scale`, evenly spaced, or the name that both libraries know it by."""
 
 
 @final

@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
-import base64
 import math
 import shlex
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
+from markupsafe import Markup
 
 from mcspectra.core.errors import ParameterError
 from mcspectra.estimators.moments import CONFIDENCE_Z
-from mcspectra.report import figures
-from mcspectra.report.collect import collect
-from mcspectra.report.embed import bokeh_script, packed_plot
-from mcspectra.report.encode import encode
-from mcspectra.report.formatting import MISSING, interval, number, rate
-from mcspectra.report.html import page_template, provenance, replace_page, writing
-from mcspectra.report.interactive import alt_text, convergence_plot
-from mcspectra.report.sections import Image
-from mcspectra.report.style import sampler_styles
-from mcspectra.report.tables import Cell, Table
+from mcspectra.plots import kinds
+from mcspectra.plots.text import MISSING, interval, number, rate
+from mcspectra.report.page import (
+    Block,
+    Cell,
+    Facts,
+    Figure,
+    Figures,
+    Page,
+    Section,
+    Table,
+    Text,
+    write_page,
+)
+from mcspectra.report.study import collect, provenance
+from mcspectra.report.tables import first_channel
 from mcspectra.studies import open_results
 
 if TYPE_CHECKING:
@@ -66,13 +72,15 @@ def compare_curves(first: xr.Dataset, second: xr.Dataset) -> Difference:
     The logarithm of a variance and a rate are taken as normal, their standard errors from the
     results' own intervals.
     """
-    pair = [d.isel(channel=0) if "channel" in d.dims else d for d in (first, second)]
-    shared = np.intersect1d(pair[0]["n"].values, pair[1]["n"].values)
+    one, other = first_channel(first), first_channel(second)
+    shared = np.intersect1d(one["n"].values, other["n"].values)
     n = int(shared[-1]) if shared.size else None
     log_ratio = log_half = math.nan
     if n is not None:
-        log_ratio, log_half = _log_ratio(*(_log_variance(each.sel(n=n)) for each in pair))
-    slope, half = _minus(*(_rate_and_half(each) for each in pair))
+        (a, a_se), (b, b_se) = (_log_variance(each.sel(n=n)) for each in (one, other))
+        log_ratio, log_half = b - a, CONFIDENCE_Z * math.hypot(a_se, b_se)
+    (a, a_half), (b, b_half) = (_rate_and_half(each) for each in (one, other))
+    slope, half = b - a, math.hypot(a_half, b_half)
     return Difference(
         n=n,
         ratio=math.exp(log_ratio),
@@ -110,64 +118,98 @@ def write_comparison(first: str | Path, second: str | Path, out: str | Path | No
         raise ParameterError(
             f"Both folders are {str(first)!r}; give two different ones to compare."
         )
-    trees = [open_results(folder) for folder in (first, second)]
-    curves = [_curves(tree) for tree in trees]
-    page = Path(second) / COMPARISON_NAME if out is None else Path(out)
-    with writing(page):
-        replace_page(page, _page([Path(first), Path(second)], trees, curves))
-    return page
-
-
-def _curves(tree: xr.DataTree) -> Curves:
-    """Results of `convergence` by estimator and sampler, in the study's order."""
-    return {
-        (group.name, sampler): data
-        for group in collect(tree)
-        for sampler, data in group.having("convergence").items()
-    }
-
-
-def _page(folders: list[Path], trees: list[xr.DataTree], curves: list[Curves]) -> str:
-    both = [pair for pair in curves[0] if pair in curves[1]]
+    folders = [Path(first), Path(second)]
+    trees = [open_results(folder) for folder in folders]
+    curves: list[Curves] = [
+        {
+            (each.name, sampler): data
+            for each in collect(tree)
+            for sampler, data in each.analyses.get("convergence", {}).items()
+        }
+        for tree in trees
+    ]
+    command = shlex.join(["mcspectra", "report", *map(str, folders[:1]), "--compare", str(second)])
+    origins: list[Block] = []
+    for letter, tree, folder in zip("AB", trees, folders, strict=True):
+        origins += [
+            Text(text=letter, kind="heading"),
+            Facts(rows=provenance(tree, folder)),
+        ]
     titles = [str((tree.attrs.get("study") or {}).get("title", "Results")) for tree in trees]
-    return page_template("compare.html.j2").render(
-        titles=titles,
-        folders=[str(folder) for folder in folders],
-        table=_table(both, *curves) if both else None,
-        pictures=list(_pictures(both, *curves)),
-        only=[[pair for pair in mine if pair not in both] for mine in curves],
-        origins=[provenance(*each) for each in zip(trees, folders, strict=True)],
-        command=shlex.join(["mcspectra", "report", str(folders[0]), "--compare", str(folders[1])]),
-        bokeh=bokeh_script() if both else "",
-    )
-
-
-def _table(both: list[tuple[str, str]], first: Curves, second: Curves) -> Table:
-    return Table(
-        caption="Ratio: variance of B over that of A at the largest common n; below 1, B has less "
-        "noise. Difference: rate of B minus rate of A; negative, B falls faster. Intervals are 95 %, "
-        "of the two as independent: too wide where both used the same seed.",
-        columns=(
-            "Estimator",
-            "Sampler",
-            "n",
-            "Variance A",
-            "Variance B",
-            "Ratio B/A",
-            "95 % interval",
-            "Rate A",
-            "Rate B",
-            "Difference B − A",
+    named = Markup("{} (<code>{}</code>)")
+    facts = zip("AB", map(named.format, titles, folders), strict=True)
+    page = Page(
+        title="Comparison",
+        what=f"comparison of {titles[0]} and {titles[1]}",
+        lead=(Facts(rows=tuple(facts)),),
+        sections=(
+            Section(title="Side by side", anchor="summary", blocks=tuple(_side_by_side(*curves))),
+            Section(
+                title="Provenance",
+                anchor="provenance",
+                blocks=(*origins, Facts(rows=(("To redo it", command),), code=True)),
+            ),
         ),
-        rows=tuple(_row(pair, first[pair], second[pair]) for pair in both),
-        heads=2,
     )
+    return write_page(page, Path(second) / COMPARISON_NAME if out is None else Path(out))
+
+
+def _side_by_side(first: Curves, second: Curves) -> Iterator[Block]:
+    """A table of the pairs that both have, their curves over each other, and what only one has."""
+    both = [pair for pair in first if pair in second]
+    if both:
+        yield Table(
+            caption="Ratio: variance of B over that of A at the largest common n; below 1, B has less "
+            "noise. Difference: rate of B minus rate of A; if it is negative, B falls faster. Intervals "
+            "are 95 % for independent results: too wide where both used the same seed.",
+            columns=(
+                "Estimator",
+                "Sampler",
+                "n",
+                "Variance A",
+                "Variance B",
+                "Ratio B/A",
+                "95 % interval",
+                "Rate A",
+                "Rate B",
+                "Difference B − A",
+            ),
+            rows=tuple(_row(pair, first[pair], second[pair]) for pair in both),
+            heads=2,
+            sortable=True,
+        )
+    else:
+        yield Text(text="No estimator and sampler has a convergence in both.")
+    figures = []
+    for estimator in dict.fromkeys(name for name, _ in both):
+        overlay = {
+            f"{letter}: {sampler}": curves[name, sampler]
+            for name, sampler in both
+            if name == estimator
+            for letter, curves in (("A", first), ("B", second))
+        }
+        plot = kinds.describe("convergence", overlay)
+        caption = f"{estimator}. {plot.caption}"
+        figures.append(Figure(plot=replace(plot, caption=caption), live=True))
+    if figures:
+        yield Figures(figures=tuple(figures))
+    for letter, mine in (("A", first), ("B", second)):
+        lines = [
+            f"{estimator}, with {sampler}"
+            for estimator, sampler in mine
+            if (estimator, sampler) not in both
+        ]
+        if lines:
+            yield Text(text=f"Only in {letter}: {'; '.join(lines)}.")
 
 
 def _row(pair: tuple[str, str], first: xr.Dataset, second: xr.Dataset) -> tuple[Cell, ...]:
     found = compare_curves(first, second)
-    variances = [_variance_at(each, found.n) for each in (first, second)]
-    slopes = [_rate_and_half(each) for each in (first, second)]
+    variances = [
+        math.nan if found.n is None else float(first_channel(each)["variance"].sel(n=found.n))
+        for each in (first, second)
+    ]
+    slopes = [_rate_and_half(first_channel(each)) for each in (first, second)]
     return (
         Cell(text=pair[0], numeric=False),
         Cell(text=pair[1], numeric=False),
@@ -186,40 +228,6 @@ def _cell(text: str, order: float | None) -> Cell:
     return Cell(text=text, why=why, order=order if known else None)
 
 
-def _pictures(both: list[tuple[str, str]], first: Curves, second: Curves) -> Iterator[Image]:
-    """Draw a plot for each estimator: A's and B's curves of every common sampler."""
-    for estimator in dict.fromkeys(name for name, _ in both):
-        samplers = [sampler for name, sampler in both if name == estimator]
-        group: Mapping[str, Any] = {
-            f"{which}: {sampler}": curves[estimator, sampler]
-            for sampler in samplers
-            for which, curves in (("A", first), ("B", second))
-        }
-        yield _picture(estimator, group)
-
-
-def _picture(estimator: str, group: Mapping[str, Any]) -> Image:
-    """A plot, and the picture that stands for it without scripts and on paper."""
-    styles = sampler_styles(list(group))
-    plot = convergence_plot(group, styles=styles)
-    png, _ = encode(figures.convergence_curves(group, styles=styles))
-    return Image(
-        caption=estimator,
-        plot=packed_plot(plot),
-        plot_alt=alt_text(plot),
-        data=base64.b64encode(png).decode("ascii"),
-        # Bytes 16 to 24 of a PNG are its width and height.
-        width=int.from_bytes(png[16:20], "big"),
-        height=int.from_bytes(png[20:24], "big"),
-        alt=alt_text(plot),
-    )
-
-
-def _variance_at(data: xr.Dataset, n: int | None) -> float:
-    one = data.isel(channel=0) if "channel" in data.dims else data
-    return math.nan if n is None else float(one["variance"].sel(n=n))
-
-
 def _log_variance(at: xr.Dataset) -> tuple[float, float]:
     """Logarithm of a variance and its standard error; NaN where the variance is not positive."""
     value = float(at["variance"])
@@ -229,18 +237,7 @@ def _log_variance(at: xr.Dataset) -> tuple[float, float]:
     return math.log(value), math.log(high / low) / (2 * CONFIDENCE_Z)
 
 
-def _log_ratio(first: tuple[float, float], second: tuple[float, float]) -> tuple[float, float]:
-    """Logarithm of second over first, and half its 95 % interval."""
-    return second[0] - first[0], CONFIDENCE_Z * math.hypot(first[1], second[1])
-
-
 def _rate_and_half(data: xr.Dataset) -> tuple[float, float]:
     """Rate and half its 95 % interval."""
-    one = data.isel(channel=0) if "channel" in data.dims else data
-    low, high = (float(end) for end in one["rate_ci"].values)
-    return float(one["rate"]), 0.5 * (high - low)
-
-
-def _minus(first: tuple[float, float], second: tuple[float, float]) -> tuple[float, float]:
-    """Second minus first, and half the interval of independent ones."""
-    return second[0] - first[0], math.hypot(first[1], second[1])
+    low, high = (float(end) for end in data["rate_ci"].values)
+    return float(data["rate"]), 0.5 * (high - low)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import base64
 import json
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,25 +12,36 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import StoreError
+from mcspectra.plots import kinds
+from mcspectra.plots.text import number, percent
 from mcspectra.rendering.files import write_exr
-from mcspectra.report.encode import encode
-from mcspectra.report.figures.scene_maps import MAP_CAPTIONS, map_figures
-from mcspectra.report.html import page_template
+from mcspectra.report.page import (
+    Cell,
+    Facts,
+    Figure,
+    Figures,
+    Page,
+    Section,
+    Table,
+    Text,
+    text_cells,
+    versions_of,
+    write_json,
+    write_page,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = ["map_layers", "map_note", "map_summary", "write_map"]
 
-_NAMES = {
+_COLUMNS = {
     "mean": "Mean",
     "variance": "Variance",
     "rate": "Rate",
-    "rate_se": "Error of the rate",
-    "bottleneck": "Bottleneck",
-    "dominant": "Larger variance",
-    "gain": "Gain of MIS",
-    "predicted": "Predicted / measured",
+    "rate_se": "Standard error of the rate",
+    "predicted_ratio": "Predicted / measured",
+    "predicted_within_ci": "Pixels whose interval holds 1",
 }
 
 
@@ -61,16 +72,46 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
     try:
         root.mkdir(parents=True, exist_ok=True)
         write_exr(root / "maps.exr", map_layers(result), comment=json.dumps(result.attrs))
-        text = json.dumps(_finite(summary), indent=2, allow_nan=False)
-        (root / "map.json").write_text(text + "\n", encoding="utf-8")
-        pictures = {kind: encode(figure)[0] for kind, figure in map_figures(result)}
-        for kind, png in pictures.items():
-            (root / f"{kind}.png").write_bytes(png)
-        page = root / "report.html"
-        page.write_text(_page(result, summary, pictures), encoding="utf-8")
     except OSError as error:
         raise StoreError(f"{str(root)!r} cannot be written: {error.strerror}.") from None
-    return page
+    write_json(root / "map.json", summary)
+
+    # The page
+    known = result.attrs
+    x0, y0, width, height = summary["crop"]
+    counts = ", ".join(map(str, summary["counts"]))
+    settings = (
+        f"{width} × {height} pixels from ({x0}, {y0}), sampler {known['sampler']}, n = {counts} of each "
+        f"technique, {known['realizations']} realisations, {known['points']} points."
+    )
+    rows = summary["strategies"]
+    columns = next(iter(rows.values()))
+    table = Table(
+        caption=map_note(summary),
+        columns=("Strategy", *(_COLUMNS[name] for name in columns)),
+        rows=tuple(
+            (*text_cells(name), *(Cell(text=number(value, 4)) for value in row.values()))
+            for name, row in rows.items()
+        ),
+    )
+    sentences = tuple(Text(text=text) for text in _sentences(summary))
+    figures = []
+    for kind in (each for each in kinds.kinds_of(result) if each.startswith("map-")):
+        name = kind.removeprefix("map-").replace("-", "_")
+        figures.append(Figure(plot=kinds.describe(kind, result), name=name))
+    own = ((str(k), str(v)) for k, v in known.items() if not str(k).startswith("version_"))
+    facts = (*own, ("versions", versions_of(known)))
+    page = Page(
+        title=str(known["scene"]),
+        what="map",
+        lead=(Text(text=settings, kind="soft"),),
+        sections=(
+            Section(title="Summary", anchor="summary", blocks=(table, *sentences)),
+            Section(title="Maps", anchor="maps", blocks=(Figures(figures=tuple(figures)),)),
+            Section(title="Provenance", anchor="provenance", blocks=(Facts(rows=facts),)),
+        ),
+    )
+    return write_page(page, root / "report.html", root)
 
 
 def map_layers(result: xr.Dataset) -> dict[str, Array]:
@@ -133,8 +174,8 @@ def map_note(summary: Mapping[str, Any]) -> str:
     if summary["points"] == "own":
         return note
     return (
-        f"{note} All pixels have the same points, so their errors are alike: neither medians nor "
-        "shares of pixels average them out."
+        f"{note} All pixels have the same points, so their errors are alike: medians and shares of "
+        "pixels do not average them out."
     )
 
 
@@ -158,58 +199,19 @@ def _share(values: Array, label: int) -> float:
     return float((known == label).mean()) if known.size else float("nan")
 
 
-def _page(result: xr.Dataset, summary: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
-    known = result.attrs
-    x0, y0, width, height = summary["crop"]
-    counts = ", ".join(map(str, summary["counts"]))
-    return page_template("maps.html.j2").render(
-        title=known["scene"],
-        settings=(
-            f"{width} × {height} pixels from ({x0}, {y0}), sampler {known['sampler']}, n = {counts} "
-            f"of each technique, {known['realizations']} realisations, {known['points']} points."
-        ),
-        note=map_note(summary),
-        columns=["strategy", *next(iter(summary["strategies"].values()))],
-        rows=[
-            [name, *(f"{value:.4g}" for value in row.values())]
-            for name, row in summary["strategies"].items()
-        ],
-        sentences=list(_sentences(summary)),
-        figures=[
-            {
-                "kind": kind,
-                "name": _NAMES[kind],
-                "caption": MAP_CAPTIONS[kind],
-                "data": base64.b64encode(png).decode("ascii"),
-            }
-            for kind, png in pictures.items()
-        ],
-        provenance=known,
-    )
-
-
 def _sentences(summary: Mapping[str, Any]) -> Iterator[str]:
-    """What the shares of pixels say."""
-    if "bottleneck" in summary:
+    """Say what the shares of pixels mean."""
+    if math.isfinite(summary.get("bottleneck", {}).get("bsdf", math.nan)):
         share = summary["bottleneck"]
         yield (
-            f"The BSDF share of MIS has the slower rate in {share['bsdf']:.0%} of the pixels, the "
-            f"light share in {share['light']:.0%}; in {share['undecided']:.0%} the 95 % interval "
+            f"The BSDF share of MIS has the slower rate in {percent(share['bsdf'])} of the pixels, the "
+            f"light share in {percent(share['light'])}; in {percent(share['undecided'])} the 95 % interval "
             "of their difference contains 0."
         )
     if "mis_gain" in summary:
         gain = summary["mis_gain"]
         yield (
             f"At equal totals of samples MIS has less variance than the better single strategy in "
-            f"{gain['above_1']:.0%} of the pixels, more in {gain['below_1']:.0%}, by 95 % "
-            f"intervals; the median gain is {gain['median']:.3g}."
+            f"{percent(gain['above_1'])} of the pixels, more in {percent(gain['below_1'])}, by 95 % "
+            f"intervals; the median gain is {number(gain['median'])}."
         )
-
-
-def _finite(value: Any) -> Any:
-    """Replace what JSON has no number for by null."""
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value

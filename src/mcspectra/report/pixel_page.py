@@ -1,88 +1,98 @@
-"""Write everything about a pixel: one page that stands alone, its figures, and its numbers."""
+"""Everything about a pixel: one page that stands alone, rows, sentences, and numbers for JSON."""
 
 from __future__ import annotations
 
-import base64
-import io
-import json
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from mcspectra.core.errors import StoreError
-from mcspectra.report.figures.pixel import incident_maps, remedy_ratios, strategy_curves
-from mcspectra.report.figures.variance import captured_curves, three_terms
-from mcspectra.report.figures.warps import primary_pictures
-from mcspectra.report.formatting import interval, number, rate
-from mcspectra.report.html import page_template
-from mcspectra.report.pixel_text import (
-    STRATEGY_NAMES,
-    about_pixel,
-    bottleneck_sentence,
-    pixel_rows,
-    pixel_sentences,
-    pixel_summary,
-    term_rows,
+from mcspectra.plots.description import Plot
+from mcspectra.plots.kinds import describe
+from mcspectra.plots.maps import incident_maps
+from mcspectra.plots.style import sampler_styles
+from mcspectra.plots.text import MISSING, number, percent, rate
+from mcspectra.plots.variance import strategy_curves
+from mcspectra.report.page import (
+    Cell,
+    Facts,
+    Figure,
+    Figures,
+    Page,
+    Section,
+    Sentences,
+    Table,
+    Text,
+    columns_of,
+    versions_of,
+    write_json,
+    write_page,
 )
-from mcspectra.report.style import WIDE
-from mcspectra.report.tables import Cell, Table, summary_table, terms_table
+from mcspectra.report.sentences import explain
+from mcspectra.report.tables import analysis_table, summary_table, terms_table
+from mcspectra.studies import SummaryRow, summarize
 
 if TYPE_CHECKING:
     import xarray as xr
-    from matplotlib.figure import Figure
 
-__all__ = ["write_pixel"]
+__all__ = [
+    "STRATEGY_NAMES",
+    "about_pixel",
+    "bottleneck_sentence",
+    "pixel_rows",
+    "pixel_sentences",
+    "pixel_summary",
+    "term_rows",
+    "write_pixel",
+]
 
-_DPI = 120
-_RATE_COLUMNS = 4
+STRATEGY_NAMES = {
+    "light": "light",
+    "bsdf": "BSDF",
+    "balance": "MIS, balance",
+    "power": "MIS, power",
+}
+"""Strategies as tables and figures call them."""
 
-_SPACES = (
-    "g = f/p on the square of random numbers, what the sampler's points meet. Jumps inside are drawn in "
-    "orange, those between opposite sides, which shifted points wrap around, in blue; below each "
-    "picture, their length × mean height."
+_TERMS = ("dc_term", "power_term", "cross_term", "predicted_variance", "measured_variance")
+_REMEDY = (
+    "kind",
+    "change",
+    "error",
+    "error_ci",
+    "error_ratio",
+    "error_ratio_ci",
+    "verdict",
+    "rate",
+    "rate_ci",
+    "rate_verdict",
+    "reason",
 )
-_RATES = (
+_PINHOLE = "pinhole"
+_MOST_LIGHTS = 8  # named one by one
+_ABOUT_RATES = (
     "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval. MIS takes "
     "n samples of each technique."
 )
-_TERMS = (
-    "Terms in primary space, whose points have equal weights: the dc term is 0. A basis that fits the "
-    "sampler has a small cross term; the Fourier basis sees the jump between opposite sides of a g that "
-    "is not periodic, and converges slowly for points that are not shifted."
+_ABOUT_TERMS = (
+    "Terms in primary space, where all points have the same weight, so the dc term is 0. A basis that "
+    "fits the sampler has a small cross term. The Fourier basis sees the jump between opposite sides of "
+    "a g that is not periodic, and converges slowly for points that are not shifted."
 )
-_INCIDENT = (
+_ABOUT_SPACES = (
+    "g = f/p on the square of random numbers, where the sampler's points lie. Jumps inside are orange; "
+    "jumps between opposite sides, which shifted points wrap around, are blue. Below each picture stands "
+    "their length × mean height."
+)
+_ABOUT_INCIDENT = (
     "Directions above the point that the pixel sees, azimuth around its shading normal. Light sampling "
-    "draws from the upper map's lights, BSDF sampling from the reflectance; f is what both integrate."
+    "draws from the lights of the upper map, BSDF sampling from the reflectance; both integrate f."
 )
-
-
-@final
-@dataclass(frozen=True, kw_only=True)
-class _Picture:
-    """A figure in the page: its bytes as a data address, and its caption."""
-
-    data: str
-    caption: str
-    wide: bool
-
-
-@final
-@dataclass(frozen=True, kw_only=True)
-class _Section:
-    """A part of the page."""
-
-    anchor: str
-    name: str
-    text: str = ""
-    tables: tuple[Table, ...] = ()
-    figures: tuple[_Picture, ...] = ()
 
 
 def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
-    """Write ``report.html``, ``pixel.json`` and ``figures/*.png``; older ones are replaced.
+    """Write ``report.html``, ``pixel.json`` and ``figures/``; older ones are replaced.
 
     Parameters
     ----------
@@ -101,207 +111,301 @@ def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
     StoreError
         The folder cannot be written.
     """
-    root = Path(folder)
-    try:
-        (root / "figures").mkdir(parents=True, exist_ok=True)
-        text = json.dumps(_plain(pixel_summary(tree)), indent=2, allow_nan=False)
-        (root / "pixel.json").write_text(text + "\n", encoding="utf-8")
-        page = root / "report.html"
-        page.write_text(_page(tree, _sections(tree, root / "figures")), encoding="utf-8")
-    except OSError as error:
-        raise StoreError(f"{str(root)!r} cannot be written: {error.strerror}.") from None
-    return page
-
-
-def _page(tree: xr.DataTree, sections: list[_Section]) -> str:
-    known = tree.attrs
+    root, known = Path(folder), tree.attrs
+    write_json(root / "pixel.json", pixel_summary(tree))
     counts = ", ".join(map(str, known["counts"]))
-    versions = {k: v for k, v in tree["convergence"].attrs.items() if str(k).startswith("version_")}
-    return page_template("pixel.html.j2").render(
+    settings = (
+        f"n = {counts} samples of each technique, {known['realizations']} realisations, seed "
+        f"{known['rng']}; terms, bottleneck and remedies with {known['sampler']}."
+    )
+    facts = (
+        ("Scene", str(known["scene"])),
+        ("Dims", str(known["dims"])),
+        ("Versions", versions_of(tree["convergence"].attrs)),
+    )
+    about = tuple((name.capitalize(), text) for name, text in about_pixel(tree))
+    said = tuple((name[:1].upper() + name[1:], text) for name, text in pixel_sentences(tree))
+    sees = (Facts(rows=about), Text(text="Explanation", kind="heading"), Sentences(rows=said))
+    page = Page(
         title=f"Pixel ({known['x']}, {known['y']}) of {Path(known['scene']).name}",
-        settings=(
-            f"n = {counts} samples of each technique, {known['realizations']} realisations, seed "
-            f"{known['rng']}; terms, bottleneck and remedies with {known['sampler']}."
-        ),
-        about=about_pixel(tree),
-        sentences=pixel_sentences(tree),
-        sections=sections,
-        provenance={"scene": known["scene"], "dims": known["dims"], **versions},
-    )
-
-
-def _sections(tree: xr.DataTree, folder: Path) -> list[_Section]:
-    """All parts of the page; figures are written into the folder on the way."""
-    parts = (_rates, _terms, _pictures, _incident, _bottleneck, _remedies)
-    return [section for part in parts for section in part(tree, folder)]
-
-
-def _rates(tree: xr.DataTree, folder: Path) -> Iterator[_Section]:
-    figure = strategy_curves(tree["convergence"].to_dataset(), STRATEGY_NAMES)
-    caption = (
-        "Variance against n with 95 % intervals. Rates, ± half their 95 % interval, in the order and "
-        "the colours of the legend."
-    )
-    yield _Section(
-        anchor="rates",
-        name="Rates",
-        tables=(_rate_table(tree),),
-        figures=(_picture(figure, folder / "rates.png", caption),),
-    )
-
-
-def _rate_table(tree: xr.DataTree) -> Table:
-    """The summary without its columns about terms, which have a table of their own."""
-    table = summary_table(pixel_rows(tree))
-    return replace(
-        table,
-        caption=_RATES,
-        columns=("Strategy", *table.columns[1:_RATE_COLUMNS]),
-        rows=tuple(row[:_RATE_COLUMNS] for row in table.rows),
-    )
-
-
-def _terms(tree: xr.DataTree, folder: Path) -> Iterator[_Section]:
-    fitting = {
-        STRATEGY_NAMES[name]: views["auto"].to_dataset()
-        for name, views in tree["terms"].children.items()
-    }
-    every = {
-        f"{STRATEGY_NAMES[name]}; {view.attrs['basis']}": view.to_dataset()
-        for name, views in tree["terms"].children.items()
-        for view in views.children.values()
-    }
-    basis, n = next(iter(fitting.values())).attrs["basis"], next(iter(fitting.values())).attrs["n"]
-    bars = f"Parts of the variance at n = {n} with {tree.attrs['sampler']}, {basis} basis."
-    share = "Predicted over measured variance against the half width of the spectrum."
-    yield _Section(
-        anchor="terms",
-        name="Three terms",
-        text=_TERMS,
-        tables=(_named(terms_table(term_rows(tree)), "Strategy; basis"),),
-        figures=(
-            _picture(three_terms(fitting), folder / "terms.png", bars),
-            _picture(captured_curves(every), folder / "captured.png", share),
+        what="pixel",
+        lead=(Text(text=settings, kind="soft"),),
+        sections=(
+            Section(title="What it sees", anchor="pixel", blocks=sees),
+            *_sections(tree),
+            Section(title="Provenance", anchor="provenance", blocks=(Facts(rows=facts),)),
         ),
     )
+    return write_page(page, root / "report.html", root / "figures")
 
 
-def _pictures(tree: xr.DataTree, folder: Path) -> Iterator[_Section]:
-    if "pictures" not in tree.children:
-        return
-    children = tree["pictures"].children
-    group = {_integrand_name(name): node.to_dataset() for name, node in children.items()}
-    picture = _picture(primary_pictures(group), folder / "integrands.png", _SPACES)
-    yield _Section(anchor="integrands", name="Integrands on the square", figures=(picture,))
+def pixel_rows(tree: xr.DataTree) -> list[SummaryRow]:
+    """One row for every strategy and sampler; terms where they were analysed.
+
+    Parameters
+    ----------
+    tree
+        What `mcspectra.studies.analyse_pixel` returns.
+    """
+    curves = tree["convergence"].to_dataset()
+    parts: dict[str, xr.Dataset] = {}
+    for i, strategy in enumerate(curves["strategy"].values):
+        for j, sampler in enumerate(curves["sampler"].values):
+            names = {"estimator_name": STRATEGY_NAMES[strategy], "sampler_spec": str(sampler)}
+            curve = curves.sel(strategy=strategy, sampler=sampler, drop=True)
+            parts[f"/{i}/{j}/convergence"] = curve.assign_attrs(names)
+            if sampler == tree.attrs["sampler"]:
+                terms = tree[f"terms/{strategy}/auto"].to_dataset()
+                parts[f"/{i}/{j}/terms"] = terms.assign_attrs(names)
+    return _summarized(parts)
 
 
-def _integrand_name(name: str) -> str:
-    """``BSDF share, balance`` for ``balance-bsdf``."""
-    strategy, _, technique = name.partition("-")
-    return f"{STRATEGY_NAMES[technique]} share, {strategy}" if technique else STRATEGY_NAMES[name]
+def term_rows(tree: xr.DataTree) -> list[SummaryRow]:
+    """One row for every strategy and basis of the terms, which stands in the place of the sampler."""
+    parts: dict[str, xr.Dataset] = {}
+    for i, (strategy, views) in enumerate(tree["terms"].children.items()):
+        seen: set[str] = set()
+        for j, view in enumerate(views.children.values()):
+            basis = str(view.attrs["basis"])
+            if basis in seen:  # the fitting basis may be Fourier's
+                continue
+            seen.add(basis)
+            label = f"{STRATEGY_NAMES[strategy]}; {basis}"
+            names = {"estimator_name": strategy, "sampler_spec": label}
+            parts[f"/{i}/{j}/terms"] = view.to_dataset().assign_attrs(names)
+    return _summarized(parts)
 
 
-def _incident(tree: xr.DataTree, folder: Path) -> Iterator[_Section]:
-    figure = incident_maps(tree["incident"].to_dataset())
-    picture = _picture(figure, folder / "incident.png", _INCIDENT)
-    yield _Section(anchor="incident", name="Light that arrives", figures=(picture,))
+def _summarized(parts: dict[str, xr.Dataset]) -> list[SummaryRow]:
+    import xarray as xr
+
+    tree: xr.DataTree = xr.DataTree.from_dict(dict(parts))
+    return summarize(tree)
 
 
-def _bottleneck(tree: xr.DataTree, folder: Path) -> Iterator[_Section]:  # noqa: ARG001
+def about_pixel(tree: xr.DataTree) -> list[tuple[str, str]]:
+    """What the ray meets and what lights it, as names and texts."""
+    known = tree.attrs
+    place = ", ".join(number(v) for v in known["position"])
+    normal = ", ".join(number(v) for v in known["normal"])
+    lights = known["lights"]
+    shown = ", ".join(lights[:_MOST_LIGHTS])
+    more = f" and {len(lights) - _MOST_LIGHTS} more" if len(lights) > _MOST_LIGHTS else ""
+    camera, channel = known.get("camera", _PINHOLE), str(known["channel"])
+    channel = channel if channel == "luminance" else f"channel {channel}"
+    return [
+        ("shape", f"{known['shape']} ({known['bsdf']})"),
+        ("position", f"({place}), normal ({normal})"),
+        ("lights", f"{shown}{more}"),
+        ("lit by", "all of them" if known["light"] == "all" else f"{known['light']} alone"),
+        ("value", f"{number(known['value'], 5)} (direct illumination, {channel})"),
+        *([] if camera == _PINHOLE else [("camera", f"its ray starts at the {camera}")]),
+    ]
+
+
+def pixel_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
+    """Explain each strategy with the sampler of the terms, the bottleneck, and what would help."""
+    known, every = tree.attrs, pixel_rows(tree)
+    rows = [row for row in every if row.sampler == known["sampler"]]
+    said = []
+    for strategy, row in zip(STRATEGY_NAMES, rows, strict=True):
+        terms = tree[f"terms/{strategy}/auto"].to_dataset()
+        text = f"{explain(row, terms)} {known[f'diagnosis_{strategy}']}"
+        said.append((STRATEGY_NAMES[strategy], text.strip()))
+    said += [("bottleneck", bottleneck_sentence(tree)), ("fastest", _fastest(every))]
+    if "remedies" in tree.children:
+        said.append(("remedies", str(tree["remedies"].attrs["recommendation"])))
+    return said
+
+
+def bottleneck_sentence(tree: xr.DataTree) -> str:
+    """Say which technique's share of MIS has the slower rate, where the intervals tell."""
     found = tree["techniques"].to_dataset()
-    share = found["technique_variance"].isel(n=-1).values
-    total = float(share.sum())
-    rows = [
-        (
-            Cell(text=name, numeric=False),
-            Cell(text=rate(float(slope), *map(float, ends))),
-            Cell(text=number(float(variance))),
-            Cell(text=f"{variance / total:.0%}".replace("%", " %") if total > 0 else "–"),
-        )
-        for name, slope, ends, variance in zip(
-            ("light", "BSDF"),
-            found["technique_rate"].values,
-            found["technique_rate_ci"].values,
-            share,
-            strict=True,
+    rates = [
+        rate(float(value), *map(float, ends))
+        for value, ends in zip(
+            found["technique_rate"].values, found["technique_rate_ci"].values, strict=True
         )
     ]
+    slow, names = int(found["bottleneck"]), ("light sampling", "BSDF sampling")
+    if slow < 0:
+        return (
+            "The bottleneck of MIS (balance heuristic) is undecided: the shares of light and BSDF "
+            f"sampling converge with the rates {rates[0]} and {rates[1]}, whose difference may be 0."
+        )
+    # Say so where the slower technique's part of the variance is the smaller one up to now
+    last = found["technique_variance"].isel(n=-1).values
+    part, later = float(last[slow] / last.sum()), ""
+    if part < 0.5:
+        later = (
+            f" at larger n; at n = {int(found['n'][-1])} it has {100 * part:.2g} % of the variance"
+        )
+    name = names[slow][0].upper() + names[slow][1:]
+    return (
+        f"{name} is the bottleneck of MIS (balance heuristic): its share converges with the rate "
+        f"{rates[slow]}, that of {names[1 - slow]} with {rates[1 - slow]}, and the slower rate becomes "
+        f"that of the sum{later}."
+    )
+
+
+def _fastest(rows: list[SummaryRow]) -> str:
+    """The steepest rate, and the least variance at the largest n, of all pairs."""
+    fitted = [row for row in rows if row.rate is not None]
+    least = min(rows, key=lambda row: math.inf if row.variance is None else row.variance)
+    text = (
+        f"The least variance at n = {least.n} of each technique is {number(least.variance)}: "
+        f"{least.estimator} with {least.sampler}."
+    )
+    if not fitted:
+        return text
+    best = min(fitted, key=lambda row: row.rate or 0.0)
+    shown = rate(best.rate, best.rate_low, best.rate_high)
+    return f"The steepest rate is {shown}: {best.estimator} with {best.sampler}. {text}"
+
+
+def pixel_summary(tree: xr.DataTree) -> dict[str, Any]:
+    """All numbers of a pixel but its maps, by what they are of."""
+    curves, techniques = tree["convergence"].to_dataset(), tree["techniques"].to_dataset()
+    rates = [
+        {"strategy": str(strategy), "sampler": str(sampler), "n": curves["n"].values}
+        | {v: one[v].values for v in ("variance", "variance_ci", "rate", "rate_ci")}
+        for strategy in curves["strategy"].values
+        for sampler in curves["sampler"].values
+        for one in [curves.sel(strategy=strategy, sampler=sampler)]
+    ]
+    names = [n for term in (*_TERMS, "captured") for n in (term, f"{term}_ci")]
+    terms = [
+        {"strategy": strategy, "view": view}
+        | {key: node.attrs[key] for key in ("basis", "sampler", "n")}
+        | {name: node[name].values for name in names if name in node}
+        for strategy, views in tree["terms"].children.items()
+        for view, node in views.children.items()
+    ]
+    slow = int(techniques["bottleneck"])
+    shares = ("technique_rate", "technique_rate_ci", "technique_variance", "rate", "rate_ci")
+    found: dict[str, Any] = {
+        "pixel": {k: v for k, v in tree.attrs.items() if not str(k).startswith("diagnosis_")},
+        "rates": rates,
+        "terms": terms,
+        "techniques": {
+            "estimator": techniques.attrs["estimator"],
+            "techniques": ["light", "bsdf"],
+            "bottleneck": ("light", "bsdf")[slow] if slow >= 0 else "undecided",
+            "n": techniques["n"].values,
+            **{name: techniques[name].values for name in shares},
+        },
+        "jumps": [
+            {"integrand": name, "kind": str(kind)}
+            | {v: float(node[f"primary_jump_{v}"].sel(kind=kind)) for v in ("length", "height")}
+            for name, node in (
+                tree["pictures"].children if "pictures" in tree.children else {}
+            ).items()
+            for kind in node.to_dataset()["kind"].values
+        ],
+        "sentences": dict(pixel_sentences(tree)),
+    }
+    if "remedies" in tree.children:
+        given = tree["remedies"].to_dataset()
+        ranked = [
+            {"remedy": str(name)} | {v: given[v].sel(remedy=name).values for v in _REMEDY}
+            for name in given["remedy"].values
+        ]
+        known = ("budget", "diagnosis", "recommendation", "not_tried")
+        found["remedies"] = {**{k: given.attrs[k] for k in known}, "ranked": ranked}
+    return found
+
+
+def _sections(tree: xr.DataTree) -> Iterator[Section]:
+    """All parts of the page that have figures or tables."""
+    known = tree.attrs
+
+    # Rates: the summary without its columns about terms, which have a table of their own
+    curves = tree["convergence"].to_dataset()
+    table = summary_table(pixel_rows(tree))
+    table = replace(
+        columns_of(table, table.columns[:4]),
+        caption=_ABOUT_RATES,
+        columns=("Strategy", *table.columns[1:4]),
+    )
+    styles = sampler_styles(list(map(str, curves["sampler"].values)))
+    plot = strategy_curves(curves, STRATEGY_NAMES, styles)
+    yield Section(title="Rates", anchor="rates", blocks=(table, _figures(rates=plot)))
+
+    # Terms, in the basis that fits and in all others
+    trees = tree["terms"].children.items()
+    fitting = {STRATEGY_NAMES[name]: views["auto"].to_dataset() for name, views in trees}
+    every = {
+        f"{STRATEGY_NAMES[name]}; {view.attrs['basis']}": view.to_dataset()
+        for name, views in trees
+        for view in views.children.values()
+    }
+    first = next(iter(fitting.values())).attrs
+    table = terms_table(term_rows(tree))
+    table = replace(table, columns=("Strategy; basis", *table.columns[1:]))
+    bars, shares = describe("terms", fitting), describe("captured", every)
+    where = f"At n = {first['n']} with {known['sampler']}, {first['basis']} basis."
+    bars = replace(bars, caption=f"{bars.caption} {where}")
+    figures = _figures(terms=bars, captured=shares)
+    yield Section(
+        title="Three terms", anchor="terms", blocks=(Text(text=_ABOUT_TERMS), table, figures)
+    )
+
+    # Integrands on the square, and the light that arrives
+    if "pictures" in tree.children:
+        group = {}
+        for name, node in tree["pictures"].children.items():
+            strategy, _, technique = name.partition("-")  # balance-bsdf is a share of MIS
+            title = (
+                f"{STRATEGY_NAMES[technique]} share, {strategy}"
+                if technique
+                else STRATEGY_NAMES[name]
+            )
+            group[title] = node.to_dataset()
+        plot = replace(describe("primary", group), caption=_ABOUT_SPACES, wide=True)
+        figures = _figures(integrands=plot)
+        yield Section(title="Integrands on the square", anchor="integrands", blocks=(figures,))
+    plot = replace(incident_maps(tree["incident"].to_dataset()), caption=_ABOUT_INCIDENT)
+    yield Section(title="Light that arrives", anchor="incident", blocks=(_figures(incident=plot),))
+
+    # The bottleneck
+    found = tree["techniques"].to_dataset()
+    variances = found["technique_variance"].isel(n=-1).values
+    total = float(variances.sum())
+    rows = zip(
+        ("light", "BSDF"),
+        found["technique_rate"].values,
+        found["technique_rate_ci"].values,
+        variances,
+        strict=True,
+    )
     table = Table(
         caption=f"Shares of MIS with the balance heuristic, n = {int(found['n'][-1])}, "
-        f"{tree.attrs['sampler']}.",
+        f"{known['sampler']}.",
         columns=("Technique", "Rate", "Variance", "Part of all"),
-        rows=tuple(rows),
-        heads=1,
+        rows=tuple(
+            (
+                Cell(text=name, numeric=False),
+                Cell(text=rate(float(slope), *map(float, ends))),
+                Cell(text=number(float(variance))),
+                Cell(text=percent(float(variance) / total) if total > 0 else MISSING),
+            )
+            for name, slope, ends, variance in rows
+        ),
     )
-    text = bottleneck_sentence(tree)
-    yield _Section(anchor="bottleneck", name="Bottleneck", text=text, tables=(table,))
+    text = Text(text=bottleneck_sentence(tree))
+    yield Section(title="Bottleneck", anchor="bottleneck", blocks=(text, table))
 
-
-def _remedies(tree: xr.DataTree, folder: Path) -> Iterator[_Section]:
+    # Remedies
     if "remedies" not in tree.children:
         return
     found = tree["remedies"].to_dataset()
-    caption = (
-        "Error of each change at the budget relative to MIS (balance) with the sampler as given; the 95 % "
-        "intervals of all hold together. Green: better; orange: worse; grey: cannot be told."
-    )
-    picture = _picture(remedy_ratios(found), folder / "remedies.png", caption)
-    yield _Section(
-        anchor="remedies",
-        name="Remedies",
-        text=found.attrs["recommendation"],
-        tables=(_remedy_table(found),),
-        figures=(picture,),
-    )
+    made = analysis_table("remedies", {str(known["sampler"]): found})
+    assert made is not None
+    table = columns_of(made[1], made[1].columns[1:])
+    text = Text(text=found.attrs["recommendation"])
+    figures = _figures(remedies=describe("remedies", found))
+    yield Section(title=made[0], anchor="remedies", blocks=(text, table, figures))
 
 
-def _remedy_table(found: xr.Dataset) -> Table:
-    rows = []
-    for name in found["remedy"].values:
-        one = found.sel(remedy=name)
-        rows.append(
-            (
-                Cell(text=str(name), numeric=False),
-                Cell(text=str(one["verdict"].item()), numeric=False),
-                Cell(text=number(float(one["error_ratio"]))),
-                Cell(text=interval(*one["error_ratio_ci"].values.tolist())),
-                Cell(text=rate(float(one["rate"]), *map(float, one["rate_ci"].values))),
-                Cell(text=str(one["reason"].item()), numeric=False),
-            )
-        )
-    return Table(
-        caption=f"At {found.attrs['budget']} evaluations, in the order of the error.",
-        columns=("Change", "Verdict", "Error ratio", "95 % interval", "Rate", "Why"),
-        rows=tuple(rows),
-        heads=1,
-    )
-
-
-def _named(table: Table, head: str) -> Table:
-    """The table with another name of its first column."""
-    return replace(table, columns=(head, *table.columns[1:]))
-
-
-def _picture(figure: Figure, file: Path, caption: str) -> _Picture:
-    """Write and embed a figure, in all its shades: a palette would make steps of smooth values."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None})
-    file.write_bytes(buffer.getvalue())
-    return _Picture(
-        data=base64.b64encode(buffer.getvalue()).decode("ascii"),
-        caption=caption,
-        wide=figure.get_figwidth() >= WIDE,
-    )
-
-
-def _plain(value: Any) -> Any:
-    """Lists and numbers that JSON has; null for NaN and infinity."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
+def _figures(**plots: Plot) -> Figures:
+    return Figures(figures=tuple(Figure(plot=plot, name=name) for name, plot in plots.items()))

@@ -2,11 +2,13 @@
 
 What is shown is cheap: one set of about 64 points, values on 48² places, integrals only where they
 are known exactly. Components that declare themselves `costly`, and functions that turn out to be
-slow, are shown without a picture.
+slow, are shown without a picture. Pictures are SVG text: they take a millisecond and load nothing.
 """
 
 from __future__ import annotations
 
+import base64
+import io
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -20,13 +22,19 @@ from mcspectra.core.spec import Component
 from mcspectra.densities import Density
 from mcspectra.estimators import AbstractEstimator, Estimator
 from mcspectra.integrands import Integrand
-from mcspectra.report.formatting import interval, number, shorten
-from mcspectra.report.pictograms import curve, map_image, scatter, strip
+from mcspectra.plots.text import interval, number, shorten
 from mcspectra.samplers import Sampler
 from mcspectra.samplers.base import Structure
 
-__all__ = ["component_html"]
+__all__ = ["SIDE", "component_html", "curve", "map_image", "scatter", "strip"]
 
+SIDE = 132
+"""Width and height of a picture in CSS pixels."""
+
+_BLUE = "#0072B2"
+# Five colours of viridis (van der Walt, Smith 2015), even in lightness; between them linear.
+_VIRIDIS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
+_CLIPPED = 0.5  # per cent of values at either end that may lie beyond the colours: poles
 _POINTS = 64
 _MOST_NUMBERS = 2**16  # coordinates of the set that is drawn
 _CELLS = {1: 192, 2: 48}  # along an axis of a picture
@@ -218,3 +226,95 @@ def _overrides(component: object, base: type, method: str) -> bool:
 
 def _yes(holds: bool) -> str:
     return "yes" if holds else "no"
+
+
+def scatter(points: Array, label: str) -> str:
+    """Points (n, 2) of the unit square, the second axis upwards."""
+    radius = float(np.clip(8.0 / np.sqrt(len(points)), 0.3, 2.2))
+    dots = "".join(
+        f'<circle cx="{100 * x:.2f}" cy="{100 - 100 * y:.2f}" r="{radius:.2f}"/>' for x, y in points
+    )
+    return _framed(f'<g fill="{_BLUE}">{dots}</g>', label)
+
+
+def strip(points: Array, label: str) -> str:
+    """Points (n,) of the unit interval as upright lines."""
+    width = float(np.clip(30.0 / len(points), 0.1, 1.0))
+    lines = "".join(f"M{100 * x:.2f} 35V65" for x in points)
+    return _framed(f'<path d="{lines}" stroke="{_BLUE}" stroke-width="{width:.2f}"/>', label)
+
+
+def curve(values: Array, label: str) -> str:
+    """Values (k,) or (k, channels) at the centres of k equal cells; the axis starts at 0 or below."""
+    columns = values.reshape(len(values), -1)
+    low, high = _limits(columns)
+    low, high = min(low, 0.0), max(high, 0.0)
+    scale = 90.0 / (high - low) if high > low else 0.0
+    x = 100.0 * (np.arange(len(values)) + 0.5) / len(values)
+    zero = 95.0 + scale * low
+    axis = (
+        f'<path d="M0 {zero:.2f}H100" stroke="currentColor" stroke-opacity=".3" stroke-width=".6"/>'
+    )
+    lines = "".join(
+        f'<path d="{_line(x, 95.0 - scale * (column - low))}" fill="none" stroke="{_BLUE}" '
+        f'stroke-width="1.4" stroke-opacity="{1.0 / (1 + k):.2f}"/>'
+        for k, column in enumerate(columns.T)
+    )
+    return _framed(axis + lines, label)
+
+
+def map_image(values: Array, label: str) -> str:
+    """Values (k, k) or (k, k, channels) in a grid of cells; three channels are colours."""
+    colored = values.ndim == 3 and values.shape[2] == 3
+    shown = values if colored else values.reshape(*values.shape[:2], -1)[..., 0]
+    low, high = _limits(shown)
+    scaled = np.clip((shown - low) / (high - low or 1.0), 0.0, 1.0)
+    pixels = 255.0 * scaled if colored else _colors(scaled)
+    pixels[~np.isfinite(pixels)] = 255.0
+    upright = np.round(pixels).astype(np.uint8).swapaxes(0, 1)[::-1]
+    picture = f'<image width="100" height="100" href="{_png(upright)}" style="image-rendering:pixelated"/>'
+    return _framed(picture, label)
+
+
+def _framed(drawing: str, label: str) -> str:
+    frame = '<rect width="100" height="100" fill="none" stroke="currentColor" stroke-opacity=".4"/>'
+    return (
+        f'<svg role="img" aria-label="{escape(label)}" viewBox="-1 -1 102 102" width="{SIDE}" '
+        f'height="{SIDE}" xmlns="http://www.w3.org/2000/svg">{drawing}{frame}</svg>'
+    )
+
+
+def _limits(values: Array) -> tuple[float, float]:
+    """Least and largest value shown: nearly all of them, infinite ones aside."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return 0.0, 0.0
+    low, high = np.percentile(finite, [_CLIPPED, 100.0 - _CLIPPED])
+    return float(low), float(high)
+
+
+def _line(x: Array, y: Array) -> str:
+    """Path through points, interrupted at values that are not finite; far ones end at the frame."""
+    parts, pen = [], "M"
+    for at, height in zip(x, np.clip(y, 0.0, 100.0), strict=True):
+        if not np.isfinite(height):
+            pen = "M"
+            continue
+        parts.append(f"{pen}{at:.2f} {height:.2f}")
+        pen = "L"
+    return "".join(parts)
+
+
+def _colors(scaled: Array) -> Array:
+    """Colours (..., 3), 0 to 255, of values from 0 to 1."""
+    nodes = np.linspace(0.0, 1.0, len(_VIRIDIS))
+    return np.stack([np.interp(scaled, nodes, c) for c in np.transpose(_VIRIDIS)], axis=-1)
+
+
+def _png(pixels: Array) -> str:
+    """A data URL of pixels uint8 (height, width, 3)."""
+    from PIL import Image
+
+    held = io.BytesIO()
+    Image.fromarray(pixels).save(held, "png")
+    return "data:image/png;base64," + base64.b64encode(held.getvalue()).decode("ascii")

@@ -1,27 +1,73 @@
-"""A gallery of samplers: a card each, as one offline page or as Markdown with pictures."""
+"""A gallery of samplers side by side: one table, overlays, a card each; a page or Markdown.
+
+A card is what is measured of a sampler: points, spectrum, projections, rates, quality, cost.
+"""
 
 from __future__ import annotations
 
-import base64
-import json
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, final
 
-from mcspectra.core.checks import as_choice
-from mcspectra.core.errors import MissingDependency, ParameterError, StoreError
+from mcspectra.core.checks import Array, as_choice
+from mcspectra.core.errors import (
+    McspectraError,
+    MissingDependency,
+    ParameterError,
+    StoreError,
+)
 from mcspectra.core.progress import report
-from mcspectra.report.encode import encode
-from mcspectra.report.figures.samplers import sampler_card
-from mcspectra.report.formatting import number, rate, slug
-from mcspectra.report.html import page_template
-from mcspectra.report.sampler_cards import FULL, Card, Effort, measure_card
-from mcspectra.samplers import SAMPLERS, sampler
+from mcspectra.core.results import dataset
+from mcspectra.core.spec import parse_chain
+from mcspectra.core.streams import Stream
+from mcspectra.estimators import Estimator
+from mcspectra.plots import backend_matplotlib
+from mcspectra.plots.description import Plot
+from mcspectra.plots.kinds import describe
+from mcspectra.plots.points import sampler_card
+from mcspectra.plots.style import sampler_styles
+from mcspectra.plots.text import MISSING, NEGLIGIBLE, number, rate, with_error
+from mcspectra.quality import quality_figures, summarize
+from mcspectra.quality.figures import different_realizations
+from mcspectra.report.page import (
+    Block,
+    Cell,
+    Facts,
+    Figure,
+    Figures,
+    Page,
+    Section,
+    Table,
+    Text,
+    anchors,
+    write_json,
+    write_page,
+)
+from mcspectra.samplers import SAMPLERS, Sampler, sampler
+from mcspectra.samplers.base import Randomized, Structure
+from mcspectra.samplers.facts import Facts as SamplerFacts
+from mcspectra.samplers.facts import sampler_facts
+from mcspectra.samplers.optimised import OptimisedSampler
+from mcspectra.spectra.power import power_spectrum
+from mcspectra.variance.convergence import convergence
 from mcspectra.version import __version__
 
-__all__ = ["FORMATS", "gallery_specs", "write_gallery"]
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "FORMATS",
+    "FULL",
+    "QUICK",
+    "Card",
+    "Effort",
+    "gallery_specs",
+    "measure_card",
+    "write_gallery",
+]
 
 FORMATS = ("html", "markdown")
 
@@ -35,7 +81,94 @@ _ALSO = (
     "latin-hypercube(strength=2)",
     "poisson-disk(boundary='bounded')",
 )
-"""Beside every registered sampler: what is used as often."""
+"""In the gallery besides every registered sampler."""
+
+
+_SHARED_SETS = 8  # optimised sets, used again under random translations
+_PROJECTED_DIMS = 4
+_QUALITY = (
+    "relative_minimum_distance",
+    "star_discrepancy",
+    "centered_discrepancy",
+    "diaphony",
+    "transport_cost",
+    "t_value",
+)
+_IN_OVERLAY = 10  # samplers whose lines are told apart
+_INTEGRANDS = {1: ("gaussian", "step(at=0.3)"), 2: ("gaussian", "disk")}
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Effort:
+    """How much is drawn for a card.
+
+    Attributes
+    ----------
+    n
+        Points of the pictures, the spectrum and the quality figures; the nearest possible count.
+    spectra, rates
+        Realisations of the spectrum, and of the variance at each of `counts`.
+    """
+
+    n: int = 1024
+    spectra: int = 200
+    rates: int = 2000
+    counts: tuple[int, ...] = (16, 64, 256, 1024, 4096)
+    slow_counts: tuple[int, ...] = (16, 64, 256, 1024)
+    slow_rates: int = 400
+
+
+FULL = Effort()
+QUICK = Effort(
+    n=256, spectra=40, rates=300, counts=(16, 64, 256), slow_counts=(16, 64, 256), slow_rates=100
+)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Card:
+    """One sampler, measured.
+
+    Attributes
+    ----------
+    spec
+        What the pictures and the spectrum show.
+    randomized
+        What the rates are of: a set that is the same every time is randomised first.
+    points
+        One realisation, (n, dims).
+    projected
+        The axes 2 and 3 of a set in 4 dims, (n, 2); None where it cannot do 4.
+    spectrum
+        Result of `power_spectrum`.
+    curves
+        By integrand: result of `convergence`; none of a set with fewer than two possible counts.
+    quality
+        By figure: its long name, mean and standard error.
+    speed
+        Points per second, one thread, nothing cached.
+    """
+
+    name: str
+    facts: SamplerFacts | None
+    spec: str
+    randomized: str
+    n: int
+    points: Array
+    projected: Array | None
+    spectrum: xr.Dataset
+    curves: Mapping[str, xr.Dataset]
+    quality: Mapping[str, tuple[str, float, float]]
+    speed: float
+
+    @property
+    def rates(self) -> dict[str, tuple[float, float, float]]:
+        """By integrand: rate of the variance and its interval."""
+        return {
+            text: (float(curve["rate"]), *map(float, curve["rate_ci"].values))  # type: ignore[misc]
+            for text, curve in self.curves.items()
+        }
 
 
 def gallery_specs() -> list[str]:
@@ -81,62 +214,278 @@ def write_gallery(
     chosen = gallery_specs() if specs is None else list(specs)
     if not chosen:
         raise ParameterError("The gallery is empty; name a sampler at least.")
-    root, cards, pictures = Path(folder), [], []
+    cards = []
     for i, spec in enumerate(chosen):
         report("gallery", i / len(chosen))
-        card = measure_card(spec, effort=effort, rng=rng)
-        cards.append(card)
-        pictures.append(encode(sampler_card(card.points, card.spectrum, card.projected))[0])
+        cards.append(measure_card(spec, effort=effort, rng=rng))
     report("gallery", 1.0)
+    root = Path(folder)
+    # What programs want: numbers, no pictures
+    numbers = [
+        {
+            "name": card.name,
+            "spec": card.spec,
+            "randomized": card.randomized,
+            "n": card.n,
+            "facts": asdict(card.facts) if card.facts else None,
+            "rates": card.rates,
+            "quality": card.quality,
+            "points_per_second": card.speed,
+        }
+        for card in cards
+    ]
+    write_json(root / "gallery.json", numbers)
+    if format == "html":
+        return write_page(_page(cards, effort), root / "index.html")
+
+    # Markdown, and a picture of each
+    names, page = anchors(card.name for card in cards), root / "index.md"
+    lines = ["# Samplers", "", _settings(effort), ""]
     try:
-        root.mkdir(parents=True, exist_ok=True)
-        (root / "gallery.json").write_text(_json(cards), encoding="utf-8")
-        write = _write_markdown if format == "markdown" else _write_html
-        return write(root, cards, pictures, effort)
+        for card, name in zip(cards, names, strict=True):
+            plot, summary = _card_plot(card), card.facts.summary if card.facts else ""
+            png, _ = backend_matplotlib.encode(backend_matplotlib.draw(plot))
+            (root / f"{name}.png").write_bytes(png)
+            lines += [f"## `{card.name}`", "", summary, "", f"![{plot.words}]({name}.png)", ""]
+            lines += [f"* {name}: {value}" for name, value in _card_facts(card)] + [""]
+        page.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
     except OSError as error:
         raise StoreError(
             f"The gallery cannot be written to {str(root)!r}: {error.strerror}."
         ) from None
+    return page
+
+
+def measure_card(spec: str, *, effort: Effort = FULL, rng: int = 0) -> Card:
+    """Measure a sampler: in 2-D, else in the only dims it can do.
+
+    Raises
+    ------
+    McspectraError
+        The spec cannot be read, or a sampler needs parameters that it lacks.
+    """
+    name = parse_chain(spec)[0].name
+    source = _in_two_dims(spec)
+    light = _shared(source)
+    free = light if light.unbiased else _randomized(light)
+    n = source.nearest_count(effort.n)
+    slow = light != source
+    return Card(
+        name=spec,
+        facts=sampler_facts(name) if name in SAMPLERS else None,
+        spec=source.spec,
+        randomized=free.spec,
+        n=n,
+        points=light.draw(n, rng=rng)[0],
+        projected=_projection(spec, n, rng),
+        spectrum=_spectrum(light, n, effort, rng, slow=slow),
+        curves=_curves(source.dims, free, effort, rng, slow=slow),
+        quality=_quality(light, n, rng),
+        speed=n / _seconds(source, n, rng),
+    )
+
+
+def _in_two_dims(spec: str) -> Sampler:
+    """Make the sampler in 2-D, else in 1-D or 3-D; the error is that of 2-D."""
+    reason: McspectraError | None = None
+    for dims in (2, 1, 3):
+        try:
+            return sampler(spec, dims)
+        except McspectraError as error:
+            reason = reason or error
+    assert reason is not None
+    raise reason
+
+
+def _shared(source: Sampler) -> Sampler:
+    """Make do with a few sets of an optimised sampler, each used many times."""
+    if isinstance(source, OptimisedSampler):
+        return replace(source, sets=source.sets or _SHARED_SETS)
+    if isinstance(source, Randomized) and isinstance(source.base, OptimisedSampler):
+        return replace(source, base=_shared(source.base))
+    return source
+
+
+def _randomized(source: Sampler) -> Sampler:
+    step = "owen" if source.structure is Structure.DIGITS else "shift"
+    return sampler(f"{source.spec} | {step}", source.dims)
+
+
+def _projection(spec: str, n: int, rng: int) -> Array | None:
+    try:
+        source = _shared(sampler(spec, _PROJECTED_DIMS))
+    except McspectraError:
+        return None
+    points: Array = source.draw(source.nearest_count(n), rng=rng)[0, :, 2:]
+    return points
+
+
+def _spectrum(source: Sampler, n: int, effort: Effort, rng: int, *, slow: bool) -> xr.Dataset:
+    wide = round(2.0 * n ** (1.0 / source.dims))
+    stream, most = Stream.from_rng(rng), _SHARED_SETS if slow else effort.spectra
+    count = different_realizations(source, n, stream, most)
+    return power_spectrum(source, n, half_width=wide, realizations=count, rng=rng)
+
+
+def _curves(
+    dims: int, source: Sampler, effort: Effort, rng: int, *, slow: bool
+) -> dict[str, xr.Dataset]:
+    """Convergence on some integrands; none where fewer than two counts are possible."""
+    wanted = effort.slow_counts if slow else effort.counts
+    counts = sorted({source.nearest_count(n) for n in wanted})
+    if len(counts) < 2:
+        return {}
+    many = effort.slow_rates if slow else effort.rates
+    return {
+        text: convergence(Estimator(text, dims=dims), source, counts, realizations=many, rng=rng)
+        for text in _INTEGRANDS.get(dims, ("gaussian",))
+    }
+
+
+def _seconds(source: Sampler, n: int, rng: int) -> float:
+    """Best time of a few draws on one thread, without the cache."""
+    stream = Stream.from_rng(rng)
+
+    def draw(realization: int) -> Any:
+        if isinstance(source, OptimisedSampler):
+            return source._optimize(n, stream.keys(realization, 1)[0], lambda _: None)
+        return source.draw_stream(n, stream, realization, 1)
+
+    best = float("inf")
+    for realization in range(3):
+        start = time.perf_counter()
+        draw(realization)
+        best = min(best, time.perf_counter() - start)
+        if best > 1.0:
+            break
+    return best
+
+
+def _quality(source: Sampler, n: int, rng: int) -> dict[str, tuple[str, float, float]]:
+    """Long name, mean and standard error of the figures that can be had."""
+    count = different_realizations(source, n, Stream.from_rng(rng), _SHARED_SETS)
+    found = quality_figures(source, n, figures=_QUALITY, realizations=count, rng=rng)
+    return {
+        figure.name: (figure.long_name, figure.mean, figure.standard_error)
+        for figure in summarize(found)
+        if not figure.missing
+    }
 
 
 def _makeable(name: str) -> bool:
     """Whether a registered sampler needs nothing from outside: no file, no other package."""
     if name in ("points", "scipy", "qmcpy", "mitsuba"):
         return False
-    try:
-        return any(_made(name, dims) for dims in (2, 1, 3))
-    except MissingDependency:
-        return False
+    for dims in (2, 1, 3):
+        try:
+            sampler(name, dims)
+        except ParameterError:
+            continue
+        except MissingDependency:
+            return False
+        return True
+    return False
 
 
-def _made(name: str, dims: int) -> bool:
-    try:
-        sampler(name, dims)
-    except ParameterError:
-        return False
-    return True
+def _page(cards: Sequence[Card], effort: Effort) -> Page:
+    """One table of all, spectra and curves over each other, and a section for each sampler."""
+    names = anchors((card.name for card in cards), "s-")
+    styles = sampler_styles([card.name for card in cards])
+    overlays = []
+    for start in range(0, len(cards), _IN_OVERLAY):
+        few = cards[start : start + _IN_OVERLAY]
+        spectra = {card.name: card.spectrum for card in few}
+        overlays.append(Figure(plot=describe("radial", spectra, styles), live=True))
+        for text in dict.fromkeys(text for card in few for text in card.curves):
+            curves = {card.name: card.curves[text] for card in few if text in card.curves}
+            plot = describe("convergence", curves, styles)
+            plot = replace(plot, caption=f"{text}: {plot.caption}")
+            overlays.append(Figure(plot=plot, live=True))
+    together: tuple[Block, ...] = (Text(text=_settings(effort)), _table(cards, names))
+    together += (Figures(figures=tuple(overlays)),)
+    sections = [Section(title="Side by side", anchor="all", blocks=together)]
+    for card, anchor in zip(cards, names, strict=True):
+        blocks = (
+            Text(text=card.facts.summary if card.facts else ""),
+            Figures(figures=(Figure(plot=_card_plot(card)),)),
+            Facts(rows=tuple(_card_facts(card))),
+        )
+        sections.append(Section(title=card.name, anchor=anchor, blocks=blocks, code=True))
+    what = f"{len(cards)} point set{'' if len(cards) == 1 else 's'}, measured by mcspectra {__version__}."
+    lead = (Text(text=what, kind="soft"),)
+    return Page(title="Samplers", what="gallery", lead=lead, sections=tuple(sections))
 
 
-def _card_facts(card: Card) -> dict[str, str]:
-    """Return what a card says in words, by what it is about."""
-    facts = {
-        "Dims": card.facts.dims if card.facts else "",
-        "Counts": card.facts.counts if card.facts else "",
-        **{_rate_name(text, card): rate(*values) for text, values in card.rates.items()},
-        **{name: _with_error(mean, se) for name, mean, se in card.quality.values()},
-        "Speed": f"{number(card.speed, 2)} points/s at n = {card.n}",
-        "Source": card.facts.sources if card.facts else "",
-    }
-    return {name: value for name, value in facts.items() if value}
+def _table(cards: Sequence[Card], names: Sequence[str]) -> Table:
+    """Rates, quality and speed of all samplers."""
+    texts = list(dict.fromkeys(text for card in cards for text in card.curves))
+    figures = {key: name for card in cards for key, (name, *_) in card.quality.items()}
+    rows = []
+    for card, name in zip(cards, names, strict=True):
+        cells = [Cell(text=card.name, numeric=False, link=f"#{name}"), Cell(text=str(card.n))]
+        for text in texts:
+            value, low, high = card.rates.get(text, (math.nan,) * 3)
+            cells.append(_cell(rate(value, low, high), value, "fewer than two counts are possible"))
+        for key in figures:
+            _, mean, se = card.quality.get(key, ("", math.nan, math.nan))
+            cells.append(_cell(_with_error(mean, se), mean, "it is not defined for this set"))
+        cells.append(_cell(number(card.speed, 2), card.speed, ""))
+        rows.append(tuple(cells))
+    return Table(
+        caption="Rates are exponents of variance in n with half their 95 % intervals, figures of quality "
+        "means with standard errors: "
+        + "; ".join(f"{key.replace('_', ' ')}, {name}" for key, name in figures.items())
+        + ".",
+        columns=(
+            "Sampler",
+            "n",
+            *(f"Rate on {text.partition('(')[0]}" for text in texts),
+            *(key.replace("_", " ").capitalize() for key in figures),
+            "Points/s",
+        ),
+        rows=tuple(rows),
+        sortable=True,
+    )
 
 
-def _rate_name(text: str, card: Card) -> str:
-    measured = "" if card.randomized == card.spec else " (randomised)"
-    return f"Rate on {text.partition('(')[0]}{measured}"
+def _cell(text: str, value: float, why: str) -> Cell:
+    known = math.isfinite(value)
+    return Cell(text=text, why=why if text == MISSING else "", order=value if known else None)
 
 
 def _with_error(mean: float, se: float) -> str:
-    return number(mean) if not math.isfinite(se) or se == 0 else f"{number(mean)} ± {number(se, 1)}"
+    """A mean with its standard error; one of rounding size is none."""
+    return with_error(number(mean), se if se > NEGLIGIBLE * abs(mean) else None)
+
+
+def _card_plot(card: Card) -> Plot:
+    """The picture on a card, with words for those who do not see it."""
+    points = dataset({"points": (("point", "axis"), card.points)}, {}, n=card.n)
+    power = card.n * card.spectrum["radial_power"].values
+    words = (
+        f"{card.n} points of {card.name}, their spectrum, its radial mean (n times the power "
+        f"{number(float(power[0]))} at the lowest frequencies, {number(float(power[-1]))} at the "
+        "highest) and sections along axes and diagonal"
+    )
+    plot = sampler_card({"points": points, "spectrum": card.spectrum}, card.projected)
+    return replace(plot, words=words, wide=True)
+
+
+def _card_facts(card: Card) -> list[tuple[str, str]]:
+    """What a card says in words, by what it is about."""
+    measured = "" if card.randomized == card.spec else " (randomised)"
+    rates = card.rates or dict.fromkeys(
+        _INTEGRANDS.get(card.points.shape[1], ("gaussian",)), (math.nan,) * 3
+    )
+    facts = [
+        ("Dims", card.facts.dims if card.facts else ""),
+        ("Counts", card.facts.counts if card.facts else ""),
+        *((f"Rate on {text.partition('(')[0]}{measured}", rate(*v)) for text, v in rates.items()),
+        *((name, _with_error(mean, se)) for name, mean, se in card.quality.values()),
+        ("Speed", f"{number(card.speed, 2)} points/s at n = {card.n}"),
+        ("Source", card.facts.sources if card.facts else ""),
+    ]
+    return [(name, value) for name, value in facts if value]
 
 
 def _settings(effort: Effort) -> str:
@@ -150,75 +499,3 @@ def _settings(effort: Effort) -> str:
         "owen (nets) or shift. Optimised sets are 8 for each n, used again under random "
         f"translations, for n up to {effort.slow_counts[-1]}. Speeds are of one thread."
     )
-
-
-def _write_html(root: Path, cards: list[Card], pictures: list[bytes], effort: Effort) -> Path:
-    page = root / "index.html"
-    shown = [
-        {
-            "name": card.name,
-            "anchor": slug(card.name),
-            "summary": _summary(card),
-            "facts": _card_facts(card),
-            "picture": base64.b64encode(png).decode("ascii"),
-            "alt": _in_words(card),
-        }
-        for card, png in zip(cards, pictures, strict=True)
-    ]
-    template = page_template("samplers.html.j2")
-    text = template.render(cards=shown, settings=_settings(effort), version=__version__)
-    page.write_text(text, encoding="utf-8")
-    return page
-
-
-def _write_markdown(root: Path, cards: list[Card], pictures: list[bytes], effort: Effort) -> Path:
-    page = root / "index.md"
-    lines = ["# Samplers", "", _settings(effort), ""]
-    for card, png in zip(cards, pictures, strict=True):
-        (root / f"{slug(card.name)}.png").write_bytes(png)
-        lines += _markdown(card)
-    page.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
-    return page
-
-
-def _markdown(card: Card) -> Iterator[str]:
-    yield from (f"## `{card.name}`", "", _summary(card), "")
-    yield from (f"![{_in_words(card)}]({slug(card.name)}.png)", "")
-    yield from (f"* {name}: {value}" for name, value in _card_facts(card).items())
-    yield ""
-
-
-def _summary(card: Card) -> str:
-    return card.facts.summary if card.facts else ""
-
-
-def _in_words(card: Card) -> str:
-    """What the picture shows, for those who do not see it."""
-    power = card.n * card.spectrum["radial_power"].values
-    return (
-        f"{card.n} points of {card.name}, their spectrum, its radial mean (n times the power "
-        f"{number(float(power[0]))} at the lowest frequencies, {number(float(power[-1]))} at the "
-        "highest) and sections along axes and diagonal"
-    )
-
-
-def _json(cards: Sequence[Card]) -> str:
-    return json.dumps([_plain(card) for card in cards], indent=1, ensure_ascii=False) + "\n"
-
-
-def _plain(card: Card) -> dict[str, Any]:
-    """What programs want: numbers, no pictures; NaN is null."""
-    return {
-        "name": card.name,
-        "spec": card.spec,
-        "randomized": card.randomized,
-        "n": card.n,
-        "facts": asdict(card.facts) if card.facts else None,
-        "rates": {k: [_finite(v) for v in values] for k, values in card.rates.items()},
-        "quality": {k: [name, _finite(a), _finite(b)] for k, (name, a, b) in card.quality.items()},
-        "points_per_second": _finite(card.speed),
-    }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -1,23 +1,33 @@
-"""Plain sentences about a result, from its numbers only, and only what their intervals support."""
+"""Plain sentences about a result, from its numbers only, and only as far as their intervals go."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
-from mcspectra.report.formatting import NEGLIGIBLE, number, percent, rate
+import numpy as np
+
+from mcspectra.plots.text import NEGLIGIBLE, number, percent, rate
 from mcspectra.studies import SummaryRow
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["explain", "further_sentences"]
+__all__ = ["bottleneck", "explain", "further_sentences", "headline"]
 
 _DOMINANT = 0.9
-_CLOSE = 0.1  # prediction and measurement are said to agree
-_RATE_MARGIN = 1.5
+_CLOSE = 0.1  # prediction and measurement agree up to this relative difference
+_RATE_MARGIN = (
+    1.5  # times the 95 % interval: 3 standard errors, as a page makes dozens of statements
+)
+_SURE = 0.2  # a rate known less well may be another than that of random sampling
 _REMEDY_WORDS = ("diagnosis", "recommendation")
+_TERMS = {
+    "dc": "weights: p does not follow f",
+    "power": "f where the samples have power",
+    "cross": "correlation of frequencies",
+}
 
 
 def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
@@ -37,14 +47,57 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
 
     Notes
     -----
-    A share is called so only where the 95 % intervals exclude the contrary. Those of the prediction
-    and the measurement are treated as independent, although both come from the same realisations:
-    that is cautious.
+    A term is said to add or to remove variance only where its 95 % interval excludes 0. The intervals
+    of the prediction and the measurement are treated as independent, although both come from the
+    same realisations: that is cautious.
     """
-    sentences = [_rate_sentence(row)]
-    if terms is not None:
-        sentences += _term_sentences(row, terms)
+    sentences = [_rate_sentence(row), *(() if terms is None else _term_sentences(row, terms))]
     return " ".join(sentence for sentence in sentences if sentence)
+
+
+def headline(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
+    """Say in one sentence what matters of a pair: its rate, and why its prediction is off."""
+    if row.note:
+        return f"{row.note[:1].upper()}{row.note[1:]}."
+    parts = [_verdict(row)]
+    if terms is not None and row.captured is not None and row.predicted is not None:
+        width = terms.sizes.get("half_width", 1) - 1
+        bounds = row.captured_low, row.captured_high
+        low, high = (row.captured if end is None else end for end in bounds)
+        basis = (row.basis or "fourier").capitalize()
+        if low > 1.0 and row.captured > 1.0 + _CLOSE:
+            cure = "" if basis != "Fourier" else " (basis = 'auto' fits the sampler)"
+            parts.append(f"the {basis} sum has not converged at half width {width}{cure}")
+        elif high < 1.0 and row.captured < 1.0 - _CLOSE:
+            share = percent(1.0 - row.captured)
+            parts.append(f"{share} of the variance lies beyond half width\u00a0{width}")
+        elif row.cross_high is not None and row.cross_high < 0:
+            parts.append(f"correlation removes {_cross_share(row)} of dc + power")
+        elif row.cross_low is not None and row.cross_low > 0:
+            parts.append(f"correlation adds {_cross_share(row)} to dc + power")
+        else:
+            parts.append("prediction agrees")
+    text = "; ".join(part for part in parts if part)
+    return f"{text[:1].upper()}{text[1:]}." if text else ""
+
+
+def bottleneck(row: SummaryRow, terms: xr.Dataset | None = None, technique: str = "") -> str:
+    """Say what makes most of the variance: a technique, weights, or at which frequencies f and samples meet."""
+    if technique:
+        return technique
+    sizes = {"dc": row.dc, "power": row.power, "cross": row.cross}
+    adding = {name: value for name, value in sizes.items() if value is not None and value > 0}
+    if not adding:
+        return ""
+    largest = max(adding, key=lambda name: adding[name])
+    half = _median_frequency(row, terms) if largest == "power" and terms is not None else None
+    if half is None or row.terms_n is None or terms is None:
+        return _TERMS[largest]
+    # Strata of n points are n^(-1/d) wide: a quarter of that frequency is coarse for all samplers
+    dims = sum(str(dim).startswith("m") and str(dim)[1:].isdigit() for dim in terms.dims)
+    if half <= 0.25 * row.terms_n ** (1.0 / max(dims, 1)):
+        return f"coarse shape (|m|\u00a0≤\u00a0{half:.2g})"
+    return f"edges and detail (|m|\u00a0≥\u00a0{half:.2g})"
 
 
 def further_sentences(analyses: Mapping[str, xr.Dataset]) -> str:
@@ -56,131 +109,134 @@ def further_sentences(analyses: Mapping[str, xr.Dataset]) -> str:
     return " ".join(str(sentence) for sentence in found if sentence)
 
 
+def _verdict(row: SummaryRow) -> str:
+    """Beside random sampling, in a few words; empty without a rate."""
+    if row.rate is None or row.rate_low is None or row.rate_high is None:
+        return "" if row.variance != 0 else "no variance"
+    half = 0.5 * _RATE_MARGIN * (row.rate_high - row.rate_low)
+    if row.rate + half < -1.0:
+        return "faster than random sampling"
+    if row.rate - half > -1.0:
+        return "slower than random sampling"
+    return "random sampling's rate" if half < _SURE else "rate undecided"
+
+
 def _rate_sentence(row: SummaryRow) -> str:
     if row.n is None:
         return ""
     if row.rate is None:
         if row.variance == 0:
-            return f"The variance at n = {row.n} is zero: there is no rate to fit."
-        return "There is no rate: it takes two counts with a variance above rounding noise."
+            return f"The variance at n = {row.n} is zero, so there is no rate to fit."
+        return "There is no rate: a fit needs two counts with a variance above rounding noise."
     if row.rate_low is None or row.rate_high is None:
         return f"The variance falls like n to the {number(row.rate)}, interval unknown."
     fitted = rate(row.rate, row.rate_low, row.rate_high)
     if row.fit_first_n is not None:
         fitted += f", fitted over n = {row.fit_first_n} … {row.n},"
-    # A page makes dozens of such statements: ask for 3 σ, half as much again as the 95 % interval.
-    half = 0.5 * _RATE_MARGIN * (row.rate_high - row.rate_low)
-    if row.rate + half < -1.0:
-        return f"The rate {fitted} is faster than random sampling's −1."
-    if row.rate - half > -1.0:
-        return f"The rate {fitted} is slower than random sampling's −1."
-    return f"The rate {fitted} cannot be told from random sampling's −1."
+    verdict = _verdict(row)
+    if not verdict.endswith("sampling"):
+        return f"The rate {fitted} lies within three standard errors of random sampling's −1."
+    return f"The rate {fitted} is {verdict}'s −1."
 
 
-def _term_sentences(row: SummaryRow, terms: xr.Dataset) -> list[str]:
+def _term_sentences(row: SummaryRow, terms: xr.Dataset) -> Iterator[str]:
     infinite = [t for t in ("dc", "power") if math.isinf(float(terms[f"{t}_term"]))]
     if infinite:
         verb, noun = ("are", "terms") if len(infinite) > 1 else ("is", "term")
-        return [
-            f"The {' and '.join(infinite)} {noun} {verb} infinite because ∫1/p diverges.",
-            f"The measured variance is {number(row.measured)}.",
-            "The primary-space view has finite terms.",
-        ]
+        yield f"The {' and '.join(infinite)} {noun} {verb} infinite because ∫1/p diverges."
+        yield f"The measured variance is {number(row.measured)}."
+        yield "The primary-space view has finite terms."
+        return
     if row.measured == 0:
-        return ["The measured variance is zero: there is nothing to explain."]
+        yield "The measured variance is zero: there is nothing to explain."
+        return
     if row.captured is None:
-        return ["The measured variance is rounding noise: there is nothing to explain."]
+        yield "The measured variance is rounding noise: there is nothing to explain."
+        return
     if row.dc is None or row.power is None or row.predicted is None or row.measured is None:
-        return []
-    low, high = (float(end) for end in terms["predicted_variance_ci"].values)
+        return
     uniform = row.dc <= NEGLIGIBLE * row.power or terms.attrs.get("space") == "primary"
-    return [
-        _dc_sentence(row.dc, row.power, uniform),
-        _cross_sentence(row, row.dc + row.power, (low, high), uniform)
-        if row.basis in (None, "fourier")
-        else _other_cross_sentence(row, row.dc + row.power, (low, high)),
-        _captured_sentence(row, (low, high), terms.sizes.get("half_width", 0) - 1),
-    ]
+    # Name the dc term where it dominates the diagonal by far more than sampling error
+    if not uniform and row.dc > _DOMINANT * (row.dc + row.power):
+        yield (
+            f"Before correlation, {percent(row.dc / (row.dc + row.power))} of the variance is the dc "
+            "term: noise of the weights 1/p, which f does not shape."
+        )
+    yield _cross_sentence(row, row.dc + row.power, uniform)
+    yield _captured_sentence(row, terms)
 
 
-def _dc_sentence(dc: float, power: float, uniform: bool) -> str:
-    """Name the dc term where it dominates the diagonal by far more than sampling error."""
-    if uniform or dc <= _DOMINANT * (dc + power):
-        return ""
-    return (
-        f"Before correlation, {percent(dc / (dc + power))} of the variance is the dc term: noise of "
-        "the weights 1/p, which f does not shape."
-    )
-
-
-def _cross_sentence(
-    row: SummaryRow, diagonal: float, interval: tuple[float, float], uniform: bool
-) -> str:
+def _cross_sentence(row: SummaryRow, diagonal: float, uniform: bool) -> str:
     """Say what the cross term gives or takes of dc + power, and what of that a shift would change."""
-    predicted = row.predicted or 0.0
-    if diagonal <= 0 or predicted <= 0 or not all(map(math.isfinite, interval)):
+    if row.cross is None or row.cross_low is None or row.cross_high is None or diagonal <= 0:
         return ""
-    low, high = _diagonal_limits(predicted, interval)
+    fourier = row.basis in (None, "fourier")
     what = "the power term predicts" if uniform else "the dc and power terms predict together"
-    change = predicted / diagonal - 1.0
-    if high < diagonal:
+    if not fourier:
+        what = f"the diagonal of the {row.basis} basis predicts"
+    change = _cross_share(row)
+    if row.cross_high < 0:
+        if not fourier:
+            return f"The cross term removes {change} of what {what}."
         fate = "; a random shift would lose that" if uniform else ""
         cause = "strata aligned to it" if uniform else "a density that follows it"
         return (
-            f"The cross term removes {percent(-change)} of what {what}: frequencies are correlated "
+            f"The cross term removes {change} of what {what}: frequencies are correlated "
             f"in the integrand's favour, as with {cause}{fate}."
         )
-    if low > diagonal:
-        cure = "; for unbiased points a random shift would avoid that" if uniform else ""
-        return f"The cross term adds {percent(change)} to what {what}{cure}."
-    return f"The cross term cannot be told from zero beside what {what}."
+    if row.cross_low > 0:
+        cure = (
+            "; for unbiased points a random shift would avoid that" if uniform and fourier else ""
+        )
+        return f"The cross term adds {change} to what {what}{cure}."
+    beside = "power term" if uniform else "dc and power terms"
+    return f"The cross term is statistically indistinguishable from zero ({beside}: {number(diagonal)})."
 
 
-def _other_cross_sentence(row: SummaryRow, diagonal: float, interval: tuple[float, float]) -> str:
-    """Say the same in another basis, on which a shift acts in other ways."""
-    predicted = row.predicted or 0.0
-    if diagonal <= 0 or predicted <= 0 or not all(map(math.isfinite, interval)):
+def _captured_sentence(row: SummaryRow, terms: xr.Dataset) -> str:
+    low, high = (float(end) for end in terms["predicted_variance_ci"].values)
+    half_width = terms.sizes.get("half_width", 0) - 1
+    known = row.measured_low is not None and row.measured_high is not None
+    if row.captured is None or not (known and math.isfinite(low) and math.isfinite(high)):
         return ""
-    low, high = _diagonal_limits(predicted, interval)
-    what = f"what the diagonal of the {row.basis} basis predicts"
-    change = predicted / diagonal - 1.0
-    if high < diagonal:
-        return f"The cross term removes {percent(-change)} of {what}."
-    if low > diagonal:
-        return f"The cross term adds {percent(change)} to {what}."
-    return f"The cross term cannot be told from zero beside {what}."
-
-
-def _diagonal_limits(predicted: float, interval: tuple[float, float]) -> tuple[float, float]:
-    """Limits between which dc + power may equal the prediction.
-
-    The sum of the diagonal is uncertain as well; twice the relative interval of the prediction
-    covers both.
-    """
-    return interval[0] ** 2 / predicted, interval[1] ** 2 / predicted
-
-
-def _captured_sentence(row: SummaryRow, interval: tuple[float, float], half_width: int) -> str:
-    captured, low, high = row.captured, row.measured_low, row.measured_high
-    if captured is None or low is None or high is None or not all(map(math.isfinite, interval)):
-        return ""
-    if interval[1] < low:
+    if high < (row.measured_low or 0.0):
         return (
-            f"Only {percent(captured)} of the measured variance is captured at half width "
+            f"Only {percent(row.captured)} of the measured variance is captured at half width "
             f"{half_width}: the rest lies at higher frequencies."
         )
-    if interval[0] > high:
+    if low > (row.measured_high or 0.0):
         return (
-            f"Truncated at half width {half_width}, the spectrum predicts {number(captured)} times "
+            f"Truncated at half width {half_width}, the spectrum predicts {number(row.captured)} times "
             "the measured variance: the sum over frequencies has not converged."
         )
-    if abs(captured - 1.0) <= _CLOSE:
-        return (
-            f"Prediction and measurement agree ({captured:.0%}), within their intervals.".replace(
-                "%", " %"
-            )
-        )
+    if abs(row.captured - 1.0) <= _CLOSE:
+        share = f"{row.captured:.0%}".replace("%", " %")
+        return f"Prediction and measurement agree ({share}), within their intervals."
     return (
-        f"At half width {half_width} the spectrum predicts {percent(captured)} of the measured "
+        f"At half width {half_width} the spectrum predicts {percent(row.captured)} of the measured "
         "variance."
     )
+
+
+def _cross_share(row: SummaryRow) -> str:
+    return percent(abs(row.cross or 0.0) / ((row.dc or 0.0) + (row.power or 0.0) or 1.0))
+
+
+def _median_frequency(row: SummaryRow, terms: xr.Dataset) -> float | None:
+    """|m| below which half of the diagonal's variance lies, dc aside; None in bases without lengths."""
+    scale = {"fourier": 1.0, "cosine": 0.5}.get(row.basis or "fourier")
+    if scale is None or "power_contribution" not in terms:
+        return None
+    power = terms["power_contribution"]
+    if "technique" in power.dims:
+        power = power.sum("technique")
+    axes = [power[dim].values.astype(float) for dim in power.dims if dim in power.coords]
+    if len(axes) != power.ndim:
+        return None
+    length = np.sqrt(sum(m**2 for m in np.meshgrid(*axes, indexing="ij")))
+    values = np.where(length > 0, np.nan_to_num(power.values), 0.0)
+    order = np.argsort(length, axis=None)
+    total = np.cumsum(values.ravel()[order])
+    if not total[-1] > 0:
+        return None
+    return scale * float(length.ravel()[order][np.searchsorted(total, 0.5 * total[-1])])

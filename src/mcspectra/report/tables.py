@@ -1,64 +1,51 @@
-"""Tables of a report, as text and explanations; the template turns them into HTML."""
+"""Tables of a report: the summary, the three terms, and one for each further analysis."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import final
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
-from mcspectra.report.formatting import (
+import numpy as np
+
+from mcspectra.core.analysis import ANALYSES
+from mcspectra.core.errors import McspectraError
+from mcspectra.plots.groups import labelled
+from mcspectra.plots.text import (
     MISSING,
     interval,
     number,
     number_beside,
+    percent,
     rate,
     with_error,
 )
+from mcspectra.report.page import Cell, Table, text_cells
+from mcspectra.report.sentences import bottleneck, headline
 from mcspectra.studies import SummaryRow
 
-__all__ = ["Cell", "Table", "summary_table", "terms_table"]
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["analysis_table", "first_channel", "summary_table", "terms_table"]
 
 _NO_CURVE = "convergence was not analysed"
-_NO_TERMS = "the terms were not analysed"
+_NO_TERMS = "neither the terms nor an exact variance were analysed"
 _NO_RATE = "fewer than two counts have a variance above rounding noise"
-_BOTTLENECK = (
-    " The bottleneck is the technique with the slowest rate where techniques were analysed (undecided: "
-    "their intervals overlap), else the term that adds most."
-)
 _NO_NUMBER = "there is no finite number"
+_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+_DRAWN = ("convergence", "terms", "spectrum", "points", "pcf")  # have figures, and the main tables
 
-
-@final
-@dataclass(frozen=True, kw_only=True)
-class Cell:
-    """Text of a cell, why it has none (a tooltip), and whether it is a number.
-
-    `order` is the number that the cell is sorted by, `link` where its text leads.
-    """
-
-    text: str
-    why: str = ""
-    numeric: bool = True
-    order: float | None = None
-    link: str = ""
-
-
-@final
-@dataclass(frozen=True, kw_only=True)
-class Table:
-    """Caption, column heads and rows of cells; the first `heads` cells of a row are its heads."""
-
-    caption: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
-    heads: int
+Rows = Iterator[tuple[Cell, ...]]
+Analyses = Mapping[str, Any]
 
 
 def summary_table(
     rows: Sequence[SummaryRow],
     *,
+    analyses: Sequence[Analyses] | None = None,
     links: Sequence[str] | None = None,
-    bottlenecks: Sequence[str] | None = None,
 ) -> Table:
     """Return the table that is read first: one row for every estimator and sampler.
 
@@ -66,36 +53,98 @@ def summary_table(
     ----------
     rows
         What is known of each pair.
+    analyses
+        Results of each row's pair by analysis, of its channel: they tell the bottleneck, and a prediction
+        that is exact takes the place of a truncated sum.
     links
         Where the name of each row's estimator leads; nowhere by default.
-    bottlenecks
-        The technique that sets each row's rate; where it is empty, the largest term stands for it.
     """
-    limits: Sequence[str | None] = [None] * len(rows) if bottlenecks is None else bottlenecks
-    extra = zip(links or [""] * len(rows), limits, strict=True)
+    cells = []
+    counts = Counter(row.n for row in rows if row.n is not None)
+    usual = counts.most_common(1)[0][0] if counts else None
+    given = zip(rows, analyses or [{}] * len(rows), links or [""] * len(rows), strict=True)
+    for row, found, link in given:
+        terms, no_term = found.get("terms"), row.note or _NO_TERMS
+        no_number = _NO_CURVE if row.n is None else _NO_NUMBER
+        variance = number(row.variance)
+        at = f" (n = {row.n})" if row.n not in (None, usual) and variance != MISSING else ""
+        ratio, low, high, route = _prediction(row, found)
+        predicted = with_error(number(ratio), _half(low, high))
+        techniques = found.get("techniques")
+        slow = "" if techniques is None else str(techniques.attrs.get("bottleneck") or "")
+        limit = bottleneck(row, terms, slow)
+        cells.append(
+            (
+                Cell(text=row.estimator, numeric=False, link=link),
+                Cell(text=row.sampler, numeric=False),
+                _cell(
+                    rate(row.rate, row.rate_low, row.rate_high),
+                    _NO_CURVE if row.n is None else _NO_RATE,
+                    row.rate,
+                ),
+                _cell(variance + at, no_number, row.variance),
+                _cell(f"{predicted} ({route})" if route else predicted, no_term, ratio),
+                Cell(text=limit or MISSING, why="" if limit else no_term, numeric=False),
+                Cell(text=headline(row, terms), numeric=False),
+            )
+        )
     return Table(
-        caption="Rates are exponents of variance in n (random sampling: −1), ± half their 95 % "
-        "interval. Predicted / measured is the share of the variance that the truncated spectrum "
-        "explains, ± half its 95 % interval." + (_BOTTLENECK if bottlenecks is not None else ""),
+        caption="Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval. "
+        "Predicted / measured ± half its 95 % interval says in brackets how the variance was predicted: "
+        "exact, or by the sum over the frequencies of a basis, cut at a half width. The bottleneck is the "
+        "technique with the slowest rate (undecided: their intervals overlap), else what adds most: with "
+        "|m| ≤ k or ≥ k, half of the power term lies below or above the frequency k.",
         columns=(
             "Estimator",
             "Sampler",
             "Rate",
-            "Variance at largest n",
+            "Variance" if usual is None else f"Variance at n = {usual}",
             "Predicted / measured",
-            "Largest term" if bottlenecks is None else "Bottleneck",
-            "Notes",
+            "Bottleneck",
+            "In a sentence",
         ),
-        rows=tuple(_summary_cells(row, *more) for row, more in zip(rows, extra, strict=True)),
+        rows=tuple(cells),
         heads=2,
+        sortable=True,
     )
 
 
 def terms_table(rows: Sequence[SummaryRow]) -> Table:
     """Return one estimator's three terms against its measured variance."""
+    cells = []
+    for row in (each for each in rows if each.terms_n is not None):
+        why = row.note or _NO_NUMBER
+
+        def value(
+            given: float | None,
+            low: float | None = None,
+            high: float | None = None,
+            why: str = why,
+            beside: float | None = row.power,
+        ) -> Cell:
+            return _cell(with_error(number_beside(given, beside), _half(low, high)), why)
+
+        captured = with_error(number(row.captured), _half(row.captured_low, row.captured_high))
+        # `summarize` appends the channel to the estimator's name
+        head, bracket, channel = row.estimator.rpartition(" [")
+        several = bool(head and bracket and channel.rstrip("]").isdigit())
+        name = f"{row.sampler}, channel {channel.rstrip(']')}" if several else row.sampler
+        cells.append(
+            (
+                Cell(text=name, numeric=False),
+                _cell(str(row.terms_n), why),
+                value(row.dc, row.dc_low, row.dc_high),
+                value(row.power, row.power_low, row.power_high),
+                value(row.cross, row.cross_low, row.cross_high),
+                value(row.predicted),
+                value(row.measured),
+                _cell(interval(row.measured_low, row.measured_high), why),
+                _cell(captured, why),
+            )
+        )
     return Table(
-        caption="dc + power + cross = predicted, each term and predicted / measured ± half their 95 % "
-        "interval; beside it the measured variance and its 95 % interval.",
+        caption="dc + power + cross = predicted; each term and predicted / measured ± half their 95 % "
+        "interval. The interval is that of the measured variance.",
         columns=(
             "Sampler",
             "n",
@@ -107,81 +156,185 @@ def terms_table(rows: Sequence[SummaryRow]) -> Table:
             "95 % interval",
             "Predicted / measured",
         ),
-        rows=tuple(_term_cells(row) for row in rows if row.terms_n is not None),
-        heads=1,
+        rows=tuple(cells),
     )
 
 
-def _summary_cells(row: SummaryRow, link: str, bottleneck: str | None) -> tuple[Cell, ...]:
-    term = _largest(row) if bottleneck is None else bottleneck or _costliest(row)
-    no_rate = _NO_CURVE if row.n is None else _NO_RATE
-    variance = number(row.variance)
-    at = f" (n = {row.n})" if row.n is not None and variance != MISSING else ""
-    slope = rate(row.rate, row.rate_low, row.rate_high)
-    return (
-        Cell(text=row.estimator, numeric=False, link=link),
-        Cell(text=row.sampler, numeric=False),
-        _cell(slope, no_rate, row.rate),
-        _cell(variance + at, _NO_CURVE if row.n is None else _NO_NUMBER, row.variance),
-        _cell(_captured(row), _no_term(row), row.captured),
-        _cell(term, _no_term(row)),
-        Cell(text=row.note or "", numeric=False),
-    )
+def analysis_table(analysis: str, found: Mapping[str, xr.Dataset]) -> tuple[str, Table] | None:
+    """Return heading and table of an analysis by sampler; None where its figures say it all."""
+    if analysis in _DRAWN:
+        return None
+    if analysis in _TABLES:
+        heading, caption, columns, rows = _TABLES[analysis]
+    else:
+        try:
+            heading = str(ANALYSES.load(analysis).summary()).removesuffix(".")
+        except McspectraError:  # its package is not installed here
+            heading = analysis.capitalize()
+        caption = "Single numbers of the result; of several channels the first."
+        columns, rows = ("Sampler", "Quantity", "Unit", "Value", "95 % interval"), _numbers
+    cells = tuple(row for sampler, data in found.items() for row in rows(sampler, data))
+    heads = 1 if analysis in _TABLES else 2
+    if not cells:
+        return None
+    return heading, Table(caption=caption, columns=columns, rows=cells, heads=heads)
 
 
-def _term_cells(row: SummaryRow) -> tuple[Cell, ...]:
-    why = _no_term(row)
-
-    def value(given: float | None, low: float | None = None, high: float | None = None) -> Cell:
-        return _cell(with_error(number_beside(given, row.power), _half(low, high)), why)
-
-    return (
-        Cell(text=_sampler_of(row), numeric=False),
-        _cell(str(row.terms_n), why),
-        value(row.dc, row.dc_low, row.dc_high),
-        value(row.power, row.power_low, row.power_high),
-        value(row.cross, row.cross_low, row.cross_high),
-        value(row.predicted),
-        value(row.measured),
-        _cell(interval(row.measured_low, row.measured_high), why),
-        _cell(_captured(row), why),
-    )
+def first_channel(data: xr.Dataset) -> xr.Dataset:
+    """Return the first of several channels."""
+    return data.isel(channel=0) if "channel" in data.dims else data
 
 
-def _captured(row: SummaryRow) -> str:
-    return with_error(number(row.captured), _half(row.captured_low, row.captured_high))
+def _prediction(
+    row: SummaryRow, found: Analyses
+) -> tuple[float | None, float | None, float | None, str]:
+    """Predicted over measured variance by the best route there is, its interval, and the route."""
+    exact, curve = found.get("exact"), found.get("convergence")
+    if exact is not None and curve is not None:
+        shared = [n for n in exact["n"].values.tolist() if n in curve["n"].values]
+        known = [n for n in shared if np.isfinite(exact["exact_variance"].sel(n=n)).all()]
+        if known and float(curve["variance"].sel(n=known[-1])) > 0:
+            value = float(exact["exact_variance"].sel(n=known[-1]))
+            measured = float(curve["variance"].sel(n=known[-1]))
+            low, high = (float(end) for end in curve["variance_ci"].sel(n=known[-1]).values)
+            return value / measured, value / high, value / low, "exact"
+    if row.captured is None:
+        return None, None, None, ""
+    return row.captured, row.captured_low, row.captured_high, (row.basis or "fourier").capitalize()
+
+
+def _remedies(sampler: str, data: xr.Dataset) -> Rows:
+    found = labelled(data)
+    for name in found["remedy"].values:
+        one = found.sel(remedy=name)
+        yield (
+            *text_cells(sampler, str(name)),
+            Cell(text=number(float(one["error"]))),
+            Cell(text=number(float(one["error_ratio"]))),
+            Cell(text=interval(*_ends(one["error_ratio_ci"]))),
+            Cell(text=rate(float(one["rate"]), *_ends(one["rate_ci"]))),
+            *text_cells(str(one["verdict"].item()), str(one["change"].item())),
+        )
+
+
+def _techniques(sampler: str, data: xr.Dataset) -> Rows:
+    several = data.sizes.get("n", 1) > 1
+    last = data.isel(n=-1) if "n" in data.sizes else data
+    total = float(last["measured_variance"].sum())
+    for t in range(data.sizes["technique"]):
+        one = last.isel(technique=t)
+        variance, slope = float(one["technique_variance"].sum()), MISSING
+        if several and "technique_rate" in one:
+            rates = first_channel(one[["technique_rate", "technique_rate_ci"]])
+            slope = rate(float(rates["technique_rate"]), *_ends(rates["technique_rate_ci"]))
+        share = percent(variance / total) if total > 0 and np.isfinite(variance) else MISSING
+        numbers = (str(t), number(variance), share, slope)
+        yield (
+            *text_cells(sampler),
+            *(Cell(text=text) for text in numbers),
+            *text_cells(str(data.attrs.get("bottleneck", MISSING))),
+        )
+
+
+def _anova(sampler: str, data: xr.Dataset) -> Rows:
+    labels, shares = data.attrs["labels_subset_label"], data["anova_share"]
+    mean = shares.mean("channel") if "channel" in shares.dims else shares
+    for i in np.argsort(-mean.values)[:10]:
+        axes = labels[i].translate(_SUBSCRIPTS)  # x₀x₁ for the x0x1 of a store
+        yield *text_cells(sampler, axes), Cell(text=percent(float(mean.values[i])))
+
+
+def _exact(sampler: str, data: xr.Dataset) -> Rows:
+    why = str(data.attrs.get("note", ""))
+    for n, values in zip(data["n"].values, data["exact_variance"].values, strict=True):
+        text = ", ".join(number(float(v), 6) for v in np.atleast_1d(values))
+        yield *text_cells(sampler), Cell(text=str(n)), Cell(text=text, why=why)
+
+
+def _map(sampler: str, data: xr.Dataset) -> Rows:
+    slow = data["bottleneck"].values if "bottleneck" in data else np.array([])
+    where = f"light {(slow == 0).sum()}, BSDF {(slow == 1).sum()}" if slow.size else MISSING
+    for i, strategy in enumerate(data.attrs["labels_strategy"]):
+        one = data.isel(strategy=i)
+        slope, error, variance = (
+            float(np.median(known)) if (known := v[np.isfinite(v)]).size else math.nan
+            for v in (one["rate"].values, one["rate_se"].values, one["variance"].isel(n=-1).values)
+        )
+        yield (
+            *text_cells(sampler, strategy),
+            Cell(text=number(variance)),
+            Cell(text=with_error(rate(slope, None, None), 2.0 * error)),
+            *text_cells(where),
+        )
+
+
+def _numbers(sampler: str, data: xr.Dataset) -> Rows:
+    """Single numbers with their meanings and intervals: what a stranger's analysis may have."""
+    drawn = first_channel(data)
+    partners = {f"{name}{end}" for name in drawn.data_vars for end in ("_ci", "_se")}
+    for name, value in drawn.data_vars.items():
+        if value.ndim or value.dtype.kind not in "iufb" or name in partners:
+            continue
+        ends = _ends(drawn[f"{name}_ci"]) if f"{name}_ci" in drawn else (None, None)
+        long_name, units = value.attrs.get("long_name", name), value.attrs.get("units", "")
+        yield (
+            *text_cells(sampler, str(long_name), str(units)),
+            Cell(text=number(float(value))),
+            Cell(text=interval(*ends)),
+        )
+
+
+_TABLES: Mapping[str, tuple[str, str, tuple[str, ...], Callable[[str, Any], Rows]]] = {
+    # heading, caption, columns, rows of a sampler
+    "remedies": (
+        "Remedies",
+        (
+            "Changes at equal cost in the order of their errors. Ratios are to the set-up as given; their "
+            "intervals hold together at 95 %."
+        ),
+        ("Sampler", "Remedy", "Error", "Ratio", "95 % interval", "Rate", "Verdict", "What to do"),
+        _remedies,
+    ),
+    "techniques": (
+        "Techniques",
+        (
+            "Variance of each technique's part at the largest n, its share of the measured variance (shares "
+            "do not add up to 100 % where techniques are correlated) and its rate. The bottleneck is the "
+            "technique whose rate is slower than all others'. Techniques are numbered in the estimator's "
+            "order, from 0."
+        ),
+        ("Sampler", "Technique", "Variance", "Share", "Rate", "Bottleneck"),
+        _techniques,
+    ),
+    "anova": (
+        "Axes",
+        (
+            "Shares of the variance by axes of primary space, the ten largest; channels are averaged. An "
+            "estimate of a small share can be negative."
+        ),
+        ("Sampler", "Axes", "Share"),
+        _anova,
+    ),
+    "exact": ("Exact variance", "Without sampling.", ("Sampler", "n", "Variance"), _exact),
+    "map": (
+        "Map",
+        (
+            "Medians over pixels at the largest n, rates ± two standard errors of one pixel; pixels at which "
+            "one technique's share of multiple importance sampling has the slower rate."
+        ),
+        ("Sampler", "Strategy", "Variance", "Rate", "Bottleneck, pixels"),
+        _map,
+    ),
+}
+
+
+def _ends(array: xr.DataArray) -> tuple[float, float]:
+    low, high = (float(end) for end in array.values)
+    return low, high
 
 
 def _half(low: float | None, high: float | None) -> float | None:
     return None if low is None or high is None else 0.5 * (high - low)
-
-
-def _sampler_of(row: SummaryRow) -> str:
-    """The sampler, with the channel that `summarize` appends to the estimator's name."""
-    head, bracket, channel = row.estimator.rpartition(" [")
-    several = bool(head and bracket and channel.rstrip("]").isdigit())
-    return f"{row.sampler}, channel {channel.rstrip(']')}" if several else row.sampler
-
-
-def _largest(row: SummaryRow) -> str:
-    if row.largest_term is None:
-        return MISSING
-    values = {"dc": row.dc, "power": row.power, "cross": row.cross}
-    return f"{row.largest_term} {number(values[row.largest_term])}"
-
-
-def _costliest(row: SummaryRow) -> str:
-    """The term that adds most to the variance: the cross term often takes from it."""
-    values = {"dc": row.dc, "power": row.power, "cross": row.cross}
-    adding = {name: v for name, v in values.items() if v is not None and v > 0}
-    if not adding:
-        return _largest(row)
-    name = max(adding, key=lambda each: adding[each])
-    return f"{name} {number(adding[name])}"
-
-
-def _no_term(row: SummaryRow) -> str:
-    return row.note or (_NO_TERMS if row.terms_n is None else _NO_NUMBER)
 
 
 def _cell(text: str, why: str, order: float | None = None) -> Cell:

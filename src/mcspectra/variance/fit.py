@@ -72,7 +72,9 @@ class RateFit:
 def check_window(fit_last: int | str | None, counts: int) -> None:
     """Refuse a window of more counts than there are."""
     if isinstance(fit_last, int) and fit_last > counts:
-        raise ParameterError(f"fit_last is {fit_last}; give at most {counts}, the number of counts.")
+        raise ParameterError(
+            f"fit_last is {fit_last}; give at most {counts}, the number of counts."
+        )
 
 
 def fit_rate(

@@ -1,0 +1,91 @@
+"""The figures that show what a set-up gives: the plots of its results, and of its integrand."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.plots.description import Axis, Image, Line, Panel, Plot, Scale
+from mcspectra.plots.kinds import describe, kinds_of
+from mcspectra.plots.scales import signed_scale, unit_axis
+from mcspectra.plots.style import PALETTE
+from mcspectra.plots.text import number
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["FIGURES", "figures_of"]
+
+FIGURES = {
+    "integrand": "Integrand f, density p, and what is sampled, f/p",
+    "points": "Points",
+    "terms": "Terms of the variance",
+    "convergence": "Convergence",
+    "spectrum": "Power spectrum",
+    "lines": "Power spectrum",
+    "radial": "Radial power",
+    "contributions": "Contributions by frequency",
+    "bands": "Covariance of bands",
+}
+"""Kinds of plots in the order they stand on the page, and their titles."""
+
+
+def figures_of(kind: str, value: xr.Dataset, name: str) -> list[Plot]:
+    """Describe the figures of a result.
+
+    Parameters
+    ----------
+    kind
+        What was computed, of `mcspectra.app.compute.KINDS`.
+    value, name
+        The result, and what it is called.
+    """
+    if kind == "integrand":
+        return [_integrand(value)]
+    shown = kinds_of(value)
+    return [describe(each, {name: value}) for each in FIGURES if each in shown]
+
+
+def _integrand(data: xr.Dataset) -> Plot:
+    """f, p and f/p beside each other: a constant f/p would have no variance."""
+    flat = len(data.dims) == 1
+    panels = tuple(_panel(str(name), each, flat) for name, each in data.items())
+    values = {name: each.to_numpy() for name, each in data.items()}
+    ends = (
+        f"{name} from {number(float(np.nanmin(v)))} to {number(float(np.nanmax(v)))}"
+        for name, v in values.items()
+    )
+    return Plot(
+        kind="integrand",
+        panels=panels,
+        columns=len(panels),
+        caption="Where f/p is constant, importance sampling leaves no variance.",
+        words="; ".join(ends) + ".",
+        height=1.0,
+        share="x" if flat else "both",
+    )
+
+
+def _panel(name: str, data: xr.DataArray, flat: bool) -> Panel:
+    values = data.to_numpy()
+    finite = np.where(np.isfinite(values), values, np.nan)
+    if flat:
+        x = data["x0"].to_numpy()
+        line = Line(
+            x=x, y=finite, color=PALETTE[0], hover={name: [number(float(v)) for v in values]}
+        )
+        return Panel(marks=(line,), x=unit_axis("x₀"), y=Axis(label=name), title=name, square=True)
+    x0, x1 = (data[axis].to_numpy() for axis in ("x0", "x1"))
+    image = Image(values=finite.T, x=x0, y=x1, scale=_scale(finite), name=name)
+    return Panel(
+        marks=(image,), x=unit_axis("x₀"), y=unit_axis("x₁"), title=name, square=True, framed=True
+    )
+
+
+def _scale(values: Array) -> Scale:
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    if low < 0:
+        return signed_scale(" ", [values])
+    return Scale(label=" ", low=0.0, high=high or 1.0)

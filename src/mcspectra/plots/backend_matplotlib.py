@@ -1,0 +1,608 @@
+"""Plots drawn with matplotlib: for files, notebooks and the accessor.
+
+Figures are styled artist by artist: nothing here reads or keeps global settings. Texts are plain, and
+ticks are fixed places with plain labels: typesetting mathematics takes most of the time of a small
+figure. The same plot has the same bytes.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import warnings
+from collections.abc import Iterable, Iterator
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import FileFormatError, ParameterError
+from mcspectra.plots.description import (
+    Axis,
+    Bars,
+    Dots,
+    Image,
+    Line,
+    Mark,
+    Panel,
+    Pixels,
+    Plot,
+    Rule,
+    Scale,
+    Segments,
+    Text,
+)
+from mcspectra.plots.scales import log_ticks, tick_label
+from mcspectra.plots.style import FAINT, GRADIENTS, GRAY, INK, PAPER
+from mcspectra.plots.text import shorten
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.figure import Figure
+
+__all__ = ["FORMATS", "GivenAxes", "draw", "encode", "panel_axes", "write"]
+
+GivenAxes: TypeAlias = "Axes | Iterable[Axes] | np.ndarray[Any, Any] | None"
+"""Axes to draw into, one a panel (an array is read row by row); None makes a figure."""
+
+FORMATS = (".svg", ".png", ".pdf")
+"""Extensions of the files that `write` makes."""
+
+_NARROW, _WIDE = 4.9, 7.4  # inches: up to two panels abreast, and more or a wide plot
+_LEAST_SIDE, _LARGEST_SQUARE = 2.3, 3.4  # inches, of a panel of many, and of one alone
+_LABEL, _SMALL = 8.5, 7.5  # points
+_LETTER = 0.062  # inches, the mean width of a small letter
+_DPI, _PDF_DPI = 120, 200  # of pictures, and of images within a PDF, where all else is vectors
+_MOST_VECTORS = 5000  # points; more make a file large and slow to open
+_COLORS = 256  # of a picture, a third of the size and for flat colours no visible difference
+_MOST_PIXELS = 2**15  # along a side of a picture; matplotlib's own limit is twice that
+_LINEAR = 0.45  # makes half a decade of either side's linear part, as a signed `Axis` says
+_SIDES = {
+    "right": ((4, 0), "left", "center"),
+    "left": ((-4, 0), "right", "center"),
+    "above": ((0, 4), "center", "bottom"),
+    "below": ((0, -4), "center", "top"),
+    "middle": ((0, 0), "center", "center"),
+}
+
+
+def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False) -> Figure:
+    """Draw a plot.
+
+    Parameters
+    ----------
+    plot
+        What it shows.
+    axes
+        Axes to draw into; a new figure by default.
+    pyplot
+        Whether a new figure is pyplot's: a notebook shows it, ``plt.savefig`` writes it.
+
+    Raises
+    ------
+    ParameterError
+        `axes` are not one matplotlib axes a panel, or pictures are too large to stand side by side.
+    """
+    if axes is not None:
+        figure, panels = _given(axes, len(plot.panels))
+        for each in panels[1:]:
+            _share(each, panels[0], plot.share)
+    elif pictures := [m.rgb for panel in plot.panels for m in panel.marks if isinstance(m, Pixels)]:
+        figure, panels = _exact_figure(plot, pictures[0].shape, pyplot)
+    else:
+        figure, panels = _new_figure(plot, pyplot)
+    bars: dict[Scale, tuple[ScalarMappable, list[Axes]]] = {}
+    for panel, each in zip(plot.panels, panels, strict=True):
+        for scale, drawn in _panel(each, panel):
+            bars.setdefault(scale, (drawn, []))[1].append(each)
+    for scale, (drawn, where) in bars.items():
+        if scale.label and scale.kind != "names":
+            _color_bar(figure, scale, drawn, where)
+    _legend(figure, panels[0] if axes is not None else None, plot)
+    return figure
+
+
+def panel_axes(figure: Figure) -> list[Axes]:
+    """Return the axes of a figure in the order of its panels, without colour bars."""
+    return [axes for axes in figure.axes if axes.get_label() != "<colorbar>"]
+
+
+def encode(figure: Figure) -> tuple[bytes, bytes]:
+    """Return the PNG and the PDF of a figure, without time stamps.
+
+    The layout is computed once for both. The PNG has a palette of 256 colours unless the figure
+    holds pictures in true colours.
+    """
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf
+
+    # Names in scripts that the font lacks show as boxes; the page has them in full
+    with warnings.catch_warnings(), mpl.rc_context({"pdf.fonttype": 42}):
+        warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)
+        figure.set_dpi(_DPI)  # before the layout: hinted text has another width at another dpi
+        engine = figure.get_layout_engine()
+        if engine is not None:
+            engine.execute(figure)
+            figure.set_layout_engine("none")
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()  # type: ignore[no-untyped-call]
+        pixels = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])  # type: ignore[no-untyped-call]
+        # Straight to the backend: savefig would draw the figure once more, for its layout
+        figure.set_dpi(_PDF_DPI)
+        pdf = io.BytesIO()
+        metadata = {"CreationDate": None, "Creator": "mcspectra"}
+        FigureCanvasPdf(figure).print_pdf(pdf, metadata=metadata)  # type: ignore[no-untyped-call]
+        figure.set_dpi(_DPI)
+        figure.set_canvas(canvas)
+    true_colors = any(i.get_array().ndim == 3 for axes in figure.axes for i in axes.images)  # type: ignore[union-attr]
+    return _png(pixels, true_colors), pdf.getvalue()
+
+
+def write(plot: Plot, path: str | PathLike[str], *, captioned: bool = False) -> None:
+    """Write a plot to a file in the format of its extension; a caption takes a legend's place.
+
+    Raises
+    ------
+    FileFormatError
+        Another extension than `FORMATS`, or a file that cannot be written.
+    """
+    import matplotlib as mpl
+
+    file = Path(path)
+    extension = file.suffix.lower()
+    if extension not in FORMATS:
+        raise FileFormatError(f"{file} is no picture; give {', '.join(FORMATS)}.")
+    figure = draw(plot)
+    if captioned:
+        text = _plain(shorten(plot.caption, int(17 * figure.get_figwidth())))
+        figure.supxlabel(text, x=0.02, ha="left", fontsize=_SMALL, color=INK)
+    stamps: dict[str, Any] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+    try:
+        # Names of parts of an SVG are random without a salt
+        with mpl.rc_context({"svg.hashsalt": "mcspectra", "pdf.fonttype": 42}):
+            figure.savefig(file, format=extension[1:], dpi=_PDF_DPI, metadata=stamps[extension])
+    except OSError as error:
+        raise FileFormatError(f"{file} cannot be written: {error.strerror or error}.") from None
+
+
+def _given(axes: Any, count: int) -> tuple[Figure, list[Axes]]:
+    from matplotlib.axes import Axes
+
+    if isinstance(axes, np.ndarray):
+        axes = axes.ravel()
+    panels = [axes] if isinstance(axes, Axes) else list(axes) if isinstance(axes, Iterable) else []
+    figures: set[Any] = {each.figure if isinstance(each, Axes) else None for each in panels}
+    if len(panels) != count or None in figures or len(figures) != 1:
+        wanted = "one matplotlib Axes" if count == 1 else f"{count} matplotlib Axes of one figure"
+        raise ParameterError(f"axes is {axes!r:.80}; this result takes {wanted}.")
+    (figure,) = figures
+    return figure, panels
+
+
+def _share(axes: Axes, first: Axes, share: str) -> None:
+    for which in ("x", "y"):
+        joined = getattr(axes, f"get_shared_{which}_axes")().joined(first, axes)
+        if share in (which, "both") and not joined:
+            getattr(axes, f"share{which}")(first)
+
+
+def _empty(size: tuple[float, float], pyplot: bool, layout: Any) -> Figure:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    if pyplot:
+        from matplotlib import pyplot as plt
+
+        return plt.figure(figsize=size, facecolor=PAPER, layout=layout)
+    figure = Figure(figsize=size, facecolor=PAPER, layout=layout)
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _new_figure(plot: Plot, pyplot: bool) -> tuple[Figure, list[Axes]]:
+    """Make a figure for the panels of a plot, inner labels of shared axes left out."""
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    count, columns = len(plot.panels), min(plot.columns, len(plot.panels))
+    rows = math.ceil(count / columns)
+    width = max(_WIDE, _LEAST_SIDE * columns) if plot.wide or columns > 2 else _NARROW
+    bar = any(scale.label and scale.kind != "names" for p in plot.panels for scale in p.scales)
+    labelled = 1 if plot.share in ("y", "both") else columns
+    side = (width - 0.85 * bar - 0.5 * labelled) / columns
+    side = (
+        min(side, _LARGEST_SQUARE) if columns == 1 and plot.height > 0.8 and not plot.wide else side
+    )
+    heights = [side * plot.height * part for part in plot.rows or (1.0,) * rows]
+
+    # Add the strips that titles, tick labels and labels take, and the legend
+    below = plot.share in ("x", "both")
+    strips = 0.2
+    for row in range(rows):
+        panels = plot.panels[row * columns : (row + 1) * columns]
+        strips += 0.12 + 0.19 * any(panel.title for panel in panels)
+        if row == rows - 1 or not below:
+            lines = (panel.x.label.count("\n") + bool(panel.x.label) for panel in panels)
+            strips += 0.2 + 0.15 * max(lines)
+    entries = _entries(plot)
+    strips += 0.18 * math.ceil(len(entries) / _legend_columns(entries, width)) if entries else 0.0
+
+    layout = ConstrainedLayoutEngine(w_pad=0.07, h_pad=0.05)
+    figure = _empty((width, sum(heights) + strips), pyplot, layout)
+    grid = figure.add_gridspec(rows, columns, height_ratios=heights)
+    made: list[Axes] = []
+    for k in range(count):
+        axes = figure.add_subplot(grid[divmod(k, columns)])
+        if made:
+            _share(axes, made[0], plot.share)
+        if below and k + columns < count:
+            axes.tick_params(labelbottom=False)
+            axes.xaxis.label.set_visible(False)
+        if plot.share in ("y", "both") and k % columns:
+            axes.tick_params(labelleft=False)
+            axes.yaxis.label.set_visible(False)
+        made.append(axes)
+    return figure, made
+
+
+def _exact_figure(plot: Plot, shape: tuple[int, ...], pyplot: bool) -> tuple[Figure, list[Axes]]:
+    """Make a figure in whose PNG a pixel of its pictures is a square of whole pixels."""
+    least, gap, strip = 240, 12, 25  # pixels: of a panel, between panels, of a title
+    height, width, _ = shape
+    zoom, columns = max(1, -(-least // width)), min(plot.columns, len(plot.panels))
+    foot = gap + 16 * max(panel.x.label.count("\n") + 1 for panel in plot.panels)
+    across, down = gap + width * zoom, strip + height * zoom + foot
+    wide, high = gap + columns * across, math.ceil(len(plot.panels) / columns) * down
+    if max(wide, high) > _MOST_PIXELS:
+        raise ParameterError(
+            f"Pictures of {width} × {height} pixels side by side are {wide} × {high} pixels, more "
+            f"than {_MOST_PIXELS} along a side; give a crop."
+        )
+    figure = _empty((wide / _DPI, high / _DPI), pyplot, "none")
+    figure.set_dpi(_DPI)
+    made = []
+    for row, column in (divmod(k, columns) for k in range(len(plot.panels))):
+        left, top = gap + column * across, row * down + strip
+        box = (left / wide, 1 - (top + height * zoom) / high)
+        made.append(figure.add_axes((*box, width * zoom / wide, height * zoom / high)))
+    return figure, made
+
+
+def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
+    """Draw the marks of a panel; yields its colour scales with the marks that show them."""
+    named = any(isinstance(mark, Bars) and mark.lying for mark in panel.marks)
+    _quiet(axes, panel, named)
+    for which, axis in (("x", panel.x), ("y", panel.y)):
+        if axis.kind == "log":
+            getattr(axes, f"set_{which}scale")("log")
+        elif axis.kind == "signed":
+            options = {"linthresh": axis.threshold, "linscale": _LINEAR}
+            getattr(axes, f"set_{which}scale")("symlog", **options)
+    found: dict[Scale, ScalarMappable] = {}
+    for k, mark in enumerate(panel.marks):
+        drawn = _mark(axes, mark, 1.0 + 0.01 * k)
+        scale = getattr(mark, "scale", None)
+        if scale is not None and drawn is not None:
+            found.setdefault(scale, drawn)
+    if panel.square:
+        axes.set_aspect("equal")
+    for which, axis in (("x", panel.x), ("y", panel.y)):
+        _finish_axis(axes, which, axis)
+    room = axes.get_window_extent().width / axes.figure.dpi
+    if panel.title:
+        # A fixed y: looking for a free one takes longer than all the rest of the layout
+        text = _plain(shorten(panel.title, max(int(room / _LETTER), 12)))
+        left = room > 0.6 * _NARROW
+        axes.set_title(
+            text, loc="left" if left else "center", fontsize=_LABEL, color=INK, pad=4, y=1.0
+        )
+    if panel.note:
+        axes.text(
+            0.5, 0.5, _plain(panel.note), transform=axes.transAxes, ha="center", va="center",
+            fontsize=_SMALL, color=INK, style="italic",
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 2.0},
+        )  # fmt: skip
+    yield from found.items()
+
+
+def _quiet(axes: Axes, panel: Panel, named: bool) -> None:
+    """Thin axes on two sides or four, small dark ticks, faint lines where they are wanted."""
+    axes.set_facecolor("white")
+    for side, spine in axes.spines.items():
+        spine.set_linewidth(0.6)
+        spine.set_color(GRAY)
+        spine.set_visible(
+            panel.framed or (side in ("left", "bottom") and not (named and side == "left"))
+        )
+        spine.set_in_layout(False)  # it lies on the axes' frame, and is slow to measure
+    axes.tick_params(
+        which="both", width=0.6, length=2.5, labelsize=_SMALL, color=GRAY, labelcolor=INK
+    )
+    if named:
+        axes.tick_params(axis="y", length=0)
+    axes.set_axisbelow(True)
+    if panel.grid:
+        axes.grid(True, which="major", color=FAINT, linewidth=0.5)
+
+
+def _finish_axis(axes: Axes, which: str, given: Axis) -> None:
+    from matplotlib.ticker import MaxNLocator, NullLocator
+
+    axis = getattr(axes, f"{which}axis")
+    low, high = sorted(getattr(axes, f"get_{which}lim")())
+    low = low if given.low is None else given.low
+    high = high if given.high is None else given.high
+    ticks = given.ticks
+    if ticks is None and given.kind == "log":
+        ticks = {tick: tick_label(tick) for tick in log_ticks(low, high)}
+    if ticks is None:
+        axis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
+    else:
+        axis.set_ticks(list(ticks), labels=[_plain(text) for text in ticks.values()])
+        axis.set_minor_locator(NullLocator())
+    # After the ticks, which would widen them
+    getattr(axes, f"set_{which}lim")(*((high, low) if given.flipped else (low, high)))
+    room = axes.get_window_extent()
+    length = (room.width if which == "x" else room.height) / axes.figure.dpi
+    axis.set_label_text(_plain(_broken(given.label, length)), fontsize=_LABEL, color=INK)
+    if which == "x" and ticks:
+        # Turn labels that would touch
+        at = np.sort(axis.get_transform().transform(np.array(list(ticks))))
+        first, last = axis.get_transform().transform(np.array([low, high]))
+        gap = length * np.diff(at).min(initial=np.inf) / (last - first)
+        if _LETTER * (max(map(len, ticks.values())) + 1) > gap:
+            axes.tick_params(axis="x", rotation=90)
+
+
+def _broken(label: str, length: float) -> str:
+    """A label with its note on a line of its own where it is longer than so many inches."""
+    return label.replace("   (", "\n(") if len(label) * _LETTER * 1.15 > length else label
+
+
+def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
+    """Draw a mark; returns it where its colours show a scale."""
+    from matplotlib.collections import LineCollection
+
+    look: dict[str, Any] = {"color": getattr(mark, "color", INK), "zorder": depth}
+    match mark:
+        case Line():
+            if mark.low is not None and mark.high is not None:
+                opacity = 0.2 if mark.width else 1.0
+                axes.fill_between(
+                    mark.x, mark.low, mark.high, step="mid" if mark.step else None, alpha=opacity,
+                    linewidth=0, **look,
+                )  # fmt: skip
+            if mark.width:
+                style: Any = "steps-mid" if mark.step else "default"
+                axes.plot(
+                    mark.x, mark.y, ls=mark.dashes, lw=mark.width, drawstyle=style,
+                    solid_capstyle="round", **look,
+                )  # fmt: skip
+        case Dots():
+            return _dots(axes, mark, depth)
+        case Bars():
+            _bars(axes, mark, look)
+        case Image():
+            norm, colors = _norm(mark.scale)
+            halves = [float(at[1] - at[0]) / 2 if len(at) > 1 else 0.5 for at in (mark.x, mark.y)]
+            (left, right), (bottom, top) = (
+                (float(at[0]) - half, float(at[-1]) + half)
+                for at, half in zip((mark.x, mark.y), halves, strict=True)
+            )
+            return axes.imshow(
+                np.ma.masked_invalid(mark.values), origin="lower", norm=norm, cmap=colors,
+                extent=(left, right, bottom, top), interpolation="nearest", aspect="auto",
+                zorder=depth,
+            )  # fmt: skip
+        case Pixels():
+            height, width = mark.rgb.shape[:2]
+            zoom = max(1, round(axes.get_window_extent().width / width))
+            # Repeated here: matplotlib's own scaling may shift a row by half a pixel
+            shown = np.repeat(np.repeat(mark.rgb, zoom, axis=0), zoom, axis=1)
+            axes.imshow(shown, extent=(0, width, 0, height), interpolation="nearest", zorder=depth)
+            axes.tick_params(bottom=False, left=False, labelbottom=False, labelleft=False)
+            for spine in axes.spines.values():
+                spine.set_visible(False)
+        case Segments():
+            lines = LineCollection(list(mark.ends), linewidths=mark.width, capstyle="round", **look)
+            axes.add_collection(lines)
+        case Rule():
+            line = axes.axvline if mark.axis == "x" else axes.axhline
+            line(mark.at, ls=mark.dashes, lw=mark.width, **look)
+        case Text():
+            offset, across, up = _SIDES[mark.side]
+            axes.annotate(
+                _plain(mark.text), (mark.x, mark.y), xytext=offset, textcoords="offset points",
+                ha=across, va=up, fontsize=_SMALL, **look,
+            )  # fmt: skip
+    return None
+
+
+def _dots(axes: Axes, mark: Dots, depth: float) -> ScalarMappable | None:
+    plain = isinstance(mark.color, str)
+    color = mark.color if isinstance(mark.color, str) else INK
+    if mark.low is not None and mark.high is not None:
+        at = mark.x if mark.across else mark.y
+        reach = np.maximum([at - mark.low, mark.high - at], 0.0)
+        _whiskers(axes, (mark.x, mark.y), reach, mark.across, color, depth)
+    norm, colors = (None, None) if mark.scale is None else _norm(mark.scale)
+    shown: dict[str, Any] = (
+        {"color": color} if plain else {"c": mark.color, "norm": norm, "cmap": colors}
+    )
+    size = np.broadcast_to(np.square(mark.size), np.shape(mark.x))
+    stroke = float(np.clip(60.0 / max(len(mark.x), 1), 0.25, 1.2)) if mark.marker == "|" else 0.0
+    drawn = axes.scatter(
+        mark.x, mark.y, s=size, marker=mark.marker, linewidths=stroke, zorder=depth,
+        rasterized=len(mark.x) > _MOST_VECTORS, **shown,
+    )  # fmt: skip
+    return None if plain else drawn
+
+
+def _bars(axes: Axes, mark: Bars, look: dict[str, Any]) -> None:
+    there = np.isfinite(mark.value)
+    at, value = mark.at[there], mark.value[there]
+    color = mark.color
+    if not isinstance(color, str):
+        look = look | {"color": [each for each, shown in zip(color, there, strict=True) if shown]}
+    if mark.thickness:
+        options = look | {"alpha": mark.opacity, "linewidth": 0}
+        if mark.lying:
+            axes.barh(at, value - mark.base, mark.thickness, left=mark.base, **options)
+        else:
+            axes.bar(at, value - mark.base, mark.thickness, bottom=mark.base, **options)
+    else:
+        room = axes.get_window_extent()
+        length = (room.height if mark.lying else room.width) * 72 / axes.figure.dpi
+        width = float(np.clip(0.55 * length / max(len(mark.at), 1), 0.5, 5.0))
+        stems = axes.hlines if mark.lying else axes.vlines
+        stems(at, mark.base, value, lw=width, alpha=mark.opacity, **look)
+    if mark.low is not None and mark.high is not None:
+        middle = 0.5 * (mark.low + mark.high)
+        places = (middle, mark.at) if mark.lying else (mark.at, middle)
+        reach = np.abs(0.5 * (mark.high - mark.low))
+        _whiskers(axes, places, reach, mark.lying, INK, look["zorder"] + 0.005)
+    for place, text in zip(mark.at, mark.texts, strict=False):
+        end: tuple[float, float] = (1.0, float(place)) if mark.lying else (float(place), 1.0)
+        frame = axes.get_yaxis_transform() if mark.lying else axes.get_xaxis_transform()
+        offset, across, up = _SIDES["right" if mark.lying else "above"]
+        axes.annotate(
+            _plain(text), end, xycoords=frame, xytext=offset, textcoords="offset points",
+            ha=across, va=up, fontsize=_SMALL, color=INK,
+        )  # fmt: skip
+
+
+def _whiskers(
+    axes: Axes, places: tuple[Array, Array], reach: Array, across: bool, color: str, depth: float
+) -> None:
+    options: dict[str, Any] = {"xerr" if across else "yerr": reach, "fmt": "none"}
+    axes.errorbar(
+        *places, **options, ecolor=color, elinewidth=0.9, capsize=1.8, capthick=0.9, zorder=depth
+    )
+
+
+def _norm(scale: Scale) -> tuple[Any, Any]:
+    """Make the norm and the colour map of a scale; what is no number is light grey."""
+    from matplotlib import colormaps, colors
+
+    if scale.kind == "names":
+        chosen: Any = colors.ListedColormap(scale.colors)
+        norm: Any = colors.Normalize(scale.low - 0.5, scale.low + len(scale.names) - 0.5)
+    else:
+        gradient = GRADIENTS[scale.palette]
+        chosen = (
+            colormaps[gradient]
+            if isinstance(gradient, str)
+            else colors.LinearSegmentedColormap.from_list(scale.palette, gradient)
+        )
+        ends = (scale.low, scale.high)
+        if scale.kind == "signed":
+            norm = colors.SymLogNorm(scale.threshold, _LINEAR, *ends, base=10)
+        else:
+            norm = (colors.LogNorm if scale.kind == "log" else colors.Normalize)(*ends)
+    return norm, chosen.with_extremes(bad=FAINT)
+
+
+def _color_bar(figure: Figure, scale: Scale, drawn: ScalarMappable, where: list[Axes]) -> None:
+    bar = figure.colorbar(
+        drawn,
+        ax=where,
+        shrink=0.85,
+        aspect=24,
+        pad=0.02,
+        extend="max" if scale.beyond else "neither",
+    )
+    bar.outline.set_visible(False)
+    bar.ax.tick_params(
+        which="both", width=0.6, length=2.5, labelsize=_SMALL, color=GRAY, labelcolor=INK
+    )
+    ticks = scale.ticks
+    if ticks is None and scale.kind == "log":
+        ticks = {tick: tick_label(tick) for tick in log_ticks(scale.low, scale.high)}
+    if ticks is None:
+        bar.ax.locator_params(axis="y", nbins=5)
+    else:
+        bar.set_ticks(list(ticks), labels=[_plain(text) for text in ticks.values()])
+    bar.minorticks_off()
+    length = 0.85 * bar.ax.get_window_extent().height / figure.dpi
+    bar.set_label(_plain(_broken(scale.label, length)), fontsize=_SMALL, color=INK)
+
+
+def _entries(plot: Plot) -> dict[str, list[Mark | str]]:
+    """Marks by their entries in the legend; colours by the names of scales."""
+    found: dict[str, list[Mark | str]] = {label: [] for label in plot.labels}
+    for panel in plot.panels:
+        for mark in panel.marks:
+            if label := getattr(mark, "label", ""):
+                found[label].append(mark)
+        for scale in panel.scales:
+            found |= {n: [c] for n, c in zip(scale.names, scale.colors, strict=True)}
+    return found
+
+
+def _legend_columns(labels: Iterable[str], width: float) -> int:
+    longest = max(map(len, labels))
+    return max(1, min(4, int(width / (_LETTER * (longest + 7)))))
+
+
+def _legend(figure: Figure, given: Axes | None, plot: Plot) -> None:
+    """Put the legend under the figure, where it covers nothing; of somebody else's, in the axes."""
+    entries = _entries(plot)
+    if not entries:
+        return
+    options: dict[str, Any] = {"frameon": False, "fontsize": _SMALL, "labelcolor": INK}
+    handles = [_handle(marks) for marks in entries.values()]
+    texts = [_plain(label) for label in entries]
+    if given is not None:
+        given.legend(handles, texts, **options)
+        return
+    columns = min(_legend_columns(entries, figure.get_figwidth()), len(entries))
+    figure.legend(
+        handles, texts, loc="outside lower center", ncols=columns, handlelength=1.8, **options
+    )
+
+
+def _handle(marks: list[Mark | str]) -> Any:
+    """Make the sign of an entry: a patch, or a line with the marker of its dots."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    first = marks[0]
+    if isinstance(first, str):
+        return Patch(facecolor=first, edgecolor=GRAY, linewidth=0.5)
+    color = getattr(first, "color", INK)
+    color = color if isinstance(color, str) else INK if isinstance(first, Dots) else color[0]
+    lines = [m for m in marks if isinstance(m, Line | Rule | Segments) and m.width]
+    dots = [m for m in marks if isinstance(m, Dots)]
+    if not lines and not dots:
+        opacity = first.opacity if isinstance(first, Bars) else 1.0
+        return Patch(facecolor=color, alpha=opacity, linewidth=0)
+    return Line2D(
+        [], [], color=color, ls=getattr(lines[0], "dashes", "-") if lines else "none",
+        lw=lines[0].width if lines else 0.0, marker=dots[0].marker if dots else "none", ms=4,
+        markeredgewidth=0,
+    )  # fmt: skip
+
+
+def _plain(text: str) -> str:
+    """Escape dollar signs, which matplotlib would read as mathematics."""
+    return text.replace("$", r"\$")
+
+
+def _png(pixels: Array, true_colors: bool) -> bytes:
+    from PIL import Image as Picture
+
+    image = Picture.fromarray(pixels)
+    if not true_colors:
+        image = image.quantize(
+            _COLORS, method=Picture.Quantize.FASTOCTREE, dither=Picture.Dither.NONE
+        )
+        # The octree rounds colours; the paper, which meets the page, keeps its own
+        palette, paper = image.getpalette() or [], int(np.asarray(image)[0, 0])
+        palette[3 * paper : 3 * paper + 3] = pixels[0, 0].tolist()
+        image.putpalette(palette)
+    png = io.BytesIO()
+    image.save(png, format="PNG", compress_level=6)
+    return png.getvalue()

@@ -1,0 +1,206 @@
+"""What describing functions take: results of one analysis by the name of what they are of."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import ParameterError
+from mcspectra.plots.description import Line
+from mcspectra.plots.style import LineStyle, labels, line_widths
+from mcspectra.plots.text import interval, number
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "Data",
+    "Group",
+    "Styles",
+    "abreast",
+    "as_group",
+    "for_each",
+    "frequency_dims",
+    "intervals",
+    "labelled",
+    "lines_of",
+    "numbers",
+    "pairs",
+    "variant_dims",
+]
+
+Group: TypeAlias = "Mapping[str, xr.Dataset]"
+"""Results by the name of their sampler, without channels and with their labels."""
+
+Data: TypeAlias = "xr.Dataset | Group"
+"""A result, perhaps of several estimators, samplers or variants, or results by name."""
+
+Styles: TypeAlias = Mapping[str, LineStyle]
+"""How each sampler is drawn."""
+
+_CURVE = {
+    "n",
+    "variance",
+    "variance_ci",
+    "rate",
+    "rate_ci",
+}  # a result with variants of them is split
+
+
+def as_group(data: Data) -> tuple[dict[str, xr.Dataset], str]:
+    """Return results by name, of several channels the first, and a note where there are several.
+
+    Raises
+    ------
+    ParameterError
+        There is no result.
+    """
+    import xarray as xr
+
+    given: Any = data
+    if isinstance(given, xr.Dataset):
+        group = {name: each for *_, name, each in pairs(given)}
+    elif isinstance(given, Mapping) and given:
+        group = {str(name): each for name, each in given.items()}
+    else:
+        group = {}
+    if not group or not all(isinstance(each, xr.Dataset) for each in group.values()):
+        raise ParameterError(
+            f"A plot needs a dataset or a mapping of sampler names to datasets, not {data!r:.80}."
+        )
+    channels = max(each.sizes.get("channel", 0) for each in group.values())
+    note = f"Shown: channel 0 of {channels}." if channels > 1 else ""
+    first = {n: d.isel(channel=0) if "channel" in d.dims else d for n, d in group.items()}
+    return {name: labelled(each) for name, each in first.items()}, note
+
+
+def pairs(data: xr.Dataset) -> Iterator[tuple[str, str, str, xr.Dataset]]:
+    """Yield estimator, points (sampler and variant), a name and the result of each of several."""
+    several, variants = {"estimator", "sampler"} & set(data.dims), variant_dims(data)
+    for estimator, of_estimator in _along(data, "estimator"):
+        for sampler, of_sampler in _along(of_estimator, "sampler"):
+            for place in itertools.product(*(range(data.sizes[dim]) for dim in variants)):
+                at = dict(zip(variants, place, strict=True))
+                variant = ", ".join(_place(dim, data[dim].values[k]) for dim, k in at.items())
+                points = f"{sampler}, {variant}" if variant else sampler
+                name = f"{estimator}, {points}" if "estimator" in several else points
+                yield (
+                    estimator,
+                    points,
+                    name if several or not variant else variant,
+                    of_sampler.isel(at),
+                )
+
+
+def variant_dims(data: xr.Dataset) -> list[str]:
+    """Return the dims along which one sampler has several curves, as those of `mirror_study`."""
+    if not set(map(str, data.variables)) >= _CURVE:
+        return []
+    known = ("estimator", "sampler", "channel")
+    return [str(dim) for dim in data["rate"].dims if dim not in known]
+
+
+def frequency_dims(data: xr.Dataset) -> list[str]:
+    """Return the names of the frequency dims of a result: m0, m1, …"""
+    return sorted(str(d) for d in data.dims if str(d)[0] == "m" and str(d)[1:].isdigit())
+
+
+def abreast(count: int) -> int:
+    """Return how many of so many panels stand abreast, at most three: 4 stand 2 by 2."""
+    return -(-count // -(-count // 3))
+
+
+def for_each(group: Group, words: Callable[[xr.Dataset], str]) -> str:
+    """Return what is said of each result, after its name."""
+    return "; ".join(f"{name}: {words(each)}" for name, each in group.items()) + "."
+
+
+def lines_of(
+    curves: Mapping[str, Sequence[Array]],
+    styles: Styles,
+    under: tuple[str, str],
+    *,
+    texts: Mapping[str, Sequence[str]] | None = None,
+    notes: Mapping[str, str] | None = None,
+) -> list[Line]:
+    """Return lines by name, the first ones thickest, so that one that coincides still shows.
+
+    Parameters
+    ----------
+    curves
+        x and y, and for a band its ends.
+    styles
+        How each name is drawn.
+    under
+        Titles of x and y under the pointer.
+    texts
+        What stands for y there; by default its number.
+    notes
+        What the legend adds to a name.
+    """
+    names, made = labels(list(curves), 40), list[Line]()
+    for (name, (x, y, *ends)), width in zip(curves.items(), line_widths(len(curves)), strict=True):
+        shown = (texts or {}).get(name) or numbers(y)
+        made.append(
+            Line(
+                x=x,
+                y=y,
+                color=styles[name].color,
+                dashes=styles[name].dashes,
+                width=width,
+                low=ends[0] if ends else None,
+                high=ends[1] if ends else None,
+                label=names[name] + (notes or {}).get(name, ""),
+                hover={"sampler": [name] * x.size, under[0]: numbers(x), under[1]: shown},
+            )
+        )
+    return made
+
+
+def numbers(values: Array | Iterable[float], digits: int = 4) -> list[str]:
+    """Return values as text."""
+    return [number(float(value), digits) for value in values]
+
+
+def intervals(ends: Array, digits: int = 4) -> list[str]:
+    """Return intervals (k, 2) as text."""
+    return [interval(float(low), float(high), digits) for low, high in ends]
+
+
+def _along(data: xr.Dataset, dim: str) -> Iterator[tuple[str, xr.Dataset]]:
+    if dim not in data.dims:
+        yield str(data.attrs.get(f"{dim}_spec", data.attrs.get(dim, dim))), data
+        return
+    for k in range(data.sizes[dim]):
+        each = data.isel({dim: k})
+        yield str(each[dim].values) if dim in each.coords else f"{dim} {k}", each
+
+
+def _place(dim: str, value: Any) -> str:
+    """A place on a dim in few words: ``uniform``, ``not homogenized``, ``width 0.1``."""
+    if value.dtype.kind == "b":
+        return dim if value else f"not {dim}"
+    return str(value) if value.dtype.kind == "U" else f"{dim} {value}"
+
+
+def labelled(stored: xr.Dataset) -> xr.Dataset:
+    """Return a stored result with its coordinates of text, kept as attributes ``labels_*``."""
+    texts = {
+        str(key).removeprefix("labels_"): np.array(value)
+        for key, value in stored.attrs.items()
+        if str(key).startswith("labels_")
+    }
+    # Labels of a dim bear its name; further ones, such as verdicts, run along the same dim
+    own = {values.shape: name for name, values in texts.items() if name in stored.dims}
+    own |= {(size,): str(dim) for dim, size in stored.sizes.items() if (size,) not in own}
+    return stored.assign_coords(
+        {
+            name: (name if name in stored.dims else own[values.shape], values)
+            for name, values in texts.items()
+            if values.shape in own and stored.sizes.get(name, values.size) == values.size
+        }
+    )

@@ -1,0 +1,277 @@
+"""Scenes: maps over an image, pictures by each strategy, and the light that arrives at a pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_real
+from mcspectra.core.errors import ParameterError
+from mcspectra.plots.description import Axis, Image, Panel, Pixels, Plot, Scale
+from mcspectra.plots.groups import Group, Styles, abreast
+from mcspectra.plots.scales import log_scale
+from mcspectra.plots.style import PALETTE
+from mcspectra.plots.text import number
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["MAPS", "incident_maps", "rms_error", "strategy_images"]
+
+_NAMES = {
+    "reference": "reference",
+    "light": "light sampling",
+    "bsdf": "BSDF sampling",
+    "mis-light": "MIS, light share",
+    "mis-bsdf": "MIS, BSDF share",
+    "mis": "MIS",
+}
+_SPREAD = (1.0, 99.0)  # percentiles that a scale spans: single pixels would take up all of it
+_DECADES, _LIGHT_DECADES = 6, 4  # of a map, and of radiance, that are told apart
+_LARGEST_RATIO = 8.0  # of the scales of ratios
+_RATIOS = (0.125, 0.25, 0.5, 0.8, 1.0, 1.25, 2.0, 4.0, 8.0)
+_MOST_STOPS = 64.0
+
+
+def _map(
+    group: Group,
+    styles: Styles,
+    *,
+    kind: str,
+    variable: str,
+    scale: Callable[[Array], Scale],
+    caption: str,
+) -> Plot:
+    """One quantity over the image, a panel for each sampler and strategy, on one scale."""
+    del styles
+    panels = []
+    shown = {name: _last(each[variable]) for name, each in group.items()}
+    found = scale(np.concatenate([np.ravel(each.values) for each in shown.values()]))
+    for name, data in shown.items():
+        of_strategies = data["strategy"].values if "strategy" in data.dims else [None]
+        for k, strategy in enumerate(of_strategies):
+            own = data if strategy is None else data.isel(strategy=k)
+            title = "" if strategy is None else _NAMES.get(str(strategy), str(strategy))
+            if len(shown) > 1:
+                title = f"{name}: {title}" if title else name
+            x, y = (own[dim].values.astype(float) for dim in ("x", "y"))
+            axis = Axis(label="y", low=y[0] - 0.5, high=y[-1] + 0.5, flipped=True)
+            panels.append(
+                Panel(
+                    marks=(
+                        Image(
+                            values=own.transpose("y", "x").values,
+                            x=x,
+                            y=y,
+                            scale=found,
+                            name=variable.replace("_", " "),
+                        ),
+                    ),
+                    x=Axis(label="x", low=x[0] - 0.5, high=x[-1] + 0.5),
+                    y=axis,
+                    title=title,
+                    square=True,
+                )
+            )
+    first = next(iter(shown.values()))
+    size = f"{first.sizes['x']} × {first.sizes['y']} pixels"
+    return Plot(
+        kind=kind,
+        panels=tuple(panels),
+        columns=abreast(len(panels)),
+        caption=caption,
+        words=f"Map of {size} for {', '.join(group)}. {caption} Median "
+        f"{number(float(np.nanmedian(np.concatenate([np.ravel(d.values) for d in shown.values()]))))}."
+        if any(np.isfinite(d.values).any() for d in shown.values())
+        else f"Map of {size} without numbers. {caption}",
+        height=float(np.clip(first.sizes["y"] / first.sizes["x"], 0.1, 2.0)),
+        share="both",
+        wide=True,
+    )
+
+
+def _last(data: xr.DataArray) -> xr.DataArray:
+    """A quantity at the largest number of samples, without the rows and columns it is not known at."""
+    data = data.isel(n=-1) if "n" in data.dims else data
+    if np.isfinite(data.values).any():
+        data = (
+            data.dropna("x", how="all").dropna("y", how="all")
+            if data.name == "predicted_ratio"
+            else data
+        )
+    return data
+
+
+def _logarithmic(label: str) -> Callable[[Array], Scale]:
+    def scale(values: Array) -> Scale:
+        found = values[np.isfinite(values) & (values > 0)]
+        low, high = (float(v) for v in np.percentile(found, _SPREAD)) if found.size else (0.1, 1.0)
+        low = max(low, high * 10.0**-_DECADES)
+        return log_scale(label, *((low, high) if low < high else (low / 2, high * 2)))
+
+    return scale
+
+
+def _rates(values: Array) -> Scale:
+    found = values[np.isfinite(values)]
+    low, high = np.percentile(found, _SPREAD) if found.size else (-2.0, -1.0)
+    # Never narrower than −2 … −1, smooth and random: noise would look like structure. Not much
+    # wider either: what lies beyond comes of variances that few realisations make.
+    low, high = max(min(low, -2.0), -3.0), min(max(high, -1.0), -0.5)
+    return Scale(label="exponent of variance", low=float(low), high=float(high))
+
+
+def _ratios(label: str) -> Callable[[Array], Scale]:
+    def scale(values: Array) -> Scale:
+        sizes = np.abs(np.log(values[np.isfinite(values) & (values > 0)]))
+        reach = float(np.exp(np.percentile(sizes, _SPREAD[1]))) if sizes.size else 2.0
+        reach = min(max(reach, 1.5), _LARGEST_RATIO)
+        ticks = {t: f"{t:.3g}" for t in _RATIOS if max(t, 1 / t) <= reach}
+        return Scale(
+            label=label, kind="log", low=1 / reach, high=reach, ticks=ticks, palette="diverging"
+        )
+
+    return scale
+
+
+def _which(values: Array) -> Scale:
+    """Which of two techniques, or neither."""
+    del values
+    names, colors = ("undecided", "light", "BSDF"), ("#FFFFFF", *PALETTE[:2])
+    return Scale(kind="names", names=names, colors=colors, low=-1.0)
+
+
+MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
+    f"map-{kind}": (
+        ("x", "y", "rate", variable),
+        partial(_map, kind=f"map-{kind}", variable=variable, scale=scale, caption=caption),
+    )
+    for kind, variable, scale, caption in (
+        ("mean", "mean", _logarithmic("mean estimate"), "Mean estimate at the largest number of samples."),
+        ("variance", "variance", _logarithmic("variance"), "Variance of the estimate at the largest number of samples."),
+        ("rate", "rate", _rates, "Fitted exponent of variance in the number of samples; random sampling is −1."),
+        ("rate-se", "rate_se", _logarithmic("standard error of the rate"), "Standard error of the exponent."),
+        ("bottleneck", "bottleneck", _which, "Technique whose share of MIS has the slower rate, by the 95 % interval of their difference."),
+        ("dominant", "dominant_technique", _which, "Technique whose share of MIS has the larger variance, at the largest number of samples."),
+        ("gain", "mis_gain", _ratios("variance of the better strategy / of MIS"), "Variance of the better single strategy over that of MIS, at the same total of samples. Above 1, MIS is better."),
+        ("predicted", "predicted_ratio", _ratios("predicted / measured variance"), "Predicted over measured variance, at the largest number of samples."),
+    )
+}  # fmt: skip
+"""Kinds of maps: the variables of each, and what describes it."""
+
+
+def incident_maps(data: xr.Dataset) -> Plot:
+    """What `mcspectra.rendering.hemisphere.incident_light` returns, one map above the other."""
+    titles = {
+        "incident_radiance": "radiance of the lights seen",
+        "reflected_radiance": "f: that, times BSDF and cosine",
+    }
+    panels = []
+    for name, title in titles.items():
+        shown = data[name].transpose("elevation", "azimuth").values
+        top = float(shown.max())
+        # A logarithmic scale, black where no light comes from
+        low = float(np.min(shown, where=shown > 0, initial=np.inf))
+        low = min(max(low, top * 10.0**-_LIGHT_DECADES), 0.5 * top) / 2
+        scale = replace(log_scale(str(data[name].attrs.get("units", "")), low, top), palette="gray")
+        image = Image(
+            values=np.maximum(shown, low),
+            x=data["azimuth"].values.astype(float),
+            y=data["elevation"].values.astype(float),
+            scale=scale,
+            name=title,
+        )
+        azimuth = {float(t): f"{t}" for t in range(0, 361, 60)}
+        elevation = {float(t): f"{t}" for t in (0, 30, 60, 90)}
+        panels.append(
+            Panel(
+                marks=(image,) if top > 0 else (),
+                x=Axis(label="azimuth / °", low=0.0, high=360.0, ticks=azimuth),
+                y=Axis(label="elevation / °", low=0.0, high=90.0, ticks=elevation),
+                title=title,
+                note="" if top > 0 else "no light from the centre of any cell",
+            )
+        )
+    return Plot(
+        kind="incident-light",
+        panels=tuple(panels),
+        caption="Light that arrives at the point of the scene behind the pixel's centre, over the hemisphere.",
+        words="Maps of radiance over azimuth and elevation, largest "
+        + " and ".join(number(float(data[name].max())) for name in titles)
+        + ".",
+        height=0.25,
+        share="both",
+        wide=True,
+    )
+
+
+def strategy_images(images: Group, *, exposure: float = 0.0) -> Plot:
+    """Pictures of one scene by each strategy, at the same exposure, each with its error.
+
+    Parameters
+    ----------
+    images
+        What `mcspectra.rendering.compare_strategies` returns: ``reference`` and at least one
+        strategy, all of one size.
+    exposure
+        Stops by which all are made brighter, from −64 to 64.
+
+    Raises
+    ------
+    ParameterError
+        The images are not those, or the exposure is out of range.
+    """
+    from mcspectra.rendering.files import encode_srgb
+
+    gain = 2.0 ** as_real("exposure", exposure, least=-_MOST_STOPS, most=_MOST_STOPS)
+    shapes = {data["image"].shape for data in images.values() if "image" in data}
+    if "reference" not in images or len(images) < 2 or len(shapes) != 1:
+        raise ParameterError(
+            "What is to be drawn has no reference with images of its size by strategy; give what "
+            "compare_strategies returns."
+        )
+    panels, said = [], []
+    for name, data in images.items():
+        each = int(data.attrs["spp"]) * int(data.attrs["realizations"])
+        count = f"{each} + {each}" if data.attrs["strategy"] == "mis" else f"{each}"
+        error = f"rms error {rms_error(data, images['reference']):.3g}"
+        if name == "reference":
+            known = "image_se" in data
+            error = (
+                f"rms standard error {np.sqrt(np.mean(data['image_se'].values ** 2)):.3g}"
+                if known
+                else ""
+            )
+        title, label = _NAMES.get(name, name), f"{count} samples a pixel\n{error}".strip()
+        shown = np.rint(255.0 * encode_srgb(data["image"].values * gain)).astype(np.uint8)
+        height, width, _ = shown.shape
+        panels.append(
+            Panel(
+                marks=(Pixels(rgb=shown),),
+                x=Axis(label=label, low=0.0, high=width, ticks={}),
+                y=Axis(low=0.0, high=height, ticks={}),
+                title=title,
+                square=True,
+            )
+        )
+        said.append(f"{title}: {label}".replace("\n", ", "))
+    return Plot(
+        kind="strategies",
+        panels=tuple(panels),
+        columns=len(panels),
+        caption="The scene by each strategy at the same exposure; errors are root mean squares over "
+        "pixels and channels of the distance to the reference, and of its own standard error.",
+        words="; ".join(said) + ".",
+        height=height / width,
+        share="both",
+        wide=True,
+    )
+
+
+def rms_error(image: xr.Dataset, reference: xr.Dataset) -> float:
+    """Return the root mean square over pixels and channels of the distance of two images."""
+    return float(np.sqrt(np.mean((image["image"].values - reference["image"].values) ** 2)))

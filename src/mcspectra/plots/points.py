@@ -1,0 +1,253 @@
+"""Point sets: strips in 1-D, the unit square in more dims; and the card of a sampler."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_unit_points
+from mcspectra.core.errors import ParameterError
+from mcspectra.plots.description import (
+    Axis,
+    Dots,
+    Line,
+    Mark,
+    Panel,
+    Plot,
+    Rule,
+    Scale,
+    Segments,
+)
+from mcspectra.plots.groups import Group, Styles, abreast, numbers
+from mcspectra.plots.scales import log_axis, name_axis, unit_axis
+from mcspectra.plots.spectra import frequency_map, relative_power
+from mcspectra.plots.style import ACCENT, FAINT, INK, PALETTE, labels
+
+__all__ = ["point_sets", "points", "sampler_card"]
+
+_MOST_NAMED = 2**14  # points that the pointer tells apart
+_MOST_STRATA = 64  # lines that are still told apart in a strip
+_MOST_SETS, _MOST_AXES, _MOST_POINTS = 6, 6, 2**20  # of a picture of points
+_SECTIONS = {"axis 0": (1, 0), "axis 1": (0, 1), "diagonal": (1, 1)}
+
+
+def points(group: Group, styles: Styles) -> Plot:
+    """One realisation of every sampler's points; areas are in proportion to ``weights``, if any."""
+    sizes = {each.sizes["axis"] for each in group.values()}
+    n = max(each.sizes["point"] for each in group.values())
+    if sizes == {1}:
+        panels = [_strips({k: d["points"].values[:, 0] for k, d in group.items()}, styles)]
+        shown = "Tick marks on a line, with the borders of n equal strata."
+    else:
+        panels = [
+            _square(
+                each["points"].values,
+                styles[name].color,
+                title=name,
+                weights=each["weights"].values if "weights" in each else None,
+                axes=(0, 1) if each.sizes["axis"] > 1 else (0, 0),
+            )
+            for name, each in group.items()
+        ]
+        shown = "The unit square." if max(sizes) == 2 else f"Axes 0 and 1 of {max(sizes)}."
+    return Plot(
+        kind="points",
+        panels=tuple(panels),
+        columns=abreast(len(panels)),
+        caption=f"One realisation of n = {n} points of each sampler, after importance sampling where "
+        f"there is a density. {shown}",
+        words=f"Point sets of {n} points for {', '.join(group)}.",
+        height=0.08 + 0.1 * len(group) if sizes == {1} else 1.0,
+        share="both",
+    )
+
+
+def point_sets(sets: object, caption: str = "") -> Plot:
+    """Point sets and nothing else: strips in 1-D, squares in 2-D, pairs of the first axes beyond.
+
+    Parameters
+    ----------
+    sets
+        Points of shape (n, d) or (R, n, d), in [0,1): the first 6 sets, of one in 3 dims or more
+        the first 6 axes.
+    caption
+        What the points are; what is left out is added.
+
+    Raises
+    ------
+    ParameterError
+        Not points of the unit cube, or more than 2^20 of them.
+    """
+    given = as_unit_points(sets)
+    if given.ndim not in (2, 3):
+        raise ParameterError(f"points have shape {given.shape}; give (n, d) or (R, n, d).")
+    given = given if given.ndim == 3 else given[None]
+    count, n, dims = given.shape
+    if n > _MOST_POINTS:
+        raise ParameterError(f"{n} points are too many to see; draw {_MOST_POINTS}.")
+    kept, axes = min(count, _MOST_SETS) if dims <= 2 else 1, min(dims, _MOST_AXES)
+    said = [caption] if caption else []
+    said += [f"{kept} of {count} sets"] if kept < count else []
+    said += [f"axes 0 to {axes - 1} of {dims}"] if axes < dims else []
+    if dims == 1:
+        panels = [_stroke_panel([each[:, 0]], [INK], [""]) for each in given[:kept]]
+    else:
+        pairs = [(i, j) for j in range(1, axes) for i in range(j)]
+        named = dims > 2
+        panels = [
+            _square(one, INK, axes=pair, named=named) for one in given[:kept] for pair in pairs
+        ]
+    return Plot(
+        kind="point-sets",
+        panels=tuple(panels),
+        columns=1 if dims == 1 else abreast(len(panels)),
+        caption=", ".join(said),
+        words=f"{kept} sets of {n} points.",
+        height=0.08 if dims == 1 else 1.0,
+        share="both" if dims <= 2 else "",
+    )
+
+
+def sampler_card(group: Group, projected: Array | None = None) -> Plot:
+    """What a sampler looks like: points, spectrum, its radial mean, its sections, a projection.
+
+    Parameters
+    ----------
+    group
+        Under ``points`` one realisation, under ``spectrum`` its power in the same dims.
+    projected
+        Two coordinates of a set in more dims, (n, 2).
+    """
+    x, data = group["points"]["points"].values, group["spectrum"]
+    n, dims = x.shape
+    title = f"points, n = {n}"
+    panels = [
+        _stroke_panel([x[:, 0]], [INK], [""], title) if dims == 1 else _square(x, INK, title=title)
+    ]
+    power = relative_power(data) if dims <= 2 else np.zeros(0)
+    half = len(power) // 2
+    if dims == 2:
+        scale = Scale(high=2.0, beyond=True)
+        panels.append(frequency_map("n · power, 0 to 2", data, power, scale, "power"))
+    # The radial mean; the level of random points is not to look like noise
+    radius, mean = (
+        data["radius"].values / n ** (1 / dims),
+        np.maximum(n * data["radial_power"].values, 1e-8),
+    )
+    line = Line(x=radius, y=mean, color=PALETTE[0])
+    root = {1: "n", 2: "√n"}.get(dims, f"n^(1/{dims})")
+    x_axis = log_axis(f"|m| / {root}", float(radius.min()), float(radius.max()), 4)
+    y_axis = log_axis("", min(0.05, float(mean.min())), max(2.0, float(mean.max())), 4)
+    panels.append(
+        Panel(marks=(Rule(at=1.0), line), x=x_axis, y=y_axis, title="n · radial mean", grid=True)
+    )
+    if dims <= 2:
+        # Power along the axes, where projections on them show, and along the diagonal
+        at = np.arange(1, half + 1)
+        steps = {"": (1,)} if dims == 1 else _SECTIONS
+        sections: list[Mark] = [
+            Line(
+                x=at.astype(float),
+                y=power[tuple(half + s * at for s in step)],
+                color=color,
+                width=1.0,
+                label=name,
+            )
+            for (name, step), color in zip(
+                steps.items(), (PALETTE[0], ACCENT, PALETTE[2]), strict=False
+            )
+        ]
+        top = max(1.5, *(float(np.max(line.y)) for line in sections if isinstance(line, Line)))
+        panels.append(
+            Panel(
+                marks=(Rule(at=1.0), *sections),
+                x=Axis(label="m", low=0.0, high=float(half)),
+                y=Axis(low=0.0, high=min(1.4 * top, 4.0)),
+                title="n · power" if dims == 1 else "n · power along",
+            )
+        )
+    if projected is not None:
+        title = f"4-D: axes 2, 3 (n = {len(projected)})"
+        panels.append(_square(projected, INK, title=title, labels=("x₂", "x₃")))
+    return Plot(
+        kind="sampler-card",
+        panels=tuple(panels),
+        columns=len(panels),
+        caption="Points, power spectrum, its mean over directions and its sections along the axes.",
+        words=f"{n} points in {dims} dims and their power spectrum.",
+        height=1.0,
+        wide=True,
+    )
+
+
+def _square(
+    x: Array,
+    color: str,
+    *,
+    title: str = "",
+    weights: Array | None = None,
+    axes: tuple[int, int] = (0, 1),
+    named: bool = True,
+    labels: tuple[str, str] = ("", ""),
+) -> Panel:
+    size: float | Array = float(np.clip(50.0 / np.sqrt(len(x)), 0.4, 5.0))
+    first, second = x[:, axes[0]], x[:, axes[1]] if axes[0] != axes[1] else np.full(len(x), 0.5)
+    shown = {} if len(x) > _MOST_NAMED else {"x": numbers(first), "y": numbers(second)}
+    if weights is not None:
+        mean = float(np.abs(weights).mean()) or 1.0
+        size = size * np.sqrt(np.minimum(np.abs(weights) / mean, 16.0))
+        shown |= {"weight": numbers(weights)} if shown else {}
+    digits = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+    said = [
+        label or (f"x{axis}".translate(digits) if named else "")
+        for label, axis in zip(labels, axes, strict=True)
+    ]
+    return Panel(
+        marks=(Dots(x=first, y=second, color=color, size=size, hover=shown),),
+        x=unit_axis(said[0]),
+        y=unit_axis(said[1]),
+        title=title,
+        square=True,
+        framed=True,
+    )
+
+
+def _strips(sets: dict[str, Array], styles: Styles) -> Panel:
+    """A strip for every sampler, with the borders of n equal strata behind the points."""
+    short = labels(list(sets), 26)
+    return _stroke_panel(
+        list(sets.values()),
+        [styles[name].color for name in sets],
+        [short[name] for name in sets],
+        names=list(sets),
+    )
+
+
+def _stroke_panel(
+    sets: Sequence[Array],
+    colors: Sequence[str],
+    rows: Sequence[str],
+    title: str = "",
+    names: Sequence[str] = (),
+) -> Panel:
+    marks: list[Mark] = []
+    for row, (x, color) in enumerate(zip(sets, colors, strict=True)):
+        if len(x) <= _MOST_STRATA and names:
+            border = np.arange(len(x) + 1) / len(x)
+            reach = np.broadcast_to([row - 0.4, row + 0.4], (len(border), 2))
+            ends = np.stack([np.stack([border, border], axis=1), reach], axis=2)
+            marks.append(Segments(ends=ends, color=FAINT, width=0.7))
+        shown = {"sampler": [names[row]] * len(x), "x": numbers(x)} if names else {}
+        marks.append(
+            Dots(
+                x=x, y=np.full(len(x), float(row)), color=color, marker="|", size=20.0, hover=shown
+            )
+        )
+    return Panel(
+        marks=tuple(marks),
+        x=unit_axis("x"),
+        y=name_axis(rows) if names else Axis(low=-0.6, high=0.6, ticks={}),
+        title=title,
+        framed=not names,
+    )

@@ -1,0 +1,537 @@
+"""Frequencies: power spectra, pair correlations, and where in frequency the variance comes from.
+
+Power is shown as n times the power over that of random points, so that random sampling is 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import ParameterError
+from mcspectra.estimators.moments import CONFIDENCE_Z
+from mcspectra.plots.description import (
+    Axis,
+    Bars,
+    Dots,
+    Image,
+    Line,
+    Mark,
+    Panel,
+    Plot,
+    Rule,
+    Scale,
+)
+from mcspectra.plots.groups import (
+    Group,
+    Styles,
+    abreast,
+    for_each,
+    frequency_dims,
+    lines_of,
+    numbers,
+)
+from mcspectra.plots.scales import log_axis, signed_axis, signed_scale
+from mcspectra.plots.style import FAINT, GRAY, INK
+from mcspectra.plots.text import number, percent
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "bands",
+    "contributions",
+    "cross_matrix",
+    "frequency_map",
+    "lines",
+    "modes",
+    "pair_correlation",
+    "radial",
+    "relative_power",
+    "spectrum",
+]
+
+_FLOOR = 1e-4  # power shown at least: below it a set is as good as free of noise
+_LINEAR_TOP = 12.0  # up to here lines are shown on a linear axis
+_MOST_NUMBERS, _MOST_NAMES = 7, 13  # numbers and names of bands along an axis
+_MOST_ENTRIES = 257  # entries a side of a matrix; more are not told apart
+_LEVEL = "the expected power over that of random points (∫1/p / n); m = 0 is left out."
+_INFINITE = "infinite: ∫1/p diverges"
+
+
+def spectrum(group: Group, styles: Styles) -> Plot:
+    """Two-dimensional power spectra side by side, on one colour scale, dc left out."""
+    del styles
+    images = {name: relative_power(each) for name, each in group.items()}
+    # The scale ends at 2, or where all but 1 % of the frequencies stay below
+    every = np.concatenate([np.ravel(values) for values in images.values()])
+    top = max(2.0, float(np.nanpercentile(every, 99.0)))
+    scale = Scale(label=_power_label(group), low=0.0, high=top, beyond=True)
+    panels = [
+        frequency_map(name, group[name], values, scale, "power") for name, values in images.items()
+    ]
+    return Plot(
+        kind="spectrum",
+        panels=tuple(panels),
+        columns=abreast(len(panels)),
+        caption=f"Power spectra on one colour scale: {_LEVEL}",
+        words="Images of the power over the frequencies m₀ and m₁. "
+        + for_each(group, _power_words),
+        height=1.0,
+        share="both",
+    )
+
+
+def lines(group: Group, styles: Styles) -> Plot:
+    """One-dimensional power spectra over m, dc left out, with the level of random points."""
+    curves = {n: (d["m0"].values.astype(float), relative_power(d)) for n, d in group.items()}
+    hover = {}
+    for name, each in group.items():
+        half = each["power_se"].values if "power_se" in each else np.zeros(each.sizes["m0"])
+        half = CONFIDENCE_Z * half * int(each.attrs["n"]) / _random_level(each)
+        power = curves[name][1]
+        hover[name] = [
+            number(float(p), 4) + (f" ± {number(float(h), 2)}" if h > 0 else "")
+            for p, h in zip(power, half, strict=True)
+        ]
+    panel = _power_panel(curves, styles, hover, Axis(label="frequency m (cycles per unit)"))
+    return Plot(
+        kind="lines",
+        panels=(replace(panel, y=replace(panel.y, label=_power_label(group))),),
+        caption=f"Power spectra: {_LEVEL}",
+        words="Power against frequency m. " + for_each(group, _power_words),
+    )
+
+
+def radial(group: Group, styles: Styles) -> Plot:
+    """Mean power over directions against |m| in units of n^(1/d)."""
+    curves = {}
+    for name, each in group.items():
+        n, dims = int(each.attrs["n"]), len(frequency_dims(each))
+        power = n / _random_level(each) * each["radial_power"].values
+        curves[name] = (each["radius"].values / n ** (1 / dims), power)
+    every = np.concatenate([x[x > 0] for x, _ in curves.values()])
+    root = {1: "n", 2: "√n", 3: "∛n"}.get(dims, f"n^(1/{dims})")
+    axis = log_axis(f"|m| / {root}", float(every.min(initial=1.0)), float(every.max(initial=1.0)))
+    hover = {name: numbers(power) for name, (_, power) in curves.items()}
+    panel = _power_panel(curves, styles, hover, axis)
+    return Plot(
+        kind="radial",
+        panels=(replace(panel, y=replace(panel.y, label=_power_label(group))),),
+        caption="Mean power over all directions against the length of the frequency, in units of n "
+        "to the 1/d: the slope at the left decides the rate."
+        + (" In this many dims it stands for the whole spectrum." if dims > 2 else ""),
+        words="Logarithmic plot of n times the radial mean power. " + for_each(group, _power_words),
+    )
+
+
+def pair_correlation(group: Group, styles: Styles) -> Plot:
+    """Pair correlation g(r) with a band of two standard errors, and the level of random points."""
+    curves = {}
+    for name, each in group.items():
+        g, spread = each["pair_correlation"].values, 2.0 * each["pair_correlation_se"].values
+        curves[name] = (each["r"].values, g, g - spread, g + spread)
+    found: list[Mark] = [Rule(at=1.0), *lines_of(curves, styles, ("r", "g"))]
+    axis = Axis(label="pair correlation g(r)", low=0.0)
+    panel = Panel(marks=tuple(found), x=Axis(label="distance r"), y=axis, grid=True)
+    return Plot(
+        kind="pair-correlation",
+        panels=(panel,),
+        caption="Pair correlation g(r) of the points before any warp: density of points at distance r "
+        "from another one, over that of random points, ± two standard errors.",
+        words="Pair correlation against the distance. " + for_each(group, _pair_words),
+        height=0.52,
+    )
+
+
+def contributions(group: Group, styles: Styles) -> Plot:
+    """Contribution of every frequency to the variance: maps in 2-D, else bars over m or shells.
+
+    One panel for each sampler and technique; the grey shape is what the power alone would give.
+    """
+    first = next(iter(group.values()))
+    dims, techniques = len(frequency_dims(first)), first.sizes.get("technique", 1)
+    parts = [
+        (f"{name}, technique {t}" if techniques > 1 else name, name, one)
+        for name, each in group.items()
+        for t in range(techniques)
+        for one in [each.isel(technique=t) if "technique" in each.dims else each]
+    ]
+    panels = []
+    if dims == 2:
+        values = [one["contribution"].transpose("m0", "m1").values for *_, one in parts]
+        scale = signed_scale("contribution cₘ", values)
+        for (title, _, one), each in zip(parts, values, strict=True):
+            power = one["power_contribution"].transpose("m0", "m1").values
+            panels.append(frequency_map(title, one, each, scale, "contribution", power))
+    else:
+        curves = [_by_frequency(one) for *_, one in parts]
+        label = "cₘ" if dims == 1 else "Σ cₘ in the shell"
+        axis = signed_axis(label, [values for _, *both in curves for values in both], 6)
+        for (title, name, _), (m, total, power) in zip(parts, curves, strict=True):
+            shown = {
+                "sampler": [title] * m.size,
+                "m" if dims == 1 else "|m|": numbers(m),
+                "contribution": numbers(total),
+                "power part": numbers(power),
+            }
+            area, bars = "power part |fₘ|² Cₘₘ", "contribution cₘ"
+            marks = (
+                Line(x=m, y=power, low=np.zeros(m.size), high=power, color=FAINT, width=0.0,
+                     step=True, label=area),
+                Bars(at=m, value=total, color=styles[name].color, thickness=0.0, hover=shown,
+                     label=bars),
+                Rule(at=0.0, width=0.6),
+            )  # fmt: skip
+            panels.append(
+                Panel(
+                    marks=marks,
+                    x=Axis(
+                        label="frequency m" if dims == 1 else "shell |m| (rounded)",
+                        low=float(m[0]) - 0.5,
+                        high=float(m[-1]) + 0.5,
+                    ),
+                    y=axis,
+                    title=title,
+                    note="" if np.isfinite(total).any() else _INFINITE,
+                )
+            )
+    what = {1: "at each frequency m", 2: "of each frequency (m₀, m₁)"}.get(
+        dims, f"of each shell of |m| (in {dims} dims the frequencies of a shell are summed)"
+    )
+    return Plot(
+        kind="contributions",
+        panels=tuple(panels),
+        columns=techniques if 1 < techniques <= 3 else abreast(len(panels)),
+        caption=f"Contribution {what} to the variance: all of them sum to the predicted variance; "
+        "negative ones take away."
+        + (" Every technique has a panel of its own." if techniques > 1 else ""),
+        words="Signed contribution of each frequency to the variance. "
+        + for_each(group, _peak_words),
+        height=1.0 if dims == 2 else 0.75 if len(panels) > 1 else 0.5,
+        share="both",
+    )
+
+
+def bands(group: Group, styles: Styles) -> Plot:
+    """Covariance between bands of frequencies, and each band's share of the predicted variance."""
+    del styles  # one legend for all panels: the colours are those of its two entries
+    matrices = {name: each["band_covariance"].values for name, each in group.items()}
+    scale = signed_scale("Cov(I_a, I_b)", list(matrices.values()))
+    shares = {name: _band_shares(matrix) for name, matrix in matrices.items()}
+    axis = signed_axis("share of variance", [v for both in shares.values() for v in both], 6)
+    panels = []
+    for name, matrix in matrices.items():
+        attributes = group[name]["band"].attrs if "band" in group[name].coords else {}
+        unit = ", |m|" if "radial" in attributes.get("long_name", "radial") else ""
+        count, (own, through) = len(matrix), shares[name]
+        names = str(attributes.get("labels", "")).split(", ")
+        names = names if len(names) == count else [str(band) for band in range(count)]
+        # Name all bands, or every second, fourth, … where they are many
+        most, stride = _MOST_NUMBERS if all(n.isdigit() for n in names) else _MOST_NAMES, 1
+        while count / stride > most:
+            stride *= 2
+        ticks = {float(k): names[k] for k in range(0, count, stride)}
+        at = np.arange(float(count))
+        each = {"share of band a by itself": own, "share of band a with others": through}
+        marks = [
+            Bars(
+                at=at + side,
+                value=part,
+                color=color,
+                thickness=0.4,
+                label=label,
+                hover={"band": names, "share": [_share(s) for s in part]},
+            )
+            for side, part, color, label in (
+                (-0.2, own, GRAY, "within the band"),
+                (0.2, through, INK, "with other bands"),
+            )
+        ]
+        panels.append(
+            Panel(
+                marks=(*marks, Rule(at=0.0, width=0.6)),
+                x=Axis(label=f"band a{unit}", low=-0.7, high=count - 0.3, ticks=ticks),
+                y=axis,
+                title=name,
+                note="" if np.isfinite(own).any() else "no finite share",
+            )
+        )
+        image = Image(
+            values=matrix,
+            x=at,
+            y=at,
+            scale=scale,
+            name="covariance",
+            hover={title: np.broadcast_to(v[:, None], matrix.shape) for title, v in each.items()},
+        )
+        finite = np.isfinite(matrix).any()
+        panels.append(
+            Panel(
+                marks=(image,),
+                x=Axis(label=f"band b{unit}", low=-0.5, high=count - 0.5, ticks=ticks),
+                y=Axis(label=f"band a{unit}", low=-0.5, high=count - 0.5, ticks=ticks),
+                title=name,
+                square=True,
+                note="" if finite else _INFINITE,
+            )
+        )
+    first = next(iter(group.values()))
+    meaning = str(first["band"].attrs.get("long_name", "")) if "band" in first.coords else ""
+    meaning = (
+        meaning.removeprefix("band (").removesuffix(")") or "shells of |m|, one frequency wide"
+    )
+    return Plot(
+        kind="bands",
+        panels=tuple(panels),
+        columns=2,
+        caption=f"Covariance between bands of frequencies ({meaning}), and each band's share of the "
+        "predicted variance by itself and through the other bands.",
+        words="Matrix of covariances between frequency bands. " + for_each(group, _band_words),
+        height=0.92,
+        wide=not all(name.isdigit() for name in names),
+    )
+
+
+def cross_matrix(group: Group, styles: Styles) -> Plot:
+    """Cross matrix conj(f_m) f_l C_ml of one-dimensional results, real and imaginary parts."""
+    del styles
+    inner = {}
+    for name, each in group.items():
+        matrix = each["cross_matrix"]
+        if matrix.dims[-2:] != ("m", "l") or {"m_0", "m_technique"} & set(map(str, matrix.coords)):
+            raise ParameterError(
+                "The cross matrix is drawn for one-dimensional results of one technique only; draw "
+                "contributions or bands."
+            )
+        # Around dc, as large as a panel can show
+        cut = max(matrix.sizes["m"] - _MOST_ENTRIES, 0) // 2
+        inside: Any = slice(cut, matrix.sizes["m"] - cut)
+        inner[name] = matrix.isel(m=inside, l=inside)
+    scale = signed_scale("conj(fₘ) fₗ Cₘₗ", [matrix.values.real for matrix in inner.values()])
+    panels = []
+    for name, matrix in inner.items():
+        m = matrix["m"].values.astype(float)
+        ends = {"low": float(m[0]) - 0.5, "high": float(m[-1]) + 0.5, "ticks": _frequency_ticks(m)}
+        # Frame the row and the column of frequency 0
+        dc = [Rule(at=at, axis=axis, width=0.4) for at in (-0.5, 0.5) for axis in ("x", "y")]
+        for part, word in ((matrix.values.real, "real"), (matrix.values.imag, "imaginary")):
+            panels.append(
+                Panel(
+                    marks=(Image(values=part, x=m, y=m, scale=scale, name=f"{word} part"), *dc),
+                    x=Axis(label="l", **ends),  # type: ignore[arg-type]
+                    y=Axis(label="m", **ends),  # type: ignore[arg-type]
+                    title=f"{name}: {word}",
+                    square=True,
+                    note="" if np.isfinite(part).any() else _INFINITE,
+                )
+            )
+    return Plot(
+        kind="cross-matrix",
+        panels=tuple(panels),
+        columns=2,
+        caption="Cross matrix conj(fₘ) fₗ Cₘₗ: its sum is the predicted variance. The diagonal is the "
+        "power term, the framed row and column belong to frequency 0.",
+        words="Real and imaginary parts of the cross matrix, with the diagonal m = l and the row and "
+        f"column of dc marked, for {', '.join(group)}.",
+        height=1.0,
+        share="both",
+    )
+
+
+def modes(group: Group, styles: Styles) -> Plot:
+    """Eigenvalues of the covariance of the coefficients, and in 1-D or 2-D the leading modes."""
+    most = 2  # modes drawn
+    first = next(iter(group.values()))
+    dims = frequency_dims(first)
+    values = {name: np.abs(each["mode_vector"].values[:most]) ** 2 for name, each in group.items()}
+    scale = Scale(
+        label="|mode|²",
+        low=0.0,
+        high=max(float(np.nanmax(v, initial=0.0)) for v in values.values()) or 1.0,
+    )
+    panels = []
+    for name, each in group.items():
+        size, color = each["eigenvalue"].values, styles[name].color
+        at, spread = np.arange(float(size.size)), CONFIDENCE_Z * each["eigenvalue_se"].values
+        share = [_share(s) for s in each["eigenvalue_share"].values]
+        shown = {"mode": numbers(at), "eigenvalue": numbers(size), "share of the trace": share}
+        dots = Dots(
+            x=at,
+            y=np.where(size > 0, size, np.nan),
+            color=color,
+            marker=styles[name].marker,
+            low=np.where(size > spread, size - spread, np.nan),
+            high=size + spread,
+            label="eigenvalue, with its 95 % interval",
+            hover=shown,
+        )
+        edge = float(each["noise_edge"]) if "noise_edge" in each else np.nan
+        rule = [Rule(at=edge, dashes="--", label="largest of pure noise")] if edge > 0 else []
+        every = np.array([*size, *(size + spread), *(r.at for r in rule)])
+        every = every[np.isfinite(every) & (every > 0)]
+        axis = log_axis("eigenvalue", float(every.min(initial=np.inf)), float(every.max(initial=0)))
+        ticks = {float(k): str(k) for k in range(0, size.size, max(1, size.size // 6))}
+        modes_axis = Axis(label="mode", low=-0.6, high=size.size - 0.4, ticks=ticks)
+        panels.append(Panel(marks=(*rule, dots), x=modes_axis, y=axis, title=name, grid=True))
+        for k, mode in enumerate(values[name] if len(dims) <= 2 else ()):
+            title = f"mode {k}, {share[k]}"
+            if len(dims) == 2:
+                panels.append(frequency_map(title, each, mode, scale, "|mode|²"))
+                continue
+            m = each[dims[0]].values.astype(float)
+            line = Line(x=m, y=mode, color=color, step=True)
+            panels.append(
+                Panel(
+                    marks=(line,), x=Axis(label="frequency m"), y=Axis(label="|mode|²"), title=title
+                )
+            )
+    return Plot(
+        kind="modes",
+        panels=tuple(panels),
+        columns=len(panels) // len(group),
+        caption="Leading eigenvalues of the covariance of the coefficients, the largest that pure noise "
+        "would have, and at which frequencies the first modes live.",
+        words="Eigenvalues of the covariance. "
+        + for_each(group, lambda d: ", ".join(numbers(d["eigenvalue"].values[:3], 3))),
+        height=0.95 if len(dims) == 2 else 0.62,
+        wide=len(panels) > len(group),
+    )
+
+
+def relative_power(data: xr.Dataset) -> Array:
+    """Return n · power over that of random points, (m0, m1, …), with NaN at m = 0."""
+    names = frequency_dims(data)
+    scale = int(data.attrs["n"]) / _random_level(data)
+    power = np.array(scale * data["power"].transpose(*names).values)
+    power[tuple(size // 2 for size in power.shape)] = np.nan
+    return power
+
+
+def _random_level(data: xr.Dataset) -> float:
+    """∫1/p of the points' density, what n · power is for random points; 1 where it diverges."""
+    level = float(data.attrs.get("random_level", 1.0))
+    return level if np.isfinite(level) else 1.0
+
+
+def _power_label(group: Group) -> str:
+    weighted = any(_random_level(each) != 1.0 for each in group.values())
+    return f"n · ⟨|Sₘ|²⟩{' / ∫1/p' if weighted else ''}   (random: 1)"
+
+
+def _power_panel(
+    curves: Mapping[str, tuple[Array, Array]],
+    styles: Styles,
+    hover: Mapping[str, Sequence[str]],
+    axis: Axis,
+) -> Panel:
+    """Power as lines; logarithmic where frequencies are, or peaks would hide the rest."""
+    every = np.concatenate([y[np.isfinite(y)] for _, y in curves.values()])
+    top, low = float(every.max(initial=1.5)), float(every.min(initial=0.5))
+    logarithmic = axis.kind == "log" or top > _LINEAR_TOP
+    shown = {n: (x, np.maximum(y, _FLOOR) if logarithmic else y) for n, (x, y) in curves.items()}
+    under = (axis.label.partition(" ")[0], "power")
+    marks: list[Mark] = [Rule(at=1.0), *lines_of(shown, styles, under, texts=hover)]
+    power = log_axis("", max(low, _FLOOR), top) if logarithmic else Axis(low=0.0, high=1.08 * top)
+    return Panel(marks=tuple(marks), x=axis, y=power, grid=True)
+
+
+def frequency_map(
+    title: str, data: xr.Dataset, values: Array, scale: Scale, name: str, power: Array | None = None
+) -> Panel:
+    """Return a panel of values (m0, m1) over both frequencies."""
+    m0, m1 = (data[m].values.astype(float) for m in ("m0", "m1"))
+    more = {} if power is None else {"power part": power.T}
+    x, y = (
+        Axis(
+            label=label,
+            low=1.5 * float(m[0]) - 0.5 * float(m[1]) if m.size > 1 else None,
+            high=1.5 * float(m[-1]) - 0.5 * float(m[-2]) if m.size > 1 else None,
+            ticks=_frequency_ticks(m),
+        )
+        for label, m in (("m₀", m0), ("m₁", m1))
+    )
+    return Panel(
+        marks=(Image(values=values.T, x=m0, y=m1, scale=scale, name=name, hover=more),),
+        x=x,
+        y=y,
+        title=title,
+        square=True,
+        note="" if np.isfinite(values).any() else _INFINITE,
+    )
+
+
+def _frequency_ticks(m: Array) -> dict[float, str]:
+    return {float(t): f"{t:g}".replace("-", "−") for t in sorted({m[0], 0.0, m[-1]})}
+
+
+def _by_frequency(data: xr.Dataset) -> tuple[Array, Array, Array]:
+    """Frequencies, contributions and their power part: by m in 1-D, summed over shells otherwise."""
+    dims = frequency_dims(data)
+    total, power = (
+        data[name].transpose(*dims).values for name in ("contribution", "power_contribution")
+    )
+    axes = [data[d].values.astype(float) for d in dims]
+    if len(dims) == 1:
+        return axes[0], total, power
+    length = np.sqrt(sum(np.square(m) for m in np.meshgrid(*axes, indexing="ij")))
+    shell = np.rint(length).astype(np.int64).ravel()
+    # Shells beyond the half width are cut by the corners of the grid, and say little
+    keep = int(max(axes[0])) + 1
+    summed = [np.bincount(shell, values.ravel())[:keep] for values in (total, power)]
+    return np.arange(float(keep)), summed[0], summed[1]
+
+
+def _band_shares(matrix: Array) -> tuple[Array, Array]:
+    """Share of every band in the predicted variance: by itself, and through the other bands."""
+    total = float(matrix.sum())
+    if not np.isfinite(total) or total == 0:
+        return np.full(len(matrix), np.nan), np.full(len(matrix), np.nan)
+    own = np.diag(matrix) / total
+    return own, matrix.sum(axis=1) / total - own
+
+
+def _share(value: float) -> str:
+    return percent(float(value)) if np.isfinite(value) else "no finite share"
+
+
+def _power_words(data: xr.Dataset) -> str:
+    if "radial_power" not in data:
+        return f"n = {data.attrs['n']}"
+    low, high = (int(data.attrs["n"]) * float(data["radial_power"].values[i]) for i in (0, -1))
+    return f"{number(low)} at the lowest and {number(high)} at the highest frequencies"
+
+
+def _pair_words(data: xr.Dataset) -> str:
+    g = data["pair_correlation"].values
+    if not np.isfinite(g).any():
+        return "no number"
+    least = int(np.nanargmin(g))
+    return f"least {number(float(g[least]))} at r = {number(float(data['r'].values[least]))}"
+
+
+def _peak_words(data: xr.Dataset) -> str:
+    """Where the contribution is largest; of ±m, which are equal, the later one."""
+    values = data["contribution"]
+    if not np.isfinite(values.values).any():
+        return "infinite"
+    flat = np.abs(np.nan_to_num(values.values)).ravel()
+    place = np.unravel_index(len(flat) - 1 - int(np.argmax(flat[::-1])), values.shape)
+    at = [
+        f"{values[d].values[i]:g}"
+        for d, i in zip(values.dims, place, strict=True)
+        if str(d) in frequency_dims(data)
+    ]
+    peak = number(float(values.values[place]))
+    return f"largest, {peak}, at m = ±({', '.join(at)})".replace("-", "−")
+
+
+def _band_words(data: xr.Dataset) -> str:
+    own, _ = _band_shares(data["band_covariance"].values)
+    if not np.isfinite(own).any():
+        return "no finite share"
+    return f"{percent(float(own.sum()))} of the predicted variance on the diagonal"

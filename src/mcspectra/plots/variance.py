@@ -1,0 +1,613 @@
+"""The variance itself: against n, its terms, routes to it, where it comes from, what lowers it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.estimators.moments import CONFIDENCE_Z
+from mcspectra.plots.description import Axis, Bars, Dots, Line, Mark, Panel, Plot, Rule
+from mcspectra.plots.groups import Group, Styles, abreast, for_each, intervals, lines_of, numbers
+from mcspectra.plots.scales import count_axis, linear_axis, log_axis, name_axis, signed_axis
+from mcspectra.plots.style import (
+    ACCENT,
+    GRAY,
+    INK,
+    MARKERS,
+    PALETTE,
+    LineStyle,
+    labels,
+)
+from mcspectra.plots.text import MISSING, NEGLIGIBLE, number, number_beside, percent, rate, shorten
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "anova",
+    "captured",
+    "convergence",
+    "exact",
+    "remedies",
+    "routes",
+    "strategy_curves",
+    "technique_rates",
+    "techniques",
+    "terms",
+    "usable_counts",
+]
+
+_TERMS = {
+    "dc_term": "dc",
+    "power_term": "power",
+    "cross_term": "cross",
+    "predicted_variance": "sum: predicted",
+    "measured_variance": "measured",
+}
+_LINEAR_TOP = 4.0  # captured shares up to here are shown on a linear axis
+_VERDICTS = {"better": "#009E73", "worse": ACCENT, "given": INK}
+_CURVE = ("variance", "variance_ci", "rate", "rate_ci")
+_INFINITE = "infinite: ∫1/p diverges"
+
+
+def convergence(group: Group, styles: Styles) -> Plot:
+    """Variance against n with intervals, fitted lines and rates; dotted, n⁻¹.
+
+    Variances that are zero or rounding noise are left out and counted in the legend.
+    """
+    names = labels(list(group), 44)
+    curves = [
+        mark for name, each in group.items() for mark in _curve(each, styles[name], names[name])
+    ]
+    left_out = any(not usable_counts(each).all() for each in group.values())
+    return Plot(
+        kind="convergence",
+        panels=(_variance_panel([*_reference(group), *curves], group.values()),),
+        caption="Variance against the number of points, with 95 % intervals, fitted lines and their "
+        "rates; dotted, the rate of random sampling."
+        + (" Variances of zero or of rounding size are left out." if left_out else ""),
+        words="Logarithmic plot of variance against n. " + for_each(group, _rate_words),
+    )
+
+
+def strategy_curves(curves: xr.Dataset, names: Mapping[str, str], styles: Styles) -> Plot:
+    """Variance against n, a panel for each strategy, a line for each sampler.
+
+    Parameters
+    ----------
+    curves
+        Results of `convergence` on (strategy, sampler, n).
+    names
+        Titles of the strategies.
+    styles
+        How each sampler is drawn.
+    """
+    panels, said = _curve_panels(
+        {
+            names[strategy]: {
+                shorten(sampler): (curves.sel(strategy=strategy, sampler=sampler), styles[sampler])
+                for sampler in map(str, curves["sampler"].values)
+            }
+            for strategy in map(str, curves["strategy"].values)
+        },
+        "number of samples n of each technique",
+        joined=True,
+    )
+    return Plot(
+        kind="strategy-curves",
+        panels=panels,
+        columns=2,
+        caption="Variance against n by each strategy, with 95 % intervals.",
+        words=said,
+        share="both",
+        wide=True,
+    )
+
+
+def exact(group: Group, styles: Styles) -> Plot:
+    """Exact variances against n."""
+    curves = {}
+    for name, each in group.items():
+        there = each["exact_variance"].values > 0
+        n, variance = each["n"].values.astype(float), each["exact_variance"].values
+        curves[name] = (n[there], variance[there])
+    notes = {name: "" if n.size else ": no closed form" for name, (n, _) in curves.items()}
+    marks: list[Mark] = []
+    for name, line in zip(
+        curves, lines_of(curves, styles, ("n", "exact variance"), notes=notes), strict=True
+    ):
+        marker = styles[name].marker
+        dots = Dots(x=line.x, y=line.y, color=line.color, marker=marker, label=line.label)
+        marks += [line, dots]
+    values = np.concatenate([each["exact_variance"].values for each in group.values()])
+    counts = [int(n) for each in group.values() for n in each["n"].values]
+    found = values[values > 0]
+    return Plot(
+        kind="exact",
+        panels=(
+            Panel(
+                marks=tuple(marks),
+                x=count_axis("number of points n", counts),
+                y=log_axis("exact variance", *_ends(found)),
+                grid=True,
+                note="" if found.size else "no closed form is known",
+            ),
+        ),
+        caption="Exact variance against the number of points, by closed form or quadrature.",
+        words="Logarithmic plot of exact variance against n. "
+        + for_each(group, lambda each: ", ".join(numbers(each["exact_variance"].values))),
+    )
+
+
+def terms(group: Group, styles: Styles) -> Plot:
+    """Dc, power and cross term, their sum and the measured variance as signed bars."""
+    values = {n: np.array([float(d[term]) for term in _TERMS]) for n, d in group.items()}
+    ends = {
+        n: np.array([d[f"{t}_ci"].values if f"{t}_ci" in d else [math.nan] * 2 for t in _TERMS])
+        for n, d in group.items()
+    }
+    above = [_above_rounding(each) for each in values.values()]
+    axis = signed_axis("part of the variance", above)
+    # Make room for the ends of intervals, but no more than as much again as the bars take
+    finite = np.concatenate(list(ends.values()))
+    finite = finite[np.isfinite(finite)]
+    low, high = axis.low or 0.0, axis.high or 0.0
+    axis = replace(
+        axis,
+        low=max(min(low, 1.05 * float(finite.min(initial=0.0))), 2 * low - high),
+        high=min(max(high, 1.05 * float(finite.max(initial=0.0))), 2 * high - low),
+    )
+    panels = []
+    for (name, each), shown in zip(values.items(), above, strict=True):
+        largest = float(np.max(np.abs(each), where=np.isfinite(each), initial=0.0))
+        texts = [_INFINITE if math.isinf(v) else number_beside(v, largest) for v in each]
+        whiskers = np.where((shown != 0)[:, None], ends[name], np.nan)
+        rows, opacities = list(_TERMS.values()), (0.35, 0.35, 0.35, 0.75, 1.0)
+        color = styles[name].color
+        panels.append(_bar_panel(name, color, rows, shown, whiskers, texts, axis, opacities))
+    return Plot(
+        kind="terms",
+        panels=tuple(panels),
+        caption="The terms of the variance, signed: dc + power + cross = predicted, with the measured "
+        "variance below; whiskers are 95 % intervals.",
+        words="Bars of the three terms. " + for_each(group, _term_words),
+        height=0.24,
+        share="x",
+    )
+
+
+def captured(group: Group, styles: Styles) -> Plot:
+    """Predicted over measured variance against the half width of the spectrum."""
+    curves = {n: d["captured_by_half_width"].values for n, d in group.items()}
+    every = np.concatenate(list(curves.values()))
+    # Half width 0 is the dc term alone: rounding (1e-20) where weights are uniform
+    positive = every[np.isfinite(every) & (every > NEGLIGIBLE)]
+    logarithmic = float(positive.max(initial=1.0)) > _LINEAR_TOP
+    shown = {
+        name: (
+            group[name]["half_width"].values.astype(float),
+            np.where(curve > NEGLIGIBLE, curve, np.nan) if logarithmic else curve,
+        )
+        for name, curve in curves.items()
+    }
+    none = {n: "" if np.isfinite(c).any() else ": no finite prediction" for n, c in curves.items()}
+    marks: list[Mark] = [
+        Rule(at=1.0),
+        *lines_of(shown, styles, ("half width", "share"), notes=none),
+    ]
+    label, top = "predicted / measured", float(positive.max(initial=1.0))
+    axis = (
+        log_axis(label, min(float(positive.min(initial=1.0)), 1.0), top)
+        if logarithmic
+        else Axis(label=label, low=0.0, high=max(1.1, 1.08 * top))
+    )
+    widest = max(float(each["half_width"].values[-1]) for each in group.values())
+    below = Axis(label="half width of the spectrum", low=0.0, high=1.03 * widest)
+    panel = Panel(marks=tuple(marks), x=below, y=axis, grid=True)
+    return Plot(
+        kind="captured",
+        panels=(panel,),
+        caption="Share of the measured variance that the spectrum predicts when it is cut at each half "
+        "width; at 1 nothing is missing.",
+        words="Predicted over measured variance against the half width. "
+        + for_each(group, _captured_words),
+        height=0.5,
+    )
+
+
+def techniques(group: Group, styles: Styles) -> Plot:
+    """Covariance of each pair of techniques at the largest n: what each contributes."""
+    panels = []
+    group = {name: each.isel(n=-1) if "n" in each.dims else each for name, each in group.items()}
+    values = {name: each["technique_covariance"].values for name, each in group.items()}
+    axis = signed_axis("part of the variance", [2.0 * v for v in values.values()], 5)
+    for name, each in group.items():
+        matrix, ends = values[name], each["technique_variance_ci"].values
+        places = [(i, j) for i in range(len(matrix)) for j in range(i, len(matrix))]
+        places.sort(key=lambda place: place[0] != place[1])  # variances, then covariances
+        shown = np.array([matrix[i, j] * (1 if i == j else 2) for i, j in places])
+        whiskers = np.array([ends[i] if i == j else [math.nan] * 2 for i, j in places])
+        texts = numbers(shown, 3)
+        rows = [f"technique {i}" if i == j else f"2 Cov({i}, {j})" for i, j in places]
+        color = styles[name].color
+        panels.append(_bar_panel(name, color, rows, shown, whiskers, texts, axis))
+    return Plot(
+        kind="techniques",
+        panels=tuple(panels),
+        caption="What each technique contributes to the variance, and each pair through its covariance; "
+        "the bars sum to the measured variance. Whiskers are 95 % intervals.",
+        words="Bars of the techniques' variances. "
+        + for_each(
+            group, lambda d: ", ".join(numbers(np.diag(d["technique_covariance"].values), 3))
+        ),
+        height=0.1 + 0.05 * max(len(panel.y.ticks or ()) for panel in panels),
+        share="x" if len({v.shape for v in values.values()}) == 1 else "",
+    )
+
+
+def technique_rates(group: Group, styles: Styles) -> Plot:
+    """Variance of each technique against n with its rate, a panel for each sampler."""
+    del styles  # colours are those of the techniques
+    curves: dict[str, dict[str, tuple[xr.Dataset, LineStyle]]] = {}
+    for name, each in group.items():
+        curves[name] = {
+            f"technique {t}": (
+                each[["mean"]].assign(
+                    {k: each[f"technique_{k}"].isel(technique=t) for k in _CURVE}
+                ),
+                LineStyle(color=PALETTE[t % len(PALETTE)], marker=MARKERS[t % len(MARKERS)]),
+            )
+            for t in range(each.sizes["technique"])
+        }
+        measured = {k: each[k.replace("variance", "measured_variance")] for k in _CURVE}
+        whole = (each[["mean"]].assign(measured), LineStyle(color=INK, marker="X", dashes="--"))
+        curves[name]["all together"] = whole
+    panels, said = _curve_panels(curves)
+    return Plot(
+        kind="technique-rates",
+        panels=panels,
+        columns=min(2, len(panels)),
+        caption="Variance of each technique's part of the estimate and of their sum against the number "
+        "of points, with 95 % intervals and rates: the slowest technique decides the rate.",
+        words=said,
+        share="both",
+    )
+
+
+def anova(group: Group, styles: Styles) -> Plot:
+    """Variance of each axis of primary space and of each pair of axes, the largest first."""
+    most, panels = 12, []
+    for name, each in group.items():
+        variance, error = each["anova_variance"].values, each["anova_variance_se"].values
+        order = np.argsort(-variance, kind="stable")[:most]
+        rows = [str(each["subset_label"].values[k]) for k in order]
+        low, high = (variance + sign * CONFIDENCE_Z * error for sign in (-1, 1))
+        ends = np.stack([low, high], axis=-1)[order]
+        texts = numbers(variance[order], 3)
+        least, top = float(ends.min(initial=0.0)), float(ends.max(initial=0.0))
+        color, axis = styles[name].color, linear_axis("part of the variance", least, top, 5)
+        panels.append(_bar_panel(name, color, rows, variance[order], ends, texts, axis))
+    shown = max(len(panel.y.ticks or ()) for panel in panels)
+    more = max(each.sizes["subset"] for each in group.values()) - shown
+    return Plot(
+        kind="anova",
+        panels=tuple(panels),
+        columns=min(2, abreast(len(panels))),
+        caption="Part of the variance that comes from each axis of primary space alone and from each set "
+        "of axes together, the largest first; whiskers are 95 % intervals."
+        + (f" {more} smaller parts are left out." if more > 0 else ""),
+        words="Bars of the axes' parts of the variance. "
+        + for_each(
+            group,
+            lambda d: (
+                "most from "
+                + ", ".join(
+                    str(d["subset_label"].values[k])
+                    for k in np.argsort(-d["anova_variance"].values)[:3]
+                )
+            ),
+        ),
+        height=0.12 + 0.05 * shown,
+    )
+
+
+def routes(group: Group, styles: Styles) -> Plot:
+    """The variance by every route, with intervals."""
+    every = np.concatenate([_route_ends(each).ravel() for each in group.values()])
+    axis = log_axis("variance", *_ends(every[every > 0]))
+    panels = []
+    for name, each in group.items():
+        rows, ends = [str(route) for route in each["route"].values], _route_ends(each)
+        value = each["route_variance"].values
+        dots = Dots(
+            x=np.where(value > 0, value, np.nan),
+            y=np.arange(float(len(rows))),
+            color=styles[name].color,
+            marker=styles[name].marker,
+            size=5.0,
+            low=ends[:, 0],
+            high=ends[:, 1],
+            across=True,
+            hover={
+                "sampler": [name] * len(rows),
+                "route": rows,
+                "variance": numbers(value),
+                "95 %": intervals(ends),
+                "share of ∫f²": [
+                    percent(float(s)) if np.isfinite(s) else MISSING
+                    for s in each["energy_share"].values
+                ],
+            },
+        )
+        panels.append(Panel(marks=(dots,), x=axis, y=name_axis(rows), title=name, grid=True))
+    most = max(len(panel.y.ticks or ()) for panel in panels)
+    return Plot(
+        kind="routes",
+        panels=tuple(panels),
+        columns=min(2, abreast(len(panels))),
+        caption="The variance by each route, from the most trusted at the top to the measurement, with "
+        "95 % intervals.",
+        words="Variances by route. "
+        + for_each(
+            group,
+            lambda d: ", ".join(
+                f"{r} {number(float(v))}"
+                for r, v in zip(d["route"].values, d["route_variance"].values, strict=True)
+            ),
+        ),
+        height=0.14 + 0.06 * most,
+        share="x",
+    )
+
+
+def remedies(group: Group, styles: Styles) -> Plot:
+    """Error of every change relative to the set-up as given, with intervals."""
+    del styles  # colours are those of the verdicts
+    known = np.concatenate([each["error_ratio_ci"].values.ravel() for each in group.values()])
+    known = known[np.isfinite(known) & (known > 0)]
+    axis = log_axis(
+        "error / error of the set-up as given",
+        float(known.min(initial=0.5)),
+        float(known.max(initial=2.0)),
+    )
+    panels = []
+    for name, each in group.items():
+        ratio, ends = each["error_ratio"].values, np.maximum(each["error_ratio_ci"].values, 1e-12)
+        rows, verdicts = (each[key].values.astype(str) for key in ("remedy", "verdict"))
+        marks: list[Mark] = [Rule(at=1.0, axis="x", color=GRAY, width=0.7)]
+        for verdict in dict.fromkeys(verdicts):
+            of = (verdicts == verdict) & (ratio > 0)
+            shown = {
+                "remedy": list(rows[of]),
+                "ratio": numbers(ratio[of], 3),
+                "interval": intervals(ends[of], 3),
+            }
+            marks.append(
+                Dots(
+                    x=ratio[of],
+                    y=np.flatnonzero(of).astype(float),
+                    color=_VERDICTS.get(verdict, GRAY),
+                    low=ends[of, 0],
+                    high=ends[of, 1],
+                    across=True,
+                    label="" if verdict == "given" else verdict,
+                    hover=shown,
+                )
+            )
+        names = name_axis([shorten(row, 44) for row in rows])
+        panels.append(
+            Panel(marks=tuple(marks), x=axis, y=names, title=name if len(group) > 1 else "")
+        )
+    return Plot(
+        kind="remedies",
+        panels=tuple(panels),
+        caption="Error of each change over that of the set-up as given, with intervals that hold "
+        "together at 95 %; left of 1 there is less noise.",
+        words="Ratios of errors. " + for_each(group, _ratio_words),
+        height=0.1 + 0.045 * max(each.sizes["remedy"] for each in group.values()),
+        share="x",
+    )
+
+
+def usable_counts(curve: xr.Dataset) -> Array:
+    """Return which counts have a variance above rounding noise: bool (n,).
+
+    The floor is that of the fit: a mean of n terms of size |I| is good to a few ulps.
+    """
+    variance = curve["variance"].values
+    floor = (16 * np.finfo(float).eps * np.abs(curve["mean"].values)) ** 2
+    return np.asarray(np.isfinite(variance) & (variance > floor))
+
+
+def _bar_panel(
+    name: str,
+    color: str,
+    rows: Sequence[str],
+    values: Array,
+    ends: Array,
+    texts: Sequence[str],
+    axis: Axis,
+    opacities: Sequence[float] = (),
+) -> Panel:
+    """Lying bars of one sampler, their names at the left and their values at the right."""
+    opacity = np.array(opacities or [1.0] * len(rows))
+    marks: list[Mark] = []
+    for each in dict.fromkeys(opacity):
+        k = np.flatnonzero(opacity == each)
+        own, said = ([each_[i] for i in k.tolist()] for each_ in (rows, texts))
+        marks.append(
+            Bars(
+                at=k.astype(float),
+                value=np.where(np.isfinite(values), values, np.nan)[k],
+                color=color,
+                thickness=0.68,
+                low=ends[k, 0],
+                high=ends[k, 1],
+                lying=True,
+                opacity=float(each),
+                texts=said,
+                hover={
+                    "sampler": [name] * k.size,
+                    "part": own,
+                    "value": said,
+                    "95 %": intervals(ends[k]),
+                },
+            )
+        )
+    marks.append(Rule(at=0.0, axis="x", color=GRAY, width=0.7))
+    return Panel(marks=tuple(marks), x=axis, y=name_axis(rows), title=name)
+
+
+def _variance_panel(marks: Sequence[Mark], results: Iterable[xr.Dataset]) -> Panel:
+    """Axes for variances against n; a note where there is none above rounding."""
+    each = list(results)
+    counts = [int(n) for data in each for n in data["n"].values]
+    ends = [data["variance_ci"].values[usable_counts(data)].ravel() for data in each]
+    every = np.concatenate(ends)
+    every = every[np.isfinite(every) & (every > 0)]
+    axis = log_axis("variance", *_ends(every))
+    return Panel(
+        marks=tuple(marks),
+        x=count_axis("number of points n", counts),
+        y=axis if every.size else replace(axis, ticks={}),
+        grid=True,
+        note="" if every.size else "no variance above rounding noise",
+    )
+
+
+def _curve_panels(
+    parts: Mapping[str, Mapping[str, tuple[xr.Dataset, LineStyle]]],
+    label: str = "number of points n",
+    *,
+    joined: bool = False,
+) -> tuple[tuple[Panel, ...], str]:
+    """Panels of curves by title and name, on the same axes, and their rates in words."""
+    every = [data for curves in parts.values() for data, _ in curves.values()]
+    panels, said = [], []
+    for title, curves in parts.items():
+        marks = [m for name, each in curves.items() for m in _curve(*each, name, joined=joined)]
+        panel = _variance_panel(marks, every)
+        panels.append(replace(panel, x=replace(panel.x, label=label), title=title))
+        said += [f"{title}, {name}: {_rate_text(data)}" for name, (data, _) in curves.items()]
+    return tuple(panels), f"Logarithmic plots of variance against n. {'; '.join(said)}."
+
+
+def _curve(data: xr.Dataset, style: LineStyle, name: str, *, joined: bool = False) -> list[Mark]:
+    """Points with whiskers, and the fitted line; `joined` instead joins the points."""
+    used = usable_counts(data)
+    n, variance = data["n"].values[used].astype(float), data["variance"].values[used]
+    ends, text = data["variance_ci"].values[used], _rate_text(data)
+    label = name if joined else f"{name}  {text}"
+    dots = Dots(
+        x=n,
+        y=variance,
+        color=style.color,
+        marker=style.marker,
+        low=np.maximum(ends[:, 0], np.finfo(float).tiny),
+        high=ends[:, 1],
+        label=label,
+        hover={
+            "sampler": [name] * n.size,
+            "n": [f"{int(count)}" for count in n],
+            "variance": numbers(variance, 6),
+            "95 %": intervals(ends),
+            "rate": [text] * n.size,
+        },
+    )
+    slope = float(data["rate"])
+    if joined or not math.isfinite(slope):
+        line = [
+            Line(x=n, y=variance, color=style.color, dashes=style.dashes, width=1.0, label=label)
+        ]
+        return [*(line if joined else ()), dots]
+    # The fitted line goes through the fit's weighted centre, with its slope
+    last = int(data.attrs.get("fit_last", used.size))
+    fitted = used & (np.arange(used.size) >= used.size - last)
+    x, y = np.log(data["n"].values[fitted]), np.log(data["variance"].values[fitted])
+    low, high = np.log(data["variance_ci"].values[fitted]).T
+    weight = (2 * CONFIDENCE_Z / np.maximum(high - low, 1e-12)) ** 2
+    centre, level = np.average(x, weights=weight), np.average(y, weights=weight)
+    at = x[[0, -1]]
+    return [
+        Line(
+            x=np.exp(at),
+            y=np.exp(level + slope * (at - centre)),
+            color=style.color,
+            dashes=style.dashes,
+            width=1.0,
+            label=label,
+        ),
+        dots,
+    ]
+
+
+def _reference(group: Group) -> list[Mark]:
+    """The rate n⁻¹ through the largest variance at the smallest n."""
+    starts = [
+        float(d["n"].values[i]) * float(d["variance"].values[i])
+        for d in group.values()
+        for i in np.flatnonzero(usable_counts(d))[:1]
+    ]
+    counts = np.concatenate([each["n"].values for each in group.values()]).astype(float)
+    ends = np.array([counts.min(), counts.max()])
+    if not starts or ends[0] == ends[1]:
+        return []
+    label = "n⁻¹, the rate of random sampling"
+    return [Line(x=ends, y=max(starts) / ends, color=GRAY, dashes=":", width=0.8, label=label)]
+
+
+def _rate_text(data: xr.Dataset) -> str:
+    text = rate(float(data["rate"]), *(float(end) for end in data["rate_ci"].values))
+    used = usable_counts(data)
+    note = "" if used.all() else f"; {int((~used).sum())} of {used.size} at rounding level"
+    return (text if text != MISSING else "(no rate)") + note
+
+
+def _above_rounding(values: Array) -> Array:
+    """Values with those set to 0 that are rounding beside the largest."""
+    largest = np.max(np.abs(values), where=np.isfinite(values), initial=0.0)
+    return np.where(np.abs(values) > NEGLIGIBLE * largest, values, 0.0)
+
+
+def _route_ends(data: xr.Dataset) -> Array:
+    """Intervals of routes; NaN where no logarithmic axis shows them."""
+    ends = data["route_variance_ci"].values
+    return np.where(ends > 0, ends, np.nan)
+
+
+def _ends(values: Array) -> tuple[float, float]:
+    found = values[np.isfinite(values)]
+    return (float(found.min()), float(found.max())) if found.size else (math.nan, math.nan)
+
+
+def _rate_words(data: xr.Dataset) -> str:
+    low, high = (float(end) for end in data["rate_ci"].values)
+    counts, variance = data["n"].values, data["variance"].values
+    return (
+        f"rate {rate(float(data['rate']), low, high)}, variance {number(float(variance[0]))} at "
+        f"n = {counts[0]} and {number(float(variance[-1]))} at n = {counts[-1]}"
+    )
+
+
+def _term_words(data: xr.Dataset) -> str:
+    power = float(data["power_term"])
+    values = (
+        f"{t} {number_beside(float(data[f'{t}_term']), power)}" for t in ("dc", "power", "cross")
+    )
+    return f"{', '.join(values)}, measured {number(float(data['measured_variance']))}"
+
+
+def _captured_words(data: xr.Dataset) -> str:
+    curve = data["captured_by_half_width"].values
+    last = float(curve[-1])
+    return f"{percent(last) if np.isfinite(last) else MISSING} at half width {len(curve) - 1}"
+
+
+def _ratio_words(data: xr.Dataset) -> str:
+    found = zip(data["remedy"].values, data["error_ratio"].values, strict=True)
+    return ", ".join(f"{name} {number(float(ratio))}" for name, ratio in found)

@@ -1,0 +1,219 @@
+"""Warps and primary-space integrands: images of a grid, stretch, and where they jump."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import ParameterError
+from mcspectra.plots.description import Axis, Image, Line, Mark, Panel, Plot, Rule, Scale, Segments
+from mcspectra.plots.groups import Group, Styles, abreast, for_each, numbers
+from mcspectra.plots.scales import log_scale, unit_axis
+from mcspectra.plots.style import ACCENT, GRAY, INK
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["primary", "warp"]
+
+_LINES = 16  # of the grid whose image is drawn, along each axis
+_MOST_STRETCH = 100.0
+_BOUNDARY = "#0072B2"
+_CLIPPED = 0.5  # per cent of the values at either end, where poles would hide the rest
+_INSIDE, _SIDES = "jump inside", "jump between opposite sides"
+
+
+def warp(group: Group, styles: Styles) -> Plot:
+    """How a warp distorts a grid and, on primary space, its stretch and its jumps."""
+    del styles
+    group, dims = _by_spec(group, "density")
+    caption = "Image of a grid under the warp, and on primary space its stretch and its jumps."
+    if dims == 1:
+        panels = [_curve(n, d, "warped", "jump", "x = T(u)") for n, d in group.items()]
+        caption = "The warp T(u), with its jumps."
+    else:
+        stretches = {n: d["stretch"].transpose("u0", "u1").values for n, d in group.items()}
+        largest = max(
+            float(np.max(s, where=np.isfinite(s), initial=1.0)) for s in stretches.values()
+        )
+        scale = log_scale("stretch", 1.0, min(_MOST_STRETCH, max(2.0, largest)))
+        scale = Scale(
+            label="stretch",
+            kind="log",
+            low=1.0,
+            high=scale.high,
+            ticks=scale.ticks,
+            palette="paper",
+        )
+        panels = []
+        for name, each in group.items():
+            panels.append(
+                Panel(
+                    marks=tuple(_warped_grid(each)),
+                    x=unit_axis("x₀"),
+                    y=unit_axis("x₁"),
+                    title=name,
+                    square=True,
+                    framed=True,
+                )
+            )
+            torn = each["jump"].transpose("axis", "u0", "u1").values
+            marks = (
+                _cells(np.clip(stretches[name], 1.0, scale.high), scale, "stretch"),
+                Segments(ends=_torn_sides(torn), color=ACCENT, width=1.4),
+            )
+            panels.append(
+                Panel(
+                    marks=marks,
+                    x=unit_axis("u₀\n" + _warp_words(each).replace(", ", "\n")),
+                    y=unit_axis("u₁"),
+                    title=f"{name}: stretch",
+                    square=True,
+                    framed=True,
+                )
+            )
+    return Plot(
+        kind="warp",
+        panels=tuple(panels),
+        columns=abreast(len(panels)) if dims == 1 else 2 if len(group) <= 3 else 4,
+        caption=caption,
+        words="Warps. " + for_each(group, _warp_words),
+        height=0.75 if dims == 1 else 1.0,
+    )
+
+
+def primary(group: Group, styles: Styles) -> Plot:
+    """Primary-space integrands g(u) with their jumps inside and between opposite sides."""
+    del styles
+    group, dims = _by_spec(group, "estimator")
+    panels = []
+    for name, each in group.items():
+        words = _jump_words(each)
+        if dims == 1:
+            panels.append(_curve(name, each, "primary_value", "primary_jump", "g(u)", words))
+            continue
+        values = each["primary_value"].transpose("u0", "u1").values
+        low, high = (float(end) for end in np.percentile(values, [_CLIPPED, 100 - _CLIPPED]))
+        scale = Scale(label="g(u)", low=low, high=high if high > low else low + 1.0, palette="gray")
+        torn = each["primary_jump"].transpose("axis", "u0", "u1").values
+        marks: list[Mark] = [
+            _cells(values, scale, "g"),
+            Segments(ends=_torn_sides(torn), color=ACCENT, width=1.4, label=_INSIDE),
+        ]
+        for axis, jumps in enumerate(each["face_jump"].transpose("axis", "along").values > 0):
+            along = np.where(jumps, each["u0"].values, np.nan)
+            for end in (0.0, 1.0):
+                across = np.full(along.shape, end)
+                x, y = (across, along) if axis == 0 else (along, across)
+                marks.append(Line(x=x, y=y, color=_BOUNDARY, width=4.0, label=_SIDES))
+        panels.append(
+            Panel(
+                marks=tuple(marks),
+                x=unit_axis(f"u₀\n{words}"),
+                y=unit_axis("u₁"),
+                title=name,
+                square=True,
+                framed=True,
+            )
+        )
+    return Plot(
+        kind="primary",
+        panels=tuple(panels),
+        columns=abreast(len(panels)),
+        caption="The integrand on primary space, g(u), with its jumps inside and between opposite "
+        "sides: lengths times mean heights.",
+        words="Integrands on primary space. " + for_each(group, _jump_words),
+        height=0.75 if dims == 1 else 1.0,
+    )
+
+
+def _by_spec(group: Group, attribute: str) -> tuple[Group, int]:
+    """Results by name, one alone by the spec that it carries; and their dims."""
+    found = {each.sizes["axis"] for each in group.values()}
+    if len(found) > 1:
+        raise ParameterError(
+            "Results in 1-D and in 2-D go into different figures; draw each apart."
+        )
+    if list(group) == ["sampler"]:
+        (each,) = group.values()
+        group = {str(each.attrs.get(attribute, "")): each}
+    return group, found.pop()
+
+
+def _curve(
+    name: str, data: xr.Dataset, value: str, jump: str, label: str, words: str = ""
+) -> Panel:
+    """A function of one variable, interrupted where it jumps."""
+    u, y = data["u0"].values, data[value].values.reshape(data.sizes["u0"], -1)[:, 0]
+    places = np.flatnonzero(data[jump].values[0])
+    borders = 0.5 * (u[places] + u[np.minimum(places + 1, u.size - 1)])
+    x, y = np.insert(u, places + 1, borders), np.insert(y, places + 1, np.nan)
+    marks: list[Mark] = [
+        Line(x=x, y=y, color=INK, width=1.2, hover={"u": numbers(x), label: numbers(y)})
+    ]
+    inside = _INSIDE if words else ""
+    marks += [Rule(at=float(b), axis="x", color=ACCENT, width=1.4, label=inside) for b in borders]
+    if "face_jump" in data and float(data["face_jump"].values[0]) > 0:
+        marks += [
+            Rule(at=end, axis="x", color=_BOUNDARY, width=3.0, label=_SIDES) for end in (0.0, 1.0)
+        ]
+    below = f"u\n{words}" if words else "u"
+    return Panel(
+        marks=tuple(marks),
+        x=unit_axis(below),
+        y=Axis(label=label),
+        title=name,
+    )
+
+
+def _warped_grid(data: xr.Dataset) -> list[Line]:
+    """The images of a few grid lines of each axis, broken where T jumps along them."""
+    x = data["warped"].transpose("u0", "u1", "coordinate").values
+    torn = data["jump"].transpose("axis", "u0", "u1").values > 0
+    rows = np.unique(np.linspace(0, len(x) - 1, _LINES + 1).astype(int))
+    made = []
+    for color, lines in (
+        (INK, [(x[:, j], torn[0, :, j]) for j in rows]),
+        (GRAY, [(x[i], torn[1, i]) for i in rows]),
+    ):
+        # All lines of an axis are one, interrupted between them
+        broken = [np.insert(at, np.flatnonzero(t[:-1]) + 1, np.nan, axis=0) for at, t in lines]
+        ends = [np.concatenate([each, np.full((1, 2), np.nan)]) for each in broken]
+        every = np.concatenate(ends)
+        made.append(Line(x=every[:, 0], y=every[:, 1], color=color, width=0.6))
+    return made
+
+
+def _cells(values: Array, scale: Scale, name: str) -> Image:
+    centres = (np.arange(len(values)) + 0.5) / len(values)
+    return Image(values=values.T, x=centres, y=centres, scale=scale, name=name)
+
+
+def _torn_sides(heights: Array) -> Array:
+    """Sides of cells across which there is a jump, (k, 2, 2), of heights (2, N, N)."""
+    found = []
+    for axis, each in enumerate(heights):
+        far = np.argwhere(each > 0) + 1
+        near = far.copy()
+        near[:, 1 - axis] -= 1
+        found.append(np.stack([near, far], axis=1))
+    return np.asarray(np.concatenate(found) / heights.shape[1])
+
+
+def _warp_words(data: xr.Dataset) -> str:
+    jumps = float(data["jump_length"])
+    torn = f"jumps of length {jumps:.3g}" if jumps else "continuous"
+    return f"{torn}, mean stretch {float(data['mean_stretch']):.3g}"
+
+
+def _jump_words(data: xr.Dataset) -> str:
+    """``inside 1.89 × 1, sides none``: lengths times mean heights."""
+    words = []
+    for kind, word in (("interior", "inside"), ("boundary", "sides")):
+        length = float(data["primary_jump_length"].sel(kind=kind))
+        height = float(data["primary_jump_height"].sel(kind=kind))
+        size = "unbounded" if np.isinf(height) else f"{length:.3g} × {height:.3g}"
+        words.append(f"{word} {size if length or np.isinf(height) else 'none'}")
+    return ", ".join(words)

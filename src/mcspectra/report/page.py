@@ -1,0 +1,333 @@
+"""One page that stands alone: sections of text, facts, tables and figures, written in one step.
+
+Every report is a `Page`, which is plain data; `write_page` draws its figures and makes the HTML.
+Styles, scripts and pictures are inside, nothing is loaded. A figure is a picture and, where it is
+`live`, an interactive plot that takes the picture's place once scripts run; on paper the picture
+stands. All text is escaped, except `markupsafe.Markup` that our own code makes. The same page gives
+the same bytes.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, final
+
+from mcspectra.core.errors import StorageError, StoreError
+from mcspectra.core.results import strict_json
+from mcspectra.plots.description import Plot
+from mcspectra.plots.text import MISSING, slug
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
+
+__all__ = [
+    "Block",
+    "Cell",
+    "Facts",
+    "Figure",
+    "Figures",
+    "Folded",
+    "Page",
+    "Section",
+    "Sentences",
+    "Table",
+    "Text",
+    "anchors",
+    "columns_of",
+    "text_cells",
+    "versions_of",
+    "write_json",
+    "write_page",
+]
+
+_WRONG_PLACE = (
+    FileNotFoundError,
+    NotADirectoryError,
+    IsADirectoryError,
+    FileExistsError,
+    PermissionError,
+)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Text:
+    """A paragraph, a heading within a section, a quotation, code, or a formula as MathML."""
+
+    text: str | Markup
+    kind: Literal["", "soft", "heading", "quote", "code", "formula"] = ""
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Facts:
+    """Names and what is known of them, as a list; `code` sets the texts in a fixed width."""
+
+    rows: tuple[tuple[str, str | Markup], ...]
+    code: bool = False
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Sentences:
+    """What the numbers say, each with what it is about."""
+
+    rows: tuple[tuple[str, str], ...]
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """Text of a cell.
+
+    Attributes
+    ----------
+    why
+        Why there is no number, as a tooltip.
+    numeric
+        Whether its digits stand below one another.
+    order
+        The number that the cell is sorted by.
+    link
+        Where the text leads.
+    mark
+        ``yes``, ``no`` or ``none``: the colour of a verdict, which the text says as well.
+    """
+
+    text: str
+    why: str = ""
+    numeric: bool = True
+    order: float | None = None
+    link: str = ""
+    mark: Literal["", "yes", "no", "none"] = ""
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """Rows of cells, the first `heads` of which are heads.
+
+    Attributes
+    ----------
+    sortable
+        Whether a click on a column's head sorts by it.
+    stacked
+        Whether a narrow screen sets the cells of a row below one another, for long texts.
+    """
+
+    caption: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    heads: int = 1
+    sortable: bool = False
+    stacked: bool = False
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Figure:
+    """A plot in a page; where it has a name, its files in the folder of figures are named so.
+
+    Attributes
+    ----------
+    live
+        Whether it is interactive as well.
+    """
+
+    plot: Plot
+    name: str = ""
+    live: bool = False
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Figures:
+    """Figures, two abreast where there is room."""
+
+    figures: tuple[Figure, ...]
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Folded:
+    """What is shown on a click on its summary, and on paper."""
+
+    summary: str
+    blocks: tuple[Block, ...]
+
+
+Block: TypeAlias = Text | Facts | Sentences | Table | Figures | Folded
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """A part of a page, which the contents lead to.
+
+    Attributes
+    ----------
+    anchor
+        Distinct within a page; `anchors` makes them.
+    beside
+        Words beside its name in the contents, in the colour of `mark`.
+    fresh
+        Whether it begins a new sheet on paper.
+    """
+
+    title: str
+    anchor: str
+    blocks: tuple[Block, ...]
+    beside: str = ""
+    mark: Literal["", "yes", "no", "none"] = ""
+    code: bool = False
+    fresh: bool = False
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Page:
+    """A report: title, what it is (``report``, ``map`` …), opening paragraphs and sections."""
+
+    title: str
+    what: str
+    sections: tuple[Section, ...]
+    lead: tuple[Block, ...] = ()
+
+
+def anchors(names: Iterable[str], head: str = "") -> list[str]:
+    """Return names for anchors and files: kebab-case and distinct."""
+    found: list[str] = []
+    for name in names:
+        base = anchor = head + slug(name)
+        repeat = 2
+        while anchor in found:
+            anchor, repeat = f"{base}-{repeat}", repeat + 1
+        found.append(anchor)
+    return found
+
+
+def text_cells(*texts: str) -> tuple[Cell, ...]:
+    """Return cells of words."""
+    return tuple(Cell(text=text, numeric=False) for text in texts)
+
+
+def columns_of(table: Table, names: Sequence[str]) -> Table:
+    """Return the table with these columns only."""
+    places = [table.columns.index(name) for name in names]
+    rows = tuple(tuple(row[i] for i in places) for row in table.rows)
+    return replace(table, columns=tuple(names), rows=rows)
+
+
+def versions_of(attributes: Mapping[Any, Any]) -> str:
+    """Return the versions that a result was computed with, as its attributes ``version_*`` have them."""
+    head = "version_"
+    found = {str(key): value for key, value in attributes.items() if str(key).startswith(head)}
+    return ", ".join(f"{key.removeprefix(head)} {found[key]}" for key in sorted(found))
+
+
+def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
+    """Draw the figures of a page and write it.
+
+    Parameters
+    ----------
+    page
+        What it shows.
+    file
+        Replaced in one step, so that a reader never sees half of it; its folder is there.
+    figures
+        Folder, made if need be, for ``NAME.png`` and ``NAME.pdf`` of every figure that has a name.
+
+    Raises
+    ------
+    StoreError
+        It is no place for a file: the folder is not there, or not open to the user.
+    StorageError
+        The disk is full, or fails.
+    """
+    try:
+        if figures is not None:
+            figures.mkdir(exist_ok=True)
+        text = _html(page, figures, file.parent)
+        partial = file.parent / f".{file.name}.partial"
+        try:
+            partial.write_text(text, encoding="utf-8")
+            partial.replace(file)
+        finally:
+            partial.unlink(missing_ok=True)
+    except OSError as error:
+        raise (StoreError if isinstance(error, _WRONG_PLACE) else StorageError)(
+            f"The page cannot be written to {str(file)!r}: {error.strerror}."
+        ) from None
+    return file
+
+
+def write_json(file: Path, value: Any) -> None:
+    """Write numbers for programs: what JSON has no number for is null."""
+    text = json.dumps(strict_json(value), indent=1, ensure_ascii=False, allow_nan=False)
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise StoreError(f"{str(file)!r} cannot be written: {error.strerror}.") from None
+
+
+def _html(page: Page, figures: Path | None, root: Path) -> str:
+    """The page as text; figures are drawn one at a time, as the template comes to them."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("mcspectra.report", ""),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.tests["missing"] = lambda text: text.startswith(MISSING)
+    environment.globals["kind"] = lambda block: type(block).__name__
+    environment.globals["drawn"] = lambda figure: _drawn(figure, figures, root)
+    script = ""
+    if any(figure.live for section in page.sections for figure in _figures_in(section.blocks)):
+        from mcspectra.plots.backend_bokeh import script as bokeh_script
+
+        script = bokeh_script()
+    return environment.get_template("page.html.j2").render(page=page, bokeh=script)
+
+
+def _figures_in(blocks: Iterable[Block]) -> Iterable[Figure]:
+    for block in blocks:
+        if isinstance(block, Figures):
+            yield from block.figures
+        elif isinstance(block, Folded):
+            yield from _figures_in(block.blocks)
+
+
+def _drawn(figure: Figure, folder: Path | None, root: Path) -> Mapping[str, Any]:
+    """A figure as the template takes it: PNG in base 64 with its size, and the packed live plot."""
+    from mcspectra.plots import backend_matplotlib
+
+    plot, file = figure.plot, ""
+    png, pdf = backend_matplotlib.encode(backend_matplotlib.draw(plot))
+    if folder is not None and figure.name:
+        (folder / f"{figure.name}.png").write_bytes(png)
+        (folder / f"{figure.name}.pdf").write_bytes(pdf)
+        file = (folder / f"{figure.name}.pdf").relative_to(root).as_posix()
+    live = ""
+    if figure.live:
+        from mcspectra.plots import backend_bokeh
+
+        live = backend_bokeh.packed(backend_bokeh.draw(plot).model)
+    return {
+        "png": base64.b64encode(png).decode("ascii"),
+        # Bytes 16 to 24 of a PNG are its width and height
+        "width": int.from_bytes(png[16:20], "big"),
+        "height": int.from_bytes(png[20:24], "big"),
+        "words": plot.words or plot.caption,
+        "caption": plot.caption,
+        "wide": plot.wide,
+        "file": file,
+        "live": live,
+    }

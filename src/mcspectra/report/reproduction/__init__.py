@@ -1,1 +1,0 @@
-"""The figures and statements of the slides, made again: one exhibit a module, findings with verdicts."""

@@ -1,0 +1,521 @@
+"""The report of a study: summary, what is missing, a section for each estimator, provenance."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+from markupsafe import Markup
+
+from mcspectra.core.errors import StoreError
+from mcspectra.plots import kinds
+from mcspectra.plots.style import LineStyle, sampler_styles
+from mcspectra.plots.text import percent
+from mcspectra.report.page import (
+    Block,
+    Facts,
+    Figure,
+    Figures,
+    Folded,
+    Page,
+    Section,
+    Sentences,
+    Table,
+    Text,
+    anchors,
+    text_cells,
+    versions_of,
+    write_page,
+)
+from mcspectra.report.sentences import explain, further_sentences
+from mcspectra.report.tables import analysis_table, summary_table, terms_table
+from mcspectra.studies import SummaryRow, open_results, study_status, summarize
+from mcspectra.studies.ledger import LEDGER_NAME, Ledger, check_links
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["REPORT_NAME", "Estimates", "collect", "provenance", "study_toml", "write_report"]
+
+REPORT_NAME = "report.html"
+
+_FIRST = ("convergence", "terms", "spectrum", "points")  # analyses; others as they are stored
+_OF_SAMPLERS = ("spectrum", "points", "pcf")  # analyses that may be the same for many estimators
+_WITHOUT_SETTINGS = ("points", "exact")  # the caption and the table have their n
+_TITLES = {"pcf": "Pair correlation", "anova": "Axes"}
+_LIVE = frozenset(
+    {"convergence", "terms", "contributions", "spectrum", "lines", "radial", "points"}
+)
+_DETAILS: Mapping[str, tuple[str, ...]] = {
+    "Frequencies": (
+        "contributions",
+        "captured",
+        "bands",
+        "cross-matrix",
+    ),
+    "Spectra and points of the samples": (
+        "spectrum",
+        "lines",
+        "radial",
+        "pair-correlation",
+        "points",
+    ),
+}
+"""Figures that are folded, by what they show."""
+
+_MOST_GAPS = 50  # rows; a page of 10,000 failures helps nobody
+_NOT_DONE = "not computed yet"
+_FUNCTION = re.compile(r"""python\(\s*function\s*=\s*\\?['"]([A-Za-z_][\w.]*:[A-Za-z_]\w*)""")
+
+_HOW_TO_READ = Markup(
+    "With the integrand's coefficients f<sub>m</sub> and the samples' S<sub>m</sub>, the covariances "
+    "C<sub>ml</sub> = ⟨S<sub>m</sub> conj(S<sub>l</sub>)⟩ − ⟨S<sub>m</sub>⟩ conj(⟨S<sub>l</sub>⟩) give the "
+    "variance of the estimate as a sum of three terms."
+)
+_TERMS = (
+    (
+        "dc",
+        Markup("|f<sub>0</sub>|² C<sub>00</sub>: noise of the weights; zero for uniform sampling"),
+    ),
+    (
+        "power",
+        Markup("Σ<sub>m≠0</sub> |f<sub>m</sub>|² C<sub>mm</sub>: the two power spectra multiplied"),
+    ),
+    (
+        "cross",
+        Markup(
+            "Σ<sub>m≠l</sub> conj(f<sub>m</sub>) f<sub>l</sub> C<sub>ml</sub>: what correlation between "
+            "frequencies adds or, where it is negative, removes"
+        ),
+    ),
+)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Estimates:
+    """One estimator with all its samplers.
+
+    Attributes
+    ----------
+    key
+        Its group in the store.
+    analyses
+        Results by analysis and sampler, in the order of a report and of the study.
+    rows
+        Summary by sampler, a row a channel.
+    """
+
+    key: str
+    name: str
+    spec: str
+    analyses: Mapping[str, Mapping[str, xr.Dataset]]
+    rows: Mapping[str, Sequence[SummaryRow]]
+
+    def of(self, sampler: str, channel: int | None = None) -> dict[str, xr.Dataset]:
+        """Results of one sampler by analysis; of several channels one, or all."""
+        found = {a: each[sampler] for a, each in self.analyses.items() if sampler in each}
+        if channel is None:
+            return found
+        return {a: d.isel(channel=channel) if "channel" in d.dims else d for a, d in found.items()}
+
+
+def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
+    """Write ``report.html`` and ``figures/*.png, *.pdf`` for the results of a study.
+
+    The page stands alone: styles, scripts and pictures are inside, nothing is loaded. Without
+    scripts, and on paper, pictures stand where the interactive plots are. The same results give the
+    same bytes.
+
+    Parameters
+    ----------
+    folder
+        Folder of a study's results (with ``results.zarr``); a report that is there is replaced.
+    out
+        The page; ``report.html`` in `folder` by default. Figures go to the folder ``figures``
+        beside it.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    StoreError
+        There are no results in `folder`, or it cannot be written.
+    """
+    root = Path(folder)
+    check_links(root)
+    tree = open_results(root)
+    study, estimates = tree.attrs.get("study") or {}, collect(tree)
+    samplers = list(dict.fromkeys(s for each in estimates for s in each.rows))
+    styles, names = sampler_styles(samplers), anchors((each.key for each in estimates), "e-")
+
+    # The summary, what is missing, a section for each estimator, provenance
+    rows = [
+        (row, each.of(sampler, channel), f"#{anchor}")
+        for each, anchor in zip(estimates, names, strict=True)
+        for sampler, found in each.rows.items()
+        for channel, row in enumerate(found)
+    ]
+    blocks = [*_summary(rows, bool(estimates)), *_gaps(root)]
+    sections = [Section(title="Summary", anchor="summary", blocks=tuple(blocks))]
+    for place, (each, anchor) in enumerate(zip(estimates, names, strict=True)):
+        before = list(zip(estimates[:place], names, strict=False))
+        shown = tuple(_estimator(each, anchor, styles, before))
+        sections.append(Section(title=each.name, anchor=anchor, blocks=shown, fresh=True))
+    text = study_toml(study)
+    again = _allowed(text)
+    redo = Markup(
+        "save the study below as <code>study.toml</code> (paths inside it are relative to its folder), "
+        "then<br><code>mcspectra run study.toml --out NEW_FOLDER{}</code>{}"
+    ).format(again, " (your own code that the study names)" if again else "")
+    write = Markup(
+        "<code>mcspectra report FOLDER</code>; to compare with another run, "
+        "<code>mcspectra report FOLDER --compare OTHER_FOLDER</code>"
+    )
+    facts = (
+        *provenance(tree, root),
+        ("To compute it again", redo),
+        ("To write this page again", write),
+    )
+    origin = (
+        Facts(rows=facts),
+        Folded(summary="The study", blocks=(Text(text=text, kind="code"),)),
+    )
+    sections.append(Section(title="Provenance", anchor="provenance", blocks=origin))
+    lead = (
+        f"Monte Carlo noise of {_count(len(estimates), 'estimator')} with "
+        f"{_count(len(samplers), 'sampler')}, measured, predicted and explained; seed "
+        f"{study.get('seed', 'unknown')}."
+    )
+    page = Page(
+        title=study.get("title", "Results"),
+        what="report",
+        lead=(Text(text=lead, kind="soft"),),
+        sections=tuple(sections),
+    )
+    file = root / REPORT_NAME if out is None else Path(out)
+    return write_page(page, file, file.parent / "figures")
+
+
+def collect(tree: xr.DataTree) -> list[Estimates]:
+    """Return all estimators of a result tree, they and their samplers in the study's order.
+
+    Groups of a store come in whatever order the file system lists them; the study's own lists of
+    estimators and samplers decide here, so that a report does not depend on it.
+    """
+    study = tree.attrs.get("study") or {}
+    entries = [*(study.get("estimators") or []), *(study.get("maps") or [])]
+    order = {e["name"]: e.get("samplers") or study.get("samplers") or [] for e in entries}
+    rows: dict[tuple[str, str], list[SummaryRow]] = {}
+    for row in summarize(tree):
+        rows.setdefault((row.estimator, row.sampler), []).append(row)
+    found = []
+    for key, node in tree.children.items():
+        name, spec = str(key), ""
+        pairs: dict[str, dict[str, xr.Dataset]] = {}
+        for slug, child in node.children.items():
+            analyses = {str(a): each.to_dataset() for a, each in child.children.items()}
+            if not analyses:
+                continue
+            known = next(iter(analyses.values())).attrs
+            name = str(known.get("estimator_name", key))
+            pairs[str(known.get("sampler_spec", slug))] = analyses
+            specs = [str(d.attrs["estimator"]) for d in analyses.values() if "estimator" in d.attrs]
+            spec = specs[0] if specs else spec
+        if not pairs:
+            continue
+        samplers = sorted(pairs, key=lambda s: (_place(order.get(name, []), s), s))
+        done = sorted(
+            {a for each in pairs.values() for a in each}, key=lambda a: (_place(_FIRST, a), a)
+        )
+        # `summarize` names the channels of an estimator "name [0]", "name [1]" …
+        channels = max(d.sizes.get("channel", 0) for each in pairs.values() for d in each.values())
+        names = [f"{name} [{c}]" for c in range(channels)] or [name]
+        found.append(
+            Estimates(
+                key=str(key),
+                name=name,
+                spec=spec,
+                analyses={a: {s: pairs[s][a] for s in samplers if a in pairs[s]} for a in done},
+                rows={s: [r for each in names for r in rows.get((each, s), ())] for s in samplers},
+            )
+        )
+    return sorted(found, key=lambda each: (_place(list(order), each.name), each.key))
+
+
+def provenance(tree: xr.DataTree, root: Path) -> tuple[tuple[str, str | Markup], ...]:
+    """Where the results in `root` come from: seed, hash of the study, machines and versions."""
+    hosts: Sequence[str] = ()
+    if (root / LEDGER_NAME).exists():
+        with Ledger.read(root) as ledger:
+            hosts = ledger.tally.hosts
+    return (
+        ("Seed", str((tree.attrs.get("study") or {}).get("seed", "unknown"))),
+        (
+            "Study hash (SHA-256)",
+            Markup("<code>{}</code>").format(tree.attrs.get("study_hash", "unknown")),
+        ),
+        *((("Machine", ", ".join(hosts)),) if hosts else ()),
+        ("Versions", versions_of(tree.attrs)),
+    )
+
+
+def study_toml(study: Mapping[str, Any]) -> str:
+    """Write a study (as stored: plain dicts and lists) as TOML, so that it can be run again."""
+
+    def pairs(table: Mapping[str, Any]) -> Iterator[str]:
+        """Lines ``key = value`` of all that is no table. JSON's strings and lists are TOML's."""
+        for key, value in table.items():
+            if value is None or isinstance(value, dict) or key in ("estimators", "maps"):
+                continue
+            # TOML wants the delete character escaped, JSON leaves it alone
+            yield f"{key} = {json.dumps(value, ensure_ascii=False)}".replace("\x7f", "\\u007f")
+
+    lines = list(pairs(study))
+    for name, table in study.items():
+        if isinstance(table, dict):
+            lines += ["", f"[{name}]", *pairs(table)]
+    for kind in ("estimators", "maps"):
+        for entry in study.get(kind) or []:
+            lines += ["", f"[[{kind}]]", *pairs(entry)]
+            for name, table in entry.items():
+                if isinstance(table, dict):
+                    lines += [f"[{kind}.{name}]", *pairs(table)]
+    return "\n".join(lines) + "\n"
+
+
+def _allowed(study: str) -> str:
+    """Options that a study with Python functions needs on the command line, with a blank before."""
+    return "".join(f" --allow-code {name}" for name in dict.fromkeys(_FUNCTION.findall(study)))
+
+
+def _summary(
+    rows: Sequence[tuple[SummaryRow, Mapping[str, Any], str]], any_results: bool
+) -> Iterator[Block]:
+    if rows:
+        summary, analyses, links = zip(*rows, strict=True)
+        yield summary_table(summary, analyses=analyses, links=links)
+        yield Text(
+            text=Markup(
+                "A dash stands where there is no number; its tooltip says why. <span "
+                'class="scripted">A click on a head sorts by it. In the figures the pointer shows exact '
+                "values, and a click on a name in a legend hides or shows its marks.</span>"
+            ),
+            kind="soft",
+        )
+    elif any_results:
+        yield Text(text="This study has neither convergence nor terms; its other results follow.")
+    else:
+        yield Text(text="There are no results yet.")
+    yield Folded(
+        summary="How to read this",
+        blocks=(
+            Text(text=_HOW_TO_READ),
+            Facts(rows=_TERMS),
+            Text(
+                text="The sum runs over frequencies up to a half width, so it predicts only a part of the "
+                "variance: the ratio predicted / measured says which. All intervals are 95 %."
+            ),
+        ),
+    )
+
+
+def _gaps(root: Path) -> Iterator[Block]:
+    """What the study lacks: analyses that failed, with their reasons, and those not computed yet."""
+    heading = Text(text="What is missing", kind="heading")
+    try:
+        status = study_status(root)
+    except StoreError as error:  # a store alone, without its ledger, does not say which ones failed
+        yield heading
+        yield Text(text=f"Whether analyses failed is unknown. {error}")
+        return
+    lacking = {**dict.fromkeys(status.missing, _NOT_DONE), **status.failed}
+    if not lacking:
+        return
+    failed, missing = len(status.failed), len(status.missing)
+    counts = [f"{k} {what}" for k, what in ((failed, "failed"), (missing, _NOT_DONE)) if k]
+    again = "--resume --retry tries" if failed else "--resume computes"
+    yield heading
+    yield Text(
+        text=f"Of {len(status.done) + failed + missing} analyses, {' and '.join(counts)}; mcspectra run "
+        f"with {again} them. All others are here."
+    )
+    # A row for each estimator, sampler and reason, with the analyses that share it
+    found: dict[tuple[str, str, str], list[str]] = {}
+    for path, reason in sorted(lacking.items()):
+        estimator, sampler, analysis = path.split("/", 2)
+        found.setdefault((estimator, sampler, reason), []).append(analysis)
+    rows = [text_cells(e, s, ", ".join(names), why) for (e, s, why), names in found.items()]
+    more = len(rows) - _MOST_GAPS
+    yield Table(
+        caption="Estimators and samplers by their names in the store."
+        + (f" {more} more rows: mcspectra status FOLDER --json lists all." if more > 0 else ""),
+        columns=("Estimator", "Sampler", "Analyses", "Why"),
+        rows=tuple(rows[:_MOST_GAPS]),
+        heads=2,
+    )
+
+
+def _estimator(
+    each: Estimates,
+    anchor: str,
+    styles: Mapping[str, LineStyle],
+    before: Sequence[tuple[Estimates, str]],
+) -> Iterator[Block]:
+    """Sentences, the figures that say most, tables; all else is folded."""
+    if each.spec:
+        spec = Markup("<code>{}</code>").format(each.spec)
+        yield Facts(rows=(("Integrand / density", spec),))
+    yield from _said(each)
+
+    # Figures; those of samples that an estimator before has as well are linked
+    shown: list[Figure] = []
+    details: dict[str, list[Figure]] = {summary: [] for summary in _DETAILS}
+    linked: dict[str, tuple[str, str]] = {}
+    for analysis, found in each.analyses.items():
+        same = _shown_before(analysis, found, before)
+        if same is not None:
+            linked[analysis] = same
+            continue
+        for figure in _figures(analysis, found, anchor, styles):
+            folds = (s for s, names in _DETAILS.items() if figure.plot.kind in names)
+            details.get(next(folds, ""), shown).append(figure)
+    if not shown:
+        shown = [figure for figures in details.values() for figure in figures]
+        details = {}
+    if shown:
+        yield Figures(figures=tuple(shown))
+
+    # Tables
+    terms = terms_table([row for rows in each.rows.values() for row in rows])
+    if terms.rows:
+        yield Folded(summary="Three terms in numbers", blocks=(terms,))
+    for analysis, found in each.analyses.items():
+        made = analysis_table(analysis, found)
+        if made is not None:
+            yield Text(text=made[0], kind="heading")
+            yield made[1]
+
+    # Details
+    for summary, figures in details.items():
+        if figures:
+            yield Folded(summary=summary, blocks=(Figures(figures=tuple(figures)),))
+    yield Folded(summary="Settings", blocks=(Facts(rows=tuple(_settings(each))),))
+    for place in dict.fromkeys(linked.values()):
+        what = " and ".join(
+            "pair correlation" if a == "pcf" else a for a in linked if linked[a] == place
+        )
+        text = Markup('The same samples as in <a href="#{}">{}</a>: see its {}.').format(
+            *place, what
+        )
+        yield Text(text=text, kind="soft")
+
+
+def _said(each: Estimates) -> Iterator[Block]:
+    """Sentences about each sampler, and analyses that some samplers lack."""
+    sentences = []
+    for sampler, rows in each.rows.items():
+        for channel, row in enumerate(rows):
+            text = explain(row, each.of(sampler, channel).get("terms"))
+            name = f"{sampler}, channel {channel}" if len(rows) > 1 else sampler
+            sentences += [(name, text)] if text else []
+        further = further_sentences(each.of(sampler))
+        sentences += [(sampler, further)] if further else []
+    if sentences:
+        yield Sentences(rows=tuple(sentences))
+    for analysis, found in each.analyses.items():
+        lacking = [sampler for sampler in each.rows if sampler not in found]
+        if lacking:
+            yield Text(text=f"No {analysis} results for {', '.join(lacking)}.", kind="soft")
+
+
+def _shown_before(
+    analysis: str, found: Mapping[str, xr.Dataset], before: Sequence[tuple[Estimates, str]]
+) -> tuple[str, str] | None:
+    """Anchor and name of the first estimator with the very same results of these samplers."""
+    if analysis not in _OF_SAMPLERS:
+        return None
+    for each, anchor in before:
+        there = each.analyses.get(analysis, {})
+        if all(s in there and there[s].equals(data) for s, data in found.items()):
+            return anchor, each.name
+    return None
+
+
+def _figures(
+    analysis: str,
+    found: Mapping[str, xr.Dataset],
+    anchor: str,
+    styles: Mapping[str, LineStyle],
+) -> Iterator[Figure]:
+    """Figures of an analysis that say something: bands of a cross term that is noise do not."""
+    several = [found] if analysis != "map" else [{s: data} for s, data in found.items()]
+    for place, data in enumerate(several):
+        for kind in kinds.kinds_of(data):
+            if kind == "bands" and not any(_correlated(each) for each in data.values()):
+                continue
+            plot = kinds.describe(kind, data, styles)
+            kind = analysis if kind == "anything" else plot.kind
+            name = f"{anchor.removeprefix('e-')}-{kind}" + (f"-{place}" if place else "")
+            yield Figure(plot=plot, name=name, live=plot.kind in _LIVE)
+
+
+def _correlated(data: xr.Dataset) -> bool:
+    """Whether the interval of a cross term excludes 0; older results have no interval."""
+    if "cross_term_ci" not in data:
+        return True
+    ends = data["cross_term_ci"].values.reshape(-1, 2)
+    return bool(((ends[:, 0] > 0) | (ends[:, 1] < 0)).any())
+
+
+def _settings(each: Estimates) -> Iterator[tuple[str, str]]:
+    """How each analysis was done, once for every distinct setting."""
+    for analysis, found in each.analyses.items():
+        if analysis in _WITHOUT_SETTINGS:
+            continue
+        samplers: dict[str, list[str]] = {}
+        for sampler, data in found.items():
+            samplers.setdefault(_setting(analysis, data), []).append(sampler)
+        for text, names in samplers.items():
+            title = _TITLES.get(analysis, analysis.capitalize())
+            yield title, text if len(samplers) == 1 else f"{text} ({', '.join(names)})"
+
+
+def _setting(analysis: str, data: xr.Dataset) -> str:
+    known = data.attrs
+    if "budget" in known:
+        counts = f"{known['budget']} evaluations"
+    elif "n" in known:
+        counts = f"n = {known['n']}"
+    else:
+        n = data["n"].values.tolist() if "n" in data else []
+        counts = f"n = {n[0]} … {n[-1]}" if len(n) > 1 else ", ".join(f"n = {k}" for k in n)
+    realizations = f"{known.get('realizations', '?')} realisations"
+    if "relative_error" in known:
+        error = percent(float(known["relative_error"]))
+        realizations += f" at most, fewer where the variance has a standard error of {error}"
+    parts = [counts, realizations] if counts else [realizations]
+    if analysis == "convergence" and known.get("fit_window") == "auto":
+        parts.append("rates fitted to as many of the last counts as lie on a line")
+    elif analysis == "convergence" and "fit_last" in known:
+        parts.append(f"rates fitted to the last {known['fit_last']} counts")
+    if analysis == "terms":
+        parts += [f"{known['basis']} basis"] if "basis" in known else []
+        parts += [f"half width {data.sizes['half_width'] - 1}", f"{known.get('space', '?')} space"]
+        parts += [f"coefficients: {known['coefficients']}"] if "coefficients" in known else []
+    return ", ".join(parts)
+
+
+def _place(names: Sequence[str], name: str) -> int:
+    return names.index(name) if name in names else len(names)
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -1,0 +1,1 @@
+"""The figures and statements of the slides, made again: one exhibit a module, claims with verdicts."""

@@ -1,0 +1,259 @@
+"""Growth of the third term's matrix with the number of dims, and maps and bands in its place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import xarray as xr
+
+import mcspectra as mcs
+from mcspectra.core.checks import Array
+from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot, Rule, Text
+from mcspectra.plots.kinds import describe
+from mcspectra.plots.scales import log_axis
+from mcspectra.plots.style import ACCENT, PALETTE
+from mcspectra.plots.text import number
+from mcspectra.reproduction.claims import GALLERY_FINDINGS, Claim, Exhibit
+from mcspectra.reproduction.panels import in_columns
+
+__all__ = ["exhibit"]
+
+SAMPLERS = ("random", "jittered", "latin-hypercube")
+BELL = "gaussian(center=0.35, width=0.25)"
+SMALL = {1: (64, 24), 2: (64, 7)}  # by dims: points, and a half width whose matrix can be had
+RUNS = {1: (64, 256), 2: (64, 48), 3: (64, 8), 4: (81, 4)}  # by dims: points, half width
+_WORDS = {1: "one dim", 2: "two dims", 3: "three dims", 4: "four dims"}
+_BYTES = 16  # of a complex number
+
+
+def exhibit(*, quick: bool, seed: int) -> Exhibit:
+    """Compare maps and bands with the matrix where it can be had, and use them where it cannot."""
+    realizations = 200 if quick else 4000
+    whole = {d: bell_terms("jittered", d, SMALL[d], realizations, seed, matrix=True) for d in SMALL}
+    runs = {d: bell_terms("jittered", d, RUNS[d], realizations, seed) for d in RUNS}
+    bands = {name: bell_terms(name, 3, RUNS[3], 2 * realizations, seed) for name in SAMPLERS}
+    one, two, three = (entries(d, 64) for d in (1, 2, 3))
+    shares = ", ".join(f"{number(main_share(data))} ({name})" for name, data in bands.items())
+    return Exhibit(
+        numbers={
+            "one": number(one),
+            "two": number(two),
+            "gib": number(two * _BYTES / 2**30),
+            "three": number(three),
+            "shares": shares,
+        },
+        plots=(_sizes(), _map(seed, quick=quick), _bands(bands)),
+        claims=(
+            _growth(whole),
+            _refused(),
+            *(_map_is_row_sums(d, data) for d, data in whole.items()),
+            *(_bands_are_blocks(d, data) for d, data in whole.items()),
+            *(_map_sums(d, data) for d, data in runs.items()),
+            _map_holds_the_third(runs),
+            _anova(bands["random"]),
+            _main_effects(bands),
+        ),
+    )
+
+
+def bell_terms(
+    name: str,
+    dims: int,
+    size: tuple[int, int],
+    realizations: int,
+    seed: int,
+    *,
+    matrix: bool = False,
+) -> xr.Dataset:
+    """Terms of the bell for (number of points, half width), with ANOVA bands."""
+    n, half_width = size
+    return mcs.variance_terms(
+        mcs.integrand(BELL, dims),
+        name,
+        n,
+        half_width=half_width,
+        realizations=realizations,
+        rng=seed,
+        bands="anova",
+        cross_matrix=matrix,
+    )
+
+
+def entries(dims: int, half_width: int) -> int:
+    """Number of entries of the matrix; that of a map is its square root."""
+    return int((2 * half_width + 1) ** (2 * dims))
+
+
+def subsets(dims: int, half_width: int) -> Array:
+    """For each frequency, as a number in base 2, along which axes it is not 0."""
+    side = np.arange(-half_width, half_width + 1)
+    grids = np.meshgrid(*[side] * dims, indexing="ij")
+    return np.asarray(sum(2**i * (m != 0) for i, m in enumerate(grids))).ravel()
+
+
+def components(dims: int, half_width: int) -> dict[int, float]:
+    """Σ |f_m|² over the frequencies of each subset of axes: the truncated ANOVA components."""
+    power = np.abs(mcs.integrand(BELL, dims).fourier_grid(half_width)).ravel() ** 2
+    of = subsets(dims, half_width)
+    return {int(a): float(power[of == a].sum()) for a in set(of.tolist()) if a}
+
+
+def labelled_subsets(data: xr.Dataset) -> list[int]:
+    """The subset of axes of each band, of labels such as ``constant`` and ``x0x2``."""
+    names = str(data["band"].attrs["labels"]).split(", ")
+    return [sum(2 ** int(axis) for axis in name.split("x")[1:]) for name in names]
+
+
+def main_share(data: xr.Dataset) -> float:
+    """Share of the functions of one coordinate in the variance, with all they share with others."""
+    alone = [k for k, subset in enumerate(labelled_subsets(data)) if subset in (1, 2, 4)]
+    matrix = data["band_covariance"].values
+    return float(matrix[alone].sum() / matrix.sum())
+
+
+def _growth(whole: Mapping[int, xr.Dataset]) -> Claim:
+    wrong = [d for d, x in whole.items() if x["cross_matrix"].size != entries(d, SMALL[d][1])]
+    times = entries(2, 64) / entries(1, 64)
+    return Claim(
+        "The third term's matrix has (2K + 1)^(2d) entries: from one to two dims at K = 64 it grows by the "
+        "factor (2K + 1)².",
+        times,
+        holds=not wrong and times == 129**2,
+        shown="129² = 16641",
+        note="The formula is held against the sizes of matrices of 49 and 225 frequencies, in one and two dims.",
+    )
+
+
+def _refused() -> Claim:
+    """Before any work is done."""
+    answer = "a matrix"
+    try:
+        bell_terms("jittered", 2, (64, 64), 2, 0, matrix=True)
+    except mcs.McspectraError as error:
+        answer = str(error)
+    statement = "In two dims at |m| ≤ 64 the matrix is out of reach, and refused."
+    return Claim(statement, answer, holds=answer != "a matrix", shown="a refusal")
+
+
+def _map_is_row_sums(dims: int, data: xr.Dataset) -> Claim:
+    rows = data["cross_matrix"].values.sum(axis=1).real
+    values = data["contribution"].values.ravel()
+    return Claim(
+        f"The contribution map is the matrix summed over its rows, {_WORDS[dims]}: largest difference over the "
+        "largest value.",
+        float(np.abs(rows - values).max() / np.abs(values).max()),
+        at_most=1e-10,
+    )
+
+
+def _bands_are_blocks(dims: int, data: xr.Dataset) -> Claim:
+    """Sets of entries are compared: the order of bands is that of their labels, not of the numbers."""
+    of = subsets(dims, SMALL[dims][1])
+    matrix = data["cross_matrix"].values
+    blocks = [matrix[np.ix_(of == a, of == b)].sum().real for a in set(of) for b in set(of)]
+    found = np.sort(data["band_covariance"].values.ravel())
+    return Claim(
+        f"Covariances of ANOVA bands are sums over blocks of the matrix, {_WORDS[dims]}: largest difference over the "
+        "largest value.",
+        float(np.abs(np.sort(blocks) - found).max() / np.abs(found).max()),
+        at_most=1e-10,
+    )
+
+
+def _map_sums(dims: int, data: xr.Dataset) -> Claim:
+    total, size = float(data["predicted_variance"]), data["contribution"].size
+    sums = [float(data[name].sum()) for name in ("contribution", "band_covariance")]
+    return Claim(
+        f"Map and bands sum to the variance without a matrix, {_WORDS[dims]}, {size} frequencies: larger relative "
+        "difference.",
+        max(abs(each - total) for each in sums) / total,
+        at_most=1e-10,
+        note=f"The matrix would have {number(size**2)} entries.",
+    )
+
+
+def _map_holds_the_third(runs: Mapping[int, xr.Dataset]) -> Claim:
+    errors = []
+    for data in runs.values():
+        third = float((data["contribution"] - data["power_contribution"]).sum())
+        errors.append(abs(third - float(data["cross_term"])) / float(data["power_term"]))
+    return Claim(
+        "What the map has beyond the power |f_m|² C_mm sums to the third term, in one to four dims: largest "
+        "difference over the second term.",
+        max(errors),
+        at_most=1e-10,
+    )
+
+
+def _anova(data: xr.Dataset) -> Claim:
+    """Random points: every band's variance is its ANOVA component over N."""
+    from scipy.special import stdtrit
+
+    n, half_width = RUNS[3]
+    known = components(3, half_width)
+    order = labelled_subsets(data)
+    kept = [k for k, subset in enumerate(order) if subset]
+    found, se = (
+        np.diag(data[name].values)[kept] for name in ("band_covariance", "band_covariance_se")
+    )
+    expected = np.array([known[order[k]] / n for k in kept])
+    level = 0.95 ** (1 / (GALLERY_FINDINGS * len(kept)))
+    limit = float(stdtrit(int(data.attrs["batches"]) - 1, (1 + level) / 2))
+    return Claim(
+        f"In three dims, of random points the variance of each of {len(kept)} ANOVA bands is the ANOVA "
+        "component of f over N: largest distance in standard errors.",
+        float(np.max(np.abs(found - expected) / se)),
+        at_most=limit,
+        shown=f"≤ {limit:.1f}",
+        note="The limit is that of as many Student variables, of the batches, at the gallery's level.",
+    )
+
+
+def _main_effects(bands: Mapping[str, xr.Dataset]) -> Claim:
+    """Stein (1987): a Latin hypercube integrates additive functions with o(1/N)."""
+    limit = main_share(bands["random"]) / 10
+    return Claim(
+        "The bands show what a sampler is for: a Latin hypercube takes away the functions of one coordinate, "
+        "whose share of the variance is less than a tenth of what random points leave of it.",
+        main_share(bands["latin-hypercube"]),
+        above=-limit,
+        below=limit,
+        shown=f"< {number(limit)}",
+        note="Stein (1987).",
+    )
+
+
+def _sizes() -> Plot:
+    dims, marks = np.arange(1.0, 7.0), list[Mark]()
+    for half_width, color in zip((8, 64, 256), PALETTE, strict=False):
+        matrix = np.array([entries(int(d), half_width) for d in dims], float)
+        for y, dashes, what in ((matrix, "-", "matrix"), (np.sqrt(matrix), "--", "map")):
+            label = f"{what}, K = {half_width}"
+            marks.append(Line(x=dims, y=y, color=color, dashes=dashes, label=label))  # type: ignore[arg-type]
+            marks.append(Dots(x=dims, y=y, color=color))
+    memory = 2**36 / _BYTES
+    marks += [
+        Rule(at=memory, color=ACCENT, width=1.0),
+        Text(x=1.0, y=memory, text="64 GiB", color=ACCENT, side="above"),
+    ]
+    ticks = {float(d): str(int(d)) for d in dims}
+    x = Axis(label="number of dims d", low=0.8, high=6.2, ticks=ticks)
+    y = log_axis("numbers to store", 10.0, float(entries(6, 256)))
+    return Plot(
+        kind="dimensionality",
+        panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),),
+        height=0.42,
+        wide=True,
+    )
+
+
+def _map(seed: int, *, quick: bool) -> Plot:
+    names, size = ("jittered", "jittered | shift"), (64, 24)
+    data = {name: bell_terms(name, 2, size, 600 if quick else 20_000, seed) for name in names}
+    return replace(describe("contributions", data), kind="contribution-map")
+
+
+def _bands(bands: Mapping[str, xr.Dataset]) -> Plot:
+    return replace(in_columns(describe("bands", bands), first=1), kind="band-map")

@@ -1,0 +1,202 @@
+"""Environment maps sampled by the gray channel keep the jumps of the colours; each by its own channel does not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+import mcspectra as mcs
+from mcspectra.core.checks import Array
+from mcspectra.plots.description import Axis, Line, Mark, Panel, Plot
+from mcspectra.plots.style import INK, PALETTE
+from mcspectra.plots.text import number
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
+from mcspectra.reproduction.panels import UNIT, variance_panel
+
+__all__ = ["exhibit"]
+
+# A map of eight pixels, red, green and blue: a sun, a sky and a ground
+PIXELS = np.array(
+    [[0.3, 0.4, 0.9], [0.2, 0.5, 1.0], [6.0, 1.0, 0.4], [14.0, 12.0, 7.0],
+     [0.6, 5.0, 0.8], [0.4, 0.7, 4.0], [0.1, 0.9, 0.3], [1.2, 0.3, 0.2]]
+)  # fmt: skip
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709
+_COLORS = {"red": PALETTE[1], "green": PALETTE[2], "blue": PALETTE[0]}
+_WAYS = {"one": "gray channel", "own": "its own channel", "mis": "MIS of all channels"}
+RATES = {"one": -2.0, "own": -3.0, "mis": -2.0}
+COUNTS = {
+    "one": (192, 384, 768, 1536, 3072),
+    "own": (64, 128, 256, 512, 1024),
+    "mis": (64, 128, 256, 512, 1024),
+}
+_COSTS = {"one": 1, "own": 3, "mis": 3}  # evaluations of f a point
+
+
+def exhibit(*, quick: bool, seed: int) -> Exhibit:
+    """Measure rates of three channels by gray, own and mixed densities, and a map in the plane."""
+    by = ways()
+    options: dict[str, Any] = {"realizations": 400 if quick else 4000, "rng": seed}
+    curves = {way: mcs.convergence(by[way], "jittered", COUNTS[way], **options) for way in _WAYS}
+    exact = {
+        way: np.array([mcs.exact_variance(by[way], "jittered", n) for n in COUNTS[way]])
+        for way in _WAYS
+    }
+    shown = {
+        way: ", ".join(rate_text(curve.sel(channel=c)) for c in range(3))
+        for way, curve in curves.items()
+    }
+    gains = [_gain(c, curves) for c in range(3)]
+    lower = ", ".join(number(claim.value) for claim in gains)
+    return Exhibit(
+        numbers={
+            "gray": shown["one"],
+            "own": shown["own"],
+            "evaluations": COUNTS["one"][-1],
+            "lower": lower,
+            "mis": shown["mis"],
+        },
+        plots=(_map(), _convergence(curves, exact)),
+        claims=(
+            *(_rate_of(way, c, curves[way], exact[way]) for way in _WAYS for c in range(3)),
+            *gains,
+            *(_continuous(c) for c in range(3)),
+            _in_the_plane(60 if quick else 600, seed),
+        ),
+    )
+
+
+def ways() -> dict[str, Any]:
+    """The ways of sampling the map times cos(π(x − ½)), by name."""
+    constant = mcs.densities.PiecewiseConstant
+    own = [constant(values=PIXELS[:, c]) for c in range(3)]
+    parts = np.diff(np.sin(np.pi * (np.arange(9) / 8 - 0.5)) / np.pi)
+    f = mcs.Integrand.from_function(radiance, dims=1, integral=PIXELS.T @ parts)
+    return mcs.channel_estimators(f, own, constant(values=PIXELS @ LUMINANCE))
+
+
+def radiance(x: Array) -> Array:
+    """The map times the cosine."""
+    pixel = np.minimum((np.asarray(x)[..., 0] * 8).astype(np.intp), 7)
+    return np.asarray(PIXELS[pixel] * np.cos(np.pi * (np.asarray(x) - 0.5)))
+
+
+def _rate_of(way: str, channel: int, curve: xr.Dataset, exact: Array) -> Claim:
+    text = f"Variance of {list(_COLORS)[channel]}, sampled by {_WAYS[way]}, jittered: rate."
+    return known_rate(text, curve.sel(channel=channel), RATES[way], exact[:, channel])
+
+
+def _gain(channel: int, curves: Mapping[str, xr.Dataset]) -> Claim:
+    """At equal numbers of evaluations: n points, or a third of them for each channel."""
+    one, own = (
+        Measured.of(curves[way].sel(channel=channel).isel(n=-1), "variance")
+        for way in ("one", "own")
+    )
+    return Claim(
+        f"At {COUNTS['one'][-1]} evaluations, variance of {list(_COLORS)[channel]} by the gray channel over that by "
+        "its own channel.",
+        one / own,
+        above=1.0,
+    )
+
+
+def weighted(table: Array, channel: int, t: Array) -> Array:
+    """f/p at places t of each pixel, (8, len(t)), for p by a table of pixels."""
+    x = (np.arange(8)[:, None] + t) / 8
+    times = PIXELS[:, channel] / (table / table.mean())
+    return np.asarray(times[:, None] * np.cos(np.pi * (x - 0.5)))
+
+
+def _continuous(channel: int) -> Claim:
+    own = weighted(PIXELS[:, channel], channel, np.array([0.0, 1.0]))
+    return Claim(
+        f"f/p of {list(_COLORS)[channel]} has no jumps when it is sampled by its own channel: largest one between "
+        "pixels.",
+        float(np.abs(own[1:, 0] - own[:-1, 1]).max()),
+        at_most=1e-14,
+    )
+
+
+def _in_the_plane(realizations: int, seed: int) -> Claim:
+    """The built-in sky, its red channel, by bilinear densities of luminance and of red."""
+    f = "environment(channel=0, interpolation='bilinear')"
+    densities = [f"environment(channel={c!r}, interpolation='bilinear')" for c in ("luminance", 0)]
+    estimators = [mcs.Estimator(f, p) for p in densities]
+    found = mcs.convergence(estimators, "jittered", [1024], realizations=realizations, rng=seed)
+    gray, red = (Measured.of(found.isel(n=0, estimator=i), "variance") for i in (0, 1))
+    return Claim(
+        "Of a whole sky, irradiance in red with 1024 jittered points: variance by luminance over that by red.",
+        gray / red,
+        above=1.0,
+    )
+
+
+def _map() -> Plot:
+    centers, t = (np.arange(8) + 0.5) / 8, np.linspace(0.0, 1.0, 40)
+    gray = PIXELS @ LUMINANCE
+    marks: dict[str, list[Mark]] = {
+        "map": [
+            Line(x=centers, y=PIXELS[:, c], color=color, step=True, label=name)
+            for c, (name, color) in enumerate(_COLORS.items())
+        ],
+        f"f/p, p by {_WAYS['one']}": [],
+        f"f/p, p by {_WAYS['own']}": [],
+    }
+    marks["map"].append(
+        Line(x=centers, y=gray, color=INK, dashes="--", width=1.2, step=True, label="gray")
+    )
+    for title, own in zip(list(marks)[1:], (False, True), strict=True):
+        for c, color in enumerate(_COLORS.values()):
+            # Pieces between the borders of pixels, moved to primary space
+            table = PIXELS[:, c] if own else gray
+            borders = np.concatenate([[0.0], np.cumsum(table) / table.sum()])
+            values = weighted(table, c, t)
+            mean = (values.mean(axis=1) * np.diff(borders)).sum()
+            u = borders[:-1, None] + np.diff(borders)[:, None] * t
+            gap = np.full((8, 1), np.nan)
+            x, y = (np.hstack([each, gap]).ravel() for each in (u, values / mean))
+            marks[title].append(Line(x=x, y=y, color=color, width=1.4))
+    labels = [
+        ("x (place in the map)", "radiance"),
+        *[("u (primary space)", "f/p (over its mean)")] * 2,
+    ]
+    return Plot(
+        kind="environment-map",
+        panels=tuple(
+            Panel(
+                marks=tuple(each),
+                x=Axis(label=x, low=0.0, high=1.0, ticks=UNIT),
+                y=Axis(label=y, low=0.0),
+                title=title,
+                grid=True,
+            )
+            for (title, each), (x, y) in zip(marks.items(), labels, strict=True)
+        ),
+        columns=3,
+        height=0.9,
+        wide=True,
+    )
+
+
+def _convergence(curves: Mapping[str, xr.Dataset], exact: Mapping[str, Array]) -> Plot:
+    panels = []
+    for channel, color in enumerate(_COLORS):
+        shown = {
+            _WAYS[way]: curve.sel(channel=channel).assign_coords(n=curve["n"] * _COSTS[way])
+            for way, curve in curves.items()
+        }
+        known = {_WAYS[way]: values[:, channel] for way, values in exact.items()}
+        panel = variance_panel(
+            shown, exact=known, title=color, x="evaluations of f", limits=(3e-9, 1e-2)
+        )
+        panels.append(panel)
+    return Plot(
+        kind="environment-channels",
+        panels=tuple(panels),
+        columns=3,
+        height=1.1,
+        share="y",
+        wide=True,
+    )

@@ -1,0 +1,153 @@
+"""The estimator I_N and its sampling function S(x), for random, jittered and Poisson-disk points."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import mcspectra as mcs
+from mcspectra.core.checks import Array
+from mcspectra.plots.description import Axis, Dots, Line, Panel, Plot, Rule, Segments, Text
+from mcspectra.plots.style import ACCENT, INK, sampler_styles
+from mcspectra.plots.text import number
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured
+from mcspectra.reproduction.panels import square_panel
+
+__all__ = ["exhibit"]
+
+SAMPLERS = ("random", "jittered", "poisson-disk")
+BELL = "gaussian(center=0.4, width=0.2)"
+DENSITY = "linear(slope=-1.2)"
+SQUARE = "christensen-gaussian"
+N = 64
+
+
+def exhibit(*, quick: bool, seed: int) -> Exhibit:
+    """Show the estimator, its combs of weighted peaks, and that its mean is the integral."""
+    realizations = 1000 if quick else 10_000
+    curves = mcs.convergence(SQUARE, list(SAMPLERS), [N], realizations=realizations, rng=seed)
+    one = {name: curves.sel(sampler=name).isel(n=0) for name in SAMPLERS}
+    means, variances = (
+        ", ".join(f"{number(float(d[key]), digits)} ({name})" for name, d in one.items())
+        for key, digits in (("mean", 4), ("variance", 3))
+    )
+    less = "Correlated points lower the variance: 64 Poisson-disk points are below random ones."
+    return Exhibit(
+        numbers={"integral": number(integral(), 4), "N": N, "means": means, "variances": variances},
+        plots=(_combs(seed), _points(seed)),
+        claims=(
+            *(
+                Claim(
+                    f"The mean of I_N is the integral for {name} points.",
+                    Measured.normal(float(data["mean"]), float(data["mean_se"])),
+                    expected=integral(),
+                    digits=7,
+                )
+                for name, data in one.items()
+            ),
+            *(
+                Claim(
+                    f"The variance of I_N with {N} {name} points is that of quadrature over strata.",
+                    Measured.of(one[name], "variance", log=True),
+                    expected=_exact(name),
+                    digits=4,
+                )
+                for name in ("random", "jittered")
+            ),
+            Claim(
+                less, Measured.of(one["poisson-disk"], "variance", log=True), below=_exact("random")
+            ),
+            _weights_sum_to_one(realizations, seed),
+            _inner_product(seed),
+        ),
+    )
+
+
+def integral() -> float:
+    """Of exp(−x² − y²) over the unit square."""
+    return float(np.squeeze(mcs.integrand(SQUARE).integral))
+
+
+def _exact(name: str) -> float:
+    return float(mcs.exact_variance(SQUARE, name, N))
+
+
+def _weights_sum_to_one(realizations: int, seed: int) -> Claim:
+    sums = (1.0 / pdf(_warped("random", N, seed, realizations))).mean(axis=1)
+    return Claim(
+        f"The peaks of S, of the height 1/(N p), sum to 1 on average, for p = {DENSITY}.",
+        Measured.mean(sums),
+        expected=1.0,
+        shown="1",
+    )
+
+
+def _inner_product(seed: int) -> Claim:
+    """I_N = Σ conj(f_m) S_m, of an integrand with two frequencies m = ±3."""
+    x = _warped("jittered", N, seed, 1)[0]
+    direct = float((np.cos(6 * np.pi * x) / pdf(x)).mean())
+    s = {m: (np.exp(-2j * np.pi * m * x) / pdf(x)).mean() for m in (-3, 3)}
+    return Claim(
+        "I_N is the sum of conj(f_m) S_m over frequencies, for f = cos(6πx) under importance sampling.",
+        float(abs(direct - complex(0.5 * s[3] + 0.5 * s[-3]))),
+        at_most=1e-13,
+    )
+
+
+def _warped(name: str, n: int, seed: int, realizations: int) -> Array:
+    """Points of the density p, shape (realizations, n)."""
+    u = mcs.sampler(name, 1).draw(n, realizations=realizations, rng=seed)
+    return np.asarray(mcs.density(DENSITY, 1).sample(u)[..., 0])
+
+
+def pdf(x: Array) -> Array:
+    """The density of the importance samples."""
+    return np.asarray(mcs.density(DENSITY, 1).pdf(x[..., None]))
+
+
+def _combs(seed: int) -> Plot:
+    n = 16
+    x = np.linspace(0.0, 1.0, 400, endpoint=False)
+    f = np.asarray(mcs.integrand(BELL, 1)(x[:, None]))
+    top = Panel(
+        marks=(
+            Line(x=x, y=f, low=0 * f, high=f, color="#D9E8F2", width=0.0),
+            Line(x=x, y=f, color=INK, width=1.4),
+            Line(x=x, y=pdf(x), color=ACCENT, dashes="--", width=1.4),
+            Rule(at=0.0, width=0.6),
+            Text(x=0.24, y=1.0, text="f(x)", side="left"),
+            Text(x=0.02, y=1.72, text="p(x)", color=ACCENT),
+        ),
+        y=Axis(label="value", low=0.0, high=1.9),
+    )
+    rows = []
+    for name, style in sampler_styles(SAMPLERS).items():
+        at = _warped(name, n, seed, 1)[0]
+        peak = 1 / (n * pdf(at))
+        ends = np.stack([np.stack([at, 0 * peak], -1), np.stack([at, peak], -1)], 1)
+        rows.append(
+            Panel(
+                marks=(
+                    Segments(ends=ends, color=style.color, width=1.3),
+                    Dots(x=at, y=peak, color=style.color, marker="^", size=3.5),
+                ),
+                x=Axis(label="x (domain, 0 to 1)", low=0.0, high=1.0),
+                y=Axis(label="S(x)", low=0.0, high=3.2 / n, ticks={0.0: "0", 2 / n: number(2 / n)}),
+                title=name,
+            )
+        )
+    return Plot(
+        kind="estimator",
+        panels=(top, *rows),
+        height=0.11,
+        rows=(2.2, 1.0, 1.0, 1.0),
+        share="x",
+        wide=True,
+    )
+
+
+def _points(seed: int) -> Plot:
+    n, panels = 256, []
+    for name, style in sampler_styles(SAMPLERS).items():
+        x, y = mcs.sampler(name, 2).draw(n, rng=seed)[0].T
+        panels.append(square_panel([Dots(x=x, y=y, color=style.color, size=2.0)], name))
+    return Plot(kind="points", panels=tuple(panels), columns=3, height=1.0, share="y", wide=True)

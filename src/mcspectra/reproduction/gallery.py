@@ -1,0 +1,448 @@
+"""Make exhibits one after the other and write the gallery: page, pictures, PDF, findings."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import math
+import platform
+import textwrap
+import time
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, cast, final
+
+from markupsafe import Markup
+
+from mcspectra.core.checks import as_integer
+from mcspectra.core.errors import (
+    McspectraError,
+    ParameterError,
+    StoreError,
+    UnknownName,
+    close_match_hint,
+)
+from mcspectra.core.progress import report
+from mcspectra.plots.description import Plot
+from mcspectra.plots.text import number, slug
+from mcspectra.report.page import (
+    Block,
+    Cell,
+    Facts,
+    Figure,
+    Figures,
+    Page,
+    Section,
+    Table,
+    Text,
+    text_cells,
+    write_json,
+    write_page,
+)
+from mcspectra.reproduction.claims import GALLERY_FINDINGS, Exhibit, ExhibitFunction, Finding
+from mcspectra.version import __version__
+
+if TYPE_CHECKING:
+    from matplotlib.backends.backend_pdf import PdfPages
+
+__all__ = [
+    "FINDINGS_NAME",
+    "PAGE_NAME",
+    "PDF_NAME",
+    "Entry",
+    "Reproduction",
+    "Slide",
+    "exhibit_names",
+    "load_exhibit",
+    "make_exhibit",
+    "measured_text",
+    "reproduce",
+    "slides",
+    "tally",
+]
+
+PAGE_NAME, PDF_NAME, FINDINGS_NAME = "index.html", "reproduce.pdf", "findings.json"
+_FIGURES = "figures"
+_PACKAGES = ("numpy", "scipy", "numba", "finufft", "xarray", "matplotlib", "mitsuba")
+_SIGNS: dict[bool | None, tuple[str, Literal["yes", "no", "none"]]] = {
+    True: ("✓ agrees", "yes"),
+    False: ("✗ does not agree", "no"),
+    None: ("– no verdict", "none"),
+}
+_SHEET = (8.27, 11.69)  # inches, A4
+_LINES, _COLUMNS = 62, 100  # of text on a sheet
+_PER_INCH = 14  # letters of a caption
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Slide:
+    """What an exhibit makes again.
+
+    Attributes
+    ----------
+    title, summary
+        A few words, and what it shows in one line for lists.
+    slide
+        The statement or figure of the slides, quoted.
+    caption
+        What was found; names in braces are numbers of the exhibit.
+    plots
+        Caption and words of every plot, by its kind.
+    formula
+        LaTeX, shown beside the quotation; none by default.
+    """
+
+    title: str
+    summary: str
+    slide: str
+    caption: str
+    plots: Mapping[str, Mapping[str, str]]
+    formula: str = ""
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """An exhibit in the gallery; one that failed has a problem instead.
+
+    Attributes
+    ----------
+    findings
+        Of one that failed, that it did.
+    """
+
+    name: str
+    exhibit: Exhibit | None
+    findings: tuple[Finding, ...]
+    problem: str = ""
+    seconds: float
+
+    @property
+    def tally(self) -> str:
+        """How many findings agree, in words."""
+        judged = [f.agrees for f in self.findings if f.agrees is not None]
+        return "failed" if self.problem else f"{sum(judged)} of {len(judged)} agree"
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Reproduction:
+    """What was written, and the entries in it.
+
+    Attributes
+    ----------
+    page
+        The gallery's page; the PDF and the findings lie beside it.
+    entries
+        In the order of the slides.
+    """
+
+    page: Path
+    entries: tuple[Entry, ...]
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """Names of exhibits that could not be made."""
+        return tuple(entry.name for entry in self.entries if entry.problem)
+
+
+@cache
+def slides() -> dict[str, Slide]:
+    """Return the exhibits by name, in the order of the slides."""
+    text = resources.files(__package__).joinpath("slides.toml").read_text(encoding="utf-8")
+    return {name: Slide(**values) for name, values in tomllib.loads(text).items()}
+
+
+def exhibit_names(names: Sequence[str]) -> list[str]:
+    """Return the names asked for, each once, in the order of the slides; all where none is given.
+
+    Raises
+    ------
+    UnknownName
+        There is no such exhibit; the message offers close ones.
+    """
+    for name in names:
+        if name not in slides():
+            hint, close = close_match_hint(name, slides(), "mcspectra reproduce --list")
+            raise UnknownName(f"There is no figure called {name!r}.{hint}", close)
+    return [name for name in slides() if name in names or not names]
+
+
+def load_exhibit(name: str) -> ExhibitFunction:
+    """Return the function that makes an exhibit, which its module of the same name holds."""
+    (name,) = exhibit_names([name])
+    module = importlib.import_module(f"mcspectra.reproduction.{name.replace('-', '_')}")
+    return cast("ExhibitFunction", module.exhibit)
+
+
+def make_exhibit(name: str, *, quick: bool, seed: int) -> Exhibit:
+    """Make an exhibit and fill in its texts."""
+    made, slide = load_exhibit(name)(quick=quick, seed=seed), slides()[name]
+
+    def filled(text: str) -> str:
+        return text.format(**made.numbers)
+
+    plots = []
+    for plot in made.plots:
+        texts = slide.plots[plot.kind]
+        caption, words = filled(texts["caption"]), filled(texts["words"])
+        plots.append(replace(plot, caption=caption, words=words))
+    return replace(made, plots=tuple(plots), caption=filled(slide.caption))
+
+
+def reproduce(
+    folder: str | Path,
+    names: Sequence[str] = (),
+    *,
+    quick: bool = False,
+    seed: int = 0,
+    command: str = "mcspectra reproduce",
+    done: Callable[[Entry], object] | None = None,
+) -> Reproduction:
+    """Make the figures and statements of the slides again.
+
+    Parameters
+    ----------
+    folder
+        Where ``index.html``, ``reproduce.pdf``, ``findings.json`` and ``figures`` go. What has these
+        names is replaced, all else stays.
+    names
+        Exhibits; all by default. They come in the order of the slides.
+    quick
+        Fewer realisations, counts and pixels.
+    seed
+        Of all exhibits; a whole number of at least 0.
+    command
+        What the page names as the command that made it.
+    done
+        Called with each entry when it is made.
+
+    Returns
+    -------
+    Reproduction
+        An exhibit that fails is in `failed`, and takes no other with it.
+
+    Raises
+    ------
+    UnknownName
+        There is no such exhibit.
+    ParameterError
+        The folder has no name, or the seed is out of range.
+    StoreError
+        The folder cannot be written.
+    """
+    chosen = exhibit_names(names)
+    seed = as_integer("seed", seed, least=0)
+    if not str(folder).strip():
+        raise ParameterError("The output folder has no name; give one, such as out/reproduce.")
+    root = Path(folder)
+    try:
+        (root / _FIGURES).mkdir(parents=True, exist_ok=True)
+        entries = []
+        for i, name in enumerate(chosen):
+            report("reproduce", i / len(chosen))
+            entries.append(_entry(name, quick, seed))
+            if done is not None:
+                done(entries[-1])
+        rows = [{"exhibit": e.name} | asdict(finding) for e in entries for finding in e.findings]
+        write_json(root / FINDINGS_NAME, rows)
+        _write_pdf(root / PDF_NAME, entries)
+        write_page(_page(entries, command, quick, seed), root / PAGE_NAME, root / _FIGURES)
+        report("reproduce", 1.0)
+    except OSError as error:
+        raise StoreError(
+            f"The figures cannot be written to {str(root)!r}: {error.strerror or error}."
+        ) from None
+    return Reproduction(page=root / PAGE_NAME, entries=tuple(entries))
+
+
+def _entry(name: str, quick: bool, seed: int) -> Entry:
+    """Make an exhibit; whatever goes wrong in it becomes the entry's problem."""
+    start = time.perf_counter()
+    try:
+        made = make_exhibit(name, quick=quick, seed=seed)
+        seconds = time.perf_counter() - start
+        return Entry(name=name, exhibit=made, findings=made.findings, seconds=seconds)
+    except Exception as error:  # noqa: BLE001 - one exhibit must not take the others with it
+        text = " ".join(str(error).split()) or "no message"
+        problem = text if isinstance(error, McspectraError) else f"{type(error).__name__}: {text}"
+    failed = Finding(
+        statement=f"The figure {name} can be made.",
+        expected="a figure",
+        measured=None,
+        interval=None,
+        agrees=False,
+        note=problem,
+    )
+    seconds = time.perf_counter() - start
+    return Entry(name=name, exhibit=None, findings=(failed,), problem=problem, seconds=seconds)
+
+
+def tally(entries: Sequence[Entry]) -> str:
+    """Say how many figures there are, and how many of their findings agree."""
+    made = [entry for entry in entries if not entry.problem]
+    judged = [f.agrees for entry in made for f in entry.findings if f.agrees is not None]
+    figures = f"{len(entries)} figure{'' if len(entries) == 1 else 's'}"
+    text = f"{figures}; {sum(judged)} of {len(judged)} findings agree"
+    failed = len(entries) - len(made)
+    return f"{text}; {failed} failed" if failed else text
+
+
+def measured_text(finding: Finding) -> tuple[str, str]:
+    """Return the measured number and its interval with the digits that the interval has meaning for."""
+    value = finding.measured
+    if value is None or isinstance(value, str):
+        return value or number(None), ""
+    if finding.interval is None:
+        return number(value), ""
+    # As many digits as show half the interval with two, from 3 to 8
+    low, high = finding.interval
+    half, largest = (high - low) / 2, max(abs(value), abs(low), abs(high))
+    digits = 3
+    if 0 < half < math.inf and 0 < largest < math.inf:
+        places = math.floor(math.log10(largest)) - math.floor(math.log10(half))
+        digits = min(max(places + 2, 3), 8)
+    return number(value, digits), f"{number(low, digits)} … {number(high, digits)}"
+
+
+def _page(entries: Sequence[Entry], command: str, quick: bool, seed: int) -> Page:
+    versions = {"mcspectra": __version__, "Python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = "not installed"
+    facts = {"Command": command, "Seed": str(seed), "Quality": "quick" if quick else "full"}
+    how = Facts(rows=tuple((facts | versions).items()), code=True)
+    return Page(
+        title="The slides, reproduced",
+        what="gallery",
+        lead=(
+            Text(
+                text="Every figure and statement of the slides of “Fourier Analysis of Correlated Monte Carlo "
+                "Importance Sampling” (Singh, Subr, Coeurjolly, Ostromoukhov, Jarosz), computed anew. "
+                f"{tally(entries)}."
+            ),
+            Text(
+                text="Intervals are 95 %. A finding agrees where the expected value lies in the wider interval at "
+                f"which {GALLERY_FINDINGS} true findings hold together with 95 % (each at 99.98 %, Šidák), or within "
+                "the tolerance that its note gives.",
+                kind="soft",
+            ),
+        ),
+        sections=(
+            *map(_section, entries),
+            Section(title="How to make this page again", anchor="provenance", blocks=(how,)),
+        ),
+    )
+
+
+def _section(entry: Entry) -> Section:
+    slide = slides()[entry.name]
+    blocks: list[Block] = [Text(text=f"mcspectra reproduce {entry.name}", kind="code")]
+    if entry.exhibit is None:
+        blocks.append(Text(text=f"✗ It could not be made: {entry.problem}"))
+    else:
+        blocks.append(Text(text=slide.slide, kind="quote"))
+        if slide.formula:
+            from latex2mathml.converter import convert
+
+            formula = Markup(convert(" ".join(slide.formula.split()), display="block"))
+            blocks.append(Text(text=formula, kind="formula"))
+        blocks.append(Text(text=entry.exhibit.caption))
+        figures = [Figure(plot=plot, name=_file_name(entry, plot)) for plot in entry.exhibit.plots]
+        blocks.append(Figures(figures=tuple(figures)))
+        columns = ("Statement", "Verdict", "Expected", "Measured", "95 % interval", "Note")
+        rows = tuple(map(_row, entry.findings))
+        blocks.append(Table(caption="", columns=columns, rows=rows, stacked=True))
+    wrong = any(finding.agrees is False for finding in entry.findings)
+    return Section(
+        title=slide.title,
+        anchor=entry.name,
+        blocks=tuple(blocks),
+        beside=entry.tally,
+        mark="no" if wrong else "yes",
+    )
+
+
+def _file_name(entry: Entry, plot: Plot) -> str:
+    kind = slug(plot.kind)
+    return kind if kind.startswith(entry.name) else f"{entry.name}-{kind}"
+
+
+def _row(finding: Finding) -> tuple[Cell, ...]:
+    verdict, mark = _SIGNS[finding.agrees]
+    (statement, note), numbers = (
+        text_cells(finding.statement, finding.note),
+        (finding.expected, *measured_text(finding)),
+    )
+    cell = Cell(text=verdict, numeric=False, mark=mark)
+    return statement, cell, *(Cell(text=text) for text in numbers), note
+
+
+def _write_pdf(path: Path, entries: Sequence[Entry]) -> None:
+    """Write a sheet (or more) of text for each entry, then each figure on a sheet with its caption."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_pdf import PdfPages
+    from matplotlib.figure import Figure as Drawing
+
+    partial = path.with_name(f".{path.name}.partial")
+    metadata = {"CreationDate": None, "Creator": "mcspectra"}
+    try:
+        with mpl.rc_context({"pdf.fonttype": 42}), PdfPages(partial, metadata=metadata) as pdf:
+            for entry in entries:
+                lines = list(_lines(entry))
+                for start in range(0, len(lines), _LINES):
+                    sheet = Drawing(figsize=_SHEET)
+                    for row, (line, weight) in enumerate(lines[start : start + _LINES]):
+                        at = (0.08, 0.95 - 0.0145 * row)
+                        sheet.text(*at, _plain(line), va="top", fontsize=9, weight=weight)
+                    pdf.savefig(sheet)
+                for plot in entry.exhibit.plots if entry.exhibit else ():
+                    _add_figure(pdf, plot)
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)  # where it was interrupted
+
+
+def _lines(entry: Entry) -> Iterator[tuple[str, str]]:
+    """Lines of an entry's sheet, each with the weight of its font."""
+    slide = slides()[entry.name]
+    caption = entry.exhibit.caption if entry.exhibit else ""
+    parts = [(slide.title, "bold"), (f"Slide: {slide.slide}", "normal"), (caption, "normal")]
+    for finding in entry.findings:
+        parts.append((f"{_SIGNS[finding.agrees][0][0]} {finding.statement}", "bold"))
+        measured, interval = measured_text(finding)
+        text = f"expected {finding.expected}; measured {measured}"
+        text += f" (95 %: {interval})" if interval else ""
+        parts.append((f"{text}. {finding.note}" if finding.note else text, ""))
+    for text, weight in parts:
+        if text and weight and text != slide.title:
+            yield "", "normal"
+        yield from ((line, weight or "normal") for line in textwrap.wrap(text, _COLUMNS))
+
+
+def _add_figure(pdf: PdfPages, plot: Plot) -> None:
+    """Add a figure with its caption; the sheet grows by it."""
+    from mcspectra.plots.backend_matplotlib import draw
+
+    figure = draw(replace(plot, caption=""))
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine("none")
+    for legend in figure.legends:  # or they would move to the border of the larger sheet
+        legend.set_bbox_to_anchor((0, 0, 1, 1), transform=figure.transFigure)
+    caption = textwrap.fill(plot.caption, int(_PER_INCH * figure.get_figwidth()))
+    figure.text(0.02, -0.02, _plain(caption), va="top", fontsize=8)
+    pdf.savefig(figure, bbox_inches="tight", pad_inches=0.3)  # type: ignore[no-untyped-call]
+
+
+def _plain(text: str) -> str:
+    """Escape dollar signs, which matplotlib would read as mathematics."""
+    return text.replace("$", r"\$")

@@ -1,0 +1,234 @@
+"""Homogenisation, or Cranley-Patterson rotation: shift all points, wrap them around the torus."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+import mcspectra as mcs
+from mcspectra.core.checks import Array
+from mcspectra.plots.description import Axis, Dots, Panel, Plot, Segments
+from mcspectra.plots.style import ACCENT, FAINT, GRAY, INK, PALETTE
+from mcspectra.plots.text import number
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, mean_and_error, normal_limit
+from mcspectra.reproduction.panels import UNIT
+
+__all__ = ["exhibit"]
+
+N = 64
+SAMPLERS = ("jittered", "latin-hypercube", "poisson-disk", "sobol | owen")
+# Differences m − l are multiples of the strata's frequency, 8 for 64 points, where jitter correlates.
+PAIRS = (
+    ((3, 0), (-5, 0)),
+    ((0, 3), (0, -5)),
+    ((3, 1), (-5, 1)),
+    ((1, 1), (1, -7)),
+    ((2, 5), (-6, -3)),
+    ((1, 0), (0, 1)),
+)
+_PAIR = "m = (3, 0), l = (−5, 0)"
+
+
+@final
+@dataclass(frozen=True)
+class Coefficients:
+    """S_m and S_l of all pairs of frequencies, (R, pairs, 2)."""
+
+    values: Array
+
+    @property
+    def products(self) -> Array:
+        """(S_m − mean) conj(S_l − mean), (R, pairs): their mean is the covariance."""
+        away = self.values - self.values.mean(axis=0)
+        return np.asarray(away[..., 0] * away[..., 1].conj())
+
+    @property
+    def covariance(self) -> Array:
+        """Cov(S_m, S_l), (pairs,)."""
+        return np.asarray(self.products.sum(axis=0) / (len(self.values) - 1))
+
+    def farthest(self) -> tuple[float, float]:
+        """The largest covariance in standard errors, and the limit of as many normal errors."""
+        products, value = self.products, self.covariance
+        parts = [
+            np.abs(value.real) / mean_and_error(products.real)[1],
+            np.abs(value.imag) / mean_and_error(products.imag)[1],
+        ]
+        return float(np.max(parts)), normal_limit(2 * value.size)
+
+
+def exhibit(*, quick: bool, seed: int) -> Exhibit:
+    """Show the steps of a shift, and what it does to coefficients of several samplers."""
+    realizations = 2000 if quick else 20_000
+    pairs = {name: before_and_after(name, realizations, seed) for name in SAMPLERS}
+    before, after = pairs["jittered"]
+    powers = [[np.abs(each.values) ** 2 for each in pair] for pair in pairs.values()]
+    c0, c1 = (number(N * float(each.covariance[0].real)) for each in (before, after))
+    return Exhibit(
+        numbers={"N": N, "pair": _PAIR, "c0": c0, "c1": c1},
+        plots=(_steps(seed), _spread(before, after)),
+        claims=(
+            _one_translation(seed),
+            Claim(
+                "A shift leaves |S_m|² at integer m as it is, in every realisation of "
+                f"{', '.join(pairs)}: largest difference.",
+                max(float(np.abs(b - a).max()) for b, a in powers),
+                at_most=1e-14,
+                note="Rounding of phases of 2π·8 at most.",
+            ),
+            _phase(seed),
+            _correlated_before(before),
+            *(_correlated_after(name, pair[1]) for name, pair in pairs.items()),
+            Claim(
+                "Points that are not random at all become so: ⟨S_m⟩ of a regular grid at its own frequency "
+                "m = (8, 0), 1 or −1 before the shift, is 0 after it (real part).",
+                grid_mean("regular | shift", realizations, seed),
+                expected=0.0,
+            ),
+        ),
+    )
+
+
+def before_and_after(name: str, realizations: int, seed: int) -> tuple[Coefficients, Coefficients]:
+    """Coefficients of a sampler's points, and of the same points shifted."""
+    plain, shifted = (
+        Coefficients(np.moveaxis(_sums(x, np.array(PAIRS)), -1, 0))
+        for x in _drawn(name, realizations, seed)
+    )
+    return plain, shifted
+
+
+def _drawn(name: str, realizations: int, seed: int) -> tuple[Array, Array]:
+    """Points before and after the shift, (realizations, n, 2), of the same random numbers."""
+    plain, shifted = (
+        mcs.sampler(spec, 2).draw(N, realizations=realizations, rng=seed)
+        for spec in (name, f"{name} | shift")
+    )
+    return plain, shifted
+
+
+def _sums(x: Array, m: Array) -> Array:
+    """S_m of points (R, n, 2) at frequencies (..., 2): (..., R)."""
+    found = [np.exp(-2j * np.pi * (x @ each)).mean(axis=1) for each in m.reshape(-1, 2)]
+    return np.stack(found).reshape(*m.shape[:-1], len(x))
+
+
+def grid_mean(name: str, realizations: int, seed: int) -> Measured:
+    """Mean of Re S_m of 8 × 8 points at m = (8, 0)."""
+    x = mcs.sampler(name, 2).draw(N, realizations=realizations, rng=seed)
+    return Measured.mean(_sums(x, np.array((8, 0))).real)
+
+
+def _one_translation(seed: int) -> Claim:
+    """Differences on the torus from that of the first point."""
+    before, after = _drawn("jittered", 100, seed)
+    moves = (after - before) % 1.0
+    apart = (moves - moves[:, :1] + 0.5) % 1.0 - 0.5
+    return Claim(
+        "All points of a realisation are moved by the same vector on the torus: largest deviation.",
+        float(np.abs(apart).max()),
+        at_most=1e-15,
+    )
+
+
+def _phase(seed: int) -> Claim:
+    before, after = _drawn("jittered", 1, seed)
+    m = np.array([3, -2])
+    s0, s1 = (np.exp(-2j * np.pi * (x[0] @ m)).mean() for x in (before, after))
+    turned = s0 * np.exp(-2j * np.pi * (((after - before) % 1.0)[0, 0] @ m))
+    return Claim(
+        "The shift by Δ multiplies S_m by exp(−2πi m·Δ), at m = (3, −2).",
+        float(abs(s1 - turned)),
+        at_most=1e-13,
+    )
+
+
+def _correlated_before(before: Coefficients) -> Claim:
+    expected = N * float(mcs.closed_form_covariance("jittered", N, *PAIRS[0]).real)
+    se = float(mean_and_error(before.products.real)[1][0])
+    value = Measured.normal(float(before.covariance[0].real), se)
+    return Claim(
+        "Before the shift, coefficients of jittered points one stratum's frequency apart are correlated: "
+        f"N·Cov(S_m, S_l) at {_PAIR} is its closed form.",
+        value / (1 / N),
+        expected=expected,
+        digits=4,
+    )
+
+
+def _correlated_after(name: str, after: Coefficients) -> Claim:
+    distance, limit = after.farthest()
+    return Claim(
+        f"After a shift, coefficients of {name} points at different frequencies are not correlated: largest "
+        f"|Cov(S_m, S_l)| of {len(PAIRS)} pairs, in standard errors.",
+        distance,
+        at_most=limit,
+        shown=f"≤ {limit:.1f}",
+        note="The limit is that of as many normal errors, real and imaginary, at the gallery's level.",
+    )
+
+
+def _steps(seed: int) -> Plot:
+    x = mcs.sampler("jittered", 2).draw(16, rng=seed)[0]
+    move = np.array([0.42, 0.3])
+    outside = (x + move >= 1.0).any(axis=1)
+    panels = []
+    for at, (dx, dy), title in (
+        (x, np.zeros(2), "1: jittered points"),
+        (x + move, move, "2: shifted by Δ"),
+        ((x + move) % 1.0, move, "3: wrapped around"),
+    ):
+        # Borders of strata as (start, end), in the unit square where they are wrapped
+        wrapped = bool((at < 1.0).all())
+        lines = []
+        for k in range(5):
+            u, v = ((d + k / 4) % 1.0 if wrapped else d + k / 4 for d in (dx, dy))
+            left, low = (0.0, 0.0) if wrapped else (dx, dy)
+            lines += [[(u, low), (u, low + 1)], [(left, v), (left + 1, v)]]
+        square = np.array(
+            [[(0, 0), (1, 0)], [(1, 0), (1, 1)], [(1, 1), (0, 1)], [(0, 1), (0, 0)]], float
+        )
+        paths = np.stack([x, x + move], axis=1) if title.startswith("2") else np.zeros((0, 2, 2))
+        axes = [Axis(label=label, low=-0.04, high=1.46, ticks=UNIT) for label in ("x₀", "x₁")]
+        panels.append(
+            Panel(
+                marks=(
+                    Segments(ends=np.array(lines), color=FAINT, width=0.8),
+                    Segments(ends=square, color=INK),
+                    Segments(ends=paths, color=GRAY, width=0.5),
+                    Dots(x=at[~outside, 0], y=at[~outside, 1], color=PALETTE[0]),
+                    Dots(x=at[outside, 0], y=at[outside, 1], color=ACCENT),
+                ),
+                x=axes[0],
+                y=axes[1],
+                title=title,
+                square=True,
+            )
+        )
+    return Plot(
+        kind="homogenisation-steps",
+        panels=tuple(panels),
+        columns=3,
+        height=1.0,
+        share="y",
+        wide=True,
+    )
+
+
+def _spread(before: Coefficients, after: Coefficients) -> Plot:
+    panels = []
+    for each, title in ((before, "jittered"), (after, "jittered | shift")):
+        m, l = (N**0.5 * each.values[:500, 0, k].real for k in (0, 1))
+        x, y = Axis(label="√N · Re S_m"), Axis(label="√N · Re S_l")
+        dots = Dots(x=m, y=l, color=PALETTE[0], size=1.8)
+        panels.append(Panel(marks=(dots,), x=x, y=y, title=title, grid=True))
+    return Plot(
+        kind="homogenisation-correlation",
+        panels=tuple(panels),
+        columns=2,
+        height=0.75,
+        share="both",
+        wide=True,
+    )

@@ -1,0 +1,158 @@
+"""The variance of homogenised samples is the power term alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+import mcspectra as mcs
+from mcspectra.plots.description import Plot
+from mcspectra.plots.kinds import describe
+from mcspectra.plots.text import number
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured
+from mcspectra.reproduction.panels import in_columns, interval_panel
+
+__all__ = ["exhibit"]
+
+SAMPLERS = ("jittered", "latin-hypercube", "poisson-disk", "sobol | owen")
+BELL = "gaussian(center=[0.3, 0.35], width=0.2)"
+N = 64
+HALF_WIDTH = 24
+
+
+def exhibit(*, quick: bool, seed: int) -> Exhibit:
+    """Measure the terms of four samplers with and without a shift, and sum closed forms."""
+    realizations = 600 if quick else 10_000
+    plain = {name: terms(name, realizations, seed) for name in SAMPLERS}
+    shifted = {name: terms(f"{name} | shift", realizations, seed) for name in SAMPLERS}
+    before, after = (
+        ", ".join(f"{number(share(d).value)} ({name})" for name, d in data.items())
+        for data in (plain, shifted)
+    )
+    return Exhibit(
+        numbers={"N": N, "before": before, "after": after, "matrices": 200 if quick else 2000},
+        plots=(_ratios(plain, shifted), _matrices(200 if quick else 2000, seed)),
+        claims=(
+            *(_closed_sum(n) for n in (16, 256)),
+            *(_no_third(name, data) for name, data in shifted.items()),
+            *(_all_of_it(name, data) for name, data in shifted.items()),
+            Claim(
+                "The first term is 0, as weights are all 1/N: largest, as a share of the variance.",
+                max(float(d["dc_term"]) / float(d["measured_variance"]) for d in shifted.values()),
+                at_most=1e-15,
+            ),
+            _only_then(),
+            _more_than_all(plain["jittered"]),
+        ),
+    )
+
+
+def terms(name: str, realizations: int, seed: int) -> xr.Dataset:
+    """Terms on the bell."""
+    return mcs.variance_terms(
+        BELL, name, N, half_width=HALF_WIDTH, realizations=realizations, rng=seed
+    )
+
+
+def share(data: xr.Dataset) -> Measured:
+    """Power term over measured variance, with the errors of both."""
+    variance = Measured.of(data, "measured_variance")
+    power = Measured.of(data, "power_term") / variance.value
+    half = math.hypot(
+        math.log(variance.high / variance.low) / 2, (power.high - power.low) / (2 * power.value)
+    )
+    ends = (power.value * math.exp(-half), power.value * math.exp(half))
+    return Measured(power.value, *ends, log=True)
+
+
+def _closed_sum(n: int) -> Claim:
+    """f = x: |f_m|² = 1/(4π²m²); both closed forms, the tail beyond by the integral test."""
+    m = np.arange(1.0, 2**16 + 1)
+    power = mcs.closed_form_power("jittered", n, m[:, None])
+    total = 2 * float((power / (4 * np.pi**2 * m**2)).sum())
+    expected = 1 / (6 * n**2) - 1 / (12 * n**3)
+    return Claim(
+        f"f(x) = x and {n} jittered points, shifted: the sum is 1/(6N²) − 1/(12N³): relative difference.",
+        total / expected - 1.0,
+        # What is beyond has at most the power 1/n: Σ 1/m² < 1/2^16, relatively 6n²/(2π²n) / 2^16
+        at_most=float(2 / (4 * np.pi**2 * n * m[-1]) / expected),
+        note=f"Limit: what frequencies beyond {int(m[-1])} add at most.",
+    )
+
+
+def _no_third(name: str, data: xr.Dataset) -> Claim:
+    return Claim(
+        f"{name}, shifted: the third term is 0, as a share of the variance.",
+        Measured.of(data, "cross_term") / float(data["predicted_variance"]),
+        expected=0.0,
+    )
+
+
+def _all_of_it(name: str, data: xr.Dataset) -> Claim:
+    left_out = beyond() / N / float(data["measured_variance"])
+    return Claim(
+        f"{name}, shifted: the sum over m ≠ 0 is the measured variance: their ratio.",
+        share(data),
+        expected=1.0,
+        tolerance=left_out,
+        shown=f"1 ± {number(left_out, 2)}",
+        note=f"Tolerance: what f has beyond |m| = {HALF_WIDTH}, at the power 1/N of random points.",
+    )
+
+
+@cache
+def beyond() -> float:
+    """∫f² less Σ |f_m|² up to the half width; a Gaussian's square has a width smaller by √2."""
+    square = BELL.replace("width=0.2", f"width={0.2 / math.sqrt(2)}")
+    power = np.abs(mcs.integrand(BELL, 2).fourier_grid(HALF_WIDTH)) ** 2
+    return float(np.squeeze(mcs.integrand(square, 2).integral)) - float(power.sum())
+
+
+def _only_then() -> Claim:
+    """(1/(6N²) − 1/(12N³)) / (1/(12N³)) = 2N − 1, of what quadrature says of the variance."""
+    power = 1 / (6 * N**2) - 1 / (12 * N**3)
+    times = power / float(mcs.exact_variance(mcs.integrand("linear", 1), "jittered", N))
+    return Claim(
+        f"Without the shift the sum is not the variance: on f(x) = x, 2N − 1 times that of {N} jittered points: "
+        "relative difference from this.",
+        times / (2 * N - 1) - 1.0,
+        at_most=1e-9,
+    )
+
+
+def _more_than_all(data: xr.Dataset) -> Claim:
+    return Claim(
+        "Jittered points that are not shifted, on the bell: the sum is more than the variance: their ratio.",
+        share(data),
+        above=1.0,
+    )
+
+
+def _ratios(plain: Mapping[str, xr.Dataset], shifted: Mapping[str, xr.Dataset]) -> Plot:
+    rows = {name: [share(data[name]) for data in (plain, shifted)] for name in SAMPLERS}
+    x = "Σ |f_m|² ⟨|S_m|²⟩ over measured variance"
+    return Plot(
+        kind="homogenised-formula",
+        panels=(interval_panel(rows, ("as they are", "shifted"), x, at=1.0),),
+        height=0.32,
+        wide=True,
+    )
+
+
+def _matrices(realizations: int, seed: int) -> Plot:
+    f, n = mcs.integrand("linear", 1), 16
+    options: dict[str, Any] = {
+        "half_width": 32,
+        "realizations": realizations,
+        "rng": seed,
+        "cross_matrix": True,
+    }
+    names = ("jittered", "jittered | shift")
+    data = {name: mcs.variance_terms(f, name, n, **options) for name in names}
+    return replace(in_columns(describe("cross-matrix", data)), kind="homogenised-matrix")

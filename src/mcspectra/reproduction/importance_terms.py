@@ -1,0 +1,253 @@
+"""Signs of the three terms, under constant densities and importance sampling."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+import xarray as xr
+
+import mcspectra as mcs
+from mcspectra.core.checks import Array
+from mcspectra.plots.description import Plot
+from mcspectra.plots.text import number
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured
+from mcspectra.reproduction.panels import term_panel
+
+__all__ = ["exhibit"]
+
+N = 16
+_FEW, _MANY = 4, 64  # half widths: f with one cycle needs no more than 1
+
+
+@final
+@dataclass(frozen=True)
+class Case:
+    """An estimator and a sampler.
+
+    Attributes
+    ----------
+    function
+        ``line``, ``bar``, ``one``, or ``cosine``: 1 − cos 2πx.
+    amplitude
+        Of the density 1 + a cos(2πx), 0 a constant.
+    """
+
+    title: str
+    function: str
+    amplitude: float
+    sampler: str
+
+    @property
+    def integrand(self) -> mcs.Integrand:
+        """The function."""
+        if self.function == "line":
+            return mcs.integrand("linear", 1)
+        if self.function == "bar":  # edges in the middle of strata 4 and 10 of 16
+            return mcs.integrand(f"disk(center={7.5 / N}, radius={3 / N})", 1)
+        return _wave(0.0 if self.function == "one" else 1.0)
+
+    @property
+    def estimator(self) -> mcs.Estimator:
+        """The function with its density."""
+        return mcs.Estimator(self.integrand, _density(self.amplitude) if self.amplitude else None)
+
+    def terms(self, realizations: int, seed: int) -> xr.Dataset:
+        """The terms, with half widths that the function needs."""
+        half_width = _MANY if self.function in ("line", "bar") else _FEW
+        options: dict[str, Any] = {
+            "half_width": half_width,
+            "realizations": realizations,
+            "rng": seed,
+        }
+        return mcs.variance_terms(self.estimator, self.sampler, N, **options)
+
+    def exact_random(self) -> tuple[float, float, float]:
+        """The three terms of random points: means over the domain, periodic, so that midpoints are exact.
+
+        N times the terms are I² (∫1/p − 1), ∫1/p (∫f² − I²), and Cov(f², 1/p) of x uniform.
+        """
+        x = (np.arange(4096) + 0.5)[:, None] / 4096
+        f, p = self.integrand(x), 1.0 + self.amplitude * np.cos(2 * np.pi * x[:, 0])
+        integral, square, inverse = f.mean(), (f**2).mean(), (1 / p).mean()
+        first = integral**2 * (inverse - 1.0)
+        second = inverse * (square - integral**2)
+        third = (f**2 / p).mean() - square * inverse
+        return float(first) / N, float(second) / N, float(third) / N
+
+
+LINE = Case("f = x, p = 1, jittered", "line", 0.0, "jittered")
+BAR = Case("bar, p = 1, jittered", "bar", 0.0, "jittered")
+GOOD = Case("cosine, p as f, random", "cosine", -0.8, "random")
+STRATIFIED = Case("cosine, p as f, jittered", "cosine", -0.8, "jittered")
+BAD = Case("cosine, p against f, random", "cosine", 0.8, "random")
+FLAT = Case("f = 1, p as cosine, random", "one", -0.8, "random")
+
+
+def _wave(height: float) -> mcs.Integrand:
+    def f(x: Array) -> Array:
+        return np.asarray(1.0 - height * np.cos(2 * np.pi * x[..., 0]))
+
+    return mcs.Integrand.from_function(f, dims=1, integral=1.0)
+
+
+def _density(amplitude: float) -> mcs.Density:
+    def pdf(x: Array) -> Array:
+        return np.asarray(1.0 + amplitude * np.cos(2 * np.pi * x[..., 0]))
+
+    return mcs.Density.from_functions(pdf=pdf, dims=1)
+
+
+def exhibit(*, quick: bool, seed: int) -> Exhibit:
+    """Measure terms in cases that confirm the statements of the slides, and in some that do not."""
+    realizations = 1000 if quick else 20_000
+    of = {case: case.terms(realizations, seed) for case in (LINE, BAR, GOOD, STRATIFIED, BAD, FLAT)}
+    shifted = Case("", "line", 0.0, "jittered | shift").terms(realizations, seed)
+    third = {case: number(float(data["cross_term"])) for case, data in of.items()}
+    with_f = "With IS that follows f, {} points, the third term is negative."
+    return Exhibit(
+        numbers={
+            "line": third[LINE],
+            "bar": third[BAR],
+            "good": third[GOOD],
+            "bad": third[BAD],
+            "N": N,
+        },
+        plots=(_bars(of),),
+        claims=(
+            _second_positive([*(data for case, data in of.items() if case != FLAT), shifted]),
+            Claim(
+                "For constant PDF the first term is zero: largest.",
+                max(float(data["dc_term"]) for data in (of[LINE], of[BAR], shifted)),
+                at_most=1e-20,
+            ),
+            _negative(
+                "For constant PDF the third term is negative on f(x) = x, jittered points.",
+                of[LINE],
+            ),
+            _bar_adds(of[BAR]),
+            _shift_removes(shifted),
+            *_predictions(of),
+            _negative(with_f.format("random"), of[GOOD]),
+            _negative(with_f.format("jittered"), of[STRATIFIED]),
+            Claim(
+                "Counter-example: with IS that is low where f is high, the third term is positive.",
+                Measured.of(of[BAD], "cross_term"),
+                above=0.0,
+            ),
+            *(_crucial(case, of[case]) for case in (LINE, GOOD)),
+            Claim(
+                "The first term does not reduce the variance: it is I² Var(S₀), which is never negative; with IS "
+                "that follows f it is I² (∫1/p − 1)/N.",
+                Measured.of(of[GOOD], "dc_term"),
+                expected=GOOD.exact_random()[0],
+                digits=4,
+                note="The statement of the slides holds in so far as the third term outweighs it.",
+            ),
+            _all_first(of[FLAT]),
+            _perfect(seed),
+        ),
+    )
+
+
+def _second_positive(every: Sequence[xr.Dataset]) -> Claim:
+    found = [Measured.of(data, "power_term") for data in every]
+    return Claim(
+        f"The second term is always positive: that of the {len(every)} cases (f = 1 aside, which has none) whose "
+        "interval comes nearest to 0.",
+        min(found, key=lambda each: each.low / each.value),
+        above=0.0,
+    )
+
+
+def _negative(statement: str, data: xr.Dataset) -> Claim:
+    return Claim(statement, Measured.of(data, "cross_term"), below=0.0)
+
+
+def exact_bar(half_width: int) -> float:
+    """The third term of the bar up to a half width, by the closed form of C_ml; 1/(6N²) in all."""
+    m = np.arange(-half_width, half_width + 1)[:, None]
+    f = BAR.integrand.fourier(m)
+    c = mcs.closed_form_covariance("jittered", N, m[:, None], m[None])
+    matrix = f.conj()[:, None] * f * c
+    return float((matrix.sum() - np.trace(matrix)).real)
+
+
+def _bar_adds(data: xr.Dataset) -> Claim:
+    """Variance: ¼ of both strata over N²; after a shift 1/6 of each: the third term is the difference."""
+    return Claim(
+        "Counter-example: the third term of jittered points of constant PDF is positive for a bar whose edges halve "
+        "strata, 1/(6N²) in all, here over |m| ≤ 64.",
+        Measured.of(data, "cross_term"),
+        expected=exact_bar(_MANY),
+        digits=4,
+        note=f"1/(6N²) is {number(1 / (6 * N**2))}.",
+    )
+
+
+def _shift_removes(data: xr.Dataset) -> Claim:
+    return Claim(
+        "Counter-example: of shifted points of constant PDF the third term is neither negative nor positive.",
+        Measured.of(data, "cross_term"),
+        expected=0.0,
+    )
+
+
+def _predictions(of: Mapping[Case, xr.Dataset]) -> list[Claim]:
+    return [
+        Claim(
+            f"{case.title}: the third term is the covariance of f² and 1/p over the domain, over N.",
+            Measured.of(of[case], "cross_term"),
+            expected=case.exact_random()[2],
+            digits=4,
+        )
+        for case in (GOOD, BAD)
+    ]
+
+
+def _crucial(case: Case, data: xr.Dataset) -> Claim:
+    """First and second term over the measured variance, whose interval it takes."""
+    both = float(data["dc_term"] + data["power_term"])
+    variance = Measured.of(data, "measured_variance")
+    ends = both / variance.high, both / variance.low
+    return Claim(
+        f"Third term is crucial, {case.title}: without it the first two predict more than twice the variance: their "
+        "ratio.",
+        Measured(both / variance.value, *ends, log=True),
+        above=2.0,
+    )
+
+
+def _all_first(data: xr.Dataset) -> Claim:
+    return Claim(
+        "First term cannot be ignored for IS: of f = 1 it is the whole variance; its share less 1.",
+        float(data["dc_term"] / data["measured_variance"]) - 1.0,
+        at_most=1e-9,
+    )
+
+
+def _perfect(seed: int) -> Claim:
+    """With p = f every estimate is I: the third term is minus the other two."""
+    estimator = mcs.Estimator(_wave(0.8), _density(-0.8))
+    data = mcs.variance_terms(estimator, "jittered", N, half_width=_FEW, realizations=100, rng=seed)
+    return Claim(
+        "With IS by f itself (1 − 0.8 cos 2πx) the third term takes away all of the first two: their sum, relative to "
+        "these.",
+        float(data["predicted_variance"]) / float(data["dc_term"] + data["power_term"]),
+        at_most=1e-9,
+    )
+
+
+def _bars(of: Mapping[Case, xr.Dataset]) -> Plot:
+    return Plot(
+        kind="importance-terms",
+        panels=tuple(
+            term_panel(data, 1e-3, case.title, "" if k % 3 else "terms · 10³")
+            for k, (case, data) in enumerate(of.items())
+        ),
+        columns=3,
+        height=0.8,
+        wide=True,
+    )

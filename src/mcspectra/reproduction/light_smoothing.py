@@ -1,0 +1,177 @@
+"""Smoothed lights: rates of smooth integrands again, at the price of a bias."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+import mcspectra as mcs
+from mcspectra.plots.description import Line, Mark, Panel, Plot, Rule
+from mcspectra.plots.scales import log_axis
+from mcspectra.plots.style import INK, PALETTE
+from mcspectra.plots.text import number
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, pixel_rate, rate_text
+from mcspectra.reproduction.panels import primary_panel, variance_panel, whiskers
+
+__all__ = ["exhibit"]
+
+_EDGES = {"sharp": 0.0, "smooth": 1.0}
+_RATES = {"sharp": -1.5, "smooth": -2.0}
+_COUNTS = tuple(side**2 for side in (16, 23, 32, 45, 64))
+DISK, RADIUS = "disk(center=0.47)", 0.25
+WIDTHS = (0.0, 0.02, 0.05, 0.1, 0.2)
+BUDGETS = (64, 256, 1024)
+
+
+def exhibit(*, quick: bool, seed: int) -> Exhibit:
+    """Measure a pixel under a light with a sharp and a smooth edge, a ramp, and a smoothed disk."""
+    pixels = {name: _pixel(edge) for name, edge in _EDGES.items()}
+    options: dict[str, Any] = {"realizations": 80 if quick else 800, "rng": seed}
+    found = mcs.convergence(list(pixels.values()), "jittered", _COUNTS, **options)
+    curves = {name: found.isel(estimator=i) for i, name in enumerate(pixels)}
+    options["realizations"] = 300 if quick else 3000
+    scan = mcs.smoothing_scan(DISK, "jittered", BUDGETS, WIDTHS, **options)
+    sharp, smooth = map(rate_text, curves.values())
+    best = ", ".join(
+        f"{number(float(width), 2)} (N = {n})"
+        for width, n in zip(scan["best_width"], BUDGETS, strict=True)
+    )
+    return Exhibit(
+        numbers={"sharp": sharp, "smooth": smooth, "best": best, "radius": RADIUS},
+        plots=(_squares(pixels), _convergence(curves), _widths(scan)),
+        claims=(
+            *(
+                pixel_rate(
+                    f"Rate of BSDF sampling at P under a light with a {name} edge, jittered.",
+                    curve,
+                    _RATES[name],
+                )
+                for name, curve in curves.items()
+            ),
+            Claim(
+                f"At N = {_COUNTS[-1]}, variance over squared mean with the sharp edge over that with the smooth one.",
+                _relative(curves["sharp"]) / _relative(curves["smooth"]),
+                above=1.0,
+            ),
+            _ramp(0.2),
+            _ramp(0.05),
+            _bias(scan),
+            *(_best_pays(scan, n) for n in BUDGETS),
+            _narrower(scan),
+        ),
+    )
+
+
+def _pixel(edge: float) -> Any:
+    """BSDF sampling at P of Figure 1, under a light whose radiance rises over `edge` of its half side."""
+    scene = f"smooth-light(edge={edge})"
+    x, y = mcs.rendering.named_pixels(scene)["P"]
+    return mcs.rendering.Pixel(scene=scene, x=x, y=y, strategy="bsdf")
+
+
+def _relative(curve: xr.Dataset) -> Measured:
+    """Variance over the squared mean, at the largest N."""
+    last = curve.isel(n=-1)
+    return Measured.of(last, "variance") / float(last["mean"]) ** 2
+
+
+def _ramp(width: float) -> Claim:
+    """Exact: within strata of a ramp of the slope 1/δ, 1/(12 δ n³) in all."""
+    n = 1024
+    smoothed = mcs.smoothed(mcs.integrand("step(at=0.47)", dims=1), width)
+    # Two strata at the ends of the ramp are not full: they change δn strata by two at most
+    bound = 2 / (width * n)
+    return Claim(
+        f"In one dim a step smoothed over δ = {width} has the variance 1/(12 δ N³) with jittered points, not "
+        f"one of N⁻²: 12 δ N³ times the exact variance, N = {n}.",
+        12 * width * n**3 * float(mcs.exact_variance(smoothed, "jittered", n)),
+        expected=1.0,
+        tolerance=bound,
+        shown=f"1 ± {number(bound, 2)}",
+        note="Tolerance: the two strata at the ends of the ramp, of the δN on it.",
+    )
+
+
+def _bias(scan: xr.Dataset) -> Claim:
+    """A ramp of the width δ about the radius R: π(R² + δ²/12)."""
+    width = scan["width"].values[1:]
+    error = scan["smoothing_bias"].values[1:] / (np.pi * width**2 / 12) - 1.0
+    return Claim(
+        "A disk whose edge is a ramp of the width δ has the bias πδ²/12: largest relative difference.",
+        float(np.abs(error).max()),
+        at_most=1e-3,
+        note="Integrals of smoothed disks are quadratures.",
+    )
+
+
+def _best_pays(scan: xr.Dataset, n: int) -> Claim:
+    """Mean squared error with the edge over that of the best width."""
+    cell = scan.sel(n=n)
+    best = int(np.argmin(cell["mse"].values))
+    edge, least = (Measured.of(cell.isel(width=k), "mse") for k in (0, best))
+    return Claim(
+        f"There is a width that pays: squared error of a disk with its edge over that of the best width, bias included, "
+        f"N = {n}.",
+        edge / least,
+        above=1.0,
+    )
+
+
+def _narrower(scan: xr.Dataset) -> Claim:
+    first, last = (float(scan["best_width"].sel(n=n)) for n in (BUDGETS[0], BUDGETS[-1]))
+    return Claim(
+        f"The best width shrinks with the budget: that of N = {BUDGETS[-1]} over that of N = {BUDGETS[0]}.",
+        last / first,
+        below=1.0,
+        shown="< 1",
+        note=f"Of the widths {', '.join(f'{w:g}' for w in WIDTHS)}.",
+    )
+
+
+def _squares(pixels: Mapping[str, Any]) -> Plot:
+    return Plot(
+        kind="smoothed-light",
+        panels=tuple(primary_panel(g, f"{name} edge") for name, g in pixels.items()),
+        columns=2,
+        height=1.0,
+        share="y",
+    )
+
+
+def _convergence(curves: Mapping[str, xr.Dataset]) -> Plot:
+    panel = variance_panel(
+        {f"{name} edge": curve for name, curve in curves.items()},
+        rates={f"{name} edge": rate for name, rate in _RATES.items()},
+        relative=True,
+        title="BSDF sampling at P, jittered",
+        x="number of samples N",
+        y="variance / mean²",
+    )
+    return Plot(kind="light-smoothing", panels=(panel,))
+
+
+def _widths(scan: xr.Dataset) -> Plot:
+    widths, marks = np.array(WIDTHS[1:]), list[Mark]()
+    for k, n in enumerate(BUDGETS):
+        cell, label = scan.sel(n=n, width=widths), f"N = {n}"
+        mse = cell["mse"].values
+        edge = float(scan["mse"].sel(n=n, width=0.0))
+        marks += [
+            Rule(at=edge, color=PALETTE[k], dashes=":"),
+            Line(x=widths, y=mse, color=PALETTE[k], width=1.1, label=label),
+            whiskers(widths, mse, cell["mse_ci"].values, k, label),
+        ]
+    dense = np.geomspace(widths[0], widths[-1], 50)
+    line = (np.pi * dense**2 / 12) ** 2
+    marks.append(Line(x=dense, y=line, color=INK, width=1.1, label="bias², (πδ²/12)²"))
+    x = log_axis("width δ of the edge (sides of the domain)", widths[0], widths[-1])
+    y = log_axis("mean squared error", 1e-7, 5e-4)
+    return Plot(
+        kind="smoothing-widths",
+        panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),),
+        height=0.45,
+        wide=True,
+    )

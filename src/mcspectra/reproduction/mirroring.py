@@ -1,0 +1,255 @@
+"""Mirroring of the integrand and of the samples, which homogenisation then does not harm.
+
+Mirror-uniform puts each of n/4 points into four images, which is sampling the mean h of f over images
+at n/4 points; mirror-random adds the variance of the choice of an image, 1/n of that of f among them.
+h = q(x) q(y) is continuous around the torus, and with shifted strata of the side 1/s its variance is the
+sum over integer frequencies, Σ |h_m|² (1 − Π_i sinc²(πm_i/s)) / n, m ≠ 0, of products of one axis.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+import mcspectra as mcs
+from mcspectra.core.checks import Array
+from mcspectra.plots.description import (
+    Axis,
+    Dots,
+    Image,
+    Line,
+    Mark,
+    Panel,
+    Plot,
+    Rule,
+    Scale,
+    Text,
+)
+from mcspectra.plots.style import ACCENT, INK, PALETTE
+from mcspectra.plots.text import number
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
+from mcspectra.reproduction.panels import AXES, square_panel, strata, variance_panel
+
+__all__ = ["exhibit"]
+
+INTEGRAND = "christensen-gaussian"
+_COUNTS = (64, 256, 1024, 4096)
+_TITLES = {"original": "original", "random": "mirror-random", "uniform": "mirror-uniform"}
+_WORDS = {False: "not homogenised", True: "homogenised"}
+RATES = {
+    ("original", False): -2.0, ("original", True): -1.5,
+    ("random", False): -1.0, ("random", True): -1.0,
+    ("uniform", False): -2.0, ("uniform", True): -2.0,
+}  # fmt: skip
+"""Of each mirroring, not homogenised and homogenised."""
+
+
+def exhibit(*, quick: bool, seed: int) -> Exhibit:
+    """Draw integrand and samples, and measure the six curves of convergence."""
+    options: dict[str, Any] = {"realizations": 250 if quick else 2500, "rng": seed}
+    study = mcs.mirror_study(INTEGRAND, "jittered", _COUNTS, mirrorings=list(_TITLES), **options)
+    cells = {(m, h): study.sel(mirroring=m, homogenized=h) for m, h in RATES}
+    exact = {
+        (m, h): np.array([exact_mirrored(m, n, homogenized=h) for n in _COUNTS]) for m, h in RATES
+    }
+    shown = {key: rate_text(cell) for key, cell in cells.items()}
+    last = {key: Measured.of(cell.isel(n=-1), "variance") for key, cell in cells.items()}
+    moved = last["original", True]
+    return Exhibit(
+        numbers={
+            "original": shown["original", False],
+            "original_shifted": shown["original", True],
+            "uniform": shown["uniform", False],
+            "uniform_shifted": shown["uniform", True],
+        },
+        plots=(_integrands(), _samples(seed), _convergence(cells, exact)),
+        claims=(
+            *(_rate_of(key, cell, exact[key]) for key, cell in cells.items()),
+            Claim(
+                f"Homogenised is not good: at N = {_COUNTS[-1]} the shift multiplies the variance of the original by "
+                "more than 1.",
+                moved / last["original", False],
+                above=1.0,
+            ),
+            Claim(
+                f"Mirroring helps where sets are homogenised: at N = {_COUNTS[-1]}, variance of the original over "
+                "mirror-uniform, both shifted.",
+                moved / last["uniform", True],
+                above=1.0,
+            ),
+            *_jumps(),
+            *(_domain(dims) for dims in (1, 2)),
+        ),
+    )
+
+
+def symmetrized(x: Array) -> Array:
+    """Mean q of exp(−x²) over both images of x."""
+    return np.asarray((np.exp(-(x**2)) + np.exp(-((1 - x) ** 2))) / 2)
+
+
+def exact_mirrored(mirroring: str, n: int, *, homogenized: bool) -> float:
+    """Variance of I_n with n evaluations of f; n = s², and for ``uniform`` n = 4s²."""
+    if mirroring == "original":
+        sampler = "jittered | shift" if homogenized else "jittered"
+        return float(mcs.exact_variance(INTEGRAND, sampler, n))
+    if mirroring == "uniform":
+        return _of_the_mean(n // 4, homogenized)
+    return among_images() / n + _of_the_mean(n, homogenized)
+
+
+def _of_the_mean(n: int, homogenized: bool) -> float:
+    """Variance of h at n jittered points."""
+    s = math.isqrt(n)
+    if homogenized:
+        whole, power = _axis()
+        m = np.arange(len(power))
+        seen = power[0] + 2.0 * (power[1:] * np.sinc(m[1:] / s) ** 2).sum()
+        return float((whole**2 - seen**2) / n)
+    # Within stratum j: n⁻² Σ (∫∫ h² n − (∫∫ h n)²), and both are products of axes
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    q = symmetrized((np.arange(s)[:, None] + (nodes + 1) / 2) / s)
+    means, squares = q @ weights / 2, q**2 @ weights / 2
+    return float((squares.sum() ** 2 - (means**2).sum() ** 2) / n**2)
+
+
+@cache
+def _axis() -> tuple[float, Array]:
+    """∫q² and |q_m|², m = 0 … 4096, which fall as m⁻⁴."""
+    samples = 2**16
+    x = (np.arange(samples) + 0.5) / samples
+    power = np.abs(np.fft.rfft(symmetrized(x)) / samples)[:4097] ** 2
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    return float(weights @ symmetrized((nodes + 1) / 2) ** 2 / 2), power
+
+
+def among_images() -> float:
+    """∫f² − ∫h²."""
+    square = float(np.pi / 8 * math.erf(math.sqrt(2.0)) ** 2)  # (∫ exp(−2x²) dx)²
+    return square - _axis()[0] ** 2
+
+
+def _rate_of(cell: tuple[str, bool], curve: xr.Dataset, exact: Array) -> Claim:
+    mirroring, homogenized = cell
+    text = f"{_TITLES[mirroring]}, jittered, {_WORDS[homogenized]}: rate."
+    return known_rate(f"Variance of exp(−x² − y²), {text}", curve, RATES[cell], exact)
+
+
+def _jumps() -> list[Claim]:
+    """Largest |f(0, y) − f(1, y)| of the integrand over the period that a shift wraps around."""
+    y = np.linspace(0.0, 1.0, 257)
+    original = np.exp(-(y**2)) * (1.0 - np.exp(-1.0))
+    # f(fold(2u)) at both ends of an axis
+    g = mcs.Mirrored(INTEGRAND).primary_integrand(0)
+    ends = (g(np.stack([np.full_like(y, u), y], axis=-1)) for u in (0.0, np.nextafter(1.0, 0.0)))
+    mirrored = np.subtract(*ends)
+    return [
+        Claim(
+            "Where the original wraps around it jumps, by up to 1 − 1/e.",
+            float(np.abs(original).max()),
+            expected=float(1 - np.exp(-1)),
+            tolerance=1e-12,
+            digits=4,
+        ),
+        Claim(
+            "Where the mirrored integrand wraps around it is continuous: largest jump.",
+            float(np.abs(mirrored).max()),
+            at_most=1e-12,
+        ),
+    ]
+
+
+def _domain(dims: int) -> Claim:
+    """Each image gets the strata that n/2^d points have in the domain, each sampled once."""
+    f = INTEGRAND if dims == 2 else "gaussian(center=0.2, width=0.4, dims=1)"
+    n, images = 64, 2**dims
+    mirrored = float(mcs.exact_variance(mcs.Mirrored(f), "jittered", images * n))
+    plain = float(mcs.exact_variance(f, "jittered", n))
+    return Claim(
+        f"Mirroring the integrand makes the domain {images} times as large in {dims} dim{'s' * (dims > 1)}: {images}N "
+        f"jittered points in it have strata as those of N, the variance 1/{images} of that of N. Relative difference.",
+        images * mirrored / plain - 1.0,
+        at_most=1e-9,
+    )
+
+
+def _integrands() -> Plot:
+    t = (np.arange(400) + 0.5) / 200 - 1.0
+    axis: dict[str, Any] = {"low": -1.0, "high": 1.0, "ticks": {-1.0: "−1", 0.0: "0", 1.0: "1"}}
+    scale = Scale(high=1.0)
+    images, sections = [], []
+    for folded, title in ((t % 1.0, "original: wrapped around"), (np.abs(t), "mirrored")):
+        values = np.exp(-(folded[:, None] ** 2) - folded**2)
+        borders = [Rule(at=0.0, axis=a, color="#FFFFFF", width=0.8) for a in AXES]
+        image = Image(values=values, x=t, y=t, scale=scale, name="f")
+        images.append(
+            Panel(
+                marks=(image, *borders),
+                x=Axis(**axis),
+                y=Axis(label="y", **axis),
+                title=title,
+                square=True,
+            )
+        )
+        jumps = np.abs(np.diff(folded, append=folded[-1])) > 0.5
+        line = Line(x=t, y=np.where(jumps, np.nan, np.exp(-(folded**2))), color=INK, width=1.4)
+        y = Axis(label="f(x, 0)", low=0.0, high=1.1)
+        sections.append(Panel(marks=(line,), x=Axis(label="x", **axis), y=y, grid=True))
+    return Plot(
+        kind="mirrored-integrand",
+        panels=(*images, *sections),
+        columns=2,
+        height=0.5,
+        rows=(2.0, 1.0),
+        share="x",
+        wide=True,
+    )
+
+
+def _samples(seed: int) -> Plot:
+    own = mcs.sampler("jittered", 2).draw(16, rng=seed)[0]
+    panels = []
+    for mirroring, side in (("original", 8), ("random", 8), ("uniform", 4)):
+        spec = "jittered" if mirroring == "original" else f"jittered | mirror(mode={mirroring!r})"
+        x, y = mcs.sampler(spec, 2).draw(64, rng=seed)[0].T
+        marks: list[Mark] = [*strata(side), Dots(x=x, y=y, color=PALETTE[0], size=3.0)]
+        if mirroring == "uniform":
+            marks.append(Dots(x=own[:, 0], y=own[:, 1], color=ACCENT, size=3.0))
+        panels.append(square_panel(marks, _TITLES[mirroring], "x y"))
+    return Plot(
+        kind="mirrored-samples", panels=tuple(panels), columns=3, height=1.0, share="y", wide=True
+    )
+
+
+def _convergence(
+    cells: Mapping[tuple[str, bool], xr.Dataset], exact: Mapping[tuple[str, bool], Array]
+) -> Plot:
+    panels, label = [], "measured and exact"
+    for shifted, mirroring in itertools.product((True, False), _TITLES):
+        key = mirroring, shifted
+        panel = variance_panel(
+            {label: cells[key]},
+            exact={label: exact[key]},
+            rates={label: RATES[key]},
+            title=f"{_TITLES[mirroring]}, {'shifted' if shifted else 'not shifted'}",
+            x="number of samples N",
+            limits=(1e-9, 1e-3),
+        )
+        at, text = float(exact[key][1]), f"slope {number(RATES[key], 2)}"
+        slope = Text(x=float(_COUNTS[1]), y=2.0 * at, text=text)
+        panels.append(replace(panel, marks=(*panel.marks, slope)))
+    return Plot(
+        kind="mirroring-convergence",
+        panels=tuple(panels),
+        columns=3,
+        height=0.8,
+        share="both",
+        wide=True,
+    )

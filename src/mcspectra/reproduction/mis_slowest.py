@@ -1,0 +1,190 @@
+"""Multiple importance sampling converges like its slowest technique: a toy, and pixels of Veach's scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+import mcspectra as mcs
+from mcspectra.core.checks import Array
+from mcspectra.plots.description import Plot
+from mcspectra.reproduction.claims import (
+    Claim,
+    Exhibit,
+    Measured,
+    known_rate,
+    pixel_rate,
+    rate_text,
+)
+from mcspectra.reproduction.panels import variance_panel
+
+__all__ = ["exhibit"]
+
+_AT = 0.3
+_COUNTS = (16, 32, 64, 128, 256, 512)
+_SIDES = (6, 8, 11, 16, 23, 32)  # of strata; at full quality, twice as many
+_PIXELS: dict[str, dict[str, Any]] = {
+    "wall": {"scene": "veach", "x": 568, "y": 100, "light": "light-3"},
+    "plate": {"scene": "veach", "x": 600, "y": 430, "light": "light-3"},
+}
+_WHERE = {"wall": "the diffuse wall", "plate": "the roughest plate"}
+_RATES = {"light sampling": -2.0, "BSDF sampling": -1.5, "MIS": -1.5}
+TECHNIQUES = {"f = x": -3.0, f"1[x < {_AT}]": -2.0}
+
+
+def exhibit(*, quick: bool, seed: int) -> Exhibit:
+    """Measure techniques and their sum, of the toy and of two pixels."""
+    toy = toy_curves(400 if quick else 4000, seed)
+    sides = [side if quick else 2 * side for side in _SIDES]
+    pixels = {name: _pixel(name, sides, 80 if quick else 500, seed) for name in _PIXELS}
+    rates = "; ".join(
+        f"{_WHERE[where]}: "
+        + ", ".join(f"{name} {rate_text(found.isel(estimator=i))}" for i, name in enumerate(_RATES))
+        for where, found in pixels.items()
+    )
+    return Exhibit(
+        numbers={"rates": rates},
+        plots=(_pixel_plot(pixels), _toy_plot(toy)),
+        claims=(
+            *(_toy_rate(toy, technique) for technique in (0, 1)),
+            known_rate(
+                "Toy: the sum has the rate of the slower technique.",
+                toy["sum"],
+                -2.0,
+                exact(0) + exact(1),
+            ),
+            _bottleneck(toy["sum"].attrs["bottleneck"]),
+            _toy_formula(),
+            *(
+                pixel_rate(
+                    f"Veach's scene, {_WHERE[where]}: rate of {name}, jittered.",
+                    found.isel(estimator=i),
+                    rate,
+                )
+                for where, found in pixels.items()
+                for i, (name, rate) in enumerate(_RATES.items())
+            ),
+            *(_follows(where, found) for where, found in pixels.items()),
+            *(_what_is_left(where, found) for where, found in pixels.items()),
+        ),
+    )
+
+
+def _toy() -> Any:
+    return mcs.TechniqueSum(["linear", f"step(at={_AT})"], dims=1)
+
+
+def toy_curves(realizations: int, seed: int) -> dict[str, xr.Dataset]:
+    """Convergence of both techniques and of their sum."""
+    data = mcs.technique_terms(
+        _toy(), "jittered", _COUNTS, half_width=1, realizations=realizations, rng=seed
+    )
+    names = {f"technique_{name}": name for name in ("rate", "rate_ci", "variance", "variance_ci")}
+    curves = {
+        name: data.sel(technique=k)[list(names)].rename(names) for k, name in enumerate(TECHNIQUES)
+    }
+    whole = data[["rate", "rate_ci", "measured_variance", "measured_variance_ci"]]
+    curves["sum"] = whole.rename(measured_variance="variance", measured_variance_ci="variance_ci")
+    return curves
+
+
+def exact(technique: int) -> Array:
+    """1/(12n³) of f = x, and {an}(1 − {an})/n² of 1[x < a]."""
+    n = np.array(_COUNTS, float)
+    part = _AT * n % 1.0
+    return np.asarray(1 / (12 * n**3) if technique == 0 else part * (1 - part) / n**2)
+
+
+def _toy_rate(toy: Mapping[str, xr.Dataset], technique: int) -> Claim:
+    name, expected = list(TECHNIQUES.items())[technique]
+    text = f"Toy: rate of the technique {name}, jittered."
+    return known_rate(text, toy[name], expected, exact(technique))
+
+
+def _bottleneck(found: str) -> Claim:
+    return Claim(
+        "Toy: the technique whose interval lies above all others is the slower one.",
+        found,
+        holds=found == "technique 1",
+        shown="technique 1",
+    )
+
+
+def _toy_formula() -> Claim:
+    found = np.array([mcs.exact_variance(_toy(), "jittered", n) for n in _COUNTS])
+    return Claim(
+        "Toy: the variance of the sum is 1/(12N³) + {aN}(1 − {aN})/N², {·} the fractional part: largest relative "
+        "difference.",
+        float(np.abs(found / (exact(0) + exact(1)) - 1).max()),
+        at_most=1e-9,
+    )
+
+
+def _pixel(where: str, sides: Sequence[int], realizations: int, seed: int) -> xr.Dataset:
+    """Light and BSDF sampling alone, MIS, and its two techniques, on a dim estimator."""
+    place = _PIXELS[where]
+    alone, mis = mcs.rendering.pixel_strategies(**place), mcs.rendering.pixel_mis(**place)
+    parts = [mis.primary_integrand(t) for t in (0, 1)]
+    return mcs.convergence(
+        [alone["light"], alone["bsdf"], mis, *parts],
+        "jittered",
+        [side**2 for side in sides],
+        realizations=realizations,
+        rng=seed,
+    )
+
+
+def _follows(where: str, found: xr.Dataset) -> Claim:
+    """Difference of two rates, both with intervals, taken as independent."""
+    bsdf, mis = (Measured.of(found.isel(estimator=i), "rate") for i in (1, 2))
+    return Claim(
+        f"Veach's scene, {_WHERE[where]}: rate of MIS minus that of BSDF sampling.",
+        mis - bsdf,
+        expected=0.0,
+        tolerance=0.125,
+        shown="0 ± 0.12",
+        note="Tolerance: a quarter of the distance to the rate of light sampling.",
+    )
+
+
+def _what_is_left(where: str, found: xr.Dataset) -> Claim:
+    """Share of the BSDF technique in the variance of MIS at the largest N."""
+    light, bsdf = (found.isel(estimator=i, n=-1) for i in (3, 4))
+    return Claim(
+        f"Veach's scene, {_WHERE[where]}: what is left of MIS at N = {int(light['n'])} is its BSDF technique; variance "
+        "of that over that of its light technique.",
+        Measured.of(bsdf, "variance") / Measured.of(light, "variance"),
+        above=1.0,
+    )
+
+
+def _pixel_plot(pixels: Mapping[str, xr.Dataset]) -> Plot:
+    return Plot(
+        kind="mis-slowest",
+        panels=tuple(
+            variance_panel(
+                {name: found.isel(estimator=i) for i, name in enumerate(_RATES)},
+                rates=_RATES,
+                relative=True,
+                title=_WHERE[where],
+                x="samples N of each technique",
+                y="variance / mean²",
+            )
+            for where, found in pixels.items()
+        ),
+        columns=2,
+        height=0.9,
+        wide=True,
+    )
+
+
+def _toy_plot(toy: Mapping[str, xr.Dataset]) -> Plot:
+    known = dict(zip(toy, (exact(0), exact(1), exact(0) + exact(1)), strict=True))
+    x = "number of points N of each technique"
+    return Plot(
+        kind="toy-techniques",
+        panels=(variance_panel(toy, exact=known, title="two techniques and their sum", x=x),),
+    )

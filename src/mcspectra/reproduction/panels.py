@@ -1,0 +1,214 @@
+"""Panels of several exhibits: variances against N, images over frequencies, unit squares, terms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+
+from mcspectra.core.checks import Array
+from mcspectra.plots.description import (
+    Axis,
+    Bars,
+    Dots,
+    Image,
+    Line,
+    Mark,
+    Panel,
+    Plot,
+    Rule,
+    Scale,
+    Text,
+)
+from mcspectra.plots.scales import count_axis, log_axis, name_axis
+from mcspectra.plots.style import FAINT, INK, MARKERS, PALETTE, line_widths
+from mcspectra.plots.text import number
+from mcspectra.reproduction.claims import Measured
+
+__all__ = [
+    "AXES",
+    "UNIT",
+    "at_ring",
+    "frequency_panel",
+    "in_columns",
+    "interval_panel",
+    "primary_panel",
+    "ring_mean",
+    "square_panel",
+    "strata",
+    "term_panel",
+    "variance_panel",
+    "whiskers",
+]
+
+AXES: tuple[Literal["x", "y"], ...] = ("x", "y")
+
+UNIT = {0.0: "0", 1.0: "1"}
+"""Ticks of an axis from 0 to 1."""
+
+_TERMS = {"dc_term": "1st", "power_term": "2nd", "cross_term": "3rd"}
+_RESOLUTION = 256
+_ROUNDING = 1e-12  # terms that small beside the largest are rounding errors
+
+
+def whiskers(x: Array, y: Array, ends: Array, k: int, label: str, size: float = 4.0) -> Dots:
+    """Return dots with intervals (…, 2), in the k-th look."""
+    return Dots(
+        x=np.asarray(x, float), y=y, low=ends[..., 0], high=ends[..., 1],
+        color=PALETTE[k], marker=MARKERS[k], size=size, label=label,
+    )  # fmt: skip
+
+
+def variance_panel(
+    curves: Mapping[str, xr.Dataset],
+    *,
+    exact: Mapping[str, Array] | None = None,
+    rates: Mapping[str, float] | None = None,
+    relative: bool = False,
+    title: str = "",
+    x: str = "number of points N",
+    y: str = "variance",
+    limits: tuple[float, float] | None = None,
+) -> Panel:
+    """Return measured variances with 95 % intervals against N, and lines of what is known of them.
+
+    Parameters
+    ----------
+    curves
+        Of `mcspectra.convergence`, one estimator and sampler each, by label; looks follow their order.
+    exact
+        Variances at the same counts, for some of the labels.
+    rates
+        Of theory, for some of the labels: dashed lines through the last exact or measured variance.
+    relative
+        Whether to divide by the squared mean at the largest N.
+    limits
+        Of the variances; the data's by default.
+    """
+    marks: list[Mark] = []
+    values: list[float] = []
+    counts: set[int] = set()
+    widths = line_widths(len(curves))
+    for k, (label, curve) in enumerate(curves.items()):
+        scale = float(curve["mean"][-1]) ** -2 if relative else 1.0
+        n, ends = curve["n"].values.astype(float), scale * curve["variance_ci"].values
+        line = (exact or {}).get(label)
+        if line is not None:
+            marks.append(Line(x=n, y=line, color=PALETTE[k], width=widths[k], label=label))
+        last = scale * float(curve["variance"][-1]) if line is None else line[-1]
+        if label in (rates or {}):
+            theory = last * (n / n[-1]) ** (rates or {})[label]
+            marks.append(Line(x=n, y=theory, color=PALETTE[k], dashes="--", width=1.0))
+            values += [*theory]
+        marks.append(whiskers(n, scale * curve["variance"].values, ends, k, label))
+        values += [*ends.ravel(), *([] if line is None else line)]
+        counts |= {int(v) for v in n}
+    low, high = limits or (min(values), max(values))
+    x_axis, y_axis = count_axis(x, counts, most=5), log_axis(y, low, high, most=5)
+    return Panel(marks=tuple(marks), x=x_axis, y=y_axis, title=title, grid=True)
+
+
+def at_ring(spectrum: xr.Dataset, ring: int, scale: float) -> Measured:
+    """Return the radial power at |m| ≈ ring, times `scale`."""
+    row = spectrum.isel(radius=ring - 1)
+    return Measured.normal(
+        scale * float(row["radial_power"]), scale * float(row["radial_power_se"])
+    )
+
+
+def ring_mean(power: Callable[[Array], Array], half_width: int, ring: int) -> float:
+    """Return the mean of a power over the frequencies of the plane whose |m| rounds to `ring`."""
+    side = np.arange(-half_width, half_width + 1)
+    m = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
+    return float(power(m[np.rint(np.hypot(m[:, 0], m[:, 1])) == ring]).mean())
+
+
+def frequency_panel(values: Array, scale: Scale, title: str, *, y: bool = True) -> Panel:
+    """Return an image of values (m₀, m₁) at frequencies −K … K, without that at 0; `y` labels m₁."""
+    half = len(values) // 2
+    shown = np.array(values, float)
+    shown[half, half] = np.nan
+    side = np.arange(-half, half + 1.0)
+    ticks = {float(v): number(float(v), 2 if half < 100 else 3) for v in (-half, 0, half)}
+    image = Image(values=shown.T, x=side, y=side, scale=scale, name="power")
+    return Panel(
+        marks=(image,),
+        x=Axis(label="m₀ (cycles per unit)", ticks=ticks),
+        y=Axis(label="m₁ (cycles per unit)" if y else "", ticks=ticks),
+        title=title,
+        square=True,
+    )
+
+
+def strata(side: int) -> tuple[Rule, ...]:
+    """Return the borders of side × side strata of the unit square."""
+    places = (np.arange(1, side) / side).tolist()
+    return tuple(Rule(at=at, axis=axis, color=FAINT, width=0.7) for axis in AXES for at in places)
+
+
+def square_panel(marks: Sequence[Mark], title: str, labels: str = "x₀ x₁") -> Panel:
+    """Return marks in the unit square."""
+    x, y = (Axis(label=label, low=0.0, high=1.0, ticks=UNIT) for label in labels.split())
+    return Panel(marks=tuple(marks), x=x, y=y, title=title, square=True, framed=True)
+
+
+def primary_panel(integrand: Callable[[Array], Array], title: str) -> Panel:
+    """Return an image of an integrand (u₀, u₁) on the unit square, over its mean."""
+    u = (np.arange(_RESOLUTION) + 0.5) / _RESOLUTION
+    values = np.asarray(integrand(np.stack(np.meshgrid(u, u), axis=-1)))
+    shown = values / values.mean()
+    scale = Scale(label="f/p (over its mean)", high=float(shown.max()))
+    image = Image(values=shown, x=u, y=u, scale=scale, name="f/p over its mean")
+    return square_panel([image], title, "u₀ u₁")
+
+
+def in_columns(plot: Plot, first: int = 0) -> Plot:
+    """Return a plot of two panels a sampler with one column a sampler; `first` is the panel on top."""
+    panels = (*plot.panels[first::2], *plot.panels[1 - first :: 2])
+    return replace(plot, panels=panels, columns=len(panels) // 2, wide=True)
+
+
+def interval_panel(
+    rows: Mapping[str, Sequence[Measured]], labels: Sequence[str], x: str, at: float | None = None
+) -> Panel:
+    """Return horizontal intervals, one row a name; `labels` say what the first, second … of a row are."""
+    marks: list[Mark] = [] if at is None else [Rule(at=at, axis="x", color=INK, dashes="--")]
+    for k, label in enumerate(labels):
+        found = [row[k] for row in rows.values()]
+        away = 0.26 * (k - (len(labels) - 1) / 2)
+        value, low, high = np.array([(each.value, each.low, each.high) for each in found]).T
+        marks.append(
+            Dots(
+                x=value, y=np.arange(len(found)) + away, low=low, high=high, across=True,
+                color=PALETTE[k], marker=MARKERS[k], size=5.0, label=label,
+            )
+        )  # fmt: skip
+    high = max(each.high for row in rows.values() for each in row)
+    axis = Axis(label=x, low=0.0, high=1.08 * high)
+    return Panel(marks=tuple(marks), x=axis, y=name_axis(list(rows)), grid=True)
+
+
+def term_panel(data: xr.Dataset, scale: float, title: str, y: str = "") -> Panel:
+    """Return bars of the three terms and their sum over `scale`, with 95 % intervals."""
+    names = {**_TERMS, "predicted_variance": "sum"}
+    found = [Measured.of(data, name) / scale for name in names]
+    value, low, high = np.array([(each.value, each.low, each.high) for each in found]).T
+    rounding = _ROUNDING * np.abs(value).max()
+    texts = [number(v, 2) if abs(v) > rounding else "0" for v in value]
+    at = np.arange(4.0)
+    bars = Bars(at=at, value=value, low=low, high=high, color=PALETTE[:4], thickness=0.72)
+    above = (
+        Text(x=float(place), y=max(float(end), 0.0), text=text, side="above")
+        for place, end, text in zip(at, high, texts, strict=True)
+    )
+    bottom, top = min(low.min(), 0.0), max(high.max(), 0.0)
+    room = top - bottom
+    return Panel(
+        marks=(bars, Rule(at=0.0, color=INK, width=0.7), *above),
+        x=Axis(low=-0.6, high=3.6, ticks=dict(zip(at.tolist(), names.values(), strict=True))),
+        y=Axis(label=y, low=bottom - 0.05 * room * (bottom < 0), high=top + 0.17 * room),
+        title=title,
+    )

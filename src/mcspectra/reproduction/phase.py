@@ -1,0 +1,286 @@
+"""The third term encodes phase: strata that are shifted, and functions of equal power spectra."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+import mcspectra as mcs
+from mcspectra.core.checks import Array
+from mcspectra.plots.description import Axis, Line, Mark, Panel, Plot, Rule
+from mcspectra.plots.style import INK, PALETTE
+from mcspectra.plots.text import number
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
+from mcspectra.reproduction.panels import variance_panel, whiskers
+
+__all__ = ["exhibit"]
+
+COUNTS = (16, 64, 256, 1024)
+N = 16
+HALF_WIDTH = 48
+BAR = "disk(center=0.5, radius=0.25)"  # edges at 1/4 and 3/4, borders of strata of 4^k points
+OFFSETS = (0.0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875)
+LABELS = {
+    0.0: "not displaced",
+    0.125: "displaced by 1/8 of a side",
+    0.5: "displaced by half a side",
+}
+_HIGHEST = 12  # frequency of the two functions of equal power
+
+
+def exhibit(*, quick: bool, seed: int) -> Exhibit:
+    """Displace strata against edges, and edges against strata."""
+    realizations = 1000 if quick else 10_000
+    scan = {offset: bar_terms(offset, realizations, seed) for offset in OFFSETS}
+    curves = {offset: displaced_curve(offset, realizations, seed) for offset in LABELS}
+    third = [float(data["cross_term"]) for data in scan.values()]
+    second = number(float(scan[0.0]["power_term"]))
+    rates = ", ".join(f"{rate_text(curve)} ({LABELS[offset]})" for offset, curve in curves.items())
+    return Exhibit(
+        numbers={
+            "second": second,
+            "N": N,
+            "least": number(min(third)),
+            "most": number(max(third)),
+            "rates": rates,
+            "half_width": HALF_WIDTH,
+        },
+        plots=(_offsets(scan), _convergence(curves), _functions()),
+        claims=(
+            _same_second(list(scan.values())),
+            _turned(),
+            *(_variance_of(offset, scan[offset]) for offset in LABELS),
+            _at_borders(scan[0.0]),
+            Claim(
+                "Phase decides the sign of the third term: with the edges in the middle it is positive.",
+                Measured.of(scan[0.5], "cross_term"),
+                above=0.0,
+            ),
+            _mean_of_third(),
+            *(_rate_of(offset, curve) for offset, curve in curves.items()),
+            *_equal_power_claims(),
+        ),
+    )
+
+
+def displaced(offset: float) -> str:
+    """Jittered points, their strata moved by a part of the side."""
+    return f"jittered | strata-shift(offset={offset})"
+
+
+def bar_terms(offset: float, realizations: int, seed: int) -> xr.Dataset:
+    """Terms of the bar."""
+    options: dict[str, Any] = {"half_width": HALF_WIDTH, "realizations": realizations, "rng": seed}
+    return mcs.variance_terms(mcs.integrand(BAR, 1), displaced(offset), N, **options)
+
+
+def smooth() -> mcs.Integrand:
+    """The bar, and a cosine that gives what is left of the variance when edges cost nothing."""
+
+    def f(x: Array) -> Array:
+        return np.asarray((np.abs(x[..., 0] - 0.5) < 0.25) + np.cos(2 * np.pi * x[..., 0]))
+
+    return mcs.Integrand.from_function(f, dims=1, integral=0.5)
+
+
+def displaced_curve(offset: float, realizations: int, seed: int) -> xr.Dataset:
+    """Convergence of the bar and the cosine."""
+    spec = displaced(offset)
+    return mcs.convergence(smooth(), spec, list(COUNTS), realizations=realizations, rng=seed)
+
+
+def exact_bar(offset: float, n: int) -> float:
+    """Both edges cut a stratum into shares s = offset and 1 − s: 2 s(1 − s)/N²."""
+    return 2 * offset * (1 - offset) / n**2
+
+
+def exact_curve(offset: float) -> Array:
+    """Variances of the bar and the cosine: of each stratum, by quadrature on both sides of its cut."""
+    node, weight = np.polynomial.legendre.leggauss(8)
+    node, weight = (node + 1) / 2, weight / 2
+    # Cuts are 1 − offset from the left of a stratum
+    t = np.concatenate([node * (1 - offset), 1 - offset + node * offset])
+    w = np.concatenate([weight * (1 - offset), weight * offset])
+    found = []
+    for n in COUNTS:
+        f = smooth()((((np.arange(n)[:, None] + t + offset) / n) % 1.0)[..., None])
+        found.append(float((((f - (f @ w)[:, None]) ** 2) @ w).sum()) / n**2)
+    return np.array(found)
+
+
+def _matrix(sampler: str, half_width: int = HALF_WIDTH) -> tuple[Array, Array]:
+    """Frequencies (M, 1) and C_ml in closed form."""
+    m = np.arange(-half_width, half_width + 1)[:, None]
+    return m, mcs.closed_form_covariance(sampler, N, m[:, None], m[None])
+
+
+def _third(f: Array, c: Array) -> float:
+    """Σ conj(f_m) f_l C_ml over m ≠ l."""
+    matrix = f.conj()[:, None] * f[None] * c
+    return float((matrix.sum() - np.trace(matrix)).real)
+
+
+def _same_second(scan: Sequence[xr.Dataset]) -> Claim:
+    second = np.array([float(d["power_term"]) for d in scan])
+    return Claim(
+        f"The second term does not depend on where the strata lie, for {len(scan)} offsets and the same random "
+        "numbers: largest relative difference.",
+        float(np.ptp(second) / second[0]),
+        at_most=1e-9,
+    )
+
+
+def _turned() -> Claim:
+    """The third term of points displaced by Δ is that of f displaced by −Δ: a phase of its coefficients."""
+    offset = 0.3
+    m, moved = _matrix(displaced(offset))
+    _, c = _matrix("jittered")
+    f = mcs.integrand(BAR, 1).fourier(m)
+    turned = f * np.exp(2j * np.pi * m[:, 0] * offset / N)
+    return Claim(
+        "Moving the strata by Δ is the same as turning the phases of f_m by 2πmΔ: difference of the third terms.",
+        _third(f, moved) - _third(turned, c),
+        at_most=1e-14,
+    )
+
+
+def _variance_of(offset: float, data: xr.Dataset) -> Claim:
+    return Claim(
+        f"Bar, strata {LABELS[offset]}: the variance is 2 s(1 − s)/N², with s = {number(offset)}.",
+        Measured.of(data, "measured_variance", log=True),
+        expected=exact_bar(offset, N),
+        tolerance=1e-25,
+        note="Tolerance: rounding." if offset == 0.0 else "",
+    )
+
+
+def _at_borders(data: xr.Dataset) -> Claim:
+    return Claim(
+        "Phase decides the sign of the third term: with the edges at borders of strata it is negative.",
+        Measured.of(data, "cross_term"),
+        below=0.0,
+    )
+
+
+def _mean_of_third() -> Claim:
+    """The mean over equally spaced offsets is exact for all m − l but multiples of 64 strata."""
+    f = mcs.integrand(BAR, 1).fourier(_matrix("jittered")[0])
+    values = [_third(f, _matrix(displaced(k / 64))[1]) for k in range(64)]
+    return Claim(
+        "Averaged over all offsets, which is homogenisation, the third term is 0: over its largest size.",
+        float(np.mean(values) / np.abs(values).max()),
+        at_most=1e-12,
+    )
+
+
+def _rate_of(offset: float, curve: xr.Dataset) -> Claim:
+    expected = -3.0 if offset == 0.0 else -2.0
+    text = f"bar and cosine, strata {LABELS[offset]}: rate {number(expected, 2)}."
+    return known_rate(
+        f"Strata shifting affects convergence: {text}", curve, expected, exact_curve(offset)
+    )
+
+
+def _equal_power() -> tuple[Array, tuple[Array, Array]]:
+    """Frequencies, and coefficients of two real functions of equal |f_m|: a peak and a spread-out one.
+
+    Phases of the second are those of a chirp, π m²/K.
+    """
+    m = np.arange(-_HIGHEST, _HIGHEST + 1)[:, None]
+    size = 1.0 / (1.0 + np.abs(m[:, 0]))
+    chirp = size * np.exp(1j * np.pi * np.sign(m[:, 0]) * m[:, 0] ** 2 / _HIGHEST)
+    return m, (size + 0j, chirp)
+
+
+def _series(x: Array, m: Array, f: Array) -> Array:
+    """Values of Σ f_m exp(2πi m x), which is real."""
+    return np.asarray((np.exp(2j * np.pi * x[..., None] * m[:, 0]) @ f).real)
+
+
+def _stratified(m: Array, f: Array) -> float:
+    """Variance of jittered points on a series, by quadrature within each stratum."""
+    node, weight = np.polynomial.legendre.leggauss(16)
+    values = _series((np.arange(N)[:, None] + (node + 1) / 2) / N, m, f)
+    weight = np.tile(weight / 2, (N, 1))
+    mean = (values * weight).sum(axis=1)
+    return float(((values - mean[:, None]) ** 2 * weight).sum()) / N**2
+
+
+def _predicted(f: Array) -> tuple[float, float]:
+    """Second and third term of jittered points on a series."""
+    _, c = _matrix("jittered", _HIGHEST)
+    return float(np.abs(f) ** 2 @ np.diag(c).real), _third(f, c)
+
+
+def _equal_power_claims() -> list[Claim]:
+    m, functions = _equal_power()
+    (second, third), (other_second, other_third) = map(_predicted, functions)
+    direct = [_stratified(m, f) for f in functions]
+    times = (second + third) / (other_second + other_third)
+    return [
+        Claim(
+            "Two functions of equal |f_m| have the same second term: relative difference.",
+            second / other_second - 1.0,
+            at_most=1e-14,
+        ),
+        Claim(
+            "Their variances with jittered points differ, and the three terms know it: ratio of both predictions less "
+            "that of quadrature over strata.",
+            times - direct[0] / direct[1],
+            at_most=1e-9,
+            note=f"The ratio is {number(times, 4)}.",
+        ),
+    ]
+
+
+def _offsets(scan: Mapping[float, xr.Dataset]) -> Plot:
+    names = {"power_term": "second term", "cross_term": "third term", "predicted_variance": "sum"}
+    at, s = np.array(OFFSETS), np.linspace(0.0, 1.0, 100)
+    marks: list[Mark] = [Rule(at=0.0, color=INK, width=0.7)]
+    for k, (name, label) in enumerate(names.items()):
+        found = [Measured.of(data, name) / 1e-3 for data in scan.values()]
+        values = np.array([each.value for each in found])
+        ends = np.array([(each.low, each.high) for each in found])
+        marks += [
+            Line(x=at, y=values, color=PALETTE[k], label=label),
+            whiskers(at, values, ends, k, label),
+        ]
+    exact = 1e3 * np.array([exact_bar(float(t), N) for t in s])
+    label = "exact variance, all frequencies"
+    marks.append(Line(x=s, y=exact, color=INK, dashes="--", width=1.0, label=label))
+    x = Axis(label="offset of the strata (sides)", low=-0.02, high=1.02)
+    return Plot(
+        kind="phase-offsets",
+        panels=(Panel(marks=tuple(marks), x=x, y=Axis(label="terms · 10³"), grid=True),),
+        height=0.4,
+        wide=True,
+    )
+
+
+def _convergence(curves: Mapping[float, xr.Dataset]) -> Plot:
+    exact = {LABELS[offset]: exact_curve(offset) for offset in curves}
+    shown = {LABELS[offset]: curve for offset, curve in curves.items()}
+    return Plot(
+        kind="phase-convergence",
+        panels=(variance_panel(shown, exact=exact, title="bar and cosine, jittered points"),),
+    )
+
+
+def _functions() -> Plot:
+    m, functions = _equal_power()
+    x = np.linspace(0.0, 1.0, 600)
+    panels = []
+    for f, phases in zip(functions, ("equal phases", "phases πm²/12"), strict=True):
+        panels.append(
+            Panel(
+                marks=(Line(x=x, y=_series(x, m, f), color=PALETTE[0]),),
+                x=Axis(label="x (domain, 0 to 1)", low=0.0, high=1.0),
+                y=Axis(label="f(x)"),
+                title=f"{phases}: variance {number(sum(_predicted(f)))}",
+                grid=True,
+            )
+        )
+    return Plot(kind="phase-functions", panels=tuple(panels), columns=2, wide=True)

@@ -1,0 +1,135 @@
+"""Power spectra of one set of points, and their expectation over many sets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+
+import mcspectra as mcs
+from mcspectra.plots.description import Plot, Scale
+from mcspectra.plots.kinds import describe
+from mcspectra.plots.text import number
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured
+from mcspectra.reproduction.panels import at_ring, frequency_panel, ring_mean
+
+__all__ = ["exhibit"]
+
+SAMPLERS = ("random", "jittered", "poisson-disk")
+N = 256
+HALF_WIDTH = 48
+
+
+def exhibit(*, quick: bool, seed: int) -> Exhibit:
+    """Show single and expected spectra, and judge their level, speckle and low frequencies."""
+    realizations = 200 if quick else 2000
+    single, expected = measured_spectra(1, seed), measured_spectra(realizations, seed)
+    random, jittered, disk = (expected[name] for name in SAMPLERS)
+    claims = (
+        _speckle("one set", single["random"], 1),
+        _speckle(f"the mean over {realizations} sets", random, realizations),
+        _ring_level("random", random, 1, 1.0),
+        _ring_level("jittered", jittered, 1, closed_ring(1)),
+        _ring_level("jittered", jittered, HALF_WIDTH, closed_ring(HALF_WIDTH)),
+        _below_random(disk),
+        _peak(disk),
+        _exponent("jittered", jittered, 2.0),
+        _exponent("random", random, 0.0),
+    )
+    low = ", ".join(f"{number(at_ring(d, 1, N).value)} ({name})" for name, d in expected.items())
+    strength = " and ".join(number(c.value) for c in claims[:2])
+    return Exhibit(
+        numbers={
+            "strength": strength,
+            "low": low,
+            "half_width": HALF_WIDTH,
+            "N": N,
+            "realizations": realizations,
+        },
+        plots=(_images(single, expected), describe("radial", expected)),
+        claims=claims,
+    )
+
+
+def measured_spectra(realizations: int, seed: int) -> dict[str, xr.Dataset]:
+    """Spectra of the three samplers."""
+    return {
+        name: mcs.power_spectrum(
+            mcs.sampler(name, 2), N, half_width=HALF_WIDTH, realizations=realizations, rng=seed
+        )
+        for name in SAMPLERS
+    }
+
+
+def _speckle(what: str, spectrum: xr.Dataset, realizations: int) -> Claim:
+    flat = np.asarray(spectrum["power"].values).ravel()
+    power = N * flat[: flat.size // 2]  # one of each pair ±m, without m = 0
+    # Of M values of Gamma(R): variance of the coefficient (1 + 1/R) / (2 R M)
+    se = math.sqrt((1 + 1 / realizations) / (2 * realizations * power.size))
+    return Claim(
+        f"Of {what} of random points, the power at a frequency varies by 1/√R of its mean "
+        f"(R = {realizations}).",
+        Measured.normal(float(power.std(ddof=1) / power.mean()), se),
+        expected=realizations**-0.5,
+        # |S_m|² is exponential for N → ∞ only, and powers correlate: both change it by about 1/N
+        tolerance=1.0 / N * realizations**-0.5,
+        note="Tolerance 1/N of it: powers of N points are exponential up to that.",
+    )
+
+
+def closed_ring(ring: int) -> float:
+    """N times the mean of jittered points' closed form over a ring."""
+    return N * ring_mean(lambda m: mcs.closed_form_power("jittered", N, m), HALF_WIDTH, ring)
+
+
+def _ring_level(name: str, spectrum: xr.Dataset, ring: int, expected: float) -> Claim:
+    return Claim(
+        f"N · ⟨P⟩ of {name} points, the mean over |m| ≈ {ring}, is that of the closed form.",
+        at_ring(spectrum, ring, N),
+        expected=expected,
+        digits=4,
+    )
+
+
+def _below_random(spectrum: xr.Dataset) -> Claim:
+    return Claim(
+        "Poisson-disk points have less power than random ones at |m| ≈ 1, but more than jittered ones.",
+        at_ring(spectrum, 1, N),
+        above=closed_ring(1),
+        below=1.0,
+    )
+
+
+def _peak(spectrum: xr.Dataset) -> Claim:
+    ring = int(np.argmax(spectrum["radial_power"].values)) + 1
+    statement = f"Poisson-disk points have a ring above the level of random ones, at |m| ≈ {ring}."
+    return Claim(statement, at_ring(spectrum, ring, N), above=1.0)
+
+
+def _exponent(name: str, spectrum: xr.Dataset, expected: float) -> Claim:
+    return Claim(
+        f"The power of {name} points starts as |ν|^{expected:.0f}.",
+        Measured.of(mcs.low_frequency_exponent(spectrum, up_to=3.0), "low_frequency_exponent"),
+        expected=expected,
+        # d log(1 − sinc²(πν/s)) / d log ν = 2 − 4/15 (πν/s)² …, s = 16, ν ≤ 3
+        tolerance=0.1 if expected else 0.0,
+        note="Tolerance 0.1: 1 − sinc² bends by as much up to |m| = 3." if expected else "",
+    )
+
+
+def _images(single: Mapping[str, xr.Dataset], expected: Mapping[str, xr.Dataset]) -> Plot:
+    scale = Scale(label="N · |S|²   (random: 1)", high=2.5, beyond=True)
+    return Plot(
+        kind="power-spectra",
+        panels=tuple(
+            frequency_panel(N * data[name]["power"].values, scale, f"{name}, {what}")
+            for data, what in ((single, "one set"), (expected, "expected"))
+            for name in SAMPLERS
+        ),
+        columns=3,
+        height=1.0,
+        share="both",
+        wide=True,
+    )

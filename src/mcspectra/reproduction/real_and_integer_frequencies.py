@@ -1,0 +1,202 @@
+"""Predictions from real frequencies diverge from the variance; those from integers follow it.
+
+Of two functions on the unit interval, f(x) = x jumps where the interval ends and begins again,
+g(x) = (1 − cos 2πx)/2 does not. Half-integers are the frequencies of a domain twice as long, [0, 2), in
+whose second half f and the points are 0. With Δν = ½ and N → ∞ the sum over them without ν = 0 tends to
+∫ (f ⋆ box)² − I²/2: |⟨S_ν⟩|² is the power of the box.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import xarray as xr
+
+import mcspectra as mcs
+from mcspectra.core.checks import Array
+from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot
+from mcspectra.plots.scales import count_axis, log_axis
+from mcspectra.plots.style import ACCENT, INK, PALETTE
+from mcspectra.plots.text import number
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
+from mcspectra.reproduction.panels import whiskers
+
+__all__ = ["exhibit"]
+
+COUNTS = (16, 64, 256, 1024)
+NAMES = {"f": "f(x) = x", "g": "g(x) = (1 − cos 2πx)/2"}
+SAMPLERS = {
+    "random": "random",
+    "jittered": "jittered | shift",
+}  # the latter where variance is measured
+RATES = {"f": -2.0, "g": -3.0}
+_HIGHEST = 2**16  # frequency; the tail of f beyond is 12 N / (4π² 2^16) = 0.5 % at N = 1024
+
+
+def exhibit(*, quick: bool, seed: int) -> Exhibit:
+    """Sum products of spectra over integers and over half-integers, and measure the variance."""
+    curves = measured(1000 if quick else 10_000, seed)
+    rates = " and ".join(
+        f"{rate_text(curves[name].sel(sampler='jittered | shift'))} for {name}" for name in NAMES
+    )
+    levels = " and ".join(f"{number(real_limit(name))} for {name}" for name in NAMES)
+    pairs = [(name, sampler) for name in NAMES for sampler in SAMPLERS]
+    return Exhibit(
+        numbers={"rates": rates, "levels": levels},
+        plots=(_convergence(curves), _spectrum()),
+        claims=(
+            *(_measured_rate(name, "jittered", curves[name]) for name in NAMES),
+            *(_measured_rate(name, "random", curves[name]) for name in NAMES),
+            *(_integers(*pair) for pair in pairs),
+            *(_real_rate(*pair) for pair in pairs),
+            *(_real_level(name) for name in NAMES),
+            _power_between(200 if quick else 2000, seed),
+        ),
+    )
+
+
+def measured(realizations: int, seed: int) -> dict[str, xr.Dataset]:
+    """Convergence of both functions with both samplers."""
+    samplers = list(SAMPLERS.values())
+    return {
+        name: mcs.convergence(
+            _integrand(name), samplers, list(COUNTS), realizations=realizations, rng=seed
+        )
+        for name in NAMES
+    }
+
+
+def _integrand(name: str) -> mcs.Integrand:
+    def f(x: Array) -> Array:
+        x = x[..., 0]
+        return x if name == "f" else np.asarray(0.5 - 0.5 * np.cos(2 * np.pi * x))
+
+    return mcs.Integrand.from_function(f, dims=1, integral=0.5)
+
+
+@cache
+def exact_variances(name: str, sampler: str) -> Array:
+    """The exact variances at the counts, of shifted points."""
+    f, spec = _integrand(name), f"{sampler} | shift"
+    return np.array([float(mcs.exact_variance(f, spec, n)) for n in COUNTS])
+
+
+@cache
+def frequency_sums(name: str, sampler: str, step: float) -> Array:
+    """Sums of |f(ν)|² ⟨|S_ν|²⟩ Δν over multiples ν ≠ 0 of the step Δν, at the counts."""
+    nu = step * np.arange(1.0, _HIGHEST + 1)
+    power = np.abs(transform(name, nu)) ** 2
+    sums = [power @ mcs.closed_form_power(sampler, n, nu[:, None]) for n in COUNTS]
+    return 2 * step * np.array(sums)
+
+
+@cache
+def real_limit(name: str) -> float:
+    """What sums over half-integers tend to, by quadrature of (f ⋆ box)² over its support [0, 2]."""
+    node, weight = np.polynomial.legendre.leggauss(60)
+    t, weight = (node + 1) / 2, weight / 2
+    # f ⋆ box is F(t) on [0, 1] and I − F(t − 1) on [1, 2], F the integral of f from 0
+    partial = t**2 / 2 if name == "f" else t / 2 - np.sin(2 * np.pi * t) / (4 * np.pi)
+    return float(weight @ (partial**2 + (0.5 - partial) ** 2)) - 0.5 * 0.5**2
+
+
+def transform(name: str, nu: Array) -> Array:
+    """∫ f(x) exp(−2πiνx) dx over [0, 1], ν ≠ 0."""
+
+    def box(nu: Array) -> Array:
+        return np.asarray(np.exp(-1j * np.pi * nu) * np.sinc(nu))
+
+    if name == "g":
+        return np.asarray(box(nu) / 2 - (box(nu - 1) + box(nu + 1)) / 4)
+    w = 2 * np.pi * nu
+    return np.asarray(np.exp(-1j * w) * (1j / w + 1 / w**2) - 1 / w**2)
+
+
+def _measured_rate(name: str, sampler: str, curves: xr.Dataset) -> Claim:
+    expected, shown = RATES[name] if sampler == "jittered" else -1.0, SAMPLERS[sampler]
+    return known_rate(
+        f"The variance of {name} converges, with {shown} points, at the rate {number(expected, 2)}.",
+        curves.sel(sampler=shown),
+        expected,
+        exact_variances(name, sampler),
+    )
+
+
+def _integers(name: str, sampler: str) -> Claim:
+    error = np.abs(frequency_sums(name, sampler, 1.0) / exact_variances(name, sampler) - 1.0)
+    return Claim(
+        f"The sum over integer frequencies is the variance of {name} with {sampler} points, shifted: largest "
+        f"relative difference for N = {COUNTS[0]} … {COUNTS[-1]}.",
+        float(error.max()),
+        at_most=1e-2 if name == "f" else 1e-9,
+        note="What lies beyond the last frequency is less than 1 % of it." if name == "f" else "",
+    )
+
+
+def _real_rate(name: str, sampler: str) -> Claim:
+    last = frequency_sums(name, sampler, 0.5)[-2:]
+    return Claim(
+        f"The rate that real frequencies predict for {name} with {sampler} points tends to 0, "
+        f"N = {COUNTS[-2]} … {COUNTS[-1]}.",
+        float(np.log(last[1] / last[0]) / np.log(COUNTS[-1] / COUNTS[-2])),
+        expected=0.0,
+        tolerance=0.02,
+        shown="0 ± 0.02",
+    )
+
+
+def _real_level(name: str) -> Claim:
+    limit = real_limit(name)
+    return Claim(
+        f"The sum over half-integer frequencies of {name} tends to ∫ (f ⋆ box)² − I²/2, jittered points.",
+        float(frequency_sums(name, "jittered", 0.5)[-1]),
+        expected=limit,
+        tolerance=0.01 * limit,
+        shown=f"{number(limit, 4)} ± 1 %",
+        note=f"At N = {COUNTS[-1]}.",
+    )
+
+
+def _power_between(realizations: int, seed: int) -> Claim:
+    found = mcs.power_at("jittered", 64, [[0.5]], realizations=realizations, rng=seed)
+    return Claim(
+        "Between the integers the power does not vanish: at ν = ½ that of 64 jittered points is (2/π)² and the "
+        "little that their variance adds.",
+        Measured.normal(float(found["power"][0]), float(found["power_se"][0])),
+        expected=float(mcs.closed_form_power("jittered", 64, [[0.5]])[0]),
+        digits=6,
+    )
+
+
+def _convergence(curves: dict[str, xr.Dataset]) -> Plot:
+    panels = []
+    n = np.array(COUNTS, float)
+    for name, title in NAMES.items():
+        marks: list[Mark] = []
+        for k, (sampler, spec) in enumerate(SAMPLERS.items()):
+            for step, dashes, what in ((0.5, "--", "real"), (1.0, "-", "integer")):
+                y, label = frequency_sums(name, sampler, step), f"{sampler}: {what}"
+                marks.append(Line(x=n, y=y, color=PALETTE[k], dashes=dashes, label=label))  # type: ignore[arg-type]
+            curve = curves[name].sel(sampler=spec)
+            ends = curve["variance_ci"].values
+            marks.append(whiskers(n, curve["variance"].values, ends, k, f"{sampler}: measured"))
+        low = float(exact_variances(name, "jittered").min()) / 2
+        high = 2 * float(frequency_sums(name, "random", 0.5).max())
+        x, y_axis = count_axis("number of points N", COUNTS), log_axis("variance", low, high)
+        panels.append(Panel(marks=tuple(marks), x=x, y=y_axis, title=title, grid=True))
+    return Plot(
+        kind="real-and-integer-frequencies", panels=tuple(panels), columns=2, wide=True, height=0.9
+    )
+
+
+def _spectrum() -> Plot:
+    nu, whole = np.arange(10, 801) / 200, np.arange(1.0, 5.0)  # the integers included
+    marks: list[Mark] = []
+    for n, color in zip((16, 64, 256), ("#56B4E9", "#0072B2", INK), strict=True):
+        lobes, notches = (mcs.closed_form_power("jittered", n, at[:, None]) for at in (nu, whole))
+        marks.append(Line(x=nu, y=lobes, color=color, label=f"N = {n}"))
+        marks.append(Dots(x=whole, y=notches, color=ACCENT))
+    x = Axis(label="frequency ν (cycles per unit)", low=0.0, high=4.1)
+    y = log_axis("⟨|S|²⟩", float(notches.min()), 1.0)
+    return Plot(kind="spectrum", panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),))

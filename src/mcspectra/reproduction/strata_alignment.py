@@ -1,0 +1,176 @@
+"""Strata aligned with the edges of an integrand keep the rate of what is smooth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+
+import mcspectra as mcs
+from mcspectra.core.checks import Array
+from mcspectra.plots.description import Image, Line, Plot, Scale
+from mcspectra.plots.style import INK
+from mcspectra.plots.text import number
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text, slope
+from mcspectra.reproduction.panels import square_panel, strata, variance_panel
+
+__all__ = ["exhibit"]
+
+COUNTS = (16, 64, 256, 1024)
+# For a = 1/3 every number of strata 2^k leaves the share 1/3 or 2/3 of one: s(1 − s) is always 2/9.
+PLACES = {"aligned: edge at 1/2": 0.5, "not aligned: edge at 1/3": 1 / 3}
+ALIGNED, CUT = PLACES
+_OBLIQUE = "half-space(normal=[1, 0.618], offset=0.7)"
+
+
+def exhibit(*, quick: bool, seed: int) -> Exhibit:
+    """Measure variances of an edge and a ramp, for edges on and off the borders of strata."""
+    realizations = 1000 if quick else 10_000
+    plain, shifted = (
+        {name: measured(edge(a), sampler, realizations, seed) for name, a in PLACES.items()}
+        for sampler in ("jittered", "jittered | shift")
+    )
+    oblique = np.array([float(mcs.exact_variance(_OBLIQUE, "jittered", n)) for n in COUNTS])
+    a, b, c, d = map(rate_text, (*plain.values(), *shifted.values()))
+    return Exhibit(
+        numbers={"a": a, "b": b, "c": c, "d": d},
+        plots=(_strata(), _convergence(plain, shifted)),
+        claims=(
+            _rate_of(ALIGNED, plain, -2.0),
+            _rate_of(CUT, plain, -1.5),
+            *(_level(name, plain[name]) for name in PLACES),
+            *(
+                known_rate(
+                    f"After a shift, edge at {name.rpartition(' ')[2]}: the rate is −1.5, aligned before or not.",
+                    curve,
+                    -1.5,
+                    homogenised(),
+                )
+                for name, curve in shifted.items()
+            ),
+            known_rate(
+                "An oblique edge cuts strata wherever it lies: the rate of jittered points is −1.5.",
+                measured(_OBLIQUE, "jittered", realizations, seed),
+                -1.5,
+                oblique,
+            ),
+            _bent(),
+            _gain(plain),
+        ),
+    )
+
+
+def edge(a: float) -> mcs.Integrand:
+    """1 left of x = a, else 0, plus the ramp y, in the plane."""
+
+    def f(x: Array) -> Array:
+        return np.asarray((x[..., 0] < a) + x[..., 1])
+
+    return mcs.Integrand.from_function(f, dims=2, integral=a + 0.5)
+
+
+def exact(a: float) -> Array:
+    """Variances of jittered points: those of the edge and of the ramp, which are independent."""
+    side = np.sqrt(COUNTS)
+    share = a * side - np.floor(a * side)
+    return np.asarray(share * (1 - share) / side**3 + 1 / (12 * side**4))
+
+
+def homogenised() -> Array:
+    """Variances after a shift: the edge and the wrap have s(1 − s) averaged, 1/6 each; the ramp its own.
+
+    Edge and wrap are more than a stratum apart, so that they cut different ones; the places of the edge
+    do not matter. The ramp has N^(−3/2)/6 − N^(−2)/12, of its own wrap.
+    """
+    side = np.sqrt(COUNTS)
+    return np.asarray(2 / 6 / side**3 + 1 / (6 * side**3) - 1 / (12 * side**4))
+
+
+def measured(f: mcs.Integrand | str, sampler: str, realizations: int, seed: int) -> xr.Dataset:
+    """Convergence at the counts."""
+    return mcs.convergence(f, sampler, list(COUNTS), realizations=realizations, rng=seed)
+
+
+def _rate_of(name: str, curves: Mapping[str, xr.Dataset], expected: float) -> Claim:
+    text = f"Jittered points, {name}: the variance has the rate {number(expected, 2)}."
+    return known_rate(text, curves[name], expected, exact(PLACES[name]))
+
+
+def _level(name: str, curve: xr.Dataset) -> Claim:
+    return Claim(
+        f"{name.capitalize()}: the variance is s(1 − s) N^(−3/2) + 1/(12N²), with s the share of a stratum left of "
+        f"the edge, at N = {COUNTS[-1]}.",
+        Measured.of(curve.isel(n=-1), "variance", log=True),
+        expected=float(exact(PLACES[name])[-1]),
+        digits=4,
+    )
+
+
+def _bent() -> Claim:
+    f, place, counts = edge(1 / 3), [[1 / 3], []], COUNTS[-2:]
+    known = [float(mcs.exact_variance(mcs.aligned(f, place, n), "jittered", n)) for n in counts]
+    return Claim(
+        "Strata bent so that they have a border at 1/3 restore the rate −2: that of the exact variances from N = "
+        f"{counts[0]} to {counts[1]}, less −2.",
+        slope(counts, np.array(known)) + 2.0,
+        # s/3 strata are rounded to whole ones: relative changes of 1/s² of the variance, s = 16
+        at_most=1 / 256,
+    )
+
+
+def _gain(plain: Mapping[str, xr.Dataset]) -> Claim:
+    aligned, cut = (Measured.of(plain[name].isel(n=-1), "variance") for name in PLACES)
+    return Claim(
+        f"What alignment is worth: variance of the edge at 1/3 over that of the edge at 1/2, N = {COUNTS[-1]}.",
+        cut / aligned,
+        expected=float(exact(PLACES[CUT])[-1] / exact(PLACES[ALIGNED])[-1]),
+    )
+
+
+def _strata() -> Plot:
+    side = 8
+    middle, ticks = (np.arange(side) + 0.5) / side, np.arange(side + 1) / side
+    names = ("0", "1, left of the edge", "cut by the edge")
+    scale = Scale(kind="names", names=names, colors=("#FFFFFF", "#D6E6F1", "#F5C9A9"))
+    panels = []
+    for (low, high), title in (
+        ((0.5, 0.5), "aligned: x = 1/2"),
+        ((1 / 3, 1 / 3), "not aligned: x = 1/3"),
+        ((0.7, 0.082), "oblique"),
+    ):
+        # In each row of strata the edge runs from x = ends[row] to ends[row + 1]
+        ends = low + (high - low) * ticks
+        left, right = (reach(ends[:-1], ends[1:]) for reach in (np.minimum, np.maximum))
+        cut = (ticks[:-1] < right[:, None] - 1e-9) & (left[:, None] + 1e-9 < ticks[1:])
+        values = np.where(cut, 2.0, (ticks[1:] <= left[:, None] + 1e-9) * 1.0)
+        panels.append(
+            square_panel(
+                (
+                    Image(values=values, x=middle, y=middle, scale=scale, name="stratum"),
+                    *strata(side),
+                    Line(x=np.array([low, high]), y=np.array([0.0, 1.0]), color=INK, width=1.6),
+                ),
+                title,
+            )
+        )
+    return Plot(
+        kind="strata-alignment", panels=tuple(panels), columns=3, height=1.0, share="y", wide=True
+    )
+
+
+def _convergence(plain: Mapping[str, xr.Dataset], shifted: Mapping[str, xr.Dataset]) -> Plot:
+    known = {name: exact(a) for name, a in PLACES.items()}
+    after = {name: homogenised() for name in PLACES}
+    limits = float(exact(0.5).min()), float(homogenised().max())
+    return Plot(
+        kind="strata-alignment-convergence",
+        panels=(
+            variance_panel(plain, exact=known, title="jittered", limits=limits),
+            variance_panel(shifted, exact=after, title="jittered | shift", limits=limits),
+        ),
+        columns=2,
+        height=0.8,
+        share="y",
+        wide=True,
+    )

@@ -1,0 +1,175 @@
+"""Variance as the sum of sampling power times integrand power, for stationary samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+import mcspectra as mcs
+from mcspectra.core.checks import Array
+from mcspectra.plots.description import Plot, Scale
+from mcspectra.plots.scales import log_scale
+from mcspectra.plots.text import number
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, judge, rate_claim, slope
+from mcspectra.reproduction.panels import frequency_panel, interval_panel
+
+__all__ = ["exhibit"]
+
+BELL = "gaussian(center=[0.45, 0.6], width=0.1)"
+SAMPLERS = ("random", "jittered | shift", "poisson-disk")
+DENSITY = "linear(slope=1.5)"
+N = 64
+HALF_WIDTH = 12
+
+
+def exhibit(*, quick: bool, seed: int) -> Exhibit:
+    """Compare the sum of products of spectra with variances, where it holds and where it does not."""
+    realizations = 1000 if quick else 10_000
+    terms = {
+        name: mcs.variance_terms(
+            BELL, name, N, half_width=HALF_WIDTH, realizations=realizations, rng=seed
+        )
+        for name in SAMPLERS
+    }
+    weighted = importance_terms(realizations, seed)
+    each = ", ".join(
+        f"{number(float(d['power_term']))} against {number(float(d['measured_variance']))} ({name})"
+        for name, d in terms.items()
+    )
+    missed = float(weighted["power_term"]) / float(weighted["measured_variance"])
+    return Exhibit(
+        numbers={"each": each, "density": DENSITY, "missed": number(missed), "N": N},
+        plots=(_products(terms), _ratios(terms, weighted)),
+        claims=(
+            *(_closed_sum(name) for name in SAMPLERS[:2]),
+            *(
+                Claim(
+                    f"Σ |f_m|² ⟨|S_m|²⟩ with the simulated spectrum of {name} points is the exact variance.",
+                    Measured.of(terms[name], "power_term"),
+                    expected=exact(name),
+                    digits=4,
+                )
+                for name in SAMPLERS[:2]
+            ),
+            *(_diagonal(name, terms[name]) for name in SAMPLERS),
+            _rate(quick, seed),
+            _not_weighted(weighted),
+        ),
+    )
+
+
+def importance_terms(realizations: int, seed: int) -> xr.Dataset:
+    """Terms of random points with a density, where frequencies are correlated."""
+    return mcs.variance_terms(
+        _estimator(), "random", N, half_width=16, realizations=realizations, rng=seed
+    )
+
+
+def _estimator() -> mcs.Estimator:
+    return mcs.Estimator("linear(gradient=1.0, offset=0.5)", DENSITY, dims=1)
+
+
+def exact_weighted() -> float:
+    """Variance of importance samples."""
+    return float(mcs.exact_variance(_estimator(), "random", N))
+
+
+def exact(name: str, n: int = N) -> float:
+    """Variance of the bell."""
+    return float(mcs.exact_variance(BELL, name, n))
+
+
+def integrand_power() -> tuple[Array, Array]:
+    """Integer frequencies (M, 2) without 0, and |f_m|² there."""
+    side = np.arange(-HALF_WIDTH, HALF_WIDTH + 1)
+    m = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
+    m = m[(m != 0).any(axis=1)]
+    return m, np.abs(mcs.integrand(BELL, 2).fourier(m)) ** 2
+
+
+def _closed_sum(name: str) -> Claim:
+    m, power = integrand_power()
+    total = float((power * mcs.closed_form_power(name, N, m)).sum())
+    return Claim(
+        f"Σ |f_m|² ⟨|S_m|²⟩ with the closed form of {name} points differs from quadrature, relatively, "
+        "by at most what is cut off.",
+        total / exact(name) - 1.0,
+        # |f_m|² beyond the half width: jumps of f at the border, exp(−(0.4/0.1)²/2) = 3e-4 of it
+        at_most=1e-5,
+    )
+
+
+def _diagonal(name: str, data: xr.Dataset) -> Claim:
+    return Claim(
+        f"Nothing is missing for {name} points: correlations between frequencies add nothing, as a share "
+        "of the measured variance.",
+        Measured.of(data, "cross_term") / float(data["measured_variance"]),
+        expected=0.0,
+    )
+
+
+def _rate(quick: bool, seed: int) -> Claim:
+    """A bell that vanishes at the border: power ν² at 0, so that the rate is −1 − 2/2."""
+    counts = [64, 256, 1024] if quick else [64, 256, 1024, 4096]
+    sampler, realizations = "jittered | shift", 1000 if quick else 4000
+    curve = mcs.convergence(BELL, sampler, counts, realizations=realizations, rng=seed)
+    known = slope(counts, np.array([exact(sampler, n) for n in counts]))
+    return rate_claim(
+        "The rate of jittered, shifted points on this bell is −1 − b/d with the exponent b = 2 of their spectrum.",
+        curve,
+        -2.0,
+        abs(known + 2.0),
+        f"Tolerance: the exact variances at these counts have the slope {number(known, 4)}.",
+    )
+
+
+def _not_weighted(data: xr.Dataset) -> Claim:
+    """Of random points of a density, against their exact variance."""
+    value = Measured.of(data, "power_term") / exact_weighted()
+    return Claim(
+        f"With importance samples of {DENSITY} the sum of products is not the variance: their ratio is not 1.",
+        value,
+        holds=not judge(Claim("", value, expected=1.0)).agrees,
+        shown="not 1",
+    )
+
+
+def _products(terms: dict[str, xr.Dataset]) -> Plot:
+    power = np.abs(mcs.integrand(BELL, 2).fourier_grid(HALF_WIDTH)) ** 2
+    products = {name: data["power_contribution"].values for name, data in terms.items()}
+    without = np.arange(power.size).reshape(power.shape) != power.size // 2
+    top = 1e6 * max(float(each[without].max()) for each in products.values())
+    above = Scale(label="N · ⟨P_S⟩   (random: 1)", high=2.0, beyond=True)
+    below = log_scale("variance · 10⁶", 1e-4 * top, top)
+    return Plot(
+        kind="variance-integral",
+        panels=(
+            *(
+                frequency_panel(N * each / power, above, f"⟨P_S⟩, {name}")
+                for name, each in products.items()
+            ),
+            *(frequency_panel(1e6 * each, below, "⟨P_S⟩ × P_f") for each in products.values()),
+        ),
+        columns=3,
+        height=1.0,
+        share="both",
+        wide=True,
+    )
+
+
+def _ratios(terms: dict[str, xr.Dataset], weighted: xr.Dataset) -> Plot:
+    """The sum over the exact variance; of Poisson-disk points over the measured one, with its error."""
+    shown = {name: Measured.of(terms[name], "power_term") / exact(name) for name in SAMPLERS[:2]}
+    disk = terms["poisson-disk"]
+    power, variance = float(disk["power_term"]), Measured.of(disk, "measured_variance")
+    shown["poisson-disk"] = Measured(
+        power / variance.value, power / variance.high, power / variance.low
+    )
+    shown[f"random, p = {DENSITY}"] = Measured.of(weighted, "power_term") / exact_weighted()
+    x = "Σ P_f ⟨P_S⟩ over variance (1: all of it)"
+    return Plot(
+        kind="ratio",
+        panels=(interval_panel({name: [each] for name, each in shown.items()}, [""], x, at=1.0),),
+        height=0.3,
+        wide=True,
+    )

@@ -1,0 +1,216 @@
+"""Pictures of Veach's scene by light, BSDF and multiple importance sampling, and their errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+import mcspectra as mcs
+from mcspectra.core.checks import Array
+from mcspectra.plots.description import (
+    Axis,
+    Image,
+    Mark,
+    Panel,
+    Pixels,
+    Plot,
+    Scale,
+    Segments,
+    Text,
+)
+from mcspectra.plots.style import INK
+from mcspectra.plots.text import number
+from mcspectra.rendering.files import encode_srgb
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, mean_and_error
+
+__all__ = ["exhibit"]
+
+_SAMPLER = "sobol | owen | decorrelate"
+_SAMPLES = {"light": 4, "bsdf": 4, "mis": 2}  # a pixel and technique: 4 in all
+_TITLES = {
+    "light": "light importance sampling, N = 4 spp",
+    "bsdf": "BSDF importance sampling, N = 4 spp",
+    "mis": "MIS, N = 2 + 2 spp",
+}
+_SHORT = {"light": "light sampling", "bsdf": "BSDF sampling", "mis": "MIS"}
+# Region, the strategy that fails there, and one that does not
+_CASES = (
+    ("plate-0", "light", "bsdf"),
+    ("plate-0", "light", "mis"),
+    ("wall", "bsdf", "light"),
+    ("wall", "bsdf", "mis"),
+)
+_WHERE = {
+    "plate-0": "around the reflection of the widest light in the smoothest plate",
+    "wall": "on the diffuse wall",
+}
+_LABELS = {"plate-0": "smoothest plate", "wall": "wall"}
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Renders:
+    """Images (repeats, height, width, 3) by strategy, and a reference with its batches."""
+
+    scene: str
+    reference_spp: int
+    batches: Array
+    repeats: dict[str, Array]
+
+    @property
+    def reference(self) -> Array:
+        """The mean of the batches."""
+        return np.asarray(self.batches.mean(axis=0))
+
+    def errors(self, strategy: str) -> Array:
+        """Squared errors as displayed, sRGB from 0 to 1, of all repeats: (repeats, height, width)."""
+        shown, right = encode_srgb(self.repeats[strategy]), encode_srgb(self.reference)
+        return np.asarray(((shown - right) ** 2).mean(axis=-1))
+
+    def window(self, name: str) -> tuple[slice, slice]:
+        """Rows and columns about a named pixel, a thirtieth of the image wide."""
+        x, y = mcs.rendering.named_pixels(self.scene)[name]
+        half = self.reference.shape[1] // 60
+        return slice(y - half, y + half + 1), slice(x - half, x + half + 1)
+
+
+def exhibit(*, quick: bool, seed: int) -> Exhibit:
+    """Render the scene by each strategy at 4 samples a pixel, several times, against a reference."""
+    renders = _render(168, 128, 8, seed) if quick else _render(288, 1024, 12, seed)
+    values = ", ".join(f"{number(float(renders.errors(s).mean()))} ({_SHORT[s]})" for s in _SAMPLES)
+    spp = renders.reference_spp
+    fewer = f" The reference has {spp} samples of each technique a pixel here, in place of 1024."
+    return Exhibit(
+        numbers={
+            "values": values,
+            "fewer": fewer if quick else "",
+            "repeats": len(renders.repeats["light"]),
+        },
+        plots=(_pictures(renders), _who_wins(renders)),
+        claims=(
+            *(_region(renders, *case) for case in _CASES),
+            _whole(renders),
+            *(_same_mean(renders, strategy) for strategy in ("light", "mis")),
+        ),
+    )
+
+
+def _render(width: int, reference_spp: int, repeats: int, seed: int) -> Renders:
+    scene = f"veach(width={width}, height={width * 2 // 3})"
+
+    def images(strategy: str, spp: int, first: int, count: int) -> Array:
+        rngs = range(1000 * seed + first, 1000 * seed + first + count)
+        render = mcs.rendering.render
+        found = [render(scene, strategy, _SAMPLER, spp, rng=rng)["image"].values for rng in rngs]
+        return np.stack(found)
+
+    return Renders(
+        scene=scene,
+        reference_spp=reference_spp,
+        batches=images("mis", reference_spp // 8, 0, 8),
+        repeats={s: images(s, spp, 100, repeats) for s, spp in _SAMPLES.items()},
+    )
+
+
+def _ratio(above: Array, below: Array) -> Measured:
+    """Ratio of two means over repeats with a 95 % interval by Student's t."""
+    from scipy.special import stdtrit
+
+    (a, a_se), (b, b_se) = mean_and_error(above), mean_and_error(below)
+    value = float(a / b)
+    half = float(stdtrit(len(above) - 1, 0.975)) * float(np.hypot(a_se / a, b_se / b))
+    return Measured(value, value * float(np.exp(-half)), value * float(np.exp(half)), log=True)
+
+
+def _whole(renders: Renders) -> Claim:
+    return Claim(
+        "At equal numbers of samples: squared error, as displayed, of BSDF sampling over that of MIS, whole image.",
+        _ratio(*(renders.errors(s).mean(axis=(1, 2)) for s in ("bsdf", "mis"))),
+        above=1.0,
+        note="That of light sampling is in the caption: where it does not fail, all samples are its own.",
+    )
+
+
+def _region(renders: Renders, name: str, worse: str, better: str) -> Claim:
+    rows, columns = renders.window(name)
+    means = (renders.errors(s)[:, rows, columns].mean(axis=(1, 2)) for s in (worse, better))
+    short = _SHORT[worse]
+    return Claim(
+        f"{short[0].upper()}{short[1:]} fails {_WHERE[name]}: squared error over that of {_SHORT[better]}.",
+        _ratio(*means),
+        above=1.0,
+    )
+
+
+def _same_mean(renders: Renders, strategy: str) -> Claim:
+    """Mean of the image over that of the reference."""
+    (value, se), (mean, mean_se) = (
+        mean_and_error(images.mean(axis=(1, 2, 3)))
+        for images in (renders.repeats[strategy], renders.batches)
+    )
+    times = float(value / mean)
+    return Claim(
+        f"The mean of images by {_SHORT[strategy]} is that of the reference: ratio.",
+        Measured.normal(times, times * float(np.hypot(se / value, mean_se / mean))),
+        expected=1.0,
+        shown="1",
+        note="BSDF sampling is left out: too few of its samples meet the smallest light for a normal interval."
+        if strategy == "light"
+        else "",
+    )
+
+
+def _pictures(renders: Renders) -> Plot:
+    images = {
+        f"reference, N = {renders.reference_spp} + {renders.reference_spp} spp": renders.reference
+    }
+    images |= {title: renders.repeats[strategy][0] for strategy, title in _TITLES.items()}
+    return Plot(
+        kind="veach-pictures",
+        panels=tuple(
+            Panel(
+                marks=(Pixels(rgb=np.round(255 * encode_srgb(image)).astype(np.uint8)),),
+                title=title,
+            )
+            for title, image in images.items()
+        ),
+        columns=2,
+        wide=True,
+    )
+
+
+def _who_wins(renders: Renders) -> Plot:
+    light, bsdf = (renders.errors(s).mean(axis=0) for s in ("light", "bsdf"))
+    least = 1e-6  # of what the lights themselves and the dark background have
+    values = np.log10((light + least) / (bsdf + least))[::-1]
+    height, width = values.shape
+    scale = Scale(
+        label="log₁₀ of error by light / by BSDF sampling", low=-3.0, high=3.0, palette="diverging"
+    )
+    marks: list[Mark] = [
+        Image(values=values, x=np.arange(width) + 0.5, y=np.arange(height) + 0.5, scale=scale)
+    ]
+    for name, label in _LABELS.items():
+        rows, columns = renders.window(name)
+        left, right, low, high = (
+            columns.start,
+            columns.stop,
+            height - rows.stop,
+            height - rows.start,
+        )
+        corners = np.array([(left, low), (right, low), (right, high), (left, high)], float)
+        ends = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+        marks += [Segments(ends=ends, color="#FFFFFF", width=3.2), Segments(ends=ends, color=INK)]
+        marks.append(
+            # Above the reflection, which is dark
+            Text(x=(left + right) / 2, y=2.0 * high - low, text=label, side="above")
+        )
+    axis = Axis(ticks={})
+    return Plot(
+        kind="veach-errors",
+        panels=(Panel(marks=tuple(marks), x=axis, y=axis, square=True),),
+        height=2 / 3,
+        wide=True,
+    )

@@ -1,0 +1,276 @@
+"""The backend of pages: every mark, axis and scale; updates; nothing from a network."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import gzip
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from bokeh.document import Document
+from bokeh.models import ColumnDataSource, HoverTool, Legend, LinearColorMapper, Row
+from bokeh.models.annotations import ColorBar
+from bokeh.plotting import figure
+
+from mcspectra.core.errors import ParameterError
+from mcspectra.plots import scales
+from mcspectra.plots.backend_bokeh import draw, packed, script
+from mcspectra.plots.description import (
+    Axis,
+    Bars,
+    Dots,
+    Image,
+    Line,
+    Mark,
+    Panel,
+    Pixels,
+    Plot,
+    Rule,
+    Scale,
+    Segments,
+    Text,
+)
+from mcspectra.plots.style import PALETTE
+
+GRID = np.arange(-3.0, 4.0)
+X = np.array([1.0, 2.0, 4.0, 8.0])
+EVIL = r"$$x$$ \(y\) \[z\]"
+
+
+def marks(factor: float) -> dict[str, Mark]:
+    """One of each kind, and variants; values grow with the factor."""
+    y = factor * np.array([0.5, np.nan, -2.0, 1e-4])
+    hover = {"y": [f"{v:.3g}" for v in y], EVIL: ["a"] * 4}
+    field = factor * np.add.outer(GRID, GRID**2)
+    field[0, 0] = np.nan
+    ends = {"low": y - 0.1, "high": y + 0.1}
+    return {
+        "line": Line(x=X, y=y, color=PALETTE[0], label=f"{EVIL} {factor}", hover=hover, **ends),
+        "step": Line(x=X, y=y, color=PALETTE[1], step=True, dashes="--", hover=hover, **ends),
+        "area": Line(x=X, y=y, color=PALETTE[1], width=0, **ends),
+        "dots": Dots(x=X, y=y, color=PALETTE[6], marker="P", label="dots", **ends),
+        "shaded": Dots(x=X, y=y, color=y, size=3 + X, scale=scales.signed_scale("y", [y]), hover=hover),
+        "across": Dots(x=X, y=y, color="#262626", across=True, low=X - 1, high=X + 1),
+        "bars": Bars(at=X, value=y, color=PALETTE[2], hover=hover, texts=list("abcd"), **ends),
+        "lying": Bars(at=X, value=y, color=PALETTE[:4], lying=True, texts=list("abcd"), **ends),
+        "stems": Bars(at=X, value=y, color=PALETTE[2], thickness=0, hover=hover),
+        "image": Image(
+            values=field, x=GRID, y=GRID, scale=scales.signed_scale("c", [field]), hover={"m": field}
+        ),
+        "log image": Image(
+            values=np.abs(field), x=GRID, y=GRID, scale=scales.log_scale("power", 1e-3, 4.0 * factor)
+        ),
+        "beyond": Image(
+            values=field, x=GRID, y=GRID, scale=Scale(label="p", high=factor, beyond=True)
+        ),
+        "names": Image(
+            values=np.abs(field) // 1 % 2, x=GRID, y=GRID,
+            scale=Scale(kind="names", names=("no", "yes"), colors=PALETTE[:2]),
+        ),
+        "pixels": Pixels(rgb=np.arange(24, dtype=np.uint8).reshape(2, 4, 3)),
+        "segments": Segments(ends=factor * np.ones((3, 2, 2)), color="#DCDCDC", label="cuts"),
+        "rule": Rule(at=factor, axis="x", label="rule"),
+        "text": Text(x=1.0, y=factor, text=EVIL, side="above"),
+    }  # fmt: skip
+
+
+def plot(name: str, factor: float = 1.0, y: Axis | None = None, **options: Any) -> Plot:
+    """A plot of one mark."""
+    panel = Panel(marks=(marks(factor)[name],), y=y or Axis(label="y"), title="a panel")
+    return Plot(kind="test", panels=(panel,), words=f"{name} {factor}", **options)
+
+
+def content(model: Any) -> Any:
+    return json.loads(gzip.decompress(base64.b64decode(packed(model))))
+
+
+def data(model: Any) -> list[dict[str, Any]]:
+    """Columns of all that is drawn."""
+    return [dict(source.data) for source in model.select({"type": ColumnDataSource})]
+
+
+@pytest.mark.parametrize("name", marks(1.0))
+def test_every_mark_is_a_quiet_figure_in_words(name: str) -> None:
+    model = draw(plot(name)).model
+    assert isinstance(model, figure)
+    assert model.toolbar.active_drag is None
+    assert model.toolbar.active_scroll is None
+    assert model.background_fill_color is None
+    assert model.html_attributes == {"role": "figure", "aria-label": f"{name} 1.0"}
+    document = Document()
+    document.add_root(model)
+    assert document.validate() is None
+    assert "$$" not in str(document.to_json())
+    assert "\\\\(" not in str(document.to_json())
+
+
+@pytest.mark.parametrize("name", marks(1.0))
+def test_an_update_is_as_if_drawn_anew_and_brings_no_new_models(name: str) -> None:
+    first, second = plot(name, 1.0), plot(name, 3.0)
+    drawn = draw(first)
+    document = Document()
+    document.add_root(drawn.model)
+    before = set(document.models)
+    assert drawn.fits(second)
+    drawn.update(second)
+    assert set(document.models) == before
+    document.remove_root(drawn.model)
+    assert content(drawn.model) == content(draw(second).model)
+
+
+def test_another_structure_is_refused() -> None:
+    drawn = draw(plot("line"))
+    for other in (
+        plot("dots"),
+        plot("line", y=Axis(kind="log", low=0.1, high=2.0)),
+        dataclasses.replace(plot("line"), columns=2),
+        dataclasses.replace(plot("line"), panels=plot("line").panels * 2),
+    ):
+        assert not drawn.fits(other)
+        with pytest.raises(ParameterError, match="draw it anew"):
+            drawn.update(other)
+
+
+def test_signed_axes_have_places_and_ticks_of_their_own() -> None:
+    values = np.array([-3e-4, 2e-8, 0.7])
+    axis = scales.signed_axis("y", [values])
+    bars = Bars(at=np.arange(3.0), value=values, color=PALETTE[0], low=values / 2, high=values * 2)
+    model: Any = draw(Plot(kind="t", panels=(Panel(marks=(bars,), y=axis),))).model
+    found = next(each for each in data(model) if "top" in each)
+    np.testing.assert_array_equal(found["top"], scales.signed_place(values, axis.threshold))
+    np.testing.assert_array_equal(found["bottom"], 0.0)
+    assert axis.ticks is not None
+    expected = scales.signed_place(np.array(list(axis.ticks)), axis.threshold)
+    np.testing.assert_array_equal(model.yaxis[0].ticker.ticks, expected)
+    assert list(model.yaxis[0].major_label_overrides.values()) == list(axis.ticks.values())
+    ends = scales.signed_place(np.array([axis.low, axis.high]), axis.threshold)
+    assert [model.y_range.start, model.y_range.end] == ends.tolist()
+
+
+def test_logarithmic_axes_have_no_place_for_zero() -> None:
+    y = np.array([0.0, 1.0, -1.0])
+    mark = Dots(x=y + 2, y=y, color=PALETTE[0], low=y - 1, high=y + 1)
+    axis = Axis(kind="log", low=0.1, high=2.0)
+    found = data(draw(Plot(kind="t", panels=(Panel(marks=(mark,), y=axis),))).model)
+    dots, whiskers = sorted(found, key=lambda columns: "y0" in columns)
+    np.testing.assert_array_equal(dots["y"], [np.nan, 1.0, np.nan])
+    np.testing.assert_array_equal(whiskers["y0"], [0.1, 0.1, 0.1])
+
+
+def test_gaps_interrupt_bands() -> None:
+    y = np.array([1.0, 2.0, np.nan, 4.0, 5.0, 6.0])
+    mark = Line(x=np.arange(6.0), y=y, low=y, high=y + 1, color=PALETTE[0])
+    band = next(
+        each
+        for each in data(draw(Plot(kind="t", panels=(Panel(marks=(mark,)),))).model)
+        if "xs" in each
+    )
+    assert [list(run) for run in band["xs"]] == [[0, 1, 1, 0], [3, 4, 5, 5, 4, 3]]
+    assert [list(run) for run in band["ys"]] == [[1, 2, 3, 2], [4, 5, 6, 7, 6, 5]]
+
+
+@pytest.mark.parametrize("name", ["image", "log image", "beyond"])
+def test_shades_follow_the_values_and_nothing_has_none(name: str) -> None:
+    mark: Any = marks(1.0)[name]
+    (columns,) = data(draw(plot(name)).model)
+    shades, values = columns["image"][0], mark.values
+    assert shades.dtype == np.uint8
+    assert shades[0, 0] == 0
+    there = np.isfinite(values)
+    assert shades[there].min() >= 1
+    order = np.argsort(values[there], kind="stable")
+    assert (np.diff(shades[there][order].astype(int)) >= 0).all()
+    np.testing.assert_allclose(columns["h2"][0][there], values[there], rtol=2.0**-10)
+    np.testing.assert_array_equal(columns["h0"][0][0], GRID)
+    assert (columns["x"], columns["dw"]) == ([-3.5], [7.0])
+
+
+def test_signed_maps_are_white_at_zero_with_ticks_at_their_shades() -> None:
+    mark: Any = marks(1.0)["image"]
+    model: Any = draw(plot("image")).model
+    (columns,) = data(model)
+    zeros = mark.values == 0
+    assert set(columns["image"][0][zeros]) == {128}
+    (bar,) = model.select({"type": ColorBar})
+    assert bar.color_mapper.low == -bar.color_mapper.high
+    assert 0.0 in bar.ticker.ticks
+
+
+def test_names_have_a_legend_and_are_read_under_the_pointer() -> None:
+    model: Any = draw(plot("names")).model
+    assert [item.label.value for item in model.select_one({"type": Legend}).items] == ["no", "yes"]
+    columns = next(each for each in data(model) if "image" in each)
+    assert set(columns["h2"][0]) == {"no", "yes", "–"}
+    (mapper,) = {m for m in model.select({"type": LinearColorMapper}) if len(m.palette) == 2}
+    assert (mapper.low, mapper.high) == (0.5, 2.5)
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+def test_the_first_row_of_a_picture_is_on_top(flipped: bool) -> None:
+    (columns,) = data(draw(plot("pixels", y=Axis(low=0, high=2, flipped=flipped))).model)
+    image = columns["image"][0].view(np.uint8).reshape(2, 4, 4)
+    assert image[0 if flipped else 1, 0].tolist() == [0, 1, 2, 255]
+
+
+def test_panels_share_a_bar_a_legend_and_the_zoom() -> None:
+    image: Any = marks(1.0)["image"]
+    panels = tuple(
+        Panel(marks=(image, Dots(x=X, y=X, color=PALETTE[0], label="dots")), square=True)
+        for _ in range(3)
+    )
+    model: Any = draw(Plot(kind="t", panels=panels, columns=3, share="both")).model
+    assert isinstance(model, Row)
+    assert len({id(each.x_range) for each in model.children}) == 1
+    assert [len(each.select({"type": ColorBar})) for each in model.children] == [0, 0, 1]
+    assert [len(each.select({"type": Legend})) for each in model.children] == [1, 0, 0]
+    (item,) = model.children[0].select_one({"type": Legend}).items
+    (drawn,) = item.renderers
+    assert len(drawn.js_property_callbacks["change:visible"]) == 2
+    document = Document()
+    document.add_root(model)
+    assert document.validate() is None
+
+
+def test_one_button_turns_all_tooltips_off() -> None:
+    both = (marks(1.0)["line"], marks(1.0)["bars"])
+    model: Any = draw(Plot(kind="t", panels=(Panel(marks=both),))).model
+    tools = model.select({"type": HoverTool})
+    assert sorted(tool.visible for tool in tools) == [False, True]
+
+
+def test_limits_that_stay_keep_the_zoom() -> None:
+    axis = Axis(low=0.0, high=2.0)
+    drawn = draw(plot("line", 1.0, y=axis))
+    model: Any = drawn.model
+    model.y_range.update(start=0.5, end=0.6)  # as a reader's zoom does
+    drawn.update(plot("line", 3.0, y=axis))
+    assert (model.y_range.start, model.y_range.end) == (0.5, 0.6)
+    drawn.update(plot("line", 3.0, y=Axis(low=0.0, high=3.0)))
+    assert (model.y_range.start, model.y_range.end) == (0.0, 3.0)
+
+
+def test_the_same_plot_is_the_same_text() -> None:
+    assert packed(draw(plot("line")).model) == packed(draw(plot("line")).model)
+
+
+def test_the_script_stands_alone() -> None:
+    code = gzip.decompress(base64.b64decode(script())).decode()
+    assert "embed_item" in code
+    assert "sourceMappingURL" not in code or "http" not in code.split("sourceMappingURL")[-1][:200]
+
+
+def test_colors_are_seen_on_dark_and_light() -> None:
+    def luminance(color: str) -> float:
+        parts = [int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+        linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
+        return float(np.dot(linear, [0.2126, 0.7152, 0.0722]))
+
+    for color in PALETTE:
+        mark = Segments(ends=np.ones((1, 2, 2)), color=color)
+        model: Any = draw(Plot(kind="t", panels=(Panel(marks=(mark,)),))).model
+        seen = luminance(model.renderers[0].glyph.line_color) + 0.05
+        assert seen / (luminance("#191817") + 0.05) > 3.0
+        assert 1.05 / seen > 2.0

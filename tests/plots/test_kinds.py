@@ -1,0 +1,457 @@
+"""Results become plots: every analysis has one, and odd results do not break them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import mcspectra as mcs
+from mcspectra.core.analysis import ANALYSES, Subject, compute
+from mcspectra.core.errors import ParameterError
+from mcspectra.plots import backend_bokeh, backend_matplotlib
+from mcspectra.plots.description import Bars, Dots, Image, Line, Rule
+from mcspectra.plots.groups import labelled
+from mcspectra.plots.kinds import KINDS, describe, kinds_of
+from mcspectra.plots.style import sampler_styles
+from mcspectra.plots.variance import usable_counts
+
+MANY = {"realizations": 45}
+# of each analysis: a small question, its estimator and sampler, and the plots that its result has
+SMALL = {
+    "convergence": ({"counts": (4, 16), **MANY}, "gaussian", "jittered", ["convergence"]),
+    "terms": (
+        {"n": 16, "half_width": 3, **MANY},
+        "gaussian",
+        "jittered",
+        ["terms", "captured", "contributions", "bands"],
+    ),
+    "techniques": (
+        {"counts": (4, 16), "half_width": 2, **MANY},
+        mcs.MultipleImportance("gaussian", ["linear", "uniform"], dims=1),
+        "jittered",
+        ["techniques", "technique-rates"],
+    ),
+    "spectrum": ({"n": 16, "half_width": 3, **MANY}, None, "jittered", ["spectrum", "radial"]),
+    "points": ({"n": 16}, None, "jittered", ["points"]),
+    "pcf": ({"n": 16, "bins": 8, "realizations": 9}, None, "jittered", ["pair-correlation"]),
+    "anova": ({"n": 9, **MANY}, "gaussian", "jittered", ["anova"]),
+    "anova-spectrum": ({"n": 8, "frequencies": 32}, "gaussian", "random", ["anova"]),
+    "exact": ({"counts": (4, 16)}, "gaussian", "jittered", ["exact"]),
+    "remedies": (
+        {"budget": 64, "realizations": 100, "kinds": ("sampler",)},
+        "gaussian(center=0.3, width=0.3, dims=1)",
+        "jittered",
+        ["remedies"],
+    ),
+    "modes": ({"n": 16, "half_width": 2, "modes": 2, **MANY}, "gaussian", "jittered", ["modes"]),
+    "routes": ({"n": 16, "half_width": 2, **MANY}, "gaussian", "jittered | shift", ["routes"]),
+    "map": (
+        {"scene": "penumbra", "counts": (4, 16), "realizations": 8, "size": (8, 6)},
+        None,
+        "jittered",
+        [kind for kind in KINDS if kind.startswith("map-")],
+    ),
+}
+TERMS = ("terms", "captured", "contributions", "bands")
+
+
+def marks(plot, kind):
+    return [m for panel in plot.panels for m in panel.marks if isinstance(m, kind)]
+
+
+def said(plot):
+    """All text of a plot in one string."""
+    found = [plot.caption, plot.words, *plot.labels]
+    for panel in plot.panels:
+        found += [panel.title, panel.note, panel.x.label, panel.y.label]
+        found += [t for axis in (panel.x, panel.y) for t in (axis.ticks or {}).values()]
+        found += [text for mark in panel.marks for text in getattr(mark, "texts", ())]
+    return "\n".join(found)
+
+
+def drawn_by_both(plot):
+    backend_matplotlib.draw(plot).canvas.draw()
+    backend_bokeh.packed(backend_bokeh.draw(plot).model)
+
+
+def test_every_analysis_is_tried():
+    own = {name for name, target in ANALYSES.items() if target.startswith("mcspectra.")}
+    assert set(SMALL) == own
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.render) if n == "map" else n for n in SMALL]
+)
+def test_every_analysis_has_plots_that_both_backends_draw(name):
+    options, estimator, sampler, expected = SMALL[name]
+    if isinstance(estimator, str):
+        estimator = mcs.estimators.as_estimator(estimator)
+    dims = 2 if estimator is None else estimator.dims
+    subject = Subject(estimator, mcs.sampler(sampler, dims=dims))
+    result = compute(ANALYSES.load(name)(**options), subject)
+    assert list(kinds_of(result)) == expected
+    for kind in expected:
+        plot = describe(kind, result)
+        assert plot.kind == kind
+        assert plot.caption.endswith(".")
+        assert plot.words.endswith(".")
+        drawn_by_both(plot)
+        # Several by name are one plot as well
+        drawn_by_both(describe(kind, {"one": result, "another | of them": result}))
+
+
+@pytest.mark.parametrize("kind", TERMS)
+@pytest.mark.parametrize("dims", [1, 2, 3])
+def test_terms__every_dim(make, kind, dims):
+    data = make["terms"](dims=dims, n={1: 16, 2: 16, 3: 8}[dims], half_width=3, realizations=20)
+    plot = describe(kind, {"jittered": data, "other": data})
+    assert "jittered" in said(plot)
+    assert "other" in said(plot)
+    drawn_by_both(plot)
+
+
+@pytest.mark.parametrize("kind", TERMS)
+@pytest.mark.parametrize("dims", [1, 2])
+def test_terms__infinite_ones_are_named(make, kind, dims):
+    plot = describe(kind, {"random": make["infinite"](dims=dims, half_width=3, realizations=20)})
+    assert "infinite" in said(plot) or "no finite" in said(plot)
+    assert "nan" not in said(plot).lower()
+    drawn_by_both(plot)
+
+
+@pytest.mark.parametrize("kind", TERMS)
+def test_terms__zero_variance(make, kind):
+    data = make["terms"](half_width=3, realizations=20)
+    zero = data.map(lambda v: v * 0.0, keep_attrs=True)
+    zero["captured_by_half_width"] = zero["captured_by_half_width"] * math.nan
+    drawn_by_both(describe(kind, {"regular": zero}))
+
+
+def test_terms__bars_are_as_long_as_the_terms_with_their_intervals(make):
+    data = make["terms"]()
+    names = ("dc_term", "power_term", "cross_term", "predicted_variance", "measured_variance")
+    for name in names[1:3]:
+        data[f"{name}_ci"] = ("bound", float(data[name]) * np.array([0.5, 2.0]))
+    plot = describe("terms", {"jittered": data})
+    bars = marks(plot, Bars)
+    np.testing.assert_allclose(np.concatenate([b.value for b in bars]), [data[n] for n in names])
+    ends = np.concatenate([np.stack([b.low, b.high], axis=1) for b in bars])
+    assert np.isnan(ends[0]).all()
+    np.testing.assert_allclose(ends[1:], [data[f"{n}_ci"] for n in names[1:]])
+    (panel,) = plot.panels
+    assert panel.x.low < np.nanmin(ends)
+    assert panel.x.high > np.nanmax(ends)
+
+
+def test_terms__rounding_does_not_stretch_the_axis(make):
+    data = make["terms"]()
+    data["dc_term"] = data["dc_term"] * 0.0 + 1e-17
+    plot = describe("terms", {"jittered": data})
+    assert "≈ 0" in said(plot)
+    smallest = float(data["measured_variance"])
+    assert smallest / 10 < plot.panels[0].x.threshold <= smallest
+
+
+def test_contributions__a_panel_for_each_technique(make):
+    data = make["terms"](techniques=2, half_width=3, realizations=20)
+    plot = describe("contributions", {"random": data, "jittered": data})
+    assert [panel.title for panel in plot.panels[:2]] == [
+        "random, technique 0",
+        "random, technique 1",
+    ]
+    assert (len(plot.panels), plot.columns) == (4, 2)
+
+
+def test_contributions__shells_sum_to_what_lies_inside_the_half_width(make):
+    data = make["terms"](dims=3, n=8, half_width=2, realizations=20)
+    (bars,) = marks(describe("contributions", {"x": data}), Bars)
+    m = np.arange(-2, 3)
+    length = np.sqrt(sum(g**2 for g in np.meshgrid(m, m, m)))
+    expected = data["contribution"].values[np.rint(length) <= 2].sum()
+    assert bars.value.sum() == pytest.approx(expected)
+
+
+def test_contributions__an_image_is_not_transposed(make):
+    data = make["terms"](dims=2, half_width=3, realizations=20)
+    (image,) = marks(describe("contributions", {"x": data}), Image)
+    np.testing.assert_array_equal(image.values, data["contribution"].transpose("m1", "m0"))
+    np.testing.assert_array_equal(image.x, data["m0"])
+
+
+@pytest.mark.parametrize(
+    ("bands", "some"),
+    [("anova", ["constant", "x0", "x1", "x0x1"]), ("wedge", ["constant", "0°", "15°", "165°"])],
+)
+def test_bands__have_their_names(bands, some):
+    sampler = mcs.sampler("jittered", dims=2)
+    terms = mcs.variance_terms("disk", sampler, 16, half_width=6, realizations=20, bands=bands)
+    for panel in describe("bands", {"a": terms, "b": terms}).panels:
+        assert set(some) <= set(panel.x.ticks.values())
+
+
+def test_bands__many_shells_have_whole_ticks_and_one_legend(make):
+    data = make["terms"](dims=1, half_width=40, realizations=20)
+    plot = describe("bands", {"a": data, "b": data})
+    for panel in plot.panels:
+        assert len(panel.x.ticks) <= 7
+        assert all(tick.is_integer() for tick in panel.x.ticks)
+    assert plot.labels == ("within the band", "with other bands")
+    assert len({bars.color for bars in marks(plot, Bars)}) == 2
+
+
+def test_cross_matrix__real_and_imaginary(make):
+    data = make["terms"](matrix=True, half_width=4, realizations=20)
+    real, imaginary = marks(describe("cross-matrix", {"x": data}), Image)
+    np.testing.assert_array_equal(real.values, data["cross_matrix"].values.real)
+    np.testing.assert_array_equal(imaginary.values, data["cross_matrix"].values.imag)
+
+
+def test_cross_matrix__only_of_one_dimension(make):
+    data = make["terms"](matrix=True, half_width=2, realizations=20)
+    with pytest.raises(ParameterError, match="one-dimensional"):
+        describe("cross-matrix", {"x": data.assign_coords(m_0=("m", data["m"].values))})
+
+
+def test_the_first_of_several_channels_is_shown_and_said(make):
+    data = make["terms"](channels=3, half_width=3, realizations=20)
+    data["dc_term"][1:] = 99.0
+    plot = describe("terms", {"x": data})
+    assert "99" not in said(plot)
+    assert plot.caption.endswith("Shown: channel 0 of 3.")
+
+
+def test_spectrum__n_times_power_without_dc(make):
+    data = make["spectrum"](dims=2, half_width=3)
+    (image,) = marks(describe("spectrum", {"x": data}), Image)
+    expected = 16 * data["power"].values.T
+    expected[3, 3] = np.nan
+    np.testing.assert_allclose(image.values, expected)
+
+
+def test_spectrum__one_colour_scale(make):
+    data = {s: make["spectrum"](s, dims=2, half_width=3) for s in ("random", "jittered")}
+    assert len({image.scale for image in marks(describe("spectrum", data), Image)}) == 1
+
+
+@pytest.mark.parametrize("kind", ["spectrum", "lines"])
+def test_spectrum__wrong_number_of_dims(make, kind):
+    data = make["spectrum"](dims=3, n=8, half_width=2)
+    assert kinds_of(data) == ("radial",)
+    with pytest.raises(ParameterError, match="3 frequency dims"):
+        describe(kind, {"x": data})
+
+
+@pytest.mark.parametrize("dims", [1, 2, 3])
+def test_radial__axis_in_units_of_the_root_of_n(make, dims):
+    data = make["spectrum"](dims=dims, n=64, half_width=3)
+    (line,) = marks(describe("radial", {"x": data}), Line)
+    np.testing.assert_allclose(line.x, data["radius"].values / 64 ** (1 / dims))
+    np.testing.assert_allclose(line.y, np.maximum(64 * data["radial_power"].values, 1e-4))
+
+
+def test_convergence__fitted_line_and_label(make):
+    plot = describe("convergence", {"jittered": make["curve"]("jittered")})
+    line = next(m for m in marks(plot, Line) if m.label.startswith("jittered"))
+    # An exact power law: the fitted line goes through its ends
+    np.testing.assert_allclose(line.y, 0.08 * np.array([16.0, 1024.0]) ** -3)
+    assert line.label == "jittered  −3.00 ± 0.03"
+
+
+def test_convergence__only_the_last_counts_were_fitted(make):
+    data = make["curve"]("jittered").assign_attrs(fit_last=2)
+    lines = marks(describe("convergence", {"jittered": data}), Line)
+    assert any(list(line.x) == pytest.approx([256, 1024]) for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"zero": (2, 3)}, "2 of 4 at rounding level"),
+        ({"zero": (0, 1, 2, 3)}, "no variance above rounding noise"),
+        ({"counts": (64,), "zero": ()}, "random"),
+    ],
+)
+def test_convergence__odd_curves(make, options, words):
+    plot = describe("convergence", {"random": make["curve"]("random", **options)})
+    assert words in said(plot)
+    drawn_by_both(plot)
+
+
+def test_convergence__rounding_noise_is_no_variance(make):
+    data = make["curve"]("random")
+    data["variance"][3] = 1e-33  # (16 ulps of 0.5)² is 3e-30
+    assert usable_counts(data).tolist() == [True, True, True, False]
+
+
+def test_one_result_alone_and_with_dims(make):
+    one = make["curve"]("jittered")
+    assert "jittered" in said(describe("convergence", one))
+    two = xr.concat([make["curve"]("random"), one], dim="sampler", combine_attrs="drop_conflicts")
+    shown = said(describe("convergence", two.assign_coords(sampler=["random", "jittered"])))
+    assert "random  −1.00" in shown
+    assert "jittered  −3.00" in shown
+
+
+def test_styles_are_used(make):
+    styles = sampler_styles(["other", "random"])
+    plot = describe("convergence", {"random": make["curve"]("random")}, styles)
+    assert styles["random"].color in {dots.color for dots in marks(plot, Dots)}
+
+
+@pytest.mark.parametrize("data", [None, {}, 3, "random", {"a": 3}])
+def test_nothing_to_draw(data):
+    with pytest.raises(ParameterError, match="needs a dataset"):
+        describe("terms", data)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "anything"])
+def test_wrong_analysis(kind):
+    with pytest.raises(ParameterError, match="has no "):
+        describe(kind, {"random": xr.Dataset()})
+
+
+def test_unknown_kinds_name_those_there_are(make):
+    with pytest.raises(ParameterError, match="kind is 'radail'.*Did you mean 'radial'"):
+        describe("radail", make["spectrum"]())
+
+
+def correlation(values=(0.0, 0.5, 1.0)):
+    return xr.Dataset(
+        {"pair_correlation": ("r", list(values)), "pair_correlation_se": ("r", [0.1] * 3)},
+        {"r": [0.1, 0.2, 0.3]},
+    )
+
+
+def test_pair_correlation__says_where_it_is_least():
+    plot = describe("pair-correlation", {"random": correlation(), "shift": correlation()})
+    assert "random: least 0 at r = 0.100" in plot.words
+    (random, shift) = marks(plot, Line)
+    assert (random.label, shift.label) == ("random", "shift")
+    np.testing.assert_allclose(random.high - random.low, 0.4)
+    none = describe("pair-correlation", {"random": correlation((math.nan,) * 3)})
+    assert "random: no number." in none.words
+
+
+def remedies():
+    """What a study's store holds: text as attributes."""
+    ratio = np.array([0.5, 1.0, math.nan])
+    found = {
+        "error_ratio": ("remedy", ratio),
+        "error_ratio_ci": (("remedy", "bound"), np.stack([ratio / 1.2, ratio * 1.2], -1)),
+    }
+    names, verdicts = ["owen", "as given", "broken"], ["better", "given", "undecided"]
+    return xr.Dataset(found, attrs={"labels_remedy": names, "labels_verdict": verdicts})
+
+
+def test_remedies__of_a_store_have_a_panel_for_each_sampler():
+    assert kinds_of(remedies()) == ("remedies",)
+    plot = describe("remedies", {"a": remedies(), "b": remedies()})
+    assert [panel.title for panel in plot.panels] == ["a", "b"]
+    assert list(plot.panels[0].y.ticks.values()) == ["owen", "as given", "broken"]
+    assert "owen 0.500, as given 1.00" in plot.words
+    assert [dots.x.tolist() for dots in marks(plot, Dots)[:3]] == [[0.5], [1.0], []]
+    drawn_by_both(plot)
+
+
+def test_labels_of_another_length_are_left_alone():
+    found = labelled(remedies().assign_attrs(labels_other=["one"]))
+    assert list(found["verdict"].values) == ["better", "given", "undecided"]
+    assert "other" not in found.coords
+
+
+def test_anova__the_largest_parts_first_and_few():
+    size = np.arange(1.0, 21.0)
+    labels = [f"x{k}" for k in range(20)]
+    data = xr.Dataset(
+        {"anova_variance": ("subset", size), "anova_variance_se": ("subset", 0.1 * size)},
+        {"subset_label": ("subset", labels)},
+    )
+    plot = describe("anova", {"a": data})
+    (bars,) = marks(plot, Bars)
+    np.testing.assert_array_equal(bars.value, np.arange(20.0, 8.0, -1.0))
+    assert "8 smaller parts are left out" in plot.caption
+
+
+def test_techniques__bars_sum_to_the_variance():
+    matrix = np.array([[2.0, -0.5], [-0.5, 1.0]])
+    data = xr.Dataset(
+        {
+            "technique_covariance": (("technique", "technique_other"), matrix),
+            "technique_variance_ci": (("technique", "bound"), [[1.5, 2.5], [0.5, 1.5]]),
+        }
+    )
+    (bars,) = marks(describe("techniques", {"a": data}), Bars)
+    assert bars.value.sum() == matrix.sum()
+    assert np.isnan(bars.low).tolist() == [False, False, True]
+
+
+def test_techniques__rates_of_each_and_of_their_sum():
+    both = mcs.MultipleImportance("gaussian", ["linear", "uniform"], dims=1)
+    data = mcs.technique_terms(both, "jittered", [4, 16, 64], half_width=2, realizations=45)
+    plot = describe("technique-rates", {"jittered": data, "again": data})
+    assert [label.split("  ")[0] for label in plot.labels] == [
+        "technique 0",
+        "technique 1",
+        "all together",
+    ]
+    first = marks(plot, Dots)[0]
+    np.testing.assert_array_equal(first.y, data["technique_variance"].isel(technique=0))
+    (bars, _) = marks(describe("techniques", {"a": data, "b": data}), Bars)
+    last = data["technique_covariance"].isel(n=-1)
+    assert bars.value.sum() == pytest.approx(float(last.sum()))
+
+
+def stranger(shift=0.0):
+    gap = {"long_name": "largest gap", "units": "cells"}
+    return xr.Dataset(
+        {
+            "gap": ((), 1.5 + shift, gap),
+            "gap_ci": (("bound",), [1.25, 2.0]),
+            "curve": (("place",), np.arange(3.0) + shift, {"long_name": "mean gap", "units": "1"}),
+            "curve_se": (("place",), np.full(3, 0.1)),
+            "table": (("place", "other"), np.ones((3, 2))),
+            "words": (("place",), np.array(["a", "b", "c"])),
+        }
+    )
+
+
+def test_anything__curves_and_maps():
+    assert kinds_of(stranger()) == ("anything",)
+    plot = describe("anything", {"random": stranger(), "jittered": stranger(1.0)})
+    curves, *maps = plot.panels
+    assert curves.y.label == "mean gap"
+    random, jittered = curves.marks
+    np.testing.assert_array_equal(jittered.y, [1.0, 2.0, 3.0])
+    np.testing.assert_allclose(random.high - random.low, 0.4)
+    assert [panel.title for panel in maps] == ["random", "jittered"]
+    assert plot.caption == "Mean gap, over place; table, over place and other."
+    drawn_by_both(plot)
+
+
+def test_anything__names_along_an_axis_and_single_numbers():
+    named = stranger().assign_coords(place=["a", "b", "c"])[["curve"]]
+    (dots,) = marks(describe("anything", named), Dots)
+    assert dots.low is None
+    alone = describe("anything", {"a": stranger()[["gap", "gap_ci"]], "b": stranger(1.0)[["gap"]]})
+    assert [float(d.y[0]) for d in marks(alone, Dots)] == [1.5, 2.5]
+    assert alone.panels[0].y.label == "largest gap (cells)"
+    assert kinds_of(xr.Dataset()) == ()
+    drawn_by_both(alone)
+
+
+def test_describing_changes_nothing_of_a_result(make):
+    data = make["terms"](dims=2, half_width=3, realizations=20)
+    before = data.copy(deep=True)
+    for kind in kinds_of(data):
+        plot = describe(kind, data)
+        assert dataclasses.replace(plot).words == plot.words
+    xr.testing.assert_identical(data, before)
+
+
+def test_rules_mark_the_level_of_random_points(make):
+    for kind in ("lines", "radial"):
+        assert [r.at for r in marks(describe(kind, make["spectrum"]()), Rule)] == [1.0]

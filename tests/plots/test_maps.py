@@ -1,0 +1,189 @@
+"""Plots of scenes: maps, pictures by each strategy, the light at a pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from mcspectra.core.errors import McspectraError, ParameterError
+from mcspectra.core.streams import Stream
+from mcspectra.plots import backend_bokeh, backend_matplotlib
+from mcspectra.plots.description import Image, Pixels
+from mcspectra.plots.kinds import KINDS, describe, kinds_of
+from mcspectra.plots.maps import incident_maps, rms_error, strategy_images
+from mcspectra.rendering.files import encode_srgb
+
+
+def marks(plot, kind):
+    return [m for panel in plot.panels for m in panel.marks if isinstance(m, kind)]
+
+
+def drawn_by_both(plot):
+    backend_matplotlib.draw(plot).canvas.draw()
+    backend_bokeh.packed(backend_bokeh.draw(plot).model)
+
+
+def variance_map(**changes):
+    """A map as a store holds it: text as attributes."""
+    values = np.random.default_rng(1).random((2, 3, 4))
+    pixels = ("y", "x")
+    found = {
+        "mean": (("strategy", *pixels), values),
+        "variance": (
+            ("strategy", "n", *pixels),
+            values[:, None] * np.array([9.0, 1.0])[:, None, None],
+        ),
+        "rate": (("strategy", *pixels), -1.0 - values),
+        "rate_se": (("strategy", *pixels), values),
+        "bottleneck": (pixels, np.arange(12.0).reshape(3, 4) % 3 - 1),
+        "dominant_technique": (pixels, np.arange(12.0).reshape(3, 4) % 2),
+        "mis_gain": (pixels, values[0] + 0.5),
+        "predicted_ratio": (("strategy", *pixels), np.where(np.arange(4) % 2, np.nan, values)),
+    }
+    coords = {"n": [4, 16], "y": np.arange(3), "x": np.arange(4)}
+    return xr.Dataset(found | changes, coords, {"labels_strategy": ["light", "bsdf"]})
+
+
+MAPS = [kind for kind in KINDS if kind.startswith("map-")]
+
+
+def test_maps_have_a_plot_for_each_quantity():
+    assert list(kinds_of(variance_map())) == MAPS
+
+
+@pytest.mark.parametrize("kind", MAPS)
+def test_maps_are_drawn(kind):
+    plot = describe(kind, {"a": variance_map(), "b | c": variance_map()})
+    assert plot.wide
+    assert len({image.scale for image in marks(plot, Image)}) == 1
+    assert "pixels for a, b | c" in plot.words
+    assert all(panel.y.flipped for panel in plot.panels)
+    drawn_by_both(plot)
+
+
+def test_maps__the_largest_number_of_samples_a_panel_a_strategy():
+    plot = describe("map-variance", variance_map())
+    assert [panel.title for panel in plot.panels] == ["light sampling", "BSDF sampling"]
+    shown = [image.values for image in marks(plot, Image)]
+    np.testing.assert_array_equal(shown, variance_map()["variance"].isel(n=-1))
+    several = describe("map-mean", {"a": variance_map(), "b": variance_map()})
+    assert several.panels[3].title == "b: BSDF sampling"
+
+
+def test_maps__techniques_have_names_and_ratios_a_scale_about_one():
+    (image,) = marks(describe("map-bottleneck", variance_map()), Image)
+    assert image.scale.names == ("undecided", "light", "BSDF")
+    (image,) = marks(describe("map-gain", variance_map()), Image)
+    assert image.scale.low * image.scale.high == pytest.approx(1.0)
+    assert image.scale.ticks[1.0] == "1"
+
+
+def test_maps__predictions_are_shown_where_there_are_any():
+    shown = marks(describe("map-predicted", variance_map()), Image)
+    assert {image.values.shape for image in shown} == {(3, 2)}
+
+
+def test_maps__without_a_number():
+    nothing = (("y", "x"), np.full((3, 4), np.nan))
+    plot = describe("map-gain", variance_map(mis_gain=nothing))
+    assert "without numbers" in plot.words
+    drawn_by_both(plot)
+
+
+def test_maps__what_is_no_map_is_refused():
+    with pytest.raises(ParameterError, match="has no rate"):
+        describe("map-mean", variance_map().drop_vars("rate"))
+
+
+def image(seed, strategy, spp, batches=1, shape=(5, 7)):
+    values = 1.5 * Stream.from_rng(seed).uniforms(0, 1, 3 * shape[0] * shape[1])
+    arrays = {"image": (("y", "x", "channel"), values.reshape(*shape, 3))}
+    if batches > 1:
+        arrays["image_se"] = (("y", "x", "channel"), np.full((*shape, 3), 0.25))
+    return xr.Dataset(arrays, attrs={"strategy": strategy, "spp": spp, "realizations": batches})
+
+
+def images(**options):
+    return {
+        "reference": image(1, "mis", 64, 16, **options),
+        "light": image(2, "light", 4, **options),
+        "bsdf": image(3, "bsdf", 4, **options),
+        "mis": image(4, "mis", 2, **options),
+    }
+
+
+@pytest.mark.parametrize("exposure", [0.0, -1.5])
+def test_pictures_are_the_images(exposure):
+    made = images()
+    shown = marks(strategy_images(made, exposure=exposure), Pixels)
+    for pixels, data in zip(shown, made.values(), strict=True):
+        expected = np.rint(255 * encode_srgb(data["image"].values * 2.0**exposure))
+        np.testing.assert_array_equal(pixels.rgb, expected)
+
+
+def test_pictures_say_samples_and_errors():
+    made = images()
+    panels = strategy_images(made).panels
+    assert [panel.title for panel in panels] == [
+        "reference",
+        "light sampling",
+        "BSDF sampling",
+        "MIS",
+    ]
+    off = [f"rms error {rms_error(made[s], made['reference']):.3g}" for s in ("light", "mis")]
+    assert panels[0].x.label == "1024 + 1024 samples a pixel\nrms standard error 0.25"
+    assert panels[1].x.label == f"4 samples a pixel\n{off[0]}"
+    assert panels[3].x.label == f"2 + 2 samples a pixel\n{off[1]}"
+    drawn_by_both(strategy_images(made))
+
+
+def test_error_is_over_pixels_and_channels():
+    a, b = image(1, "mis", 1), image(1, "mis", 1)
+    assert rms_error(a, b) == 0.0
+    b["image"][2, 3, 1] += 2.0
+    assert rms_error(b, a) == pytest.approx(2.0 / np.sqrt(5 * 7 * 3), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"reference": image(1, "mis", 1)},
+        {"light": image(1, "light", 1), "mis": image(1, "mis", 1)},
+        {"reference": image(1, "mis", 1), "mis": image(1, "mis", 1, shape=(5, 8))},
+        {"reference": xr.Dataset(), "mis": xr.Dataset()},
+    ],
+)
+def test_what_is_no_comparison_is_refused(given):
+    with pytest.raises(ParameterError, match="what compare_strategies returns"):
+        strategy_images(given)
+
+
+@pytest.mark.parametrize("exposure", [np.nan, np.inf, 65, "bright"])
+def test_exposures_that_are_refused(exposure):
+    with pytest.raises(McspectraError, match="exposure"):
+        strategy_images(images(), exposure=exposure)
+
+
+def sky(values):
+    coords = {"elevation": [22.5, 67.5], "azimuth": [60.0, 180.0, 300.0]}
+    both = dict.fromkeys(
+        ("incident_radiance", "reflected_radiance"),
+        (("elevation", "azimuth"), values, {"units": "radiance"}),
+    )
+    return xr.Dataset(both, coords)
+
+
+def test_light_has_a_logarithmic_scale_black_where_there_is_none():
+    plot = incident_maps(sky(np.array([[0.0, 1.0, 10.0], [1e-9, 5.0, 2.0]])))
+    shown = marks(plot, Image)[0]
+    assert shown.scale.kind == "log"
+    assert shown.values.min() == shown.scale.low == pytest.approx(10.0 * 1e-4 / 2)
+    drawn_by_both(plot)
+
+
+def test_no_light_is_said():
+    plot = incident_maps(sky(np.zeros((2, 3))))
+    assert plot.panels[0].note == "no light from the centre of any cell"
+    drawn_by_both(plot)

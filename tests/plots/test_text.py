@@ -1,0 +1,103 @@
+"""Numbers and names as people read them."""
+
+import math
+
+import pytest
+
+from mcspectra.plots.text import (
+    interval,
+    number,
+    number_beside,
+    percent,
+    power_of_ten,
+    rate,
+    shorten,
+    slug,
+)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (None, "–"),
+        (math.nan, "–"),
+        (math.inf, "∞"),
+        (-math.inf, "−∞"),
+        (0.0, "0"),
+        (1.0, "1.00"),
+        (-1.523, "−1.52"),
+        (9.996, "10.0"),  # rounds into the next power of ten
+        (0.00123, "0.00123"),
+        (0.0009996, "0.00100"),
+        (4.56e-6, "4.56×10⁻⁶"),
+        (-4.56e-12, "−4.56×10⁻¹²"),
+        (12345.0, "12345"),
+        (1234567.0, "1.23×10⁶"),
+        (5e-324, "4.94×10⁻³²⁴"),
+    ],
+)
+def test_number(value: float | None, text: str) -> None:
+    assert number(value) == text
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ((-1.5234, -1.55, -1.49), "−1.52 ± 0.03"),
+        ((-1.5234, -1.5274, -1.5194), "−1.523 ± 0.004"),
+        ((-1.5, -1.9, -1.1), "−1.50 ± 0.40"),
+        ((-2.0, -2.0, -2.0), "−2.0000 ± <0.0001"),
+        ((-2.0, -math.inf, math.inf), "−2.00"),
+        ((-2.0, None, None), "−2.00"),
+        ((None, None, None), "–"),
+        ((math.nan, math.nan, math.nan), "–"),
+    ],
+)
+def test_rate(values: tuple[float, float, float], text: str) -> None:
+    assert rate(*values) == text
+
+
+@pytest.mark.parametrize(
+    ("fraction", "text"),
+    [
+        (0.97, "97 %"),
+        (1.0, "100 %"),
+        (0.0, "0 %"),
+        (0.99968, "99.97 %"),  # never rounds to 100
+        (0.0004, "0.04 %"),
+        (-0.25, "−25 %"),
+        (29.0, "2900 %"),
+    ],
+)
+def test_percent(fraction: float, text: str) -> None:
+    assert percent(fraction) == text
+
+
+def test_number_beside__rounding_is_no_number() -> None:
+    assert number_beside(4e-17, 1e-3) == "≈ 0"
+    assert number_beside(-4e-17, 1e-3) == "≈ 0"
+    assert number_beside(0.0, 1e-3) == "0"
+    assert number_beside(4e-11, 1e-3) == "4.00×10⁻¹¹"
+    assert number_beside(1e-3, None) == number_beside(1e-3, 0.0) == "0.00100"
+    assert number_beside(math.inf, 1.0) == number_beside(math.inf, math.inf) == "∞"
+
+
+def test_interval() -> None:
+    assert interval(1e-6, 2.5e-6) == "1.00×10⁻⁶ … 2.50×10⁻⁶"
+    assert interval(None, 1.0) == interval(math.nan, 1.0) == "–"
+
+
+def test_power_of_ten() -> None:
+    assert power_of_ten(-120) == "10⁻¹²⁰"
+
+
+def test_shorten__one_line_of_at_most_the_length() -> None:
+    assert shorten("a  b\nc", 10) == "a b c"
+    long = shorten("x" * 50 + "end", 20)
+    assert len(long) == 20
+    assert long.endswith("end")
+
+
+def test_slug() -> None:
+    assert slug('A <"b"> & c_1.5') == "a-b-c-1.5"
+    assert slug("日本") == "x"

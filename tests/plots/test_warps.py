@@ -1,0 +1,112 @@
+"""Plots of warps and of primary-space integrands: what they show and say."""
+
+import math
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import ParameterError
+from mcspectra.plots import backend_bokeh, backend_matplotlib
+from mcspectra.plots.description import Image, Line, Rule, Segments
+from mcspectra.plots.kinds import describe
+
+SIDE = 16
+
+
+def warp(spec, dims=2):
+    return mcs.warp_quality(mcs.density(spec, dims=dims), resolution=SIDE)
+
+
+def picture(integrand, density=None, dims=2):
+    return mcs.primary_picture(mcs.Estimator(integrand, density, dims=dims), resolution=SIDE)
+
+
+def marks(plot, kind):
+    return [m for panel in plot.panels for m in panel.marks if isinstance(m, kind)]
+
+
+def drawn_by_both(plot):
+    backend_matplotlib.draw(plot).canvas.draw()
+    backend_bokeh.packed(backend_bokeh.draw(plot).model)
+
+
+def test_jumps_lie_where_they_are():
+    """The seam of the octahedral map: from the centre to the right."""
+    plot = describe("warp", {"sphere": warp("sphere")})
+    (torn,) = marks(plot, Segments)
+    assert len(torn.ends) == SIDE / 2
+    np.testing.assert_allclose(torn.ends[..., 1], 0.5)
+    assert torn.ends[..., 0].min() == 0.5
+    assert torn.ends[..., 0].max() == 1.0
+    assert "jumps of length 0.5" in plot.words
+    assert plot.panels[0].title == "sphere"
+    drawn_by_both(plot)
+
+
+def test_an_axis_is_not_swapped():
+    """Rows of a table tear along u_1 = ¼, all along u_0."""
+    plot = describe("warp", {"table": warp("piecewise-constant(values=[[1, 2], [8, 1]])")})
+    (torn,) = marks(plot, Segments)
+    np.testing.assert_allclose(torn.ends[..., 1], 0.25)
+    (stretch,) = marks(plot, Image)
+    assert stretch.values.shape == (SIDE, SIDE)
+
+
+def test_grid_lines_are_broken_where_the_warp_jumps():
+    smooth, torn = (describe("warp", {"a": warp(s)}) for s in ("disk", "sphere"))
+    gaps = [sum(np.isnan(line.x).sum() for line in marks(p, Line)) for p in (smooth, torn)]
+    assert gaps[0] == 2 * SIDE  # one after each line
+    assert gaps[1] > gaps[0]
+
+
+def test_warps__several_and_one_alone():
+    plot = describe("warp", {"a": warp("disk"), "b": warp('disk(warp="polar")')})
+    assert len({image.scale for image in marks(plot, Image)}) == 1
+    assert "continuous\nmean stretch" in plot.panels[1].x.label
+    assert len(plot.panels) == 4
+    assert describe("warp", warp("disk")).panels[0].title == "disk"
+    drawn_by_both(describe("warp", warp("uniform")))
+
+
+def test_warps__one_dim():
+    plot = describe("warp", {"table": warp("piecewise-constant(values=[1, 0, 1])", 1)})
+    (curve,), (jump,) = marks(plot, Line), marks(plot, Rule)
+    assert np.isnan(curve.y).sum() == 1
+    assert jump.at == pytest.approx(0.5)
+
+
+def test_primary__interior_and_boundary():
+    plot = describe("primary", {"half": picture("half-space(normal=[1, 0], offset=0.5)")})
+    assert "inside 1 × 1, sides 1 × 1" in plot.panels[0].x.label
+    assert plot.labels == ("jump inside", "jump between opposite sides")
+    whole = [line for line in marks(plot, Line) if np.isfinite(line.x + line.y).all()]
+    assert [set(line.x) for line in whole] == [{0.0}, {1.0}]
+    drawn_by_both(plot)
+
+
+def test_primary__one_dim_and_poles():
+    data = {
+        "step": picture("step(at=0.3)", "linear(slope=1)", 1),
+        "pole": picture("constant", "linear(slope=2)", 1),
+    }
+    plot = describe("primary", data)
+    assert "sides unbounded" in plot.words
+    assert "inside 1 ×" in plot.words
+    drawn_by_both(plot)
+
+
+def test_primary__constant_and_channels():
+    assert "inside none, sides none" in describe("primary", picture("constant")).words
+    colors = mcs.Integrand.from_function(lambda x: x[..., [0, 1, 0]], dims=2)
+    assert "sides 2 ×" in describe("primary", mcs.primary_picture(colors, resolution=SIDE)).words
+
+
+@pytest.mark.parametrize("kind", ["warp", "primary"])
+def test_results_without_a_variable_and_of_several_dims_are_refused(kind):
+    make = {"warp": lambda d: warp("uniform", d), "primary": lambda d: picture("constant", dims=d)}
+    with pytest.raises(ParameterError, match="different figures"):
+        describe(kind, {"a": make[kind](2), "b": make[kind](1)})
+    with pytest.raises(ParameterError, match="has no"):
+        describe(kind, {"a": warp("uniform").drop_vars(["jump"])})
+    assert not math.isnan(sum(panel.x.high for panel in describe(kind, make[kind](2)).panels))

@@ -1,0 +1,153 @@
+"""Pages: blocks in order, escaping, self-containment, one step, words for every figure."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from markupsafe import Markup
+from tests.report.parsed import Parsed
+
+from mcspectra.core.errors import StoreError
+from mcspectra.plots import backend_matplotlib
+from mcspectra.plots.description import Axis, Line, Panel, Plot
+from mcspectra.report.page import (
+    Cell,
+    Facts,
+    Figure,
+    Figures,
+    Folded,
+    Page,
+    Section,
+    Sentences,
+    Table,
+    Text,
+    anchors,
+    columns_of,
+    text_cells,
+    write_json,
+    write_page,
+)
+
+EVIL = "</script><u>&\"'"
+
+
+def plot(words: str = "A line from 0 to 1.", kind: str = "line") -> Plot:
+    x = np.array([0.0, 1.0])
+    panel = Panel(marks=(Line(x=x, y=x, color="#0072B2"),), x=Axis(label="x"), y=Axis(label="y"))
+    return Plot(kind=kind, panels=(panel,), caption="A line.", words=words)
+
+
+def page(evil: str = EVIL, live: bool = False) -> Page:
+    table = Table(
+        caption=evil,
+        columns=("Name", "Value", "Why"),
+        rows=(
+            (Cell(text=evil, link="#a"), Cell(text="1.0", order=1.0), Cell(text="–", why=evil)),
+            (*text_cells("b"), Cell(text="2", order=2.0), Cell(text="agrees", mark="yes")),
+        ),
+        sortable=True,
+        stacked=True,
+    )
+    blocks = (
+        Text(text=evil),
+        Text(text=evil, kind="heading"),
+        Text(text=evil, kind="quote"),
+        Text(text=evil, kind="code"),
+        Text(text=Markup("<math><mi>x</mi></math>"), kind="formula"),
+        Facts(rows=((evil, evil),), code=True),
+        Sentences(rows=((evil, evil),)),
+        table,
+        Folded(summary=evil, blocks=(Figures(figures=(Figure(plot=plot(evil), name="folded"),)),)),
+        Figures(figures=(Figure(plot=plot(), name="a-line", live=live),)),
+    )
+    first = Section(title=evil, anchor="a", blocks=blocks, beside=evil, mark="no", fresh=True)
+    second = Section(title="b", anchor="b", blocks=(), code=True)
+    return Page(title=evil, what="test", lead=(Text(text=evil),), sections=(first, second))
+
+
+def test_all_text_is_escaped_and_all_tags_close(tmp_path: Path) -> None:
+    text = write_page(page(), tmp_path / "x.html").read_text(encoding="utf-8")
+    found = Parsed(text)
+    assert "<u>" not in text
+    assert found.text.count(EVIL) >= 15
+    assert EVIL in str(found.all("img")[0]["alt"])
+    assert found.all("abbr") == [{"title": EVIL}]
+    assert "<math><mi>x</mi></math>" in text
+    assert {a["href"] for a in found.all("a")} == {"#a", "#b"}
+    assert [d["data-order"] for d in found.all("td") if "data-order" in d] == ["1.0", "2.0"]
+    assert all(image["alt"] for image in found.all("img"))
+
+
+def test_nothing_is_loaded(tmp_path: Path) -> None:
+    text = write_page(page(), tmp_path / "x.html").read_text(encoding="utf-8")
+    assert not re.search(r"url\(|@import|<link|https?://(?!www\.w3\.org)", text)
+    for image in Parsed(text).all("img"):
+        head, _, data = str(image["src"]).partition(",")
+        assert head == "data:image/png;base64"
+        png = base64.b64decode(data)
+        size = [int.from_bytes(png[i : i + 4], "big") for i in (16, 20)]
+        assert size == [int(str(image[k])) for k in ("width", "height")]
+
+
+def test_figures_become_files_where_a_folder_is_given(tmp_path: Path) -> None:
+    text = write_page(page(), tmp_path / "x.html", tmp_path / "figures").read_text("utf-8")
+    names = sorted(each.name for each in (tmp_path / "figures").iterdir())
+    assert names == ["a-line.pdf", "a-line.png", "folded.pdf", "folded.png"]
+    assert "(figures/a-line.pdf)" in Parsed(text).text
+
+
+def test_the_same_page_has_the_same_bytes(tmp_path: Path) -> None:
+    first, second = (write_page(page(live=True), tmp_path / n).read_bytes() for n in "ab")
+    assert first == second
+
+
+def test_live_figures_bring_the_script_once(tmp_path: Path) -> None:
+    found = Parsed(write_page(page(live=True), tmp_path / "x.html").read_text("utf-8"))
+    packed = [s for s in found.all("script") if s.get("type") == "application/gzip"]
+    assert [s.get("id") for s in packed] == [None, "bokeh"]
+    assert sum(d.get("class") == "plot" for d in found.all("div")) == 1
+
+
+def test_a_page_that_fails_leaves_the_old_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = write_page(page(), tmp_path / "x.html")
+    before = file.read_bytes()
+
+    def fail(_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(backend_matplotlib, "draw", fail)
+    with pytest.raises(StoreError.__mro__[1], match="cannot be written"):
+        write_page(page(), file)
+    assert file.read_bytes() == before
+
+
+def test_no_place_for_a_page(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="cannot be written"):
+        write_page(page(), tmp_path / "nowhere" / "x.html")
+    with pytest.raises(StoreError, match="cannot be written"):
+        write_json(tmp_path, {})
+
+
+def test_json_is_strict(tmp_path: Path) -> None:
+    write_json(tmp_path / "new" / "x.json", {"a": np.array([1.0, math.nan]), "b": (math.inf, "∞")})
+    text = (tmp_path / "new" / "x.json").read_text(encoding="utf-8")
+    assert json.loads(text) == {"a": [1.0, None], "b": [None, "∞"]}
+
+
+def test_anchors_are_distinct() -> None:
+    assert anchors(["A b", "a-b", "c"], "e-") == ["e-a-b", "e-a-b-2", "e-c"]
+
+
+def test_columns_are_chosen_by_name() -> None:
+    table = Table(caption="", columns=("a", "b", "c"), rows=(text_cells("1", "2", "3"),))
+    chosen = columns_of(table, ("c", "a"))
+    assert chosen.columns == ("c", "a")
+    assert [cell.text for cell in chosen.rows[0]] == ["3", "1"]

@@ -1,0 +1,358 @@
+"""The page: structure, escaping, self-containment, odd results, and the same bytes twice."""
+
+import math
+import re
+import socket
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.report.parsed import Parsed
+
+from mcspectra.core.errors import StoreError
+from mcspectra.plots.backend_bokeh import script
+from mcspectra.report import study as module
+from mcspectra.report import write_report
+from mcspectra.report.page import Table, Text
+from mcspectra.report.study import study_toml
+from mcspectra.studies import StudyStatus, open_results
+from mcspectra.studies.files import decode_study, plain_study
+from mcspectra.studies.ledger import StudyNote
+
+Make = dict[str, Callable[..., Any]]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Path:
+    """The report of a small study."""
+    study = request.getfixturevalue("study_folder")
+    write_report(study)
+    return Path(study)
+
+
+@pytest.fixture(scope="module")
+def page(folder: Path) -> Parsed:
+    """Its page, parsed."""
+    return Parsed((folder / "report.html").read_text(encoding="utf-8"))
+
+
+def test_sections(page: Parsed) -> None:
+    ids = [attributes["id"] for attributes in page.all("section")]
+    assert ids[0] == "summary"
+    assert ids[-1] == "provenance"
+    assert len(ids) == 4
+    links = {attributes["href"] for attributes in page.all("a")}
+    assert links == {f"#{i}" for i in ids}
+    assert Counter(tag for tag, _ in page.tags)["h1"] == 1
+    assert all(attributes["scope"] in ("col", "row") for attributes in page.all("th"))
+
+
+def test_ids_are_unique(page: Parsed) -> None:
+    ids = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
+    assert len(set(ids)) == len(ids)
+
+
+def test_nothing_is_loaded(folder: Path, page: Parsed) -> None:
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    own = text.replace(script(), "")
+    assert len(own) < len(text) - 200_000
+    assert not re.search(r"https?://|//[a-z]+\.[a-z]", re.sub(r"base64,[^\"]*", "", own))
+    assert not {"link", "iframe", "object", "base", "form"} & {t for t, _ in page.tags}
+    assert not any("src" in attributes for attributes in page.all("script"))
+    assert not re.search(r"url\(|@import", own)
+    for attributes in page.all("img"):
+        assert str(attributes["src"]).startswith("data:image/png;base64,")
+
+
+def test_interactive_figures_have_pictures_too(page: Parsed) -> None:
+    packed = [s for s in page.all("script") if s.get("type") == "application/gzip"]
+    assert packed.pop()["id"] == "bokeh"
+    assert len(packed) == 6 + 3  # all but captured, bands and cross-matrix
+    plots = [d for d in page.all("div") if d.get("class") == "plot"]
+    assert len(plots) == len(packed)
+
+
+def test_overview_can_be_sorted_and_leads_to_sections(page: Parsed) -> None:
+    (table,) = (t for t in page.all("table") if t.get("class") == "sortable")
+    assert table
+    orders = [float(str(d["data-order"])) for d in page.all("td") if "data-order" in d]
+    assert -3.0 in orders
+    assert all(math.isfinite(order) for order in orders)
+
+
+def test_page_elsewhere(make: Make, tmp_path: Path) -> None:
+    study = make["study"](tmp_path / "s", {("e", "random"): {"points": make["points"](n=4)}})
+    (tmp_path / "web").mkdir()
+    page = write_report(study, tmp_path / "web" / "x.html")
+    assert page == tmp_path / "web" / "x.html"
+    assert len(list((tmp_path / "web" / "figures").iterdir())) == 2
+    assert not (study / "report.html").exists()
+    with pytest.raises(StoreError, match="cannot be written"):
+        write_report(study, tmp_path / "nowhere" / "x.html")
+
+
+def test_figures_have_words_and_sizes(page: Parsed) -> None:
+    images = page.all("img")
+    assert len(images) == 9 + 3  # all kinds in 1-D; image, radial mean and points in 2-D
+    for attributes in images:
+        assert len(str(attributes["alt"])) > 30
+        assert int(str(attributes["width"])) > 100
+    assert page.tags.count(("figcaption", {})) == len(images)
+
+
+def test_figure_files(folder: Path, page: Parsed) -> None:
+    names = sorted(p.name for p in (folder / "figures").iterdir())
+    assert len(names) == 2 * len(page.all("img"))
+    assert all(re.fullmatch(r"[a-z0-9.-]+\.(png|pdf)", name) for name in names)
+    for path in (folder / "figures").iterdir():
+        head = {".png": b"\x89PNG", ".pdf": b"%PDF"}[path.suffix]
+        assert path.read_bytes().startswith(head)
+        assert path.stat().st_size > 1000
+
+
+def test_numbers_and_sentences(page: Parsed) -> None:
+    assert "−3.00 ± 0.03" in page.text
+    assert "Variance at n = 1024" in page.text
+    assert "7.45×10⁻¹¹" in page.text
+    assert "The cross term removes" in page.text
+    assert "nan" not in page.text.lower().split()
+
+
+def test_samplers_in_the_order_of_the_study(page: Parsed) -> None:
+    places = [page.text.index(f"{s}: The rate") for s in ("random", "jittered", "jittered | shift")]
+    assert places == sorted(places)
+
+
+def test_provenance(folder: Path, page: Parsed) -> None:
+    tree = open_results(folder)
+    assert tree.attrs["study_hash"] in page.text
+    assert "mcspectra run study.toml" in page.text
+    assert f"numpy {tree.attrs['version_numpy']}" in page.text
+    assert f"Machine{socket.gethostname()}" in page.text.replace("\n", "")
+
+
+@pytest.mark.parametrize(
+    ("study", "options"),
+    [
+        ('integrand = "gaussian"', ""),
+        ("integrand = \"python(function='a.b:f')\"", " --allow-code a.b:f"),
+        (
+            'a = "python(function=\\"m:g\\", dims=2)"\nb = "python( function = \'m:f\')"\nc = "python(function=\'m:g\')"',
+            " --allow-code m:g --allow-code m:f",
+        ),
+        ("integrand = \"python(function='m:f; rm')\"", " --allow-code m:f"),
+    ],
+)
+def test_python_functions_are_allowed_by_the_command(study: str, options: str) -> None:
+    assert module._allowed(study) == options
+
+
+def test_the_study_in_the_page_is_the_study(folder: Path) -> None:
+    attributes = open_results(folder).attrs
+    again = decode_study(study_toml(attributes["study"]))
+    assert StudyNote.of(again, {}).study_hash == attributes["study_hash"]
+
+
+def test_study_toml__odd_text_and_all_tables() -> None:
+    config = decode_study(
+        'title = "a \\"b\\" \\\\ \\u007f \\n ü 🎲"\nsamplers = ["x(path=\'C:\\\\\\\\y\')"]\n'
+        "[convergence]\ncounts = [1, 2]\n"
+        '[[estimators]]\nname = "e"\nintegrand = "f"\ndensities = ["p", "q"]\n'
+        "[estimators.terms]\nn = 4\ncross_matrix = true\n"
+        '[[estimators]]\nname = "g"\nintegrands = ["f"]\ntechnique_counts = [2]\n'
+        "[estimators.spectrum]\nn = 4\n"
+    )
+    assert decode_study(study_toml(plain_study(config))) == config
+
+
+def test_same_results_same_bytes(make: Make, tmp_path: Path) -> None:
+    wanted = ("convergence", "spectrum", "points")
+    cells = {
+        ("e", s): {a: d for a, d in make["analyses"](s, 2).items() if a in wanted}
+        for s in ("random", "jittered")
+    }
+    folders = [make["study"](tmp_path / name, cells) for name in ("a", "b")]
+    for each in folders:
+        write_report(each)
+    first, second = (
+        {p.relative_to(f): p.read_bytes() for p in [f / "report.html", *(f / "figures").iterdir()]}
+        for f in folders
+    )
+    assert first == second
+
+
+def test_names_are_escaped(make: Make, tmp_path: Path) -> None:
+    evil = '<script>alert("1")</script> & $\\frac{$'
+    cells = {(evil, evil): {"convergence": make["curve"]("random")}}
+    text = write_report(make["study"](tmp_path, cells, title=evil)).read_text(encoding="utf-8")
+    page = Parsed(text)
+    assert "<script>alert" not in text
+    assert page.text.count(evil) >= 4
+    assert evil in str(page.all("img")[0]["alt"])
+
+
+def test_odd_results(make: Make, tmp_path: Path) -> None:
+    """Each of these is in the page with its reason, and none breaks it."""
+    small = {"half_width": 2, "realizations": 10}
+    cells = {
+        ("infinite", "random"): {"terms": make["infinite"](**small)},
+        ("channels", "random"): {
+            "convergence": make["curve"]("random", channels=3),
+            "terms": make["terms"](**small, channels=3),
+        },
+        ("part", "random"): {"convergence": make["curve"]("random", zero=(0, 1, 2, 3))},
+        ("part", "jittered"): {"convergence": make["curve"]("jittered", counts=(64,))},
+        ("part", "shift"): {"points": make["points"](n=4)},
+        ("techniques", "random"): {"terms": make["terms"](**small, techniques=2)},
+    }
+    page = Parsed(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
+    assert "infinite because ∫1/p diverges" in page.text
+    assert "random, channel 2" in page.text
+    assert "Shown: channel 0 of 3." in page.text
+    assert "No convergence results for shift." in page.text
+    assert "No points results for random, jittered." in page.text
+    assert "Every technique has a panel of its own." in page.text
+    assert "there is no rate to fit" in page.text
+    assert page.all("abbr")
+    assert all(attributes["title"] for attributes in page.all("abbr"))
+
+
+def test_only_spectra(make: Make, tmp_path: Path) -> None:
+    cells = {("e", "random"): {"spectrum": make["spectrum"](dims=3, n=8, half_width=2)}}
+    page = Parsed(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
+    assert "neither convergence nor terms" in page.text
+    assert len(page.all("img")) == 1
+    assert "In this many dims it stands for the whole spectrum." in page.text
+
+
+def test_no_results_yet(make: Make, tmp_path: Path) -> None:
+    cells: Any = {("e", "random"): {}}
+    page = Parsed(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
+    assert "There are no results yet." in page.text
+
+
+def test_no_store(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="no results"):
+        write_report(tmp_path)
+
+
+def test_figures_cannot_be_written(make: Make, tmp_path: Path) -> None:
+    make["study"](tmp_path, {("e", "random"): {"points": make["points"](n=4)}})
+    (tmp_path / "figures").write_text("a file in the way")
+    with pytest.raises(StoreError, match="cannot be written"):
+        write_report(tmp_path)
+
+
+@pytest.fixture(name="small")
+def _small(make: Make, tmp_path: Path) -> Path:
+    """A finished study of one cell."""
+    study: Path = make["study"](tmp_path, {("e", "random"): {"convergence": make["curve"]()}})
+    return study
+
+
+def lacking(failed: dict[str, str], missing: tuple[str, ...] = ()) -> StudyStatus:
+    """A status with one finished cell beside these."""
+    return StudyStatus(
+        title="t", study_hash="", seed=1, versions={}, format=3, state="unfinished", holder=None,
+        hosts=(), started=None, finished=None, done=("e/random/points",), failed=failed,
+        missing=missing, damaged={}, recorded=0, results_bytes=0, ledger_bytes=0, verified=False,
+    )  # fmt: skip
+
+
+def gaps() -> tuple[str, Table]:
+    """Sentence and table of what a study lacks."""
+    _, sentence, table = module._gaps(Path())
+    assert isinstance(sentence, Text)
+    assert isinstance(table, Table)
+    return str(sentence.text), table
+
+
+def test_a_finished_study_lacks_nothing(small: Path) -> None:
+    assert list(module._gaps(small)) == []
+    text = write_report(small).read_text(encoding="utf-8")
+    assert "What is missing" not in text
+
+
+def test_analyses_of_one_reason_share_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    failed = {
+        "e/random/terms": "It raised.",
+        "e/random/spectrum": "It raised.",
+        "a/b/exact": "NaN.",
+    }
+    monkeypatch.setattr(module, "study_status", lambda _: lacking(failed, ("e/shift/terms",)))
+    sentence, table = gaps()
+    assert [tuple(cell.text for cell in row) for row in table.rows] == [
+        ("a", "b", "exact", "NaN."),
+        ("e", "random", "spectrum, terms", "It raised."),
+        ("e", "shift", "terms", "not computed yet"),
+    ]
+    assert "Of 5 analyses, 3 failed and 1 not computed yet;" in sentence
+    assert "--resume --retry" in sentence
+
+
+def test_only_missing_ones_need_no_retry(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "study_status", lambda _: lacking({}, ("e/shift/terms",)))
+    (_, sentence, _) = module._gaps(Path())
+    assert isinstance(sentence, Text)
+    assert "--resume" in sentence.text
+    assert "--retry" not in sentence.text
+
+
+def test_thousands_are_not_listed(monkeypatch: pytest.MonkeyPatch) -> None:
+    failed = {f"e{i:05}/random/terms": "It raised." for i in range(3000)}
+    monkeypatch.setattr(module, "study_status", lambda _: lacking(failed))
+    _, table = gaps()
+    assert len(table.rows) == 50
+    assert "2950 more rows" in table.caption
+
+
+def test_an_unreadable_ledger_is_said(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(_: Path) -> StudyStatus:
+        raise StoreError("The ledger has format 9 <x>.")
+
+    monkeypatch.setattr(module, "study_status", refuse)
+    text = write_report(small).read_text(encoding="utf-8")
+    assert "Whether analyses failed is unknown. The ledger has format 9 &lt;x&gt;." in text
+
+
+def test_the_page_has_the_reasons(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    status = lacking({"e/random/terms": "It raised ValueError: <b>."})
+    monkeypatch.setattr(module, "study_status", lambda _: status)
+    text = write_report(small).read_text(encoding="utf-8")
+    assert "What is missing" in text
+    assert "It raised ValueError: &lt;b&gt;." in text
+
+
+def test_figures_of_the_same_samples_stand_once(make: Make, tmp_path: Path) -> None:
+    spectra = {s: make["spectrum"](s, dims=2, n=16, half_width=3) for s in ("random", "jittered")}
+    cells = {("first", s): {"spectrum": data} for s, data in spectra.items()}
+    cells["second", "random"] = {"spectrum": spectra["random"], "points": make["points"](n=4)}
+    cells["other", "random"] = {"spectrum": 2.0 * spectra["random"].assign_attrs()}
+    cells["other", "random"]["spectrum"].attrs = spectra["random"].attrs
+    page = Parsed(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
+    assert "The same samples as in first: see its spectrum." in page.text
+    names = {p.name for p in (tmp_path / "figures").glob("*.png")}
+    kinds = ("spectrum", "radial")
+    assert names == {f"0-first-{k}.png" for k in kinds} | {f"4-other-{k}.png" for k in kinds} | {
+        "3-second-points.png"
+    }
+
+
+def test_bands_of_a_cross_term_that_is_noise_are_left_out(make: Make, tmp_path: Path) -> None:
+    terms = make["terms"]("jittered", half_width=4, realizations=20)
+    noise = terms.assign(cross_term_ci=("bound", [-1.0, 1.0]))
+    certain = terms.assign(cross_term_ci=("bound", [-2.0, -1.0]))
+    cells = {("noise", "jittered"): {"terms": noise}, ("certain", "jittered"): {"terms": certain}}
+    write_report(make["study"](tmp_path, cells))
+    names = {p.name for p in (tmp_path / "figures").glob("*-bands.png")}
+    assert [name.partition("-")[2] for name in names] == ["certain-bands.png"]
+
+
+def test_details_are_folded_and_what_says_most_is_not(page: Parsed) -> None:
+    summaries = page.text
+    for name in ("Frequencies", "Spectra and points of the samples", "Three terms in numbers"):
+        assert name in summaries
+    assert page.tags.count(("details", {})) >= 6
+    assert all("open" not in attributes for attributes in page.all("details"))

@@ -1,0 +1,61 @@
+"""Light and BSDF sampling of two pixels: findings, and what would contradict them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from mcspectra.reproduction import direct_illumination as direct
+from mcspectra.reproduction.claims import Exhibit, judge, pixel_rate
+from mcspectra.reproduction.gallery import make_exhibit
+
+pytestmark = pytest.mark.render
+
+
+@pytest.fixture(scope="module")
+def made() -> Exhibit:
+    return make_exhibit("direct-illumination", quick=True, seed=1)
+
+
+def test_all_findings_agree(made: Exhibit, sound: Callable[[Exhibit], None]) -> None:
+    sound(made)
+
+
+def test_one_of_eight_curves_is_smooth(made: Exhibit) -> None:
+    rates = [f.expected.split()[0] for f in made.findings[:8]]
+    assert rates == ["−2.0", *["−1.5"] * 7]
+
+
+def test_the_two_theories_are_told_apart(made: Exhibit) -> None:
+    for f in made.findings[:8]:
+        assert f.interval is not None
+        curve = xr.Dataset({"rate": f.measured, "rate_ci": ("bound", list(f.interval))})
+        right = -2.0 if f.expected.startswith("−2") else -1.5
+        assert judge(pixel_rate("", curve, right)).agrees is True
+        assert judge(pixel_rate("", curve, -3.5 - right)).agrees is False
+
+
+def test_integrands_have_edges_but_light_sampling_at_p() -> None:
+    u = (np.arange(64) + 0.5) / 64
+    x = np.stack(np.meshgrid(u, u), axis=-1)
+    steps = {}
+    for case, g in direct.integrands().items():
+        values = np.asarray(g(x))
+        steps[case] = max(np.abs(np.diff(values, axis=k)).max() for k in (0, 1)) / values.max()
+    smooth = steps.pop(("P", "light"))
+    assert smooth < 0.1 < min(steps.values())
+
+
+def test_different_radiances_disagree() -> None:
+    def curve(mean: float) -> xr.Dataset:
+        return xr.Dataset({"mean": ("n", [mean]), "mean_se": ("n", [0.01])})
+
+    curves = {
+        ((p, s), k): curve(1.0) for p in "PQ" for s in ("light", "bsdf") for k in direct.SAMPLERS
+    }
+    assert judge(direct._same_integral(curves)).agrees is True
+    curves[("Q", "bsdf"), "jittered"] = curve(1.1)
+    assert judge(direct._same_integral(curves)).agrees is False

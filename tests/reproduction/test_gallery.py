@@ -1,0 +1,270 @@
+"""The gallery: page, pictures, PDF and findings of exhibits made up for the purpose."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mcspectra.cli.main import main
+from mcspectra.core.errors import ParameterError, StoreError, UnknownName
+from mcspectra.plots.description import Line, Panel, Pixels, Plot
+from mcspectra.reproduction import gallery
+from mcspectra.reproduction.claims import Claim, Exhibit, Finding, Measured
+from mcspectra.reproduction.gallery import Slide, measured_text, reproduce
+
+SLIDES = {
+    "good": Slide(
+        title="A good one",
+        summary="good things",
+        slide="Slide & quotation",
+        caption="quick {quick}, seed {seed}",
+        plots={k: {"caption": "A $ sign.", "words": '"Words"'} for k in ("photo", "plot")},
+        formula=r"\frac{1}{N} \sum_k x_k",
+    ),
+    "bad": Slide(title="A bad one", summary="bad things", slide="Nothing", caption="", plots={}),
+}
+
+
+def _plot(photograph: bool) -> Plot:
+    ends = np.array([0.0, 1.0])
+    rgb = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    mark = Pixels(rgb=rgb) if photograph else Line(x=ends, y=ends, color="#0072B2", label="line")
+    return Plot(
+        kind="photo" if photograph else "plot",
+        panels=(Panel(marks=(mark,)),),
+    )
+
+
+def _good(*, quick: bool, seed: int) -> Exhibit:
+    return Exhibit(
+        numbers={"quick": quick, "seed": seed},
+        plots=(_plot(False), _plot(True)),
+        claims=(
+            Claim("One is <one>.", Measured(1.0, 0.9, 1.1), expected=1.0),
+            Claim("One is <one>.", Measured(np.inf, -np.inf, 2.0), expected=1.0, note="why"),
+            Claim("One is <one>.", "words", shown="1"),
+        ),
+    )
+
+
+def _bad(*, quick: bool, seed: int) -> Exhibit:
+    raise ZeroDivisionError("it broke")
+
+
+@pytest.fixture
+def exhibits(monkeypatch: pytest.MonkeyPatch) -> None:
+    here: dict[str, Callable[..., Exhibit]] = {"good": _good, "bad": _bad}
+    monkeypatch.setattr(gallery, "slides", lambda: SLIDES)
+    monkeypatch.setattr(gallery, "load_exhibit", here.__getitem__)
+
+
+pytestmark = pytest.mark.usefixtures("exhibits")
+
+
+def test_findings_are_plain_json(tmp_path: Path) -> None:
+    reproduce(tmp_path, ["good"])
+    rows = json.loads((tmp_path / "findings.json").read_text(encoding="utf-8"))
+    assert [set(row) for row in rows] == [
+        {"exhibit", "statement", "expected", "measured", "interval", "agrees", "note"}
+    ] * 3
+    assert [row["measured"] for row in rows] == [1.0, None, "words"]
+    assert [row["interval"] for row in rows] == [[0.9, 1.1], [None, 2.0], None]
+    assert [row["agrees"] for row in rows] == [True, False, None]
+
+
+def test_a_failing_exhibit_fails_itself_only(tmp_path: Path) -> None:
+    seen: list[str] = []
+    made = reproduce(tmp_path, done=lambda entry: seen.append(f"{entry.name} {entry.tally}"))
+    assert made.failed == ("bad",)
+    assert seen == ["good 1 of 2 agree", "bad failed"]
+    rows = json.loads((tmp_path / "findings.json").read_text(encoding="utf-8"))
+    failed = rows[-1]
+    assert (failed["exhibit"], failed["agrees"]) == ("bad", False)
+    assert "ZeroDivisionError: it broke" in failed["note"]
+    page = made.page.read_text(encoding="utf-8")
+    assert "It could not be made: ZeroDivisionError: it broke" in page
+
+
+def test_the_page_stands_alone_and_escapes(tmp_path: Path) -> None:
+    page = reproduce(tmp_path, ["good"], seed=7).page.read_text(encoding="utf-8")
+    assert "One is &lt;one&gt;." in page
+    assert "Slide &amp; quotation" in page
+    assert 'alt="&#34;Words&#34;"' in page
+    assert "<math" in page
+    assert "<mfrac>" in page
+    assert not re.search(r'(?:src|href)="(?!data:|#)', page)
+    assert "prefers-color-scheme: dark" in page
+    inside = re.findall(r"data:image/png;base64,([^\"]+)", page)
+    files = sorted((tmp_path / "figures").iterdir())
+    assert [f.name for f in files if f.suffix == ".png"] == ["good-photo.png", "good-plot.png"]
+    assert {base64.b64decode(text) for text in inside} == {
+        f.read_bytes() for f in files if f.suffix == ".png"
+    }
+
+
+def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
+    for folder in ("a", "b"):
+        reproduce(tmp_path / folder, ["good"], seed=3)
+    for name in ("index.html", "reproduce.pdf", "findings.json", "figures/good-plot.png"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_photographs_keep_their_colours(tmp_path: Path) -> None:
+    from PIL import Image
+
+    reproduce(tmp_path, ["good"])
+    for name, mode in (("photo", "RGB"), ("plot", "P")):
+        with Image.open(tmp_path / f"figures/good-{name}.png") as image:
+            assert image.mode == mode
+
+
+def test_the_pdf_has_a_page_of_text_and_one_for_each_figure(tmp_path: Path) -> None:
+    reproduce(tmp_path, ["good"])
+    pdf = (tmp_path / "reproduce.pdf").read_bytes()
+    assert pdf.startswith(b"%PDF")
+    assert re.findall(rb"/Count (\d+)", pdf) == [b"3"]
+
+
+def test_captions_in_the_pdf_lie_below_legends() -> None:
+    import io
+
+    from matplotlib.figure import Figure
+
+    class Sheets:
+        """A file whose figure is drawn, as it is when a PDF is written."""
+
+        def savefig(self, figure: Figure, **options: object) -> None:
+            drawn: list[tuple[float, float]] = []
+            caption, legend = figure.texts[-1], figure.legends[0]
+
+            def look(event: object) -> None:
+                drawn.append((caption.get_window_extent().y1, legend.get_window_extent().y0))
+
+            figure.canvas.mpl_connect("draw_event", look)
+            figure.savefig(io.BytesIO(), **options)  # type: ignore[arg-type]
+            top, bottom = drawn[-1]
+            assert top < bottom
+
+    gallery._add_figure(Sheets(), replace(_plot(False), caption="A $ sign."))  # type: ignore[arg-type]
+
+
+def test_fonts_in_the_pdf_can_be_edited(tmp_path: Path) -> None:
+    reproduce(tmp_path, ["good"])
+    pdf = (tmp_path / "reproduce.pdf").read_bytes()
+    assert b"/Type3" not in pdf
+    assert b"/CIDFontType2" in pdf
+
+
+def test_an_interrupt_ends_all_and_leaves_no_part_of_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(name: str) -> Callable[..., Exhibit]:
+        if name == "bad":
+            raise KeyboardInterrupt
+        return _good
+
+    monkeypatch.setattr(gallery, "load_exhibit", interrupted)
+    assert main(["reproduce", "--out", str(tmp_path)]) == 130
+    assert [path.name for path in tmp_path.iterdir()] == ["figures"]
+
+
+def test_a_folder_that_cannot_be_written_has_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "figures").write_text("a file")
+    with pytest.raises(StoreError, match="cannot be written"):
+        reproduce(tmp_path, ["good"])
+    (tmp_path / "figures").unlink()
+    (tmp_path / "index.html").mkdir()
+    with pytest.raises(StoreError, match="cannot be written"):
+        reproduce(tmp_path, ["good"])
+    assert not list(tmp_path.glob(".*partial"))
+
+
+def test_what_is_not_ours_stays(tmp_path: Path) -> None:
+    (tmp_path / "figures").mkdir()
+    kept = [tmp_path / "notes.txt", tmp_path / "figures" / "mine.png"]
+    for path in kept:
+        path.write_text("mine")
+    (tmp_path / "index.html").write_text("old")
+    reproduce(tmp_path, ["good"])
+    assert all(path.read_text() == "mine" for path in kept)
+    assert (tmp_path / "index.html").read_text(encoding="utf-8") != "old"
+    assert not list(tmp_path.glob(".*partial"))
+
+
+def test_bad_input_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(UnknownName, match="Did you mean 'good'"):
+        reproduce(out, ["goood"])
+    for seed in (-1, 0.5, "x", float("nan")):
+        with pytest.raises(ParameterError, match="seed"):
+            reproduce(out, ["good"], seed=seed)  # type: ignore[arg-type]
+    assert not out.exists()
+    with pytest.raises(ParameterError, match="no name"):
+        reproduce("", ["good"])
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError, match="cannot be written"):
+        reproduce(tmp_path / "file", ["good"])
+
+
+@pytest.mark.parametrize(
+    ("value", "interval", "shown"),
+    [
+        (-2.998765, (-3.0009, -2.9966), ("−2.9988", "−3.0009 … −2.9966")),
+        (0.5, (0.1, 0.9), ("0.500", "0.100 … 0.900")),
+        (None, None, ("–", "")),
+        ("words", None, ("words", "")),
+        (2.5e-13, None, ("2.50×10⁻¹³", "")),
+    ],
+)
+def test_digits_follow_the_interval(
+    value: float | str | None, interval: tuple[float, float] | None, shown: tuple[str, str]
+) -> None:
+    finding = Finding(statement="s", expected="1", measured=value, interval=interval, agrees=True)
+    assert measured_text(finding) == shown
+
+
+def test_command_says_what_disagrees_and_what_failed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["reproduce", "--quick", "--seed", "5", "--out", str(tmp_path)]) == 1
+    out, err = capsys.readouterr()
+    assert "good: 1 of 2 agree" in out
+    assert "does not agree: One is <one>.: why" in out
+    assert "2 figures; 1 of 2 findings agree; 1 failed" in out
+    assert err.strip() == "mcspectra: The figure bad failed: ZeroDivisionError: it broke"
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert "quick True, seed 5" in page
+    assert "<code>mcspectra reproduce --quick --seed 5</code>" in page
+
+
+def test_command_in_json_and_quiet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["reproduce", "good", "--json", "--out", str(tmp_path)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["figures"], told["agree"], told["judged"], told["failed"]) == (["good"], 1, 2, [])
+    assert Path(told["gallery"]).exists()
+    assert main(["reproduce", "good", "--quiet", "--out", str(tmp_path)]) == 0
+    assert capsys.readouterr().out == ""
+
+
+def test_command_lists_without_making(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["reproduce", "--list"]) == 0
+    assert capsys.readouterr().out == "good  good things\nbad   bad things\n"
+    assert main(["reproduce", "--list", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)[1] == {"name": "bad", "summary": "bad things"}
+
+
+@pytest.mark.parametrize("seed", ["-1", "1.5", "x", "nan"])
+def test_command_refuses_odd_seeds(
+    seed: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert main(["reproduce", "good", "--seed", seed, "--out", str(out)]) == 2
+    assert "--seed" in capsys.readouterr().err
+    assert not out.exists()

@@ -1,0 +1,161 @@
+"""The gallery in Chromium: contents, phones, dark, paper; no network, no scripts, no complaints."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, ConsoleMessage, Page, Route, sync_playwright
+
+from mcspectra.reproduction.gallery import load_exhibit, reproduce
+
+NAMES = ["closed-forms", "strata-alignment", "bias"]
+EVIL = "</p><script>document.title = 'run'</script><img src=http://example.com/x.png>"
+SHOWN = """name => { const y = document.getElementById(name).getBoundingClientRect().y;
+    return y > -1 && y < innerHeight; }"""  # scrolling stops at whole pixels
+ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
+
+
+@pytest.fixture(scope="module", name="browser")
+def _browser() -> Iterator[Browser]:
+    """Chromium of the system; a machine without it fails, it does not skip."""
+    path = os.environ.get("CHROMIUM") or shutil.which("chromium") or "/usr/bin/chromium"
+    assert Path(path).exists(), "Chromium is needed: apt-get install chromium, or set CHROMIUM."
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=ARGUMENTS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module", name="gallery")
+def _gallery(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Two exhibits, and one that fails with words that try to break out of the page."""
+    load = load_exhibit
+
+    def broken(*, quick: bool, seed: int) -> Any:
+        raise ValueError(EVIL)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            "mcspectra.reproduction.gallery.load_exhibit",
+            lambda name: broken if name == "bias" else load(name),
+        )
+        made = reproduce(tmp_path_factory.mktemp("gallery"), NAMES, quick=True)
+    assert made.failed == ("bias",)
+    return made.page.as_uri()
+
+
+@pytest.fixture(name="visit")
+def _visit(browser: Browser, gallery: str) -> Iterator[Callable[..., Page]]:
+    """Open the gallery; at the end nothing was asked of a network and nothing was complained of."""
+    asked: list[str] = []
+    complaints: list[str] = []
+    opened: list[Page] = []
+
+    def route(asking: Route) -> None:
+        if asking.request.url.startswith(("file:", "data:")):
+            asking.continue_()
+        else:
+            asked.append(asking.request.url)
+            asking.abort()
+
+    def note(message: ConsoleMessage) -> None:
+        if message.type in ("error", "warning"):
+            complaints.append(message.text)
+
+    def visit(width: int = 1200, **options: Any) -> Page:
+        context = browser.new_context(viewport={"width": width, "height": 800}, **options)
+        page = context.new_page()
+        page.route("**/*", route)
+        page.on("console", note)
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.goto(gallery)
+        opened.append(page)
+        return page
+
+    yield visit
+    for page in opened:
+        page.context.close()
+    assert (asked, complaints) == ([], [])
+
+
+def test_contents_lead_to_every_figure(visit: Callable[..., Page]) -> None:
+    page = visit()
+    links = page.locator("nav a")
+    assert links.evaluate_all("all => all.map(a => a.hash.slice(1))") == [*NAMES, "provenance"]
+    for place, name in enumerate(NAMES):
+        page.evaluate("scrollTo(0, 0)")
+        links.nth(place).press("Enter")
+        assert page.url.endswith(f"#{name}")
+        page.wait_for_function(SHOWN, arg=name)
+
+
+def test_what_failed_is_said_and_runs_nothing(visit: Callable[..., Page]) -> None:
+    page = visit()
+    assert page.title() == "The slides, reproduced – mcspectra gallery"
+    assert EVIL in page.locator("#bias").inner_text()
+    assert page.locator("nav li").nth(2).inner_text().endswith("failed")
+    assert page.locator("#bias img, #bias script").count() == 0
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [390, 1200])
+def test_nothing_spills_and_every_picture_loads(
+    visit: Callable[..., Page], width: int, scheme: str
+) -> None:
+    page = visit(width, color_scheme=scheme)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    sizes = page.locator("img").evaluate_all("all => all.map(i => [i.naturalWidth, i.alt.length])")
+    assert len(sizes) >= 3
+    assert all(pixels > 300 and letters > 40 for pixels, letters in sizes)
+    outside = """all => all.filter(e => { const r = e.getBoundingClientRect();
+        return r.left < 0 || r.right > innerWidth; }).map(e => e.textContent)"""
+    assert page.locator("h1, h2, p, li, blockquote, figcaption, dd").evaluate_all(outside) == []
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_verdicts_stand_out_from_the_page(visit: Callable[..., Page], scheme: str) -> None:
+    """Contrast of WCAG 2.1, at least 4.5 for text of this size."""
+    page = visit(color_scheme=scheme)
+    colors = page.evaluate(
+        """() => [document.body, ...document.querySelectorAll("nav .yes, nav .no")].map(
+        (e, k) => getComputedStyle(e)[k ? "color" : "backgroundColor"].match(/[0-9.]+/g)
+            .slice(0, 3).map(Number))"""
+    )
+    body, *verdicts = map(_luminance, colors)
+    assert len(verdicts) == len(NAMES)
+    for each in verdicts:
+        assert (max(body, each) + 0.05) / (min(body, each) + 0.05) >= 4.5
+
+
+def _luminance(color: list[float]) -> float:
+    """Relative luminance of an sRGB colour, 0 to 255."""
+    parts = [c / 255 for c in color]
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+    return float(0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2])
+
+
+def test_formulas_and_tables_fit_their_frames(visit: Callable[..., Page]) -> None:
+    """Letters of a formula are not cut off above or below; a phone shows findings in one column."""
+    page = visit()
+    cut = "all => all.filter(e => e.scrollHeight > e.clientHeight).length"
+    assert page.locator(".formula").count() == 1
+    assert page.locator(".formula").evaluate_all(cut) == 0
+    rows = page.locator("table.stacked").first.locator("tbody tr").first
+    assert rows.evaluate("row => getComputedStyle(row).display") == "table-row"
+    page.set_viewport_size({"width": 390, "height": 800})
+    assert rows.evaluate("row => getComputedStyle(row).display") == "block"
+    assert (
+        page.locator(".scroll").evaluate_all(
+            "all => all.filter(e => e.scrollWidth > e.clientWidth).length"
+        )
+        == 0
+    )
+
+
+def test_it_prints(visit: Callable[..., Page]) -> None:
+    assert visit().pdf().startswith(b"%PDF")

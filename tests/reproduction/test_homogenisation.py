@@ -1,0 +1,56 @@
+"""Homogenisation: findings, and what would contradict them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from mcspectra.reproduction import homogenisation
+from mcspectra.reproduction.claims import Exhibit, judge
+from mcspectra.reproduction.gallery import make_exhibit
+from mcspectra.reproduction.homogenisation import PAIRS, Coefficients, before_and_after, grid_mean
+from mcspectra.spectra.closed_forms import closed_form_covariance
+
+
+@pytest.fixture(scope="module")
+def made() -> Exhibit:
+    return make_exhibit("homogenisation", quick=True, seed=1)
+
+
+def test_all_findings_agree(made: Exhibit, sound: Callable[[Exhibit], None]) -> None:
+    sound(made)
+
+
+def test_points_that_are_not_shifted_disagree() -> None:
+    before, _ = before_and_after("jittered", 2000, 1)
+    assert judge(homogenisation._correlated_after("jittered", before)).agrees is False
+
+
+def test_shifted_points_are_not_those_of_the_closed_form() -> None:
+    _, after = before_and_after("jittered", 2000, 1)
+    assert judge(homogenisation._correlated_before(after)).agrees is False
+
+
+def test_a_grid_that_is_not_shifted_has_a_mean() -> None:
+    assert abs(grid_mean("regular", 10, 1).value) == pytest.approx(1.0)
+
+
+def test_covariances_are_the_closed_form() -> None:
+    before, _ = before_and_after("jittered", 4000, 2)
+    m, l = np.array(PAIRS)[:, 0], np.array(PAIRS)[:, 1]
+    expected = closed_form_covariance("jittered", 64, m, l)
+    # The products have a spread of about 1/64, their mean 1/64/√4000; five of these.
+    assert np.abs(before.covariance - expected).max() < 5 / 64 / 4000**0.5
+
+
+def test_the_limit_holds_for_all_parts_and_findings_at_once() -> None:
+    """Uncorrelated normal coefficients: the limit is exceeded once in 1950 times."""
+    rng = np.random.default_rng(3)
+    beyond = 0
+    for _ in range(1000):
+        parts = rng.standard_normal((2, 400, len(PAIRS), 2))
+        distance, limit = Coefficients(parts[0] + 1j * parts[1]).farthest()
+        beyond += distance > limit
+    assert beyond <= 5  # a mean of 0.5, Poisson: six or more once in 70 000 times

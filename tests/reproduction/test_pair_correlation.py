@@ -1,0 +1,48 @@
+"""Pair correlation: findings, and what would contradict them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+import mcspectra as mcs
+from mcspectra.reproduction import pair_correlation as pairs
+from mcspectra.reproduction.claims import Exhibit, judge
+from mcspectra.reproduction.gallery import make_exhibit
+
+
+@pytest.fixture(scope="module")
+def made() -> Exhibit:
+    return make_exhibit("pair-correlation", quick=True, seed=1)
+
+
+def test_all_findings_agree(made: Exhibit, sound: Callable[[Exhibit], None]) -> None:
+    sound(made)
+
+
+def test_pairs_of_another_sampler_disagree() -> None:
+    data = {name: pairs.count_pairs(name, 200, 3) for name in ("random", "jittered")}
+    assert judge(pairs._as_closed("jittered", data["random"])).agrees is False
+    assert judge(pairs._as_closed("random", data["jittered"])).agrees is False
+    assert judge(pairs._hole(data["jittered"])).agrees is False
+
+
+def test_the_power_of_another_sampler_disagrees(monkeypatch: pytest.MonkeyPatch) -> None:
+    right = mcs.closed_form_power
+
+    def wrong(name: str, n: int, m: Any) -> Any:
+        return right({"random": "jittered", "jittered": "random"}[name], n, m)
+
+    monkeypatch.setattr(mcs, "closed_form_power", wrong)
+    assert judge(pairs._transformed("random")).agrees is False
+    assert judge(pairs._transformed("jittered")).agrees is False
+
+
+def test_variances_of_different_samplers_disagree() -> None:
+    counted, _ = pairs.routes("jittered | shift", 200, 1)
+    _, measured = pairs.routes("poisson-disk", 200, 1)
+    assert judge(pairs._counted_pairs("", counted, measured)).agrees is False
+    assert judge(pairs._shifted(counted)).agrees is True
+    assert judge(pairs._shifted(counted / 0.5)).agrees is False
