@@ -314,9 +314,8 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
 def map_(options: argparse.Namespace) -> Answer:
     """Map variance, its rate and what decides it over an image of a scene.
 
-    Writes DIR/maps.exr (all layers), DIR/*.png, *.pdf, DIR/map.json and DIR/report.html; DIR/study.sqlite
-    keeps
-    what is finished, and --resume goes on from there.
+    Writes DIR/maps.exr (all layers), DIR/*.png, *.pdf, DIR/map.json and DIR/report.html;
+    DIR/study.sqlite keeps what is finished, and --resume goes on from there.
     """
     from mcspectra.cli.analysis import given_options
     from mcspectra.core.analysis import Subject
