@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, final
 from mcspectra.core.errors import StorageError, StoreError
 from mcspectra.core.results import strict_json
 from mcspectra.plots.description import Plot
-from mcspectra.plots.text import MISSING, slug
+from mcspectra.plots.text import slug
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -286,7 +286,6 @@ def _html(page: Page, figures: Path | None, root: Path) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.tests["missing"] = lambda text: text.startswith(MISSING)
     environment.globals["kind"] = lambda block: type(block).__name__
     environment.globals["drawn"] = lambda figure: _drawn(figure, figures, root)
     script = ""
