@@ -49,7 +49,9 @@ _ABREAST = "repeat(2, minmax(0, 1fr))"
 _NARROW = (
     "@media (max-width: 1000px) { :host { grid-template-columns: minmax(0, 1fr) !important; } }"
 )
-_TELL = "history.replaceState(null, '', location.pathname + (cb_obj.text && '?' + cb_obj.text))"
+_TELL = (
+    "history.replaceState(null, '', location.pathname + (cb_obj.tags[0] && '?' + cb_obj.tags[0]))"
+)
 _COPY = "navigator.clipboard.writeText(text.value)"
 
 
@@ -82,9 +84,7 @@ class Explorer:
 
         self._sides = Column(sizing_mode="stretch_width")
         self._headers, self._grid = (Row(sizing_mode="stretch_width"), Column(sizing_mode="stretch_width"))  # fmt: skip
-        self._summary, self._themes = block(), block()
-        self._address = block(visible=False)
-        self._address.js_on_change("text", CustomJS(code=_TELL))
+        self._summary = block()
         self._texts = {name: self._text_area(f"As {name}") for name in ("Python", "TOML")}
         self._compare = Checkbox(
             label="Compare with a second set-up, B", active=self.state.b is not None,
@@ -101,11 +101,12 @@ class Explorer:
             "main": Column(
                 children=[
                     self._headers, self._summary, self._grid, self._scene.layout, texts,
-                    self._themes, self._address,
                 ],
                 sizing_mode="stretch_width",
             ),
         }  # fmt: skip
+        # Of a model that is no block, so that nothing is laid out anew
+        self.roots["main"].js_on_change("tags", CustomJS(code=_TELL))
         self._arrange()
         if refused:
             self._boards["A"].refuse(refused)
@@ -201,14 +202,7 @@ class Explorer:
         self._controls[side].change(integrand=spec, dims=2, density="uniform", smoothing=0.0)
 
     def _tell_address(self) -> None:
-        self._address.text = self.state.query()
-        links = (
-            f'<a href="?{escape(replace(self.state, theme=each).query())}">{each}</a>'
-            if each != self.state.theme
-            else f"<strong>{each}</strong>"
-            for each in THEMES
-        )
-        self._themes.text = f"<p>Theme: {' · '.join(links)}</p>"
+        self.roots["main"].tags = [self.state.query()]
 
     def _write_texts(self, refused: str) -> None:
         """Write the exports, whose parts are made; runs in a job's thread as well."""
@@ -260,7 +254,7 @@ def build_page(document: Any) -> None:
         document.add_root(root)
     document.title = TITLE
     document.template = get_env().from_string(_TEMPLATE)
-    document.template_variables["theme"] = explorer.state.theme
+    document.template_variables.update(theme=explorer.state.theme, themes=THEMES)
 
 
 def _row(side: str, setup: Setup, board: Board) -> str:
