@@ -40,7 +40,7 @@ _WIDGETS = """
 h2 { font-size: 15px; margin: 8px 0 0; } h3 { font-size: 13px; margin: 4px 0 0; font-weight: 500; }
 p { margin: 0 0 4px; } .soft { color: var(--soft); } a { color: var(--link); }
 .alert { border-left: 4px solid #D55E00; padding-left: 8px; font-weight: 600; }
-progress { width: 100%; height: 6px; } td, th { padding: 2px 16px 2px 0; text-align: left; }
+.bk-clearfix { width: 100%; } progress { width: 100%; height: 6px; } td, th { padding: 2px 16px 2px 0; text-align: left; }
 """
 _GRID = ":host {{ display: grid !important; gap: 14px; grid-template-columns: {columns}; }}"
 _SPAN = ":host > .wide { grid-column: 1 / -1; }"
@@ -96,17 +96,14 @@ class Explorer:
             children=[self._copied(area) for area in self._texts.values()],
             stylesheets=[_GRID.format(columns=_ALONE)], sizing_mode="stretch_width",
         )  # fmt: skip
-        self.roots = {
+        # Roots are laid out apart: a text that changes leaves the figures where they are
+        self.roots: dict[str, Any] = {
             "side": Column(children=[self._compare, self._sides], sizing_mode="stretch_width"),
-            "main": Column(
-                children=[
-                    self._headers, self._summary, self._grid, self._scene.layout, texts,
-                ],
-                sizing_mode="stretch_width",
-            ),
-        }  # fmt: skip
-        # Of a model that is no block, so that nothing is laid out anew
-        self.roots["main"].js_on_change("tags", CustomJS(code=_TELL))
+            "head": Column(children=[self._headers, self._summary], sizing_mode="stretch_width"),
+            "figures": self._grid,
+            "foot": Column(children=[self._scene.layout, texts], sizing_mode="stretch_width"),
+        }
+        self.roots["head"].js_on_change("tags", CustomJS(code=_TELL))
         self._arrange()
         if refused:
             self._boards["A"].refuse(refused)
@@ -202,7 +199,7 @@ class Explorer:
         self._controls[side].change(integrand=spec, dims=2, density="uniform", smoothing=0.0)
 
     def _tell_address(self) -> None:
-        self.roots["main"].tags = [self.state.query()]
+        self.roots["head"].tags = [self.state.query()]
 
     def _write_texts(self, refused: str) -> None:
         """Write the exports, whose parts are made; runs in a job's thread as well."""
