@@ -74,6 +74,9 @@ def test_maps__the_largest_number_of_samples_a_panel_a_strategy():
 def test_maps__techniques_have_names_and_ratios_a_scale_about_one():
     (image,) = marks(describe("map-bottleneck", variance_map()), Image)
     assert image.scale.names == ("undecided", "light", "BSDF")
+    assert (
+        "undecided 33 %, light 33 %, BSDF 33 %" in describe("map-bottleneck", variance_map()).words
+    )
     (image,) = marks(describe("map-gain", variance_map()), Image)
     assert image.scale.low * image.scale.high == pytest.approx(1.0)
     assert image.scale.ticks[1.0] == "1"
@@ -87,7 +90,7 @@ def test_maps__predictions_are_shown_where_there_are_any():
 def test_maps__without_a_number():
     nothing = (("y", "x"), np.full((3, 4), np.nan))
     plot = describe("map-gain", variance_map(mis_gain=nothing))
-    assert "without numbers" in plot.words
+    assert "no number" in plot.words
     drawn_by_both(plot)
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from mcspectra.plots.scales import (
     count_axis,
+    linear_axis,
     log_axis,
     log_scale,
     log_ticks,
@@ -83,6 +84,15 @@ def test_count_axis__labels_are_counts_apart_from_one_another():
 def test_logarithms_of_odd_ends(ends):
     for made in (log_axis("v", *ends), log_scale("v", *ends)):
         assert 0 < made.low < made.high
+
+
+def test_linear_axis__round_ticks_inside():
+    axis = linear_axis("v", -0.0005, 0.0033)
+    assert list(axis.ticks.values()) == ["0", "10⁻³", "2×10⁻³", "3×10⁻³"]
+    assert axis.low < -0.0005
+    assert axis.high > 0.0033
+    assert linear_axis("v", 0.0, 2.0).low == 0.0
+    assert linear_axis("v", math.nan, 1.0).high > 1.0
 
 
 def test_axes_of_names_and_of_the_unit_interval():

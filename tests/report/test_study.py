@@ -323,3 +323,36 @@ def test_the_page_has_the_reasons(small: Path, monkeypatch: pytest.MonkeyPatch) 
     text = write_report(small).read_text(encoding="utf-8")
     assert "What is missing" in text
     assert "It raised ValueError: &lt;b&gt;." in text
+
+
+def test_figures_of_the_same_samples_stand_once(make: Make, tmp_path: Path) -> None:
+    spectra = {s: make["spectrum"](s, dims=2, n=16, half_width=3) for s in ("random", "jittered")}
+    cells = {("first", s): {"spectrum": data} for s, data in spectra.items()}
+    cells["second", "random"] = {"spectrum": spectra["random"], "points": make["points"](n=4)}
+    cells["other", "random"] = {"spectrum": 2.0 * spectra["random"].assign_attrs()}
+    cells["other", "random"]["spectrum"].attrs = spectra["random"].attrs
+    page = Parsed(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
+    assert "The same samples as in first: see its spectrum." in page.text
+    names = {p.name for p in (tmp_path / "figures").glob("*.png")}
+    kinds = ("spectrum", "radial")
+    assert names == {f"0-first-{k}.png" for k in kinds} | {f"4-other-{k}.png" for k in kinds} | {
+        "3-second-points.png"
+    }
+
+
+def test_bands_of_a_cross_term_that_is_noise_are_left_out(make: Make, tmp_path: Path) -> None:
+    terms = make["terms"]("jittered", half_width=4, realizations=20)
+    noise = terms.assign(cross_term_ci=("bound", [-1.0, 1.0]))
+    certain = terms.assign(cross_term_ci=("bound", [-2.0, -1.0]))
+    cells = {("noise", "jittered"): {"terms": noise}, ("certain", "jittered"): {"terms": certain}}
+    write_report(make["study"](tmp_path, cells))
+    names = {p.name for p in (tmp_path / "figures").glob("*-bands.png")}
+    assert [name.partition("-")[2] for name in names] == ["certain-bands.png"]
+
+
+def test_details_are_folded_and_what_says_most_is_not(page: Parsed) -> None:
+    summaries = page.text
+    for name in ("Frequencies", "Spectra and points of the samples", "Three terms in numbers"):
+        assert name in summaries
+    assert page.tags.count(("details", {})) >= 6
+    assert all("open" not in attributes for attributes in page.all("details"))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -16,13 +18,12 @@ def made() -> Exhibit:
     return make_exhibit("estimator", quick=True, seed=1)
 
 
-def test_all_findings_agree(made: Exhibit) -> None:
-    assert [f.statement for f in made.findings if f.agrees is not True] == []
+def test_all_findings_agree(made: Exhibit, sound: Callable[[Exhibit], None]) -> None:
+    sound(made)
 
 
 def test_pictures_have_words_and_caption_has_figures(made: Exhibit) -> None:
     assert [p.kind for p in made.plots] == ["estimator", "points"]
-    assert all(len(p.words) > 40 and len(p.caption) > 40 for p in made.plots)
     assert "0.5577" in made.caption
 
 

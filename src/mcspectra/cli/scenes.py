@@ -221,7 +221,7 @@ def pixel_(options: argparse.Namespace) -> Answer:
     """Everything about one pixel of a scene: what it sees, rates, terms, bottleneck, remedies.
 
     The pixel is X Y, counted from the left and from the top, or the name of one (figure1 has P and Q). With
-    --out DIR, DIR/report.html, DIR/pixel.json and DIR/figures/*.png are written.
+    --out DIR, DIR/report.html, DIR/pixel.json and DIR/figures/ are written.
     """
     from mcspectra.report.pixel_page import pixel_summary, write_pixel
     from mcspectra.studies.pixel import analyse_pixel
@@ -314,8 +314,8 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
 def map_(options: argparse.Namespace) -> Answer:
     """Map variance, its rate and what decides it over an image of a scene.
 
-    Writes DIR/maps.exr (all layers), DIR/*.png, DIR/map.json and DIR/report.html; DIR/study.sqlite keeps
-    what is finished, and --resume goes on from there.
+    Writes DIR/maps.exr (all layers), DIR/*.png, *.pdf, DIR/map.json and DIR/report.html;
+    DIR/study.sqlite keeps what is finished, and --resume goes on from there.
     """
     from mcspectra.cli.analysis import given_options
     from mcspectra.core.analysis import Subject

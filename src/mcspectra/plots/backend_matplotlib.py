@@ -114,7 +114,7 @@ def encode(figure: Figure) -> tuple[bytes, bytes]:
     """Return the PNG and the PDF of a figure, without time stamps.
 
     The layout is computed once for both. The PNG has a palette of 256 colours unless the figure
-    holds pictures in true colours.
+    holds maps or pictures, where rounded colours would be seen.
     """
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -138,7 +138,7 @@ def encode(figure: Figure) -> tuple[bytes, bytes]:
         FigureCanvasPdf(figure).print_pdf(pdf, metadata=metadata)  # type: ignore[no-untyped-call]
         figure.set_dpi(_DPI)
         figure.set_canvas(canvas)
-    true_colors = any(i.get_array().ndim == 3 for axes in figure.axes for i in axes.images)  # type: ignore[union-attr]
+    true_colors = any(axes.images for axes in figure.axes)
     return _png(pixels, true_colors), pdf.getvalue()
 
 

@@ -15,7 +15,7 @@ from mcspectra.plots.description import Axis, Image, Panel, Pixels, Plot, Scale
 from mcspectra.plots.groups import Group, Styles, abreast
 from mcspectra.plots.scales import log_scale
 from mcspectra.plots.style import PALETTE
-from mcspectra.plots.text import number
+from mcspectra.plots.text import number, percent
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -48,62 +48,49 @@ def _map(
 ) -> Plot:
     """One quantity over the image, a panel for each sampler and strategy, on one scale."""
     del styles
-    panels = []
-    shown = {name: _last(each[variable]) for name, each in group.items()}
-    found = scale(np.concatenate([np.ravel(each.values) for each in shown.values()]))
+    # At the largest number of samples; predictions are known at some rows and columns only
+    shown = {name: each[variable] for name, each in group.items()}
+    shown = {name: data.isel(n=-1) if "n" in data.dims else data for name, data in shown.items()}
+    if variable == "predicted_ratio" and all(np.isfinite(d.values).any() for d in shown.values()):
+        shown = {name: d.dropna("x", how="all").dropna("y", how="all") for name, d in shown.items()}
+    every = np.concatenate([np.ravel(each.values) for each in shown.values()])
+    found, panels = scale(every), []
     for name, data in shown.items():
-        of_strategies = data["strategy"].values if "strategy" in data.dims else [None]
-        for k, strategy in enumerate(of_strategies):
-            own = data if strategy is None else data.isel(strategy=k)
-            title = "" if strategy is None else _NAMES.get(str(strategy), str(strategy))
-            if len(shown) > 1:
-                title = f"{name}: {title}" if title else name
+        for strategy in data["strategy"].values if "strategy" in data.dims else [""]:
+            own = data.sel(strategy=strategy) if strategy else data
+            parts = (name if len(shown) > 1 else "", _NAMES.get(str(strategy), str(strategy)))
             x, y = (own[dim].values.astype(float) for dim in ("x", "y"))
-            axis = Axis(label="y", low=y[0] - 0.5, high=y[-1] + 0.5, flipped=True)
+            values, title = own.transpose("y", "x").values, variable.replace("_", " ")
             panels.append(
                 Panel(
-                    marks=(
-                        Image(
-                            values=own.transpose("y", "x").values,
-                            x=x,
-                            y=y,
-                            scale=found,
-                            name=variable.replace("_", " "),
-                        ),
-                    ),
+                    marks=(Image(values=values, x=x, y=y, scale=found, name=title),),
                     x=Axis(label="x", low=x[0] - 0.5, high=x[-1] + 0.5),
-                    y=axis,
-                    title=title,
+                    y=Axis(label="y", low=y[0] - 0.5, high=y[-1] + 0.5, flipped=True),
+                    title=": ".join(part for part in parts if part),
                     square=True,
                 )
             )
-    first = next(iter(shown.values()))
-    size = f"{first.sizes['x']} × {first.sizes['y']} pixels"
     return Plot(
         kind=kind,
         panels=tuple(panels),
         columns=abreast(len(panels)),
         caption=caption,
-        words=f"Map of {size} for {', '.join(group)}. {caption} Median "
-        f"{number(float(np.nanmedian(np.concatenate([np.ravel(d.values) for d in shown.values()]))))}."
-        if any(np.isfinite(d.values).any() for d in shown.values())
-        else f"Map of {size} without numbers. {caption}",
-        height=float(np.clip(first.sizes["y"] / first.sizes["x"], 0.1, 2.0)),
+        words=f"Map of {x.size} × {y.size} pixels for {', '.join(group)}: "
+        f"{_map_words(every[np.isfinite(every)], found)}. {caption}",
+        height=float(np.clip(y.size / x.size, 0.1, 2.0)),
         share="both",
         wide=True,
     )
 
 
-def _last(data: xr.DataArray) -> xr.DataArray:
-    """A quantity at the largest number of samples, without the rows and columns it is not known at."""
-    data = data.isel(n=-1) if "n" in data.dims else data
-    if np.isfinite(data.values).any():
-        data = (
-            data.dropna("x", how="all").dropna("y", how="all")
-            if data.name == "predicted_ratio"
-            else data
-        )
-    return data
+def _map_words(values: Array, scale: Scale) -> str:
+    if not values.size:
+        return "no number"
+    if scale.names:
+        shares = [float(np.mean(values == k + scale.low)) for k in range(len(scale.names))]
+        return ", ".join(f"{n} {percent(s)}" for n, s in zip(scale.names, shares, strict=True))
+    middle, low, high = (number(float(v)) for v in np.percentile(values, [50, 0, 100]))
+    return f"median {middle}, from {low} to {high}"
 
 
 def _logarithmic(label: str) -> Callable[[Array], Scale]:

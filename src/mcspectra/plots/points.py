@@ -11,7 +11,6 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.plots.description import (
     Axis,
     Dots,
-    Image,
     Line,
     Mark,
     Panel,
@@ -22,7 +21,7 @@ from mcspectra.plots.description import (
 )
 from mcspectra.plots.groups import Group, Styles, abreast, numbers
 from mcspectra.plots.scales import log_axis, name_axis, unit_axis
-from mcspectra.plots.spectra import relative_power
+from mcspectra.plots.spectra import frequency_map, relative_power
 from mcspectra.plots.style import ACCENT, FAINT, INK, PALETTE, labels
 
 __all__ = ["point_sets", "points", "sampler_card"]
@@ -129,15 +128,8 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
     power = relative_power(data) if dims <= 2 else np.zeros(0)
     half = len(power) // 2
     if dims == 2:
-        m = np.arange(-half, half + 1.0)
-        ticks = {float(t): f"{t:g}".replace("-", "−") for t in (-half, 0, half)}
-        ends = {"low": -half - 0.5, "high": half + 0.5, "ticks": ticks}
-        image = Image(values=power.T, x=m, y=m, scale=Scale(high=2.0, beyond=True), name="power")
-        axes = (Axis(label=label, **ends) for label in ("m₀", "m₁"))  # type: ignore[arg-type]
-        x_axis, y_axis = axes
-        panels.append(
-            Panel(marks=(image,), x=x_axis, y=y_axis, title="n · power, 0 to 2", square=True)
-        )
+        scale = Scale(high=2.0, beyond=True)
+        panels.append(frequency_map("n · power, 0 to 2", data, power, scale, "power"))
     # The radial mean; the level of random points is not to look like noise
     radius, mean = (
         data["radius"].values / n ** (1 / dims),

@@ -13,6 +13,7 @@ from mcspectra.plots.text import power_of_ten
 
 __all__ = [
     "count_axis",
+    "linear_axis",
     "log_axis",
     "log_scale",
     "log_ticks",
@@ -29,6 +30,16 @@ _NEAR_ZERO = 0.5  # decades that the linear part of a signed scale takes on eith
 _SHORT = 1.6  # decades; below, powers of ten alone are too few ticks
 _MOST_DECADES = 6  # below 10^-6 of the largest value nothing is told apart
 _NOTHING = 1e-9  # of the largest value of all: an array below it shows nothing
+
+
+def linear_axis(label: str, low: float, high: float, most: int = 6) -> Axis:
+    """Return a linear axis from low to high with a small margin and round ticks."""
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        low, high = 0.0, 1.0
+    pad = 0.04 * (high - low)
+    low, high = low - pad if low else low, high + pad
+    ticks = {tick: tick_label(tick) for tick in _round_steps(low, high, most)}
+    return Axis(label=label, low=low, high=high, ticks=ticks)
 
 
 def log_axis(label: str, low: float, high: float, most: int = 6) -> Axis:

@@ -46,6 +46,7 @@ __all__ = [
     "bands",
     "contributions",
     "cross_matrix",
+    "frequency_map",
     "lines",
     "modes",
     "pair_correlation",
@@ -71,7 +72,7 @@ def spectrum(group: Group, styles: Styles) -> Plot:
     top = max(2.0, float(np.nanpercentile(every, 99.0)))
     scale = Scale(label=_power_label(group), low=0.0, high=top, beyond=True)
     panels = [
-        _frequency_map(name, group[name], values, scale, "power") for name, values in images.items()
+        frequency_map(name, group[name], values, scale, "power") for name, values in images.items()
     ]
     return Plot(
         kind="spectrum",
@@ -166,7 +167,7 @@ def contributions(group: Group, styles: Styles) -> Plot:
         scale = signed_scale("contribution cₘ", values)
         for (title, _, one), each in zip(parts, values, strict=True):
             power = one["power_contribution"].transpose("m0", "m1").values
-            panels.append(_frequency_map(title, one, each, scale, "contribution", power))
+            panels.append(frequency_map(title, one, each, scale, "contribution", power))
     else:
         curves = [_by_frequency(one) for *_, one in parts]
         label = "cₘ" if dims == 1 else "Σ cₘ in the shell"
@@ -380,7 +381,7 @@ def modes(group: Group, styles: Styles) -> Plot:
         for k, mode in enumerate(values[name] if len(dims) <= 2 else ()):
             title = f"mode {k}, {share[k]}"
             if len(dims) == 2:
-                panels.append(_frequency_map(title, each, mode, scale, "|mode|²"))
+                panels.append(frequency_map(title, each, mode, scale, "|mode|²"))
                 continue
             m = each[dims[0]].values.astype(float)
             line = Line(x=m, y=mode, color=color, step=True)
@@ -439,10 +440,10 @@ def _power_panel(
     return Panel(marks=tuple(marks), x=axis, y=power, grid=True)
 
 
-def _frequency_map(
+def frequency_map(
     title: str, data: xr.Dataset, values: Array, scale: Scale, name: str, power: Array | None = None
 ) -> Panel:
-    """Values (m0, m1) over both frequencies."""
+    """Return a panel of values (m0, m1) over both frequencies."""
     m0, m1 = (data[m].values.astype(float) for m in ("m0", "m1"))
     more = {} if power is None else {"power part": power.T}
     x, y = (

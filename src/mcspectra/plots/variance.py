@@ -13,7 +13,7 @@ from mcspectra.core.checks import Array
 from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.plots.description import Axis, Bars, Dots, Line, Mark, Panel, Plot, Rule
 from mcspectra.plots.groups import Group, Styles, abreast, for_each, intervals, lines_of, numbers
-from mcspectra.plots.scales import count_axis, log_axis, name_axis, signed_axis
+from mcspectra.plots.scales import count_axis, linear_axis, log_axis, name_axis, signed_axis
 from mcspectra.plots.style import (
     ACCENT,
     GRAY,
@@ -289,7 +289,8 @@ def anova(group: Group, styles: Styles) -> Plot:
         low, high = (variance + sign * CONFIDENCE_Z * error for sign in (-1, 1))
         ends = np.stack([low, high], axis=-1)[order]
         texts = numbers(variance[order], 3)
-        color, axis = styles[name].color, Axis(label="part of the variance")
+        least, top = float(ends.min(initial=0.0)), float(ends.max(initial=0.0))
+        color, axis = styles[name].color, linear_axis("part of the variance", least, top, 5)
         panels.append(_bar_panel(name, color, rows, variance[order], ends, texts, axis))
     shown = max(len(panel.y.ticks or ()) for panel in panels)
     more = max(each.sizes["subset"] for each in group.values()) - shown

@@ -25,6 +25,7 @@ from mcspectra.report.page import (
     Table,
     Text,
     text_cells,
+    versions_of,
     write_json,
     write_page,
 )
@@ -98,7 +99,8 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
     for kind in (each for each in kinds.kinds_of(result) if each.startswith("map-")):
         name = kind.removeprefix("map-").replace("-", "_")
         figures.append(Figure(plot=kinds.describe(kind, result), name=name))
-    facts = tuple((str(name), str(value)) for name, value in known.items())
+    own = ((str(k), str(v)) for k, v in known.items() if not str(k).startswith("version_"))
+    facts = (*own, ("versions", versions_of(known)))
     page = Page(
         title=str(known["scene"]),
         what="map",

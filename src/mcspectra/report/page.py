@@ -39,6 +39,7 @@ __all__ = [
     "anchors",
     "columns_of",
     "text_cells",
+    "versions_of",
     "write_json",
     "write_page",
 ]
@@ -219,6 +220,13 @@ def columns_of(table: Table, names: Sequence[str]) -> Table:
     places = [table.columns.index(name) for name in names]
     rows = tuple(tuple(row[i] for i in places) for row in table.rows)
     return replace(table, columns=tuple(names), rows=rows)
+
+
+def versions_of(attributes: Mapping[Any, Any]) -> str:
+    """Return the versions that a result was computed with, as its attributes ``version_*`` have them."""
+    head = "version_"
+    found = {str(key): value for key, value in attributes.items() if str(key).startswith(head)}
+    return ", ".join(f"{key.removeprefix(head)} {found[key]}" for key in sorted(found))
 
 
 def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:

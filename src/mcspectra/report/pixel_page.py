@@ -25,6 +25,7 @@ from mcspectra.report.page import (
     Table,
     Text,
     columns_of,
+    versions_of,
     write_json,
     write_page,
 )
@@ -117,9 +118,11 @@ def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
         f"n = {counts} samples of each technique, {known['realizations']} realisations, seed "
         f"{known['rng']}; terms, bottleneck and remedies with {known['sampler']}."
     )
-    versions = {k: v for k, v in tree["convergence"].attrs.items() if str(k).startswith("version_")}
-    origin = {"scene": known["scene"], "dims": known["dims"], **versions}
-    facts = tuple((str(name), str(value)) for name, value in origin.items())
+    facts = (
+        ("Scene", str(known["scene"])),
+        ("Dims", str(known["dims"])),
+        ("Versions", versions_of(tree["convergence"].attrs)),
+    )
     about = tuple((name.capitalize(), text) for name, text in about_pixel(tree))
     said = tuple((name[:1].upper() + name[1:], text) for name, text in pixel_sentences(tree))
     sees = (Facts(rows=about), Text(text="Explanation", kind="heading"), Sentences(rows=said))

@@ -29,7 +29,7 @@ from mcspectra.plots.description import Plot
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.points import sampler_card
 from mcspectra.plots.style import sampler_styles
-from mcspectra.plots.text import MISSING, number, rate, with_error
+from mcspectra.plots.text import MISSING, NEGLIGIBLE, number, rate, with_error
 from mcspectra.quality import quality_figures, summarize
 from mcspectra.quality.figures import different_realizations
 from mcspectra.report.page import (
@@ -428,9 +428,7 @@ def _table(cards: Sequence[Card], names: Sequence[str]) -> Table:
             cells.append(_cell(rate(value, low, high), value, "fewer than two counts are possible"))
         for key in figures:
             _, mean, se = card.quality.get(key, ("", math.nan, math.nan))
-            cells.append(
-                _cell(with_error(number(mean), se), mean, "it is not defined for this set")
-            )
+            cells.append(_cell(_with_error(mean, se), mean, "it is not defined for this set"))
         cells.append(_cell(number(card.speed, 2), card.speed, ""))
         rows.append(tuple(cells))
     return Table(
@@ -453,6 +451,11 @@ def _table(cards: Sequence[Card], names: Sequence[str]) -> Table:
 def _cell(text: str, value: float, why: str) -> Cell:
     known = math.isfinite(value)
     return Cell(text=text, why=why if text == MISSING else "", order=value if known else None)
+
+
+def _with_error(mean: float, se: float) -> str:
+    """A mean with its standard error; one of rounding size is none."""
+    return with_error(number(mean), se if se > NEGLIGIBLE * abs(mean) else None)
 
 
 def _card_plot(card: Card) -> Plot:
@@ -478,7 +481,7 @@ def _card_facts(card: Card) -> list[tuple[str, str]]:
         ("Dims", card.facts.dims if card.facts else ""),
         ("Counts", card.facts.counts if card.facts else ""),
         *((f"Rate on {text.partition('(')[0]}{measured}", rate(*v)) for text, v in rates.items()),
-        *((name, with_error(number(mean), se)) for name, mean, se in card.quality.values()),
+        *((name, _with_error(mean, se)) for name, mean, se in card.quality.values()),
         ("Speed", f"{number(card.speed, 2)} points/s at n = {card.n}"),
         ("Source", card.facts.sources if card.facts else ""),
     ]

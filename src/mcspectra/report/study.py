@@ -28,6 +28,7 @@ from mcspectra.report.page import (
     Text,
     anchors,
     text_cells,
+    versions_of,
     write_page,
 )
 from mcspectra.report.sentences import explain, further_sentences
@@ -255,11 +256,6 @@ def provenance(tree: xr.DataTree, root: Path) -> tuple[tuple[str, str | Markup],
     if (root / LEDGER_NAME).exists():
         with Ledger.read(root) as ledger:
             hosts = ledger.tally.hosts
-    versions = (
-        f"{str(key).removeprefix('version_')} {value}"
-        for key, value in sorted(tree.attrs.items())
-        if str(key).startswith("version_")
-    )
     return (
         ("Seed", str((tree.attrs.get("study") or {}).get("seed", "unknown"))),
         (
@@ -267,7 +263,7 @@ def provenance(tree: xr.DataTree, root: Path) -> tuple[tuple[str, str | Markup],
             Markup("<code>{}</code>").format(tree.attrs.get("study_hash", "unknown")),
         ),
         *((("Machine", ", ".join(hosts)),) if hosts else ()),
-        ("Versions", ", ".join(versions)),
+        ("Versions", versions_of(tree.attrs)),
     )
 
 

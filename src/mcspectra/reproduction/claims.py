@@ -165,6 +165,13 @@ class Claim:
     shown: str = ""
     note: str = ""
 
+    @property
+    def value(self) -> float:
+        """The measured number; NaN where it is none."""
+        if isinstance(self.measured, Measured):
+            return self.measured.value
+        return self.measured if isinstance(self.measured, float) else math.nan
+
 
 @final
 @dataclass(frozen=True, kw_only=True)
@@ -230,21 +237,17 @@ class ExhibitFunction(Protocol):
 
 def judge(claim: Claim) -> Finding:
     """Hold what was measured against what is expected."""
-    measured, shown = claim.measured, claim.shown
-    agrees, interval = claim.holds, None
+    measured, shown, agrees, interval = claim.measured, claim.shown, claim.holds, None
+    low = high = claim.value
     if isinstance(measured, Measured):
-        value, interval = measured.value, (measured.low, measured.high)
         low, high = measured.verdict_interval
-    elif isinstance(measured, float):
-        value = low = high = measured
-    else:
-        value = low = high = math.nan
+        interval, measured = (measured.low, measured.high), measured.value
     if claim.expected is not None:
         shown = shown or number(claim.expected, claim.digits)
         agrees = bool(low - claim.tolerance <= claim.expected <= high + claim.tolerance)
     elif claim.at_most is not None:
         shown = shown or f"≤ {_limit(claim.at_most)}"
-        agrees = bool(abs(value) <= claim.at_most)
+        agrees = bool(abs(claim.value) <= claim.at_most)
     elif math.isfinite(claim.above) or math.isfinite(claim.below):
         limits = [f"> {number(claim.above)}"] if math.isfinite(claim.above) else []
         limits += [f"< {number(claim.below)}"] if math.isfinite(claim.below) else []
@@ -253,7 +256,7 @@ def judge(claim: Claim) -> Finding:
     return Finding(
         statement=claim.statement,
         expected=shown,
-        measured=measured.value if isinstance(measured, Measured) else measured,
+        measured=measured,
         interval=interval,
         agrees=agrees,
         note=claim.note,

@@ -11,7 +11,7 @@ from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import PALETTE, line_widths
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, Measured, judge, largest_distance
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, largest_distance
 
 __all__ = ["exhibit"]
 
@@ -26,7 +26,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     nu = np.concatenate([_INTEGERS, _REALS])
     simulated = {name: simulate(name, nu, realizations, seed) for name in ("random", "jittered")}
     as_simulated = [_agrees_with_simulation(name, data, nu) for name, data in simulated.items()]
-    random, jittered = (number(float(judge(claim).measured or 0)) for claim in as_simulated)
+    random, jittered = (number(claim.value) for claim in as_simulated)
     return Exhibit(
         numbers={"N": N, "random": random, "jittered": jittered, "frequencies": nu.size},
         plots=(_curves(simulated, nu),),

@@ -13,7 +13,7 @@ from mcspectra.core.checks import Array
 from mcspectra.plots.description import Axis, Line, Mark, Panel, Plot
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, Measured, judge, known_rate, rate_text
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
 from mcspectra.reproduction.panels import UNIT, variance_panel
 
 __all__ = ["exhibit"]
@@ -49,7 +49,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         for way, curve in curves.items()
     }
     gains = [_gain(c, curves) for c in range(3)]
-    lower = ", ".join(number(float(judge(claim).measured or 0)) for claim in gains)
+    lower = ", ".join(number(claim.value) for claim in gains)
     return Exhibit(
         numbers={
             "gray": shown["one"],

@@ -249,10 +249,10 @@ def reproduce(
             entries.append(_entry(name, quick, seed))
             if done is not None:
                 done(entries[-1])
-        _write_pdf(root / PDF_NAME, entries)
-        write_page(_page(entries, command, quick, seed), root / PAGE_NAME, root / _FIGURES)
         rows = [{"exhibit": e.name} | asdict(finding) for e in entries for finding in e.findings]
         write_json(root / FINDINGS_NAME, rows)
+        _write_pdf(root / PDF_NAME, entries)
+        write_page(_page(entries, command, quick, seed), root / PAGE_NAME, root / _FIGURES)
         report("reproduce", 1.0)
     except OSError as error:
         raise StoreError(

@@ -14,7 +14,7 @@ from mcspectra.plots.description import Dots, Mark, Panel, Plot, Rule, Scale
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, Measured, judge
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured
 from mcspectra.reproduction.panels import (
     at_ring,
     frequency_panel,
@@ -43,9 +43,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         for ring in (1, HALF_WIDTH)
     ]
     dc = [_dc_component(name, realizations, seed) for name in ("random", "jittered")]
-    low, high, dc_random, dc_jittered = (
-        number(float(judge(claim).measured or 0)) for claim in (*rings[2:], *dc)
-    )
+    low, high, dc_random, dc_jittered = (number(claim.value) for claim in (*rings[2:], *dc))
     return Exhibit(
         numbers={
             "slope": SLOPE,

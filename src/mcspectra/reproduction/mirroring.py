@@ -35,7 +35,7 @@ from mcspectra.plots.description import (
 from mcspectra.plots.style import ACCENT, INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
-from mcspectra.reproduction.panels import square_panel, strata, variance_panel
+from mcspectra.reproduction.panels import AXES, square_panel, strata, variance_panel
 
 __all__ = ["exhibit"]
 
@@ -182,18 +182,18 @@ def _domain(dims: int) -> Claim:
 
 def _integrands() -> Plot:
     t = (np.arange(400) + 0.5) / 200 - 1.0
-    axis = {"low": -1.0, "high": 1.0, "ticks": {-1.0: "−1", 0.0: "0", 1.0: "1"}}
+    axis: dict[str, Any] = {"low": -1.0, "high": 1.0, "ticks": {-1.0: "−1", 0.0: "0", 1.0: "1"}}
     scale = Scale(high=1.0)
     images, sections = [], []
     for folded, title in ((t % 1.0, "original: wrapped around"), (np.abs(t), "mirrored")):
         values = np.exp(-(folded[:, None] ** 2) - folded**2)
-        borders = [Rule(at=0.0, axis=a, color="#FFFFFF", width=0.8) for a in "xy"]  # type: ignore[arg-type]
+        borders = [Rule(at=0.0, axis=a, color="#FFFFFF", width=0.8) for a in AXES]
         image = Image(values=values, x=t, y=t, scale=scale, name="f")
         images.append(
             Panel(
                 marks=(image, *borders),
-                x=Axis(**axis),  # type: ignore[arg-type]
-                y=Axis(label="y", **axis),  # type: ignore[arg-type]
+                x=Axis(**axis),
+                y=Axis(label="y", **axis),
                 title=title,
                 square=True,
             )
@@ -201,7 +201,7 @@ def _integrands() -> Plot:
         jumps = np.abs(np.diff(folded, append=folded[-1])) > 0.5
         line = Line(x=t, y=np.where(jumps, np.nan, np.exp(-(folded**2))), color=INK, width=1.4)
         y = Axis(label="f(x, 0)", low=0.0, high=1.1)
-        sections.append(Panel(marks=(line,), x=Axis(label="x", **axis), y=y, grid=True))  # type: ignore[arg-type]
+        sections.append(Panel(marks=(line,), x=Axis(label="x", **axis), y=y, grid=True))
     return Plot(
         kind="mirrored-integrand",
         panels=(*images, *sections),

@@ -1,9 +1,10 @@
-"""Panels that several exhibits have: variances against N, images over frequencies, rings, unit squares, terms."""
+"""Panels of several exhibits: variances against N, images over frequencies, unit squares, terms."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -28,6 +29,7 @@ from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Measured
 
 __all__ = [
+    "AXES",
     "UNIT",
     "at_ring",
     "frequency_panel",
@@ -41,6 +43,8 @@ __all__ = [
     "variance_panel",
     "whiskers",
 ]
+
+AXES: tuple[Literal["x", "y"], ...] = ("x", "y")
 
 UNIT = {0.0: "0", 1.0: "1"}
 """Ticks of an axis from 0 to 1."""
@@ -141,8 +145,8 @@ def frequency_panel(values: Array, scale: Scale, title: str, *, y: bool = True) 
 
 def strata(side: int) -> tuple[Rule, ...]:
     """Return the borders of side × side strata of the unit square."""
-    places = np.arange(1, side) / side
-    return tuple(Rule(at=float(at), axis=a, color=FAINT, width=0.7) for a in "xy" for at in places)  # type: ignore[arg-type]
+    places = (np.arange(1, side) / side).tolist()
+    return tuple(Rule(at=at, axis=axis, color=FAINT, width=0.7) for axis in AXES for at in places)
 
 
 def square_panel(marks: Sequence[Mark], title: str, labels: str = "x₀ x₁") -> Panel:

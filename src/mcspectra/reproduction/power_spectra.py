@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -13,7 +12,7 @@ import mcspectra as mcs
 from mcspectra.plots.description import Plot, Scale
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, Measured, judge
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured
 from mcspectra.reproduction.panels import at_ring, frequency_panel, ring_mean
 
 __all__ = ["exhibit"]
@@ -40,7 +39,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         _exponent("random", random, 0.0),
     )
     low = ", ".join(f"{number(at_ring(d, 1, N).value)} ({name})" for name, d in expected.items())
-    strength = " and ".join(number(float(judge(c).measured or 0)) for c in claims[:2])
+    strength = " and ".join(number(c.value) for c in claims[:2])
     return Exhibit(
         numbers={
             "strength": strength,
@@ -49,7 +48,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "N": N,
             "realizations": realizations,
         },
-        plots=(_images(single, expected), _radial(expected)),
+        plots=(_images(single, expected), describe("radial", expected)),
         claims=claims,
     )
 
@@ -134,7 +133,3 @@ def _images(single: Mapping[str, xr.Dataset], expected: Mapping[str, xr.Dataset]
         share="both",
         wide=True,
     )
-
-
-def _radial(expected: Mapping[str, xr.Dataset]) -> Plot:
-    return replace(describe("radial", expected), kind="radial")
