@@ -19,7 +19,7 @@ from statistics import median
 from typing import Any
 
 MOVES = 8
-MOST = 200.0  # milliseconds to the first figure
+MOST = 150.0  # milliseconds to the first figure
 CHROMIUM = "/usr/bin/chromium"
 _FIGURES = 7  # with data sources that change in each round
 _PATIENCE = 120_000  # milliseconds

@@ -68,7 +68,8 @@ class Board:
         self._later, self._on_update, self._on_shown = later, on_update, on_shown
         self._job: Job | None = None
         self._inbox: SimpleQueue[tuple[Job, Update | str]] = SimpleQueue()
-        self._fresh: set[str] = set()
+        self._fresh: set[str] = set()  # kinds of figures that the present job has shown
+        self._drawn: dict[str, tuple[Any, list[str]]] = {}  # what is shown of each part, and where
         self._paired = False
         self._fraction = 0.0
         self._status = Div(sizing_mode="stretch_width", stylesheets=[sheet])
@@ -140,17 +141,27 @@ class Board:
                 self._end(news or "Done.", alert=bool(news) and not self.latest)
 
     def _show(self, update: Update) -> None:
+        """Show a part; one that is as before is neither described nor sent again."""
         self.latest[update.kind] = update.value
-        plots = figures_of(update.kind, update.value, self._setup.displaced_sampler)
-        new = [self._place(plot) for plot in plots]
+        before, kinds = self._drawn.get(update.kind, (None, []))
+        new = False
+        if before is update.value:
+            for kind in kinds:
+                self.cards[kind].layout.styles = _FRESH
+        else:
+            plots = figures_of(update.kind, update.value, self._setup.displaced_sampler)
+            placed = [self._place(plot) for plot in plots]
+            new = any(placed)
+            kinds = [plot.kind for plot in plots]
+            self._drawn[update.kind] = (update.value, kinds)
+        self._fresh |= set(kinds)
         self._fraction = update.fraction
         self._say(f"{update.realizations} realisations, {update.fraction:.0%} done.")
-        self._on_shown(any(new))
+        self._on_shown(new)
 
     def _place(self, plot: Plot) -> bool:
         """Show a plot in its card; True if the card is new."""
         words = f'<p>{escape(plot.words)}</p><p class="soft">{escape(plot.caption)}</p>'
-        self._fresh.add(plot.kind)
         card = self.cards.get(plot.kind)
         if card is not None and card.drawn.fits(plot):
             card.drawn.update(plot)

@@ -40,7 +40,7 @@ _WIDGETS = """
 h2 { font-size: 15px; margin: 8px 0 0; } h3 { font-size: 13px; margin: 4px 0 0; font-weight: 500; }
 p { margin: 0 0 4px; } .soft { color: var(--soft); } a { color: var(--link); }
 .alert { border-left: 4px solid #D55E00; padding-left: 8px; font-weight: 600; }
-progress { width: 100%; height: 6px; } td, th { padding: 2px 16px 2px 0; text-align: left; }
+.bk-clearfix { width: 100%; } progress { width: 100%; height: 6px; } td, th { padding: 2px 16px 2px 0; text-align: left; }
 """
 _GRID = ":host {{ display: grid !important; gap: 14px; grid-template-columns: {columns}; }}"
 _SPAN = ":host > .wide { grid-column: 1 / -1; }"
@@ -49,7 +49,9 @@ _ABREAST = "repeat(2, minmax(0, 1fr))"
 _NARROW = (
     "@media (max-width: 1000px) { :host { grid-template-columns: minmax(0, 1fr) !important; } }"
 )
-_TELL = "history.replaceState(null, '', location.pathname + (cb_obj.text && '?' + cb_obj.text))"
+_TELL = (
+    "history.replaceState(null, '', location.pathname + (cb_obj.tags[0] && '?' + cb_obj.tags[0]))"
+)
 _COPY = "navigator.clipboard.writeText(text.value)"
 
 
@@ -82,9 +84,7 @@ class Explorer:
 
         self._sides = Column(sizing_mode="stretch_width")
         self._headers, self._grid = (Row(sizing_mode="stretch_width"), Column(sizing_mode="stretch_width"))  # fmt: skip
-        self._summary, self._themes = block(), block()
-        self._address = block(visible=False)
-        self._address.js_on_change("text", CustomJS(code=_TELL))
+        self._summary = block()
         self._texts = {name: self._text_area(f"As {name}") for name in ("Python", "TOML")}
         self._compare = Checkbox(
             label="Compare with a second set-up, B", active=self.state.b is not None,
@@ -96,16 +96,14 @@ class Explorer:
             children=[self._copied(area) for area in self._texts.values()],
             stylesheets=[_GRID.format(columns=_ALONE)], sizing_mode="stretch_width",
         )  # fmt: skip
-        self.roots = {
+        # Roots are laid out apart: a text that changes leaves the figures where they are
+        self.roots: dict[str, Any] = {
             "side": Column(children=[self._compare, self._sides], sizing_mode="stretch_width"),
-            "main": Column(
-                children=[
-                    self._headers, self._summary, self._grid, self._scene.layout, texts,
-                    self._themes, self._address,
-                ],
-                sizing_mode="stretch_width",
-            ),
-        }  # fmt: skip
+            "head": Column(children=[self._headers, self._summary], sizing_mode="stretch_width"),
+            "figures": self._grid,
+            "foot": Column(children=[self._scene.layout, texts], sizing_mode="stretch_width"),
+        }
+        self.roots["head"].js_on_change("tags", CustomJS(code=_TELL))
         self._arrange()
         if refused:
             self._boards["A"].refuse(refused)
@@ -201,14 +199,7 @@ class Explorer:
         self._controls[side].change(integrand=spec, dims=2, density="uniform", smoothing=0.0)
 
     def _tell_address(self) -> None:
-        self._address.text = self.state.query()
-        links = (
-            f'<a href="?{escape(replace(self.state, theme=each).query())}">{each}</a>'
-            if each != self.state.theme
-            else f"<strong>{each}</strong>"
-            for each in THEMES
-        )
-        self._themes.text = f"<p>Theme: {' · '.join(links)}</p>"
+        self.roots["head"].tags = [self.state.query()]
 
     def _write_texts(self, refused: str) -> None:
         """Write the exports, whose parts are made; runs in a job's thread as well."""
@@ -260,7 +251,7 @@ def build_page(document: Any) -> None:
         document.add_root(root)
     document.title = TITLE
     document.template = get_env().from_string(_TEMPLATE)
-    document.template_variables["theme"] = explorer.state.theme
+    document.template_variables.update(theme=explorer.state.theme, themes=THEMES)
 
 
 def _row(side: str, setup: Setup, board: Board) -> str:

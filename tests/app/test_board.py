@@ -1,0 +1,72 @@
+"""Boards without a page: figures come, go and turn grey as their results do."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import pytest
+from bokeh.models import InlineStyleSheet
+
+from mcspectra.app.board import Board
+from mcspectra.app.figures import FIGURES
+from mcspectra.app.state import Setup
+from mcspectra.plots.backend_bokeh import Drawn
+
+SMALL = Setup(n=16, half_width=4, realizations=16)
+
+
+@pytest.fixture
+def board() -> Board:
+    """A board whose page has a single thread: that of the job."""
+    return Board(
+        "A", InlineStyleSheet(), later=lambda act: act(), on_update=lambda _: None,
+        on_shown=lambda _: None,
+    )  # fmt: skip
+
+
+def shown(board: Board, setup: Setup) -> set[str]:
+    """Run a set-up to its end; the kinds of its figures."""
+    board.run(setup)
+    end = time.monotonic() + 60
+    while board.busy and time.monotonic() < end:
+        time.sleep(0.01)
+    return set(board.cards)
+
+
+def is_grey(board: Board, kind: str) -> bool:
+    return board.cards[kind].layout.styles["opacity"] != "1"
+
+
+def test_figures_of_another_number_of_dims_take_the_place_of_those_before(board: Board) -> None:
+    assert shown(board, SMALL) == set(FIGURES) - {"lines"}
+    assert shown(board, replace(SMALL, dims=1)) == set(FIGURES) - {"spectrum"}
+
+
+def test_figures_turn_grey_and_back(board: Board) -> None:
+    shown(board, SMALL)
+    shown(board, replace(SMALL, sampler="no-such"))
+    assert board.latest == {}
+    assert all(is_grey(board, kind) for kind in board.cards)
+    shown(board, SMALL)
+    assert not any(is_grey(board, kind) for kind in board.cards)
+
+
+def test_what_stays_as_it_is_is_not_drawn_again(
+    board: Board, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown(board, SMALL)
+    updated = []
+    monkeypatch.setattr(Drawn, "update", lambda _, plot: updated.append(plot.kind))
+    shown(board, replace(SMALL, strata_shift=0.25))
+    assert "points" in updated
+    assert "integrand" not in updated
+
+
+def test_headings_name_the_side_of_a_pair(board: Board) -> None:
+    shown(board, SMALL)
+    board.pair(True)
+    heading = board.cards["points"].layout.children[0]
+    assert heading.text == "<h2>A: Points</h2>"
+    board.pair(False)
+    assert heading.text == "<h2>Points</h2>"
