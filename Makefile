@@ -21,11 +21,11 @@ setup: $(STAMP)
 $(STAMP): pyproject.toml
 	@if command -v uv >/dev/null 2>&1; then \
 		uv venv --quiet --allow-existing --python $(PYTHON) $(VENV) && \
-		uv pip install --quiet --compile-bytecode --python $(BIN)/python -e '.[render,app,qmcpy,parquet,vegas,docs,dev]'; \
+		uv pip install --quiet --compile-bytecode --python $(BIN)/python -e '.[render,qmcpy,parquet,vegas,docs,dev]'; \
 	else \
 		{ [ -x $(BIN)/python ] || $(PYTHON) -m venv $(VENV); } && \
 		$(BIN)/python -m pip install --quiet --upgrade pip && \
-		$(BIN)/python -m pip install --quiet -e '.[render,app,qmcpy,parquet,vegas,docs,dev]'; \
+		$(BIN)/python -m pip install --quiet -e '.[render,qmcpy,parquet,vegas,docs,dev]'; \
 	fi
 	@$(BIN)/python -m compileall -q src
 	@touch $@

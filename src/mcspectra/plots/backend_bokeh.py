@@ -124,6 +124,9 @@ class Drawn:
         self._shown: Plot | None = None
         self._structure = _structure(plot)
         self._figures = [_figure(panel, _options(plot, k)) for k, panel in enumerate(plot.panels)]
+        if _stacked(plot):
+            for frame in self._figures[:-1]:
+                frame.below[0].visible = False
         self._sources: list[Any] = []
         entries: dict[str, dict[int, list[Any]]] = {}
         for k, panel in enumerate(plot.panels):
@@ -438,9 +441,16 @@ def _options(plot: Plot, k: int) -> dict[str, Any]:
         "width": None,
         "height": None,
         "outline_line_color": _INK if panel.framed else None,
-        # Beside a title there is no room for the tools of a narrow panel
-        "toolbar_location": "above" if stretched or not panel.title else "right",
+        # Beside a title there is no room for the tools of a narrow panel; stacked panels zoom together
+        "toolbar_location": None
+        if _stacked(plot) and k
+        else ("above" if stretched or not panel.title else "right"),
     }
+
+
+def _stacked(plot: Plot) -> bool:
+    """Whether panels stand below one another along one axis, which the last one labels."""
+    return plot.columns == 1 and plot.share in ("x", "both")
 
 
 def _figure(panel: Panel, options: dict[str, Any]) -> Any:
