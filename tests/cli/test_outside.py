@@ -1,13 +1,15 @@
 """Verbs of analyses are derived: an outsider's options, help, text and JSON, and our own table of verbs."""
 
+import argparse
 import json
 import re
 import sys
 
 import pytest
 
+from mcspectra.cli.analysis import analysis_verb
 from mcspectra.cli.main import _ANALYSES, _VERBS, main
-from mcspectra.core.analysis import ANALYSES
+from mcspectra.core.analysis import _TAKEN, _TAKEN_BY_SUBJECTS, ANALYSES
 
 MODULE = '''
 """Gaps of one-dimensional sets."""
@@ -180,6 +182,28 @@ def test_a_verb_of_the_package_itself_is_refused(run, tmp_path):
     code, _, err = run("--help")
     assert code == 2
     assert "The analysis 'gap-widths' has the verb 'run', which is one of mcspectra itself" in err
+
+
+@pytest.mark.parametrize("about", ["estimator", "sampler"])
+@pytest.mark.parametrize("option", ["seed", "out", "dims", "json", "help", "quiet", "debug"])
+def test_an_option_with_a_name_of_its_verb_is_refused(run, tmp_path, option, about):
+    module = MODULE.replace("ends:", f"{option}:").replace('"sampler"\n', f'"{about}"\n')
+    (tmp_path / "their_gaps.py").write_text(module, encoding="utf-8")
+    code, out, err = run("gaps", "random", "-n", 4)
+    assert (code, out) == (2, "")
+    sentence = f"Gaps has the option {option!r}, but that name is taken by all analyses"
+    assert err.startswith(f"mcspectra: {sentence}")
+    assert err.count("\n") == 1
+
+
+def test_what_verbs_declare_is_taken():
+    for name in ("terms", "convergence", "spectrum", "pcf", "modes"):
+        analysis, parser = ANALYSES.load(name), argparse.ArgumentParser()
+        for declare in analysis_verb(name).options:
+            declare(parser)
+        declared = {action.dest for action in parser._actions}
+        declared -= set(analysis.__struct_fields__)
+        assert declared <= _TAKEN | _TAKEN_BY_SUBJECTS
 
 
 def test_our_table_of_verbs_is_that_of_the_analyses():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import random
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from types import SimpleNamespace
 from typing import Annotated, ClassVar
@@ -390,6 +390,10 @@ def _sum_of(key="0", result=lambda total: _small()):
     return Reduction(kind=MeanSums, block=lambda i: MeanSums.zeros(1), key=key, result=result)
 
 
+def _blocks(number):
+    return replace(_sum_of(), blocks=number)
+
+
 def _two_of_one_key():
     yield [_sum_of("a"), _sum_of("a")]
 
@@ -411,6 +415,9 @@ def _no_list():
             _two_of_one_key,
             "Odd has two reductions of the key 'a'; give each a key of its own",
         ),
+        (Need(), lambda: Analysis().reduction(SUBJECT, None), "Analysis has no reduction; define"),
+        (Need(), lambda: _blocks(0), "Odd has a reduction of 0 blocks; give a whole number from 1"),
+        (Need(), lambda: _blocks(1.5), "Odd has a reduction of 1.5 blocks"),
         (Need(), _no_list, "Odd has the step Reduction.*; give a list of Reductions"),
     ],
 )

@@ -53,6 +53,16 @@ class Kinds(msgspec.Struct, frozen=True, kw_only=True):
 OPTIONS = {option.name: option for option in options_of(Kinds)}
 
 
+def test_defaults_that_are_made_each_time_are_defaults():
+    class Lists(msgspec.Struct, kw_only=True):
+        names: list[str] = []
+        table: dict[str, int] = msgspec.field(default_factory=lambda: {"a": 1})
+        needed: int
+
+    assert [each.default for each in options_of(Lists)] == [[], {"a": 1}, msgspec.NODEFAULT]
+    assert [each.required for each in options_of(Lists)] == [False, False, True]
+
+
 def test_an_option_says_what_its_annotation_says():
     n, half_width = OPTIONS["n"], OPTIONS["half_width"]
     assert (n.required, n.meaning, n.flag) == (True, "Points of each technique.", "--n")

@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
+import msgspec
 import numpy as np
 import pytest
 from msgspec import Meta
@@ -242,7 +243,43 @@ class Empty(Means, frozen=True, kw_only=True):
         return Reduction(kind=Estimates, block=int, blocks=0, result=lambda _: dataset({}))
 
 
+class Nameless(Analysis, frozen=True, kw_only=True):
+    """It has no reduction."""
+
+
+class Named(Means, frozen=True, kw_only=True):
+    """An option has a name of its verb."""
+
+    seed: Annotated[int, Meta(description="A seed.")] = 1
+
+
+class Flagged(Means, frozen=True, kw_only=True):
+    """An option has a flag of its verb."""
+
+    order: Annotated[int, Meta(description="An order.", extra={"flag": "-o"})] = 1
+
+
+class Hidden(Means, frozen=True, kw_only=True):
+    """Two options have one flag."""
+
+    sort: Annotated[bool, Meta(description="Sort.")] = True
+    no_sort: Annotated[int, Meta(description="What else.")] = 1
+
+
+class NoValues(Means, frozen=True, kw_only=True):
+    """A default that msgspec makes each time is out of its limits."""
+
+    counts: Annotated[tuple[int, ...], Meta(description="Counts.")] = msgspec.field(
+        default_factory=tuple
+    )
+
+
 FAULTS = {
+    Nameless: "has no reduction; define it",
+    Named: "has the option 'seed', but that name is taken",
+    Flagged: "has the option 'order', but the flag -o is taken",
+    Hidden: "has the option 'no_sort', but the flag --no-sort is taken",
+    NoValues: "fails in the default of counts: ParameterError: counts has no values",
     NoMeaning: "has the option order without a meaning",
     OddDefault: "fails in the default of order: ParameterError: order is 1; give .* at least 2",
     NoSummary: "has no docstring",

@@ -26,7 +26,7 @@ from mcspectra.cli.common import (
     writing,
 )
 from mcspectra.cli.texts import VIEWS, data_of, table_of_anything
-from mcspectra.core.analysis import ANALYSES, Analysis, Subject, compute
+from mcspectra.core.analysis import ANALYSES, Analysis, Subject, check_names, compute
 from mcspectra.core.checks import as_choice
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.options import Option, options_of
@@ -70,8 +70,15 @@ _ESTIMATOR = (
 
 
 def analysis_verb(name: str) -> Verb:
-    """Make the verb of an analysis of the registry."""
+    """Make the verb of an analysis of the registry.
+
+    Raises
+    ------
+    AnalysisError
+        As of `mcspectra.core.analysis.check_names`.
+    """
     analysis: type[Analysis] = ANALYSES.load(name)
+    check_names(analysis)
     own = options_of(analysis)
     views = VIEWS.get(name, {"": table_of_anything})
     usual, *others = views

@@ -15,6 +15,7 @@ generator: it yields lists of reductions, is sent their merged states, and retur
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -22,9 +23,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Self, TypeAli
 
 import msgspec
 
-from mcspectra.core.errors import AnalysisError, MissingDependency, SpecError
+from mcspectra.core.errors import AnalysisError, MissingDependency, ParameterError, SpecError
 from mcspectra.core.memory import check_memory
-from mcspectra.core.options import checked
+from mcspectra.core.options import checked, options_of
 from mcspectra.core.parallel import available_workers, map_in_order
 from mcspectra.core.progress import report
 from mcspectra.core.records import merged
@@ -44,6 +45,7 @@ __all__ = [
     "Reduction",
     "Steps",
     "Subject",
+    "check_names",
     "chunks",
     "compute",
     "compute_chunk",
@@ -54,6 +56,27 @@ __all__ = [
     "verbs",
     "whole",
 ]
+
+# Names that options of analyses cannot have: verbs, public functions and study files have them
+_TAKEN = frozenset(
+    {
+        "debug",
+        "help",
+        "json",
+        "name",
+        "out",
+        "quiet",
+        "rng",
+        "sampler",
+        "samplers",
+        "seed",
+        "show",
+        "workers",
+    }
+)
+_TAKEN_BY_SUBJECTS = frozenset(  # but not by scenes
+    {"density", "dims", "estimator", "heuristic", "integrand", "mirror", "plus", "shares"}
+)
 
 State = TypeVar("State")
 Result = TypeVar("Result")
@@ -143,7 +166,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         """
         return Need()
 
-    def reduction(self, subject: Subject, stream: Stream) -> Reduction[Any] | Steps:
+    def reduction(self, subject: Subject, stream: Stream) -> Reduction[Any] | Steps:  # noqa: ARG002
         """Return how it is computed, or a generator that yields reductions step by step.
 
         Parameters
@@ -153,7 +176,9 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         stream
             Random numbers of all realisations.
         """
-        raise NotImplementedError
+        raise AnalysisError(
+            f"{type(self).__name__} has no reduction; define it, which says how it is computed."
+        )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
         """Return the reduction of a key, for a worker that has not seen the steps before it.
@@ -231,6 +256,31 @@ def verbs() -> dict[str, str]:
     return {word: name for (door, word), name in owners.items() if word and door == "verb"}
 
 
+def check_names(kind: type[Analysis]) -> None:
+    """Refuse an analysis whose options cannot be told from what its verb or its function takes.
+
+    Raises
+    ------
+    AnalysisError
+        An option has a name, or a flag, that is taken.
+    """
+    scene = kind.about == "scene"
+    names = _TAKEN if scene else _TAKEN | _TAKEN_BY_SUBJECTS
+    flags = {"-h", "-o"} if scene else {"-h", "-o", "-d"}
+    for option in options_of(kind):
+        own = {option.flag, option.extra.get("flag", option.flag)}
+        if option.is_flag:
+            own.add(f"--no-{option.flag[2:]}")
+        taken = option.name in names or hasattr(Analysis, option.name)
+        if taken or not own.isdisjoint(flags):
+            what = f"the flag {min(own & flags)}" if own & flags else "that name"
+            raise AnalysisError(
+                f"{kind.__name__} has the option {option.name!r}, but {what} is taken by all "
+                "analyses or by another of its options; rename it."
+            )
+        flags |= own
+
+
 @final
 @dataclass(frozen=True, kw_only=True)
 class Reduction(Generic[State]):
@@ -298,7 +348,8 @@ def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
     Raises
     ------
     AnalysisError
-        It has no reduction or result, or a step has something else, or two have one key.
+        It has no reduction or result, or a step has something else, or two have one key, or one has
+        no blocks.
     """
     name = type(analysis).__name__
     found: Any = analysis.reduction(subject, stream)
@@ -323,6 +374,10 @@ def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
             if each.key in keys:
                 raise AnalysisError(
                     f"{name} has two reductions of the key {each.key!r}; give each a key of its own."
+                )
+            if not isinstance(each.blocks, numbers.Integral) or each.blocks < 1:
+                raise AnalysisError(
+                    f"{name} has a reduction of {each.blocks!r} blocks; give a whole number from 1."
                 )
             keys.add(each.key)
         states = yield step
@@ -370,12 +425,15 @@ def compute(
     Raises
     ------
     ParameterError
-        An option is out of range.
+        An option is out of range, or this is no analysis of a subject.
     ConfigError
         It needs more memory than there is.
     McspectraError
         As of `needed` and `steps_of`.
     """
+    given: tuple[Any, Any] = analysis, subject
+    if not isinstance(given[0], Analysis) or not isinstance(given[1], Subject):
+        raise ParameterError(f"{given!r:.160} are not an Analysis and a Subject; give these.")
     threads = available_workers(workers)
     clean = checked(analysis)
     name = clean.function or type(clean).__name__

@@ -207,7 +207,10 @@ def options_of(struct: Any) -> tuple[Option, ...]:
     found = []
     for field in kind.fields:
         about, extra = _annotation(field.type)
-        found.append(Option(field.name, field.type, field.default, about, extra))
+        given = field.default
+        if field.default_factory is not msgspec.NODEFAULT:  # such as of []
+            given = field.default_factory()
+        found.append(Option(field.name, field.type, given, about, extra))
     return tuple(found)
 
 

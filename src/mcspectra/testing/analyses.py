@@ -12,12 +12,13 @@ from mcspectra.core.analysis import (
     Need,
     Reduction,
     Subject,
+    check_names,
     chunks,
     compute_chunk,
     finished,
     steps_of,
 )
-from mcspectra.core.errors import AnalysisError
+from mcspectra.core.errors import AnalysisError, ParameterError
 from mcspectra.core.options import checked, options_of
 from mcspectra.core.records import pack, unpack
 from mcspectra.core.streams import Stream
@@ -45,7 +46,7 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
     Raises
     ------
     BrokenContract
-        An option has no meaning or a default that its own limits refuse; `need` raises, is slow or not
+        An option has no meaning, a name that is taken or a default that its own limits refuse; `need` raises, is slow or not
         finite; keys repeat or `part` does not find them; states do not survive as bytes; the result
         depends on chunks, differs for the same seed, or has variables that are not declared.
 
@@ -54,6 +55,8 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
     >>> from mcspectra.variance.convergence import Convergence
     >>> check_analysis(Convergence(counts=(4, 16), realizations=50))
     """
+    if not isinstance(analysis, Analysis):
+        raise ParameterError(f"{analysis!r:.80} is no analysis; give one with its options.")
     who = type(analysis).__name__
     subject = _subject(analysis, estimator, sampler)
     clean = _check_options(analysis, who)
@@ -76,6 +79,10 @@ def _subject(analysis: Analysis, estimator: Any, sampler: Any) -> Subject:
 
 def _check_options(analysis: Analysis, who: str) -> Analysis:
     demand(bool(type(analysis).summary()), who, "has no docstring; its first line is the summary")
+    try:
+        check_names(type(analysis))
+    except AnalysisError as error:
+        raise BrokenContract(str(error)) from error
     for option in options_of(type(analysis)):
         demand(bool(option.meaning), who, f"has the option {option.name} without a meaning")
         if not option.required:
@@ -104,7 +111,6 @@ def _computed(analysis: Analysis, subject: Subject, who: str, size: int) -> Any:
             found = next(steps) if states is None else steps.send(states)
             states = []
             for each in found:
-                demand(each.blocks >= 1, who, f"has a reduction of {each.blocks} blocks")
                 part = called(who, "part", analysis.part, subject, stream, each.key)
                 states.append(_merged(part if size else each, who, size))
     except AnalysisError as error:
