@@ -6,12 +6,17 @@ import inspect
 import signal
 import threading
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import mcspectra as mcs
+from mcspectra import studies, testing
+from mcspectra.core import analysis
 from mcspectra.core.errors import McspectraError
+from mcspectra.studies import files, results
+from mcspectra.variance.convergence import Convergence
 
 WRONG = [
     None,
@@ -28,6 +33,8 @@ WRONG = [
     object(),
     True,
     lambda x: x,
+    "\ud800",
+    "\0",
 ]
 # what an argument is otherwise, so that what is wrong is found soon or nothing is computed for long
 RIGHT = {
@@ -102,6 +109,55 @@ def _call(function, parameters, arguments):
     finally:
         signal.alarm(0)
     return None
+
+
+# Documented functions of other modules, with what their arguments are otherwise: these are refused
+# before anything is read or computed, or name what is not there
+DOORS = (
+    (studies.open_results, {"source": "no", "select": "a/*"}),
+    (studies.result_paths, {"source": "no"}),
+    (studies.result_scalars, {"source": "no", "select": "a/*"}),
+    (studies.study_status, {"folder": "no"}),
+    (studies.export_results, {"source": "no", "file": "no.csv", "select": "a/*"}),
+    (results.output_folder, {"out": "no"}),
+    (studies.read_study, {"path": "no.toml", "overrides": ()}),
+    (studies.decode_study, {"text": "", "overrides": ()}),
+    (studies.make_plan, {"config": None, "folder": "."}),
+    (studies.run_study, {"config": None, "out": "no"}),
+    (studies.estimate_study, {"plan": None}),
+    (studies.summarize, {"tree": None}),
+    (files.study_of, {"table": {}}),
+    (files.plain_study, {"config": None}),
+    (files.expand_grids, {"table": {}}),
+    (testing.check_analysis, {"analysis": Convergence(counts=(4, 16), realizations=50)}),
+    (testing.check_sampler, {"sampler": "jittered", "counts": (4,)}),
+    (analysis.compute, {"analysis": None, "subject": None}),
+)
+
+
+@pytest.mark.parametrize(
+    ("function", "right"), [pytest.param(*door, id=door[0].__name__) for door in DOORS]
+)
+def test_documented_functions_refuse_wrong_types_too(function, right):
+    parameters = _parameters(function)
+    found = []
+    for name in right:
+        for wrong in WRONG:
+            problem = _call(function, parameters, {**right, name: wrong})
+            if problem is not None:
+                found.append(f"{function.__name__}({name}={wrong!r:.40}) {problem}")
+    assert not found, "\n".join(found)
+
+
+def test_a_study_is_asked_for_before_its_folder_is_made():
+    config = studies.decode_study(
+        'title = "t"\nseed = 1\nsamplers = ["random"]\nexact = {counts = [4]}\n'
+        '[[estimators]]\nname = "a"\nintegrand = "gaussian"\n'
+    )
+    for wrong in (None, 3, "\0", "\ud800"):
+        with pytest.raises(McspectraError, match="give the path of the study's folder"):
+            studies.run_study(config, "out", folder=wrong)
+    assert not list(Path().iterdir())
 
 
 @pytest.mark.skipif(

@@ -454,7 +454,12 @@ def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path: Path) -> None:
         assert (
             ended.stdout.count("cannot be written") == ended.stdout.count("\n") == (limit < 10**6)
         )
-        if (out / LEDGER_NAME).exists():
+        assert not (out / f".{LEDGER_NAME}.partial").exists()
+        begun = (out / LEDGER_NAME).exists()
+        assert begun or limit == 10_000
+        assert ("nothing is finished yet" in ended.stdout) == (not begun)
+        assert ("what was finished is kept" in ended.stdout) == (begun and limit < 10**6)
+        if begun:
             with Ledger.read(out) as ledger:
                 assert ledger.verify() == {}
                 assert len(ledger.done) >= done

@@ -552,6 +552,29 @@ def test_netcdf_refuses_whole_numbers_that_it_would_round(tmp_path: Path) -> Non
     assert not (tmp_path / "out.nc").exists()
 
 
+def test_netcdf_refuses_cells_of_one_name(tmp_path: Path) -> None:
+    written(tmp_path / "out", {"a/b.c/terms": terms(), "a.b/c/terms": terms()})
+    words = "'a/b.c/terms' and 'a.b/c/terms' would both be 'a.b.c.terms'"
+    with pytest.raises(StoreError, match=words):
+        export_results(tmp_path / "out", tmp_path / "out.nc")
+    assert not (tmp_path / "out.nc").exists()
+    export_results(tmp_path / "out", tmp_path / "out.nc", select="a/*")
+
+
+@pytest.mark.parametrize("select", ["", 5, b"a/*", ["a/*"]])
+@pytest.mark.parametrize("inside", ["", "results.zarr"])
+def test_what_selects_nothing_is_refused(
+    folder: Path, tmp_path: Path, inside: str, select: Any
+) -> None:
+    for call in (
+        lambda: open_results(folder / inside, select),
+        lambda: result_scalars(folder / inside, select),
+        lambda: export_results(folder / inside, tmp_path / "out.csv", select),
+    ):
+        with pytest.raises(ParameterError, match="^select is .*; give the path of a cell"):
+            call()
+
+
 def test_names_without_letters_in_a_zip_are_damage(folder: Path, tmp_path: Path) -> None:
     file = export_results(folder, tmp_path / "x.zarr.zip")
     content = bytearray(file.read_bytes())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -22,6 +23,7 @@ __all__ = [
     "as_real_array",
     "as_reals",
     "as_unit_points",
+    "is_path",
 ]
 
 Array = npt.NDArray[Any]
@@ -31,6 +33,18 @@ MAX_DIMS = 1024
 
 MAX_FREQUENCY = 2.0**40
 """Largest frequency: phases m·x of 53-bit points keep 13 bits there."""
+
+
+def is_path(value: object) -> bool:
+    """Whether a value can be the path of a file, or a URL: a text that the system can write."""
+    if not isinstance(value, str | os.PathLike):
+        return False
+    try:
+        text = os.fspath(value)
+        os.fsencode(text)
+    except (TypeError, UnicodeEncodeError):
+        return False
+    return isinstance(text, str) and "\0" not in text
 
 
 def as_integer(name: str, value: object, *, least: int, most: int | None = None) -> int:

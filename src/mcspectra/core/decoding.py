@@ -12,13 +12,12 @@ import stat
 import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from os import PathLike
 from pathlib import Path
 from typing import IO
 
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import Array, is_path
 from mcspectra.core.errors import FileFormatError, McspectraError, reason_of
 
 __all__ = ["check_decoded_size", "known_path", "opened", "read_npy", "read_npz"]
@@ -37,9 +36,9 @@ def known_path(path: object, what: str, extensions: Sequence[str] = ()) -> Path:
     FileFormatError
         It is no path, or ends otherwise.
     """
-    if not isinstance(path, str | PathLike) or not str(path) or "\0" in str(path):
+    if not is_path(path) or not str(path):
         raise FileFormatError(f"{path!r:.80} is not a path; give the path of {what}.")
-    file = Path(path)
+    file = Path(path)  # type: ignore[arg-type]
     if extensions and file.suffix.lower() not in extensions:
         raise FileFormatError(
             f"{file} does not end in one of {', '.join(extensions)}; give {what}."

@@ -27,6 +27,7 @@ import msgspec
 from msgspec import Meta
 
 from mcspectra.core.analysis import ANALYSES, Analysis
+from mcspectra.core.checks import is_path
 from mcspectra.core.errors import ConfigError, McspectraError, MissingDependency, close_match_hint
 from mcspectra.core.options import Positive, Text, options_of
 
@@ -38,6 +39,7 @@ __all__ = [
     "StudyConfig",
     "analysis_tables",
     "apply_overrides",
+    "as_study",
     "decode_study",
     "expand_grids",
     "plain_study",
@@ -245,9 +247,8 @@ def read_study(path: str | Path, overrides: Sequence[str] = ()) -> StudyConfig:
     ConfigError
         Missing or unreadable file, not TOML, or not a study; the message names the place.
     """
-    given: Any = path
-    if not isinstance(given, str | Path) or "\0" in str(given):
-        raise ConfigError(f"{given!r} is not the path of a study file; give that of a .toml file.")
+    if not is_path(path):
+        raise ConfigError(f"{path!r} is not the path of a study file; give that of a .toml file.")
     file = Path(path)
     try:
         if file.exists() and not file.is_file():
@@ -321,13 +322,26 @@ def study_of(table: Mapping[str, Any], source: str = "study") -> StudyConfig:
     return config
 
 
+def as_study(config: StudyConfig) -> StudyConfig:
+    """Return a study as it is.
+
+    Raises
+    ------
+    ConfigError
+        It is something else.
+    """
+    if not isinstance(config, StudyConfig):
+        raise ConfigError(f"{config!r} is not a study; give what read_study returns.")
+    return config
+
+
 def plain_study(config: StudyConfig) -> dict[str, Any]:
     """Return a study as plain values, with the keys of a file: grids are expanded.
 
     Keys of the study and of estimators that have their default are left out, options of analyses are
     all there: what a study computes does not depend on which analyses are installed beside its own.
     """
-    plain: dict[str, Any] = msgspec.to_builtins(config)
+    plain: dict[str, Any] = msgspec.to_builtins(as_study(config))
     for entry in (plain, *plain.get("estimators", ())):
         entry |= entry.pop("analyses", {})
     for entry in plain.pop("scenes", ()):
@@ -604,6 +618,8 @@ def expand_grids(table: dict[str, Any], source: str = "study") -> dict[str, Any]
         more text than a study can have: both are counted before anything is made.
     """
     try:
+        if not isinstance(table, dict):
+            raise ConfigError(f"a study is a table, not {table!r}.")
         return _Grids(table).expanded()
     except McspectraError as error:
         raise ConfigError(f"{source}: {error}") from None

@@ -90,6 +90,7 @@ _ONE_TASK = "SELECT * FROM tasks WHERE path = ? AND run = ? AND first = ? AND bl
 
 _DAMAGE = "its digest does not match"
 _REMEDY = "`mcspectra run` with --resume keeps what is sound and computes the rest again"
+_REMEDY_NEW = "nothing is finished yet: make room or give another --out, and run it again"
 _RENEW = (
     "put back what was, give another --out, or --resume --retry to compute what depends on it again"
 )
@@ -627,16 +628,19 @@ class Ledger:
         notes = [self._text("note", "study", header), self._text("config", "", config)]
         first = _Change("", itertools.chain(tables, cells, notes))
         with _writing(self._file):
-            for file in (partial, partial.with_name(f"{partial.name}-journal")):
-                file.unlink(missing_ok=True)
-            with contextlib.closing(_connected(partial, "rwc")) as new:
-                new.execute("PRAGMA page_size = 8192")
-                new.execute(f"PRAGMA user_version = {FORMAT}")
-                self.tally = self._write(itertools.chain([first], changes), tally, new)
-            if self._connection is not None:
-                self._connection.close()
-            self._file.with_name(f"{LEDGER_NAME}-journal").unlink(missing_ok=True)
-            partial.replace(self._file)
+            _remove_partial(partial)  # of a run that was killed
+            try:
+                with contextlib.closing(_connected(partial, "rwc")) as new:
+                    new.execute("PRAGMA page_size = 8192")
+                    new.execute(f"PRAGMA user_version = {FORMAT}")
+                    self.tally = self._write(itertools.chain([first], changes), tally, new)
+                if self._connection is not None:
+                    self._connection.close()
+                self._file.with_name(f"{LEDGER_NAME}-journal").unlink(missing_ok=True)
+                partial.replace(self._file)
+            except BaseException:
+                _remove_partial(partial)
+                raise
             self._connection = _connected(self._file, "rw")
         for name in ("_listing", "_recorded", "_failures"):
             self.__dict__.pop(name, None)
@@ -939,14 +943,23 @@ def _connected(file: Path, mode: str, patience: float = _BUSY_SECONDS) -> sqlite
 def _writing(
     place: Path,
     kind: type[StoreError] = StorageError,
-    remedy: str = "what was finished is kept, and --resume continues it",
+    remedy: str = "",
 ) -> Iterator[None]:
-    """Make one sentence of what keeps a place from being written."""
+    """Make one sentence of what keeps a place from being written; `remedy` is that of a ledger."""
     try:
         yield
     except (OSError, sqlite3.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise kind(f"{str(place)!r} cannot be written: {reason}; {remedy}.") from None
+        if not remedy and place.exists():
+            remedy = "what was finished is kept, and --resume continues it"
+        raise kind(
+            f"{str(place)!r} cannot be written: {reason}; {remedy or _REMEDY_NEW}."
+        ) from None
+
+
+def _remove_partial(partial: Path) -> None:
+    for file in (partial, partial.with_name(f"{partial.name}-journal")):
+        file.unlink(missing_ok=True)
 
 
 def _plan_digest(paths: Iterable[str]) -> str:

@@ -22,6 +22,7 @@ from mcspectra.core.analysis import (
     needed,
     steps_of,
 )
+from mcspectra.core.checks import is_path
 from mcspectra.core.errors import ConfigError, McspectraError
 from mcspectra.core.memory import check_memory
 from mcspectra.core.registry import Registry
@@ -44,6 +45,7 @@ from mcspectra.studies.files import (
     SceneConfig,
     StudyConfig,
     analysis_tables,
+    as_study,
 )
 from mcspectra.studies.foreign_code import FunctionFailed, probed
 from mcspectra.studies.vetting import Inputs, Trust, Vetting
@@ -165,11 +167,10 @@ def make_plan(
         A component cannot be built, a sampler cannot do a count, a file or a function is not one
         that the study may reach, or the study is too large; names the estimator.
     """
-    if not isinstance(config, StudyConfig):
-        raise ConfigError(f"{config!r} is not a study; give what read_study returns.")
+    as_study(config)
     if not (trust is None or isinstance(trust, Trust)):
         raise ConfigError(f"trust is {trust!r}; give a Trust, or None.")
-    if not isinstance(folder, str | Path):
+    if not is_path(folder):
         raise ConfigError(f"folder is {folder!r}; give the path of the study's folder.")
     if not force:
         _check_number(config)

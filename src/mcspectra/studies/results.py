@@ -32,7 +32,7 @@ import google_crc32c
 import msgspec
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import Array, is_path
 from mcspectra.core.display import register_accessor
 from mcspectra.core.errors import (
     McspectraError,
@@ -172,21 +172,23 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
 
     Raises
     ------
+    ParameterError
+        The source is no path, or `select` no text.
     StoreError
         There are no results, they are damaged, changed or of a format that this version does not read,
         no cell matches, or they hold what results never hold.
     MissingDependency
         A URL is given, and fsspec or what it needs for it is not installed.
     """
-    return _opened(source, select, whole=not _is_path(select))
+    return _opened(source, select, whole=False)
 
 
 def _opened(source: str | Path, select: str | None, *, whole: bool = True) -> xr.DataTree:
-    """Open results, with the whole study as an attribute or without."""
+    """Open results, with the study as an attribute: of a cell by its path only if `whole`."""
     import xarray as xr
 
     register_accessor()
-    ledger = _ledger(source)
+    ledger = _ledger(source, select)
     if ledger is None:
         files = _files(source)
         root = json.loads(files[_DOCUMENT])["attributes"]
@@ -194,7 +196,7 @@ def _opened(source: str | Path, select: str | None, *, whole: bool = True) -> xr
         cells = _read_store(files, str(source), select)
     else:
         with ledger:
-            root = _root_attributes(ledger, whole=whole)
+            root = _root_attributes(ledger, whole=whole or not _is_path(select))
             cells = {path: _read_cell(ledger, path) for path in _selected(ledger, select)}
     if select is not None and not cells:
         raise StoreError(f"No cell of {str(source)!r} matches {select!r}; paths are a/b/analysis.")
@@ -228,10 +230,10 @@ def result_scalars(source: str | Path, select: str | None = None) -> dict[str, d
 
     Raises
     ------
-    StoreError
-        There are no results, or they cannot be read.
+    ParameterError, StoreError
+        As of `open_results`, but for cells that are not there.
     """
-    ledger = _ledger(source)
+    ledger = _ledger(source, select)
     if ledger is None:
         cells = _read_store(_files(source), str(source), select)
         return {path: scalars_of(cell) for path, cell in cells.items()}
@@ -254,6 +256,7 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
         There are no results, they are of a format that this version does not read, or so damaged that
         they do not say of which study they are.
     """
+    _check_place("folder", folder)
     root = Path(folder)
     if _is_url(folder) or root.is_file():
         raise StoreError(
@@ -363,6 +366,7 @@ def export_results(source: str | Path, file: str | Path, select: str | None = No
     MissingDependency
         Parquet without pyarrow, URLs without fsspec.
     """
+    _check_place("file", file)
     name = str(file).lower()
     end = next((end for end in FORMATS if name.endswith(end)), None)
     if end is None:
@@ -405,8 +409,9 @@ def output_folder(out: str | Path) -> Path:
     Raises
     ------
     ParameterError
-        It is a URL, a file, or named as a store that `export_results` makes.
+        It is no path, a URL, a file, or named as a store that `export_results` makes.
     """
+    _check_place("out", out)
     folder = Path(out)
     if _is_url(out):
         raise ParameterError(
@@ -423,8 +428,19 @@ def output_folder(out: str | Path) -> Path:
     return folder
 
 
-def _ledger(source: str | Path) -> Ledger | None:
-    """The ledger of a source, if that is a study's folder."""
+def _check_place(name: str, place: object) -> None:
+    if not is_path(place):
+        raise ParameterError(f"{name} is {place!r:.80}; give a path.")
+
+
+def _ledger(source: str | Path, select: str | None = None) -> Ledger | None:
+    """The ledger of a source, if that is a study's folder, after a check of what is asked for."""
+    _check_place("source", source)
+    given: Any = select
+    if given is not None and not (isinstance(given, str) and given):
+        raise ParameterError(
+            f"select is {select!r:.80}; give the path of a cell, or a pattern such as 'a/*'."
+        )
     if _is_url(source) or not os.path.lexists(Path(source) / LEDGER_NAME):
         return None
     return Ledger.read(source)
@@ -850,8 +866,14 @@ def _write_netcdf(tree: xr.DataTree, file: Path) -> None:
     check_memory(2 * sum(cell.nbytes for _, cell in _cells(tree)), "The netCDF file")
     attributes = {key: _netcdf_attribute(value) for key, value in tree.attrs.items()}
     variables: dict[str, Any] = {}
+    paths: dict[str, str] = {}
     for path, cell in _cells(tree):
         prefix = path.replace("/", ".")
+        if paths.setdefault(prefix, path) != path:
+            raise StoreError(
+                f"The cells {paths[prefix]!r} and {path!r} would both be {prefix!r} in netCDF 3; "
+                "select one of them, or export to another format."
+            )
         attributes[prefix] = _json(dict(cell.attrs))
         for name, variable in cell.variables.items():
             dims = [f"{prefix}.{dim}" for dim in variable.dims]

@@ -13,7 +13,7 @@ import msgspec
 from mcspectra.core.errors import DamagedResultsWarning, McspectraError, StoreError, warn
 from mcspectra.core.parallel import available_workers
 from mcspectra.studies.executors import Cluster, Dask, Executor, Threads, check_time_limit
-from mcspectra.studies.files import StudyConfig
+from mcspectra.studies.files import StudyConfig, as_study
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote
 from mcspectra.studies.plan import Cell, Plan, make_plan
 from mcspectra.studies.results import output_folder, write_zarr
@@ -113,10 +113,10 @@ def run_study(
         An earlier run had other versions of packages that numbers depend on.
     """
     out = Path(output_folder(out))
-    limit = check_time_limit(config.time_limit if time_limit is None else time_limit)
+    limit = check_time_limit(as_study(config).time_limit if time_limit is None else time_limit)
     count = available_workers(workers)
     config = msgspec.structs.replace(config, time_limit=limit)
-    plan = make_plan(config, Path(folder), trust, force=force)
+    plan = make_plan(config, folder, trust, force=force)
     text = StudyText.of(config, Path(folder), trust, force=force, inputs=plan.inputs)
     note, paths = StudyNote.of(config, plan.inputs), [cell.path for cell in plan.cells]
     with (

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
+from mcspectra.core.errors import ParameterError
+
 if TYPE_CHECKING:
     import xarray as xr
 
@@ -51,7 +53,18 @@ class SummaryRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def summarize(tree: xr.DataTree) -> list[SummaryRow]:
-    """One row for every estimator, sampler and channel of a result tree, in the study's order."""
+    """One row for every estimator, sampler and channel of a result tree, in the study's order.
+
+    Raises
+    ------
+    ParameterError
+        It is no tree, as `open_results` gives it.
+    """
+    import xarray as xr
+
+    if not isinstance(tree, xr.DataTree):
+        raise ParameterError(f"{tree!r:.80} is no tree of results; give what open_results returns.")
+
     # Places of estimators with samplers in the study file: the store keeps no order
     study = tree.attrs.get("study", {})
     names = [

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.errors import ParameterError
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.testing.contract import demand
 
@@ -40,6 +41,8 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
     >>> check_sampler("jittered | shift")
     """
     source = as_sampler(sampler)
+    if not isinstance(counts, Iterable):
+        raise ParameterError(f"counts is {counts!r}; give a list of numbers of points.")
     for count in counts:
         n = source.nearest_count(as_integer("counts", count, least=1))
         _check_points(source, n)
