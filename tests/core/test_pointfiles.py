@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import struct
+import time
 import zipfile
 
 import numpy as np
@@ -261,6 +262,27 @@ def test_sets_of_different_sizes_do_not_fit_binary_formats(tmp_path):
             write_points(tmp_path / name, sets)
     with pytest.raises(FileFormatError, match="same dims"):
         write_points(tmp_path / "p.csv", [np.zeros((1, 2)), np.zeros((1, 3))])
+
+
+@pytest.mark.parametrize(
+    ("name", "head"), [("x.dat", b""), ("x.csv", b"x,y\n"), ("x.csv", b"set,x\n")]
+)
+def test_millions_of_blank_lines_are_passed_over(save, name, head):
+    point = b"0,0.5\n" if name == "x.csv" else b"0 0.5\n"
+    start = time.process_time()
+    path = save(name, head + b"\n" * (30 * 2**20) + point)
+    (points,) = read_points(path)
+    assert points.shape == ((1, 1) if b"set" in head else (1, 2))
+    path.write_bytes(path.read_bytes() + b" \n" * 10 + point[:-2] + b"x\n")
+    with pytest.raises(FileFormatError, match=f"line {30 * 2**20 + head.count(b'x') + 12}: "):
+        read_points(path)
+    assert time.process_time() - start < 10
+
+
+def test_cells_may_stand_between_blanks(save):
+    text = 'a; "b" \n 1,5 ; "2"\n\n ; ; \n#\n3;4\n'
+    found = [points.tolist() for points in read_points(save("x.csv", text.encode()))]
+    assert found == [[[1.5, 2.0]], [[3.0, 4.0]]]
 
 
 def test_long_sets_are_read_in_blocks(save):

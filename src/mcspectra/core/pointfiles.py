@@ -48,6 +48,7 @@ _SET_BYTES = 4096  # that count for a set besides its coordinates: many tiny one
 
 # UTK text and comma-separated values
 _LONGEST_LINE = 2**22  # bytes
+_BLOCK = 2**20
 _VALUE_BYTES = 24  # of a number in text: as it is read, in its set, and in the order of sets
 
 _PARQUET = ("pyarrow.parquet", "parquet", "Files .parquet need")
@@ -211,8 +212,12 @@ def _lines_of(points: Array, blank: str, start: str = "") -> str:
 
 
 def _read_dat(stream: IO[bytes], size: int, name: str) -> list[Array]:
-    lines = ((number, line.split()) for number, line in _lines(stream, size, name))
-    rows = ((number, None if words[0][0] == "#" else words) for number, words in lines if words)
+    lines = _lines(stream, size, name)
+    rows = (
+        (number, None if words[0][0] == "#" else words)
+        for number, line in lines
+        if (words := line.split())
+    )
     return _sets_of_rows(rows, size, name)
 
 
@@ -221,15 +226,18 @@ def _read_csv(stream: IO[bytes], size: int, name: str) -> list[Array]:
     set_of_row: list[int] = []
 
     def rows() -> Iterator[tuple[int, list[str] | None]]:
-        lines = _lines(stream, size, name)
-        lines = ((number, line) for number, line in lines if not line.lstrip().startswith("#"))
-        semicolons, at_top, column = False, True, None
-        for number, line in lines:
+        separator, at_top, column = ",", True, None
+        for number, line in _lines(stream, size, name):
+            line = line.strip()
+            if line[:1] == "#":
+                continue
             # "1,5;2,5" is how spreadsheets of half the world write two numbers.
-            semicolons = semicolons or (at_top and ";" in line)
-            cells = line.replace(",", ".").split(";") if semicolons else line.split(",")
-            fields = [cell.strip().strip('"') for cell in cells]
-            if not any(fields):
+            if at_top and ";" in line:
+                separator = ";"
+            fields = (line if separator == "," else line.replace(",", ".")).split(separator)
+            if at_top or column is not None or '"' in line:  # else they are numbers
+                fields = [field.strip().strip('"') for field in fields]
+            if not (fields[0] or any(map(str.strip, fields))):
                 if column is None:
                     yield number, None
                 continue
@@ -262,30 +270,43 @@ def _read_csv(stream: IO[bytes], size: int, name: str) -> list[Array]:
 
 
 def _lines(stream: IO[bytes], size: int, name: str) -> Iterator[tuple[int, str]]:
-    """Lines of text with their numbers, from 1, after a check of the memory their numbers take."""
-    fields = 0
-    while data := stream.read(2**20):
+    """Lines of text with their numbers, from 1, after a check of the memory their numbers take.
+
+    Of blank lines that follow each other the first alone: there may be millions.
+    """
+    fields = lines = begun = 0
+    while data := stream.read(_BLOCK):
         block = np.frombuffer(data, np.uint8)
+        # Bytes of each line that ends in this block, and of the one that has begun at its end
+        ends = np.flatnonzero(block == ord("\n")) + 1
+        sizes = np.diff(ends, prepend=-begun, append=len(block))
+        if sizes.max() > _LONGEST_LINE:
+            number = lines + int(np.argmax(sizes > _LONGEST_LINE)) + 1
+            raise FileFormatError(
+                f"{name}, line {number}, is longer than {_LONGEST_LINE} bytes; split it."
+            )
+        lines, begun = lines + len(ends), int(sizes[-1])
         blank = (block <= ord(" ")) | (block == ord(",")) | (block == ord(";"))
         fields += 1 + int(np.count_nonzero(blank[:-1] & ~blank[1:]))
         check_decoded_size(name, size, _VALUE_BYTES * fields)
     stream.seek(0)
     number = at = 0
-    while raw := stream.readline(_LONGEST_LINE + 1):
-        if len(raw) > _LONGEST_LINE:
-            raise FileFormatError(
-                f"{name}, line {number + 1}, is longer than {_LONGEST_LINE} bytes; split it."
-            )
+    rest, blank = b"", False
+    for data in itertools.chain(iter(lambda: stream.read(_BLOCK), b""), [b""]):
+        # All lines that are whole; at the end what there is
+        whole, end, rest = (rest + data).rpartition(b"\n") if data else (rest, b"", b"")
         try:
-            text = raw.decode("utf-8" if at else "utf-8-sig")
+            text = (whole + end).decode("utf-8" if at else "utf-8-sig")
         except UnicodeDecodeError as error:
             raise FileFormatError(
                 f"{name} is not text: byte {at + error.start} is no character."
             ) from None
-        at += len(raw)
+        at += len(whole + end)
         for line in text.splitlines():
             number += 1
-            yield number, line
+            before, blank = blank, not line or line.isspace()
+            if not (before and blank):
+                yield number, line
 
 
 def _sets_of_rows(
@@ -311,14 +332,19 @@ def _sets_of_rows(
                 f"{name}, line {number}, has {len(fields)} numbers, but the set began with "
                 f"{width} on line {start}; give all points of a set the same number of dims."
             )
-        for text in fields:
-            value = _number(text)
-            # Python reads 1_0 as 10, nobody else does.
-            if value is None or not math.isfinite(value) or "_" in text:
-                raise FileFormatError(
-                    f"{name}, line {number}: {text[:40]!r} is not a finite number."
-                )
-            points.append(value)
+        try:
+            values = list(map(float, fields))
+        except ValueError:
+            values = []
+        # Python reads 1_0 as 10, nobody else does.
+        if not (values and math.isfinite(sum(values))) or "_" in "".join(fields):
+            for text in fields:
+                value = _number(text)
+                if value is None or not math.isfinite(value) or "_" in text:
+                    raise FileFormatError(
+                        f"{name}, line {number}: {text.strip()[:40]!r} is not a finite number."
+                    )
+        points.extend(values)
     if not sets:
         raise FileFormatError(f"{name} holds no points; give a line of coordinates for each.")
     return sets
