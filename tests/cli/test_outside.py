@@ -167,21 +167,42 @@ def test_two_analyses_with_one_door_are_named(run, tmp_path, name, door, word, o
     (tmp_path / "other_gaps.py").write_text(other, encoding="utf-8")
     entries = tmp_path / "their_gaps-1.0.dist-info" / "entry_points.txt"
     entries.write_text(entries.read_text() + "other-gaps = other_gaps:Gaps\n")
-    first, second = sorted([name, owner] if owner != "other-gaps" else [name, "other-gaps"])
-    for arguments in (("--help",), ("no-such-verb",)):
-        code, out, err = run(*arguments)
-        assert (code, out) == (2, "")
-        assert f"The analyses {first!r} and {second!r} have the same {door} {word!r};" in err
-    assert run("cite")[0] == 0
+    first, second = sorted([name, owner])
+    sentence = f"The analyses {first!r} and {second!r} have the same {door} {word!r};"
+    code, out, err = run("--help")
+    assert (code, err) == (0, "")
+    assert f"left out: other-gaps: {sentence}" in out
+    assert ("left out: gap-widths: " in out) == (owner == "other-gaps")
+    assert ("left out: " + owner in out) == (owner == "other-gaps")
+    code, out, err = run("other-gaps")
+    assert (code, out) == (2, "")
+    assert sentence in err
+    assert run("cite")[0] == run("converge", "--help")[0] == 0
+    code, _, err = run("gaps", "--help")
+    assert code == (2 if owner == "other-gaps" else 0)
+    assert (sentence in err) == (owner == "other-gaps")
+    code, _, err = run("no-such-verb")
+    assert (code, "There is no verb 'no-such-verb'" in err) == (2, True)
     sys.modules.pop("other_gaps", None)
 
 
 def test_a_verb_of_the_package_itself_is_refused(run, tmp_path):
     module = tmp_path / "their_gaps.py"
     module.write_text(MODULE.replace('verb = "gaps"', 'verb = "run"'), encoding="utf-8")
-    code, _, err = run("--help")
-    assert code == 2
-    assert "The analysis 'gap-widths' has the verb 'run', which is one of mcspectra itself" in err
+    sentence = "The analysis 'gap-widths' has the verb 'run', which is one of mcspectra itself"
+    code, out, _ = run("--help")
+    assert code == 0
+    assert f"left out: gap-widths: {sentence}" in out
+    code, _, err = run("gap-widths")
+    assert (code, sentence in err) == (2, True)
+    assert "run a study file" in run("--help")[1]
+    assert run("run", "--help")[0] == 0
+
+
+def test_an_analysis_that_cannot_be_imported_says_why(run):
+    code, out, err = run("broken", "random")
+    assert (code, out) == (2, "")
+    assert "The analysis 'broken' (their_nothing:Nothing) cannot be loaded: No module named" in err
 
 
 @pytest.mark.parametrize("about", ["estimator", "sampler"])

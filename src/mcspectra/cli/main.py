@@ -15,7 +15,9 @@ import json
 import os
 import re
 import sys
+from collections import defaultdict
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib.metadata import entry_points
 from typing import NoReturn
 
@@ -144,7 +146,7 @@ def _dispatch(given: list[str]) -> int:
     verb: Verb
     analysis = _ANALYSES.get(name)
     if name not in _VERBS:
-        analysis = _outside_verbs().get(name)
+        analysis = _outside_verb(name)
         if analysis is None:
             hint, close = close_match_hint(name, _VERBS, "mcspectra --help")
             raise UnknownName(f"There is no verb {name!r}.{hint}", close)
@@ -213,12 +215,14 @@ def _as_typed(sentence: str, parser: argparse.ArgumentParser, *, analyses: bool)
 def _without_verb(given: list[str]) -> int:
     """Print the help, or the version."""
     verbs = dict(_VERBS)
-    for verb, name in _outside_verbs().items():
+    outside, left_out = _outside_verbs()
+    for verb, name in outside.items():
         from mcspectra.core.analysis import ANALYSES
 
         verbs[verb] = ANALYSES.load(name).summary()
     width = max(map(len, verbs))
     table = "\n".join(f"  {name.ljust(width)}  {text}" for name, text in verbs.items())
+    table += "".join(f"\nleft out: {name}: {text}" for name, text in left_out.items())
     parser = _Parser(
         prog="mcspectra",
         description="Measure, predict and explain the variance of Monte Carlo estimators.",
@@ -236,25 +240,66 @@ def _without_verb(given: list[str]) -> int:
     return 2 if given else 0
 
 
-def _outside_verbs() -> dict[str, str]:
-    """Verbs of other packages' analyses, to the names of these.
+def _outside_verb(word: str) -> str | None:
+    """The analysis of another package that has a verb.
 
     Raises
     ------
     SpecError
-        One is a verb of ours, or as of `mcspectra.core.analysis.verbs`.
+        It is left out, as of `_outside_verbs`.
+    MissingDependency
+        This is an analysis's name, which cannot be loaded.
     """
-    if not entry_points(group="mcspectra.analyses"):
-        return {}
-    from mcspectra.core.analysis import ANALYSES, verbs
+    outside, left_out = _outside_verbs()
+    if word in outside:
+        return outside[word]
+    from mcspectra.core.analysis import ANALYSES
     from mcspectra.core.errors import SpecError
 
+    for name, sentence in left_out.items():
+        if word in (name, ANALYSES.load(name).verb):
+            raise SpecError(sentence)
+    if word in ANALYSES:
+        ANALYSES.load(word)
+    return None
+
+
+def _outside_verbs() -> tuple[dict[str, str], dict[str, str]]:
+    """Verbs of other packages' analyses, to the names of these; names of those left out, to the reason.
+
+    One is left out if its verb, or its function, is that of another: ours keep theirs. Those that cannot
+    be loaded are in neither: `mcspectra list analyses` says why.
+    """
+    if not entry_points(group="mcspectra.analyses"):
+        return {}, {}
+    from mcspectra.core.analysis import ANALYSES
+    from mcspectra.core.errors import MissingDependency
+
+    owners: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
+    for name in ANALYSES:
+        with suppress(MissingDependency):
+            for door in ("verb", "function"):
+                owners[door, getattr(ANALYSES.load(name), door)].append(name)
+    outside = {name for name, target in ANALYSES.items() if not target.startswith("mcspectra.")}
+    left_out: dict[str, str] = {}
+    for (door, word), names in owners.items():
+        if word and len(names) > 1:
+            sentence = (
+                f"The analyses {' and '.join(map(repr, names))} have the same {door} {word!r}; "
+                "uninstall the package of one, or have its author rename it."
+            )
+        elif door == "verb" and word in _VERBS:
+            sentence = (
+                f"The analysis {names[0]!r} has the verb {word!r}, which is one of mcspectra itself; "
+                "uninstall its package, or have its author rename the verb."
+            )
+        else:
+            continue
+        left_out |= {name: sentence for name in names if name in outside}
     found = {
-        verb: name for verb, name in verbs().items() if not ANALYSES[name].startswith("mcspectra.")
+        word: name
+        for (door, word), names in owners.items()
+        for name in names
+        if door == "verb" and word and name in outside and name not in left_out
     }
-    for verb in found.keys() & _VERBS.keys():
-        raise SpecError(
-            f"The analysis {found[verb]!r} has the verb {verb!r}, which is one of mcspectra itself; "
-            "uninstall its package, or have its author rename the verb."
-        )
-    return found
+    return found, left_out

@@ -17,13 +17,12 @@ from __future__ import annotations
 
 import numbers
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar, final
 
 import msgspec
 
-from mcspectra.core.errors import AnalysisError, MissingDependency, ParameterError, SpecError
+from mcspectra.core.errors import AnalysisError, ParameterError
 from mcspectra.core.memory import check_memory
 from mcspectra.core.options import checked, options_of
 from mcspectra.core.parallel import available_workers, map_in_order
@@ -53,7 +52,6 @@ __all__ = [
     "in_step",
     "needed",
     "steps_of",
-    "verbs",
     "whole",
 ]
 
@@ -231,29 +229,6 @@ ANALYSES = Registry(
     base=Analysis,
 )
 """Analyses by the names of their tables in study files."""
-
-
-def verbs() -> dict[str, str]:
-    """Return the names of analyses by their verbs, but for those that cannot be loaded.
-
-    Raises
-    ------
-    SpecError
-        Two analyses have one verb, or one function.
-    """
-    owners: dict[tuple[str, str], str] = {}
-    for name in ANALYSES:
-        with suppress(MissingDependency):  # `mcspectra list analyses` says why
-            analysis = ANALYSES.load(name)
-            for door in ("verb", "function"):
-                word = getattr(analysis, door)
-                other = owners.setdefault((door, word), name)
-                if word and other != name:
-                    raise SpecError(
-                        f"The analyses {other!r} and {name!r} have the same {door} {word!r}; "
-                        "uninstall the package of one, or have its author rename it."
-                    )
-    return {word: name for (door, word), name in owners.items() if word and door == "verb"}
 
 
 def check_names(kind: type[Analysis]) -> None:
