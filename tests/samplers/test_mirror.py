@@ -101,7 +101,7 @@ def test_counts_of_the_uniform_mode_are_multiples_of_the_samplers():
 
 
 def test_too_many_images_are_refused():
-    with pytest.raises(ParameterError, match="30 at most"):
+    with pytest.raises(ParameterError, match="at most 30"):
         Random(dims=31).then(Mirror(mode="uniform"))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -32,7 +32,7 @@ from mcspectra.report.page import (
     write_page,
 )
 from mcspectra.report.sentences import explain, further_sentences
-from mcspectra.report.tables import analysis_table, summary_table, terms_table
+from mcspectra.report.tables import analysis_table, summary_of, summary_table, terms_table
 from mcspectra.studies import SummaryRow, open_results, study_status, summarize
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, check_links
 
@@ -462,7 +462,11 @@ def _figures(
             if kind == "bands" and not any(_correlated(each) for each in data.values()):
                 continue
             plot = kinds.describe(kind, data, styles)
-            kind = analysis if kind == "anything" else plot.kind
+            if kind == "anything":
+                plot = replace(plot, caption=f"{summary_of(analysis)} {plot.caption}")
+                kind = analysis
+            else:
+                kind = plot.kind
             name = f"{anchor.removeprefix('e-')}-{kind}" + (f"-{place}" if place else "")
             yield Figure(plot=plot, name=name, live=plot.kind in _LIVE)
 

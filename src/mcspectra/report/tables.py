@@ -28,7 +28,7 @@ from mcspectra.studies import SummaryRow
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["analysis_table", "first_channel", "summary_table", "terms_table"]
+__all__ = ["analysis_table", "first_channel", "summary_of", "summary_table", "terms_table"]
 
 _NO_CURVE = "convergence was not analysed"
 _NO_TERMS = "neither the terms nor an exact variance were analysed"
@@ -167,10 +167,7 @@ def analysis_table(analysis: str, found: Mapping[str, xr.Dataset]) -> tuple[str,
     if analysis in _TABLES:
         heading, caption, columns, rows = _TABLES[analysis]
     else:
-        try:
-            heading = str(ANALYSES.load(analysis).summary()).removesuffix(".")
-        except McspectraError:  # its package is not installed here
-            heading = analysis.capitalize()
+        heading = summary_of(analysis).removesuffix(".")
         caption = "Single numbers of the result; of several channels the first."
         columns, rows = ("Sampler", "Quantity", "Unit", "Value", "95 % interval"), _numbers
     cells = tuple(row for sampler, data in found.items() for row in rows(sampler, data))
@@ -178,6 +175,14 @@ def analysis_table(analysis: str, found: Mapping[str, xr.Dataset]) -> tuple[str,
     if not cells:
         return None
     return heading, Table(caption=caption, columns=columns, rows=cells, heads=heads)
+
+
+def summary_of(analysis: str) -> str:
+    """Return the summary of an analysis; its name where its package is not installed here."""
+    try:
+        return str(ANALYSES.load(analysis).summary())
+    except McspectraError:
+        return f"{analysis.capitalize()}."
 
 
 def first_channel(data: xr.Dataset) -> xr.Dataset:
