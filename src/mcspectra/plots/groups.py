@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots.description import Line
+from mcspectra.plots.description import Line, Panel
 from mcspectra.plots.style import LineStyle, labels, line_widths
 from mcspectra.plots.text import interval, number
 
@@ -30,6 +30,7 @@ __all__ = [
     "lines_of",
     "numbers",
     "pairs",
+    "shared",
     "variant_dims",
 ]
 
@@ -112,6 +113,12 @@ def frequency_dims(data: xr.Dataset) -> list[str]:
 def abreast(count: int) -> int:
     """Return how many of so many panels stand abreast, at most three: 4 stand 2 by 2."""
     return -(-count // -(-count // 3))
+
+
+def shared(panels: Sequence[Panel]) -> Literal["", "x", "y", "both"]:
+    """Return which axes all panels have alike, and thus in common: others keep limits of their own."""
+    x, y = (all(axis == axes[0] for axis in axes) for axes in zip(*((p.x, p.y) for p in panels)))
+    return "both" if x and y else "x" if x else "y" if y else ""
 
 
 def for_each(group: Group, words: Callable[[xr.Dataset], str]) -> str:

@@ -23,6 +23,7 @@ __all__ = [
     "signed_scale",
     "tick_label",
     "unit_axis",
+    "whole_ticks",
 ]
 
 _LINEAR_SPAN = 30.0  # up to this ratio of largest to smallest, a linear scale shows both
@@ -74,6 +75,12 @@ def name_axis(names: Sequence[str], label: str = "", *, flipped: bool = True) ->
 def unit_axis(label: str) -> Axis:
     """Return an axis from 0 to 1 with ticks at its ends."""
     return Axis(label=label, low=0.0, high=1.0, ticks={0.0: "0", 1.0: "1"})
+
+
+def whole_ticks(low: float, high: float, most: int = 6) -> dict[float, str]:
+    """Return ticks in [low, high] at whole numbers."""
+    steps = _round_steps(low, high, most)
+    return {tick: tick_label(tick) for tick in steps if float(tick).is_integer()}
 
 
 def signed_axis(label: str, values: Sequence[Array], most: int = 7) -> Axis:

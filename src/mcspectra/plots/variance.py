@@ -13,7 +13,14 @@ from mcspectra.core.checks import Array
 from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.plots.description import Axis, Bars, Dots, Line, Mark, Panel, Plot, Rule
 from mcspectra.plots.groups import Group, Styles, abreast, for_each, intervals, lines_of, numbers
-from mcspectra.plots.scales import count_axis, linear_axis, log_axis, name_axis, signed_axis
+from mcspectra.plots.scales import (
+    count_axis,
+    linear_axis,
+    log_axis,
+    name_axis,
+    signed_axis,
+    whole_ticks,
+)
 from mcspectra.plots.style import (
     ACCENT,
     GRAY,
@@ -207,7 +214,8 @@ def captured(group: Group, styles: Styles) -> Plot:
         else Axis(label=label, low=0.0, high=max(1.1, 1.08 * top))
     )
     widest = max(float(each["half_width"].values[-1]) for each in group.values())
-    below = Axis(label="half width of the spectrum", low=0.0, high=1.03 * widest)
+    ticks = whole_ticks(0.0, widest)
+    below = Axis(label="half width of the spectrum", low=0.0, high=1.03 * widest, ticks=ticks)
     panel = Panel(marks=tuple(marks), x=below, y=axis, grid=True)
     return Plot(
         kind="captured",
