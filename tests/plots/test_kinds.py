@@ -341,6 +341,43 @@ def test_convergence__odd_curves(make, options, words):
     drawn_by_both(plot)
 
 
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_convergence__what_is_not_finite_is_said_and_drawn(make, bad):
+    data = make["curve"]("random", zero=(0,))
+    data["variance"][3] = bad
+    plot = describe("convergence", {"random": data})
+    assert "1 of 4 not finite; 1 of 4 at rounding level" in said(plot)
+    drawn_by_both(plot)
+    data["variance"][:] = bad
+    data["variance_ci"][:] = bad
+    plot = describe("convergence", {"random": data})
+    assert "4 of 4 not finite" in said(plot)
+    assert plot.panels[0].note == "no finite variance"
+    drawn_by_both(plot)
+
+
+def test_convergence__no_line_without_intervals(make):
+    data = make["curve"]("random")
+    data["variance_ci"][:] = math.nan
+    plot = describe("convergence", {"random": data})
+    assert not any(
+        line.label.startswith("random") for line in marks(plot, Line) if line.dashes != ":"
+    )
+    drawn_by_both(plot)
+
+
+@pytest.mark.parametrize(("kind", "dims"), [("spectrum", 2), ("lines", 1), ("contributions", 2)])
+def test_spectra_of_no_numbers_are_not_called_infinite(make, kind, dims):
+    data = make["terms" if kind == "contributions" else "spectrum"](dims=dims, half_width=2)
+    empty = data.map(lambda v: v * math.nan, keep_attrs=True)
+    plot = describe(kind, {"x": empty})
+    assert {panel.note for panel in plot.panels} == {"not finite"}
+    drawn_by_both(plot)
+    if kind != "lines":
+        infinite = describe(kind, {"x": empty.assign_attrs(random_level=math.inf)})
+        assert infinite.panels[0].note == "infinite: ∫1/p diverges"
+
+
 def test_convergence__rounding_noise_is_no_variance(make):
     data = make["curve"]("random")
     data["variance"][3] = 1e-33  # (16 ulps of 0.5)² is 3e-30

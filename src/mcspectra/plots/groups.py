@@ -28,6 +28,7 @@ __all__ = [
     "intervals",
     "labelled",
     "lines_of",
+    "not_finite",
     "numbers",
     "pairs",
     "shared",
@@ -117,7 +118,10 @@ def abreast(count: int) -> int:
 
 def shared(panels: Sequence[Panel]) -> Literal["", "x", "y", "both"]:
     """Return which axes all panels have alike, and thus in common: others keep limits of their own."""
-    x, y = (all(axis == axes[0] for axis in axes) for axes in zip(*((p.x, p.y) for p in panels)))
+    x, y = (
+        all(axis == axes[0] for axis in axes)
+        for axes in zip(*((p.x, p.y) for p in panels), strict=True)
+    )
     return "both" if x and y else "x" if x else "y" if y else ""
 
 
@@ -171,6 +175,17 @@ def lines_of(
 def numbers(values: Array | Iterable[float], digits: int = 4) -> list[str]:
     """Return values as text."""
     return [number(float(value), digits) for value in values]
+
+
+def not_finite(values: Array | float, data: xr.Dataset | None = None) -> str:
+    """Return what stands for values that are all not finite: infinite ones come of a density.
+
+    Where `data` are given, their terms and ∫1/p say so for values that are no numbers.
+    """
+    known = [] if data is None else [data[t].values for t in ("dc_term", "power_term") if t in data]
+    level = 0.0 if data is None else float(data.attrs.get("random_level", 0.0))
+    infinite = any(np.isinf(v).any() for v in (values, level, *known))
+    return "infinite: ∫1/p diverges" if infinite else "not finite"
 
 
 def intervals(ends: Array, digits: int = 4) -> list[str]:

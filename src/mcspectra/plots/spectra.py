@@ -33,6 +33,7 @@ from mcspectra.plots.groups import (
     for_each,
     frequency_dims,
     lines_of,
+    not_finite,
     numbers,
     shared,
 )
@@ -61,7 +62,6 @@ _LINEAR_TOP = 12.0  # up to here lines are shown on a linear axis
 _MOST_NUMBERS, _MOST_NAMES = 7, 13  # numbers and names of bands along an axis
 _MOST_ENTRIES = 257  # entries a side of a matrix; more are not told apart
 _LEVEL = "the expected power over that of random points (∫1/p / n); m = 0 is left out."
-_INFINITE = "infinite: ∫1/p diverges"
 
 
 def spectrum(group: Group, styles: Styles) -> Plot:
@@ -70,7 +70,7 @@ def spectrum(group: Group, styles: Styles) -> Plot:
     images = {name: relative_power(each) for name, each in group.items()}
     # The scale ends at 2, or where all but 1 % of the frequencies stay below
     every = np.concatenate([np.ravel(values) for values in images.values()])
-    top = max(2.0, float(np.nanpercentile(every, 99.0)))
+    top = max(2.0, float(np.percentile(np.append(0.0, every[np.isfinite(every)]), 99.0)))
     scale = Scale(label=_power_label(group), low=0.0, high=top, beyond=True)
     panels = [
         frequency_map(name, group[name], values, scale, "power") for name, values in images.items()
@@ -175,7 +175,7 @@ def contributions(group: Group, styles: Styles) -> Plot:
         curves = [_by_frequency(one) for *_, one in parts]
         label = "cₘ" if dims == 1 else "Σ cₘ in the shell"
         axis = signed_axis(label, [values for _, *both in curves for values in both], 6)
-        for (title, name, _), (m, total, power) in zip(parts, curves, strict=True):
+        for (title, name, one), (m, total, power) in zip(parts, curves, strict=True):
             shown = {
                 "sampler": [title] * m.size,
                 "m" if dims == 1 else "|m|": numbers(m),
@@ -201,7 +201,7 @@ def contributions(group: Group, styles: Styles) -> Plot:
                     ),
                     y=axis,
                     title=title,
-                    note="" if np.isfinite(total).any() else _INFINITE,
+                    note="" if np.isfinite(total).any() else not_finite(total, one),
                 )
             )
     what = {1: "at each frequency m", 2: "of each frequency (m₀, m₁)"}.get(
@@ -281,7 +281,7 @@ def bands(group: Group, styles: Styles) -> Plot:
                 y=Axis(label=f"band a{unit}", low=-0.5, high=count - 0.5, ticks=ticks),
                 title=name,
                 square=True,
-                note="" if finite else _INFINITE,
+                note="" if finite else not_finite(matrix, group[name]),
             )
         )
     first = next(iter(group.values()))
@@ -332,7 +332,7 @@ def cross_matrix(group: Group, styles: Styles) -> Plot:
                     y=Axis(label=f"m{bases[name]}", **ends),  # type: ignore[arg-type]
                     title=f"{name}: {word}",
                     square=True,
-                    note="" if np.isfinite(part).any() else _INFINITE,
+                    note="" if np.isfinite(part).any() else not_finite(part, group[name]),
                 )
             )
     return Plot(
@@ -449,7 +449,8 @@ def _power_panel(
     under = (axis.label.partition(" ")[0], "power")
     marks: list[Mark] = [Rule(at=1.0), *lines_of(shown, styles, under, texts=hover)]
     power = log_axis("", max(low, _FLOOR), top) if logarithmic else Axis(low=0.0, high=1.08 * top)
-    return Panel(marks=tuple(marks), x=axis, y=power, grid=True)
+    note = "" if every.size else "not finite"
+    return Panel(marks=tuple(marks), x=axis, y=power, grid=True, note=note)
 
 
 def frequency_map(
@@ -473,7 +474,7 @@ def frequency_map(
         y=y,
         title=title,
         square=True,
-        note="" if np.isfinite(values).any() else _INFINITE,
+        note="" if np.isfinite(values).any() else not_finite(values, data),
     )
 
 
@@ -530,7 +531,7 @@ def _peak_words(data: xr.Dataset) -> str:
     """Where the contribution is largest; of ±m, which are equal, the later one."""
     values = data["contribution"]
     if not np.isfinite(values.values).any():
-        return "infinite"
+        return not_finite(values.values, data)
     flat = np.abs(np.nan_to_num(values.values)).ravel()
     place = np.unravel_index(len(flat) - 1 - int(np.argmax(flat[::-1])), values.shape)
     at = [
