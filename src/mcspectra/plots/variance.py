@@ -171,16 +171,7 @@ def terms(group: Group, styles: Styles) -> Plot:
         for n, d in group.items()
     }
     above = [_above_rounding(each) for each in values.values()]
-    axis = signed_axis("part of the variance", above)
-    # Make room for the ends of intervals, but no more than as much again as the bars take
-    finite = np.concatenate(list(ends.values()))
-    finite = finite[np.isfinite(finite)]
-    low, high = axis.low or 0.0, axis.high or 0.0
-    axis = replace(
-        axis,
-        low=max(min(low, 1.05 * float(finite.min(initial=0.0))), 2 * low - high),
-        high=min(max(high, 1.05 * float(finite.max(initial=0.0))), 2 * high - low),
-    )
+    axis = signed_axis("part of the variance", above, whiskers=np.concatenate(list(ends.values())))
     panels = []
     for (name, each), shown in zip(values.items(), above, strict=True):
         largest = float(np.max(np.abs(each), where=np.isfinite(each), initial=0.0))
