@@ -282,6 +282,7 @@ def test_the_first_of_several_channels_is_shown_and_said(make):
     plot = describe("terms", {"x": data})
     assert "99" not in said(plot)
     assert plot.caption.endswith("Shown: channel 0 of 3.")
+    assert [panel.title for panel in plot.panels] == ["channel 0 of 3: x"]
 
 
 def test_spectrum__n_times_power_without_dc(make):

@@ -330,7 +330,7 @@ def cross_matrix(group: Group, styles: Styles) -> Plot:
                     marks=(Image(values=part, x=m, y=m, scale=scale, name=f"{word} part"), *dc),
                     x=Axis(label=f"l{bases[name]}", **ends),  # type: ignore[arg-type]
                     y=Axis(label=f"m{bases[name]}", **ends),  # type: ignore[arg-type]
-                    title=f"{name}: {word}",
+                    title=f"{word}: {name}",
                     square=True,
                     note="" if np.isfinite(part).any() else not_finite(part, group[name]),
                 )
