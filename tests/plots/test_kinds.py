@@ -216,12 +216,73 @@ def test_cross_matrix__only_of_one_dimension(make):
         describe("cross-matrix", {"x": data.assign_coords(m_0=("m", data["m"].values))})
 
 
+def cosine(data):
+    """A result as in a basis without negative frequencies."""
+    m = {"m0": 0, "m1": 1, "m": 0, "l": 0}
+    ends = {d: data[d].values - data[d].values[0] for d in m if d in data.coords}
+    return data.assign_coords(ends).assign_attrs(basis="cosine")
+
+
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        ("contributions", {"dims": 1}),
+        ("contributions", {"dims": 2}),
+        ("cross-matrix", {"matrix": True, "dims": 1}),
+    ],
+)
+def test_frequencies_of_different_bases_are_all_seen_and_named(make, kind, options):
+    data = make["terms"](half_width=3, realizations=20, **options)
+    plot = describe(kind, {"fourier one": data, "cosine one": cosine(data)})
+    assert plot.share in ("", "y")
+    assert {(panel.x.low, panel.x.high) for panel in plot.panels} == {(-3.5, 3.5), (-0.5, 6.5)}
+    assert [("cosine basis" in panel.x.label) for panel in plot.panels] == [
+        "cosine one" in panel.title for panel in plot.panels
+    ]
+    figure = backend_matplotlib.draw(plot)
+    for panel, axes in zip(plot.panels, backend_matplotlib.panel_axes(figure), strict=True):
+        assert axes.get_xlim() == (panel.x.low, panel.x.high)
+        assert axes.get_xlabel() == panel.x.label
+        assert axes.xaxis.label.get_visible()
+    drawn_by_both(plot)
+    same = describe(kind, {"one": data, "other": data})
+    assert same.share == "both"
+    assert "basis" not in said(same)
+
+
+@pytest.mark.parametrize("kind", ["contributions", "spectrum"])
+def test_half_widths_that_differ_keep_their_own_limits(make, kind):
+    make_it = make["terms" if kind == "contributions" else "spectrum"]
+    plot = describe(kind, {f"h{h}": make_it(dims=2, half_width=h) for h in (2, 4)})
+    assert plot.share == ""
+    axes = backend_matplotlib.panel_axes(backend_matplotlib.draw(plot))
+    assert [each.get_xlim() for each in axes] == [(-2.5, 2.5), (-4.5, 4.5)]
+
+
+def test_cross_matrix__large_ones_are_cut_far_from_dc():
+    m = np.arange(300)
+    matrix = xr.DataArray(np.eye(300, dtype=complex), {"m": m, "l": m}, ("m", "l"))
+    data = xr.Dataset({"cross_matrix": matrix}, attrs={"basis": "cosine"})
+    first, _ = describe("cross-matrix", {"x": data}).panels
+    assert (first.x.low, first.x.high) == (-0.5, 256.5)
+
+
+def test_frequencies_have_whole_ticks_and_the_legend_no_colour_of_one_sampler(make):
+    data = make["terms"](dims=1, half_width=2, realizations=20)
+    plot = describe("contributions", {"one": data, "other": data})
+    assert plot.labels == ("power part |fₘ|² Cₘₘ",)
+    for kind in ("contributions", "captured"):
+        for panel in describe(kind, data).panels:
+            assert all(float(tick).is_integer() for tick in panel.x.ticks)
+
+
 def test_the_first_of_several_channels_is_shown_and_said(make):
     data = make["terms"](channels=3, half_width=3, realizations=20)
     data["dc_term"][1:] = 99.0
     plot = describe("terms", {"x": data})
     assert "99" not in said(plot)
     assert plot.caption.endswith("Shown: channel 0 of 3.")
+    assert [panel.title for panel in plot.panels] == ["channel 0 of 3: x"]
 
 
 def test_spectrum__n_times_power_without_dc(make):
@@ -279,6 +340,43 @@ def test_convergence__odd_curves(make, options, words):
     plot = describe("convergence", {"random": make["curve"]("random", **options)})
     assert words in said(plot)
     drawn_by_both(plot)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_convergence__what_is_not_finite_is_said_and_drawn(make, bad):
+    data = make["curve"]("random", zero=(0,))
+    data["variance"][3] = bad
+    plot = describe("convergence", {"random": data})
+    assert "1 of 4 not finite; 1 of 4 at rounding level" in said(plot)
+    drawn_by_both(plot)
+    data["variance"][:] = bad
+    data["variance_ci"][:] = bad
+    plot = describe("convergence", {"random": data})
+    assert "4 of 4 not finite" in said(plot)
+    assert plot.panels[0].note == "no finite variance"
+    drawn_by_both(plot)
+
+
+def test_convergence__no_line_without_intervals(make):
+    data = make["curve"]("random")
+    data["variance_ci"][:] = math.nan
+    plot = describe("convergence", {"random": data})
+    assert not any(
+        line.label.startswith("random") for line in marks(plot, Line) if line.dashes != ":"
+    )
+    drawn_by_both(plot)
+
+
+@pytest.mark.parametrize(("kind", "dims"), [("spectrum", 2), ("lines", 1), ("contributions", 2)])
+def test_spectra_of_no_numbers_are_not_called_infinite(make, kind, dims):
+    data = make["terms" if kind == "contributions" else "spectrum"](dims=dims, half_width=2)
+    empty = data.map(lambda v: v * math.nan, keep_attrs=True)
+    plot = describe(kind, {"x": empty})
+    assert {panel.note for panel in plot.panels} == {"not finite"}
+    drawn_by_both(plot)
+    if kind != "lines":
+        infinite = describe(kind, {"x": empty.assign_attrs(random_level=math.inf)})
+        assert infinite.panels[0].note == "infinite: ∫1/p diverges"
 
 
 def test_convergence__rounding_noise_is_no_variance(make):

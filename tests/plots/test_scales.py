@@ -54,6 +54,31 @@ def test_signed_axis__says_where_it_turns_logarithmic():
     assert far.threshold == pytest.approx(1e-6)
 
 
+@pytest.mark.parametrize("high", [2e-6, 3e-5, 0.02, 1.0, 7e3])
+@pytest.mark.parametrize("low", [-1e-6, -4e-6, -3e-4, -5.0])
+def test_signed_axis__has_ticks_on_both_sides_whose_labels_do_not_touch(low, high):
+    axis = signed_axis("v", [np.array([low, high, 1e-6])])
+    if axis.kind == "signed" and min(-low, high) > axis.threshold / 10:
+        assert min(axis.ticks) < 0 < max(axis.ticks)
+        places = signed_place(np.array(list(axis.ticks)), axis.threshold)
+        # Nothing between 1 and 2 thresholds is farther from 0 than half a decade
+        assert np.diff(places).min() >= (0.6 if min(-low, high) >= 2 * axis.threshold else 0.5)
+
+
+@pytest.mark.parametrize("far", [-4e-5, -0.02, -1e9, -math.inf])
+def test_signed_axis__has_room_and_ticks_for_whiskers(far):
+    bars = np.array([1e-4, 0.03])
+    axis = signed_axis("v", [bars], whiskers=np.array([far, 0.05, math.nan]))
+    assert (axis.kind, axis.threshold) == ("signed", pytest.approx(1e-4))
+    assert axis.high > 0.05
+    if math.isfinite(far):
+        assert axis.low < max(far, -0.03)
+        assert min(axis.ticks) < 0
+    assert axis.low >= -0.06
+    straight = signed_axis("v", [bars + 0.01], whiskers=np.array([0.02]))
+    assert straight == signed_axis("v", [bars + 0.01])
+
+
 def test_nothing_to_show_is_a_zero():
     assert list(signed_axis("v", [NOTHING]).ticks) == [0.0]
     assert (signed_scale("v", [NOTHING]).low, signed_scale("v", [NOTHING]).high) == (-1.0, 1.0)

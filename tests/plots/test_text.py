@@ -98,6 +98,12 @@ def test_shorten__one_line_of_at_most_the_length() -> None:
     assert long.endswith("end")
 
 
+def test_shorten__words_stay_whole_where_little_is_lost() -> None:
+    text = "stratified(jitter=uniform) | shift(kind=patterson) | homogenize"
+    assert shorten(text, 50) == "stratified(jitter=uniform) |…) | homogenize"
+    assert all(len(shorten(text, length)) <= length for length in range(2, 60))
+
+
 def test_slug() -> None:
     assert slug('A <"b"> & c_1.5') == "a-b-c-1.5"
     assert slug("日本") == "x"

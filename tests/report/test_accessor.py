@@ -98,6 +98,39 @@ def test_wrong_numbers_of_axes_and_of_figures_are_refused():
             data.mcspectra.plot(axes=axes)
 
 
+def test_ax_is_axes_of_one_panel():
+    data = RESULTS["convergence"]()
+    one = Figure().subplots()
+    assert data.mcspectra.plot(ax=one) is one
+    assert one.has_data()
+    with pytest.raises(ParameterError, match="axes and ax are the same"):
+        data.mcspectra.plot(axes=one, ax=one)
+    with pytest.raises(ParameterError, match=r"Give axes by name: plot\(axes=\.\.\.\)"):
+        data.mcspectra.plot(one)
+    with pytest.raises(ParameterError, match="2 matplotlib Axes of one figure"):
+        RESULTS["warp"]().mcspectra.plot(ax=one)
+
+
+@pytest.mark.parametrize("samplers", [["random", "jittered"], ["random", "jittered", "sobol"]])
+def test_the_legend_in_given_axes_covers_no_curve(samplers):
+    data = mcs.convergence("gaussian", samplers, [16, 64, 256], **FAST)
+    for size in ((9, 3.6), (5, 2.6)):
+        figure = Figure(figsize=size)
+        left, _ = figure.subplots(1, 2)
+        data.mcspectra.plot(axes=left)
+        figure.canvas.draw()
+        box = left.get_legend().get_window_extent()
+        for line in left.lines:
+            path = line.get_transform().transform_path(line.get_path())
+            assert not path.intersects_bbox(box, filled=False)
+
+
+def test_the_figure_says_which_channel_is_shown():
+    data = mcs.convergence("environment", ["random", "jittered"], [16, 64], **FAST)
+    axes = data.mcspectra.plot()
+    assert "channel 0 of 3" in axes.get_title("left") + axes.get_title()
+
+
 def test_several_estimators_are_drawn_by_name():
     data = mcs.convergence(["disk", "gaussian"], ["jittered", "random"], [16, 64], **FAST)
     shown = [t.get_text() for t in data.mcspectra.plot().figure.legends[0].get_texts()]

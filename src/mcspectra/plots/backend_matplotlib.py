@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure
+    from matplotlib.legend import Legend
 
 __all__ = ["FORMATS", "GivenAxes", "draw", "encode", "panel_axes", "write"]
 
@@ -55,6 +56,7 @@ _NARROW, _WIDE = 4.9, 7.4  # inches: up to two panels abreast, and more or a wid
 _LEAST_SIDE, _LARGEST_SQUARE = 2.3, 3.4  # inches, of a panel of many, and of one alone
 _LABEL, _SMALL = 8.5, 7.5  # points
 _LETTER = 0.062  # inches, the mean width of a small letter
+_TITLE_LETTER = 0.075  # inches, of a title
 _DPI, _PDF_DPI = 120, 200  # of pictures, and of images within a PDF, where all else is vectors
 _MOST_VECTORS = 5000  # points; more make a file large and slow to open
 _COLORS = 256  # of a picture, a third of the size and for flat colours no visible difference
@@ -294,7 +296,7 @@ def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
     room = axes.get_window_extent().width / axes.figure.dpi
     if panel.title:
         # A fixed y: looking for a free one takes longer than all the rest of the layout
-        text = _plain(shorten(panel.title, max(int(room / _LETTER), 12)))
+        text = _plain(shorten(panel.title, max(int(room / _TITLE_LETTER), 12)))
         left = room > 0.6 * _NARROW
         axes.set_title(
             text, loc="left" if left else "center", fontsize=_LABEL, color=INK, pad=4, y=1.0
@@ -556,12 +558,34 @@ def _legend(figure: Figure, given: Axes | None, plot: Plot) -> None:
     handles = [_handle(marks) for marks in entries.values()]
     texts = [_plain(label) for label in entries]
     if given is not None:
-        given.legend(handles, texts, **options)
+        legend = given.legend(handles, texts, loc="best", **options)
+        if _covers(legend, given):
+            _raise_top(given, (1.5 * len(handles) + 1.5) * _SMALL / 72)
         return
     columns = min(_legend_columns(entries, figure.get_figwidth()), len(entries))
     figure.legend(
         handles, texts, loc="outside lower center", ncols=columns, handlelength=1.8, **options
     )
+
+
+def _covers(legend: Legend, axes: Axes) -> bool:
+    """Whether a legend in the axes lies on lines or whiskers."""
+    from matplotlib.collections import LineCollection
+
+    box = legend.get_window_extent()
+    drawn = [line.get_transform().transform_path(line.get_path()) for line in axes.lines]
+    for each in axes.collections:
+        if isinstance(each, LineCollection):
+            drawn += [each.get_transform().transform_path(path) for path in each.get_paths()]
+    return any(path.intersects_bbox(box, filled=False) for path in drawn)
+
+
+def _raise_top(axes: Axes, inches: float) -> None:
+    """Leave so much room above what is drawn, at most half the axes."""
+    scale = axes.yaxis.get_transform()
+    bottom, top = scale.transform(np.array(axes.get_ylim()))
+    kept = max(1.0 - inches * axes.figure.dpi / axes.get_window_extent().height, 0.5)
+    axes.set_ylim(top=float(scale.inverted().transform(bottom + (top - bottom) / kept)))
 
 
 def _handle(marks: list[Mark | str]) -> Any:

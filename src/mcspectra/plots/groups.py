@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots.description import Line
+from mcspectra.plots.description import Line, Panel
 from mcspectra.plots.style import LineStyle, labels, line_widths
 from mcspectra.plots.text import interval, number
 
@@ -28,8 +28,10 @@ __all__ = [
     "intervals",
     "labelled",
     "lines_of",
+    "not_finite",
     "numbers",
     "pairs",
+    "shared",
     "variant_dims",
 ]
 
@@ -114,6 +116,15 @@ def abreast(count: int) -> int:
     return -(-count // -(-count // 3))
 
 
+def shared(panels: Sequence[Panel]) -> Literal["", "x", "y", "both"]:
+    """Return which axes all panels have alike, and thus in common: others keep limits of their own."""
+    x, y = (
+        all(axis == axes[0] for axis in axes)
+        for axes in zip(*((p.x, p.y) for p in panels), strict=True)
+    )
+    return "both" if x and y else "x" if x else "y" if y else ""
+
+
 def for_each(group: Group, words: Callable[[xr.Dataset], str]) -> str:
     """Return what is said of each result, after its name."""
     return "; ".join(f"{name}: {words(each)}" for name, each in group.items()) + "."
@@ -164,6 +175,17 @@ def lines_of(
 def numbers(values: Array | Iterable[float], digits: int = 4) -> list[str]:
     """Return values as text."""
     return [number(float(value), digits) for value in values]
+
+
+def not_finite(values: Array | float, data: xr.Dataset | None = None) -> str:
+    """Return what stands for values that are all not finite: infinite ones come of a density.
+
+    Where `data` are given, their terms and ∫1/p say so for values that are no numbers.
+    """
+    known = [] if data is None else [data[t].values for t in ("dc_term", "power_term") if t in data]
+    level = 0.0 if data is None else float(data.attrs.get("random_level", 0.0))
+    infinite = any(np.isinf(v).any() for v in (values, level, *known))
+    return "infinite: ∫1/p diverges" if infinite else "not finite"
 
 
 def intervals(ends: Array, digits: int = 4) -> list[str]:

@@ -116,4 +116,9 @@ def describe(kind: str, data: Data, styles: Styles | None = None) -> Plot:
                 f"{kind!r} shows {chosen.dims}: use 'radial' for any number of dims."
             )
     plot = chosen.describe(group, styles or sampler_styles(list(group)))
-    return replace(plot, caption=f"{plot.caption} {note}".strip())
+    if not note:
+        return plot
+    shown = note.removeprefix("Shown: ").rstrip(".")
+    titles = [f"{shown}: {panel.title}" if panel.title else shown for panel in plot.panels]
+    panels = tuple(replace(p, title=t) for p, t in zip(plot.panels, titles, strict=True))
+    return replace(plot, panels=panels, caption=f"{plot.caption} {note}")

@@ -12,7 +12,7 @@ import numpy as np
 from mcspectra.core.checks import Array, as_real
 from mcspectra.core.errors import ParameterError
 from mcspectra.plots.description import Axis, Image, Panel, Pixels, Plot, Scale
-from mcspectra.plots.groups import Group, Styles, abreast
+from mcspectra.plots.groups import Group, Styles, abreast, shared
 from mcspectra.plots.scales import log_scale
 from mcspectra.plots.style import PALETTE
 from mcspectra.plots.text import number, percent
@@ -78,7 +78,7 @@ def _map(
         words=f"Map of {x.size} × {y.size} pixels for {', '.join(group)}: "
         f"{_map_words(every[np.isfinite(every)], found)}. {caption}",
         height=float(np.clip(y.size / x.size, 0.1, 2.0)),
-        share="both",
+        share=shared(panels),
         wide=True,
     )
 

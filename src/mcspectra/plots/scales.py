@@ -23,10 +23,13 @@ __all__ = [
     "signed_scale",
     "tick_label",
     "unit_axis",
+    "whole_ticks",
 ]
 
 _LINEAR_SPAN = 30.0  # up to this ratio of largest to smallest, a linear scale shows both
 _NEAR_ZERO = 0.5  # decades that the linear part of a signed scale takes on either side
+_APART = 0.6  # decades between ticks of a signed scale, whose labels would touch
+_SEEN = 0.1  # of the threshold; below, nothing is seen to stand off 0
 _SHORT = 1.6  # decades; below, powers of ten alone are too few ticks
 _MOST_DECADES = 6  # below 10^-6 of the largest value nothing is told apart
 _NOTHING = 1e-9  # of the largest value of all: an array below it shows nothing
@@ -76,17 +79,35 @@ def unit_axis(label: str) -> Axis:
     return Axis(label=label, low=0.0, high=1.0, ticks={0.0: "0", 1.0: "1"})
 
 
-def signed_axis(label: str, values: Sequence[Array], most: int = 7) -> Axis:
+def whole_ticks(low: float, high: float, most: int = 6) -> dict[float, str]:
+    """Return ticks in [low, high] at whole numbers."""
+    steps = _round_steps(low, high, most)
+    return {tick: tick_label(tick) for tick in steps if float(tick).is_integer()}
+
+
+def signed_axis(
+    label: str, values: Sequence[Array], most: int = 7, *, whiskers: Array | None = None
+) -> Axis:
     """Return an axis of signed values: linear where it shows the smallest, else logarithmic.
 
-    The label says beyond which size it is logarithmic.
+    The label says beyond which size it is logarithmic. Finite ends of `whiskers` have room, but no
+    more than as much again as the values take.
     """
     low, high, threshold = _signed_range(values, _MOST_DECADES)
+    if whiskers is not None:
+        ends, room = whiskers[np.isfinite(whiskers)], high - low
+        low = min(low, max(float(ends.min(initial=0.0)), low - room))
+        high = max(high, min(float(ends.max(initial=0.0)), high + room))
     if not threshold:
         pad = 0.06 * (high - low) or 1.0
         ticks = {t: tick_label(t) for t in _round_steps(low, high, most - 2)}
         low = low - pad if low < 0 or low == high else low
         return Axis(label=label, low=low, high=high + pad, ticks=ticks)
+    # What lies within the linear part reads off its end
+    low, high = (
+        math.copysign(threshold, end) if _SEEN * threshold < abs(end) < threshold else end
+        for end in (low, high)
+    )
     return Axis(
         label=f"{label}   ({_threshold_note(threshold)})",
         kind="signed",
@@ -192,15 +213,18 @@ def _threshold_note(threshold: float) -> str:
 
 
 def _signed_ticks(low: float, high: float, threshold: float, most: int) -> list[float]:
-    """0 and ± powers of ten from the threshold to either end, at most about `most`."""
+    """0 and ± powers of ten to either end, at most about `most`; a side has one at least."""
     reach = [max(end, 0.0) for end in (-low, high)]
     spans = [max(math.log10(r / threshold), 0.0) if r >= threshold else -1.0 for r in reach]
     stride = max(1, math.ceil(sum(span + 1 for span in spans) / most))
     ticks = [0.0]
-    for sign, span in zip((-1.0, 1.0), spans, strict=True):
+    for sign, end, span in zip((-1.0, 1.0), reach, spans, strict=True):
         # Count down from the largest power, so that the end of the axis is labelled
-        exponents = range(math.floor(span + 1e-9), -1, -stride)
-        ticks += [sign * threshold * 10.0**e for e in exponents if e > 0 or stride == 1]
+        sizes = [threshold * 10.0**e for e in range(math.floor(span + 1e-9), -1, -stride)]
+        if len(sizes) == 1 and end < 10 * threshold:
+            sizes = [next(s * threshold for s in (5, 2, 1) if s * threshold <= end * (1 + 1e-9))]
+        clear = [s for s in sizes if signed_place(np.array(s), threshold) >= _APART]
+        ticks += [sign * size for size in clear or sizes[:1]]
     return sorted(ticks)
 
 

@@ -33,9 +33,11 @@ from mcspectra.plots.groups import (
     for_each,
     frequency_dims,
     lines_of,
+    not_finite,
     numbers,
+    shared,
 )
-from mcspectra.plots.scales import log_axis, signed_axis, signed_scale
+from mcspectra.plots.scales import log_axis, signed_axis, signed_scale, whole_ticks
 from mcspectra.plots.style import FAINT, GRAY, INK
 from mcspectra.plots.text import number, percent
 
@@ -60,7 +62,6 @@ _LINEAR_TOP = 12.0  # up to here lines are shown on a linear axis
 _MOST_NUMBERS, _MOST_NAMES = 7, 13  # numbers and names of bands along an axis
 _MOST_ENTRIES = 257  # entries a side of a matrix; more are not told apart
 _LEVEL = "the expected power over that of random points (∫1/p / n); m = 0 is left out."
-_INFINITE = "infinite: ∫1/p diverges"
 
 
 def spectrum(group: Group, styles: Styles) -> Plot:
@@ -69,7 +70,7 @@ def spectrum(group: Group, styles: Styles) -> Plot:
     images = {name: relative_power(each) for name, each in group.items()}
     # The scale ends at 2, or where all but 1 % of the frequencies stay below
     every = np.concatenate([np.ravel(values) for values in images.values()])
-    top = max(2.0, float(np.nanpercentile(every, 99.0)))
+    top = max(2.0, float(np.percentile(np.append(0.0, every[np.isfinite(every)]), 99.0)))
     scale = Scale(label=_power_label(group), low=0.0, high=top, beyond=True)
     panels = [
         frequency_map(name, group[name], values, scale, "power") for name, values in images.items()
@@ -82,7 +83,7 @@ def spectrum(group: Group, styles: Styles) -> Plot:
         words="Images of the power over the frequencies m₀ and m₁. "
         + for_each(group, _power_words),
         height=1.0,
-        share="both",
+        share=shared(panels),
     )
 
 
@@ -161,43 +162,46 @@ def contributions(group: Group, styles: Styles) -> Plot:
         for t in range(techniques)
         for one in [each.isel(technique=t) if "technique" in each.dims else each]
     ]
-    panels = []
+    panels, bases = [], _bases(group)
     if dims == 2:
         values = [one["contribution"].transpose("m0", "m1").values for *_, one in parts]
         scale = signed_scale("contribution cₘ", values)
-        for (title, _, one), each in zip(parts, values, strict=True):
+        for (title, name, one), each in zip(parts, values, strict=True):
             power = one["power_contribution"].transpose("m0", "m1").values
-            panels.append(frequency_map(title, one, each, scale, "contribution", power))
+            panel = frequency_map(title, one, each, scale, "contribution", power)
+            x = replace(panel.x, label=f"{panel.x.label}{bases[name]}")
+            panels.append(replace(panel, x=x))
     else:
         curves = [_by_frequency(one) for *_, one in parts]
         label = "cₘ" if dims == 1 else "Σ cₘ in the shell"
         axis = signed_axis(label, [values for _, *both in curves for values in both], 6)
-        for (title, name, _), (m, total, power) in zip(parts, curves, strict=True):
+        for (title, name, one), (m, total, power) in zip(parts, curves, strict=True):
             shown = {
                 "sampler": [title] * m.size,
                 "m" if dims == 1 else "|m|": numbers(m),
                 "contribution": numbers(total),
                 "power part": numbers(power),
             }
-            area, bars = "power part |fₘ|² Cₘₘ", "contribution cₘ"
+            low, high = float(m[0]) - 0.5, float(m[-1]) + 0.5
+            below = "frequency m" if dims == 1 else "shell |m| (rounded)"
             marks = (
                 Line(x=m, y=power, low=np.zeros(m.size), high=power, color=FAINT, width=0.0,
-                     step=True, label=area),
-                Bars(at=m, value=total, color=styles[name].color, thickness=0.0, hover=shown,
-                     label=bars),
+                     step=True, label="power part |fₘ|² Cₘₘ"),
+                Bars(at=m, value=total, color=styles[name].color, thickness=0.0, hover=shown),
                 Rule(at=0.0, width=0.6),
             )  # fmt: skip
             panels.append(
                 Panel(
                     marks=marks,
                     x=Axis(
-                        label="frequency m" if dims == 1 else "shell |m| (rounded)",
-                        low=float(m[0]) - 0.5,
-                        high=float(m[-1]) + 0.5,
+                        label=f"{below}{bases[name]}",
+                        low=low,
+                        high=high,
+                        ticks=whole_ticks(low, high),
                     ),
                     y=axis,
                     title=title,
-                    note="" if np.isfinite(total).any() else _INFINITE,
+                    note="" if np.isfinite(total).any() else not_finite(total, one),
                 )
             )
     what = {1: "at each frequency m", 2: "of each frequency (m₀, m₁)"}.get(
@@ -213,7 +217,7 @@ def contributions(group: Group, styles: Styles) -> Plot:
         words="Signed contribution of each frequency to the variance. "
         + for_each(group, _peak_words),
         height=1.0 if dims == 2 else 0.75 if len(panels) > 1 else 0.5,
-        share="both",
+        share=shared(panels),
     )
 
 
@@ -277,7 +281,7 @@ def bands(group: Group, styles: Styles) -> Plot:
                 y=Axis(label=f"band a{unit}", low=-0.5, high=count - 0.5, ticks=ticks),
                 title=name,
                 square=True,
-                note="" if finite else _INFINITE,
+                note="" if finite else not_finite(matrix, group[name]),
             )
         )
     first = next(iter(group.values()))
@@ -308,12 +312,13 @@ def cross_matrix(group: Group, styles: Styles) -> Plot:
                 "The cross matrix is drawn for one-dimensional results of one technique only; draw "
                 "contributions or bands."
             )
-        # Around dc, as large as a panel can show
-        cut = max(matrix.sizes["m"] - _MOST_ENTRIES, 0) // 2
-        inside: Any = slice(cut, matrix.sizes["m"] - cut)
+        # Around dc, as large as a panel can show; without negative frequencies, from dc on
+        m = matrix["m"].values
+        start = max(m.size - _MOST_ENTRIES, 0) // 2 if m[0] < 0 else 0
+        inside: Any = slice(start, m.size - start if m[0] < 0 else _MOST_ENTRIES)
         inner[name] = matrix.isel(m=inside, l=inside)
     scale = signed_scale("conj(fₘ) fₗ Cₘₗ", [matrix.values.real for matrix in inner.values()])
-    panels = []
+    panels, bases = [], _bases(group)
     for name, matrix in inner.items():
         m = matrix["m"].values.astype(float)
         ends = {"low": float(m[0]) - 0.5, "high": float(m[-1]) + 0.5, "ticks": _frequency_ticks(m)}
@@ -323,11 +328,11 @@ def cross_matrix(group: Group, styles: Styles) -> Plot:
             panels.append(
                 Panel(
                     marks=(Image(values=part, x=m, y=m, scale=scale, name=f"{word} part"), *dc),
-                    x=Axis(label="l", **ends),  # type: ignore[arg-type]
-                    y=Axis(label="m", **ends),  # type: ignore[arg-type]
-                    title=f"{name}: {word}",
+                    x=Axis(label=f"l{bases[name]}", **ends),  # type: ignore[arg-type]
+                    y=Axis(label=f"m{bases[name]}", **ends),  # type: ignore[arg-type]
+                    title=f"{word}: {name}",
                     square=True,
-                    note="" if np.isfinite(part).any() else _INFINITE,
+                    note="" if np.isfinite(part).any() else not_finite(part, group[name]),
                 )
             )
     return Plot(
@@ -339,7 +344,7 @@ def cross_matrix(group: Group, styles: Styles) -> Plot:
         words="Real and imaginary parts of the cross matrix, with the diagonal m = l and the row and "
         f"column of dc marked, for {', '.join(group)}.",
         height=1.0,
-        share="both",
+        share=shared(panels),
     )
 
 
@@ -403,6 +408,13 @@ def modes(group: Group, styles: Styles) -> Plot:
     )
 
 
+def _bases(group: Group) -> dict[str, str]:
+    """What labels of frequencies add by name: the basis where there are several."""
+    found = {name: str(each.attrs.get("basis", "fourier")) for name, each in group.items()}
+    several = len(set(found.values())) > 1
+    return {name: f" ({basis} basis)" if several else "" for name, basis in found.items()}
+
+
 def relative_power(data: xr.Dataset) -> Array:
     """Return n · power over that of random points, (m0, m1, …), with NaN at m = 0."""
     names = frequency_dims(data)
@@ -437,7 +449,8 @@ def _power_panel(
     under = (axis.label.partition(" ")[0], "power")
     marks: list[Mark] = [Rule(at=1.0), *lines_of(shown, styles, under, texts=hover)]
     power = log_axis("", max(low, _FLOOR), top) if logarithmic else Axis(low=0.0, high=1.08 * top)
-    return Panel(marks=tuple(marks), x=axis, y=power, grid=True)
+    note = "" if every.size else "not finite"
+    return Panel(marks=tuple(marks), x=axis, y=power, grid=True, note=note)
 
 
 def frequency_map(
@@ -461,7 +474,7 @@ def frequency_map(
         y=y,
         title=title,
         square=True,
-        note="" if np.isfinite(values).any() else _INFINITE,
+        note="" if np.isfinite(values).any() else not_finite(values, data),
     )
 
 
@@ -518,7 +531,7 @@ def _peak_words(data: xr.Dataset) -> str:
     """Where the contribution is largest; of ±m, which are equal, the later one."""
     values = data["contribution"]
     if not np.isfinite(values.values).any():
-        return "infinite"
+        return not_finite(values.values, data)
     flat = np.abs(np.nan_to_num(values.values)).ravel()
     place = np.unravel_index(len(flat) - 1 - int(np.argmax(flat[::-1])), values.shape)
     at = [
@@ -527,7 +540,8 @@ def _peak_words(data: xr.Dataset) -> str:
         if str(d) in frequency_dims(data)
     ]
     peak = number(float(values.values[place]))
-    return f"largest, {peak}, at m = ±({', '.join(at)})".replace("-", "−")
+    sign = "±" if any((data[m].values < 0).any() for m in frequency_dims(data)) else ""
+    return f"largest, {peak}, at m = {sign}({', '.join(at)})".replace("-", "−")
 
 
 def _band_words(data: xr.Dataset) -> str:

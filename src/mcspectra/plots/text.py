@@ -101,12 +101,23 @@ def percent(fraction: float) -> str:
 
 
 def shorten(text: str, length: int = 30) -> str:
-    """Return one line of at most `length` characters, the middle of a longer text left out."""
+    """Return one line of at most `length` characters, the middle of a longer text left out.
+
+    Words stay whole where that costs no more than a third of either part.
+    """
     line = " ".join(text.split())
     if len(line) <= length:
         return line
     head = (length - 1) * 2 // 3
-    return f"{line[:head]}…{line[len(line) - (length - 1 - head) :]}"
+    rest = len(line) - (length - 1 - head)
+    start, end = line[:head], line[rest:]
+    if re.match(r"\w\w", line[head - 1 : head + 1]):
+        whole = re.sub(r"\w+$", "", start)
+        start = whole if 3 * len(whole) >= 2 * len(start) else start
+    if re.match(r"\w\w", line[rest - 1 : rest + 1]):
+        whole = re.sub(r"^\w+", "", end)
+        end = whole if 3 * len(whole) >= 2 * len(end) else end
+    return f"{start.rstrip()}…{end.lstrip()}"
 
 
 def slug(text: str) -> str:

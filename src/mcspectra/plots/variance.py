@@ -12,8 +12,24 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.plots.description import Axis, Bars, Dots, Line, Mark, Panel, Plot, Rule
-from mcspectra.plots.groups import Group, Styles, abreast, for_each, intervals, lines_of, numbers
-from mcspectra.plots.scales import count_axis, linear_axis, log_axis, name_axis, signed_axis
+from mcspectra.plots.groups import (
+    Group,
+    Styles,
+    abreast,
+    for_each,
+    intervals,
+    lines_of,
+    not_finite,
+    numbers,
+)
+from mcspectra.plots.scales import (
+    count_axis,
+    linear_axis,
+    log_axis,
+    name_axis,
+    signed_axis,
+    whole_ticks,
+)
 from mcspectra.plots.style import (
     ACCENT,
     GRAY,
@@ -52,13 +68,12 @@ _TERMS = {
 _LINEAR_TOP = 4.0  # captured shares up to here are shown on a linear axis
 _VERDICTS = {"better": "#009E73", "worse": ACCENT, "given": INK}
 _CURVE = ("variance", "variance_ci", "rate", "rate_ci")
-_INFINITE = "infinite: ∫1/p diverges"
 
 
 def convergence(group: Group, styles: Styles) -> Plot:
     """Variance against n with intervals, fitted lines and rates; dotted, n⁻¹.
 
-    Variances that are zero or rounding noise are left out and counted in the legend.
+    Variances that are not finite, zero or rounding noise are left out and counted in the legend.
     """
     names = labels(list(group), 44)
     curves = [
@@ -70,7 +85,11 @@ def convergence(group: Group, styles: Styles) -> Plot:
         panels=(_variance_panel([*_reference(group), *curves], group.values()),),
         caption="Variance against the number of points, with 95 % intervals, fitted lines and their "
         "rates; dotted, the rate of random sampling."
-        + (" Variances of zero or of rounding size are left out." if left_out else ""),
+        + (
+            " Variances that are not finite, zero or of rounding size are left out."
+            if left_out
+            else ""
+        ),
         words="Logarithmic plot of variance against n. " + for_each(group, _rate_words),
     )
 
@@ -152,20 +171,11 @@ def terms(group: Group, styles: Styles) -> Plot:
         for n, d in group.items()
     }
     above = [_above_rounding(each) for each in values.values()]
-    axis = signed_axis("part of the variance", above)
-    # Make room for the ends of intervals, but no more than as much again as the bars take
-    finite = np.concatenate(list(ends.values()))
-    finite = finite[np.isfinite(finite)]
-    low, high = axis.low or 0.0, axis.high or 0.0
-    axis = replace(
-        axis,
-        low=max(min(low, 1.05 * float(finite.min(initial=0.0))), 2 * low - high),
-        high=min(max(high, 1.05 * float(finite.max(initial=0.0))), 2 * high - low),
-    )
+    axis = signed_axis("part of the variance", above, whiskers=np.concatenate(list(ends.values())))
     panels = []
     for (name, each), shown in zip(values.items(), above, strict=True):
         largest = float(np.max(np.abs(each), where=np.isfinite(each), initial=0.0))
-        texts = [_INFINITE if math.isinf(v) else number_beside(v, largest) for v in each]
+        texts = [number_beside(v, largest) if math.isfinite(v) else not_finite(v) for v in each]
         whiskers = np.where((shown != 0)[:, None], ends[name], np.nan)
         rows, opacities = list(_TERMS.values()), (0.35, 0.35, 0.35, 0.75, 1.0)
         color = styles[name].color
@@ -207,7 +217,8 @@ def captured(group: Group, styles: Styles) -> Plot:
         else Axis(label=label, low=0.0, high=max(1.1, 1.08 * top))
     )
     widest = max(float(each["half_width"].values[-1]) for each in group.values())
-    below = Axis(label="half width of the spectrum", low=0.0, high=1.03 * widest)
+    ticks = whole_ticks(0.0, widest)
+    below = Axis(label="half width of the spectrum", low=0.0, high=1.03 * widest, ticks=ticks)
     panel = Panel(marks=tuple(marks), x=below, y=axis, grid=True)
     return Plot(
         kind="captured",
@@ -471,12 +482,15 @@ def _variance_panel(marks: Sequence[Mark], results: Iterable[xr.Dataset]) -> Pan
     every = np.concatenate(ends)
     every = every[np.isfinite(every) & (every > 0)]
     axis = log_axis("variance", *_ends(every))
+    finite = any(np.isfinite(data["variance"].values).any() for data in each)
     return Panel(
         marks=tuple(marks),
         x=count_axis("number of points n", counts),
         y=axis if every.size else replace(axis, ticks={}),
         grid=True,
-        note="" if every.size else "no variance above rounding noise",
+        note=""
+        if every.size
+        else f"no {'variance above rounding noise' if finite else 'finite variance'}",
     )
 
 
@@ -530,7 +544,9 @@ def _curve(data: xr.Dataset, style: LineStyle, name: str, *, joined: bool = Fals
     fitted = used & (np.arange(used.size) >= used.size - last)
     x, y = np.log(data["n"].values[fitted]), np.log(data["variance"].values[fitted])
     low, high = np.log(data["variance_ci"].values[fitted]).T
-    weight = (2 * CONFIDENCE_Z / np.maximum(high - low, 1e-12)) ** 2
+    weight = np.nan_to_num((2 * CONFIDENCE_Z / np.maximum(high - low, 1e-12)) ** 2)
+    if not weight.any():
+        return [dots]
     centre, level = np.average(x, weights=weight), np.average(y, weights=weight)
     at = x[[0, -1]]
     return [
@@ -562,10 +578,14 @@ def _reference(group: Group) -> list[Mark]:
 
 
 def _rate_text(data: xr.Dataset) -> str:
-    text = rate(float(data["rate"]), *(float(end) for end in data["rate_ci"].values))
-    used = usable_counts(data)
-    note = "" if used.all() else f"; {int((~used).sum())} of {used.size} at rounding level"
-    return (text if text != MISSING else "(no rate)") + note
+    text, notes = rate(float(data["rate"]), *map(float, data["rate_ci"].values)), ""
+    used, finite = usable_counts(data), np.isfinite(data["variance"].values)
+    for words, count in (
+        ("not finite", int((~finite).sum())),
+        ("at rounding level", int((finite & ~used).sum())),
+    ):
+        notes += f"; {count} of {used.size} {words}" if count else ""
+    return (text if text != MISSING else "(no rate)") + notes
 
 
 def _above_rounding(values: Array) -> Array:

@@ -42,7 +42,9 @@ class Result:
         """Kinds of figures that this result can be drawn as, the one of `plot` first."""
         return kinds_of(self._data)
 
-    def plot(self, kind: str | None = None, *, axes: GivenAxes = None) -> Axes | list[Axes]:
+    def plot(
+        self, kind: str | None = None, *, axes: GivenAxes = None, ax: Axes | None = None
+    ) -> Axes | list[Axes]:
         """Draw the result: a notebook shows the figure, ``plt.savefig`` writes it.
 
         Parameters
@@ -52,6 +54,8 @@ class Result:
         axes
             Matplotlib axes to draw into, one or as many as the figure has panels; new ones by
             default.
+        ax
+            The same for a figure of one panel, by the name that pandas and xarray have for it.
 
         Returns
         -------
@@ -61,7 +65,8 @@ class Result:
         Raises
         ------
         ParameterError
-            This result cannot be drawn, not as that kind, or `axes` are not as many as are needed.
+            This result cannot be drawn, not as that kind, `axes` are not as many as are needed, or
+            both `axes` and `ax` are given.
 
         Examples
         --------
@@ -70,6 +75,14 @@ class Result:
         >>> curve.mcspectra.plot().get_ylabel()
         'variance'
         """
+        if not isinstance(kind, str | None):
+            raise ParameterError(
+                f"kind is {kind!r:.80}; it is one of {', '.join(self.kinds)}. Give axes by name: "
+                "plot(axes=...)."
+            )
+        if axes is not None and ax is not None:
+            raise ParameterError("axes and ax are the same; give one of them.")
+        axes = ax if axes is None else axes
         figure = draw(describe(self._chosen(kind), self._data), axes, pyplot=axes is None)
         given = axes if isinstance(axes, list | tuple) else getattr(axes, "flat", [axes])
         panels: list[Any] = panel_axes(figure) if axes is None else list(given)
