@@ -70,7 +70,7 @@ def _move(page: Any, pid: int) -> tuple[float, float, float]:
 
 def _wait(page: Any) -> None:
     """Wait for the end of all rounds."""
-    page.get_by_text("A Done.").wait_for()
+    page.get_by_text("A: Done.").wait_for()
 
 
 @contextmanager

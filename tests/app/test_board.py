@@ -70,3 +70,22 @@ def test_headings_name_the_side_of_a_pair(board: Board) -> None:
     assert heading.text == "<h2>A: Points</h2>"
     board.pair(False)
     assert heading.text == "<h2>Points</h2>"
+
+
+def test_panels_of_the_integrand_are_smaller_in_a_pair(board: Board) -> None:
+    shown(board, SMALL)
+    panels = board.cards["integrand"].drawn.model.children
+    alone = [panel.frame_width for panel in panels]
+    board.pair(True)
+    assert all(panel.frame_width < alone[0] for panel in panels)
+    assert [panel.left[0].visible for panel in panels] == [True, False, False]
+    board.pair(False)
+    assert [panel.frame_width for panel in panels] == alone
+    assert all(panel.left[0].visible for panel in panels)
+
+
+def test_what_is_refused_leaves_grey_figures_and_no_numbers(board: Board) -> None:
+    shown(board, SMALL)
+    board.refuse("n is -5; give another.")
+    assert board.latest == {}
+    assert all(is_grey(board, kind) for kind in board.cards)

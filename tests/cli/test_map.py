@@ -66,6 +66,9 @@ def test_pictures_and_page(made: tuple[Path, xr.Dataset]) -> None:
     for kind in kinds:
         assert (folder / f"{kind}.png").read_bytes().startswith(b"\x89PNG")
     assert "All pixels have the same points, so their errors are alike" in page
+    assert "<h1>Variance map of " in page
+    assert "light sampling" in page
+    assert not any(raw in page for raw in ("stream_key", "labels_strategy", "estimator_name"))
     assert "http" not in page.replace("http-equiv", "")
     assert page.count("data:image/png;base64,") == len(kinds)
     assert not list(folder.glob(".*"))

@@ -6,6 +6,7 @@ import base64
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,23 @@ def page(evil: str = EVIL, live: bool = False) -> Page:
     first = Section(title=evil, anchor="a", blocks=blocks, beside=evil, mark="no", fresh=True)
     second = Section(title="b", anchor="b", blocks=(), code=True)
     return Page(title=evil, what="test", lead=(Text(text=evil),), sections=(first, second))
+
+
+def test_regions_have_distinct_labels(tmp_path: Path) -> None:
+    """Two tables alike, in one section and in another."""
+    table = Table(caption="Rates.", columns=("Name",), rows=(text_cells("a"),))
+    sections = [Section(title=t, anchor=t, blocks=(table, table)) for t in ("one", "two")]
+    file = write_page(Page(title="p", what="test", sections=tuple(sections)), tmp_path / "x.html")
+    found = [each["aria-label"] for each in Parsed(file.read_text("utf-8")).all("div")]
+    assert found == ["one: Rates.", "one: Rates. (2)", "two: Rates.", "two: Rates. (2)"]
+
+
+@pytest.mark.parametrize(("count", "classes"), [(1, "wide"), (2, "wide abreast")])
+def test_panels_abreast_alone_scroll_on_a_phone(tmp_path: Path, count: int, classes: str) -> None:
+    wide = replace(plot(), panels=plot().panels * count, columns=2, wide=True)
+    section = Section(title="a", anchor="a", blocks=(Figures(figures=(Figure(plot=wide),)),))
+    file = write_page(Page(title="p", what="test", sections=(section,)), tmp_path / "x.html")
+    assert Parsed(file.read_text("utf-8")).all("figure") == [{"class": classes}]
 
 
 def test_all_text_is_escaped_and_all_tags_close(tmp_path: Path) -> None:

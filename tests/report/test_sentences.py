@@ -202,10 +202,22 @@ def test_the_cross_term_follows_its_own_interval() -> None:
         ({"predicted": 0.5, "measured": 0.5}, "Correlation removes 50 % of dc + power."),
         ({"predicted": 1.5, "measured": 1.5}, "Correlation adds 50 % to dc + power."),
         ({}, "Prediction agrees."),
+        (
+            {"predicted": 1.18, "power": 1.18, "width": 1.3},
+            "Predicts 118 %, but its interval holds 100 %.",
+        ),
     ],
 )
 def test_one_sentence_says_why_a_prediction_is_off(options: Any, words: str) -> None:
     assert headline(*case(**options)).startswith(words)
+
+
+@pytest.mark.parametrize("predicted", [0.5, 0.85, 0.95, 1.0, 1.08, 1.18, 3.0])
+@pytest.mark.parametrize("width", [1.01, 1.3])
+def test_sentence_and_headline_agree_on_agreement(predicted: float, width: float) -> None:
+    row, terms = case(predicted=predicted, power=predicted, width=width)
+    said = "Prediction and measurement agree" in explain(row, terms)
+    assert said == ("Prediction agrees" in headline(row, terms))
 
 
 def test_one_sentence_without_terms() -> None:

@@ -252,6 +252,9 @@ def _small(make: Make, tmp_path: Path) -> Path:
     return study
 
 
+ASKED = {"E!": ["random", "jittered | shift"], "a": ["b"]}
+
+
 def lacking(failed: dict[str, str], missing: tuple[str, ...] = ()) -> StudyStatus:
     """A status with one finished cell beside these."""
     return StudyStatus(
@@ -263,14 +266,14 @@ def lacking(failed: dict[str, str], missing: tuple[str, ...] = ()) -> StudyStatu
 
 def gaps() -> tuple[str, Table]:
     """Sentence and table of what a study lacks."""
-    _, sentence, table = module._gaps(Path())
+    _, sentence, table = module._gaps(Path(), ASKED)
     assert isinstance(sentence, Text)
     assert isinstance(table, Table)
     return str(sentence.text), table
 
 
 def test_a_finished_study_lacks_nothing(small: Path) -> None:
-    assert list(module._gaps(small)) == []
+    assert list(module._gaps(small, {})) == []
     text = write_report(small).read_text(encoding="utf-8")
     assert "What is missing" not in text
 
@@ -279,22 +282,24 @@ def test_analyses_of_one_reason_share_a_row(monkeypatch: pytest.MonkeyPatch) -> 
     failed = {
         "e/random/terms": "It raised.",
         "e/random/spectrum": "It raised.",
+        "e/jittered-shift/terms": "It raised.",
         "a/b/exact": "NaN.",
     }
     monkeypatch.setattr(module, "study_status", lambda _: lacking(failed, ("e/shift/terms",)))
     sentence, table = gaps()
     assert [tuple(cell.text for cell in row) for row in table.rows] == [
         ("a", "b", "exact", "NaN."),
-        ("e", "random", "spectrum, terms", "It raised."),
-        ("e", "shift", "terms", "not computed yet"),
+        ("E!", "jittered | shift", "terms", "It raised."),
+        ("E!", "random", "spectrum, terms", "It raised."),
+        ("E!", "shift", "terms", "not computed yet"),
     ]
-    assert "Of 5 analyses, 3 failed and 1 not computed yet;" in sentence
+    assert "Of 6 analyses, 4 failed and 1 not computed yet;" in sentence
     assert "--resume --retry" in sentence
 
 
 def test_only_missing_ones_need_no_retry(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "study_status", lambda _: lacking({}, ("e/shift/terms",)))
-    (_, sentence, _) = module._gaps(Path())
+    (_, sentence, _) = module._gaps(Path(), ASKED)
     assert isinstance(sentence, Text)
     assert "--resume" in sentence.text
     assert "--retry" not in sentence.text

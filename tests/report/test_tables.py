@@ -48,7 +48,7 @@ def test_summary() -> None:
         "−1.52 ± 0.03",
         "1.23×10⁻⁶",
         "0.960 (Fourier)",
-        "f where the samples have power",
+        "detail at frequencies where the sampler is noisy",
         "Faster than random sampling.",
     ]
 
@@ -128,7 +128,10 @@ def test_summary__links_orders_and_bottlenecks() -> None:
     found = [{"techniques": xr.Dataset(attrs={"bottleneck": "light"})}, {}]
     table = summary_table([FULL, FULL], links=["#a", "#b"], analyses=found)
     assert table.columns[5] == "Bottleneck"
-    assert [row[5].text for row in table.rows] == ["light", "f where the samples have power"]
+    assert [row[5].text for row in table.rows] == [
+        "light",
+        "detail at frequencies where the sampler is noisy",
+    ]
     assert [row[0].link for row in table.rows] == ["#a", "#b"]
     assert [cell.order for cell in table.rows[0]][2:5] == [-1.52, 1.234e-6, 0.96]
 
@@ -159,10 +162,10 @@ def test_bottleneck__where_half_of_the_power_term_lies() -> None:
     low = terms([0, 0, 0, 5, 9, 5, 0, 0, 1])
     high = terms([9, 1, 0, 0, 9, 0, 0, 1, 9])
     row = msgspec.structs.replace(FULL, terms_n=8)
-    assert bottleneck(row, low) == "coarse shape (|m|\u00a0≤\u00a01)"
-    assert bottleneck(row, high) == "edges and detail (|m|\u00a0≥\u00a04)"
+    assert bottleneck(row, low) == "coarse shape (|\u2060m|\u2060\u00a0≤\u00a01)"
+    assert bottleneck(row, high) == "edges and detail (|\u2060m|\u2060\u00a0≥\u00a04)"
     assert bottleneck(msgspec.structs.replace(row, basis="cosine"), high).endswith(
-        "(|m|\u00a0≤\u00a02)"
+        "(|\u2060m|\u2060\u00a0≤\u00a02)"
     )
     walsh = msgspec.structs.replace(row, basis="walsh")
-    assert bottleneck(walsh, high) == "f where the samples have power"
+    assert bottleneck(walsh, high) == "detail at frequencies where the sampler is noisy"

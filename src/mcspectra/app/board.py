@@ -21,6 +21,7 @@ from mcspectra.plots.description import Plot
 __all__ = ["Board"]
 
 _FRESH: Any = {"opacity": "1", "filter": "none"}
+_FRAMES = {False: 216, True: 100}  # pixels: of panels abreast, alone and in a pair
 _STALE: Any = {"opacity": "0.35", "filter": "grayscale(1)"}
 
 
@@ -106,14 +107,32 @@ class Board:
         return self._job is not None
 
     def refuse(self, sentence: str) -> None:
-        """Say why what was entered is not computed."""
-        self._say(sentence, alert=True)
+        """Say why what was entered is not computed; the figures of before stay, in grey."""
+        self.cancel(quiet=True)
+        self.latest.clear()
+        self._fresh.clear()
+        self._end(sentence, alert=True)
 
     def pair(self, paired: bool) -> None:
         """Name the side in the figures' headings, or not."""
         self._paired = paired
         for kind, card in self.cards.items():
             card.layout.children[0].text = self._heading(kind)
+            self._size(kind, card.drawn)
+
+    def _size(self, kind: str, drawn: Drawn) -> None:
+        """Have the panels of the integrand stand abreast in half of the page as well."""
+        panels: list[Any] = getattr(drawn.model, "children", [])
+        if kind != "integrand" or not panels:
+            return
+        size = _FRAMES[self._paired]
+        for panel in panels:
+            panel.update(
+                frame_width=size, frame_height=size, min_border_right=0 if self._paired else 12,
+                toolbar_location=None if self._paired else "right",
+            )  # fmt: skip
+        for panel in panels[1:]:
+            panel.left[0].visible = panel.y_range is not panels[0].y_range or not self._paired
 
     def _heading(self, kind: str) -> str:
         side = f"{self._side}: " if self._paired else ""
@@ -169,6 +188,7 @@ class Board:
             card.layout.styles = _FRESH
             return False
         drawn = draw(plot)
+        self._size(plot.kind, drawn)
         texts = [Div(text=t, sizing_mode="stretch_width", stylesheets=[self._sheet], disable_math=True)
                  for t in (self._heading(plot.kind), words)]  # fmt: skip
         layout = Column(
@@ -206,6 +226,6 @@ class Board:
     def _say(self, sentence: str, *, alert: bool = False) -> None:
         role = "alert" if alert else "status"
         self._status.text = (
-            f'<p role="{role}" class="{role}"><strong>{self._side}</strong> {escape(sentence)}</p>'
+            f'<p role="{role}" class="{role}"><strong>{self._side}:</strong> {escape(sentence)}</p>'
             f'<progress value="{self._fraction:.3f}"></progress>'
         )

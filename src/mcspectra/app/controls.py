@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any, final
 
 from bokeh.models import Column, InlineStyleSheet
+from bokeh.models.widgets.buttons import Button
 from bokeh.models.widgets.groups import CheckboxGroup
 from bokeh.models.widgets.inputs import FileInput, Select, TextInput
 from bokeh.models.widgets.markups import Div
@@ -68,7 +69,9 @@ class Controls:
     on_change
         Called with the new set-up.
     on_error
-        Called with a sentence when what was entered is refused; the set-up stays.
+        Called with a sentence when what was entered is refused; the set-up stays, and so does the text.
+    on_scene
+        Called when Veach's scene is asked for.
     later
         Has a function called in the page's thread, after all events that came together.
     """
@@ -81,14 +84,17 @@ class Controls:
         *,
         on_change: Callable[[Setup], object],
         on_error: Callable[[str], object],
+        on_scene: Callable[[], None],
         later: Callable[[Callable[[], None]], object],
     ) -> None:
         self.setup = setup
         self._side, self._sheet = side, sheet
         self._on_change, self._on_error, self._later = on_change, on_error, later
-        self._filling = False
+        self._filling = self._refused = False
         self._density_sliders: Any = Column(sizing_mode="stretch_width")
         self._widgets = w = self._made()
+        scene = Button(label=f"Show Veach's scene, {side}", stylesheets=[sheet])
+        scene.on_click(on_scene)
         self._fill()
 
         def heading(text: str, level: str = "h2") -> Any:
@@ -99,7 +105,7 @@ class Controls:
                 heading("Sampler"), w["base"], heading("Randomisations", "h3"), w["steps"],
                 w["sampler"], w["count"], w["n"], w["strata_shift"],
                 heading("Density"), w["density_name"], self._density_sliders, w["density"],
-                heading("Integrand"), w["integrand_name"], w["formula"], w["integrand"], w["upload"],
+                heading("Integrand"), w["integrand_name"], w["formula"], w["integrand"], w["upload"], scene,
                 w["channel"], w["dims"], w["smoothing"], w["mirror"],
                 heading("Analysis"), w["realizations"], w["seed"], *(w[name] for name in OPTIONS),
             ],
@@ -108,8 +114,13 @@ class Controls:
 
     def show(self, setup: Setup) -> None:
         """Show another set-up without calling back."""
-        self.setup = setup
+        self.setup, self._refused = setup, False
         self._fill()
+
+    def refuse(self, sentence: str) -> None:
+        """Say why an entry is refused, which stays where it was typed."""
+        self._refused = True
+        self._on_error(sentence)
 
     def change(self, **values: Any) -> None:
         """Change fields of the set-up as if by hand; texts are read as those of an address."""
@@ -117,9 +128,9 @@ class Controls:
             read = {k: Setup.read(k, v) if isinstance(v, str) else v for k, v in values.items()}
             setup = replace(self.setup, **read)
         except McspectraError as error:
-            self._on_error(str(error))
+            self.refuse(str(error))
             return
-        if setup != self.setup:
+        if setup != self.setup or self._refused:
             self.show(setup)
             self._on_change(setup)
 
@@ -189,7 +200,8 @@ class Controls:
             del attribute, old
             if not self._filling:
                 act(new)
-                self._fill()  # what was refused goes back to what holds
+                if not self._refused:
+                    self._fill()  # what cannot be entered goes back to what holds
 
         widget.on_change(name, heard)
 
@@ -223,7 +235,7 @@ class Controls:
         try:
             digest = keep_upload(base64.b64decode(upload.value), upload.filename)
         except McspectraError as error:
-            self._on_error(str(error))
+            self.refuse(str(error))
             return
         self.change(integrand=f"{UPLOAD}(digest='{digest}')", dims=2)
 

@@ -23,6 +23,7 @@ from mcspectra.app.figures import FIGURES
 from mcspectra.app.scene import SceneView, pixel_spec
 from mcspectra.app.state import THEMES, Setup, State
 from mcspectra.core.errors import McspectraError
+from mcspectra.plots.text import number, rate
 
 __all__ = ["TITLE", "Explorer", "build_page"]
 
@@ -85,6 +86,9 @@ class Explorer:
         self._sides = Column(sizing_mode="stretch_width")
         self._headers, self._grid = (Row(sizing_mode="stretch_width"), Column(sizing_mode="stretch_width"))  # fmt: skip
         self._summary = block()
+        self._refused = block(
+            text=f'<p role="alert" class="alert">{escape(refused)}</p>', visible=bool(refused)
+        )
         self._texts = {name: self._text_area(f"As {name}") for name in ("Python", "TOML")}
         self._compare = Checkbox(
             label="Compare with a second set-up, B", active=self.state.b is not None,
@@ -99,15 +103,15 @@ class Explorer:
         # Roots are laid out apart: a text that changes leaves the figures where they are
         self.roots: dict[str, Any] = {
             "side": Column(children=[self._compare, self._sides], sizing_mode="stretch_width"),
-            "head": Column(children=[self._headers, self._summary], sizing_mode="stretch_width"),
+            "head": Column(
+                children=[self._refused, self._headers, self._summary], sizing_mode="stretch_width"
+            ),
+            "scene": self._scene.layout,
             "figures": self._grid,
-            "foot": Column(children=[self._scene.layout, texts], sizing_mode="stretch_width"),
+            "foot": texts,
         }
         self.roots["head"].js_on_change("tags", CustomJS(code=_TELL))
         self._arrange()
-        if refused:
-            self._boards["A"].refuse(refused)
-            return
         for side, setup in self.state.setups():
             self._boards[side].run(setup)
 
@@ -133,6 +137,7 @@ class Explorer:
                     setup, side, self._sheet,
                     on_change=partial(self._change, side),
                     on_error=self._boards[side].refuse,
+                    on_scene=self._scene.open,
                     later=self._later,
                 )  # fmt: skip
         for board in self._boards.values():
@@ -176,6 +181,7 @@ class Explorer:
     def _change(self, side: str, setup: Setup) -> None:
         here = self.state
         self.state = replace(here, a=setup) if side == "A" else replace(here, b=setup)
+        self._refused.visible = False
         self._tell_address()
         self._boards[side].run(setup)
 
@@ -194,7 +200,7 @@ class Explorer:
         try:
             spec = pixel_spec(x, y, strategy)
         except McspectraError as error:
-            self._boards[side].refuse(str(error))
+            self._controls[side].refuse(str(error))
             return
         self._controls[side].change(integrand=spec, dims=2, density="uniform", smoothing=0.0)
 
@@ -260,9 +266,11 @@ def _row(side: str, setup: Setup, board: Board) -> str:
     cells = [
         setup.displaced_sampler,
         str(setup.n),
-        missing if terms is None else f"{float(terms['measured_variance']):.4g}",
-        missing if terms is None else f"{float(terms['captured']):.3g}",
-        missing if curve is None else f"{float(curve['rate']):.3f}",
+        missing if terms is None else number(float(terms["measured_variance"])),
+        missing if terms is None else number(float(terms["captured"])),
+        missing
+        if curve is None
+        else rate(float(curve["rate"]), *map(float, curve["rate_ci"].values)),
     ]
     inside = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
     return f'<tr><th scope="row">{side}</th>{inside}</tr>'

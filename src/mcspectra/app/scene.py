@@ -9,7 +9,7 @@ from typing import Any, final
 
 import numpy as np
 from bokeh.events import Tap
-from bokeh.models import Column, InlineStyleSheet, Row
+from bokeh.models import Column, ColumnDataSource, InlineStyleSheet, Row
 from bokeh.models.widgets.buttons import Button
 from bokeh.models.widgets.inputs import Select, Spinner
 from bokeh.models.widgets.markups import Div
@@ -107,21 +107,24 @@ class SceneView:
         )
         self._analyse = Button(label="Analyse pixel", width=130, align="end", **style)
         self._analyse.on_click(lambda: self._choose(self._x.value or 0, self._y.value or 0))
-        self._open = Button(label="Show Veach's scene", width=180, **style)
-        self._open.on_click(self._render)
-        self._said = Div(sizing_mode="stretch_width", **style)
+        self._said = Div(sizing_mode="stretch_width", visible=False, **style)
+        self._marked = ColumnDataSource({"x": [], "y": []})
         wrap: Any = {"flex-wrap": "wrap"}
         self._row = Row(children=[self._x, self._y, self._strategy, self._analyse], styles=wrap)
-        self.layout = Column(children=[self._open, self._said], sizing_mode="stretch_width")
+        self.layout = Column(children=[self._said], sizing_mode="stretch_width")
 
     def _choose(self, x: float, y: float) -> None:
+        self._marked.data = {"x": [int(x) + 0.5], "y": [int(y) + 0.5]}
         self._on_pixel(int(x), int(y), self._strategy.value)
 
     def _say(self, sentence: str) -> None:
+        self._said.visible = True
         self._said.text = f'<p role="status">{escape(sentence)}</p>'
 
-    def _render(self) -> None:
-        self._open.disabled = True
+    def open(self) -> None:
+        """Render the picture and show it, once."""
+        if self._said.visible:
+            return
         self._say("Rendering Veach's scene …")
         threading.Thread(target=self._work, name="explorer scene", daemon=True).start()
 
@@ -144,8 +147,13 @@ class SceneView:
         )
         words = f"Veach's scene. {_ADVICE}"
         figure: Any = draw(Plot(kind="scene", panels=(panel,), words=words, wide=True)).model
+        for color, width in (("#000000", 4), ("#FFFFFF", 2)):
+            figure.scatter(
+                "x", "y", source=self._marked, size=12, fill_color=None,
+                line_color=color, line_width=width,
+            )  # fmt: skip
         figure.on_event(Tap, self._tapped)
-        self.layout.children = [self._open, self._said, self._row, figure]
+        self.layout.children = [self._said, self._row, figure]
         self._say(_ADVICE)
 
     def _tapped(self, event: Any) -> None:

@@ -125,7 +125,7 @@ def reproduce_(options: argparse.Namespace) -> Answer:
         "judged": len(judged),
         "failed": list(made.failed),
     }
-    return Answer(f"{tally(made.entries)}\ngallery: {made.page}", data, 1 if made.failed else 0)
+    return Answer(f"{tally(made.entries)}\npage: {made.page}", data, 1 if made.failed else 0)
 
 
 @verb(

@@ -45,6 +45,34 @@ _COLUMNS = {
 }
 
 
+_STRATEGIES = {
+    "light": "light sampling",
+    "bsdf": "BSDF sampling",
+    "mis-light": "MIS, light share",
+    "mis-bsdf": "MIS, BSDF share",
+    "mis": "MIS",
+}
+"""As the maps call them."""
+
+_PROVENANCE = {
+    "scene": "Scene",
+    "sampler": "Sampler",
+    "seed": "Seed",
+    "realizations": "Realisations",
+    "light": "Light",
+    "heuristic": "Heuristic",
+    "channel": "Channel",
+    "points": "Points of the pixels",
+    "smoothing": "Smoothing",
+    "camera": "Camera",
+    "size": "Size, pixels",
+    "crop": "Crop: x, y, width, height",
+    "prediction": "Prediction",
+    "pixels_measured": "Pixels measured",
+}
+"""Attributes of a map that its page shows, by the words for them."""
+
+
 def write_map(result: xr.Dataset, folder: str | Path) -> Path:
     """Write ``maps.exr``, ``*.png``, ``map.json`` and ``report.html``; older ones are replaced.
 
@@ -90,7 +118,10 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         caption=map_note(summary),
         columns=("Strategy", *(_COLUMNS[name] for name in columns)),
         rows=tuple(
-            (*text_cells(name), *(Cell(text=number(value, 4)) for value in row.values()))
+            (
+                *text_cells(_STRATEGIES.get(name, name)),
+                *(Cell(text=number(value)) for value in row.values()),
+            )
             for name, row in rows.items()
         ),
     )
@@ -99,10 +130,10 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
     for kind in (each for each in kinds.kinds_of(result) if each.startswith("map-")):
         name = kind.removeprefix("map-").replace("-", "_")
         figures.append(Figure(plot=kinds.describe(kind, result), name=name))
-    own = ((str(k), str(v)) for k, v in known.items() if not str(k).startswith("version_"))
-    facts = (*own, ("versions", versions_of(known)))
+    own = ((name, str(known[key])) for key, name in _PROVENANCE.items() if key in known)
+    facts = (*own, ("Versions", versions_of(known)))
     page = Page(
-        title=str(known["scene"]),
+        title=f"Variance map of {Path(known['scene']).name}",
         what="map",
         lead=(Text(text=settings, kind="soft"),),
         sections=(

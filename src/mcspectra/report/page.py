@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, final
@@ -287,6 +288,7 @@ def _html(page: Page, figures: Path | None, root: Path) -> str:
         lstrip_blocks=True,
     )
     environment.globals["kind"] = lambda block: type(block).__name__
+    environment.globals["label"] = _distinct()
     environment.globals["drawn"] = lambda figure: _drawn(figure, figures, root)
     script = ""
     if any(figure.live for section in page.sections for figure in _figures_in(section.blocks)):
@@ -294,6 +296,17 @@ def _html(page: Page, figures: Path | None, root: Path) -> str:
 
         script = bokeh_script()
     return environment.get_template("page.html.j2").render(page=page, bokeh=script)
+
+
+def _distinct() -> Callable[[str], str]:
+    """What numbers labels of regions that a page has already."""
+    seen: Counter[str] = Counter()
+
+    def label(text: str) -> str:
+        seen[text] += 1
+        return text if seen[text] == 1 else f"{text} ({seen[text]})"
+
+    return label
 
 
 def _figures_in(blocks: Iterable[Block]) -> Iterable[Figure]:
@@ -327,6 +340,7 @@ def _drawn(figure: Figure, folder: Path | None, root: Path) -> Mapping[str, Any]
         "words": plot.words or plot.caption,
         "caption": plot.caption,
         "wide": plot.wide,
+        "abreast": min(plot.columns, len(plot.panels)) > 1,
         "file": file,
         "live": live,
     }

@@ -29,7 +29,7 @@ from mcspectra.report.page import (
     write_json,
     write_page,
 )
-from mcspectra.report.sentences import explain
+from mcspectra.report.sentences import basis_name, explain
 from mcspectra.report.tables import analysis_table, summary_table, terms_table
 from mcspectra.studies import SummaryRow, summarize
 
@@ -170,7 +170,7 @@ def term_rows(tree: xr.DataTree) -> list[SummaryRow]:
             if basis in seen:  # the fitting basis may be Fourier's
                 continue
             seen.add(basis)
-            label = f"{STRATEGY_NAMES[strategy]}; {basis}"
+            label = f"{STRATEGY_NAMES[strategy]}; {basis_name(basis)}"
             names = {"estimator_name": strategy, "sampler_spec": label}
             parts[f"/{i}/{j}/terms"] = view.to_dataset().assign_attrs(names)
     return _summarized(parts)
@@ -335,7 +335,7 @@ def _sections(tree: xr.DataTree) -> Iterator[Section]:
     trees = tree["terms"].children.items()
     fitting = {STRATEGY_NAMES[name]: views["auto"].to_dataset() for name, views in trees}
     every = {
-        f"{STRATEGY_NAMES[name]}; {view.attrs['basis']}": view.to_dataset()
+        f"{STRATEGY_NAMES[name]}; {basis_name(view.attrs['basis'])}": view.to_dataset()
         for name, views in trees
         for view in views.children.values()
     }
@@ -343,7 +343,7 @@ def _sections(tree: xr.DataTree) -> Iterator[Section]:
     table = terms_table(term_rows(tree))
     table = replace(table, columns=("Strategy; basis", *table.columns[1:]))
     bars, shares = describe("terms", fitting), describe("captured", every)
-    where = f"At n = {first['n']} with {known['sampler']}, {first['basis']} basis."
+    where = f"At n = {first['n']} with {known['sampler']}, {basis_name(first['basis'])} basis."
     bars = replace(bars, caption=f"{bars.caption} {where}")
     figures = _figures(terms=bars, captured=shares)
     yield Section(

@@ -86,14 +86,15 @@ _ALSO = (
 
 _SHARED_SETS = 8  # optimised sets, used again under random translations
 _PROJECTED_DIMS = 4
-_QUALITY = (
-    "relative_minimum_distance",
-    "star_discrepancy",
-    "centered_discrepancy",
-    "diaphony",
-    "transport_cost",
-    "t_value",
-)
+_QUALITY = {
+    "relative_minimum_distance": "Minimum distance",
+    "star_discrepancy": "Star discrepancy",
+    "centered_discrepancy": "Centred discrepancy",
+    "diaphony": "Diaphony",
+    "transport_cost": "Transport cost",
+    "t_value": "t",
+}
+"""Figures of quality by name, and the heads of their columns."""
 _IN_OVERLAY = 10  # samplers whose lines are told apart
 _INTEGRANDS = {1: ("gaussian", "step(at=0.3)"), 2: ("gaussian", "disk")}
 
@@ -364,7 +365,7 @@ def _seconds(source: Sampler, n: int, rng: int) -> float:
 def _quality(source: Sampler, n: int, rng: int) -> dict[str, tuple[str, float, float]]:
     """Long name, mean and standard error of the figures that can be had."""
     count = different_realizations(source, n, Stream.from_rng(rng), _SHARED_SETS)
-    found = quality_figures(source, n, figures=_QUALITY, realizations=count, rng=rng)
+    found = quality_figures(source, n, figures=tuple(_QUALITY), realizations=count, rng=rng)
     return {
         figure.name: (figure.long_name, figure.mean, figure.standard_error)
         for figure in summarize(found)
@@ -419,7 +420,7 @@ def _page(cards: Sequence[Card], effort: Effort) -> Page:
 def _table(cards: Sequence[Card], names: Sequence[str]) -> Table:
     """Rates, quality and speed of all samplers."""
     texts = list(dict.fromkeys(text for card in cards for text in card.curves))
-    figures = {key: name for card in cards for key, (name, *_) in card.quality.items()}
+    figures = dict.fromkeys(key for card in cards for key in card.quality)
     rows = []
     for card, name in zip(cards, names, strict=True):
         cells = [Cell(text=card.name, numeric=False, link=f"#{name}"), Cell(text=str(card.n))]
@@ -427,20 +428,19 @@ def _table(cards: Sequence[Card], names: Sequence[str]) -> Table:
             value, low, high = card.rates.get(text, (math.nan,) * 3)
             cells.append(_cell(rate(value, low, high), value, "fewer than two counts are possible"))
         for key in figures:
-            _, mean, se = card.quality.get(key, ("", math.nan, math.nan))
-            cells.append(_cell(_with_error(mean, se), mean, "it is not defined for this set"))
+            _, mean, _ = card.quality.get(key, ("", math.nan, math.nan))
+            cells.append(_cell(number(mean), mean, "it is not defined for this set"))
         cells.append(_cell(number(card.speed, 2), card.speed, ""))
         rows.append(tuple(cells))
     return Table(
         caption="Rates are exponents of variance in n with half their 95 % intervals, figures of quality "
-        "means with standard errors: "
-        + "; ".join(f"{key.replace('_', ' ')}, {name}" for key, name in figures.items())
-        + ".",
+        "means, whose standard errors stand with each sampler: minimum distance by that of the densest packing, mean squared distance "
+        "of moving uniform mass to the points, t of the (t, m, d)-net.",
         columns=(
             "Sampler",
             "n",
             *(f"Rate on {text.partition('(')[0]}" for text in texts),
-            *(key.replace("_", " ").capitalize() for key in figures),
+            *(_QUALITY[key] for key in figures),
             "Points/s",
         ),
         rows=tuple(rows),
@@ -483,7 +483,7 @@ def _card_facts(card: Card) -> list[tuple[str, str]]:
         *((f"Rate on {text.partition('(')[0]}{measured}", rate(*v)) for text, v in rates.items()),
         *((name, _with_error(mean, se)) for name, mean, se in card.quality.values()),
         ("Speed", f"{number(card.speed, 2)} points/s at n = {card.n}"),
-        ("Source", card.facts.sources if card.facts else ""),
+        ("Source", card.facts.sources.replace(" (data/SOURCES.md)", "") if card.facts else ""),
     ]
     return [(name, value) for name, value in facts if value]
 

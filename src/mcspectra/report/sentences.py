@@ -14,9 +14,10 @@ from mcspectra.studies import SummaryRow
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["bottleneck", "explain", "further_sentences", "headline"]
+__all__ = ["basis_name", "bottleneck", "explain", "further_sentences", "headline"]
 
 _DOMINANT = 0.9
+_LENGTH = "|\u2060m|\u2060"  # joined, as browsers break lines after a bar
 _CLOSE = 0.1  # prediction and measurement agree up to this relative difference
 _RATE_MARGIN = (
     1.5  # times the 95 % interval: 3 standard errors, as a page makes dozens of statements
@@ -25,7 +26,7 @@ _SURE = 0.2  # a rate known less well may be another than that of random samplin
 _REMEDY_WORDS = ("diagnosis", "recommendation")
 _TERMS = {
     "dc": "weights: p does not follow f",
-    "power": "f where the samples have power",
+    "power": "detail at frequencies where the sampler is noisy",
     "cross": "correlation of frequencies",
 }
 
@@ -61,22 +62,22 @@ def headline(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
         return f"{row.note[:1].upper()}{row.note[1:]}."
     parts = [_verdict(row)]
     if terms is not None and row.captured is not None and row.predicted is not None:
-        width = terms.sizes.get("half_width", 1) - 1
-        bounds = row.captured_low, row.captured_high
-        low, high = (row.captured if end is None else end for end in bounds)
-        basis = (row.basis or "fourier").capitalize()
-        if low > 1.0 and row.captured > 1.0 + _CLOSE:
+        width, found = terms.sizes.get("half_width", 1) - 1, _agreement(row, terms)
+        basis = basis_name(row.basis)
+        if found == "more":
             cure = "" if basis != "Fourier" else " (basis = 'auto' fits the sampler)"
             parts.append(f"the {basis} sum has not converged at half width {width}{cure}")
-        elif high < 1.0 and row.captured < 1.0 - _CLOSE:
+        elif found == "less":
             share = percent(1.0 - row.captured)
             parts.append(f"{share} of the variance lies beyond half width\u00a0{width}")
         elif row.cross_high is not None and row.cross_high < 0:
             parts.append(f"correlation removes {_cross_share(row)} of dc + power")
         elif row.cross_low is not None and row.cross_low > 0:
             parts.append(f"correlation adds {_cross_share(row)} to dc + power")
-        else:
+        elif found == "agrees":
             parts.append("prediction agrees")
+        elif found:
+            parts.append(f"predicts {percent(row.captured)}, but its interval holds 100 %")
     text = "; ".join(part for part in parts if part)
     return f"{text[:1].upper()}{text[1:]}." if text else ""
 
@@ -96,8 +97,8 @@ def bottleneck(row: SummaryRow, terms: xr.Dataset | None = None, technique: str 
     # Strata of n points are n^(-1/d) wide: a quarter of that frequency is coarse for all samplers
     dims = sum(str(dim).startswith("m") and str(dim)[1:].isdigit() for dim in terms.dims)
     if half <= 0.25 * row.terms_n ** (1.0 / max(dims, 1)):
-        return f"coarse shape (|m|\u00a0≤\u00a0{half:.2g})"
-    return f"edges and detail (|m|\u00a0≥\u00a0{half:.2g})"
+        return f"coarse shape ({_LENGTH}\u00a0≤\u00a0{half:.2g})"
+    return f"edges and detail ({_LENGTH}\u00a0≥\u00a0{half:.2g})"
 
 
 def further_sentences(analyses: Mapping[str, xr.Dataset]) -> str:
@@ -107,6 +108,11 @@ def further_sentences(analyses: Mapping[str, xr.Dataset]) -> str:
     if exact is not None and exact.attrs.get("note"):
         found.append(f"No exact variance at every n: {exact.attrs['note']}")
     return " ".join(str(sentence) for sentence in found if sentence)
+
+
+def basis_name(basis: str | None) -> str:
+    """Return a basis as sentences and tables write it: Fourier and Walsh were people."""
+    return {None: "Fourier", "fourier": "Fourier", "walsh": "Walsh"}.get(basis, str(basis))
 
 
 def _verdict(row: SummaryRow) -> str:
@@ -173,7 +179,7 @@ def _cross_sentence(row: SummaryRow, diagonal: float, uniform: bool) -> str:
     fourier = row.basis in (None, "fourier")
     what = "the power term predicts" if uniform else "the dc and power terms predict together"
     if not fourier:
-        what = f"the diagonal of the {row.basis} basis predicts"
+        what = f"the diagonal of the {basis_name(row.basis)} basis predicts"
     change = _cross_share(row)
     if row.cross_high < 0:
         if not fourier:
@@ -194,28 +200,47 @@ def _cross_sentence(row: SummaryRow, diagonal: float, uniform: bool) -> str:
 
 
 def _captured_sentence(row: SummaryRow, terms: xr.Dataset) -> str:
-    low, high = (float(end) for end in terms["predicted_variance_ci"].values)
-    half_width = terms.sizes.get("half_width", 0) - 1
-    known = row.measured_low is not None and row.measured_high is not None
-    if row.captured is None or not (known and math.isfinite(low) and math.isfinite(high)):
+    half_width, found = terms.sizes.get("half_width", 0) - 1, _agreement(row, terms)
+    if row.captured is None or not found:
         return ""
-    if high < (row.measured_low or 0.0):
+    if found == "less":
         return (
             f"Only {percent(row.captured)} of the measured variance is captured at half width "
             f"{half_width}: the rest lies at higher frequencies."
         )
-    if low > (row.measured_high or 0.0):
+    if found == "more":
         return (
             f"Truncated at half width {half_width}, the spectrum predicts {number(row.captured)} times "
             "the measured variance: the sum over frequencies has not converged."
         )
-    if abs(row.captured - 1.0) <= _CLOSE:
+    if found == "agrees":
         share = f"{row.captured:.0%}".replace("%", " %")
-        return f"Prediction and measurement agree ({share}), within their intervals."
+        return f"Prediction and measurement agree ({share})."
     return (
         f"At half width {half_width} the spectrum predicts {percent(row.captured)} of the measured "
-        "variance."
+        "variance; its interval holds 100 %."
     )
+
+
+def _agreement(row: SummaryRow, terms: xr.Dataset) -> str:
+    """How prediction and measurement compare: ``agrees``, ``less``, ``more``, ``open``; empty if unknown.
+
+    They agree where they are close, and differ where they are not and the interval of their ratio
+    excludes 1; else it is open.
+    """
+    low, high = row.captured_low, row.captured_high
+    if low is None or high is None:
+        if "predicted_variance_ci" not in terms or not (row.measured_low and row.measured_high):
+            return ""
+        ends = (float(end) for end in terms["predicted_variance_ci"].values)
+        low, high = (
+            end / m for end, m in zip(ends, (row.measured_high, row.measured_low), strict=True)
+        )
+    if row.captured is None or not (math.isfinite(low) and math.isfinite(high)):
+        return ""
+    if abs(row.captured - 1.0) <= _CLOSE:
+        return "agrees"
+    return "less" if high < 1.0 else "more" if low > 1.0 else "open"
 
 
 def _cross_share(row: SummaryRow) -> str:

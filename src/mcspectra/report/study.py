@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
@@ -31,7 +31,7 @@ from mcspectra.report.page import (
     versions_of,
     write_page,
 )
-from mcspectra.report.sentences import explain, further_sentences
+from mcspectra.report.sentences import basis_name, explain, further_sentences
 from mcspectra.report.tables import analysis_table, summary_of, summary_table, terms_table
 from mcspectra.studies import SummaryRow, open_results, study_status, summarize
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, check_links
@@ -68,6 +68,7 @@ _DETAILS: Mapping[str, tuple[str, ...]] = {
 """Figures that are folded, by what they show."""
 
 _MOST_GAPS = 50  # rows; a page of 10,000 failures helps nobody
+_LONGEST_KEY = 60  # letters of a group's name in the store
 _NOT_DONE = "not computed yet"
 _FUNCTION = re.compile(r"""python\(\s*function\s*=\s*\\?['"]([A-Za-z_][\w.]*:[A-Za-z_]\w*)""")
 
@@ -154,6 +155,7 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
     tree = open_results(root)
     study, estimates = tree.attrs.get("study") or {}, collect(tree)
     samplers = list(dict.fromkeys(s for each in estimates for s in each.rows))
+    asked = _asked(study)
     styles, names = sampler_styles(samplers), anchors((each.key for each in estimates), "e-")
 
     # The summary, what is missing, a section for each estimator, provenance
@@ -163,7 +165,7 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
         for sampler, found in each.rows.items()
         for channel, row in enumerate(found)
     ]
-    blocks = [*_summary(rows, bool(estimates)), *_gaps(root)]
+    blocks = [*_summary(rows, bool(estimates)), *_gaps(root, asked)]
     sections = [Section(title="Summary", anchor="summary", blocks=tuple(blocks))]
     for place, (each, anchor) in enumerate(zip(estimates, names, strict=True)):
         before = list(zip(estimates[:place], names, strict=False))
@@ -189,8 +191,10 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
         Folded(summary="The study", blocks=(Text(text=text, kind="code"),)),
     )
     sections.append(Section(title="Provenance", anchor="provenance", blocks=origin))
+    absent = len(asked) - len(estimates)
     lead = (
-        f"Monte Carlo noise of {_count(len(estimates), 'estimator')} with "
+        f"Monte Carlo noise of {_count(max(len(asked), len(estimates)), 'estimator')}"
+        f"{f' ({absent} without results)' if absent > 0 else ''} with "
         f"{_count(len(samplers), 'sampler')}, measured, predicted and explained; seed "
         f"{study.get('seed', 'unknown')}."
     )
@@ -210,9 +214,7 @@ def collect(tree: xr.DataTree) -> list[Estimates]:
     Groups of a store come in whatever order the file system lists them; the study's own lists of
     estimators and samplers decide here, so that a report does not depend on it.
     """
-    study = tree.attrs.get("study") or {}
-    entries = [*(study.get("estimators") or []), *(study.get("maps") or [])]
-    order = {e["name"]: e.get("samplers") or study.get("samplers") or [] for e in entries}
+    order = _asked(tree.attrs.get("study") or {})
     rows: dict[tuple[str, str], list[SummaryRow]] = {}
     for row in summarize(tree):
         rows.setdefault((row.estimator, row.sampler), []).append(row)
@@ -327,7 +329,22 @@ def _summary(
     )
 
 
-def _gaps(root: Path) -> Iterator[Block]:
+def _asked(study: Mapping[str, Any]) -> dict[str, Sequence[str]]:
+    """Samplers of all estimators and maps that a study names, in its order."""
+    entries = [*(study.get("estimators") or []), *(study.get("maps") or [])]
+    return {e["name"]: e.get("samplers") or study.get("samplers") or [] for e in entries}
+
+
+def _stored(names: Iterable[str]) -> dict[str, str]:
+    """Names by what the store calls them; long ones that begin alike keep the store's name."""
+    given = list(names)
+    found: dict[str, str] = {}
+    for key, name in zip(anchors(given), given, strict=True):
+        found.setdefault(key[:_LONGEST_KEY].strip("-."), name)
+    return found
+
+
+def _gaps(root: Path, asked: Mapping[str, Sequence[str]]) -> Iterator[Block]:
     """What the study lacks: analyses that failed, with their reasons, and those not computed yet."""
     heading = Text(text="What is missing", kind="heading")
     try:
@@ -348,15 +365,17 @@ def _gaps(root: Path) -> Iterator[Block]:
         f"with {again} them. All others are here."
     )
     # A row for each estimator, sampler and reason, with the analyses that share it
+    estimators = _stored(asked)
     found: dict[tuple[str, str, str], list[str]] = {}
     for path, reason in sorted(lacking.items()):
-        estimator, sampler, analysis = path.split("/", 2)
+        key, own, analysis = path.split("/", 2)
+        estimator = estimators.get(key, key)
+        sampler = _stored(asked.get(estimator, ())).get(own, own)
         found.setdefault((estimator, sampler, reason), []).append(analysis)
     rows = [text_cells(e, s, ", ".join(names), why) for (e, s, why), names in found.items()]
     more = len(rows) - _MOST_GAPS
     yield Table(
-        caption="Estimators and samplers by their names in the store."
-        + (f" {more} more rows: mcspectra status FOLDER --json lists all." if more > 0 else ""),
+        caption=f"{more} more rows: mcspectra status FOLDER --json lists all." if more > 0 else "",
         columns=("Estimator", "Sampler", "Analyses", "Why"),
         rows=tuple(rows[:_MOST_GAPS]),
         heads=2,
@@ -511,7 +530,7 @@ def _setting(analysis: str, data: xr.Dataset) -> str:
     elif analysis == "convergence" and "fit_last" in known:
         parts.append(f"rates fitted to the last {known['fit_last']} counts")
     if analysis == "terms":
-        parts += [f"{known['basis']} basis"] if "basis" in known else []
+        parts += [f"{basis_name(known['basis'])} basis"] if "basis" in known else []
         parts += [f"half width {data.sizes['half_width'] - 1}", f"{known.get('space', '?')} space"]
         parts += [f"coefficients: {known['coefficients']}"] if "coefficients" in known else []
     return ", ".join(parts)

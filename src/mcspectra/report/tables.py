@@ -22,7 +22,7 @@ from mcspectra.plots.text import (
     with_error,
 )
 from mcspectra.report.page import Cell, Table, text_cells
-from mcspectra.report.sentences import bottleneck, headline
+from mcspectra.report.sentences import basis_name, bottleneck, headline
 from mcspectra.studies import SummaryRow
 
 if TYPE_CHECKING:
@@ -174,7 +174,9 @@ def analysis_table(analysis: str, found: Mapping[str, xr.Dataset]) -> tuple[str,
     heads = 1 if analysis in _TABLES else 2
     if not cells:
         return None
-    return heading, Table(caption=caption, columns=columns, rows=cells, heads=heads)
+    return heading, Table(
+        caption=caption, columns=columns, rows=cells, heads=heads, stacked=analysis == "remedies"
+    )
 
 
 def summary_of(analysis: str) -> str:
@@ -205,7 +207,7 @@ def _prediction(
             return value / measured, value / high, value / low, "exact"
     if row.captured is None:
         return None, None, None, ""
-    return row.captured, row.captured_low, row.captured_high, (row.basis or "fourier").capitalize()
+    return row.captured, row.captured_low, row.captured_high, basis_name(row.basis)
 
 
 def _remedies(sampler: str, data: xr.Dataset) -> Rows:

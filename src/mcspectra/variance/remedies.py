@@ -419,7 +419,7 @@ def _recommendation(columns: list[dict[str, Any]], budget: int, reasons: list[st
     low, high = best["error_ratio_ci"]
     text += f"the error is {best['error_ratio']:.3g} of that given ({low:.3g} to {high:.3g})"
     if best["rate_verdict"] == "better":
-        text += f", and its rate {best['rate']:.2f} instead of {_given(columns)['rate']:.2f}"
+        text += f", and its rate {_rate(best['rate'])} instead of {_rate(_given(columns)['rate'])}"
     reason = "" if best["reason"].startswith("Its rate") else f" {best['reason']}"
     return f"{text}.{reason}{_later(columns, best)}"
 
@@ -433,9 +433,14 @@ def _later(columns: list[dict[str, Any]], best: dict[str, Any] | None) -> str:
     if best is not None and steepest["rate_ci"][1] >= best["rate_ci"][0]:
         return ""
     return (
-        f" At larger budgets: {steepest['change']}, whose rate is {steepest['rate']:.2f} "
-        f"({steepest['rate_ci'][0]:.2f} to {steepest['rate_ci'][1]:.2f})."
+        f" At larger budgets: {steepest['change']}, whose rate is {_rate(steepest['rate'])} "
+        f"({_rate(steepest['rate_ci'][0])} to {_rate(steepest['rate_ci'][1])})."
     )
+
+
+def _rate(value: float) -> str:
+    """A rate as tables write it, with a proper minus."""
+    return f"{value:.2f}".replace("-", "−")
 
 
 def _given(columns: list[dict[str, Any]]) -> dict[str, Any]:
