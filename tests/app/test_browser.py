@@ -233,8 +233,8 @@ def test_a_pixel_of_the_scene(page: Page, address: str) -> None:
     assert "veach" in state_of(page).a.integrand
     # The wheel scrolls the page, also above the picture that was clicked
     before = page.evaluate("window.scrollY")
-    page.mouse.wheel(0, -200)
-    page.wait_for_function("before => window.scrollY < before", arg=before)
+    page.mouse.wheel(0, 200)
+    page.wait_for_function("before => window.scrollY > before", arg=before)
     done(page)
 
 
