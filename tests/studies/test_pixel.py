@@ -139,7 +139,7 @@ def test_rows_for_all_pairs_and_terms(tree: xr.DataTree) -> None:
     assert [row.captured is not None for row in rows] == [s == SAMPLERS[1] for _, s in pairs]
     # The fitting basis of shifted points is Fourier's: one row, not two.
     assert [row.sampler for row in term_rows(tree)] == [
-        f"{name}; fourier" for name in STRATEGY_NAMES.values()
+        f"{name}; Fourier" for name in STRATEGY_NAMES.values()
     ]
 
 

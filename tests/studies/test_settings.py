@@ -114,8 +114,8 @@ def test_the_report_shows_basis_window_precision_and_errors(finished):
     for words in (
         "cosine basis, half width 4, domain space",
         "quadrature (jittered)",
-        "fourier basis",
-        "walsh basis",
+        "Fourier basis",
+        "Walsh basis",
         "400 realisations at most, fewer where the variance has a standard error of 10 %",
         "as many of the last counts as lie on a line",
         "rates fitted to the last 2 counts",

@@ -483,7 +483,7 @@ def _card_facts(card: Card) -> list[tuple[str, str]]:
         *((f"Rate on {text.partition('(')[0]}{measured}", rate(*v)) for text, v in rates.items()),
         *((name, _with_error(mean, se)) for name, mean, se in card.quality.values()),
         ("Speed", f"{number(card.speed, 2)} points/s at n = {card.n}"),
-        ("Source", card.facts.sources.replace(" (data/SOURCES.md)", "") if card.facts else ""),
+        ("Source", card.facts.sources if card.facts else ""),
     ]
     return [(name, value) for name, value in facts if value]
 

@@ -37,7 +37,7 @@ class Sobol(Sampler):
     References
     ----------
     Joe, Kuo (2008), "Constructing Sobol sequences with better two-dimensional projections",
-    doi 10.1137/070709359: table new-joe-kuo-6, its first 1,111 dims (data/SOURCES.md).
+    doi 10.1137/070709359: table new-joe-kuo-6, its first 1,111 dims.
     """
 
     name: ClassVar[str] = "sobol"
