@@ -136,8 +136,9 @@ def test_workers_and_engines_do_not_change_results():
     two = mcs.power_spectrum("jittered", 1024, workers=2, **kwargs)
     assert np.array_equal(one["power"], two["power"])
     assert np.array_equal(one["power_se"], two["power_se"])
+    close = mcs.power_spectrum("jittered", 1024, engine="nufft", eps=1e-9, **kwargs)
     direct = mcs.power_spectrum("jittered", 1024, engine="direct", **kwargs)
-    assert np.abs(one["power"] - direct["power"]).max() < 1e-8
+    assert np.abs(close["power"] - direct["power"]).max() < 1e-8
 
 
 def test_too_many_points_are_refused_before_they_are_drawn():
@@ -262,3 +263,37 @@ def test_density_of_other_dims_is_refused():
         mcs.power_spectrum(
             mcs.sampler("random", dims=2), 4, density=mcs.density("linear(slope=1)", dims=1)
         )
+
+
+@pytest.mark.parametrize(
+    ("spec", "n", "dims", "half_width"),
+    [
+        ("jittered", 4096, 2, 64),
+        ("sobol | owen", 4096, 2, 32),
+        ("poisson-disk", 300, 2, 50),
+        ("jittered", 1000, 3, 12),
+    ],
+)
+def test_single_precision_is_chosen_where_its_error_is_below_a_tenth_of_the_standard_error(
+    spec, n, dims, half_width
+):
+    given = {"half_width": half_width, "realizations": 64, "rng": 3}
+    sampler = mcs.sampler(spec, dims=dims)
+    chosen = mcs.power_spectrum(sampler, n, density=None, **given)
+    exact = mcs.power_spectrum(sampler, n, eps=1e-12, **given)
+    assert chosen.attrs["eps"] == 1e-6 and exact.attrs["eps"] == 1e-12
+    assert 0 < chosen.attrs["transform_error"] < 0.1
+    error = np.abs(chosen["power"] - exact["power"]).values
+    centre = (half_width,) * dims
+    assert error[centre] < 1e-15  # S_0 is the sum of the weights
+    error[centre] = 0.0
+    assert (error <= 0.1 * exact["power_se"].values).all()
+
+
+@pytest.mark.parametrize("spec", ["regular | shift", "fibonacci | shift", "halton | shift"])
+def test_sets_of_exactly_known_power_keep_double_precision(spec):
+    """All realisations have the same power: no error of a transform is below the statistical one."""
+    sampler = mcs.sampler(spec, dims=2)
+    spectrum = mcs.power_spectrum(sampler, sampler.nearest_count(1000), half_width=40)
+    assert spectrum.attrs["eps"] == 1e-9
+    assert "transform_error" not in spectrum.attrs

@@ -11,7 +11,22 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
 
-__all__ = ["bin_weights", "group_power", "pair_mean", "power_sums", "split_pair"]
+__all__ = ["bin_weights", "crop_scaled", "group_power", "pair_mean", "power_sums", "split_pair"]
+
+
+@kernel
+def crop_scaled(fine: Array, rows: Array, row_factors: Array, factors: Array, out: Array) -> None:
+    """Frequencies −K … K of each of the chosen rows of fine (F, n), scaled: out (rows, 2K + 1).
+
+    Negative ones are the last of a row.
+    """
+    size, width = fine.shape[1], factors.size // 2
+    for r in range(rows.size):
+        row, factor = fine[rows[r]], row_factors[r]
+        for j in range(width):
+            out[r, j] = row[size - width + j] * (factor * factors[j])
+        for j in range(width + 1):
+            out[r, width + j] = row[j] * (factor * factors[width + j])
 
 
 @kernel

@@ -5,7 +5,8 @@ Engines
 ``nufft``
     Type-1 non-uniform FFT (FINUFFT [Barnett2019]_), one thread and one reused plan for each Python
     thread, with ``upsampfac=1.25`` (its default of 2 costs 3.6 times more at 512², measured on one
-    core). Relative l2 error 1e-9, at ``eps=1e-12`` with ``upsampfac=2``. Real frequencies on a
+    core). Relative l2 error 1e-9, at ``eps=1e-12`` with ``upsampfac=2``. In single precision, which halves
+    the time, it is 1e-6 at best, and coordinates are rounded to 2^-25. Real frequencies on a
     grid of step s are integer ones of the coordinates s·x. Two realisations share a transform:
     weights w of the first plus i times w of the second, separated by Hermitian symmetry. Cost
     O(n log^d(1/eps) + M log M) for a pair. Four dims are 3-D transforms for each frequency of the first
@@ -27,6 +28,8 @@ to and including that of m = 0, which comes last.
 
 from __future__ import annotations
 
+import functools
+import math
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -37,7 +40,7 @@ import numpy as np
 from mcspectra.core.checks import MAX_FREQUENCY, Array, as_choice, as_integer, as_real
 from mcspectra.core.errors import MissingDependency, ParameterError, reason_of
 from mcspectra.core.registry import optional_package
-from mcspectra.spectra._kernels import pair_mean, power_sums, split_pair
+from mcspectra.spectra._kernels import crop_scaled, pair_mean, power_sums, split_pair
 
 __all__ = [
     "ENGINES",
@@ -55,6 +58,7 @@ _DIRECT_BELOW = 4000
 _DIRECT_NUMBERS = 2**22  # 64 MiB of phases
 _SPARSE = 1 / 16  # points for each frequency below which spreading in parts is faster
 _SPREAD_POINTS = 1024
+_LEAST_FINE = 32  # cells of the fine grid along an axis: more than kernels are wide
 _DEVICE = 0  # CUDA_VISIBLE_DEVICES decides which one that is
 _BLOCK_BYTES = 2**26  # results that wait on the device to be copied back together, if several fit
 
@@ -197,6 +201,8 @@ class Transform:
         One of `ENGINES`; ``"auto"`` never means ``"gpu"``.
     eps
         Relative l2 accuracy of the NUFFT, from 1e-14 to 1e-1.
+    single
+        Whether the NUFFT of one to three dims works in single precision; other engines never do.
 
     Raises
     ------
@@ -211,7 +217,13 @@ class Transform:
     """
 
     def __init__(
-        self, grid: FrequencyGrid, n: int, *, engine: str = "auto", eps: float = 1e-9
+        self,
+        grid: FrequencyGrid,
+        n: int,
+        *,
+        engine: str = "auto",
+        eps: float = 1e-9,
+        single: bool = False,
     ) -> None:
         as_choice("engine", engine, ENGINES)
         self.eps = as_real("eps", eps, least=1e-14, most=0.1)
@@ -230,6 +242,8 @@ class Transform:
         self._sparse = (2 if grid.dims <= 3 else 1) * n < _SPARSE * np.prod(grid.shape[-3:])
         self._packs = engine == "gpu" or (engine == "nufft" and grid.dims <= 3)
         self._gpu = _GpuTransform(grid.shape, grid.step, self.eps) if engine == "gpu" else None
+        self.single = single and self._packs and self._gpu is None
+        self._number: Any = np.complex64 if self.single else np.complex128
         self._local = threading.local()
 
     def coefficients(self, points: Array, weights: Array | None = None) -> Array:
@@ -268,6 +282,9 @@ class Transform:
 
         `groups` takes every transform over the full grid, and whether it is of a pair: S1 + i S2.
         """
+        # S_0 is the sum of the weights, exactly
+        power = given_or_equal(weights, points).sum(axis=1) ** 2
+        at_zero = total[-1] + power.sum(), squares[-1] + (power * power).sum()
         for packed, pair in self._packed(points, weights):
             power_sums(packed, pair, total, squares)
             if mean is not None and pair:
@@ -276,6 +293,7 @@ class Transform:
                 mean += packed[: mean.size]
             if groups is not None:
                 groups(packed, pair)
+        total[-1], squares[-1] = at_zero
 
     def _packed(self, points: Array, weights: Array | None) -> Iterator[tuple[Array, bool]]:
         """Transforms of pairs of sets, S1 + i S2 over the full grid, flat, and of a single set.
@@ -285,7 +303,7 @@ class Transform:
         sets, n, dims = points.shape
         weights = given_or_equal(weights, points)
         paired = sets - sets % 2 if self._packs else 0
-        strengths = weights[:paired].reshape(paired // 2, 2 * n).astype(np.complex128)
+        strengths = weights[:paired].reshape(paired // 2, 2 * n).astype(self._number)
         strengths[:, n:] *= 1j
         both = points[:paired].reshape(paired // 2, 2 * n, dims)
         yield from ((packed, True) for packed in self._transforms(both, strengths))
@@ -293,7 +311,7 @@ class Transform:
             if self.engine == "direct":
                 yield self._direct(x, w), False
             elif self._packs:
-                yield next(self._transforms(x[None], w.astype(np.complex128)[None])), False
+                yield next(self._transforms(x[None], w.astype(self._number)[None])), False
             else:
                 yield self._slabs(x, w.astype(np.complex128)), False
 
@@ -304,12 +322,46 @@ class Transform:
         return map(self._nufft, points, strengths)
 
     def _nufft(self, points: Array, strengths: Array) -> Array:
-        plan = self._plan_at(points)
-        out = getattr(self._local, "out", None)
+        plan, local = self._plan_at(points), self._local
+        out = getattr(local, "out", None)
         if out is None:
-            out = self._local.out = np.empty(self.grid.shape, np.complex128)
-        plan.execute(strengths, out=out)
+            out = local.out = np.empty(self.grid.shape, self._number)
+            local.fine = np.empty(self._fine, self._number) if self.single else None
+        if local.fine is None:
+            plan.execute(strengths, out=out)
+            return np.asarray(out.ravel())
+        from scipy.fft import fftn
+
+        plan.execute(strengths, out=local.fine)
+        found = fftn(local.fine, overwrite_x=True, workers=1)
+        rows, row_factors, factors = self._unspread
+        flat = found.reshape(-1, self._fine[-1]), out.reshape(-1, len(factors))
+        crop_scaled(flat[0], rows, row_factors, factors, flat[1])
         return np.asarray(out.ravel())
+
+    @functools.cached_property
+    def _fine(self) -> tuple[int, ...]:
+        """Shape of the fine grid of single precision."""
+        from scipy.fft import next_fast_len
+
+        side = max(math.ceil(1.25 * self.grid.shape[0]), _LEAST_FINE)
+        return (next_fast_len(side),) * self.grid.dims
+
+    @functools.cached_property
+    def _unspread(self) -> tuple[Array, Array, Array]:
+        """Rows of the fine grid that hold the frequencies, and what undoes the spreading, row and column."""
+        plan, fine = self._new_plan(self._fine[:1]), self._fine
+        plan.setpts(np.zeros(1, np.float32))
+        index = np.arange(-self.grid.half_width, self.grid.half_width + 1) % fine[0]
+        # Coefficients of the kernel, whose products over the axes divide those of sets
+        factors = (1.0 / np.fft.fft(plan.execute(np.ones(1, np.complex64))).real[index]).astype(
+            "f4"
+        )
+        rows, row_factors = np.zeros(1, np.int64), np.ones(1, np.float32)
+        for _ in range(self.grid.dims - 1):
+            rows = (rows[:, None] * fine[0] + index).ravel()
+            row_factors = np.multiply.outer(row_factors, factors).ravel()
+        return rows, row_factors, factors
 
     def _slabs(self, points: Array, strengths: Array) -> Array:
         """Four dims: for each m0 ≤ 0 the phases of the first axis, then a transform of the others."""
@@ -325,23 +377,35 @@ class Transform:
         """Return this thread's plan, with its points (n, up to 3) set."""
         plan = getattr(self._local, "plan", None)
         if plan is None:
-            import finufft
-
-            # 1.25 cannot reach below 1e-9; spread_sort=2 lets FINUFFT decide by density of points. Few
-            # points are spread by parts of the fine grid that fit into the cache (0: all at once).
-            plan = self._local.plan = finufft.Plan(
-                1,
-                self.grid.shape[-points.shape[1] :],
-                eps=self.eps,
-                isign=-1,
-                upsampfac=1.25 if self.eps >= 1e-9 else 2.0,
-                nthreads=1,
-                spread_sort=2,
-                spread_max_sp_size=_SPREAD_POINTS if self._sparse else 0,
-                showwarn=0,
-            )
-        plan.setpts(*(2.0 * np.pi * self.grid.step * axis for axis in points.T))
+            shape = self._fine if self.single else self.grid.shape[-points.shape[1] :]
+            plan = self._local.plan = self._new_plan(shape)
+        real = np.float32 if self.single else np.float64
+        plan.setpts(*((2.0 * np.pi * self.grid.step * axis).astype(real) for axis in points.T))
         return plan
+
+    def _new_plan(self, shape: tuple[int, ...]) -> Any:
+        """A plan for transforms to `shape`, in single precision for spreading alone.
+
+        FINUFFT's own FFT is FFTW, whose fast plans depend on timings and hence on chance. SciPy's takes
+        two thirds of the time that plans take which do not (648², complex64, one core).
+        """
+        import finufft
+
+        # 1.25 cannot reach below 1e-9; spread_sort=2 lets FINUFFT decide by density of points. Few
+        # points are spread by parts of the fine grid that fit into the cache (0: all at once).
+        return finufft.Plan(
+            1,
+            shape,
+            eps=self.eps,
+            isign=-1,
+            upsampfac=1.25 if self.eps >= 1e-9 else 2.0,
+            nthreads=1,
+            spread_sort=2,
+            spread_max_sp_size=_SPREAD_POINTS if self._sparse else 0,
+            showwarn=0,
+            dtype=self._number,
+            spreadinterponly=int(self.single),
+        )
 
     def _direct(self, points: Array, weights: Array) -> Array:
         """Separable sum: a matrix product of the phases along the first axes with those of the rest.
