@@ -14,10 +14,12 @@ import concurrent.futures
 import contextlib
 import itertools
 import logging
+import os
 import queue
 import re
 import signal
 import socket
+import sys
 import threading
 import time
 import uuid
@@ -36,6 +38,7 @@ from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.core.parallel import available_workers
 from mcspectra.studies.foreign_code import explain
 from mcspectra.studies.tasks import (
+    WARM,
     Compute,
     Outcome,
     StudyText,
@@ -456,12 +459,23 @@ def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
     """Processes of one thread each, which are replaced when they die; `opened` closes them."""
     import dask
     import distributed
+    from distributed import utils
 
-    make: Any = distributed.LocalCluster
     # As many threads of BLAS as in this process, whose number changes last digits; dask's own is 1.
-    same = {"distributed.nanny.pre-spawn-environ": {"MALLOC_TRIM_THRESHOLD_": 65536}}
+    configuration: dict[str, Any] = {
+        "distributed.nanny.pre-spawn-environ": {"MALLOC_TRIM_THRESHOLD_": 65536}
+    }
+    make: Any = distributed.LocalCluster
+    if sys.platform == "linux":
+        # Workers are forked from a process that has imported once what all of them need
+        configuration["distributed.worker.multiprocessing-method"] = "forkserver"
+    # For as long as the cluster lives, which starts workers that replace others
+    opened.enter_context(dask.config.set(configuration))
+    if sys.platform == "linux":
+        context: Any = utils
+        context.get_mp_context().set_forkserver_preload(["distributed", __name__, *WARM])
     # The cluster's thread is deaf too, which starts workers that replace others.
-    with deaf(), dask.config.set(same):
+    with deaf():
         cluster = make(
             n_workers=available_workers(options.workers),
             threads_per_worker=1,
@@ -469,6 +483,7 @@ def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
             host=options.host,
             dashboard_address=f"{options.host}:{options.dashboard}",
             memory_limit=0,  # the plan has been held against the machine's
+            env=dict(os.environ),  # as it is now, not when the first cluster was started
             silence_logs=logging.CRITICAL,
         )
         opened.callback(cluster.close, timeout=_CLOSING)

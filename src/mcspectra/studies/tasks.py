@@ -34,6 +34,7 @@ from mcspectra.studies.vetting import Trust, check_inputs
 from mcspectra.version import __version__
 
 __all__ = [
+    "WARM",
     "Compute",
     "Outcome",
     "StudyText",
@@ -47,7 +48,9 @@ __all__ = [
 _PLANS = 2  # kept in a process: the one that runs, and one that has just ended
 _REDUCTIONS = 32  # kept in a process; those under way are few
 _HELD = 2.0  # seconds beyond its time limit that a task may keep the worker from noticing
-_WARM = ("numba", "scipy.stats", "xarray")  # what every task needs
+
+WARM = ("numba", "scipy.stats", "xarray")
+"""Packages that every task needs."""
 
 
 class Task(msgspec.Struct, frozen=True, kw_only=True):
@@ -275,7 +278,7 @@ def compute_elsewhere(
         )
     if compute is attempt:
         try:
-            for name in _WARM:
+            for name in WARM:
                 importlib.import_module(name)
             _cells(text)
         except BaseException as error:  # noqa: BLE001 - whatever the code of others does
