@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import xarray as xr
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject
@@ -257,9 +258,15 @@ def _run(config: StudyConfig, engine: MakeExecutor) -> None:
 
 
 def _processor() -> float:
-    """Processor seconds of this process and of those that it began and that have ended."""
+    """Processor seconds of this process and of those that it began; of theirs, those that have ended.
+
+    Workers are forked by a process that stays, and have ended when a study has.
+    """
     used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return sum(each.ru_utime + each.ru_stime for each in used)
+    running = (each.cpu_times() for each in psutil.Process().children())
+    return sum(each.ru_utime + each.ru_stime for each in used) + sum(
+        t.user + t.system + t.children_user + t.children_system for t in running
+    )
 
 
 @contextmanager

@@ -37,7 +37,9 @@ def main() -> None:
     print(f"ratio a realisation, one thread (aim ≤ 1.5):   {ratio:.2f}")
 
     def chosen() -> None:
-        mcs.power_spectrum("jittered", POINTS, half_width=HALF_WIDTH, realizations=CHOSEN, workers=1)
+        mcs.power_spectrum(
+            "jittered", POINTS, half_width=HALF_WIDTH, realizations=CHOSEN, workers=1
+        )
 
     def plain_chosen() -> None:
         for _ in range(CHOSEN):
@@ -50,7 +52,9 @@ def main() -> None:
     fast = mcs.power_spectrum("jittered", POINTS, **given)
     exact = mcs.power_spectrum("jittered", POINTS, eps=1e-12, **given)
     off = (abs(fast["power"] - exact["power"]) / exact["power_se"]).where(exact["power_se"] > 0)
-    print(f"its largest error in standard errors (eps {fast.attrs['eps']:.0e}): {float(off.max()):.1e}")
+    print(
+        f"its largest error in standard errors (eps {fast.attrs['eps']:.0e}): {float(off.max()):.1e}"
+    )
     got = transform.coefficients(points[:2])
     chosen = np.random.default_rng(1).choice(grid.stored, 2000, replace=False)
     exact = direct_sum(points[:2], grid.indices()[chosen])
