@@ -140,13 +140,6 @@ class SlowNeed(Means, frozen=True, kw_only=True):
         return Need()
 
 
-class NoNeed(Means, frozen=True, kw_only=True):
-    """It says nothing."""
-
-    def need(self, subject):
-        return None
-
-
 class EndlessNeed(Means, frozen=True, kw_only=True):
     """It would never end."""
 
@@ -215,15 +208,6 @@ class OtherDims(Means, frozen=True, kw_only=True):
     variables: ClassVar = ("mean", Variable("sum of squares", "f²", ("n",), name="power"))
 
 
-class Twice(Means, frozen=True, kw_only=True):
-    """Two reductions have one key."""
-
-    def reduction(self, subject, stream):
-        found = super().reduction(subject, stream)
-        state, _ = yield [found, found]
-        return found.result(state)
-
-
 class Later(Means, frozen=True, kw_only=True):
     """`part` knows nothing of its second step."""
 
@@ -234,17 +218,6 @@ class Later(Means, frozen=True, kw_only=True):
             Reduction(kind=found.kind, block=found.block, blocks=found.blocks, key="later")
         ]
         return found.result(state)
-
-
-class Empty(Means, frozen=True, kw_only=True):
-    """A reduction of no blocks."""
-
-    def reduction(self, subject, stream):
-        return Reduction(kind=Estimates, block=int, blocks=0, result=lambda _: dataset({}))
-
-
-class Nameless(Analysis, frozen=True, kw_only=True):
-    """It has no reduction."""
 
 
 class Named(Means, frozen=True, kw_only=True):
@@ -275,7 +248,6 @@ class NoValues(Means, frozen=True, kw_only=True):
 
 
 FAULTS = {
-    Nameless: "has no reduction; define it",
     Named: "has the option 'seed', but that name is taken",
     Flagged: "has the option 'order', but the flag -o is taken",
     Hidden: "has the option 'no_sort', but the flag --no-sort is taken",
@@ -284,7 +256,6 @@ FAULTS = {
     OddDefault: "fails in the default of order: ParameterError: order is 1; give .* at least 2",
     NoSummary: "has no docstring",
     SlowNeed: r"takes 0\.\d+ s in need",
-    NoNeed: "returns None from need, not a Need",
     EndlessNeed: "returns .* from need, which is not finite",
     FailingNeed: "fails in need: KeyError: 'dims'",
     Lost: "has a state that changes when it is stored",
@@ -294,9 +265,7 @@ FAULTS = {
     Remembers: "gives different results in chunks, or for the same seed",
     Undeclared: "fails in its variables: AnalysisError: .*'power', which it does not declare",
     OtherDims: r"fails in its variables: AnalysisError: .*power has the dims \[\]",
-    Twice: "has two reductions of the key '0'",
     Later: "fails in part",
-    Empty: "has a reduction of 0 blocks",
 }
 
 

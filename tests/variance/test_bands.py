@@ -82,25 +82,6 @@ def test_every_label_is_of_a_band_that_is_summed(partition, name, half_width):
     assert len(found.labels) == found.of.max() + 1
 
 
-@pytest.mark.parametrize("basis", BASES)
-def test_anova_variances_of_random_points_are_those_of_the_function(basis):
-    """f = x + y + x y has parts of variance 9/48 (x), 9/48 (y), 1/144 (xy); random points see each."""
-    f = mcs.Integrand.from_function(
-        lambda x: x.sum(axis=-1) + x.prod(axis=-1), dims=2, integral=1.25
-    )
-    d = mcs.variance_terms(
-        f, "random", 16, half_width=16, realizations=4_000, rng=1, basis=basis, bands="anova"
-    )
-    # x: (3/2)² Var(x), xy: Var(x)²; a cut basis misses up to 1/(2K) of an axis
-    expected = np.array([0.0, 9 / 48, 9 / 48, 1 / 144]) / 16
-    found = np.diag(d["band_covariance"])
-    assert d["band"].attrs["labels"] == "constant, x0, x1, x0x1"
-    missed = 2 / (np.pi**2 * 16) * 3 / 2  # 6/π² Σ_{m>K} 1/m² of Var(x), at worst twice
-    sigma = np.sqrt(2 / 4_000)
-    np.testing.assert_allclose(found[1:], expected[1:], rtol=4 * sigma * 1.5 + 2 * missed)
-    assert found[0] < 1e-20
-
-
 def test_given_labels():
     labels = np.abs(np.arange(-4, 5)) // 2
     d = mcs.variance_terms(

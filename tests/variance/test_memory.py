@@ -82,22 +82,6 @@ def test_memory_is_flat_in_realizations(analysis, workers):
     assert many - few < (12 + 2 * 4) * BYTES
 
 
-@pytest.mark.parametrize(("dims", "half_width", "n"), [(3, 6, 27), (4, 3, 16)])
-def test_memory_is_flat_in_more_dims(dims, half_width, n):
-    sampler = mcs.sampler("jittered", dims=dims)
-    size = FrequencyGrid(dims, half_width).stored
-
-    def terms(realizations):
-        mcs.variance_terms(
-            mcs.Estimator("gaussian(width=0.25)", dims=dims), sampler, n,
-            half_width=half_width, realizations=realizations, workers=1,
-        )  # fmt: skip
-
-    terms(60)
-    few = _peak(lambda: terms(60))
-    assert _peak(lambda: terms(240)) - few < 12 * 16 * size  # keeping blocks: 90 spectra or more
-
-
 def test_bands_take_their_square_and_no_more():
     labels = GRID.full(np.arange(GRID.stored) % 200)
     few = _peak(lambda: _terms(REALIZATIONS, workers=1))

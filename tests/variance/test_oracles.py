@@ -149,13 +149,10 @@ def test_squared_over_linear_density():
 @pytest.mark.parametrize(
     ("sampler", "dims", "n"),
     [
-        ("uniform-jitter", 1, 8),
         ("regular | shift", 1, 8),
         ("regular | shift", 2, 16),
         ("jittered | strata-shift(offset=0.3)", 1, 8),
         ("jittered | strata-shift(offset=0.3)", 2, 16),
-        ("latin-hypercube", 1, 9),
-        ("jittered | shift", 2, 16),
     ],
 )
 @pytest.mark.parametrize("density", [None, "linear(slope=1)"])

@@ -4,38 +4,9 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.errors import CountError, ParameterError
+from mcspectra.core.errors import ParameterError
 
 GAUSSIAN = mcs.Estimator("gaussian", dims=2)
-
-
-@pytest.mark.parametrize(
-    ("changes", "error", "words"),
-    [
-        ({"n": 15}, CountError, "9 and 16"),
-        ({"n": float("nan")}, ParameterError, "whole number"),
-        ({"realizations": 1}, ParameterError, "from 2 to"),
-        ({"half_width": -1}, ParameterError, "half_width"),
-        ({"basis": "wavelet"}, ParameterError, "fourier, cosine, walsh, haar"),
-        ({"space": "fourier"}, ParameterError, "domain, primary"),
-        ({"bands": "rings"}, ParameterError, "radial, dyadic, anova, wedge"),
-        ({"bands": np.zeros((3, 3), int)}, ParameterError, r"shape \(9, 9\)"),
-        ({"bands": np.arange(81).reshape(9, 9)}, ParameterError, "same for m and −m"),
-        ({"half_width": 40, "cross_matrix": True}, ParameterError, "GiB"),
-        ({"rng": -1}, ParameterError, "rng"),
-        ({"rng": "seed"}, ParameterError, "rng"),
-        ({"workers": 0}, ParameterError, "workers"),
-    ],
-)
-def test_bad_input(changes, error, words):
-    arguments = {"n": 16, "half_width": 4, "realizations": 4, **changes}
-    with pytest.raises(error, match=words):
-        mcs.variance_terms(GAUSSIAN, "jittered", **arguments)
-
-
-def test_dims_must_agree():
-    with pytest.raises(ParameterError, match="2 dims"):
-        mcs.variance_terms(GAUSSIAN, mcs.sampler("jittered", dims=1), 16)
 
 
 def test_technique_sums_have_no_domain():
