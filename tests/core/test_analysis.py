@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import inspect
 import random
-import sys
 from dataclasses import dataclass, replace
 from operator import attrgetter
-from types import SimpleNamespace
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -38,7 +36,6 @@ from mcspectra.core.errors import (
     ConfigError,
     MissingDependency,
     ParameterError,
-    UnknownName,
 )
 from mcspectra.core.options import options_of
 from mcspectra.core.progress import listening
@@ -415,33 +412,6 @@ def test_an_analysis_that_breaks_its_contract_is_named(need, reduction, words):
 
 
 # --- the registry -----------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def outsiders(tmp_path, monkeypatch):
-    """Another package that is installed; what it registers is in this module."""
-    place = "mcspectra_analyses_of_others"
-    info = tmp_path / "others-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: others\nVersion: 1.0\n")
-    found = {"said": "Said", "gone": "Gone", "odd": "CASES", "terms": "Said"}
-    lines = [f"{name} = {place}:{target}" for name, target in found.items()]
-    (info / "entry_points.txt").write_text("\n".join(["[mcspectra.analyses]", *lines]))
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setitem(sys.modules, place, SimpleNamespace(Said=Said, CASES=CASES))
-
-
-def test_analyses_of_others_are_found_by_name(outsiders):
-    assert ANALYSES.load("said") is Said
-    assert "said" in list(ANALYSES)
-    assert ANALYSES.load("terms") is not Said  # a built-in name always wins
-    assert Said.summary() == "Words of all blocks, in two steps of two reductions."
-    with pytest.raises(MissingDependency, match="'gone'.*cannot be loaded"):
-        ANALYSES.load("gone")
-    with pytest.raises(MissingDependency, match="'odd'.*not a class"):
-        ANALYSES.load("odd")
-    with pytest.raises(UnknownName, match="no analysis called 'sad'.*Did you mean 'said'"):
-        ANALYSES.load("sad")
 
 
 def test_a_key_of_no_first_step_says_what_to_do():

@@ -51,17 +51,17 @@ def test_modes_are_the_eigenvectors_of_the_cross_matrix(estimator, sampler, chan
 
 
 def test_errors_of_eigenvalues_are_their_spread():
-    """A leading mode far above the others, over 60 runs; its batch means hold 10 realisations each."""
+    """A leading mode far above the others, over 40 runs; its batch means hold 10 realisations each."""
     runs = [
         mcs.covariance_modes(
             F1, "random", 8, half_width=4, modes=1, realizations=200, rng=seed, basis="cosine"
         )
-        for seed in range(60)
+        for seed in range(40)
     ]
     values = np.array([float(d["eigenvalue"][0]) for d in runs])
     claimed = np.sqrt(np.mean([float(d["eigenvalue_se"][0]) ** 2 for d in runs]))
-    # the spread of 60 is known to 9 %; batches of 10 claim up to √(10/9) too much
-    assert 1 - 4 * 0.092 < claimed / values.std(ddof=1) < np.sqrt(10 / 9) * (1 + 4 * 0.092)
+    # the spread of 40 is known to 11 %; batches of 10 claim up to √(10/9) too much
+    assert 1 - 4 * 0.113 < claimed / values.std(ddof=1) < np.sqrt(10 / 9) * (1 + 4 * 0.113)
 
 
 @pytest.mark.parametrize("realizations", [20, 400])
