@@ -124,37 +124,6 @@ def test_importance_samples_are_not_white():
     np.testing.assert_allclose(10 * c[:2].real, by_quad, rtol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("spec", "n", "m", "p", "words"),
-    [
-        ("poisson-disk", 4, [[1, 1]], PLANE, "No covariances are known"),
-        ("sobol", 4, [[1, 1]], PLANE, "No covariances are known"),
-        ("regular", 4, [[1, 1]], PLANE, "the same every time"),
-        ("sobol | owen", 4, [[1, 1]], PLANE, "with these randomisations"),
-        ("latin-hypercube(strength=2)", 4, [[1, 1]], PLANE, "No covariances are known"),
-        ("jittered", 4, [[0.5, 1]], PLANE, "real frequencies"),
-        ("jittered", 4, [[1, 1]], "linear(slope=2)", "diverges"),
-        ("jittered", 4, [[2**40, 1]], PLANE, "too fine a quadrature"),
-        ("jittered", 10**8, [[k, 1] for k in range(10**3)], PLANE, "ask for fewer"),
-    ],
-)
-def test_unknown_is_refused(spec, n, m, p, words):
-    sampler, density = mcs.sampler(spec, dims=2), mcs.density(p, dims=2)
-    with pytest.raises(mcs.NoClosedForm, match=words):
-        mcs.closed_form_covariance(sampler, n, m, m, density=density)
-
-
-def test_densities_that_are_no_products_are_refused():
-    density = mcs.density("piecewise-constant(values=[[1, 2], [3, 1]])")
-    with pytest.raises(mcs.NoClosedForm, match="products over the axes"):
-        mcs.closed_form_covariance("jittered", 4, [[1, 1]], [[1, 0]], density=density)
-    mixed = mcs.Density.from_functions(
-        pdf=lambda x: np.ones(x.shape[:-1]), sample=lambda u: (2 * u) % 1.0, dims=1
-    )
-    with pytest.raises(mcs.NoClosedForm, match="increasing warps"):
-        mcs.closed_form_covariance("jittered", 4, [[1]], [[1]], density=mixed)
-
-
 @pytest.mark.parametrize("spec", ["random", "jittered"])
 def test_infinite_weights_have_infinite_power(spec):
     with pytest.warns(InfiniteWeightVarianceWarning, match="diverges"):

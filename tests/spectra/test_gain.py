@@ -7,7 +7,6 @@ import pytest
 from scipy import stats
 
 import mcspectra as mcs
-from mcspectra.core.errors import NoClosedForm, ParameterError
 
 NETS = [
     ("sobol", 2, 8),
@@ -146,40 +145,3 @@ def test_nested_variances_of_a_linear_function_are_powers_of_four():
     expected[1:, 0] = 0.25 ** (np.arange(1, 6) + 1)
     expected[0, 1:] = 4 * 0.25 ** (np.arange(1, 6) + 1)
     np.testing.assert_allclose(parts, expected, atol=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("call", "error", "sentence"),
-    [
-        (lambda: mcs.gain_coefficients("jittered", 16), NoClosedForm, "No gain coefficients"),
-        (lambda: mcs.gain_coefficients("pmj02 | owen", 16), NoClosedForm, "the same every"),
-        (lambda: mcs.gain_coefficients("sobol | shift", 16, dims=2), NoClosedForm, "sobol"),
-        (lambda: mcs.gain_coefficients("sobol", 16, levels=0), ParameterError, "levels is 0"),
-        (lambda: mcs.gain_coefficients("sobol", 16, levels=60), ParameterError, "levels is 60"),
-        (lambda: mcs.gain_coefficients("sobol", 2**16, dims=50), ParameterError, "lower levels"),
-        (lambda: mcs.nested_variances(mcs.integrand("disk"), 23), ParameterError, "half_width"),
-        (
-            lambda: mcs.closed_form_walsh_power("halton | owen", 8, [[1, 1]]),
-            NoClosedForm,
-            "base 2",
-        ),
-        (
-            lambda: mcs.closed_form_walsh_power("sobol | owen", 8, [[1, -1]]),
-            ParameterError,
-            "whole numbers",
-        ),
-        (
-            lambda: mcs.closed_form_walsh_power("sobol | owen", 8, [[2**32, 0]]),
-            ParameterError,
-            "whole numbers",
-        ),
-        (
-            lambda: mcs.closed_form_walsh_power("sobol | owen", 8, [[0.5, np.nan]]),
-            ParameterError,
-            "NaN",
-        ),
-    ],
-)
-def test_bad_input(call, error, sentence):
-    with pytest.raises(error, match=sentence):
-        call()

@@ -6,7 +6,6 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.analysis import Subject
-from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.spectra.pair_correlation import PairCorrelation, count_pairs
 from mcspectra.testing import check_analysis
 
@@ -128,24 +127,6 @@ def test_an_axis_of_one_cell_is_always_shared(sides, n):
     r = np.array([0.0, 0.3 / n, 0.9 / n])
     found = mcs.closed_form_pair_correlation(f"jittered(sides={sides})", n, r)
     np.testing.assert_allclose(found, n / (n - 1) * n * r * 2 / np.pi, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        ({"max_distance": 0}, "max_distance is 0"),
-        ({"max_distance": 0.6}, "at most 0.5"),
-        ({"n": 2**20}, "give fewer points"),
-    ],
-)
-def test_bad_input(arguments, sentence):
-    with pytest.raises(ParameterError, match=sentence):
-        mcs.pair_correlation("random", **({"n": 16} | arguments))
-
-
-def test_the_exact_form_of_jittered_ends_at_two_dims():
-    with pytest.raises(NoClosedForm, match="pair_correlation"):
-        mcs.closed_form_pair_correlation("jittered(dims=3)", 8, [0.1])
 
 
 def test_random_points_have_g_of_one():

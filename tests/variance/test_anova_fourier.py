@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.errors import NoClosedForm, ParameterError
 
 SIGMAS = 8.0  # of 16 batches: t with 15 degrees beyond 8 has 1e-6
 
@@ -80,30 +79,3 @@ def test_subsets_are_all_of_up_to_the_order():
         "".join(f"x{i}" for i in u) for s in (1, 2, 3) for u in itertools.combinations(range(4), s)
     ]
     assert found["subset_label"].values.tolist() == expected
-
-
-@pytest.mark.parametrize(
-    ("estimator", "spec", "sentence"),
-    [
-        (mcs.Estimator("gaussian", "linear", dims=2), "random", "use anova_variances"),
-        (mcs.Integrand.from_function(lambda x: x[..., 0], dims=2), "random", "exact Fourier"),
-        ("gaussian", "jittered", "add shift"),
-        ("gaussian", "sobol | owen", "add shift"),
-    ],
-)
-def test_what_this_route_does_not_do(estimator, spec, sentence):
-    with pytest.raises(NoClosedForm, match=sentence):
-        mcs.anova_spectrum(estimator, spec, 16)
-
-
-@pytest.mark.parametrize(
-    ("given", "sentence"),
-    [
-        ({"order": 4}, "order is 4"),
-        ({"frequencies": 31}, "frequencies is 31"),
-        ({"frequencies": 2**24}, "more than 1.68e"),
-    ],
-)
-def test_bad_input(given, sentence):
-    with pytest.raises(ParameterError, match=sentence):
-        mcs.anova_spectrum("gaussian", "random", **({"n": 16} | given))

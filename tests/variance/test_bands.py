@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.errors import ParameterError
 from mcspectra.spectra.bases import BASES, make_basis
 from mcspectra.variance.bands import PARTITIONS, make_bands
 
@@ -88,19 +87,3 @@ def test_given_labels():
         "gaussian", mcs.sampler("random", 1), 8, half_width=4, realizations=9, bands=labels
     )
     assert d["band"].attrs["labels"] == "0, 1, 2"
-
-
-@pytest.mark.parametrize(
-    ("bands", "words"),
-    [
-        ("rings", "bands is 'rings'; it must be one of radial, anova, wedge, dyadic"),
-        (np.zeros((3, 3), int), r"bands has shape \(3, 3\)"),
-        (np.zeros(9), "type float64"),
-        (np.arange(9), "the same for m and −m"),
-        (np.full(9, -1), "from 0 to 4095"),
-        ("wedge", "for 2 dims, not 1"),
-    ],
-)
-def test_bad_bands(bands, words):
-    with pytest.raises(ParameterError, match=words):
-        make_bands(bands, make_basis("fourier", 1, 4))

@@ -168,24 +168,3 @@ def test_product_in_parts_is_that_of_the_whole():
     assert (residuals < 1e-10 * values[0]).all()
     assert whole.squares.sum() / 49 == pytest.approx(np.trace(matrix))
     assert np.isnan(errors).all()  # of no batch
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"channel": -1}, "channel"),
-        ({"band": "99"}, "band"),
-        ({"band": 1}, "band is 1; give labels of bands as text, such as '4'"),
-        ({"band": ["1", 2]}, "as text"),
-    ],
-)
-def test_bad_input(changes, words):
-    arguments = {"n": 8, "half_width": 4, "realizations": 4, **changes}
-    with pytest.raises(ParameterError, match=words or None):
-        mcs.covariance_modes(F1, "jittered", **arguments)
-
-
-def test_infinite_weights_are_refused():
-    f = mcs.Estimator("polynomial(coefficients=[0, 0, 1])", "linear(slope=2)")
-    with pytest.raises(ParameterError, match="primary"):
-        mcs.covariance_modes(f, "jittered", 9, realizations=4)

@@ -174,21 +174,6 @@ def test_mis_is_the_sum_over_techniques():
 
 
 @pytest.mark.parametrize(
-    "spec",
-    ["sobol | shift", "poisson-disk", "latin-hypercube | strata-shift", "halton | shift"],
-)
-def test_unknown_exact_variance_is_refused(spec):
-    with pytest.raises(mcs.NoClosedForm, match="convergence"):
-        mcs.exact_variance(mcs.Estimator("gaussian", dims=2), mcs.sampler(spec, dims=2), 16)
-
-
-def test_quadrature_that_does_not_converge_is_refused():
-    f = mcs.Integrand.from_function(lambda x: (x.sum(axis=-1) < 0.913).astype(float), dims=2)
-    with pytest.raises(mcs.NoClosedForm, match="does not converge"):
-        mcs.exact_variance(mcs.Estimator(f), "jittered", 16)
-
-
-@pytest.mark.parametrize(
     ("f", "spec", "n"),
     [
         ("cosine(frequency=[1, 2])", "regular | shift", 16),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.errors import ParameterError, PreasymptoticWarning
+from mcspectra.core.errors import PreasymptoticWarning
 
 INF = math.inf
 
@@ -116,18 +116,3 @@ def test_decay_of_channels_is_the_least():
         lambda x: np.stack([np.cos(2 * np.pi * x[..., 0]), 1.0 * x[..., 0]], axis=-1), dims=1
     )
     assert mcs.integrand_decay(two, half_width=32) == pytest.approx(2.0, abs=0.15)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ((-2, "jump", 2), "greater than -2"),
-        ((True, "jump", 2), "b is True"),
-        ((2, 2.0, 2), "decay is 2.0; give a number greater than 2"),
-        ((2, float("nan"), 2), "decay is nan"),
-        ((2, "jmp", 2), "Did you mean 'jump'"),
-    ],
-)
-def test_bad_exponents(arguments, words):
-    with pytest.raises(ParameterError, match=words):
-        mcs.predicted_rate(*arguments)

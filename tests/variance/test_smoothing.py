@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.errors import ParameterError
 
 DISK = mcs.integrand("disk(center=[0.463, 0.517], radius=0.27)", dims=2)
 WITHIN = 4.0
@@ -77,20 +76,3 @@ def test_channels_and_densities():
     assert d["smoothing_bias"].dims == ("width", "channel")
     assert d["bias_squared_ci"].dims == ("width", "channel", "bound")
     assert d["best_width"].dims == ("n",)
-
-
-@pytest.mark.parametrize(
-    ("keywords", "words"),
-    [
-        ({"widths": []}, "one or more"),
-        ({"widths": [0.1, 0.1]}, "ascending"),
-        ({"widths": [-0.1]}, "at least 0"),
-        ({"widths": np.linspace(0, 0.3, 10**6)}, "256 at most"),
-        ({"counts": []}, "one or more"),
-        ({"method": "blur"}, "must be one of"),
-    ],
-)
-def test_bad_input(keywords, words):
-    given = {"sampler": "jittered", "counts": 16, "widths": [0, 0.1], **keywords}
-    with pytest.raises(ParameterError, match=words):
-        mcs.smoothing_scan(DISK, **given)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.errors import ParameterError
 
 LINEAR = mcs.Estimator("linear", dims=1)
 
@@ -84,18 +83,3 @@ def test_every_channel_counts():
     assert d["variance_ci"].dims == ("channel", "bound")
     assert (d["variance_relative_se"] <= 0.1).all()
     assert int(d["realizations_used"]) > 5000  # as the rare one needs
-
-
-@pytest.mark.parametrize(
-    ("changes", "error", "words"),
-    [
-        ({"relative_error": 2.0}, ParameterError, "at most 1"),
-        ({"max_realizations": 10**12}, ParameterError, "from 2 to"),
-        ({"n": 0}, ParameterError, "n is 0"),
-        ({"sampler": mcs.sampler("jittered", dims=2)}, ParameterError, "2"),
-    ],
-)
-def test_bad_input(changes, error, words):
-    arguments = {"sampler": "jittered", "n": 4, **changes}
-    with pytest.raises(error, match=words):
-        mcs.realizations_needed(LINEAR, **arguments)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError
+from mcspectra.core.errors import InfiniteWeightVarianceWarning
 from mcspectra.variance.techniques import UNDECIDED
 
 TERMS = ("dc_term", "power_term", "cross_term")
@@ -229,13 +229,3 @@ def test_infinite_weights_are_said():
         d = mcs.technique_terms(e, "random", 4, half_width=4, realizations=50)
     assert np.isnan(d["technique_dc_term"]).all()
     assert np.isfinite(d["technique_covariance"]).all()
-
-
-def test_bad_spaces_and_dims():
-    with pytest.raises(ParameterError, match="primary"):
-        mcs.technique_terms(_toy(), "jittered", 4, space="domain")
-    with pytest.raises(ParameterError, match="dims"):
-        mcs.technique_terms(_toy(), mcs.sampler("jittered", dims=2), 4)
-    many = mcs.MultipleImportance("gaussian", ["uniform"] * 60, dims=2)
-    with pytest.raises(ParameterError, match="pairs of techniques"):
-        mcs.technique_terms(many, "jittered", 4, half_width=100)
