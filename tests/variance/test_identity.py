@@ -9,6 +9,7 @@ from mcspectra.core.streams import Stream
 from mcspectra.spectra.transforms import FrequencyGrid, direct_sum
 
 REALIZATIONS = 48
+GAUSSIAN = mcs.Estimator("gaussian", dims=2)
 
 
 def _one_sided(dims):
@@ -228,10 +229,7 @@ def test_channels_and_techniques_get_dims_of_their_own():
     assert np.array_equal(domain["measured_variance"], d["measured_variance"])
 
 
-GAUSSIAN = mcs.Estimator("gaussian", dims=2)
-
-
-def test_technique_sums_have_no_domain():
+def test_technique_sums_are_analysed_in_primary_space():
     estimator = mcs.TechniqueSum(["linear", "step(at=0.3)"], dims=1)
     found = mcs.variance_terms(estimator, "jittered", 16, half_width=2, realizations=4)
     assert found.attrs["space"] == "primary"

@@ -9,7 +9,7 @@ from scipy.ndimage import map_coordinates
 
 import mcspectra as mcs
 from mcspectra.core.errors import NoClosedForm
-from mcspectra.variance._pair_kernels import pair_sum_1d, pair_sum_2d
+from mcspectra.variance._kernels import pair_sum_1d, pair_sum_2d
 
 MIS = mcs.MultipleImportance(
     mcs.integrand("gaussian(width=0.25)", dims=1),

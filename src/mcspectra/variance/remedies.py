@@ -587,11 +587,11 @@ def estimates_of(
     return np.concatenate([block(part) for part in realization_blocks(realizations, numbers)])
 
 
-def simultaneous_z(comparisons: int, confidence: float = 0.95) -> float:
-    """Half width, in standard errors, of intervals that all hold together [Šidák 1967]."""
+def simultaneous_z(comparisons: int) -> float:
+    """Half width, in standard errors, of 95 % intervals that all hold together [Šidák 1967]."""
     from scipy.special import ndtri
 
-    single = confidence ** (1.0 / max(1, comparisons))
+    single = 0.95 ** (1.0 / max(1, comparisons))
     return float(ndtri(0.5 * (1.0 + single)))
 
 

@@ -44,7 +44,7 @@ from mcspectra.samplers.base import Structure
 from mcspectra.spectra.bases import fitting_basis, parts_of
 from mcspectra.spectra.closed_forms import closed_form_covariance, closed_form_power
 from mcspectra.spectra.transforms import FrequencyGrid
-from mcspectra.variance._pair_kernels import pair_sum_1d, pair_sum_2d
+from mcspectra.variance._kernels import pair_sum_1d, pair_sum_2d
 from mcspectra.variance.doors import answer
 from mcspectra.variance.exact import exact_variance
 from mcspectra.variance.ordered import weighted_sum
