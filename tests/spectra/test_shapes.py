@@ -79,6 +79,8 @@ def test_streamed_errors_are_those_of_ring_means(dims):
         for x in points
     ]
     for name in ("radial_power", "wedge_power")[: 1 + (dims == 2)]:
+        of_grid = mcs.radial_statistics(many) if name == "radial_power" else mcs.wedge_means(many)
+        np.testing.assert_allclose(many[name], of_grid[name], rtol=1e-9)
         means = np.stack([one[name].values for one in alone])
         np.testing.assert_allclose(many[name], means.mean(axis=0), rtol=1e-9)
         se = means.std(axis=0, ddof=1) / np.sqrt(kept)
