@@ -16,7 +16,7 @@ from mcspectra.spectra.transforms import FrequencyGrid
 HALF_WIDTH, N = 32, 64
 _BLOCK = 2**13
 GRID = FrequencyGrid(2, HALF_WIDTH)
-REALIZATIONS = 240
+REALIZATIONS = 120
 BYTES = 16 * GRID.stored
 """Bytes of the spectrum of one realisation."""
 
@@ -25,7 +25,7 @@ import json, resource, sys
 import mcspectra as mcs
 mcs.variance_terms(
     mcs.Estimator("gaussian(width=0.25)", dims=2), "jittered", 1024, half_width=256,
-    realizations=24, workers=2,
+    realizations=12, workers=2,
 )
 try:
     # ru_maxrss starts from the memory of the process that started this one.
