@@ -74,6 +74,11 @@ def test_deterministic_routes_are_certain_and_sampled_ones_are_not():
     certain = ["exact", "covariance", "homogenized"]
     assert (width.sel(route=certain) == 0).all()
     assert (width.sel(route=["pairs", "spectral", "measured"]) > 0).all()
+    # The mean of f has no part in the variance
+    raised = mcs.Integrand.from_function(lambda x: 2 + np.cos(6 * np.pi * x[..., 0]), dims=1)
+    again = mcs.variance_routes(raised, "jittered | shift", 4, rng=1)["route_variance"]
+    expected = table["route_variance"].sel(route="homogenized")
+    np.testing.assert_allclose(again.sel(route="homogenized"), expected, rtol=1e-9)
 
 
 def test_a_cut_spectrum_says_so_and_misses_no_more_than_the_rest_allows():
