@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import inspect
 import random
-import sys
 from dataclasses import dataclass, replace
 from operator import attrgetter
-from types import SimpleNamespace
 from typing import Annotated, ClassVar
 
-import msgspec
 import numpy as np
 import pytest
 import xarray as xr
@@ -39,7 +36,6 @@ from mcspectra.core.errors import (
     ConfigError,
     MissingDependency,
     ParameterError,
-    UnknownName,
 )
 from mcspectra.core.options import options_of
 from mcspectra.core.progress import listening
@@ -73,13 +69,6 @@ def test_functions_have_the_options_with_their_defaults(name):
     }
     assert options.keys() <= parameters.keys()
     assert {key: parameters[key].default for key in options} == options
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_defaults_are_clean(name):
-    for option in options_of(CASES[name]):
-        if option.default is not msgspec.NODEFAULT:
-            assert option.check(option.default) == option.default
 
 
 # --- the merge tree ---------------------------------------------------------------------------------
@@ -178,12 +167,6 @@ def test_a_tree_holds_few_states():
         assert len(tree._nodes) <= 10  # ⌊log₂ 1000⌋ + 1
 
 
-def test_chunks_cover_all_blocks():
-    assert list(chunks(10, 4)) == [(0, 4), (4, 4), (8, 2)]
-    assert list(chunks(1, 8)) == [(0, 1)]
-    assert list(chunks(0, 8)) == []
-
-
 # --- steps ------------------------------------------------------------------------------------------
 
 
@@ -211,10 +194,6 @@ def test_generators_go_in_step():
     assert results == [(0, 11), (1, 0), (2, 111), (3, 1)]
     found = [[each.key for each in step] for step in steps]
     assert found == [["0-0", "2-0", "3-0"], ["0-1", "2-1"], ["2-2"]]
-
-
-def test_no_generators_need_no_step():
-    assert _drive(in_step([]), None) == ([], [])
 
 
 SUBJECT = Subject(None, mcs.sampler("random", dims=2))
@@ -256,11 +235,6 @@ def test_threads_change_nothing(workers):
     )
     assert found.attrs["words"] == f"{one};{two}"
     assert (found["blocks"].values.tolist(), found.attrs["seed"]) == ([9, 9], 4)
-
-
-def test_a_reduction_is_found_by_its_key():
-    part = Said().part(SUBJECT, Stream.from_rng(0), "a1")
-    assert part.block(3).said == ["a13,"]
 
 
 def test_progress_grows_to_the_end_in_every_step():
@@ -437,47 +411,7 @@ def test_an_analysis_that_breaks_its_contract_is_named(need, reduction, words):
         compute(Odd(), SUBJECT)
 
 
-def test_variances_of_channels_and_of_many_fit_too():
-    values = xr.Dataset({"variance": (("estimator", "sampler", "n", "channel"), np.ones((1,) * 4))})
-    check_variables(values, ("variance",), "It")
-
-
 # --- the registry -----------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def outsiders(tmp_path, monkeypatch):
-    """Another package that is installed; what it registers is in this module."""
-    place = "mcspectra_analyses_of_others"
-    info = tmp_path / "others-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: others\nVersion: 1.0\n")
-    found = {"said": "Said", "gone": "Gone", "odd": "CASES", "terms": "Said"}
-    lines = [f"{name} = {place}:{target}" for name, target in found.items()]
-    (info / "entry_points.txt").write_text("\n".join(["[mcspectra.analyses]", *lines]))
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setitem(sys.modules, place, SimpleNamespace(Said=Said, CASES=CASES))
-
-
-def test_analyses_of_others_are_found_by_name(outsiders):
-    assert ANALYSES.load("said") is Said
-    assert "said" in list(ANALYSES)
-    assert ANALYSES.load("terms") is not Said  # a built-in name always wins
-    assert Said.summary() == "Words of all blocks, in two steps of two reductions."
-    with pytest.raises(MissingDependency, match="'gone'.*cannot be loaded"):
-        ANALYSES.load("gone")
-    with pytest.raises(MissingDependency, match="'odd'.*not a class"):
-        ANALYSES.load("odd")
-    with pytest.raises(UnknownName, match="no analysis called 'sad'.*Did you mean 'said'"):
-        ANALYSES.load("sad")
-
-
-def test_options_that_are_none_of_an_analysis_are_refused():
-    with pytest.raises(TypeError, match="block"):
-        Said(block=3)
-    assert Said(blocks=3) == Said(blocks=3)
-    with pytest.raises(AttributeError):
-        Said().blocks = 3
 
 
 def test_a_key_of_no_first_step_says_what_to_do():

@@ -230,8 +230,8 @@ def test_large_tiles_and_deep_pixels(tmp_path):
 
 
 ORDINARY = {
-    "p.dat": lambda x: write(x, 60_000, 2),
-    "p.csv": lambda x: write(x, 40_000, 3),
+    "p.dat": lambda x: write(x, 30_000, 2),
+    "p.csv": lambda x: write(x, 20_000, 3),
     "p.bin": lambda x: write_points(x, [np.random.default_rng(0).random((400_000, 2))]),
     "p.npz": lambda x: np.savez(x, points=np.random.default_rng(0).random((9, 50_000, 2), "f4")),
     "image.npy": lambda x: np.save(x, np.random.default_rng(0).random((512, 512, 3), "f4")),

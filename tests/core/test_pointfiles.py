@@ -91,6 +91,8 @@ def test_dat_text_is_that_of_utk():
         ("x,y\n0.5,0.25\n", [[[0.5, 0.25]]]),
         ('"x", "y"\r\n"0.5", 0.25\r\n', [[[0.5, 0.25]]]),
         ("\ufeffx;y\n0,5;0,25\n", [[[0.5, 0.25]]]),
+        ("# by me; v1\nx,y\n0.1,0.2\n", [[[0.1, 0.2]]]),
+        ("# a, b\nx;y\n0,1;0,2\n", [[[0.1, 0.2]]]),
         ("0.5\r0.25\r\r0.75", [[[0.5], [0.25]], [[0.75]]]),
         ("# made by hand\n0.5\n\n0.25\n0.75\n\n\n", [[[0.5]], [[0.25], [0.75]]]),
         (
@@ -168,6 +170,11 @@ BAD_FILES = [
     ("p.csv", "0.1,0.2\nx,y\n", "line 2: 'x'"),
     ("p.csv", "0.1,0.2\n,0.3\n", "line 2: ''"),
     ("p.csv", "nan,0.2\n", "line 1: 'nan'"),
+    ("p.csv", ",x,y\n0,0.1,0.2\n1,0.3,0.4\n", "a column without a name.*index=False"),
+    ("p.csv", "set\n1\n2\n", "has no coordinates"),
+    ("p.csv", "set,Set,x\n1,2,0.1\n", "two columns 'set'"),
+    ("p.csv", "x,y\n0.1,1_0\n", "'1_0' is not a finite number"),
+    ("p.dat", "0.1 1_0\n", "line 1: '1_0' is not a finite number"),
     ("p.bin", b"", "ends at byte 0"),
     ("p.bin", binary()[:19], "ends at byte 19"),
     ("p.bin", binary()[:-1], "32 bytes after the header, but has 31"),
@@ -270,13 +277,13 @@ def test_sets_of_different_sizes_do_not_fit_binary_formats(tmp_path):
 def test_millions_of_blank_lines_are_passed_over(save, name, head):
     point = b"0,0.5\n" if name == "x.csv" else b"0 0.5\n"
     start = time.process_time()
-    path = save(name, head + b"\n" * (30 * 2**20) + point)
+    path = save(name, head + b"\n" * (8 * 2**20) + point)
     (points,) = read_points(path)
     assert points.shape == ((1, 1) if b"set" in head else (1, 2))
     path.write_bytes(path.read_bytes() + b" \n" * 10 + point[:-2] + b"x\n")
-    with pytest.raises(FileFormatError, match=f"line {30 * 2**20 + head.count(b'x') + 12}: "):
+    with pytest.raises(FileFormatError, match=f"line {8 * 2**20 + head.count(b'x') + 12}: "):
         read_points(path)
-    assert time.process_time() - start < 10
+    assert time.process_time() - start < 4
 
 
 def test_cells_may_stand_between_blanks(save):

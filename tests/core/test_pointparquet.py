@@ -39,6 +39,18 @@ def test_tables_of_others_are_read(tmp_path):
     assert [x.tolist() for x in read_points(path)] == [[[0.5, 0], [0.75, 0]], [[0.25, 0]]]
 
 
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {"X": [0.1, 0.3], "x": [0.2, 0.4]},  # two that differ in case
+        {"x0": [0.1, 0.3], "x1": [0.2, 0.4], "__index_level_0__": [7, 8]},  # the index of pandas
+    ],
+)
+def test_columns_of_coordinates_are_told_from_others(tmp_path, columns):
+    (points,) = read_points(save(tmp_path / "p.parquet", **columns))
+    np.testing.assert_array_equal(points, [[0.1, 0.2], [0.3, 0.4]])
+
+
 def test_sets_come_in_the_order_of_their_first_rows(tmp_path):
     path = save(tmp_path / "p.parquet", set=[10, 9, 10], x=[0.1, 0.2, 0.3])
     assert [x.ravel().tolist() for x in read_points(path)] == [[0.1, 0.3], [0.2]]
@@ -67,6 +79,9 @@ def test_sets_of_several_row_groups_and_dictionaries(tmp_path):
         ({"x": [0.5, 0.2], "set": [1, None]}, "column 'set' is empty in a row"),
         ({"set": [1, 2]}, "holds no points"),
         ({"x": pa.array([], "float64")}, "holds no points"),
+        ({"set": [1, 1], "Set": [1, 2], "x": [0.1, 0.2]}, "two columns of one name"),
+        ({"set": [[1], [2]], "x": [0.1, 0.2]}, "column 'set' holds list"),
+        ({"set": [b"\xff", b"\xfe"], "x": [0.1, 0.2]}, "column 'set' holds binary"),
     ],
 )
 def test_tables_that_are_no_points(tmp_path, columns, words):
@@ -102,11 +117,6 @@ def test_damaged_bytes_never_escape_as_other_errors(tmp_path):
             sentences.append(str(error))
     assert len(sentences) > 10
     assert not any("\n" in sentence for sentence in sentences)
-
-
-def test_sets_of_different_dims_need_several_files(tmp_path):
-    with pytest.raises(FileFormatError, match="same dims"):
-        write_points(tmp_path / "p.parquet", [np.ones((2, 2)), np.ones((2, 3))])
 
 
 def test_a_missing_package_is_one_sentence(tmp_path, monkeypatch):

@@ -151,6 +151,7 @@ def test_a_built_in_name_wins(registry, install):
         ("theirs = third_party_things:Missing", THIRD_PARTY, "Missing"),
         ("theirs = third_party_things:Theirs", "import no_such_module_anywhere", "no_such_module"),
         ("theirs = no_such_module_anywhere:Theirs", "", "no_such_module"),
+        ("theirs = third_party_things:nothing", "nothing = {}", "not a class"),
     ],
 )
 def test_a_broken_distribution_hurts_only_who_asks_for_it(registry, install, entry, source, words):

@@ -104,7 +104,7 @@ def test_coefficients_of_products_and_channels(basis):
     np.testing.assert_allclose(found, [product, -2 * product], atol=1e-9)
 
 
-@pytest.mark.parametrize("basis", BASES)
+@pytest.mark.parametrize("basis", REAL)
 @pytest.mark.parametrize("space", ["domain", "primary"])
 @pytest.mark.parametrize("dims", [1, 2])
 def test_terms_sum_to_the_variance_of_the_truncated_estimate(basis, space, dims):
@@ -145,9 +145,8 @@ def test_terms_sum_to_the_variance_of_the_truncated_estimate(basis, space, dims)
 
 FITS = [("jittered | shift", "fourier"), ("jittered | digital-shift", "walsh")]
 FITS += [("jittered | shift | mirror(mode='fold')", "cosine")]
-FITS += [("jittered | mirror", "walsh"), ("jittered | shift | mirror(mode='uniform')", "cosine")]
 FITS += [("jittered | mirror(mode='uniform')", "walsh"), ("sobol | owen | mirror", "walsh")]
-FITS += [("sobol | owen", "walsh"), ("sobol | owen", "haar"), ("jittered", "haar")]
+FITS += [("jittered", "haar")]
 MISFITS = [("jittered", "fourier"), ("jittered | shift", "walsh"), ("jittered | shift", "haar")]
 
 
@@ -237,12 +236,6 @@ def test_auto_knows_what_a_mirrored_estimator_makes_of_points(mode, sampler, spa
     )
     assert d.attrs["basis"] == basis
     assert abs(float(d["cross_term"])) < 4 * float(d["cross_term_se"])
-
-
-@pytest.mark.parametrize("given", [None, 1, ["fourier"]])
-def test_a_basis_has_a_name(given):
-    with pytest.raises(ParameterError, match="it must be one of fourier, cosine"):
-        mcs.variance_terms("gaussian", "random", 16, half_width=4, basis=given)
 
 
 @pytest.mark.parametrize("basis", ["walsh", "haar"])

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 import mcspectra as mcs
-from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.errors import NoClosedForm
 from mcspectra.spectra.closed_forms import moments_of
 
 REALIZATIONS = 10_000
@@ -163,40 +163,3 @@ def test_lattices_are_the_same_by_summing_their_points():
     np.testing.assert_allclose(
         mcs.closed_form_power("fibonacci", 8, m), np.abs(summed) ** 2, atol=1e-12
     )
-
-
-@pytest.mark.parametrize(
-    ("spec", "n"),
-    [
-        ("poisson-disk", 16),
-        ("sobol | owen", 16),
-        ("orthogonal-array(jitter='correlated-multi-jittered')", 9),
-        ("correlated-multi-jittered", 16),
-        ("jittered | random-rotation", 16),
-    ],
-)
-def test_what_is_not_known_is_refused(spec, n):
-    sampler = mcs.sampler(spec, dims=2)
-    with pytest.raises(NoClosedForm, match="No closed-form power is known"):
-        mcs.closed_form_covariance(sampler, n, [[1, 1]], [[1, 1]])
-
-
-@pytest.mark.parametrize(
-    ("arguments", "error", "sentence"),
-    [
-        (("random", 4, [[np.nan]], [[1]]), ParameterError, "NaN"),
-        (("random", 4, [[1]], [[np.inf]]), ParameterError, "NaN or infinity"),
-        (("random", 4, [[1]], [[1, 2]]), ParameterError, "shape"),
-        (("random", 4, [[1], [2]], [[1], [2], [3]]), ParameterError, "do not broadcast"),
-        (("random", 0, [[1]], [[1]]), ParameterError, "n is 0"),
-        (("random", 2.5, [[1]], [[1]]), ParameterError, "n is 2.5"),
-        (("jittered", 10**6, [["a", "b"]], [[1, 1]]), ParameterError, "real numbers"),
-        (("random", 4, [[1]], [[1]], "linear(slope=2)"), NoClosedForm, "diverges"),
-        (("random", 4, [[0.5]], [[1]], "linear(slope=1)"), NoClosedForm, "real frequencies"),
-        (("poisson-disk", 4, [[1]], [[1]], "linear(slope=1)"), NoClosedForm, "with the density"),
-        (("kronecker | shift", 2**30, np.ones((8, 1)), [[1]]), NoClosedForm, "ask for fewer"),
-    ],
-)
-def test_bad_input(arguments, error, sentence):
-    with pytest.raises(error, match=sentence):
-        mcs.closed_form_covariance(*arguments)

@@ -7,7 +7,6 @@ import pytest
 from scipy import stats
 
 import mcspectra as mcs
-from mcspectra.core.errors import NoClosedForm, ParameterError
 
 NETS = [
     ("sobol", 2, 8),
@@ -146,72 +145,3 @@ def test_nested_variances_of_a_linear_function_are_powers_of_four():
     expected[1:, 0] = 0.25 ** (np.arange(1, 6) + 1)
     expected[0, 1:] = 4 * 0.25 ** (np.arange(1, 6) + 1)
     np.testing.assert_allclose(parts, expected, atol=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("spec", "net", "n", "dims"),
-    [
-        ("linear", "sobol", 8, 2),
-        ("gaussian(width=0.25)", "sobol", 16, 2),
-        ("gaussian(width=0.25)", "niederreiter", 8, 3),
-        ("disk", "larcher-pillichshammer", 16, 2),
-        ("disk", "sobol", 12, 2),
-    ],
-)
-@pytest.mark.filterwarnings("ignore::mcspectra.core.errors.NotPowerOfTwoWarning")
-def test_variance_of_scrambled_nets(spec, net, n, dims):
-    """Var = (1/n) Σ Γ_l σ²_l against simulation; finer levels have gain 1 and are what is left."""
-    f = mcs.integrand(spec, dims=dims)
-    levels = 8 if dims == 2 else 6
-    parts = mcs.nested_variances(f, levels)
-    gain = mcs.gain_coefficients(net, n, dims=dims, levels=levels)["gain"].values
-    squared = f if spec == "disk" else mcs.Integrand.from_function(lambda x: f(x) ** 2, dims=dims)
-    rest = squared.integral - f.integral**2 - parts.sum()
-    exact = (np.sum(gain * parts) + rest) / n
-    x = mcs.sampler(f"{net} | owen", dims=dims).draw(n, realizations=10_000, rng=9)
-    squares = (f(x).mean(axis=1) - f.integral) ** 2
-    assert abs(squares.mean() - exact) <= 4 * squares.std() / 100
-
-
-@pytest.mark.parametrize(
-    ("call", "error", "sentence"),
-    [
-        (lambda: mcs.gain_coefficients("jittered", 16), NoClosedForm, "No gain coefficients"),
-        (lambda: mcs.gain_coefficients("pmj02 | owen", 16), NoClosedForm, "the same every"),
-        (lambda: mcs.gain_coefficients("sobol | shift", 16, dims=2), NoClosedForm, "sobol"),
-        (lambda: mcs.gain_coefficients("sobol", 16, levels=0), ParameterError, "levels is 0"),
-        (lambda: mcs.gain_coefficients("sobol", 16, levels=60), ParameterError, "levels is 60"),
-        (lambda: mcs.gain_coefficients("sobol", 16, levels=np.nan), ParameterError, "levels"),
-        (lambda: mcs.gain_coefficients("sobol", 2**16, dims=50), ParameterError, "lower levels"),
-        (lambda: mcs.nested_variances(mcs.integrand("disk"), 23), ParameterError, "half_width"),
-        (lambda: mcs.closed_form_walsh_power("sobol", 8, [[1, 1]]), NoClosedForm, "digital-shift"),
-        (
-            lambda: mcs.closed_form_walsh_power("halton | owen", 8, [[1, 1]]),
-            NoClosedForm,
-            "base 2",
-        ),
-        (
-            lambda: mcs.closed_form_walsh_power("sobol | owen", 8, [[1, -1]]),
-            ParameterError,
-            "whole numbers",
-        ),
-        (
-            lambda: mcs.closed_form_walsh_power("sobol | owen", 8, [[2**32, 0]]),
-            ParameterError,
-            "whole numbers",
-        ),
-        (
-            lambda: mcs.closed_form_walsh_power("sobol | owen", 8, [[0.5, np.nan]]),
-            ParameterError,
-            "NaN",
-        ),
-    ],
-)
-def test_bad_input(call, error, sentence):
-    with pytest.raises(error, match=sentence):
-        call()
-
-
-def test_an_empty_list_is_refused_as_such():
-    with pytest.raises(ParameterError, match=r"have shape \(0,\)"):
-        mcs.closed_form_walsh_power("sobol | digital-shift", 4, [])

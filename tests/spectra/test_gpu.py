@@ -227,16 +227,6 @@ def test_auto_never_means_gpu(device):
         assert Transform(FrequencyGrid(dims, half_width), 10**6).engine == "nufft"
 
 
-def test_four_dims_are_refused_before_anything_is_loaded():
-    with pytest.raises(ParameterError, match="1 to 3 dims, not 4"):
-        Transform(FrequencyGrid(4, 2), 8, engine="gpu")
-
-
-def test_listed_frequencies_have_no_gpu_engine(device):
-    with pytest.raises(ParameterError, match="one of auto, nufft, direct"):
-        mcs.power_at("random", 8, [[1.0, 0.5]], engine="gpu")
-
-
 def test_cuda_libraries_that_pip_installed_are_loaded(device, monkeypatch):
     loaded = []
     pathfinder = ModuleType("cuda.pathfinder")

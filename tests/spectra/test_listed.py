@@ -12,7 +12,7 @@ from mcspectra import (
     plane_frequencies,
     subset_frequencies,
 )
-from mcspectra.core.errors import ConfigError, CountError, ParameterError
+from mcspectra.core.errors import ConfigError
 from mcspectra.spectra import transforms
 from mcspectra.spectra._listed_kernels import unit_phases
 from mcspectra.spectra.listed import listed_transform
@@ -199,70 +199,6 @@ def test_lists_of_frequencies():
     assert ((subset != 0) == [True, False, True, False, True]).all()
     assert np.abs(subset).max() == 4
     assert np.array_equal(diagonal_frequencies(3, 2), [[1, 1, 1], [2, 2, 2]])
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ({"frequencies": [1.0, 2.0]}, r"shape \(F, 2\)"),
-        ({"frequencies": [[1.0, np.nan]]}, "NaN"),
-        ({"frequencies": [[np.inf, 1.0]]}, "NaN or infinity"),
-        ({"frequencies": [[1e13, 1.0]]}, "phases"),
-        ({"frequencies": [["a", "b"]]}, "real numbers"),
-        ({"frequencies": []}, "shape"),
-        ({"frequencies": 3.0}, "shape"),
-        ({"frequencies": [[1j, 1.0]]}, "real numbers"),
-        ({"frequencies": [[1.0, 2.0, 3.0]]}, "shape"),
-        ({"realizations": 0}, "realizations"),
-        ({"engine": "fft"}, "engine"),
-        ({"eps": 1.0}, "eps"),
-        ({"n": 15}, "9 and 16"),
-        ({"n": 10**30}, "n"),
-        ({"density": mcs.density("linear(slope=1)", dims=1)}, "dims"),
-    ],
-)
-def test_bad_input(arguments, words):
-    given = {"n": 16, "frequencies": [[1.0, 2.0]], **arguments}
-    with pytest.raises((ParameterError, CountError), match=words):
-        mcs.power_at(mcs.sampler("jittered", dims=2), given.pop("n"), **given)
-
-
-def test_type_3_ends_at_three_dims():
-    with pytest.raises(ParameterError, match="1 to 3 dims, not 4"):
-        mcs.power_at("random", 4, np.ones((1, 4)), engine="nufft")
-
-
-@pytest.mark.parametrize(
-    ("function", "arguments", "words"),
-    [
-        (axis_frequencies, (0, 4), "dims"),
-        (axis_frequencies, (2, 0), "half_width"),
-        (axis_frequencies, (1024, 10**6), "GiB"),
-        (diagonal_frequencies, (2000, 4), "dims"),
-        (plane_frequencies, (3, (0, 3), 4), "axes"),
-        (plane_frequencies, (3, (1, 1), 4), "once"),
-        (plane_frequencies, (3, "01", 4), "axes"),
-        (plane_frequencies, (3, (), 4), "axes"),
-        (plane_frequencies, (3, 1, 4), "axes"),
-        (subset_frequencies, (20, tuple(range(20)), 64), "fewer axes"),
-        (subset_frequencies, (3, (0.5,), 4), "axes"),
-    ],
-)
-def test_bad_lists(function, arguments, words):
-    with pytest.raises(ParameterError, match=words):
-        function(*arguments)
-
-
-@pytest.mark.parametrize("step", [0.0, -1.0, np.nan, np.inf, "1"])
-def test_bad_step(step):
-    with pytest.raises(ParameterError, match="step"):
-        axis_frequencies(2, 3, step=step)
-
-
-@pytest.mark.parametrize("signs", [(1,), (0, 0), (2, 1), (np.nan, 1)])
-def test_bad_signs(signs):
-    with pytest.raises(ParameterError, match="signs"):
-        diagonal_frequencies(2, 3, signs=signs)
 
 
 def test_points_that_fit_no_memory_are_refused_at_once(monkeypatch):

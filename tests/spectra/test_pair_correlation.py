@@ -6,7 +6,6 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.analysis import Subject
-from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.spectra.pair_correlation import PairCorrelation, count_pairs
 from mcspectra.testing import check_analysis
 
@@ -130,61 +129,12 @@ def test_an_axis_of_one_cell_is_always_shared(sides, n):
     np.testing.assert_allclose(found, n / (n - 1) * n * r * 2 / np.pi, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        ({"boundary": "open"}, "boundary is 'open'"),
-        ({"boundary": "border", "max_distance": 0.5}, "with the border correction give less"),
-        ({"max_distance": 0}, "max_distance is 0"),
-        ({"max_distance": 0.6}, "at most 0.5"),
-        ({"max_distance": np.nan}, "finite number"),
-        ({"bins": 0}, "bins is 0"),
-        ({"bins": 2.5}, "bins is 2.5"),
-        ({"n": 2**20}, "give fewer points"),
-        ({"n": 10**7}, "give fewer points"),
-        ({"realizations": 0}, "realizations is 0"),
-    ],
-)
-def test_bad_input(arguments, sentence):
-    with pytest.raises(ParameterError, match=sentence):
-        mcs.pair_correlation("random", **({"n": 16} | arguments))
-
-
-def test_bad_input_of_the_exact_form():
-    with pytest.raises(ParameterError, match="from 0 to 1/2"):
-        mcs.closed_form_pair_correlation("random", 4, [0.6])
-    with pytest.raises(ParameterError, match="from 0 to 1/2"):
-        mcs.closed_form_pair_correlation("random", 4, [np.nan])
-    with pytest.raises(NoClosedForm, match="pair_correlation"):
-        mcs.closed_form_pair_correlation("jittered(dims=3)", 8, [0.1])
-
-
-@pytest.mark.parametrize("dims", [1, 2, 3])
-def test_random_points_have_g_of_one(dims):
-    d = mcs.pair_correlation(mcs.sampler("random", dims=dims), 200, bins=20, realizations=40, rng=1)
+def test_random_points_have_g_of_one():
+    d = mcs.pair_correlation(mcs.sampler("random", dims=3), 200, bins=20, realizations=40, rng=1)
     assert d["pair_correlation"].dims == ("r",)
     pull = (d["pair_correlation"] - 1) / d["pair_correlation_se"]
     # 20 bins; t with 39 degrees: 6 σ has probability 5e-7
     assert np.abs(pull).max() < 6
-
-
-def test_jittered_points_in_1d_match_the_exact_pair_density():
-    """Two points of different cells: ρ(r) = 1 − (1/n)·overlap of a cell with itself shifted by r."""
-    n, bins = 8, 64
-    d = mcs.pair_correlation(
-        mcs.sampler("jittered", dims=1), n, bins=bins, realizations=4000, rng=2
-    )
-    # mean over a bin of g(r) = (1 − max(0, 1 − n r)/1) · n/(n−1), on the torus
-    fine = (np.arange(bins * 50) + 0.5) / (bins * 100)
-    g = (1 - np.maximum(0, 1 - n * fine)) * n / (n - 1)
-    expected = g.reshape(bins, 50).mean(axis=1)
-    pull = np.abs(d["pair_correlation"] - expected) / (d["pair_correlation_se"] + 1e-12)
-    assert pull.max() < 6
-
-
-def test_one_point_has_no_pairs():
-    with pytest.raises(ParameterError, match="at least 2"):
-        mcs.pair_correlation("random", 1)
 
 
 @pytest.mark.parametrize("boundary", ["toroidal", "border"])

@@ -51,21 +51,6 @@ def test_real_frequencies_give_the_bias_of_a_window_besides(n):
     assert 7 / 120 < _predicted("jittered", n, 0.5) < 7 / 120 + 1 / n
 
 
-@pytest.mark.parametrize(("spec", "rate"), [("random", -1.0), ("jittered | shift", -2.0)])
-def test_the_rates_diverge(spec, rate):
-    base = spec.split(" | ")[
-        0
-    ]  # a shift has no closed form between the integers; power is the same
-    slopes = [
-        np.polyfit(np.log(COUNTS), np.log([_predicted(s, n, step) for n in COUNTS]), 1)[0]
-        for s, step in ((spec, 1.0), (base, 0.5))
-    ]
-    assert slopes[0] == pytest.approx(rate, abs=0.02)
-    assert -0.5 < slopes[1] < 0.0
-    last = [_predicted(base, n, 0.5) for n in COUNTS[-2:]]
-    assert abs(np.log(last[1] / last[0]) / np.log(4)) < 0.02
-
-
 @pytest.mark.parametrize("f", ["christensen-gaussian", "disk(center=[0.463, 0.517], radius=0.27)"])
 def test_simulated_spectra_in_2d_diverge_too(f):
     """`variance_from_spectrum` of `power_spectrum` at integers and at half-integers.

@@ -67,31 +67,6 @@ def test_radial_error_covers_the_known_power():
     assert abs(np.mean(z**2) - 1) < 6 * np.sqrt(2 / 24)
 
 
-@pytest.mark.parametrize(("dims", "density"), [(1, "linear(slope=1.8)"), (2, "linear(slope=1)")])
-def test_errors_of_rings_and_wedges_cover_under_a_density(dims, density):
-    """Random points have power ∫1/p/n at every m ≠ 0: mean z² over seeds, 6 √(2.4/150) either way.
-
-    All frequencies share Σ1/p²: taken as uncorrelated, errors are far too small. A skewness γ of the
-    means of one set adds 2 γ²/R to z², which for bounded 1/p is small at R = 200.
-    """
-    n, count, seeds = 12, 200, 150
-    sampler, p = mcs.sampler("random", dims=dims), mcs.density(density, dims=dims)
-    truth = p.reciprocal_integral() / n
-    ring, wedge = [], []
-    for seed in range(seeds):
-        spectrum = mcs.power_spectrum(
-            sampler, n, density=p, half_width=5, realizations=count, rng=seed, engine="direct"
-        )
-        rings = mcs.radial_statistics(spectrum)
-        ring.append((rings["radial_power"].values - truth) / rings["radial_power_se"].values)
-        if dims == 2:
-            found = mcs.wedge_means(spectrum)
-            wedge.append((found["wedge_power"].values - truth) / found["wedge_power_se"].values)
-    for z in (ring, wedge) if dims == 2 else (ring,):
-        square = np.mean(np.square(z), axis=0)
-        assert np.abs(square - 1).max() < 6 * np.sqrt(2.4 / seeds), square
-
-
 @pytest.mark.parametrize("dims", [1, 2, 3])
 def test_streamed_errors_are_those_of_ring_means(dims):
     """Of each realisation by itself, drawn again as a spectrum of one realisation."""
@@ -104,6 +79,8 @@ def test_streamed_errors_are_those_of_ring_means(dims):
         for x in points
     ]
     for name in ("radial_power", "wedge_power")[: 1 + (dims == 2)]:
+        of_grid = mcs.radial_statistics(many) if name == "radial_power" else mcs.wedge_means(many)
+        np.testing.assert_allclose(many[name], of_grid[name], rtol=1e-9)
         means = np.stack([one[name].values for one in alone])
         np.testing.assert_allclose(many[name], means.mean(axis=0), rtol=1e-9)
         se = means.std(axis=0, ddof=1) / np.sqrt(kept)
@@ -119,26 +96,6 @@ def test_other_wedges_have_no_errors_under_a_density():
         "random", 9, density="linear", half_width=8, realizations=4, wedges=8
     )
     assert np.isfinite(mcs.wedge_means(eight, 8)["wedge_power_se"]).all()
-
-
-def test_latin_hypercube_is_anisotropic_and_its_slices_show_why():
-    """Axes: power of 1-D strata, (1/n)(1 − sinc²(m/n)); diagonals: 1/n within a factor of n/(n−1)."""
-    n = 64
-    spectrum = mcs.power_spectrum("latin-hypercube", n, half_width=16, realizations=2000, rng=3)
-    rings = mcs.radial_statistics(spectrum)
-    signal = rings["anisotropy_db"] - rings["anisotropy_noise_db"]
-    assert (signal.values[1:] > 3).all()
-    cut = mcs.slices(spectrum)
-    assert cut["slice"].values.tolist() == ["(1, 0)", "(0, 1)", "(1, 1)", "(1, -1)"]
-    m = cut["multiple"].values
-    for name in ("(1, 0)", "(0, 1)"):
-        along = cut.sel(slice=name)
-        expected = (1 - np.sinc(m / n) ** 2) / n
-        assert (np.abs(along["slice_power"] - expected) < 6 * along["slice_power_se"]).all()
-    expected = mcs.closed_form_power("latin-hypercube", n, np.stack([m, m], axis=-1))
-    for name in ("(1, 1)", "(1, -1)"):
-        along = cut.sel(slice=name)
-        assert (np.abs(along["slice_power"] - expected) < 6 * along["slice_power_se"]).all()
 
 
 @pytest.mark.parametrize(("dims", "count"), [(1, 1), (2, 4), (3, 13), (4, 40)])
@@ -204,6 +161,7 @@ def test_misfit_widens_the_interval():
     bent = _made(lambda nu: 1 + np.abs(nu[..., 0]) ** 3, 1, 20, se=1e-4)
     found = mcs.low_frequency_exponent(bent, up_to=20)
     assert float(found["exponent_fit_chi2"]) > 100
+    assert "no power law" in found.attrs["reason"]
     low, high = found["low_frequency_exponent_ci"].values
     assert high - low > 0.1
 
@@ -229,10 +187,8 @@ def test_random_points_have_exponent_0(dims):
     [
         ("jittered", 1, 64, None),
         ("jittered", 2, 1024, None),
-        ("jittered", 3, 13824, None),
         ("sobol | owen", 1, 64, None),
         ("sobol | owen", 2, 64, 0),
-        ("pmj02", 2, 64, 1),
     ],
 )
 def test_stratified_points_have_exponent_2(spec, dims, n, axis):
@@ -246,33 +202,9 @@ def test_stratified_points_have_exponent_2(spec, dims, n, axis):
     x = np.pi * up_to / s
     least = 2 * np.sin(x) / x * (np.sin(x) / x - np.cos(x)) / (1 - (np.sin(x) / x) ** 2)
     assert 1.7 < least < 2
-    count = 40 if dims == 3 else 1000
-    b, allowed = _exponent(
-        spec, dims, n, half_width=int(up_to) + 1, up_to=up_to, axis=axis, realizations=count
-    )
+    b, allowed = _exponent(spec, dims, n, half_width=int(up_to) + 1, up_to=up_to, axis=axis)
     assert least - allowed < b < 2 + allowed
     assert allowed < 0.5
-
-
-def test_poisson_disk_is_flat_at_low_frequencies():
-    """Dart throwing leaves density fluctuations, P(0) > 0: b = 0 there [Pilleboue2015]_.
-
-    Far from 1, the least exponent that would improve a rate.
-    """
-    b, allowed = _exponent("poisson-disk", 2, 256, half_width=4, up_to=4, realizations=200)
-    assert abs(b) < 0.5
-    assert allowed < 0.5
-
-
-def test_scrambled_nets_have_an_exponent_between_those_of_their_parts():
-    """2-D: m² along the axes, m0² m1² (log n − log m0 m1) off them, and no power law of |m|.
-
-    The largest power near the axes, where m0 m1 is small, grows by less than |m|^4.
-    """
-    spectrum = mcs.power_spectrum("sobol | owen", 1024, half_width=8, realizations=200, rng=7)
-    found = mcs.low_frequency_exponent(spectrum, up_to=8)
-    assert 2 < float(found["low_frequency_exponent"]) < 4
-    assert found.attrs["directions"] != "all"
 
 
 @pytest.mark.parametrize(
@@ -311,11 +243,6 @@ def test_two_exponents_by_hand():
         assert float(found["low_frequency_exponent"]) == pytest.approx(b, abs=1e-9)
 
 
-def test_a_bad_fit_is_called_one():
-    bent = _made(lambda nu: 1 + np.abs(nu[..., 0]) ** 3, 1, 20, se=1e-4)
-    assert "no power law" in mcs.low_frequency_exponent(bent, up_to=20).attrs["reason"]
-
-
 def test_between_integers_the_power_of_the_mean_is_taken_off():
     """Jittered: ⟨|S_ν|²⟩ − sinc²(πν) = (1 − sinc²(πν/n))/n, b = 2; with sinc² it would be below 0."""
     sampler = mcs.sampler("jittered", dims=1)
@@ -337,52 +264,6 @@ def test_lattices_have_no_exponent_and_say_why():
     assert "no power" in found.attrs["reason"]
 
 
-def _bell_coefficients(half_width, step):
-    """∫_0^1 exp(−8(x − ½)²) exp(−2πiνx) dx by Gauss-Legendre quadrature."""
-    # 20 nodes in each of 40 panels: at most 4 oscillations in a panel
-    nodes, weights = np.polynomial.legendre.leggauss(20)
-    x = ((nodes + 1) / 2 + np.arange(40)[:, None]).ravel() / 40
-    w = np.tile(weights / 80, 40)
-    nu = step * np.arange(-half_width, half_width + 1)
-    return np.exp(-2j * np.pi * np.outer(nu, x)) @ (w * np.exp(-8 * (x - 0.5) ** 2))
-
-
-@pytest.mark.parametrize("spec", ["random", "jittered | shift"])
-def test_integer_frequencies_predict_the_variance_and_real_ones_do_not(spec):
-    """The slides' experiment: predictions from real frequencies diverge from the truth as n grows.
-
-    At integers the sum agrees with the measured variance. Between them |⟨S_ν⟩|² = sinc²(πν) does
-    not fall with n, and the prediction levels off at Δν Σ |f_ν|² sinc²(πν).
-    """
-    sampler, step = mcs.sampler(spec, dims=1), 0.25
-    bell = mcs.Estimator(mcs.integrand("gaussian", dims=1))
-    excess = []
-    for n in (4, 16, 64):
-        half_width = 2 * n + 32
-        given = {"realizations": 1000, "rng": 5, "eps": 1e-12}
-        whole = mcs.power_spectrum(sampler, n, half_width=half_width, **given)
-        f = _bell_coefficients(half_width, 1.0)
-        predicted = mcs.variance_from_spectrum(whole, f)
-        error = float((np.abs(f) ** 2 * whole["power_se"].values).sum())
-        measured = mcs.convergence(bell, sampler, [n], realizations=4000, rng=6)
-        truth = float(measured["variance"][0])
-        low, high = measured["variance_ci"].values[0]
-        assert abs(predicted - truth) < 3 * (high - low) / 2 + 6 * error
-        real = mcs.power_spectrum(
-            sampler, n, half_width=4 * half_width, frequency_step=step, **given
-        )
-        f = _bell_coefficients(4 * half_width, step)
-        predicted = mcs.variance_from_spectrum(real, f)
-        nu = real["m0"].values
-        level = np.where(nu != 0, np.abs(f) ** 2 * np.sinc(nu) ** 2, 0).sum() * step
-        energy = (np.abs(f) ** 2).sum() * step
-        assert 0.9 * level < predicted < 1.1 * level + 2 * energy / n
-        excess.append(predicted / truth)
-    # truth falls at least like 1/n: four times the points, at least about three times the excess
-    assert excess[1] > 2 * excess[0]
-    assert excess[2] > 3 * excess[1]
-
-
 @pytest.mark.parametrize(
     "function", [mcs.radial_statistics, mcs.slices, mcs.wedge_means, mcs.low_frequency_exponent]
 )
@@ -397,7 +278,7 @@ def test_other_things_than_a_grid_spectrum_are_refused(function):
             function(given)
 
 
-@pytest.mark.parametrize("wedges", [0, -1, 2.5, 10**9, np.nan, "4"])
+@pytest.mark.parametrize("wedges", [0, 2.5, 10**9])
 def test_bad_wedges(wedges):
     with pytest.raises(ParameterError, match="wedges"):
         mcs.wedge_means(_made(_length), wedges)
@@ -415,12 +296,8 @@ def test_wrong_dims():
     [
         {"up_to": 0.5},
         {"up_to": 9.0},
-        {"up_to": np.nan},
-        {"up_to": np.inf},
-        {"up_to": "4"},
         {"axis": 2},
         {"axis": -1},
-        {"axis": 0.5},
     ],
 )
 def test_bad_windows(given):

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from mcspectra.core.errors import ParameterError
 from mcspectra.spectra.transforms import FrequencyGrid, Transform, direct_sum
 
 
@@ -82,28 +81,3 @@ def test_engine_auto_takes_the_direct_sum_for_small_sets_only():
     assert Transform(FrequencyGrid(4, 16), 4096).engine == "nufft"
     assert Transform(FrequencyGrid(4, 2), 10**6).engine == "direct"
     assert Transform(FrequencyGrid(5, 4), 10**6).engine == "direct"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ({"dims": 0, "half_width": 4}, "dims"),
-        ({"dims": 2, "half_width": -1}, "half_width"),
-        ({"dims": 2, "half_width": 1.5}, "half_width"),
-        ({"dims": 2, "half_width": 4, "step": 0.0}, "frequency_step"),
-        ({"dims": 2, "half_width": 4, "step": float("nan")}, "frequency_step"),
-        ({"dims": 4, "half_width": 200}, "half_width ≤"),
-    ],
-)
-def test_bad_grids_say_what_is_allowed(arguments, words):
-    with pytest.raises(ParameterError, match=words):
-        FrequencyGrid(**arguments)
-
-
-def test_bad_engines_say_what_is_allowed():
-    with pytest.raises(ParameterError, match="nufft"):
-        Transform(FrequencyGrid(1, 4), 8, engine="fft")
-    with pytest.raises(ParameterError, match="1 to 4 dims"):
-        Transform(FrequencyGrid(5, 2), 8, engine="nufft")
-    with pytest.raises(ParameterError, match="eps"):
-        Transform(FrequencyGrid(1, 4), 8, eps=1e-30)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
 import msgspec
@@ -114,196 +114,126 @@ def test_a_sound_analysis_passes():
     check_analysis(Means(n=8), "linear", "sobol | owen")
 
 
-class NoMeaning(Means, frozen=True, kw_only=True):
-    """An option says nothing."""
-
-    order: int = 1
-
-
-class OddDefault(Means, frozen=True, kw_only=True):
-    """A default is out of its limits."""
-
-    order: Annotated[int, Meta(ge=2, description="An order.")] = 1
+def slow(analysis, subject):
+    end = time.process_time() + 0.15
+    while time.process_time() < end:
+        pass
+    return Need()
 
 
-class NoSummary(Means, frozen=True, kw_only=True):
-    __doc__ = ""
+def failing(analysis, subject):
+    raise KeyError("dims")
 
 
-class SlowNeed(Means, frozen=True, kw_only=True):
-    """It computes to say what it needs."""
-
-    def need(self, subject):
-        end = time.process_time() + 0.15
-        while time.process_time() < end:
-            pass
-        return Need()
-
-
-class NoNeed(Means, frozen=True, kw_only=True):
-    """It says nothing."""
-
-    def need(self, subject):
-        return None
-
-
-class EndlessNeed(Means, frozen=True, kw_only=True):
-    """It would never end."""
-
-    def need(self, subject):
-        return Need(cost=float("inf"))
-
-
-class FailingNeed(Means, frozen=True, kw_only=True):
-    """It refuses with an error of its own."""
-
-    def need(self, subject):
-        raise KeyError("dims")
-
-
-class Lost(Means, frozen=True, kw_only=True):
+def lost(analysis, subject, stream):
     """The kind of its states has fewer fields than they have."""
-
-    def reduction(self, subject, stream):
-        found = super().reduction(subject, stream)
-        return Reduction(kind=Values, block=found.block, blocks=found.blocks, result=found.result)
+    return replace(Means.reduction(analysis, subject, stream), kind=Values)
 
 
-class Objects(Means, frozen=True, kw_only=True):
-    """Its states are functions."""
+def bare(values, blocks=1):
+    """States without a rule to merge."""
 
-    def reduction(self, subject, stream):
-        return Reduction(kind=Bare, block=lambda _: Bare([print]), result=lambda _: dataset({}))
-
-
-class NoRule(Means, frozen=True, kw_only=True):
-    """Its states do not say how they merge."""
-
-    def reduction(self, subject, stream):
+    def reduction(analysis, subject, stream):
         return Reduction(
-            kind=Bare, block=lambda _: Bare(np.ones(1)), blocks=2, result=lambda _: dataset({})
+            kind=Bare, block=lambda _: Bare(values), blocks=blocks, result=lambda _: dataset({})
         )
 
+    return reduction
 
-class FailingBlock(Means, frozen=True, kw_only=True):
-    """A block raises."""
 
-    def values(self, subject, stream, index):
-        return subject.estimator.estimate(index)
+def later(analysis, subject, stream):
+    """`part` knows nothing of its second step."""
+    found = Means.reduction(analysis, subject, stream)
+    yield [found]
+    (state,) = yield [replace(found, key="later", result=None)]
+    return found.result(state)
 
 
 SEEN: list[int] = []
 
 
-class Remembers(Means, frozen=True, kw_only=True):
-    """What was computed before matters."""
-
-    def values(self, subject, stream, index):
-        SEEN.append(index)
-        return np.full(1, float(len(SEEN)))
+def remembers(analysis, subject, stream, index):
+    SEEN.append(index)
+    return np.full(1, float(len(SEEN)))
 
 
-class Undeclared(Means, frozen=True, kw_only=True):
-    """Its result has a variable that it does not declare."""
-
-    variables: ClassVar = ("mean",)
-
-
-class OtherDims(Means, frozen=True, kw_only=True):
-    """A variable has other dims."""
-
-    variables: ClassVar = ("mean", Variable("sum of squares", "f²", ("n",), name="power"))
+def option(kind, default, name="order", **extra):
+    """A field, with a meaning."""
+    return name, Annotated[kind, Meta(description="What.", **extra)], default
 
 
-class Twice(Means, frozen=True, kw_only=True):
-    """Two reductions have one key."""
-
-    def reduction(self, subject, stream):
-        found = super().reduction(subject, stream)
-        state, _ = yield [found, found]
-        return found.result(state)
-
-
-class Later(Means, frozen=True, kw_only=True):
-    """`part` knows nothing of its second step."""
-
-    def reduction(self, subject, stream):
-        found = super().reduction(subject, stream)
-        yield [found]
-        (state,) = yield [
-            Reduction(kind=found.kind, block=found.block, blocks=found.blocks, key="later")
-        ]
-        return found.result(state)
-
-
-class Empty(Means, frozen=True, kw_only=True):
-    """A reduction of no blocks."""
-
-    def reduction(self, subject, stream):
-        return Reduction(kind=Estimates, block=int, blocks=0, result=lambda _: dataset({}))
-
-
-class Nameless(Analysis, frozen=True, kw_only=True):
-    """It has no reduction."""
-
-
-class Named(Means, frozen=True, kw_only=True):
-    """An option has a name of its verb."""
-
-    seed: Annotated[int, Meta(description="A seed.")] = 1
-
-
-class Flagged(Means, frozen=True, kw_only=True):
-    """An option has a flag of its verb."""
-
-    order: Annotated[int, Meta(description="An order.", extra={"flag": "-o"})] = 1
-
-
-class Hidden(Means, frozen=True, kw_only=True):
-    """Two options have one flag."""
-
-    sort: Annotated[bool, Meta(description="Sort.")] = True
-    no_sort: Annotated[int, Meta(description="What else.")] = 1
-
-
-class NoValues(Means, frozen=True, kw_only=True):
-    """A default that msgspec makes each time is out of its limits."""
-
-    counts: Annotated[tuple[int, ...], Meta(description="Counts.")] = msgspec.field(
-        default_factory=tuple
-    )
-
-
+POWER = Variable("sum of squares", "f²", ("n",), name="power")
+# Fields and members that a sound analysis is given, and what is said of it then
 FAULTS = {
-    Nameless: "has no reduction; define it",
-    Named: "has the option 'seed', but that name is taken",
-    Flagged: "has the option 'order', but the flag -o is taken",
-    Hidden: "has the option 'no_sort', but the flag --no-sort is taken",
-    NoValues: "fails in the default of counts: ParameterError: counts has no values",
-    NoMeaning: "has the option order without a meaning",
-    OddDefault: "fails in the default of order: ParameterError: order is 1; give .* at least 2",
-    NoSummary: "has no docstring",
-    SlowNeed: r"takes 0\.\d+ s in need",
-    NoNeed: "returns None from need, not a Need",
-    EndlessNeed: "returns .* from need, which is not finite",
-    FailingNeed: "fails in need: KeyError: 'dims'",
-    Lost: "has a state that changes when it is stored",
-    Objects: "fails in a state as bytes: TypeError",
-    NoRule: "fails in merging states: TypeError: A ndarray has no rule to merge",
-    FailingBlock: "fails in block",
-    Remembers: "gives different results in chunks, or for the same seed",
-    Undeclared: "fails in its variables: AnalysisError: .*'power', which it does not declare",
-    OtherDims: r"fails in its variables: AnalysisError: .*power has the dims \[\]",
-    Twice: "has two reductions of the key '0'",
-    Later: "fails in part",
-    Empty: "has a reduction of 0 blocks",
+    "a name of its verb": (
+        [option(int, 1, "seed")],
+        {},
+        "has the option 'seed', but that name is taken",
+    ),
+    "a flag of its verb": (
+        [option(int, 1, extra={"flag": "-o"})],
+        {},
+        "has the option 'order', but the flag -o is taken",
+    ),
+    "two options of one flag": (
+        [option(bool, True, "sort"), option(int, 1, "no_sort")],
+        {},
+        "has the option 'no_sort', but the flag --no-sort is taken",
+    ),
+    "a made default out of its limits": (
+        [option(tuple[int, ...], msgspec.field(default_factory=tuple), "counts")],
+        {},
+        "fails in the default of counts: ParameterError: counts has no values",
+    ),
+    "no meaning": ([("order", int, 1)], {}, "has the option order without a meaning"),
+    "a default out of its limits": (
+        [option(int, 1, ge=2)],
+        {},
+        "fails in the default of order: ParameterError: order is 1; give .* at least 2",
+    ),
+    "no summary": ([], {"__doc__": ""}, "has no docstring"),
+    "slow need": ([], {"need": slow}, r"takes 0\.\d+ s in need"),
+    "endless need": (
+        [],
+        {"need": lambda *_: Need(cost=float("inf"))},
+        "returns .* from need, which is not finite",
+    ),
+    "failing need": ([], {"need": failing}, "fails in need: KeyError: 'dims'"),
+    "a lost field": ([], {"reduction": lost}, "has a state that changes when it is stored"),
+    "objects": ([], {"reduction": bare([print])}, "fails in a state as bytes: TypeError"),
+    "no rule": (
+        [],
+        {"reduction": bare(np.ones(1), 2)},
+        "fails in merging states: TypeError: A ndarray has no rule to merge",
+    ),
+    "failing block": ([], {"values": lambda *_: [].pop()}, "fails in block"),
+    "memory": (
+        [],
+        {"values": remembers},
+        "gives different results in chunks, or for the same seed",
+    ),
+    "undeclared": (
+        [],
+        {"variables": ("mean",)},
+        "fails in its variables: AnalysisError: .*'power', which it does not declare",
+    ),
+    "other dims": (
+        [],
+        {"variables": ("mean", POWER)},
+        r"fails in its variables: AnalysisError: .*power has the dims \[\]",
+    ),
+    "a later step": ([], {"reduction": later}, "fails in part"),
 }
 
 
-@pytest.mark.parametrize("fault", FAULTS, ids=lambda each: each.__name__)
-def test_faults_are_found(fault):
-    with pytest.raises(BrokenContract, match=f"^{fault.__name__} {FAULTS[fault]}"):
-        check_analysis(fault())
+@pytest.mark.parametrize(("fields", "members", "words"), FAULTS.values(), ids=FAULTS)
+def test_faults_are_found(fields, members, words):
+    named = {"__doc__": "It is broken.", **members}
+    kind = msgspec.defstruct(
+        "Broken", fields, bases=(Means,), namespace=named, frozen=True, kw_only=True
+    )
+    with pytest.raises(BrokenContract, match=f"^Broken {words}"):
+        check_analysis(kind())
 
 
 def test_options_out_of_their_limits_are_found():

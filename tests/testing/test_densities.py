@@ -134,14 +134,11 @@ def test_wrong_axes_in_two_dims_are_found():
 
 
 SPECS = [
-    ("uniform", 1),
     ("linear(slope=2)", 1),
     ("linear(slope=[1.5, -0.7])", 2),
     ("truncated-normal(mean=[0, 1, -0.1], sigma=[0.2, 0.5, 1])", 3),
     ("power(exponent=-0.5)", 1),
     ("exponential(rate=[0, -5])", 2),
-    ("tent", 1),
-    ("cosine-weighted", 2),
     ("piecewise-constant(values=[0, 3, 1, 0, 0, 2, 0])", 1),
     ("piecewise-linear(values=[0, 3, 1, 0, 0, 0, 2])", 1),
     ("mixture(parts=['uniform', 'tent(peak=0.1)', 'linear'], selection='extra')", 1),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.errors import CountError, NoClosedForm, ParameterError
+from mcspectra.core.errors import NoClosedForm
 from mcspectra.densities import AlignedStrata
 
 JITTERED = {d: mcs.sampler("jittered", dims=d) for d in (1, 2, 3)}
@@ -81,39 +81,6 @@ def test_channels_and_three_dims():
     assert d["rate"].dims == ("offset0", "offset1", "offset2", "channel")
 
 
-@pytest.mark.parametrize(
-    ("keywords", "words"),
-    [
-        ({"offsets": 0}, "offsets is 0"),
-        ({"offsets": []}, "one or more"),
-        ({"offsets": [0.5, 0.1]}, "ascending"),
-        ({"offsets": [0.1, 0.1]}, "ascending"),
-        ({"offsets": [1.0]}, "at most 1"),
-        ({"offsets": [-0.1]}, "at least 0"),
-        ({"offsets": [np.nan]}, "finite"),
-        ({"offsets": 10**9}, "more than 4096"),
-        ({"offsets": "all"}, "offsets is 'all'"),
-        ({"counts": []}, "ascending"),
-        ({"counts": [16, 8]}, "ascending"),
-        ({"counts": 2.5}, "counts is 2.5"),
-        ({"counts": "8"}, "counts is '8'"),
-        ({"method": "guess"}, "must be one of"),
-        ({"realizations": 1}, "realizations is 1"),
-        ({"sampler": JITTERED[2]}, "has 1 dims, but 2 are needed"),
-        ({"estimator": 3}, "is not an estimator"),
-    ],
-)
-def test_bad_input_of_the_scan(keywords, words):
-    given = {"estimator": STEP, "sampler": JITTERED[1], "counts": 8, **keywords}
-    with pytest.raises(ParameterError, match=words):
-        mcs.strata_shift_scan(**given)
-
-
-def test_counts_that_cannot_be_done_in_two_dims():
-    with pytest.raises(CountError, match="9 and 16"):
-        mcs.strata_shift_scan(mcs.integrand("disk", dims=2), JITTERED[2], 10)
-
-
 def test_aligned_strata_of_a_step_have_no_variance():
     """In 1-D and, for a rectangle, in 2-D; n need not be a multiple of anything."""
     for n in (7, 16):
@@ -153,36 +120,6 @@ def test_points_never_cross_an_edge_by_rounding():
         below = density.sample(np.nextafter(borders, 0)[:, None])[:, 0]
         assert (below < edges).all()
         np.testing.assert_array_equal(density.sample(borders[:, None])[:, 0], edges)
-
-
-@pytest.mark.parametrize(
-    ("keywords", "words"),
-    [
-        ({"edges": 0.3}, "a list of places"),
-        ({"edges": "0.3"}, "a list of places"),
-        ({"edges": [0.0]}, "greater than 0"),
-        ({"edges": [1.0]}, "ascending places"),
-        ({"edges": [0.5, 0.5]}, "ascending places"),
-        ({"edges": [0.7, 0.5]}, "ascending places"),
-        ({"edges": [np.nan]}, "finite"),
-        ({"edges": [[0.5], 0.3]}, "one list of places"),
-        ({"edges": [0.5], "strata": 1}, "2 pieces, but strata is 1"),
-        ({"edges": [0.5], "strata": 0}, "strata is 0"),
-        ({"edges": [0.5], "strata": 1e30}, "strata is"),
-        ({"edges": [[0.5], [0.5]], "strata": [4]}, "one for each of 2 dims"),
-        ({"edges": np.linspace(0.1, 0.9, 5000), "strata": 10**6}, "at most 4096"),
-    ],
-)
-def test_bad_edges(keywords, words):
-    with pytest.raises(ParameterError, match=words):
-        AlignedStrata(**keywords)
-
-
-def test_aligned_wants_a_plain_estimator_and_a_power():
-    with pytest.raises(ParameterError, match="density of its own"):
-        mcs.aligned(mcs.Estimator(STEP, "linear(slope=1)"), [0.3], 8)
-    with pytest.raises(ParameterError, match="a power"):
-        mcs.aligned(mcs.integrand("disk", dims=2), [[0.3], [0.3]], 8)
 
 
 def test_the_best_offset_of_a_step_is_found_between_those_of_the_scan():
@@ -242,21 +179,3 @@ def test_two_dims_by_prediction():
     assert predicted[0] == pytest.approx(0.24 * 64**-1.5, rel=1e-9)  # 0.45 · 8 = 3.6
     assert predicted[2] < 1e-25
     assert found["strata_offset"].dims == ("candidate", "axis")
-
-
-@pytest.mark.parametrize(
-    ("keywords", "words"),
-    [
-        ({"n": 0}, "n is 0"),
-        ({"n": np.nan}, "n is nan"),
-        ({"edges": [2.0]}, "ascending places"),
-        ({"edges": [[0.1], [0.2]]}, "dims"),
-        ({"offsets": 10**6}, "more than 4096"),
-        ({"method": "guess"}, "must be one of"),
-        ({"realizations": 1}, "realizations is 1"),
-    ],
-)
-def test_bad_input_of_the_optimiser(keywords, words):
-    given = {"estimator": STEP, "sampler": JITTERED[1], "n": 8, **keywords}
-    with pytest.raises(ParameterError, match=words):
-        mcs.best_alignment(**given)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.errors import ParameterError
 
 SIGMAS = 5.0  # the largest of up to 210 parts: Šidák at 1e-4 is 4.9 σ
 
@@ -181,29 +180,3 @@ def test_no_variance_has_no_shares():
     found = mcs.anova_variances(mcs.Estimator("constant", dims=3), realizations=10)
     assert np.isnan(found["anova_share"]).all()
     assert np.isnan(float(found["effective_dimension_truncation"]))
-
-
-def test_workers_do_not_matter():
-    f = mcs.Estimator("gaussian", dims=3)
-    one = mcs.anova_variances(f, "sobol | owen", 1024, realizations=400, workers=1)
-    assert one.identical(mcs.anova_variances(f, "sobol | owen", 1024, realizations=400, workers=2))
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"order": 0}, "order"),
-        ({"order": 3}, "order"),
-        ({"order": float("nan")}, "order"),
-        ({"realizations": 1}, "realizations"),
-        ({"realizations": 10**8}, "GiB"),
-        ({"n": 0}, "n is 0"),
-        ({"n": 10**30}, "n is"),
-        ({"sampler": "jitterd"}, "Did you mean"),
-        ({"estimator": mcs.Estimator("linear", dims=65)}, "from 1 to 64"),
-    ],
-)
-def test_bad_input(changes, words):
-    arguments = {"estimator": mcs.Estimator("linear", dims=3), "realizations": 4, **changes}
-    with pytest.raises(ParameterError, match=words):
-        mcs.anova_variances(**arguments)

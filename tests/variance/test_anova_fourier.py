@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.errors import CountError, NoClosedForm, ParameterError
 
 SIGMAS = 8.0  # of 16 batches: t with 15 degrees beyond 8 has 1e-6
 
@@ -72,14 +71,6 @@ def test_one_frequency_is_in_its_own_subset():
     assert _pull(found, np.where(found["subset_label"] == "x0x2", 1 / 8, 0.0)).max() < SIGMAS
 
 
-def test_seeds_and_their_results():
-    f = mcs.integrand("gaussian", dims=2)
-    given = (f, "sobol | owen | shift", 4)
-    one, same = (mcs.anova_spectrum(*given, frequencies=64, rng=1) for _ in range(2))
-    assert one.identical(same)
-    assert not one.equals(mcs.anova_spectrum(*given, frequencies=64, rng=2))
-
-
 def test_subsets_are_all_of_up_to_the_order():
     found = mcs.anova_spectrum(
         mcs.integrand("gaussian", dims=4), "random", 4, order=3, frequencies=32
@@ -88,42 +79,3 @@ def test_subsets_are_all_of_up_to_the_order():
         "".join(f"x{i}" for i in u) for s in (1, 2, 3) for u in itertools.combinations(range(4), s)
     ]
     assert found["subset_label"].values.tolist() == expected
-
-
-@pytest.mark.parametrize(
-    ("estimator", "spec", "sentence"),
-    [
-        (mcs.Estimator("gaussian", "linear", dims=2), "random", "use anova_variances"),
-        (mcs.Integrand.from_function(lambda x: x[..., 0], dims=2), "random", "exact Fourier"),
-        ("gaussian", "jittered", "add shift"),
-        ("gaussian", "sobol | owen", "add shift"),
-    ],
-)
-def test_what_this_route_does_not_do(estimator, spec, sentence):
-    with pytest.raises(NoClosedForm, match=sentence):
-        mcs.anova_spectrum(estimator, spec, 16)
-
-
-@pytest.mark.parametrize(
-    ("given", "sentence"),
-    [
-        ({"order": 0}, "order is 0"),
-        ({"order": 4}, "order is 4"),
-        ({"frequencies": 31}, "frequencies is 31"),
-        ({"frequencies": np.nan}, "frequencies is nan"),
-        ({"frequencies": 2**40}, "from 32 to 16777216"),
-        ({"frequencies": 2**24}, "more than 1.68e"),
-        ({"half_width": 0}, "half_width is 0"),
-        ({"half_width": 2**30}, "half_width is"),
-        ({"realizations": 8}, "realizations is 8"),
-        ({"n": 0}, "n is 0"),
-    ],
-)
-def test_bad_input(given, sentence):
-    with pytest.raises(ParameterError, match=sentence):
-        mcs.anova_spectrum("gaussian", "random", **({"n": 16} | given))
-
-
-def test_bad_counts():
-    with pytest.raises(CountError, match="jittered"):
-        mcs.anova_spectrum("gaussian", "jittered | shift", 17)

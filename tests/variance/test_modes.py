@@ -5,9 +5,6 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
-from mcspectra.studies import open_results, run_study
-from mcspectra.studies.executors import Cluster, Dask
-from mcspectra.studies.files import decode_study
 from mcspectra.variance.modes import CovarianceProduct
 
 ARGUMENTS = {"realizations": 200, "rng": 3}
@@ -54,17 +51,17 @@ def test_modes_are_the_eigenvectors_of_the_cross_matrix(estimator, sampler, chan
 
 
 def test_errors_of_eigenvalues_are_their_spread():
-    """A leading mode far above the others, over 60 runs; its batch means hold 10 realisations each."""
+    """A leading mode far above the others, over 40 runs; its batch means hold 10 realisations each."""
     runs = [
         mcs.covariance_modes(
             F1, "random", 8, half_width=4, modes=1, realizations=200, rng=seed, basis="cosine"
         )
-        for seed in range(60)
+        for seed in range(40)
     ]
     values = np.array([float(d["eigenvalue"][0]) for d in runs])
     claimed = np.sqrt(np.mean([float(d["eigenvalue_se"][0]) ** 2 for d in runs]))
-    # the spread of 60 is known to 9 %; batches of 10 claim up to √(10/9) too much
-    assert 1 - 4 * 0.092 < claimed / values.std(ddof=1) < np.sqrt(10 / 9) * (1 + 4 * 0.092)
+    # the spread of 40 is known to 11 %; batches of 10 claim up to √(10/9) too much
+    assert 1 - 4 * 0.113 < claimed / values.std(ddof=1) < np.sqrt(10 / 9) * (1 + 4 * 0.113)
 
 
 @pytest.mark.parametrize("realizations", [20, 400])
@@ -148,40 +145,6 @@ def test_two_passes_are_bounded_by_their_residuals():
     assert value <= float(exact["eigenvalue"][0]) * (1 + 1e-9)  # Rayleigh quotients are below
 
 
-def test_workers_do_not_matter():
-    arguments = {"half_width": 16, "modes": 2, "realizations": 1500, "rng": 1}
-    one = mcs.covariance_modes(F2, "jittered", 64, workers=1, **arguments)
-    assert one.identical(mcs.covariance_modes(F2, "jittered", 64, workers=2, **arguments))
-
-
-STUDY = """
-title = "modes"
-samplers = ["random"]
-[modes]
-n = 16
-half_width = 8
-modes = 3
-realizations = 20000
-[[estimators]]
-name = "g"
-integrand = "gaussian(width=0.1)"
-dims = 2
-"""
-
-
-def test_processes_do_not_matter(tmp_path):
-    """Worker processes have BLAS threads of their own."""
-    study = decode_study(STUDY)
-    run_study(study, tmp_path / "threads", workers=2)
-    run_study(study, tmp_path / "workers", engine=lambda text: Dask(text, Cluster(workers=2)))
-    one, two = (
-        open_results(tmp_path / name)["g/random/modes"].to_dataset()
-        for name in ("threads", "workers")
-    )
-    assert one["eigenvalue"].size == 3
-    assert one.equals(two)
-
-
 def test_channels():
     pair = mcs.Integrand.from_function(lambda x: np.stack([x[..., 0], x[..., 0] ** 2], -1), dims=1)
     both = {"half_width": 5, "modes": 2, **ARGUMENTS}
@@ -205,39 +168,3 @@ def test_product_in_parts_is_that_of_the_whole():
     assert (residuals < 1e-10 * values[0]).all()
     assert whole.squares.sum() / 49 == pytest.approx(np.trace(matrix))
     assert np.isnan(errors).all()  # of no batch
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"modes": 0}, "modes"),
-        ({"modes": 10**4}, "modes"),
-        ({"modes": 10**12}, "GiB"),
-        ({"modes": 1.5}, "modes"),
-        ({"passes": 1}, "passes"),
-        ({"realizations": 1}, "realizations"),
-        ({"channel": 1}, "channel"),
-        ({"channel": -1}, "channel"),
-        ({"band": "99"}, "band"),
-        ({"band": []}, "band is"),
-        ({"band": float("nan")}, "band"),
-        ({"band": 1}, "band is 1; give labels of bands as text, such as '4'"),
-        ({"band": ["1", 2]}, "as text"),
-        ({"bands": "rings"}, "bands"),
-        ({"half_width": 10**9}, ""),
-        ({"half_width": float("nan")}, "half_width"),
-        ({"basis": "fuorier"}, "Did you mean 'fourier'"),
-        ({"space": "elsewhere"}, "space"),
-        ({"n": 0}, "n is 0"),
-    ],
-)
-def test_bad_input(changes, words):
-    arguments = {"n": 8, "half_width": 4, "realizations": 4, **changes}
-    with pytest.raises(ParameterError, match=words or None):
-        mcs.covariance_modes(F1, "jittered", **arguments)
-
-
-def test_infinite_weights_are_refused():
-    f = mcs.Estimator("polynomial(coefficients=[0, 0, 1])", "linear(slope=2)")
-    with pytest.raises(ParameterError, match="primary"):
-        mcs.covariance_modes(f, "jittered", 9, realizations=4)

@@ -158,32 +158,3 @@ def test_levels_are_those_of_the_definition(bases, digits):
             total += (-1) ** sum(less) * blocks(coarser)
         assert found[level] == pytest.approx(total, abs=1e-14)
     assert found.sum() == pytest.approx((values**2).mean())
-
-
-@pytest.mark.parametrize(
-    ("spec", "n", "words"),
-    [
-        ("sobol | shift", 16, "No exact variance is known"),
-        ("sobol | owen | shift", 16, "No exact variance is known"),
-        ("sobol | lms", 16, "No exact variance is known"),
-        ("halton | digital-shift", 16, "No exact variance is known"),
-        ("sobol | owen", 2**14, "cells"),
-        ("sobol | digital-shift", 2**14, "cells"),
-    ],
-)
-@pytest.mark.filterwarnings("ignore::mcspectra.core.errors.NotPowerOfTwoWarning")
-def test_unknown_or_too_large_is_refused(spec, n, words):
-    with pytest.raises(mcs.NoClosedForm, match=words):
-        mcs.exact_variance("gaussian", mcs.sampler(spec, dims=2), n)
-
-
-def test_many_dims_are_refused_quickly():
-    with pytest.raises(mcs.NoClosedForm, match="cells"):
-        mcs.exact_variance("gaussian", mcs.sampler("sobol | owen", dims=12), 64)
-    with pytest.raises(mcs.NoClosedForm, match="cells"):
-        mcs.exact_variance("gaussian", mcs.sampler("sobol | digital-shift", dims=12), 64)
-
-
-def test_jumps_that_offsets_do_not_resolve_are_refused():
-    with pytest.raises(mcs.NoClosedForm, match="does not converge"):
-        mcs.exact_variance("disk", "sobol | digital-shift", 16)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.errors import DensityError, ParameterError
 
 
 def picture(integrand, density=None, **options):
@@ -102,28 +101,6 @@ def test_techniques_and_channels():
     data = mcs.primary_picture(colors, resolution=16)
     assert data["primary_value"].dims == ("u0", "channel")
     assert by_kind(data, "primary_jump_height") == pytest.approx([5, 5])
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"estimator": mcs.Estimator("gaussian", dims=3)}, "3 dims"),
-        ({"technique": 1}, "technique"),
-        ({"technique": -1}, "technique"),
-        ({"resolution": 2}, "resolution"),
-        ({"resolution": 10**7}, "resolution"),
-        ({"resolution": "many"}, "resolution"),
-        ({"estimator": 3}, "is not an estimator"),
-    ],
-)
-def test_bad_input(options, message):
-    with pytest.raises(ParameterError, match=message):
-        mcs.primary_picture(**{"estimator": "gaussian", **options})
-
-
-def test_a_density_that_misses_a_part_is_refused():
-    with pytest.raises(DensityError, match="would miss"):
-        picture("constant", "disk")
 
 
 def test_a_narrow_zero_of_a_table_is_known():

@@ -6,19 +6,9 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.errors import ParameterError
 
 DISK = mcs.integrand("disk(center=[0.463, 0.517], radius=0.27)", dims=2)
 WITHIN = 4.0
-
-
-@pytest.mark.parametrize("width", [0.1, 0.25])
-def test_the_variance_of_a_ramp(width):
-    """→ 1/(12 δ n³) once n ≫ 1/δ; the two strata with knees are off by at most 2 of δ n."""
-    ramp = mcs.smoothed("step(at=0.437)", width, dims=1)
-    for n in (256, 1024):
-        exact = mcs.exact_variance(ramp, "jittered", n)
-        assert exact == pytest.approx(1 / (12 * width * n**3), rel=2 / (width * n))
 
 
 def test_the_measured_variance_of_a_ramp():
@@ -86,29 +76,3 @@ def test_channels_and_densities():
     assert d["smoothing_bias"].dims == ("width", "channel")
     assert d["bias_squared_ci"].dims == ("width", "channel", "bound")
     assert d["best_width"].dims == ("n",)
-
-
-@pytest.mark.parametrize(
-    ("keywords", "words"),
-    [
-        ({"widths": []}, "one or more"),
-        ({"widths": 0.1}, "a list of ascending widths"),
-        ({"widths": "0.1"}, "a list of ascending widths"),
-        ({"widths": [0.2, 0.1]}, "ascending"),
-        ({"widths": [0.1, 0.1]}, "ascending"),
-        ({"widths": [-0.1]}, "at least 0"),
-        ({"widths": [np.nan]}, "finite"),
-        ({"widths": np.linspace(0, 0.3, 10**6)}, "256 at most"),
-        ({"counts": 10}, "cannot make 10"),
-        ({"counts": []}, "one or more"),
-        ({"counts": [64, 16]}, "ascending"),
-        ({"sampler": "jittereed"}, "jittereed"),
-        ({"realizations": 1}, "realizations"),
-        ({"method": "blur"}, "must be one of"),
-        ({"density": "linear(slope=9)"}, "slope"),
-    ],
-)
-def test_bad_input(keywords, words):
-    given = {"sampler": "jittered", "counts": 16, "widths": [0, 0.1], **keywords}
-    with pytest.raises(ParameterError, match=words):
-        mcs.smoothing_scan(DISK, **given)

@@ -4,9 +4,6 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.errors import ParameterError
-from mcspectra.core.streams import Stream
-from mcspectra.variance.convergence import count_moments
 
 LINEAR = mcs.Estimator("linear", dims=1)
 
@@ -86,38 +83,3 @@ def test_every_channel_counts():
     assert d["variance_ci"].dims == ("channel", "bound")
     assert (d["variance_relative_se"] <= 0.1).all()
     assert int(d["realizations_used"]) > 5000  # as the rare one needs
-
-
-def test_workers_and_stages_do_not_matter():
-    one = mcs.realizations_needed(LINEAR, "jittered", 4096, relative_error=0.1, rng=1, workers=1)
-    two = mcs.realizations_needed(LINEAR, "jittered", 4096, relative_error=0.1, rng=1, workers=2)
-    assert one.identical(two)
-    sampler, stream = mcs.sampler("random", dims=1), Stream.from_rng(1)
-    whole = count_moments(LINEAR, sampler, 3, 50, stream)
-    parts = count_moments(LINEAR, sampler, 3, 20, stream).merge(
-        count_moments(LINEAR, sampler, 3, 30, stream, first=20)
-    )
-    assert np.allclose(whole.m4, parts.m4, rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("changes", "error", "words"),
-    [
-        ({"relative_error": 0}, ParameterError, "at least 0.0001"),
-        ({"relative_error": 2.0}, ParameterError, "at most 1"),
-        ({"relative_error": 1e-9}, ParameterError, "at least 0.0001"),
-        ({"relative_error": float("nan")}, ParameterError, "finite"),
-        ({"relative_error": "5 %"}, ParameterError, "finite number"),
-        ({"max_realizations": 1}, ParameterError, "from 2 to"),
-        ({"max_realizations": 10**12}, ParameterError, "from 2 to"),
-        ({"n": 0}, ParameterError, "n is 0"),
-        ({"n": 10**30}, ParameterError, "n is"),
-        ({"workers": 0}, ParameterError, "workers"),
-        ({"sampler": mcs.sampler("jittered", dims=2)}, ParameterError, "2"),
-        ({"sampler": "sobol", "n": 2**60}, ParameterError, "n is"),
-    ],
-)
-def test_bad_input(changes, error, words):
-    arguments = {"sampler": "jittered", "n": 4, **changes}
-    with pytest.raises(error, match=words):
-        mcs.realizations_needed(LINEAR, **arguments)

@@ -1,4 +1,4 @@
-"""Numba kernels of the variance terms: arrays only, no checks.
+"""Numba kernels of the variance terms and of the pair route: arrays only, no checks.
 
 Legend: r realisations of a block, h coefficients (half spectra of all techniques, one after the
 other), c channels, a bands, k half widths, j the real numbers of the coefficients (2 each where they
@@ -17,7 +17,15 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
 
-__all__ = ["accumulate", "band_estimates", "merge_moments", "merge_spreads", "term_sums"]
+__all__ = [
+    "accumulate",
+    "band_estimates",
+    "merge_moments",
+    "merge_spreads",
+    "pair_sum_1d",
+    "pair_sum_2d",
+    "term_sums",
+]
 
 _TILE = 512
 
@@ -132,3 +140,38 @@ def merge_spreads(
         squares[j] += factor * delta * delta
     for j in range(other_squares.size):
         squares[j] += other_squares[j]
+
+
+# ---- The pair route: sums over pairs of points of a tabulated function on the torus
+
+
+@kernel
+def pair_sum_1d(points: Array, table: Array) -> float:
+    """Σ_{i<k} A(x_i − x_k) of points (n, 1); table (N,) holds A(j/N), linear in between."""
+    size = table.size
+    total = 0.0
+    for a in range(len(points)):
+        for b in range(a):
+            place = (points[a, 0] - points[b, 0]) % 1.0 * size
+            i = int(place)
+            t = place - i
+            total += (1.0 - t) * table[i % size] + t * table[(i + 1) % size]
+    return total
+
+
+@kernel
+def pair_sum_2d(points: Array, table: Array) -> float:
+    """Σ_{i<k} A(x_i − x_k) of points (n, 2); table (N, N) holds A(j/N), bilinear in between."""
+    size = len(table)
+    total = 0.0
+    for a in range(len(points)):
+        for b in range(a):
+            x = (points[a, 0] - points[b, 0]) % 1.0 * size
+            y = (points[a, 1] - points[b, 1]) % 1.0 * size
+            i, j = int(x), int(y)
+            t, u = x - i, y - j
+            low, high = table[i % size], table[(i + 1) % size]
+            left, right = j % size, (j + 1) % size
+            total += (1.0 - t) * ((1.0 - u) * low[left] + u * low[right])
+            total += t * ((1.0 - u) * high[left] + u * high[right])
+    return total

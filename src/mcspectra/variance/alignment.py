@@ -1,9 +1,8 @@
 """Alignment of strata with edges: variance against their offset, and the offset that is best.
 
 A stratum that an edge cuts into shares s and 1 − s has the variance s(1 − s) of the jump, one whose
-border is the edge has none. Where strata lie is free: a fixed offset moves them on the torus
-(``strata-shift``), and for edges whose places are known `aligned-strata` bends them. The best alignment is
-found by prediction and verified by a measurement of its own.
+border is the edge has none. A fixed offset moves strata on the torus (``strata-shift``), and for edges
+whose places are known `aligned-strata` bends them.
 """
 
 from __future__ import annotations

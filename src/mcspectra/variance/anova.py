@@ -1,18 +1,12 @@
 """ANOVA of a variance in many dims: which axes, alone or together, the noise comes from.
 
-Of the parts f_u of an integrand over subsets u of the axes (docs/theory.md, "Analysis by axes"),
-each adds c_u = Cov(I_u, I) to the variance.
+docs/theory.md, "Analysis by axes", derives both ways. `anova_variances`: pick-freeze [Sobol2001]_ of
+whole point sets. The part of the empty set of axes is 0, but its sample is taken off all others: most
+of their errors are in it too, and shares near 1 are then precise.
 
-`anova_variances`: pick-freeze [Sobol2001]_ of whole point sets. Keep the coordinates u of all
-points, and replace the others by those of an independent set of the same sampler, its points in
-random order: the covariance of the two estimates is Σ_{v⊆u} c_v, and inclusion-exclusion leaves
-c_u. That of the empty u is 0, but its sample is taken off all others: most of their errors are in
-it too, and shares near 1 are then precise. Effective dimensions are those of [Caflisch1997]_.
-
-`anova_spectrum`: c_u of points that are the same after any translation is the sum of |f_m|²
-⟨|S_m|²⟩ over the frequencies of these axes and no others, estimated from a few: m is drawn with a
-probability q(m) = Π_{i∈u} q_1(m_i), q_1(k) ∝ 1/k² up to K, since |f_m|² of a function with jumps or
-a boundary term falls like 1/m_i² on each axis, so that the terms are bounded.
+`anova_spectrum`: frequencies drawn with a probability q(m) = Π_{i∈u} q_1(m_i), q_1(k) ∝ 1/k² up to K,
+since |f_m|² of a function with jumps or a boundary term falls like 1/m_i² on each axis, so that the
+terms |f_m|² ⟨|S_m|²⟩ / q(m) are bounded.
 """
 
 from __future__ import annotations

@@ -1,14 +1,11 @@
 """Convergence: measured variance against n and its fitted rate.
 
-How many realisations: a given number, or until the variance is known well enough, which takes about
-(κ − 1)/ε² for estimates of kurtosis κ (docs/theory.md, "Intervals of variances, and stopping"). κ
-is not known in advance, so that the number is found by going on: sequentially, in stages fixed by
-what was seen so far, hence the same bits for any number of workers.
-
-What has not been seen cannot be counted. A stop is believed only when the next stage, at least a
-quarter longer, confirms it, because the first stop of a skewed sample tends to be a moment at which
-κ is underestimated; and estimates that have shown no spread at all are no evidence of none: 10 000
-are tried, then the error is given as NaN, and the goal as not reached.
+How many realisations: a given number, or until the variance is known well enough (docs/theory.md,
+"Intervals of variances, and stopping"), in stages fixed by what was seen so far, hence the same bits
+for any number of workers. What has not been seen cannot be counted: a stop is believed only when the
+next stage, at least a quarter longer, confirms it, because the first stop of a skewed sample tends to
+be a moment at which its kurtosis is underestimated; and estimates that have shown no spread at all
+are no evidence of none: 10 000 are tried, then the error is NaN, and the goal not reached.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Why a set-up is as noisy as it is, and why a change to it helps: from what was looked at only.
 
-Four causes are looked for: weights 1/p without bound; a technique whose rate is slower than those of
-the others (`mcspectra.technique_terms`); jumps of the primary-space integrand g between opposite faces of
-the cube, which samplers that wrap around see; and jumps inside (`mcspectra.primary_picture`). What was
-not looked at, as jumps in more than two dims, is not said to be absent.
+Looked for are weights 1/p without bound, a technique of the slowest rate, and jumps of the
+primary-space integrand g, inside and between opposite faces of the cube, which samplers that wrap
+around see. What was not looked at, as jumps in more than two dims, is not said to be absent.
 """
 
 from __future__ import annotations

@@ -1,17 +1,12 @@
 """Leading modes of a covariance of spectra: which patterns of coefficients vary together.
 
-The matrix of Cov(y_m, y_l), y_m = conj(f_m) S_m or S_m itself, is Hermitian; its eigenvectors are
-the patterns over the frequencies whose amplitudes are uncorrelated, its eigenvalues their
-variances, and their sum is the power and dc terms. A flat spectrum of eigenvalues is noise without
-structure; few large ones say that the sampler has few ways to be wrong.
-
-The matrix is never formed. Randomised subspace iteration [Halko2011]_ needs its product with a few
-vectors, a sum over realisations, and since these can be drawn again, every product is a pass over
-them: the range of A Ω, Ω random, holds the leading eigenvectors but for errors that shrink with
-every further product; the eigenpairs of A projected on it (Rayleigh-Ritz) are the answer. The last
-product also gives ‖A v − λ v‖, which no eigenvalue of A is farther from λ. A real estimate makes
-coefficients of m and −m conjugates: all is done in the real and imaginary parts of those stored,
-times √2, which is a unitary change of coordinates.
+The eigenvectors of Cov(y_m, y_l), y_m = conj(f_m) S_m or S_m itself, are the patterns over the
+frequencies whose amplitudes are uncorrelated, its eigenvalues their variances. The matrix is never
+formed. Randomised subspace iteration [Halko2011]_ needs its product with a few vectors, a pass over
+the realisations, which can be drawn again: the range of A Ω, Ω random, holds the leading eigenvectors
+but for errors that shrink with every further product; the eigenpairs of A projected on it
+(Rayleigh-Ritz) are the answer, and ‖A v − λ v‖ bounds the distance of λ to an eigenvalue of A. All is
+done in the real and imaginary parts of the coefficients stored, times √2 where −m is not.
 
 A itself is a sample: batches of realisations each give a variance along v, whose spread is the
 error of λ as the variance along v. That v was picked for a large λ it does not know: `noise_edge`

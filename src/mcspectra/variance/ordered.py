@@ -1,9 +1,8 @@
 """Linear algebra whose sums have a fixed order.
 
-BLAS cuts large sums into as many parts as it has threads, so that their number, which differs between
-processes, would be seen in the last digits of results. Here products are `numpy.einsum`, which without
-`optimize` calls no BLAS (measured: a quarter of its speed, and far below what points and transforms take),
-and factorisations are reflections made of them.
+BLAS cuts large sums into as many parts as it has threads, which would be seen in the last digits of
+results. Products here are `numpy.einsum`, which without `optimize` calls no BLAS (a quarter of its
+speed, and far below what points and transforms take), and factorisations are reflections.
 """
 
 from __future__ import annotations

@@ -1,13 +1,8 @@
 """Rates predicted from two exponents: how power starts at low frequencies, how an integrand ends.
 
-The variance falls like n^(−1 − min(b, γ − d)/d), where the power of a set rises like |m|^b and
-|f_m|² falls like |m|^-γ in the mean over directions (docs/theory.md, "Rates"). A jump across a
-hypersurface has γ = d + 1, a kink d + 3. On the torus, where shifted sets live, a smooth function
-whose values at 0 and 1 differ has a jump too.
-
-γ is fitted to means of |f_m|² over shells half an octave wide. Ripples of the spectrum, of
-frequency one over the distance of two jumps, and terms of higher order scatter these means about
-the line; the interval is that of the scatter, with Student's t.
+docs/theory.md, "Rates". γ is fitted to means of |f_m|² over shells half an octave wide. Ripples of the
+spectrum, of frequency one over the distance of two jumps, and terms of higher order scatter these means
+about the line; the interval is that of the scatter, with Student's t.
 """
 
 from __future__ import annotations

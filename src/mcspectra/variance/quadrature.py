@@ -2,8 +2,7 @@
 
 Strata are cut at the discontinuities that the integrand declares (`breaks`) and at the seam of the
 torus, more finely towards 0 and 1, where warps have their singularities, and integrated by
-Gauss-Legendre or, for integrands that know their moments over boxes, exactly. ∫g² has an estimate of its
-error, and is infinite where it diverges.
+Gauss-Legendre or, for integrands that know their moments over boxes, exactly.
 """
 
 from __future__ import annotations

@@ -2,16 +2,10 @@
 
 Every counterfactual (`mcspectra.variance.counterfactuals`) is run at the same budgets of integrand
 evaluations on the same random numbers as the set-up that is given, and compared with it realisation
-by realisation. Intervals of all comparisons hold together, so that the best of many is not one that
-was lucky: a remedy is recommended only where its interval leaves the set-up that is given out.
-
-What the log of an error, or a slope fitted to several, owes to realisation r is its *influence*;
-that of a difference is the difference of influences, so that correlation between set-ups and
-between counts is in the error, whichever way it goes (docs/theory.md, "Intervals of variances, and
-stopping").
-
-Estimates that are all alike have no variance, or none of them has met what makes it: a rare event.
-The integral tells the two apart. Where they miss it their error is unknown (NaN), not 0.
+by realisation, by influences (docs/theory.md, "Intervals of variances, and stopping"). Intervals of
+all comparisons hold together: a remedy is recommended only where its interval leaves the set-up that
+is given out. Estimates that are all alike have no variance, or none of them has met what makes it: a
+rare event. Where they miss the integral their error is unknown (NaN), not 0.
 """
 
 from __future__ import annotations
@@ -593,11 +587,11 @@ def estimates_of(
     return np.concatenate([block(part) for part in realization_blocks(realizations, numbers)])
 
 
-def simultaneous_z(comparisons: int, confidence: float = 0.95) -> float:
-    """Half width, in standard errors, of intervals that all hold together [Šidák 1967]."""
+def simultaneous_z(comparisons: int) -> float:
+    """Half width, in standard errors, of 95 % intervals that all hold together [Šidák 1967]."""
     from scipy.special import ndtri
 
-    single = confidence ** (1.0 / max(1, comparisons))
+    single = 0.95 ** (1.0 / max(1, comparisons))
     return float(ndtri(0.5 * (1.0 + single)))
 
 

@@ -1,21 +1,11 @@
-"""Every route to the variance of one estimator, in one table.
-
-* exact: quadrature over strata or levels, `exact_variance`; no spectrum, no sampling.
-* pairs: pair correlation, `variance_from_pair_correlation`; no spectrum either.
-* covariance: Σ_m Σ_l conj(f_m) f_l C_ml with C_ml in closed form; no sampling.
-* homogenized: Σ_{m≠0} |f_m|² ⟨|S_m|²⟩, for uniform points that are the same after any translation.
-* spectral: dc + power + cross from realisations, `variance_terms`.
-* measured: the variance of the estimates over the same realisations.
+"""Every route to the variance of one estimator, in one table (docs/spectra.md).
 
 The three spectral routes see the frequencies within a half width only; `energy_share` says how much
 of ∫f² these hold. Where it is 1, all routes lead to the same number.
 
-The route by pairs
-------------------
-docs/theory.md, "Pair correlation", has the formula. Random and jittered points have pairs of known
+The route by pairs (docs/theory.md, "Pair correlation"): random and jittered points have pairs of known
 density; those of a stationary set are counted in full, not by distance only, and add up A(x_i − x_k)
 with the autocorrelation A of the integrand on the torus, tabulated and linear between the entries.
-
 Averaging A over directions, so that g(|h|) would do, is exact for isotropic sets only: measured at
 n = 16, it gives 1.7 to 3.7 times the variance of smooth integrands for latin-hypercube with shift.
 """
@@ -54,7 +44,7 @@ from mcspectra.samplers.base import Structure
 from mcspectra.spectra.bases import fitting_basis, parts_of
 from mcspectra.spectra.closed_forms import closed_form_covariance, closed_form_power
 from mcspectra.spectra.transforms import FrequencyGrid
-from mcspectra.variance._pair_kernels import pair_sum_1d, pair_sum_2d
+from mcspectra.variance._kernels import pair_sum_1d, pair_sum_2d
 from mcspectra.variance.doors import answer
 from mcspectra.variance.exact import exact_variance
 from mcspectra.variance.ordered import weighted_sum

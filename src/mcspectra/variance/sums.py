@@ -1,17 +1,10 @@
 """Mergeable second moments of spectra and band-limited estimates: memory flat in realisations.
 
-With R realisations the sums hold, about the running means (Chan, Golub & LeVeque 1983),
-
-    Σ|S_m − S̄_m|²,  Σ(S_m − S̄_m)(I − Ī),  Σ(I_a − Ī_a)(I_b − Ī_b),  moments of the truncated I,
-
-from which the power term, the contribution map and the band covariance follow (docs/theory.md).
-
-Errors are by batch means: every block of realisations says by itself what the spectra say. Covariances
-within a block are unbiased, so that the terms of B blocks are B independent estimates of the same
-numbers, and their spread gives the error of the mean; its 95 % interval has the quantile of Student's t
-with B − 1 degrees of freedom. What all realisations together say is a little more precise than that
-mean (by the variance of block means, of relative size one over the realisations of a block): the errors
-are on the safe side.
+The power term, the contribution map and the band covariance follow from them (docs/theory.md,
+"Contributions and bands"). Errors are by batch means: every block of realisations says by itself what
+the spectra say, without bias, so that the spread over B blocks gives the error of their mean, with the
+quantile of Student's t for B − 1 degrees of freedom. What all realisations together say is a little
+more precise than that mean: the errors are on the safe side.
 """
 
 from __future__ import annotations

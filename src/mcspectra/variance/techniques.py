@@ -1,14 +1,11 @@
 """The terms of each technique and between techniques: which strategy makes the variance.
 
-An estimate with several techniques is a sum of parts E_t, and its variance the sum over all pairs
-of Cov(E_t, E_s): off the diagonal 0 for independent sets, but not for those that share points
+The variance is the sum over all pairs of techniques of Cov(E_t, E_s), E_t the part of an estimate that
+t adds: off the diagonal 0 for independent sets, but not for those that share points
 (`mcspectra.estimators.sets`). Each covariance has a dc, a power and a cross term, with the spectrum
-S^t and the integrand f^t of technique t in the place of S and f. In the domain view all f^t are f
-and the points carry the weights w_t/(p_t n_t); in primary space they carry 1/n_t and f^t is g_t.
-
-Along n the slowest rate of a technique becomes the rate of the sum: the *bottleneck*. Which one
-that is can be said if the 95 % interval of its rate lies above those of all others; where intervals
-overlap, the measurement leaves it undecided.
+S^t and the integrand f^t of technique t in the place of S and f. Along n the slowest rate of a
+technique becomes the rate of the sum: the *bottleneck*, if the 95 % interval of its rate lies above
+those of all others.
 """
 
 from __future__ import annotations

@@ -1,11 +1,7 @@
 """The three terms: variance of an estimator predicted and explained from spectra.
 
-With f_m the coefficients of the integrand, S_m those of the points and C_ml the covariance of S_m
-and S_l, Var(I) = Σ_m Σ_l conj(f_m) f_l C_ml falls into the dc term (m = l = 0), the power term (m =
-l ≠ 0) and the cross term (docs/theory.md, "The three terms"). No M × M matrix is stored: the
-contribution c_m = Re conj(f_m) Cov(S_m, I) sums to the variance, and what is left of Σ c_m after
-the first two terms is the cross term. In primary space every technique has its own integrand and
-points, and the sums run over (technique, m).
+docs/theory.md, "The three terms", "Contributions and bands". No M × M matrix is stored. In primary
+space every technique has its own integrand and points, and the sums run over (technique, m).
 """
 
 from __future__ import annotations

@@ -1,13 +1,8 @@
 """Convergence of variants of a set-up, on the same random numbers: edges smoothed, or mirrored.
 
-*Smoothing.* A jump across a hypersurface costs jittered samples n^(−1 − 1/d); a ramp of width δ has the
-rate of smooth integrands once strata are narrower than δ (in 1-D the variance is then 1/(12 δ n³)), and a
-bias that does not go down with n. The width with the least mean squared error thus depends on n.
-
-*Mirroring.* The talk to [Singh2019]_ shows six convergence plots: original, mirror-random and
-mirror-uniform, each with and without a shift of the samples. Homogenisation makes a stationary set of any
-other, and its wrap-around a discontinuity of any integrand that is not periodic; mirroring makes the
-integrand continuous across the faces.
+docs/theory.md, "Mirroring and smoothing". The bias of a ramp does not go down with n, so that the width
+with the least mean squared error depends on n. The talk to [Singh2019]_ shows six convergence plots:
+original, mirror-random and mirror-uniform, each with and without a shift of the samples.
 """
 
 from __future__ import annotations
