@@ -10,7 +10,7 @@ import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import Decorrelate, DigitalShift, Halton, Jittered, Owen, Shift, Sobol
-from mcspectra.samplers.kronecker import golden_steps
+from mcspectra.samplers.lattice import golden_steps
 
 LEVEL = 1 - (1 - 1e-6) ** (1 / 6)  # Šidák: 6 statistical tests in this file share 1e-6
 STREAM = Stream.from_rng(5)

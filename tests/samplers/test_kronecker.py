@@ -11,7 +11,7 @@ from scipy.stats import qmc
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
 from mcspectra.samplers import Kronecker
-from mcspectra.samplers.kronecker import golden_steps
+from mcspectra.samplers.lattice import golden_steps
 
 
 @pytest.mark.parametrize("dims", [1, 2, 3, 10, 100])

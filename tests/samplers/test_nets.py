@@ -16,7 +16,7 @@ from mcspectra.core.errors import (
     ParameterError,
 )
 from mcspectra.samplers import DigitalNet, Faure, Random, Sobol, sampler
-from mcspectra.samplers.nets import elementary_intervals, net_t_value, t_value
+from mcspectra.samplers.net_quality import elementary_intervals, net_t_value, t_value
 
 
 def slow_net(matrices, base, n):

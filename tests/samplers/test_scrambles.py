@@ -11,8 +11,8 @@ from scipy import stats
 import mcspectra as mcs
 from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.core.streams import Stream
-from mcspectra.samplers import DigitalShift, Lms, Owen, Permute, Random, _digit_kernels, sampler
-from mcspectra.samplers.nets import elementary_intervals, net_t_value
+from mcspectra.samplers import DigitalShift, Lms, Owen, Permute, Random, _scramble_kernels, sampler
+from mcspectra.samplers.net_quality import elementary_intervals, net_t_value
 
 LEVEL = 1 - (1 - 1e-6) ** (1 / 120)  # Šidák: fewer than 120 statistical tests here share 1e-6
 SIGMAS = stats.norm.isf(LEVEL / 2)
@@ -209,15 +209,15 @@ def test_owen_keeps_the_number_of_common_leading_digits(step, base, places):
 @pytest.mark.parametrize("base", [3, 7, 96, 97, 2003, 8191])
 def test_what_is_written_is_read_again(base):
     """Digits of any interval, even with the tail next to its ends, and ⌊x b^p⌋ in floats."""
-    places, scale, nudge, unit = _digit_kernels._format(base)
+    places, scale, nudge, unit = _scramble_kernels._format(base)
     assert 2.0**32 <= scale < 2.0**32 * base
     rng = np.random.default_rng(base)
     starts = rng.integers(0, base, 300) * base ** (places - 1)
     ends = starts + base ** (places - 1) - 1
     for v in np.concatenate([starts, ends, rng.integers(0, int(scale), 300)]).tolist():
         for tail in (0.0, BELOW_ONE):
-            x = _digit_kernels._write(v, tail, scale, unit)
-            assert _digit_kernels._read(x, scale, nudge) == v
+            x = _scramble_kernels._write(v, tail, scale, unit)
+            assert _scramble_kernels._read(x, scale, nudge) == v
             assert np.floor(x * base) == v // base ** (places - 1)
             assert v < Fraction(x) * base**places < v + 1
 
