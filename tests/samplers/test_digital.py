@@ -8,8 +8,8 @@ from scipy.stats import qmc
 
 from mcspectra.core.errors import CountError, NotPowerOfTwoWarning, ParameterError
 from mcspectra.samplers import LarcherPillichshammer, Niederreiter, Sobol, sampler
-from mcspectra.samplers.nets import _irreducible, _sobol_directions
 from mcspectra.samplers.net_quality import net_t_value
+from mcspectra.samplers.nets import _irreducible, _sobol_directions
 
 
 def bit_reversed(n):
