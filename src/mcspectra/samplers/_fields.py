@@ -11,10 +11,10 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-from mcspectra.core.checks import as_choice, as_integer
+from mcspectra.core.checks import as_choice, as_integer, as_real
 from mcspectra.core.errors import ParameterError
 
-__all__ = ["check_fields", "checked", "choice", "flag", "settle", "whole"]
+__all__ = ["check_fields", "checked", "choice", "flag", "real", "settle", "whole"]
 
 
 def checked(check: Callable[[str, Any], object], default: object) -> Any:
@@ -25,6 +25,11 @@ def checked(check: Callable[[str, Any], object], default: object) -> Any:
 def whole(default: int | None, *, least: int, most: int | None = None) -> Any:
     """Declare a field of whole numbers from `least` to `most`."""
     return checked(lambda name, given: as_integer(name, given, least=least, most=most), default)
+
+
+def real(default: float | None, **limits: float) -> Any:
+    """Declare a field of finite floats within the limits of `core.checks.as_real`."""
+    return checked(lambda name, given: as_real(name, given, **limits), default)
 
 
 def choice(*allowed: str, default: str | None = None) -> Any:

@@ -16,6 +16,7 @@ from typing import Any, ClassVar, TypeAlias, final
 
 import numpy as np
 
+from mcspectra import samplers
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import CountError, NotPowerOfTwoWarning, ParameterError, warn
 from mcspectra.core.spec import Component
@@ -222,37 +223,27 @@ class Sampler(Component, ABC):
     @staticmethod
     def from_points(points: object) -> Sampler:
         """Make a sampler of given points, shape (R, n, d) or (n, d): realisation r is points[r]."""
-        from mcspectra.samplers.external import GivenPoints
-
-        return GivenPoints.from_array(points)
+        return samplers.GivenPoints.from_array(points)
 
     @staticmethod
     def from_files(*paths: str | PathLike[str]) -> Sampler:
         """Make a sampler of point files (.dat, .bin, .npz, .csv, .parquet), their sets in order."""
-        from mcspectra.samplers.external import GivenPoints
-
-        return GivenPoints.from_files(*paths)
+        return samplers.GivenPoints.from_files(*paths)
 
     @staticmethod
     def from_function(draw: Draw, *, dims: int, unbiased: bool = True) -> Sampler:
         """Make a sampler of a callable ``draw(n, generator) -> (n, d)`` points in [0,1)."""
-        from mcspectra.samplers.external import FunctionSampler
-
-        return FunctionSampler(function=draw, dims=dims, unbiased_=unbiased)
+        return samplers.FunctionSampler(function=draw, dims=dims, unbiased_=unbiased)
 
     @staticmethod
     def from_scipy(engine: object, **arguments: object) -> Sampler:
         """Make a sampler of a `scipy.stats.qmc.QMCEngine`, its class, or a factory ``rng -> engine``."""
-        from mcspectra.samplers.external import ScipySampler
-
-        return ScipySampler.from_engine(engine, **arguments)
+        return samplers.ScipySampler.from_engine(engine, **arguments)
 
     @staticmethod
     def from_qmcpy(generator: object, **arguments: object) -> Sampler:
         """Make a sampler of a QMCPy generator: an instance, its class with arguments, or a name."""
-        from mcspectra.samplers.external import QmcpySampler
-
-        return QmcpySampler.from_generator(generator, **arguments)
+        return samplers.QmcpySampler.from_generator(generator, **arguments)
 
 
 class FixedSet(Sampler):
