@@ -490,8 +490,7 @@ class QmcpySampler(_OneByOne):
 
     References
     ----------
-    Choi, Hickernell, Jagadeeswaran, McCourt, Sorokin (2022), "Quasi-Monte Carlo software",
-    doi 10.1007/978-3-030-98319-2_2.
+    [Choi2022]_
     """
 
     name: ClassVar[str] = "qmcpy"

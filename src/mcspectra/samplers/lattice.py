@@ -83,8 +83,7 @@ class Rank1Lattice(_Lattice):
 
     References
     ----------
-    Sloan, Reztsov (2002), "Component-by-component construction of good lattice rules",
-    doi 10.1090/S0025-5718-01-01342-4.
+    [Sloan2002]_
     """
 
     name: ClassVar[str] = "rank1-lattice"
@@ -153,8 +152,7 @@ class Korobov(_Lattice):
 
     References
     ----------
-    Korobov (1959), "The approximate computation of multiple integrals", Dokl. Akad. Nauk SSSR 124,
-    1207–1210; Sloan, Joe (1994), "Lattice methods for multiple integration", section 4.5.
+    [Korobov1959]_, [SloanJoe1994]_, section 4.5
     """
 
     name: ClassVar[str] = "korobov"
@@ -217,9 +215,7 @@ class Fibonacci(_Lattice):
 
     References
     ----------
-    Sloan, Joe (1994), "Lattice methods for multiple integration", section 4.3; Niederreiter,
-    Sloan (1994), "Integration of nonperiodic functions of two variables by Fibonacci lattice
-    rules", doi 10.1016/0377-0427(92)00004-S.
+    [SloanJoe1994]_, section 4.3, [NiederreiterSloan1994]_
     """
 
     name: ClassVar[str] = "fibonacci"
@@ -263,9 +259,7 @@ class Kronecker(FixedSet):
 
     References
     ----------
-    Roberts (2018), "The unreasonable effectiveness of quasirandom sequences",
-    extremelearning.com.au; Niederreiter (1992), "Random number generation and quasi-Monte Carlo
-    methods", doi 10.1137/1.9781611970081.
+    [Roberts2018]_, [Niederreiter1992]_
     """
 
     name: ClassVar[str] = "kronecker"

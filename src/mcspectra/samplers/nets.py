@@ -63,8 +63,7 @@ class Sobol(_BinaryNet):
 
     References
     ----------
-    Joe, Kuo (2008), "Constructing Sobol sequences with better two-dimensional projections",
-    doi 10.1137/070709359: table new-joe-kuo-6, its first 1,111 dims.
+    [JoeKuo2008]_: table new-joe-kuo-6, its first 1,111 dims
     """
 
     name: ClassVar[str] = "sobol"
@@ -111,9 +110,7 @@ class Niederreiter(_BinaryNet):
 
     References
     ----------
-    Niederreiter (1988), "Low-discrepancy and low-dispersion sequences",
-    doi 10.1016/0022-314X(88)90025-X; Bratley, Fox, Niederreiter (1992), "Implementation and tests
-    of low-discrepancy sequences", doi 10.1145/146382.146385.
+    [Niederreiter1988]_, [BratleyFoxNiederreiter1992]_
     """
 
     name: ClassVar[str] = "niederreiter"
@@ -194,9 +191,7 @@ class LarcherPillichshammer(_BinaryNet):
 
     References
     ----------
-    Larcher, Pillichshammer (2001), "Walsh series analysis of the L2-discrepancy of symmetrisized
-    point sets", Monatshefte für Mathematik 132, 1–18; Kollig, Keller (2002), "Efficient
-    multidimensional sampling", doi 10.1111/1467-8659.00706.
+    [LarcherPillichshammer2001]_, [KolligKeller2002]_
     """
 
     name: ClassVar[str] = "larcher-pillichshammer"
@@ -258,8 +253,7 @@ class Faure(_AnyBaseNet):
 
     References
     ----------
-    Faure (1982), "Discrépance de suites associées à un système de numération (en dimension s)",
-    Acta Arithmetica 41, 337–351, doi 10.4064/aa-41-4-337-351.
+    [Faure1982]_
     """
 
     name: ClassVar[str] = "faure"
@@ -332,8 +326,7 @@ class DigitalNet(_AnyBaseNet):
 
     References
     ----------
-    Niederreiter (1987), "Point sets and sequences with small discrepancy",
-    doi 10.1007/BF01294651.
+    [Niederreiter1987]_
     """
 
     name: ClassVar[str] = "digital-net"

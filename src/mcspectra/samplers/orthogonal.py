@@ -42,10 +42,7 @@ class LatinHypercube(Sampler):
 
     References
     ----------
-    McKay, Beckman, Conover (1979), "A comparison of three methods for selecting values of input
-    variables in the analysis of output from a computer code", doi 10.1080/00401706.1979.10489755.
-
-    Tang (1993), "Orthogonal array-based Latin hypercubes", doi 10.1080/01621459.1993.10476423.
+    [McKay1979]_, [Tang1993]_
     """
 
     name: ClassVar[str] = "latin-hypercube"
@@ -77,8 +74,7 @@ class NRooks(Sampler):
 
     References
     ----------
-    Shirley (1991), "Discrepancy as a quality measure for sample distributions",
-    doi 10.2312/egtp.19911013.
+    [Shirley1991]_
     """
 
     name: ClassVar[str] = "n-rooks"
@@ -125,12 +121,7 @@ class OrthogonalArray(Sampler):
 
     References
     ----------
-    .. [Jarosz2019] Jarosz, Enayet, Kensler, Kilpatrick, Christensen, "Orthogonal array sampling for
-       Monte Carlo rendering", doi 10.1111/cgf.13777.
-    .. [Bush1952] "Orthogonal arrays of index unity", doi 10.1214/aoms/1177729387.
-    .. [Owen1992] "Orthogonal arrays for computer experiments, integration and visualization",
-       Statistica Sinica 2, 439–452.
-    .. [Tang1993] "Orthogonal array-based Latin hypercubes", doi 10.1080/01621459.1993.10476423.
+    [Jarosz2019]_, [Bush1952]_, [Owen1992]_, [Tang1993]_
     """
 
     name: ClassVar[str] = "orthogonal-array"

@@ -52,8 +52,7 @@ class ProjectiveBlueNoise(Sampler):
 
     References
     ----------
-    Reinert, Ritschel, Seidel, Georgiev (2016), "Projective blue-noise sampling",
-    doi 10.1111/cgf.12725.
+    [Reinert2016]_
     """
 
     name: ClassVar[str] = "projective-blue-noise"

@@ -72,9 +72,7 @@ class Halton(_RadicalInverses):
 
     References
     ----------
-    .. [Halton1960] "On the efficiency of certain quasi-random sequences of points in evaluating
-       multi-dimensional integrals", doi 10.1007/BF01386213.
-    .. [Owen2017] "A randomized Halton algorithm in R", arXiv 1706.02808.
+    [Halton1960]_, [Owen2017]_
     """
 
     name: ClassVar[str] = "halton"
@@ -109,8 +107,7 @@ class VanDerCorput(_RadicalInverses):
 
     References
     ----------
-    van der Corput (1935), "Verteilungsfunktionen I", Proc. Kon. Ned. Akad. v. Wetensch. 38,
-    813–821.
+    [VanDerCorput1935]_
     """
 
     name: ClassVar[str] = "van-der-corput"
@@ -151,8 +148,7 @@ class Hammersley(_RadicalInverses):
 
     References
     ----------
-    Hammersley (1960), "Monte Carlo methods for solving multivariable problems",
-    doi 10.1111/j.1749-6632.1960.tb42846.x.
+    [Hammersley1960]_
     """
 
     name: ClassVar[str] = "hammersley"

@@ -47,7 +47,7 @@ class Shift(Randomization):
 
     References
     ----------
-    Cranley, Patterson (1976), doi 10.1137/0713071.
+    [CranleyPatterson1976]_
     """
 
     name: ClassVar[str] = "shift"
@@ -90,7 +90,7 @@ class StrataShift(Randomization):
 
     References
     ----------
-    Ramamoorthi, Anderson, Meyer, Nowrouzezahrai (2012), doi 10.1145/2231816.2231819.
+    [Ramamoorthi2012]_
     """
 
     name: ClassVar[str] = "strata-shift"
@@ -268,10 +268,8 @@ class Mirror(Randomization):
 
     References
     ----------
-    Hickernell (2002), "Obtaining O(N^(−2+ε)) convergence for lattice quadrature rules",
-    doi 10.1007/978-3-642-56046-0_18, for the baker's transform. The other modes are our reading of
-    mirrored samples; the uniform one is the antithetic variate of Hammersley, Morton (1956),
-    doi 10.1017/S0305004100031455, in every coordinate.
+    [Hickernell2002]_ for the baker's transform. The other modes are our reading of mirrored samples; the
+    uniform one is the antithetic variate of [HammersleyMorton1956]_ in every coordinate.
     """
 
     name: ClassVar[str] = "mirror"
@@ -379,9 +377,7 @@ class Decorrelate(Randomization):
 
     References
     ----------
-    Georgiev, Fajardo (2016), "Blue-noise dithered sampling", doi 10.1145/2897839.2927430;
-    Roberts (2018), "The unreasonable effectiveness of quasirandom sequences",
-    extremelearning.com.au.
+    [GeorgievFajardo2016]_, [Roberts2018]_
     """
 
     name: ClassVar[str] = "decorrelate"

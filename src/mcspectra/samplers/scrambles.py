@@ -118,8 +118,7 @@ class DigitalShift(_OfDigits):
 
     References
     ----------
-    Dick, Pillichshammer (2010), "Digital Nets and Sequences", section 4.4,
-    doi 10.1017/CBO9780511761188.
+    [DickPillichshammer2010]_, section 4.4
     """
 
     name: ClassVar[str] = "digital-shift"
@@ -145,7 +144,7 @@ class Permute(_OfDigits):
 
     References
     ----------
-    Matoušek (1998), "On the L2-discrepancy for anchored boxes", doi 10.1006/jcom.1998.0489.
+    [Matousek1998]_
     """
 
     name: ClassVar[str] = "permute"
@@ -203,11 +202,7 @@ class Owen(_OfDigits):
 
     References
     ----------
-    Owen (1995), "Randomly permuted (t, m, s)-nets and (t, s)-sequences",
-    doi 10.1007/978-1-4612-2552-2_19; Owen (1997), "Scrambled net variance for integrals of smooth
-    functions", doi 10.1214/aos/1031594731; Burley (2020), "Practical hash-based Owen scrambling",
-    Journal of Computer Graphics Techniques 9(4), 1–20; Vegdahl (2021), "Building a better LK hash",
-    psychopath.io.
+    [Owen1995]_, [Owen1997]_, [Burley2020]_, [Vegdahl2021]_
     """
 
     name: ClassVar[str] = "owen"
@@ -265,7 +260,7 @@ class Lms(_OfDigits):
 
     References
     ----------
-    Matoušek (1998), "On the L2-discrepancy for anchored boxes", doi 10.1006/jcom.1998.0489.
+    [Matousek1998]_
     """
 
     name: ClassVar[str] = "lms"

@@ -45,8 +45,7 @@ class SlicedOptimalTransport(OptimisedSampler):
 
     References
     ----------
-    Paulin, Bonneel, Coeurjolly, Iehl, Webanck, Desbrun, Ostromoukhov (2020), "Sliced optimal
-    transport sampling", doi 10.1145/3386569.3392395.
+    [Paulin2020]_
     """
 
     name: ClassVar[str] = "sliced-optimal-transport"
