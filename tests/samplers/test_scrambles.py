@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-import mcspectra as mcs
 from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import DigitalShift, Lms, Owen, Permute, Random, _scramble_kernels, sampler
@@ -396,21 +395,6 @@ def test_owen_beats_jitter_on_a_smooth_function():
     assert jittered < 0.1 * values.var() / n
 
 
-@pytest.mark.parametrize("step", ["owen", HASH])
-def test_rate_on_the_gaussian(step):
-    """Owen (1997): n^-3 up to logarithms for smooth integrands; at most −2.8 is asked for."""
-    rates = mcs.convergence(
-        mcs.Estimator("christensen-gaussian", dims=2),
-        f"sobol | {step}",
-        [16, 64, 256, 1024, 4096],
-        realizations=500,
-        rng=2,
-    )
-    low, high = rates["rate_ci"].values
-    assert high < -2.8
-    assert low > -3.0
-
-
 @pytest.mark.parametrize("step", ["digital-shift", "permute", "owen", HASH])
 def test_strata_survive_at_powers_of_two(step):
     points = sampler(f"jittered | {step}", 2).draw(64, realizations=50, rng=1)
@@ -458,38 +442,6 @@ def test_no_count_fits():
         ParameterError, match=r"sides=\[3, 5\].*counts are never powers of 2; use shift"
     ):
         sampler("regular(sides=[3, 5]) | owen", 2)
-
-
-@pytest.mark.parametrize(
-    ("spec", "dims", "message"),
-    [
-        ("sobol | owen(base=3)", 2, "would break the elementary intervals.*in base 2; leave base"),
-        ("halton | permute(base=2)", 2, r"in base 2, 3; leave base out"),
-        ("halton | owen(method='hash')", 2, r"is for digits in base 2, not \(2, 3\)"),
-        ("random | owen(method='hash', base=3)", 2, "use method='nested'"),
-        ("random | owen(base=[2, 3, 5])", 2, "base has 3 values"),
-        ("jittered | owen(base=4)", 2, "give one prime as base="),
-        ("jittered | owen(base=[2, 3])", 2, "give one prime as base="),
-        ("van-der-corput(base=4) | lms", 1, "prime base.*has base 4; use permute or owen"),
-        ("antithetic-jittered | lms", 2, "lms would break the pairs of antithetic-jittered"),
-        ("korobov | lms", 2, "lms would break the distances"),
-        ("korobov | owen", 2, "owen would break the distances"),
-        ("sobol | owen(method='hsah')", 2, "method is 'hsah'.*Did you mean 'hash'"),
-        ("sobol | lms(shift=1)", 2, "shift is 1; give True or False"),
-    ],
-)
-def test_what_does_not_fit(spec, dims, message):
-    with pytest.raises(ParameterError, match=message):
-        sampler(spec, dims)
-
-
-@pytest.mark.parametrize("step", [DigitalShift, Permute, Owen, Lms], ids=lambda step: step.name)
-@pytest.mark.parametrize(
-    "base", [0, 1, -2, 2.5, "x", True, float("nan"), float("inf"), 2**14, [2, 1], [[2]], {}]
-)
-def test_bad_bases(step, base):
-    with pytest.raises(ParameterError, match="base is .*give a whole number from 2 to 8192"):
-        step(base=base)
 
 
 def test_the_base_of_the_sampler_shows():
