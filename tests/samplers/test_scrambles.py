@@ -289,22 +289,37 @@ def test_bits_of_base_2_do_not_change(step, bits):
     np.testing.assert_array_equal(moved.ravel(), bits)
 
 
-@pytest.mark.parametrize("step", [Owen(method="hash"), Lms(), Lms(shift=False)], ids=str)
+NETS = [
+    ("sobol", 1, 1),
+    ("sobol", 5, 1024),
+    ("niederreiter", 3, 2),
+    ("larcher-pillichshammer", 2, 64),
+]
+INVERSES = [
+    ("halton", 3, 1),
+    ("halton(skip=12345)", 5, 3000),
+    ("van-der-corput(base=8192)", 1, 50),
+    ("van-der-corput(base=6)", 1, 5000),
+    ("halton(scramble='owen')", 2, 100),
+]
+
+
 @pytest.mark.parametrize(
-    ("net", "dims", "n"),
+    ("step", "net", "dims", "n"),
     [
-        ("sobol", 1, 1),
-        ("sobol", 5, 1024),
-        ("niederreiter", 3, 2),
-        ("larcher-pillichshammer", 2, 64),
+        *((s, *net) for s in (Owen(method="hash"), Lms(), Lms(shift=False)) for net in NETS),
+        *((s, *inverse) for s in (Permute(), DigitalShift()) for inverse in INVERSES),
     ],
+    ids=str,
 )
 def test_fused_bits_are_those_of_the_points(step, net, dims, n):
     source = sampler(net, dims)
     chained = source.then(step).draw(n, realizations=3, rng=SEED, first=2)
-    own = Stream.from_rng(SEED).child(1 << 16)
+    own = Stream.from_rng(SEED).child((1 << 16) + source.scrambles)
     np.testing.assert_array_equal(
-        chained, step.apply(source.draw(n, realizations=3), own, 2), strict=True
+        chained,
+        step.fit(source).apply(source.draw(n, realizations=3, rng=SEED, first=2), own, 2),
+        strict=True,
     )
 
 
@@ -415,6 +430,7 @@ def test_strata_survive_at_powers_of_a_given_base():
     ("spec", "dims", "n", "nearest"),
     [
         ("jittered | owen", 2, 9, (4, 16)),
+        ("jittered | lms", 2, 9, (4, 16)),
         ("jittered | digital-shift", 2, 36, (16, 64)),
         ("jittered | permute", 3, 2, (1, 8)),
         ("latin-hypercube | owen", 3, 100, (64, 128)),

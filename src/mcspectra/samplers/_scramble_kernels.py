@@ -29,6 +29,7 @@ from mcspectra.samplers._kernels import _mix_below
 __all__ = [
     "fill_hashed",
     "fill_mixed",
+    "fill_permuted",
     "mix_matrices",
     "mix_triangles",
     "permute_digits",
@@ -336,6 +337,48 @@ def permute_digits(keys: Array, bases: Array, shift: bool, points: Array, out: A
                     permuted += table[g, v - above * size] * weight
                     v, weight = above, weight * size
                 out[r, i, j] = _write(permuted, tail, scale, unit)
+
+
+@kernel
+def fill_permuted(keys: Array, bases: Array, shift: bool, start: int, out: Array) -> None:
+    """What `permute_digits` makes of the radical inverses of start, start + 1, …"""
+    n = out.shape[1]
+    for r in range(out.shape[0]):
+        k0, k1 = keys[r, 0], keys[r, 1]
+        number = 0
+        for j in range(out.shape[2]):
+            base = bases[j]
+            places, scale, _, unit = _format(base)
+            images = np.empty((places, base), np.int64)
+            _draw_images(k0, k1, number, shift, images)
+            number += images.size
+            tail = mix_uniform(k0, k1, number)
+            number += 1
+
+            # Tabulate the images of as many of the index's lowest digits as are worth it
+            size, low = base, 1
+            while low < places and size * base <= min(n, _TABLE):
+                size, low = size * base, low + 1
+            table = np.zeros(size, np.int64)
+            width, weight = 1, base ** (places - 1)
+            for k in range(low):
+                for digit in range(base - 1, -1, -1):  # 0 last: it overwrites what others read
+                    for v in range(width):
+                        image = images[places - 1 - k, digit]
+                        table[digit * width + v] = table[v] + image * weight
+                width, weight = width * base, weight // base
+
+            # Add those of the digits above, the same for a run of indices
+            i, v, block = 0, start % size, start // size
+            while i < n:
+                high, unit_above, rest = 0, weight, block
+                for k in range(low, places):
+                    high += images[places - 1 - k, rest % base] * unit_above
+                    unit_above, rest = unit_above // base, rest // base
+                stop = min(n, i + size - v)
+                for t in range(i, stop):
+                    out[r, t, j] = _write(table[v + t - i] + high, tail, scale, unit)
+                i, v, block = stop, 0, block + 1
 
 
 @kernel

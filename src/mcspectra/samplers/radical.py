@@ -87,6 +87,10 @@ class Halton(_RadicalInverses):
         """The first primes."""
         return _primes(self.dims)
 
+    def first_index(self) -> int | None:
+        """Return the index of the first point; None if digits are scrambled."""
+        return self.skip if self.scramble == "none" else None
+
     def _set(self, n: int) -> Array:
         return _inverses(self.digit_bases, self.skip, n)
 
@@ -122,6 +126,10 @@ class VanDerCorput(_RadicalInverses):
     def digit_bases(self) -> tuple[int, ...]:
         """The base."""
         return (self.base,)
+
+    def first_index(self) -> int | None:
+        """Return the index of the first point; None if digits are scrambled."""
+        return 0 if self.scramble == "none" else None
 
     def _set(self, n: int) -> Array:
         return _inverses((self.base,), 0, n)

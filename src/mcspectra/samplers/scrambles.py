@@ -103,9 +103,57 @@ def _powers_possible(sampler: Sampler, base: int, exponents: range) -> Iterator[
     return (n for n in powers if n in sampler._counts_near(n) and sampler.digit_strata(n, base))
 
 
+@runtime_checkable
+class _HasIndices(Protocol):
+    """Samplers of radical inverses."""
+
+    dims: int
+
+    def first_index(self) -> int | None:
+        """Return the index of the first point; None if these are no plain radical inverses."""
+
+
+@runtime_checkable
+class _HasDirections(Protocol):
+    """Samplers of binary nets that give their generator matrices."""
+
+    dims: int
+
+    def direction_numbers(self, n: int) -> Array: ...
+
+
+class _OfPlaces(_OfDigits):
+    """One permutation (if `shift`, a sum) for each place of each coordinate, the same for all points."""
+
+    shift: ClassVar[bool] = False
+
+    def draw(
+        self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
+    ) -> Array:
+        """Permute the digits of indices instead of points, where there are some."""
+        start = sampler.first_index() if isinstance(sampler, _HasIndices) else None
+        if start is None or self._binary:
+            return self.apply(sampler.draw_stream(n, stream, first, count), own, first)
+        out = np.empty((count, n, sampler.dims))
+        bases = np.array(sampler.digit_bases)
+        kernels.fill_permuted(own.keys(first, count), bases, self.shift, start, out)
+        return out
+
+    def apply(self, points: Array, stream: Stream, first: int) -> Array:
+        """Permute the digits of each realisation by its own permutations."""
+        out = np.empty(points.shape)
+        keys = stream.keys(first, len(points))
+        if self._binary:
+            kernels.xor_digits(keys, points, out)
+        else:
+            bases = np.array(self._bases(points.shape[2]))
+            kernels.permute_digits(keys, bases, self.shift, points, out)
+        return out
+
+
 @final
 @dataclass(frozen=True, kw_only=True)
-class DigitalShift(_OfDigits):
+class DigitalShift(_OfPlaces):
     """Digital shift: one random digit added to each digit, modulo the base, the same for all points.
 
     Elementary intervals go to elementary intervals, and every point becomes uniform. In base 2 that
@@ -122,16 +170,13 @@ class DigitalShift(_OfDigits):
     """
 
     name: ClassVar[str] = "digital-shift"
+    shift: ClassVar[bool] = True
     base: Base = checked(_as_base, None)
-
-    def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """Add each realisation's own digits."""
-        return _permuted(self, points, stream.keys(first, len(points)), shift=True)
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Permute(_OfDigits):
+class Permute(_OfPlaces):
     """Random digit permutations: one for each place of each coordinate, the same for all points.
 
     Elementary intervals go to elementary intervals, and every point becomes uniform. In base 2 that
@@ -149,29 +194,6 @@ class Permute(_OfDigits):
 
     name: ClassVar[str] = "permute"
     base: Base = checked(_as_base, None)
-
-    def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """Permute the digits of each realisation by its own permutations."""
-        return _permuted(self, points, stream.keys(first, len(points)), shift=False)
-
-
-def _permuted(step: _OfDigits, points: Array, keys: Array, *, shift: bool) -> Array:
-    out = np.empty(points.shape)
-    if step._binary:
-        kernels.xor_digits(keys, points, out)
-    else:
-        bases = np.array(step._bases(points.shape[2]))
-        kernels.permute_digits(keys, bases, shift, points, out)
-    return out
-
-
-@runtime_checkable
-class _HasDirections(Protocol):
-    """Samplers of binary nets that give their generator matrices."""
-
-    dims: int
-
-    def direction_numbers(self, n: int) -> Array: ...
 
 
 @final
