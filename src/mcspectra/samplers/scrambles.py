@@ -6,6 +6,7 @@ the primes of halton, the base of faure.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Protocol, Self, TypeAlias, final, runtime_checkable
@@ -81,6 +82,30 @@ class _OfDigits(Randomization):
         above = next(_powers_possible(sampler, base, range(places + 1, 32)), 2 * MAX_COUNT)
         return below, above
 
+    def draw(
+        self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
+    ) -> Array:
+        """Randomise digits where the points are made, if there is a kernel for that."""
+        out = np.empty((count, n, sampler.dims))
+        if self._fill(own.keys(first, count), sampler, n, out):
+            return out
+        return self.apply(sampler.draw_stream(n, stream, first, count), own, first)
+
+    def apply(self, points: Array, stream: Stream, first: int) -> Array:
+        """Randomise the digits of each realisation by its own random numbers."""
+        out = np.empty(points.shape)
+        bases = None if self._binary else np.array(self._bases(points.shape[2]))
+        self._scramble(stream.keys(first, len(points)), bases, points, out)
+        return out
+
+    @abstractmethod
+    def _scramble(self, keys: Array, bases: Array | None, points: Array, out: Array) -> None:
+        """Randomise the digits of points (R, n, d) in these bases, None being 2 for all."""
+
+    @abstractmethod
+    def _fill(self, keys: Array, sampler: Sampler, n: int, out: Array) -> bool:
+        """Make the randomised points of `sampler`, or return False where there is no kernel."""
+
     def _bases(self, dims: int) -> tuple[int, ...]:
         """One base for each dim."""
         if not isinstance(self.base, Sequence):
@@ -127,28 +152,19 @@ class _OfPlaces(_OfDigits):
 
     shift: ClassVar[bool] = False
 
-    def draw(
-        self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
-    ) -> Array:
-        """Permute the digits of indices instead of points, where there are some."""
-        start = sampler.first_index() if isinstance(sampler, _HasIndices) else None
-        if start is None or self._binary:
-            return self.apply(sampler.draw_stream(n, stream, first, count), own, first)
-        out = np.empty((count, n, sampler.dims))
-        bases = np.array(sampler.digit_bases)
-        kernels.fill_permuted(own.keys(first, count), bases, self.shift, start, out)
-        return out
-
-    def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """Permute the digits of each realisation by its own permutations."""
-        out = np.empty(points.shape)
-        keys = stream.keys(first, len(points))
-        if self._binary:
+    def _scramble(self, keys: Array, bases: Array | None, points: Array, out: Array) -> None:
+        if bases is None:
             kernels.xor_digits(keys, points, out)
         else:
-            bases = np.array(self._bases(points.shape[2]))
             kernels.permute_digits(keys, bases, self.shift, points, out)
-        return out
+
+    def _fill(self, keys: Array, sampler: Sampler, n: int, out: Array) -> bool:
+        del n
+        start = sampler.first_index() if isinstance(sampler, _HasIndices) else None
+        if start is None or self._binary:
+            return False
+        kernels.fill_permuted(keys, np.array(sampler.digit_bases), self.shift, start, out)
+        return True
 
 
 @final
@@ -238,29 +254,19 @@ class Owen(_OfDigits):
                 f"owen(method='hash') is for digits in base 2, not {self.base}; use method='nested'."
             )
 
-    def draw(
-        self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
-    ) -> Array:
-        """Hash the words of binary sequences where they are made."""
-        if self.method == "hash" and isinstance(sampler, _HasDirections):
-            out = np.empty((count, n, sampler.dims))
-            directions = sampler.direction_numbers(n)
-            kernels.fill_hashed(own.keys(first, count), directions, out)
-            return out
-        return self.apply(sampler.draw_stream(n, stream, first, count), own, first)
-
-    def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """Scramble each realisation with its own tree of permutations."""
-        out = np.empty(points.shape)
-        keys = stream.keys(first, len(points))
-        if not self._binary:
-            bases = np.array(self._bases(points.shape[2]))
+    def _scramble(self, keys: Array, bases: Array | None, points: Array, out: Array) -> None:
+        if bases is not None:
             kernels.scramble_trees(keys, bases, points, out)
         elif self.method == "hash":
             kernels.scramble_hashed(keys, points, out)
         else:
             kernels.scramble_nested(keys, points, out)
-        return out
+
+    def _fill(self, keys: Array, sampler: Sampler, n: int, out: Array) -> bool:
+        if self.method != "hash" or not isinstance(sampler, _HasDirections):
+            return False
+        kernels.fill_hashed(keys, sampler.direction_numbers(n), out)
+        return True
 
 
 @final
@@ -306,24 +312,14 @@ class Lms(_OfDigits):
             )
         return fitted
 
-    def draw(
-        self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
-    ) -> Array:
-        """Multiply the matrices of binary sequences instead of their points."""
-        if self._binary and isinstance(sampler, _HasDirections):
-            out = np.empty((count, n, sampler.dims))
-            directions = sampler.direction_numbers(n)
-            kernels.fill_mixed(own.keys(first, count), self.shift, directions, out)
-            return out
-        return self.apply(sampler.draw_stream(n, stream, first, count), own, first)
-
-    def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """Multiply the digits of each realisation by its own matrices."""
-        out = np.empty(points.shape)
-        keys = stream.keys(first, len(points))
-        if self._binary:
+    def _scramble(self, keys: Array, bases: Array | None, points: Array, out: Array) -> None:
+        if bases is None:
             kernels.mix_matrices(keys, self.shift, points, out)
         else:
-            bases = np.array(self._bases(points.shape[2]))
             kernels.mix_triangles(keys, bases, self.shift, points, out)
-        return out
+
+    def _fill(self, keys: Array, sampler: Sampler, n: int, out: Array) -> bool:
+        if not (self._binary and isinstance(sampler, _HasDirections)):
+            return False
+        kernels.fill_mixed(keys, self.shift, sampler.direction_numbers(n), out)
+        return True
