@@ -433,3 +433,10 @@ def test_counts_are_those_of_the_mode():
         for n in (16, 30, 36, 60):
             counts = Decorrelate(mode=mode).counts_near(jittered, n)
             assert counts == step.fit(jittered).counts_near(jittered, n)
+
+
+def test_pixels_of_a_mask_are_tied_together_through_a_chain():
+    for mask, independent in (("white", True), ("r2", False), ("blue-noise", False)):
+        step = Decorrelate(mask=mask)
+        assert step.independent == independent
+        assert Sobol(dims=2).then(step).then(Shift()).independent == independent
