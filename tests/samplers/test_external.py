@@ -430,7 +430,7 @@ class TestScipySampler:
 def test_scipy_stats_is_imported_only_for_engines():
     """It takes half a second, which nobody else should pay."""
     code = (
-        "import sys; from mcspectra.samplers import base, poisson, sampler; "
+        "import sys; from mcspectra.samplers import external, poisson, sampler; "
         "sampler('points(points=[[0.5]])').draw(1); print('scipy.stats' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

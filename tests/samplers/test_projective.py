@@ -9,8 +9,7 @@ import pytest
 from scipy import stats
 from scipy.spatial import cKDTree
 
-import mcspectra as mcs
-from mcspectra.core.errors import CountError, ParameterError
+from mcspectra.core.errors import CountError
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import ProjectiveBlueNoise, sampler
 from mcspectra.samplers.poisson import densest_distance
@@ -94,30 +93,9 @@ def test_functions_of_one_coordinate_gain_in_any_dims():
     assert ratio < stats.f.isf(1 - LEVEL, realizations - 1, realizations - 1)
 
 
-def test_variance_falls_between_the_rates_of_its_two_terms():
-    """As for Poisson disks: power at low frequencies gives −1, the edge of the disk −1.5."""
-    disk = mcs.Estimator("disk(center=[0.463, 0.517], radius=0.27)")
-    fit = mcs.convergence(disk, "projective-blue-noise", [16, 64, 256], realizations=400, rng=6)
-    low, high = fit["rate_ci"].values
-    assert low < -1.0
-    assert high > -1.5
-
-
 def test_a_set_that_does_not_fit_is_said():
     with pytest.raises(CountError, match="no room for 100 points in 2 dims .* smaller radius") as e:
         sampler("projective-blue-noise(radius=0.95)").draw(100, rng=1)
     assert "\n" not in str(e.value)
     with pytest.raises(CountError, match="at most 4096 points, not 1000000"):
         ProjectiveBlueNoise().draw(10**6)
-
-
-@pytest.mark.parametrize("radius", [0, -0.5, 0.001, 1.5, float("nan"), float("inf"), "wide", True])
-def test_bad_radii(radius):
-    with pytest.raises(ParameterError, match=r"radius is .*; give a finite number at least 0.01"):
-        ProjectiveBlueNoise(radius_=radius)
-
-
-@pytest.mark.parametrize("dims", [0, 7, 2.5])
-def test_bad_dims(dims):
-    with pytest.raises(ParameterError, match="projective-blue-noise: dims is .* from 1 to 6"):
-        ProjectiveBlueNoise(dims=dims)

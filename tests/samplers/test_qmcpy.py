@@ -10,7 +10,7 @@ import mcspectra as mcs
 from mcspectra.core.errors import CountError, MissingDependency, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import Sampler, as_sampler, sampler
-from mcspectra.samplers.base import QmcpySampler
+from mcspectra.samplers.external import QmcpySampler
 from mcspectra.samplers.net_quality import net_t_value
 
 

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-import mcspectra as mcs
 from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.core.streams import Stream
-from mcspectra.samplers import DigitalShift, Lms, Owen, Permute, Random, _digit_kernels, sampler
-from mcspectra.samplers.nets import elementary_intervals, net_t_value
+from mcspectra.samplers import DigitalShift, Lms, Owen, Permute, Random, _scramble_kernels, sampler
+from mcspectra.samplers.net_quality import elementary_intervals, net_t_value
 
 LEVEL = 1 - (1 - 1e-6) ** (1 / 120)  # Šidák: fewer than 120 statistical tests here share 1e-6
 SIGMAS = stats.norm.isf(LEVEL / 2)
@@ -209,15 +208,15 @@ def test_owen_keeps_the_number_of_common_leading_digits(step, base, places):
 @pytest.mark.parametrize("base", [3, 7, 96, 97, 2003, 8191])
 def test_what_is_written_is_read_again(base):
     """Digits of any interval, even with the tail next to its ends, and ⌊x b^p⌋ in floats."""
-    places, scale, nudge, unit = _digit_kernels._format(base)
+    places, scale, nudge, unit = _scramble_kernels._format(base)
     assert 2.0**32 <= scale < 2.0**32 * base
     rng = np.random.default_rng(base)
     starts = rng.integers(0, base, 300) * base ** (places - 1)
     ends = starts + base ** (places - 1) - 1
     for v in np.concatenate([starts, ends, rng.integers(0, int(scale), 300)]).tolist():
         for tail in (0.0, BELOW_ONE):
-            x = _digit_kernels._write(v, tail, scale, unit)
-            assert _digit_kernels._read(x, scale, nudge) == v
+            x = _scramble_kernels._write(v, tail, scale, unit)
+            assert _scramble_kernels._read(x, scale, nudge) == v
             assert np.floor(x * base) == v // base ** (places - 1)
             assert v < Fraction(x) * base**places < v + 1
 
@@ -290,22 +289,37 @@ def test_bits_of_base_2_do_not_change(step, bits):
     np.testing.assert_array_equal(moved.ravel(), bits)
 
 
-@pytest.mark.parametrize("step", [Owen(method="hash"), Lms(), Lms(shift=False)], ids=str)
+NETS = [
+    ("sobol", 1, 1),
+    ("sobol", 5, 1024),
+    ("niederreiter", 3, 2),
+    ("larcher-pillichshammer", 2, 64),
+]
+INVERSES = [
+    ("halton", 3, 1),
+    ("halton(skip=12345)", 5, 3000),
+    ("van-der-corput(base=8192)", 1, 50),
+    ("van-der-corput(base=6)", 1, 5000),
+    ("halton(scramble='owen')", 2, 100),
+]
+
+
 @pytest.mark.parametrize(
-    ("net", "dims", "n"),
+    ("step", "net", "dims", "n"),
     [
-        ("sobol", 1, 1),
-        ("sobol", 5, 1024),
-        ("niederreiter", 3, 2),
-        ("larcher-pillichshammer", 2, 64),
+        *((s, *net) for s in (Owen(method="hash"), Lms(), Lms(shift=False)) for net in NETS),
+        *((s, *inverse) for s in (Permute(), DigitalShift()) for inverse in INVERSES),
     ],
+    ids=str,
 )
 def test_fused_bits_are_those_of_the_points(step, net, dims, n):
     source = sampler(net, dims)
     chained = source.then(step).draw(n, realizations=3, rng=SEED, first=2)
-    own = Stream.from_rng(SEED).child(1 << 16)
+    own = Stream.from_rng(SEED).child((1 << 16) + source.scrambles)
     np.testing.assert_array_equal(
-        chained, step.apply(source.draw(n, realizations=3), own, 2), strict=True
+        chained,
+        step.fit(source).apply(source.draw(n, realizations=3, rng=SEED, first=2), own, 2),
+        strict=True,
     )
 
 
@@ -396,21 +410,6 @@ def test_owen_beats_jitter_on_a_smooth_function():
     assert jittered < 0.1 * values.var() / n
 
 
-@pytest.mark.parametrize("step", ["owen", HASH])
-def test_rate_on_the_gaussian(step):
-    """Owen (1997): n^-3 up to logarithms for smooth integrands; at most −2.8 is asked for."""
-    rates = mcs.convergence(
-        mcs.Estimator("christensen-gaussian", dims=2),
-        f"sobol | {step}",
-        [16, 64, 256, 1024, 4096],
-        realizations=500,
-        rng=2,
-    )
-    low, high = rates["rate_ci"].values
-    assert high < -2.8
-    assert low > -3.0
-
-
 @pytest.mark.parametrize("step", ["digital-shift", "permute", "owen", HASH])
 def test_strata_survive_at_powers_of_two(step):
     points = sampler(f"jittered | {step}", 2).draw(64, realizations=50, rng=1)
@@ -431,6 +430,7 @@ def test_strata_survive_at_powers_of_a_given_base():
     ("spec", "dims", "n", "nearest"),
     [
         ("jittered | owen", 2, 9, (4, 16)),
+        ("jittered | lms", 2, 9, (4, 16)),
         ("jittered | digital-shift", 2, 36, (16, 64)),
         ("jittered | permute", 3, 2, (1, 8)),
         ("latin-hypercube | owen", 3, 100, (64, 128)),
@@ -458,38 +458,6 @@ def test_no_count_fits():
         ParameterError, match=r"sides=\[3, 5\].*counts are never powers of 2; use shift"
     ):
         sampler("regular(sides=[3, 5]) | owen", 2)
-
-
-@pytest.mark.parametrize(
-    ("spec", "dims", "message"),
-    [
-        ("sobol | owen(base=3)", 2, "would break the elementary intervals.*in base 2; leave base"),
-        ("halton | permute(base=2)", 2, r"in base 2, 3; leave base out"),
-        ("halton | owen(method='hash')", 2, r"is for digits in base 2, not \(2, 3\)"),
-        ("random | owen(method='hash', base=3)", 2, "use method='nested'"),
-        ("random | owen(base=[2, 3, 5])", 2, "base has 3 values"),
-        ("jittered | owen(base=4)", 2, "give one prime as base="),
-        ("jittered | owen(base=[2, 3])", 2, "give one prime as base="),
-        ("van-der-corput(base=4) | lms", 1, "prime base.*has base 4; use permute or owen"),
-        ("antithetic-jittered | lms", 2, "lms would break the pairs of antithetic-jittered"),
-        ("korobov | lms", 2, "lms would break the distances"),
-        ("korobov | owen", 2, "owen would break the distances"),
-        ("sobol | owen(method='hsah')", 2, "method is 'hsah'.*Did you mean 'hash'"),
-        ("sobol | lms(shift=1)", 2, "shift is 1; give True or False"),
-    ],
-)
-def test_what_does_not_fit(spec, dims, message):
-    with pytest.raises(ParameterError, match=message):
-        sampler(spec, dims)
-
-
-@pytest.mark.parametrize("step", [DigitalShift, Permute, Owen, Lms], ids=lambda step: step.name)
-@pytest.mark.parametrize(
-    "base", [0, 1, -2, 2.5, "x", True, float("nan"), float("inf"), 2**14, [2, 1], [[2]], {}]
-)
-def test_bad_bases(step, base):
-    with pytest.raises(ParameterError, match="base is .*give a whole number from 2 to 8192"):
-        step(base=base)
 
 
 def test_the_base_of_the_sampler_shows():

@@ -25,7 +25,10 @@ def test_the_first_points_do_not_depend_on_how_many_there_are(name, chain):
     np.testing.assert_array_equal(long[:, :16], short)
 
 
-@pytest.mark.parametrize("chain", ["subset", "shuffle", "mirror(mode='uniform')"])
+@pytest.mark.parametrize(
+    "chain",
+    ["subset", "shuffle", "mirror(mode='uniform')", "random-rotation(boundary='clipped')"],
+)
 def test_steps_that_rearrange_leave_no_sequence(chain):
     assert not mcs.sampler(f"sobol | {chain}").sequence
     with pytest.raises(ParameterError, match="skip would break the uniform coverage"):

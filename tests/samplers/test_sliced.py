@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.errors import ParameterError
 from mcspectra.samplers import SlicedOptimalTransport
 from mcspectra.samplers.sliced import projected_quantiles
 
@@ -91,26 +90,3 @@ def test_only_translated_sets_are_unbiased():
     assert not SlicedOptimalTransport().unbiased
     assert SlicedOptimalTransport(sets=2).unbiased
     assert SlicedOptimalTransport().then(mcs.samplers.Shift()).unbiased
-
-
-def test_variance_of_the_disk_falls_faster_than_at_random():
-    """Blue noise keeps n^(−3/2) of an edge; sliced sets end between −1 and that."""
-    sampler = SlicedOptimalTransport(iterations=40, directions=16, sets=4).then(
-        mcs.samplers.Shift()
-    )
-    f = mcs.Estimator(mcs.integrand("disk"))
-    d = mcs.convergence(f, sampler, [16, 64, 256], realizations=400, rng=3)
-    assert d["rate_ci"].values[1] < -1.1
-
-
-@pytest.mark.parametrize("dims", [1, 0, 1.5, "x", True, float("nan")])
-def test_impossible_dims(dims):
-    with pytest.raises(ParameterError, match="sliced-optimal-transport: dims is"):
-        SlicedOptimalTransport(dims=dims)
-
-
-@pytest.mark.parametrize("field", ["iterations", "directions"])
-@pytest.mark.parametrize("value", [0, -1, 1.5, float("nan"), float("inf"), "x", None, True])
-def test_bad_numbers(field, value):
-    with pytest.raises(ParameterError, match=f"^{field} is .*; give a whole number"):
-        SlicedOptimalTransport(**{field: value})

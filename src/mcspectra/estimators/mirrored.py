@@ -11,7 +11,7 @@ from mcspectra.estimators.importance import as_estimator
 from mcspectra.estimators.reflected import FoldedIntegrand
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Mirror, Sampler
-from mcspectra.samplers.mirror import folded
+from mcspectra.samplers.randomizations import folded
 
 __all__ = ["MIRRORINGS", "Mirrored"]
 

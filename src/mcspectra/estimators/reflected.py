@@ -16,7 +16,7 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.integrands import Integrand
-from mcspectra.samplers.mirror import folded
+from mcspectra.samplers.randomizations import folded
 
 __all__ = ["FoldedIntegrand", "SymmetrizedIntegrand"]
 

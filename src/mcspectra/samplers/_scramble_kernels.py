@@ -1,9 +1,17 @@
-"""Numba kernels that scramble binary digits: XOR, nested uniform, by hash, by random matrices.
+"""Numba kernels that scramble digits: XOR, permutations, nested uniform, by hash, by random matrices.
 
-Legend: R realisations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`; ``points`` and
-``out`` float64 (R, n, d). A coordinate is a word of 32 (or 53) bits, the highest standing for ½.
-Random numbers below 2^62 and those from 2^63 on are those of digits here; other bases have theirs
-between.
+Legend: R realisations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`; ``bases`` int64
+(d,); ``points`` and ``out`` float64 (R, n, d).
+
+Base 2 comes first. A coordinate is a word of 32 (or 53) bits, the highest standing for ½.
+
+In any base a coordinate is read as v = ⌊x b^m⌋, the fewest digits with b^m ≥ 2^32. It is read 2^-52
+higher than it is: k/b^p, p ≤ m, is not a float, and may be rounded down. What comes out is
+(v' + (t + ½) 2^-k)/b^m with t < 2^k and b^m 2^k ≤ 2^50: uniform to 50 bits, and so far from all
+k/b^p that neither rounding nor ⌊x b^p⌋ in floats takes it to another interval.
+
+Random numbers below 2^62 and those from 2^63 on are those of binary digits, those between of nodes of
+trees in other bases.
 """
 
 from __future__ import annotations
@@ -14,22 +22,32 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
-from mcspectra.core.streams import mix_bits
+from mcspectra.core.streams import mix_bits, mix_uniform
 from mcspectra.samplers._digital_kernels import BLOCK, block_words, low_words
+from mcspectra.samplers._kernels import _mix_below
 
 __all__ = [
     "fill_hashed",
     "fill_mixed",
+    "fill_permuted",
     "mix_matrices",
+    "mix_triangles",
+    "permute_digits",
     "scramble_hashed",
     "scramble_nested",
+    "scramble_trees",
     "xor_digits",
 ]
 
-_ONE, _TAIL = np.uint64(1), np.uint64(1 << 63)
+_ONE, _TREE, _TAIL = np.uint64(1), np.uint64(1 << 62), np.uint64(1 << 63)
 _S11, _S21, _S32, _S43 = np.uint64(11), np.uint64(21), np.uint64(32), np.uint64(43)
+_S34 = np.uint64(34)  # nodes: b^(m−1) < 2^32 of a level, numbered from b^level, stay below 2^33
+_LOW32 = np.uint64(0xFFFFFFFF)
 _TO_53, _UNIT_53, _TO_32 = 2.0**53, 2.0**-53, 2.0**32
 _LEVELS = 6  # a binary subtree of 6 levels has 63 nodes: one 64-bit hash flips them all
+_TABLE = 1024  # entries of a table of images of several digits: 8 kB
+_USED_UP = 2**32
+_LEAST, _FINEST = 2.0**32, 2.0**50
 
 
 @kernel
@@ -222,3 +240,256 @@ def fill_mixed(keys: Array, shift: bool, directions: Array, out: Array) -> None:
                 base: Any = high[j] ^ words[j]
                 for t in range(min(size, n - start)):
                     out[r, start + t, j] = np.float64(np.int64(low[j, t] ^ base)) * _UNIT_53
+
+
+@kernel
+def _format(base: int) -> tuple[int, float, float, float]:
+    # Digits m, b^m, what to add before ⌊·⌋, and the unit 2^-k of the tail.
+    places, scale, unit = 0, 1.0, 1.0
+    while scale < _LEAST:
+        places, scale = places + 1, scale * base
+    while 2.0 * scale <= _FINEST * unit:
+        unit *= 0.5
+    nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-52
+    return places, scale, nudge, unit
+
+
+@kernel
+def _read(x: float, scale: float, nudge: float) -> Any:
+    return np.int64(min(x * scale + nudge, scale - 1.0))
+
+
+@kernel
+def _write(v: int, tail: float, scale: float, unit: float) -> Any:
+    # tail uniform in [0, 1), taken to the middle of its 2^-k
+    return (np.float64(v) + (np.floor(tail / unit) + 0.5) * unit) / scale
+
+
+@kernel
+def _quotient(v: int, inverse: float) -> Any:
+    # ⌊v/b⌋ by the float 1/b, for v < 2^45: the error, below 2^-7/b, is less than the ½/b to spare
+    return np.int64((np.float64(v) + 0.5) * inverse)
+
+
+@kernel
+def _draw_permutation(k0: np.uint64, k1: np.uint64, number: int, order: Array) -> None:
+    for t in range(order.size):
+        order[t] = t
+    for t in range(order.size - 1):
+        chosen = t + _mix_below(k0, k1, number + t, order.size - t)
+        order[t], order[chosen] = order[chosen], order[t]
+
+
+@kernel
+def _draw_images(k0: np.uint64, k1: np.uint64, number: int, shift: bool, out: Array) -> None:
+    # out int64 (m, b): what becomes of each digit in each place, the lowest place first
+    places, base = out.shape
+    for k in range(places):
+        if shift:
+            out[k] = (np.arange(base) + _mix_below(k0, k1, number, base)) % base
+        else:
+            _draw_permutation(k0, k1, number, out[k])
+        number += base
+
+
+@kernel
+def _group_images(images: Array, most: int) -> Array:
+    # The same for groups of digits, as many as make tables of `most` entries: (groups, b^digits)
+    places, base = images.shape
+    size, digits = base, 1
+    while size * base <= most and digits < places:
+        size, digits = size * base, digits + 1
+    groups = (places + digits - 1) // digits
+    table = np.zeros((groups, size), np.int64)
+    for g in range(groups):
+        for v in range(size):
+            rest, weight = v, 1
+            for k in range(g * digits, min((g + 1) * digits, places)):
+                table[g, v] += images[k, rest % base] * weight
+                rest, weight = rest // base, weight * base
+    return table
+
+
+@kernel
+def permute_digits(keys: Array, bases: Array, shift: bool, points: Array, out: Array) -> None:
+    """A random permutation (if `shift`: addition modulo b) of each digit, the same for all points.
+
+    So is what comes below the last digit: one uniform number for each coordinate.
+    """
+    n = out.shape[1]
+    for r in range(out.shape[0]):
+        k0, k1 = keys[r, 0], keys[r, 1]
+        number = 0
+        for j in range(out.shape[2]):
+            places, scale, nudge, unit = _format(bases[j])
+            images = np.empty((places, bases[j]), np.int64)
+            _draw_images(k0, k1, number, shift, images)
+            number += images.size
+            tail = mix_uniform(k0, k1, number)
+            number += 1
+            table = _group_images(images, min(n, _TABLE))
+            groups, size = table.shape
+            for i in range(n):
+                v = _read(points[r, i, j], scale, nudge)
+                permuted, weight = 0, 1
+                for g in range(groups):  # from the lowest
+                    above = _quotient(v, 1.0 / size)
+                    permuted += table[g, v - above * size] * weight
+                    v, weight = above, weight * size
+                out[r, i, j] = _write(permuted, tail, scale, unit)
+
+
+@kernel
+def fill_permuted(keys: Array, bases: Array, shift: bool, start: int, out: Array) -> None:
+    """What `permute_digits` makes of the radical inverses of start, start + 1, …"""
+    n = out.shape[1]
+    for r in range(out.shape[0]):
+        k0, k1 = keys[r, 0], keys[r, 1]
+        number = 0
+        for j in range(out.shape[2]):
+            base = bases[j]
+            places, scale, _, unit = _format(base)
+            images = np.empty((places, base), np.int64)
+            _draw_images(k0, k1, number, shift, images)
+            number += images.size
+            tail = mix_uniform(k0, k1, number)
+            number += 1
+
+            # Tabulate the images of as many of the index's lowest digits as are worth it
+            size, low = base, 1
+            while low < places and size * base <= min(n, _TABLE):
+                size, low = size * base, low + 1
+            table = np.zeros(size, np.int64)
+            width, weight = 1, base ** (places - 1)
+            for k in range(low):
+                for digit in range(base - 1, -1, -1):  # 0 last: it overwrites what others read
+                    for v in range(width):
+                        image = images[places - 1 - k, digit]
+                        table[digit * width + v] = table[v] + image * weight
+                width, weight = width * base, weight // base
+
+            # Add those of the digits above, the same for a run of indices
+            i, v, block = 0, start % size, start // size
+            while i < n:
+                high, unit_above, rest = 0, weight, block
+                for k in range(low, places):
+                    high += images[places - 1 - k, rest % base] * unit_above
+                    unit_above, rest = unit_above // base, rest // base
+                stop = min(n, i + size - v)
+                for t in range(i, stop):
+                    out[r, t, j] = _write(table[v + t - i] + high, tail, scale, unit)
+                i, v, block = stop, 0, block + 1
+
+
+@kernel
+def _image(k0: np.uint64, k1: np.uint64, node: Any, digit: int, base: int) -> int:
+    # Where the random permutation of a node takes one digit: Fisher and Yates's swaps, seen by that
+    # digit. A number below c is the upper word of c times 64 random bits; the lower word serves
+    # for the next, until a factor of 2^32 is used up.
+    position, used, drawn = digit, 1, 0
+    bits = mix_bits(k0, k1, node)
+    for t in range(base - 1):
+        choices = np.uint64(base - t)
+        used *= base - t
+        if used > _USED_UP:
+            drawn, used = drawn + 1, base - t
+            bits = mix_bits(mix_bits(k0, k1, node), k1, drawn)
+        upper = (bits >> _S32) * choices + (((bits & _LOW32) * choices) >> _S32)
+        chosen: Any = t + np.int64(upper >> _S32)
+        bits *= choices
+        if position == chosen:
+            return t
+        if position == t:
+            position = chosen
+    return position
+
+
+@kernel
+def _climb(k0: np.uint64, k1: np.uint64, dim: int, base: int, places: int, v: int) -> int:
+    # Nested uniform scramble of the number v, from its last digit to its first: each digit by the
+    # permutation of the node above it. Nodes of a level are numbered from b^level, unlike others.
+    scrambled, weight, inverse = 0, 1, 1.0 / base
+    width = base ** (places - 1)
+    for _ in range(places):
+        prefix = _quotient(v, inverse)
+        node: Any = _TREE | (np.uint64(dim) << _S34) | np.uint64(width + prefix)
+        scrambled += _image(k0, k1, node, v - prefix * base, base) * weight
+        v, weight, width = prefix, weight * base, _quotient(width, inverse)
+    return scrambled
+
+
+@kernel
+def scramble_trees(keys: Array, bases: Array, points: Array, out: Array) -> None:
+    """Owen's nested uniform scrambling in the base of each coordinate, independent digits below.
+
+    Coordinates in base 2 are those of `scramble_nested`.
+    """
+    count, n, dims = out.shape
+    for r in range(count):
+        k0, k1 = keys[r, 0], keys[r, 1]
+        for j in range(dims):
+            places, scale, nudge, unit = _format(bases[j])
+            for i in range(n):
+                number = i * dims + j
+                v = _read(points[r, i, j], scale, nudge)
+                if bases[j] == 2:
+                    out[r, i, j] = _with_tail(k0, k1, number, _flip_nested(k0, k1, j, v))
+                    continue
+                address: Any = _TAIL | np.uint64(number)
+                tail = mix_uniform(k0, k1, address)
+                scrambled = _climb(k0, k1, j, bases[j], places, v)
+                out[r, i, j] = _write(scrambled, tail, scale, unit)
+
+
+@kernel
+def _draw_triangle(k0: np.uint64, k1: np.uint64, number: int, base: int, out: Array) -> None:
+    # Lower triangular, 1 … b−1 on the diagonal, 0 … b−1 below it; out int64 (m, m): its columns
+    for c in range(out.shape[0]):
+        for row in range(c, out.shape[0]):
+            least = 1 if c == row else 0
+            out[c, row] = least + _mix_below(k0, k1, number, base - least)
+            number += 1
+
+
+@kernel
+def _multiply(matrix: Array, base: int, v: int, out: Array) -> None:
+    # out (m,) += matrix times the digits of v, modulo the base; zeros, as below all points of a
+    # net, cost nothing
+    inverse = 1.0 / base
+    for c in range(out.size - 1, -1, -1):
+        above = _quotient(v, inverse)
+        digit = v - above * base
+        v = above
+        if digit:
+            for row in range(c, out.size):
+                out[row] += matrix[c, row] * digit
+
+
+@kernel
+def mix_triangles(keys: Array, bases: Array, shift: bool, points: Array, out: Array) -> None:
+    """Random lower triangular matrices times the digits of points, modulo prime bases.
+
+    With `shift` a random digit is added in each place and a uniform number below the last, the
+    same for all points.
+    """
+    for r in range(out.shape[0]):
+        k0, k1 = keys[r, 0], keys[r, 1]
+        number = 0
+        for j in range(out.shape[2]):
+            base = bases[j]
+            places, scale, nudge, unit = _format(base)
+            matrix, added = np.zeros((places, places), np.int64), np.zeros(places, np.int64)
+            _draw_triangle(k0, k1, number, base, matrix)
+            number += places * places
+            for k in range(places if shift else 0):
+                added[k] = _mix_below(k0, k1, number + k, base)
+            tail = mix_uniform(k0, k1, number + places) if shift else 0.0
+            number += places + 1
+            digits, inverse = np.empty(places, np.int64), 1.0 / base
+            for i in range(out.shape[1]):
+                digits[:] = added
+                _multiply(matrix, base, _read(points[r, i, j], scale, nudge), digits)
+                mixed = 0
+                for k in range(places):
+                    mixed = mixed * base + digits[k] - _quotient(digits[k], inverse) * base
+                out[r, i, j] = _write(mixed, tail, scale, unit)

@@ -11,8 +11,7 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
-from mcspectra.samplers._repeated import repeated
-from mcspectra.samplers.base import Sampler, Structure, check_dims
+from mcspectra.samplers.base import Sampler, Structure, check_dims, repeated
 
 __all__ = ["Hexagonal"]
 

@@ -1,31 +1,66 @@
-"""Rank-1 lattices: given or built generating vectors, Korobov and Fibonacci lattices."""
+"""Multiples of one vector on the torus: rank-1, Korobov and Fibonacci lattices, Kronecker points."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import lru_cache
-from typing import ClassVar, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.checks import Array, as_integer, as_reals
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.core.streams import Stream
-from mcspectra.samplers._repeated import repeated
-from mcspectra.samplers.base import MAX_COUNT, Sampler, Structure, check_dims
+from mcspectra.samplers._fields import settle, whole
+from mcspectra.samplers.base import MAX_COUNT, FixedSet, Structure
 
-__all__ = ["Fibonacci", "Korobov", "Rank1Lattice"]
+__all__ = ["Fibonacci", "Korobov", "Kronecker", "Rank1Lattice", "golden_steps"]
 
 _EVALUATIONS = 2**24  # kernel values per component: about 0.1 s
 _LEAST_CANDIDATES = 16
+_BITS = 64
+_S11, _UNIT = np.uint64(11), 2.0**-53
+
+
+class _Lattice(FixedSet):
+    """The points {k z / n}, k = 0 … n−1, of a generating vector z."""
+
+    structure: ClassVar[Structure] = Structure.TORUS
+
+    def generating_vector(self, n: int) -> Array:
+        """Return z for `n` points: int64 (dims,), 0 ≤ z_j < max(n, 2)."""
+        return np.array(self._vector(self.check_count(n)), dtype=np.int64)
+
+    @abstractmethod
+    def _vector(self, n: int) -> Sequence[int]:
+        """Make z for n points."""
+
+    def _set(self, n: int) -> Array:
+        points = np.empty((n, self.dims))
+        _fill_lattice(self.generating_vector(n) % n, points)
+        return points
+
+
+@kernel
+def _fill_lattice(vector: Array, out: Array) -> None:
+    # k z / n, k = 0 … n−1, by adding z modulo n: vector int64 (d,), z_j < n; out (n, d)
+    n, dims = out.shape
+    for j in range(dims):
+        step, multiple = vector[j], 0
+        for k in range(n):
+            out[k, j] = multiple / n
+            multiple += step
+            if multiple >= n:
+                multiple -= n
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Rank1Lattice(Sampler):
+class Rank1Lattice(_Lattice):
     """Rank-1 lattice {k z / n}, k = 0 … n−1, deterministic; randomise with shift.
 
     Any dims, any count.
@@ -48,37 +83,53 @@ class Rank1Lattice(Sampler):
 
     References
     ----------
-    Sloan, Reztsov (2002), "Component-by-component construction of good lattice rules",
-    doi 10.1090/S0025-5718-01-01342-4.
+    [Sloan2002]_
     """
 
     name: ClassVar[str] = "rank1-lattice"
-    structure: ClassVar[Structure] = Structure.TORUS
-    unbiased: ClassVar[bool] = False
-    fixed: ClassVar[bool] = True
     dims: int = DEFAULT_DIMS
     vector: Sequence[int] | None = None
 
-    def __post_init__(self) -> None:
-        check_dims(self)
-        if self.vector is not None:
-            object.__setattr__(self, "vector", _checked_vector(self.vector, self.dims))
+    def _check(self) -> None:
+        vector: Any = self.vector
+        if vector is None:
+            return
+        if not isinstance(vector, Sequence | np.ndarray) or isinstance(vector, str):
+            raise ParameterError(
+                f"vector is {vector!r}; give a list of whole numbers, one for each of the "
+                f"{self.dims} dims."
+            )
+        if len(vector) != self.dims:
+            raise ParameterError(
+                f"vector has {len(vector)} components, but dims is {self.dims}; give one for each "
+                "dim."
+            )
+        checked = (as_integer(f"vector[{j}]", z, least=0) for j, z in enumerate(vector))
+        settle(self, vector=tuple(checked))
 
-    def generating_vector(self, n: int) -> Array:
-        """Return z for `n` points: int64 (dims,), 0 ≤ z_j < max(n, 2)."""
-        n = self.check_count(n)
-        if self.vector is not None:
-            return np.array([z % n for z in self.vector], dtype=np.int64)
-        return np.array(_built_vector(n, self.dims), dtype=np.int64)
+    def _vector(self, n: int) -> Sequence[int]:
+        return _built_vector(n, self.dims) if self.vector is None else [z % n for z in self.vector]
 
-    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        del stream, first  # the same points every time
-        return _lattices(self.generating_vector(n), n, count)
+
+@lru_cache(maxsize=256)
+def _built_vector(n: int, dims: int) -> tuple[int, ...]:
+    """Generating vector by the component-by-component construction."""
+    k, bernoulli = np.arange(n), _bernoulli(n)
+    candidates = _candidates(n, _EVALUATIONS // n)
+    product, vector = np.ones(n), []
+    for j in range(1, dims + 1):
+        # All first components give the same points: take 1
+        options = candidates if j > 1 else candidates[:1]
+        errors = [product @ bernoulli[k * z % n] for z in options]
+        best = int(options[_first_least(errors)])
+        product *= 1.0 + bernoulli[k * best % n] / j**2
+        vector.append(best)
+    return tuple(vector)
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Korobov(Sampler):
+class Korobov(_Lattice):
     """Korobov lattice: the rank-1 lattice of (1, a, a², …) modulo n; randomise with shift.
 
     Any dims, any count.
@@ -101,134 +152,15 @@ class Korobov(Sampler):
 
     References
     ----------
-    Korobov (1959), "The approximate computation of multiple integrals", Dokl. Akad. Nauk SSSR 124,
-    1207–1210; Sloan, Joe (1994), "Lattice methods for multiple integration", section 4.5.
+    [Korobov1959]_, [SloanJoe1994]_, section 4.5
     """
 
     name: ClassVar[str] = "korobov"
-    structure: ClassVar[Structure] = Structure.TORUS
-    unbiased: ClassVar[bool] = False
-    fixed: ClassVar[bool] = True
     dims: int = DEFAULT_DIMS
-    a: int | None = None
+    a: int | None = whole(None, least=1)
 
-    def __post_init__(self) -> None:
-        check_dims(self)
-        if self.a is not None:
-            object.__setattr__(self, "a", as_integer("a", self.a, least=1))
-
-    def generating_vector(self, n: int) -> Array:
-        """Return (1, a, a², …) modulo n: int64 (dims,)."""
-        n = self.check_count(n)
-        a = _best_generator(n, self.dims) if self.a is None else self.a
-        return np.array(_powers(a, n, self.dims), dtype=np.int64)
-
-    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        del stream, first  # the same points every time
-        return _lattices(self.generating_vector(n), n, count)
-
-
-@final
-@dataclass(frozen=True, kw_only=True)
-class Fibonacci(Sampler):
-    """Fibonacci lattice: n = F_m points {k (1, F_(m−1)) / n}, deterministic (2-D).
-
-    The counts are the Fibonacci numbers 1, 2, 3, 5, 8, …. Randomise with shift.
-
-    References
-    ----------
-    Sloan, Joe (1994), "Lattice methods for multiple integration", section 4.3; Niederreiter,
-    Sloan (1994), "Integration of nonperiodic functions of two variables by Fibonacci lattice
-    rules", doi 10.1016/0377-0427(92)00004-S.
-    """
-
-    name: ClassVar[str] = "fibonacci"
-    structure: ClassVar[Structure] = Structure.TORUS
-    unbiased: ClassVar[bool] = False
-    fixed: ClassVar[bool] = True
-    max_dims: ClassVar[int | None] = 2
-    dims: int = 2
-
-    def __post_init__(self) -> None:
-        if self.dims != 2:
-            raise ParameterError(
-                f"fibonacci: dims is {self.dims!r}; it must be 2, "
-                "for other dims use korobov or rank1-lattice."
-            )
-        check_dims(self)
-
-    def generating_vector(self, n: int) -> Array:
-        """Return (1, F_(m−1)) modulo n = F_m: int64 (2,)."""
-        n = self.check_count(n)
-        before = _FIBONACCI[_FIBONACCI.index(n) - 1] if n > 1 else 1
-        return np.array([1 % n, before % n])
-
-    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        del stream, first  # the same points every time
-        return _lattices(self.generating_vector(n), n, count)
-
-    def _counts_near(self, n: int) -> tuple[int | None, int]:
-        below = max(f for f in _FIBONACCI if f <= n)
-        return below, min(f for f in _FIBONACCI if f >= n)
-
-
-def _fibonacci_numbers() -> tuple[int, ...]:
-    """Return 1, 2, 3, 5, 8, … to the first beyond the largest count."""
-    numbers = [1, 2]
-    while numbers[-1] <= MAX_COUNT:
-        numbers.append(numbers[-1] + numbers[-2])
-    return tuple(numbers)
-
-
-_FIBONACCI = _fibonacci_numbers()
-
-
-@kernel
-def _fill_multiples(vector: Array, out: Array) -> None:
-    # k z / n, k = 0 … n−1, by adding z modulo n: vector int64 (d,), z_j < n; out (n, d)
-    n, dims = out.shape
-    for j in range(dims):
-        step, multiple = vector[j], 0
-        for k in range(n):
-            out[k, j] = multiple / n
-            multiple += step
-            if multiple >= n:
-                multiple -= n
-
-
-def _lattices(vector: Array, n: int, count: int) -> Array:
-    """The lattice of a generating vector, `count` times: float64 (count, n, d)."""
-    points = np.empty((n, len(vector)))
-    _fill_multiples(vector % n, points)
-    return repeated(points, count)
-
-
-def _checked_vector(vector: object, dims: int) -> tuple[int, ...]:
-    if not isinstance(vector, Sequence | np.ndarray) or isinstance(vector, str):
-        raise ParameterError(
-            f"vector is {vector!r}; give a list of whole numbers, one for each of the {dims} dims."
-        )
-    if len(vector) != dims:
-        raise ParameterError(
-            f"vector has {len(vector)} components, but dims is {dims}; give one for each dim."
-        )
-    return tuple(as_integer(f"vector[{j}]", z, least=0) for j, z in enumerate(vector))
-
-
-@lru_cache(maxsize=256)
-def _built_vector(n: int, dims: int) -> tuple[int, ...]:
-    """Generating vector by the component-by-component construction."""
-    k, bernoulli = np.arange(n), _bernoulli(n)
-    candidates = _candidates(n, _EVALUATIONS // n)
-    product, vector = np.ones(n), []
-    for j in range(1, dims + 1):
-        # All first components give the same points: take 1
-        options = candidates if j > 1 else candidates[:1]
-        errors = [product @ bernoulli[k * z % n] for z in options]
-        best = int(options[_first_least(errors)])
-        product *= 1.0 + bernoulli[k * best % n] / j**2
-        vector.append(best)
-    return tuple(vector)
+    def _vector(self, n: int) -> Sequence[int]:
+        return _powers(_best_generator(n, self.dims) if self.a is None else self.a, n, self.dims)
 
 
 @lru_cache(maxsize=256)
@@ -272,3 +204,139 @@ def _first_least(errors: Sequence[float]) -> int:
     values = np.asarray(errors)
     tolerance = 1e-9 * float(np.abs(values).max())
     return int(np.flatnonzero(values <= values.min() + tolerance)[0])
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Fibonacci(_Lattice):
+    """Fibonacci lattice: n = F_m points {k (1, F_(m−1)) / n}, deterministic (2-D).
+
+    The counts are the Fibonacci numbers 1, 2, 3, 5, 8, …. Randomise with shift.
+
+    References
+    ----------
+    [SloanJoe1994]_, section 4.3, [NiederreiterSloan1994]_
+    """
+
+    name: ClassVar[str] = "fibonacci"
+    min_dims: ClassVar[int] = 2
+    max_dims: ClassVar[int | None] = 2
+    other_dims: ClassVar[str] = "for other dims use korobov or rank1-lattice"
+    dims: int = 2
+
+    def _vector(self, n: int) -> Sequence[int]:
+        before = _FIBONACCI[_FIBONACCI.index(n) - 1] if n > 1 else 1
+        return [1 % n, before % n]
+
+    def _counts_near(self, n: int) -> tuple[int | None, int]:
+        below = max(f for f in _FIBONACCI if f <= n)
+        return below, min(f for f in _FIBONACCI if f >= n)
+
+
+_FIBONACCI = [1, 2]  # to the first beyond the largest count
+while _FIBONACCI[-1] <= MAX_COUNT:
+    _FIBONACCI.append(_FIBONACCI[-1] + _FIBONACCI[-2])
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Kronecker(FixedSet):
+    """Kronecker points {k α}, k = 0, 1, …, deterministic; randomise with shift.
+
+    Any dims, any count.
+
+    Attributes
+    ----------
+    alpha
+        The vector α, one number for each dim. By default that of the R-sequence: α_j = φ^(−j), where
+        φ is the root greater than 1 of φ^(d+1) = φ + 1, in 1-D the golden ratio.
+
+    Notes
+    -----
+    Multiples are added up in whole numbers of 2^-64, modulo 1: nothing is lost on the way, and
+    differences of points depend on those of their indices alone. Numbers whose fractions are simple
+    (0.5) put all points on few lines; whether α is irrational is up to the user.
+
+    References
+    ----------
+    [Roberts2018]_, [Niederreiter1992]_
+    """
+
+    name: ClassVar[str] = "kronecker"
+    structure: ClassVar[Structure] = Structure.TORUS
+    sequence: ClassVar[bool] = True
+    dims: int = DEFAULT_DIMS
+    alpha: Sequence[float] | None = None
+
+    def _check(self) -> None:
+        alpha: Any = self.alpha
+        if alpha is None:
+            return
+        listed = isinstance(alpha, Sequence | np.ndarray) and not isinstance(alpha, str)
+        if not listed and self.dims > 1:
+            raise ParameterError(
+                f"alpha is {alpha!r}; give a list of {self.dims} numbers, one for each dim."
+            )
+        values = as_reals("alpha", alpha, self.dims)
+        for j, value in enumerate(values):
+            if not _in_units(value):
+                raise ParameterError(
+                    f"alpha[{j}] is {value!r}, a whole number: all points would have coordinate 0; "
+                    "give irrational numbers, e.g. 0.6180339887498949."
+                )
+        settle(self, alpha=values)
+
+    def steps(self) -> Array:
+        """Return α modulo 1 in units of 2^-64: uint64 (dims,)."""
+        if self.alpha is None:
+            return golden_steps(self.dims)
+        return np.array([_in_units(a) for a in self.alpha], dtype=np.uint64)
+
+    def _set(self, n: int) -> Array:
+        points = np.empty((n, self.dims))
+        _fill_kronecker(self.steps(), points)
+        return points
+
+
+@lru_cache(maxsize=64)
+def golden_steps(dims: int) -> Array:
+    """Return φ^(−1) … φ^(−d) in units of 2^-64, φ^(d+1) = φ + 1: uint64 (dims,), read-only."""
+    bits = _BITS + 32  # the error grows with the power
+    one = 1 << bits
+
+    # 1/φ by bisection: x = 1/φ solves x^(d+1) + x^d = 1
+    ratio, high = 0, one
+    while high - ratio > 1:
+        middle = (ratio + high) // 2
+        power = one
+        for _ in range(dims):
+            power = power * middle >> bits
+        if power + (power * middle >> bits) <= one:
+            ratio = middle
+        else:
+            high = middle
+
+    power, steps = one, []
+    for _ in range(dims):
+        power = power * ratio >> bits
+        steps.append(power >> (bits - _BITS))
+    array = np.array(steps, dtype=np.uint64)
+    array.setflags(write=False)
+    return array
+
+
+@kernel
+def _fill_kronecker(steps: Array, out: Array) -> None:
+    # 0, α, 2α, … modulo 1 = 2^64 units: steps uint64 (d,), out (n, d)
+    n, dims = out.shape
+    for j in range(dims):
+        multiple = np.uint64(0)
+        for k in range(n):
+            out[k, j] = np.float64(multiple >> _S11) * _UNIT
+            multiple += steps[j]
+
+
+def _in_units(value: float) -> int:
+    """The fraction of a float in units of 2^-64."""
+    one = 1 << _BITS
+    return round(Fraction(value) % 1 * one) % one

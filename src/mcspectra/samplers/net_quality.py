@@ -2,6 +2,9 @@
 
 A set of n = b^m points is a (t, m, d)-net in base b if every elementary interval of volume b^(t−m),
 a box of sides b^-k_j at multiples of them, holds b^t points.
+
+The shapes of the intervals of volume b^-level are the ways to write `level` as a sum of d ordered
+parts k_j ≥ 0. They are gone through in the order of Nijenhuis and Wilf's NEXCOM.
 """
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_integer, as_unit_points
 from mcspectra.core.errors import CountError, ParameterError
-from mcspectra.samplers import _net_kernels
+from mcspectra.core.jit import kernel
 from mcspectra.samplers._primes import LARGEST_BASE, is_prime, power_from
 
 __all__ = ["elementary_intervals", "net_t_value", "t_value"]
@@ -54,7 +57,7 @@ def net_t_value(points: object, base: int = 2) -> int | None:
     digits = _leading_digits(x, base, places)
     for level in range(1, places + 1):
         _check_work(len(x), x.shape[1], level)
-        if not _net_kernels.all_balanced(digits, base, places, level):
+        if not _all_balanced(digits, base, places, level):
             return places - level + 1
     return 0
 
@@ -72,7 +75,7 @@ def elementary_intervals(points: object, base: int = 2, t: int = 0) -> bool:
     level = places - as_integer("t", t, least=0, most=places)
     _check_work(len(x), x.shape[1], level)
     digits = _leading_digits(x, base, places)
-    return bool(_net_kernels.all_balanced(digits, base, places, level))
+    return bool(_all_balanced(digits, base, places, level))
 
 
 def t_value(matrices: object, base: int = 2) -> int:
@@ -99,7 +102,7 @@ def t_value(matrices: object, base: int = 2) -> int:
     columns: int = c.shape[2]
     for level in range(1, columns + 1):
         _check_work(level**2 * columns, c.shape[0], level)
-        if not _net_kernels.all_independent(c, base, level):
+        if not _all_independent(c, base, level):
             return columns - level + 1
     return 0
 
@@ -127,3 +130,100 @@ def _check_work(size: int, dims: int, level: int) -> None:
             f"Checking {shapes:.3g} shapes of elementary intervals would take too long; "
             "give fewer points or dims."
         )
+
+
+@kernel
+def _next_parts(parts: Array) -> bool:
+    # The next composition, in place; False after the last, (0, …, 0, level).
+    h = 0
+    while parts[h] == 0:
+        h += 1
+    if h == parts.size - 1:
+        return False
+    first = parts[h]
+    parts[h] = 0
+    parts[0] = first - 1
+    parts[h + 1] += 1
+    return True
+
+
+@kernel
+def _balanced(digits: Array, base: int, places: int, parts: Array, cells: Array) -> bool:
+    # Whether all intervals of one shape hold equally many points.
+    cells[:] = 0
+    boxes = 1
+    for j in range(parts.size):
+        if parts[j]:
+            below = base ** (places - parts[j])
+            width = base ** parts[j]
+            boxes *= width
+            for i in range(cells.size):
+                cells[i] = cells[i] * width + digits[j, i] // below
+    room = np.full(boxes, cells.size // boxes)
+    for i in range(cells.size):
+        room[cells[i]] -= 1
+        if room[cells[i]] < 0:
+            return False
+    return True
+
+
+@kernel
+def _all_balanced(digits: Array, base: int, places: int, level: int) -> bool:
+    """Whether every elementary interval of volume base^-level holds n/base^level points.
+
+    digits int64 (d, n): the first `places` ≥ level digits of each coordinate, as a whole number.
+    """
+    parts = np.zeros(digits.shape[0], np.int64)
+    parts[0] = level
+    cells = np.empty(digits.shape[1], np.int64)
+    while True:
+        if not _balanced(digits, base, places, parts, cells):
+            return False
+        if level == 0 or not _next_parts(parts):
+            return True
+
+
+@kernel
+def _independent(rows: Array, count: int, base: int) -> bool:
+    # Whether the first `count` rows are linearly independent modulo a prime; they are overwritten.
+    for i in range(count):
+        pivot = -1
+        for c in range(rows.shape[1]):
+            if rows[i, c]:
+                pivot = c
+                break
+        if pivot < 0:
+            return False
+        # 1/pivot modulo a prime, by Fermat
+        inverse, power, exponent = 1, rows[i, pivot] % base, base - 2
+        while exponent:
+            if exponent & 1:
+                inverse = inverse * power % base
+            power, exponent = power * power % base, exponent >> 1
+        for k in range(i + 1, count):
+            factor = rows[k, pivot] * inverse % base
+            if factor:
+                for c in range(pivot, rows.shape[1]):
+                    rows[k, c] = (rows[k, c] + (base - factor) * rows[i, c]) % base
+    return True
+
+
+@kernel
+def _all_independent(matrices: Array, base: int, level: int) -> bool:
+    """Whether the first k_j rows of all matrices together are independent for all k of `level`.
+
+    matrices int64 (d, rows ≥ level, columns), entries modulo the prime `base`.
+    """
+    parts = np.zeros(matrices.shape[0], np.int64)
+    parts[0] = level
+    rows = np.empty((max(level, 1), matrices.shape[2]), np.int64)
+    while True:
+        count = 0
+        for j in range(parts.size):
+            for r in range(parts[j]):
+                rows[count] = matrices[j, r]
+                count += 1
+        if not _independent(rows, count, base):
+            return False
+        if level == 0 or not _next_parts(parts):
+            return True

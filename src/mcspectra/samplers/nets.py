@@ -1,4 +1,4 @@
-"""Digital nets in any base: given generator matrices, Faure's sequence.
+"""Digital nets: Sobol', Niederreiter, Larcher and Pillichshammer in base 2; Faure and given matrices.
 
 Digit r of coordinate j of point i is the r-th entry of C_j·(digits of i, the lowest first) modulo
 the base b.
@@ -7,9 +7,11 @@ the base b.
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.resources import files
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -18,24 +20,286 @@ from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.decoding import check_decoded_size, opened
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.core.streams import Stream
 from mcspectra.samplers import _digital_kernels
+from mcspectra.samplers._fields import settle, whole
 from mcspectra.samplers._primes import LARGEST_BASE, is_prime, power_from, prime_from
-from mcspectra.samplers._repeated import repeated
-from mcspectra.samplers.base import MAX_COUNT, Sampler, Structure, check_dims
-from mcspectra.samplers.net_quality import elementary_intervals, net_t_value, t_value
+from mcspectra.samplers.base import MAX_COUNT, FixedSet, Sampler, Structure
 
-__all__ = ["DigitalNet", "Faure", "elementary_intervals", "net_t_value", "t_value"]
+__all__ = ["DigitalNet", "Faure", "LarcherPillichshammer", "Niederreiter", "Sobol"]
 
+_BITS = 32
+_MAX_DEGREE = 13  # of Niederreiter's polynomials: 1,377 of them are irreducible
 _NO_MATRICES = (
     "matrices is not a list of matrices; give each matrix as a list of rows of "
     "digits, or as a list of whole numbers, one for each column."
 )
 
 
+class _BinaryNet(FixedSet):
+    """A net of 32-bit generator matrices in base 2."""
+
+    structure: ClassVar[Structure] = Structure.DIGITS
+
+    @abstractmethod
+    def direction_numbers(self, n: int) -> Array:
+        """Return the columns of the matrices for n points: uint32 (dims, 32), 2^31 being ½."""
+
+    def _set(self, n: int) -> Array:
+        points = np.empty((n, self.dims))
+        _digital_kernels.fill_binary(self.direction_numbers(n), points)
+        return points
+
+
 @final
 @dataclass(frozen=True, kw_only=True)
-class DigitalNet(Sampler):
+class Sobol(_BinaryNet):
+    """Sobol' points 0 … n−1, 32 bits, deterministic; randomise with owen or digital-shift.
+
+    Notes
+    -----
+    Natural order: dimension 0 is the van der Corput sequence of the index, not of its Gray code.
+    Counts other than powers of two are made, with a `NotPowerOfTwoWarning`: the sets are then not
+    balanced in elementary intervals.
+
+    References
+    ----------
+    [JoeKuo2008]_: table new-joe-kuo-6, its first 1,111 dims
+    """
+
+    name: ClassVar[str] = "sobol"
+    sequence: ClassVar[bool] = True
+    max_dims: ClassVar[int | None] = 1111
+    dims: int = DEFAULT_DIMS
+
+    def direction_numbers(self, n: int) -> Array:
+        """Return the columns of the generator matrices: uint32 (dims, 32), 2^31 being ½."""
+        del n  # a sequence: the same for all counts
+        return _sobol_directions()[: self.dims]
+
+    def _count_warning(self, n: int) -> str | None:
+        return _not_balanced(n, 2, "Sobol'", "would be")
+
+
+@lru_cache
+def _sobol_directions() -> Array:
+    """Direction numbers of all dims: uint32 (1111, 32)."""
+    table = files("mcspectra.samplers") / "data" / "sobol-joe-kuo-6.npz"
+    with table.open("rb") as file, np.load(file, allow_pickle=False) as data:
+        polynomials = data["polynomials"].astype(np.int64)
+        initial = data["initial"].astype(np.int64)
+    out = np.zeros((len(polynomials), _BITS), np.uint32)
+    _digital_kernels.direction_numbers(polynomials, initial, out)
+    out.setflags(write=False)
+    return out
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Niederreiter(_BinaryNet):
+    """Niederreiter points 0 … n−1 in base 2, 32 bits, deterministic; randomise with owen.
+
+    Up to 1377 dims; any count, with a warning where it is not a power of two.
+
+    Notes
+    -----
+    Coordinate j has the j-th irreducible polynomial p over the field of two elements (x, x + 1,
+    x² + x + 1, … of degrees e_j), and row q·e_j + u of its matrix holds the coefficients of
+    x^-1, x^-2, … in x^u / p^(q+1), u < e_j, in the order of Bratley, Fox and Niederreiter. The
+    sequence has t = Σ (e_j − 1). A single axis of degree e > 1 is sure to be balanced at n = 2^k
+    for k divisible by e only; scrambling does not change that.
+
+    References
+    ----------
+    [Niederreiter1988]_, [BratleyFoxNiederreiter1992]_
+    """
+
+    name: ClassVar[str] = "niederreiter"
+    sequence: ClassVar[bool] = True
+    max_dims: ClassVar[int | None] = 1377
+    dims: int = DEFAULT_DIMS
+
+    def direction_numbers(self, n: int) -> Array:
+        """Return the columns of the generator matrices: uint32 (dims, 32), 2^31 being ½."""
+        del n  # a sequence: the same for all counts
+        return _niederreiter_directions(self.dims)
+
+    def _count_warning(self, n: int) -> str | None:
+        return _not_balanced(n, 2, "Niederreiter", "would be")
+
+
+@lru_cache(maxsize=16)
+def _niederreiter_directions(dims: int) -> Array:
+    """Direction numbers of the first `dims` irreducible polynomials: uint32 (dims, 32)."""
+    out = np.zeros((dims, _BITS), np.uint32)
+    for j, polynomial in enumerate(_irreducible()[:dims]):
+        # Row q·e + u: coefficients of x^-1 … x^-32 in x^u / p^(q+1), the first in bit 31
+        degree = polynomial.bit_length() - 1
+        rows: list[int] = []
+        power = 1
+        while len(rows) < _BITS:
+            power = _times(power, polynomial)
+            series = _quotient(1 << (_BITS + degree), power)  # x^-1 … x^-(32 + e)
+            rows += [(series >> (degree - u)) & (2**_BITS - 1) for u in range(degree)]
+        for k in range(_BITS):  # column k of the matrix: bit 31 − k of each row
+            bits = [(row >> (_BITS - 1 - k)) & 1 for row in rows[:_BITS]]
+            out[j, k] = int("".join(map(str, bits)), 2)
+    out.setflags(write=False)
+    return out
+
+
+def _times(a: int, b: int) -> int:
+    """Product of two polynomials over the field of two elements, bit k being that of x^k."""
+    product = 0
+    while b:
+        product ^= a if b & 1 else 0
+        a, b = a << 1, b >> 1
+    return product
+
+
+def _quotient(a: int, b: int) -> int:
+    """Quotient of two such polynomials, without the remainder."""
+    quotient, width = 0, b.bit_length()
+    while a.bit_length() >= width:
+        shift = a.bit_length() - width
+        quotient |= 1 << shift
+        a ^= b << shift
+    return quotient
+
+
+@lru_cache
+def _irreducible() -> tuple[int, ...]:
+    """All irreducible polynomials up to degree 13, in the order of their numbers: a sieve."""
+    limit = 2 << _MAX_DEGREE
+    composite = np.zeros(limit, dtype=bool)
+    for p in range(2, 2 << (_MAX_DEGREE // 2)):
+        if not composite[p]:
+            cofactors = np.arange(2, limit >> (p.bit_length() - 1))
+            products = np.zeros_like(cofactors)
+            for k in range(p.bit_length()):
+                products ^= cofactors << k if (p >> k) & 1 else 0
+            composite[products[products < limit]] = True
+    return tuple((np.flatnonzero(~composite[2:]) + 2).tolist())
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class LarcherPillichshammer(_BinaryNet):
+    """Larcher and Pillichshammer's (0, m, 2)-net of n = 2^m points, deterministic (2-D).
+
+    The first coordinate is i/n; the matrix of the second is the upper triangle of ones, which
+    makes the star discrepancy less than that of hammersley. Randomise with owen or digital-shift.
+
+    References
+    ----------
+    [LarcherPillichshammer2001]_, [KolligKeller2002]_
+    """
+
+    name: ClassVar[str] = "larcher-pillichshammer"
+    min_dims: ClassVar[int] = 2
+    max_dims: ClassVar[int | None] = 2
+    other_dims: ClassVar[str] = "for other dims use sobol or niederreiter"
+    dims: int = 2
+
+    def direction_numbers(self, n: int) -> Array:
+        """Return the columns of both matrices for n = 2^m points: uint32 (2, 32), 2^31 being ½."""
+        m = self.check_count(n).bit_length() - 1
+        out = np.zeros((2, _BITS), np.uint32)
+        for k in range(m):
+            out[0, k] = 1 << (_BITS - m + k)
+            out[1, k] = 2**_BITS - (1 << (_BITS - 1 - k))
+        return out
+
+    def _counts_near(self, n: int) -> tuple[int | None, int]:
+        below = 1 << (n.bit_length() - 1)
+        return below, n if n == below else min(2 * below, 2 * MAX_COUNT)
+
+
+class _AnyBaseNet(FixedSet):
+    """A net of generator matrices modulo any base."""
+
+    structure: ClassVar[Structure] = Structure.DIGITS
+
+    @abstractmethod
+    def _columns(self, n: int) -> Array:
+        """Columns of the matrices for n points: int64 (dims, columns, rows)."""
+
+    def _set(self, n: int) -> Array:
+        points = np.empty((n, self.dims))
+        columns = np.ascontiguousarray(self._columns(n))
+        _digital_kernels.fill_base(columns, self.digit_bases[0], points)
+        return points
+
+    def _count_warning(self, n: int) -> str | None:
+        return _not_balanced(n, self.digit_bases[0], self.name, "can be")
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Faure(_AnyBaseNet):
+    """Faure points 0 … n−1, deterministic: a (0, d)-sequence in a prime base b ≥ d.
+
+    Up to 1000 dims; any count, with a warning where it is not a power of b. Randomise with owen,
+    lms or digital-shift.
+
+    Attributes
+    ----------
+    base
+        A prime, at least `dims`; by default the smallest such.
+
+    Notes
+    -----
+    Matrix j is the (j−1)-th power of Pascal's matrix modulo b: the entry in row r and column c is
+    binomial(c, r) (j−1)^(c−r).
+
+    References
+    ----------
+    [Faure1982]_
+    """
+
+    name: ClassVar[str] = "faure"
+    sequence: ClassVar[bool] = True
+    max_dims: ClassVar[int | None] = 1000
+    dims: int = DEFAULT_DIMS
+    base: int | None = whole(None, least=2, most=LARGEST_BASE)
+
+    def _check(self) -> None:
+        if self.base is not None and (self.base < self.dims or not is_prime(self.base)):
+            raise ParameterError(
+                f"faure: base is {self.base}; give a prime that is at least dims = {self.dims}."
+            )
+
+    @property
+    def digit_bases(self) -> tuple[int, ...]:
+        """The same prime for all dims."""
+        return (self.base or prime_from(self.dims),) * self.dims
+
+    def generator_matrices(self, digits: int) -> Array:
+        """Return the matrices with `digits` rows and columns: int64 (dims, digits, digits)."""
+        digits = as_integer("digits", digits, least=1, most=32)
+        return _pascal_powers(self.digit_bases[0], self.dims, digits)
+
+    def _columns(self, n: int) -> Array:
+        base = self.digit_bases[0]
+        matrices = _pascal_powers(base, self.dims, max(1, power_from(n, base)))
+        return matrices.transpose(0, 2, 1)
+
+
+@lru_cache(maxsize=16)
+def _pascal_powers(base: int, dims: int, digits: int) -> Array:
+    """Powers 0 … dims−1 of Pascal's upper triangular matrix modulo a prime ≥ dims."""
+    r, c = np.indices((digits, digits))
+    pascal = np.array([[math.comb(k, i) % base for k in range(digits)] for i in range(digits)])
+    out = np.empty((dims, digits, digits), np.int64)
+    for j in range(dims):
+        powers = np.array([pow(j, k, base) for k in range(digits)], np.int64)  # 0^0 is 1
+        out[j] = pascal * np.where(c >= r, powers[c - r], 0) % base
+    out.setflags(write=False)
+    return out
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class DigitalNet(_AnyBaseNet):
     """Digital net from given generator matrices, deterministic; randomise with owen or lms.
 
     As many dims as matrices; at most b^m points for matrices of m columns, balanced (with luck)
@@ -62,28 +326,23 @@ class DigitalNet(Sampler):
 
     References
     ----------
-    Niederreiter (1987), "Point sets and sequences with small discrepancy",
-    doi 10.1007/BF01294651.
+    [Niederreiter1987]_
     """
 
     name: ClassVar[str] = "digital-net"
-    structure: ClassVar[Structure] = Structure.DIGITS
-    unbiased: ClassVar[bool] = False
-    fixed: ClassVar[bool] = True
     matrices: str | Sequence[Any]
     base: int = 2
     digits: int | None = None
     dims: int = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
-        base = as_integer("base", self.base, least=2, most=LARGEST_BASE)
-        object.__setattr__(self, "base", base)
         if not isinstance(self.matrices, str):
-            object.__setattr__(self, "matrices", _as_tuples(self.matrices))
+            settle(self, matrices=_as_tuples(self.matrices))
+        settle(self, base=as_integer("base", self.base, least=2, most=LARGEST_BASE))
+        most = len(self._net()[1])
         given: Any = self.dims
-        most = len(self._columns())
-        object.__setattr__(self, "dims", most if given is None else given)
-        check_dims(self)
+        settle(self, dims=most if given is None else given)
+        Sampler.__post_init__(self)
         if self.dims > most:
             raise ParameterError(
                 f"digital-net: {self.dims} dims are needed, but there are {most} matrices; "
@@ -103,117 +362,16 @@ class DigitalNet(Sampler):
 
     def generator_matrices(self) -> Array:
         """Return the matrices as int64 (dims, rows, columns)."""
-        return np.ascontiguousarray(self._columns()[: self.dims].transpose(0, 2, 1))
+        return np.ascontiguousarray(self._columns(0).transpose(0, 2, 1))
 
     def _net(self) -> tuple[int, Array]:
         if isinstance(self.matrices, str):
             return _net_of_file(self.matrices)
         return self.base, _columns_of_lists(self.matrices, self.base, self.digits)
 
-    def _columns(self) -> Array:
-        return self._net()[1]
-
-    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        del stream, first  # the same points every time
-        base, columns = self._net()
-        return _net_points(columns[: self.dims], base, n, count)
-
-    def _count_warning(self, n: int) -> str | None:
-        return _not_a_power(n, self._net()[0], "digital-net")
-
-
-@final
-@dataclass(frozen=True, kw_only=True)
-class Faure(Sampler):
-    """Faure points 0 … n−1, deterministic: a (0, d)-sequence in a prime base b ≥ d.
-
-    Up to 1000 dims; any count, with a warning where it is not a power of b. Randomise with owen,
-    lms or digital-shift.
-
-    Attributes
-    ----------
-    base
-        A prime, at least `dims`; by default the smallest such.
-
-    Notes
-    -----
-    Matrix j is the (j−1)-th power of Pascal's matrix modulo b: the entry in row r and column c is
-    binomial(c, r) (j−1)^(c−r).
-
-    References
-    ----------
-    Faure (1982), "Discrépance de suites associées à un système de numération (en dimension s)",
-    Acta Arithmetica 41, 337–351, doi 10.4064/aa-41-4-337-351.
-    """
-
-    name: ClassVar[str] = "faure"
-    structure: ClassVar[Structure] = Structure.DIGITS
-    sequence: ClassVar[bool] = True
-    unbiased: ClassVar[bool] = False
-    fixed: ClassVar[bool] = True
-    max_dims: ClassVar[int | None] = 1000
-    dims: int = DEFAULT_DIMS
-    base: int | None = None
-
-    def __post_init__(self) -> None:
-        check_dims(self)
-        if self.base is None:
-            return
-        base = as_integer("base", self.base, least=2, most=LARGEST_BASE)
-        if base < self.dims or not is_prime(base):
-            raise ParameterError(
-                f"faure: base is {base}; give a prime that is at least dims = {self.dims}."
-            )
-        object.__setattr__(self, "base", base)
-
-    @property
-    def digit_bases(self) -> tuple[int, ...]:
-        """The same prime for all dims."""
-        return (self.base or prime_from(self.dims),) * self.dims
-
-    def generator_matrices(self, digits: int) -> Array:
-        """Return the matrices with `digits` rows and columns: int64 (dims, digits, digits)."""
-        digits = as_integer("digits", digits, least=1, most=32)
-        return _pascal_powers(self.digit_bases[0], self.dims, digits)
-
-    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        del stream, first  # the same points every time
-        base = self.digit_bases[0]
-        matrices = _pascal_powers(base, self.dims, max(1, power_from(n, base)))
-        return _net_points(matrices.transpose(0, 2, 1), base, n, count)
-
-    def _count_warning(self, n: int) -> str | None:
-        return _not_a_power(n, self.digit_bases[0], "faure")
-
-
-def _net_points(columns: Array, base: int, n: int, count: int) -> Array:
-    """The net of columns (d, m, rows), `count` times: float64 (count, n, d)."""
-    points = np.empty((n, len(columns)))
-    _digital_kernels.fill_base(np.ascontiguousarray(columns), base, points)
-    return repeated(points, count)
-
-
-def _not_a_power(n: int, base: int, name: str) -> str | None:
-    above: int = base ** power_from(n, base)
-    if above == n:
-        return None
-    return f"{n} {name} points are not balanced; {above // base} and {above} can be."
-
-
-@lru_cache(maxsize=16)
-def _pascal_powers(base: int, dims: int, digits: int) -> Array:
-    """Powers 0 … dims−1 of Pascal's upper triangular matrix modulo a prime ≥ dims."""
-    r, c = np.indices((digits, digits))
-    pascal = np.array([[math.comb(k, i) % base for k in range(digits)] for i in range(digits)])
-    powers = [pascal * np.where(c >= r, _powers(j, base, digits)[c - r], 0) for j in range(dims)]
-    out = np.stack(powers) % base
-    out.setflags(write=False)
-    return out
-
-
-def _powers(value: int, base: int, count: int) -> Array:
-    """value^0, value^1, … modulo the base; 0^0 is 1."""
-    return np.array([pow(value, k, base) for k in range(count)], dtype=np.int64)
+    def _columns(self, n: int) -> Array:
+        del n
+        return self._net()[1][: self.dims]
 
 
 def _as_tuples(matrices: object) -> Any:
@@ -280,3 +438,11 @@ def _net_of_file(path: str) -> tuple[int, Array]:
             f"{path} is not a file of generator matrices (base, dims, n, digits, then a line of "
             f"columns for each dim). {reason}".strip()
         ) from None
+
+
+def _not_balanced(n: int, base: int, name: str, verb: str) -> str | None:
+    """Warn of counts that are no powers of the base."""
+    above: int = base ** power_from(n, base)
+    if above == n:
+        return None
+    return f"{n} {name} points are not balanced; {above // base} and {above} {verb}."

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import MAX_DIMS, Array, as_choice, as_integer
+from mcspectra.core.checks import MAX_DIMS, Array
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.core.streams import Stream
-from mcspectra.samplers import _kernels, _orthogonal_kernels
+from mcspectra.core.streams import Stream, mix_uniform
+from mcspectra.samplers._fields import choice, whole
 from mcspectra.samplers._grid import cell_side, root
-from mcspectra.samplers.base import MAX_COUNT, Sampler, Structure, check_dims
+from mcspectra.samplers._kernels import _shuffle, fill_latin
+from mcspectra.samplers._primes import is_prime, prime_from
+from mcspectra.samplers.base import MAX_COUNT, Sampler, Structure
 
 __all__ = ["LatinHypercube", "NRooks", "OrthogonalArray"]
-
-_JITTERS = ("jittered", "multi-jittered", "correlated-multi-jittered")
-_MOST_STRENGTH = 8
 
 
 @final
@@ -43,22 +42,16 @@ class LatinHypercube(Sampler):
 
     References
     ----------
-    McKay, Beckman, Conover (1979), "A comparison of three methods for selecting values of input
-    variables in the analysis of output from a computer code", doi 10.1080/00401706.1979.10489755.
-
-    Tang (1993), "Orthogonal array-based Latin hypercubes", doi 10.1080/01621459.1993.10476423.
+    [McKay1979]_, [Tang1993]_
     """
 
     name: ClassVar[str] = "latin-hypercube"
     structure: ClassVar[Structure] = Structure.STRATA
     dims: int = DEFAULT_DIMS
-    strength: int = 1
+    strength: int = whole(1, least=1, most=2)
 
-    def __post_init__(self) -> None:
-        check_dims(self)
-        strength = as_integer("strength", self.strength, least=1, most=2)
-        object.__setattr__(self, "strength", strength)
-        if strength == 2 and self.dims > MAX_DIMS:
+    def _check(self) -> None:
+        if self.strength == 2 and self.dims > MAX_DIMS:
             raise ParameterError(
                 f"latin-hypercube: dims is {self.dims}; strength 2 allows at most {MAX_DIMS}."
             )
@@ -81,24 +74,24 @@ class NRooks(Sampler):
 
     References
     ----------
-    Shirley (1991), "Discrepancy as a quality measure for sample distributions",
-    doi 10.2312/egtp.19911013.
+    [Shirley1991]_
     """
 
     name: ClassVar[str] = "n-rooks"
     structure: ClassVar[Structure] = Structure.STRATA
+    min_dims: ClassVar[int] = 2
     max_dims: ClassVar[int | None] = 2
+    other_dims: ClassVar[str] = "for other dims use latin-hypercube"
     dims: int = 2
-
-    def __post_init__(self) -> None:
-        if self.dims != 2:
-            raise ParameterError(
-                f"n-rooks: dims is {self.dims!r}; it must be 2, for other dims use latin-hypercube."
-            )
-        check_dims(self)
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         return _latin(n, self.dims, stream.keys(first, count))
+
+
+def _latin(n: int, dims: int, keys: Array) -> Array:
+    out = np.empty((len(keys), n, dims))
+    fill_latin(keys, cell_side(n), out)
+    return out
 
 
 @final
@@ -128,36 +121,29 @@ class OrthogonalArray(Sampler):
 
     References
     ----------
-    .. [Jarosz2019] Jarosz, Enayet, Kensler, Kilpatrick, Christensen, "Orthogonal array sampling for
-       Monte Carlo rendering", doi 10.1111/cgf.13777.
-    .. [Bush1952] "Orthogonal arrays of index unity", doi 10.1214/aoms/1177729387.
-    .. [Owen1992] "Orthogonal arrays for computer experiments, integration and visualization",
-       Statistica Sinica 2, 439–452.
-    .. [Tang1993] "Orthogonal array-based Latin hypercubes", doi 10.1080/01621459.1993.10476423.
+    [Jarosz2019]_, [Bush1952]_, [Owen1992]_, [Tang1993]_
     """
 
     name: ClassVar[str] = "orthogonal-array"
     structure: ClassVar[Structure] = Structure.STRATA
     max_dims: ClassVar[int | None] = MAX_DIMS
     dims: int = DEFAULT_DIMS
-    strength: int = 2
-    jitter: str = "multi-jittered"
+    strength: int = whole(2, least=2, most=8)
+    jitter: str = choice(
+        "jittered", "multi-jittered", "correlated-multi-jittered", default="multi-jittered"
+    )
 
-    def __post_init__(self) -> None:
-        check_dims(self)
-        strength = as_integer("strength", self.strength, least=2, most=_MOST_STRENGTH)
-        object.__setattr__(self, "strength", strength)
-        as_choice("jitter", self.jitter, _JITTERS)
-        if self.dims < strength:
+    def _check(self) -> None:
+        if self.dims < self.strength:
             raise ParameterError(
-                f"orthogonal-array: dims is {self.dims}, but strength {strength} needs "
-                f"at least {strength} dims; use jittered for fewer."
+                f"orthogonal-array: dims is {self.dims}, but strength {self.strength} needs "
+                f"at least {self.strength} dims; use jittered for fewer."
             )
-        least = _next_prime(max(self.dims, strength) - 1)
-        if least**strength > MAX_COUNT:
+        least = prime_from(max(self.dims, self.strength) - 1)
+        if least**self.strength > MAX_COUNT:
             raise ParameterError(
-                f"orthogonal-array: {self.dims} dims at strength {strength} need "
-                f"at least {least}^{strength} points, more than is possible; lower the strength."
+                f"orthogonal-array: {self.dims} dims at strength {self.strength} need at least "
+                f"{least}^{self.strength} points, more than is possible; lower the strength."
             )
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
@@ -167,19 +153,13 @@ class OrthogonalArray(Sampler):
         return _prime_powers_near(n, self.strength, self.dims)
 
 
-def _latin(n: int, dims: int, keys: Array) -> Array:
-    out = np.empty((len(keys), n, dims))
-    _kernels.fill_latin(keys, cell_side(n), out)
-    return out
-
-
 def _orthogonal(n: int, dims: int, strength: int, jitter: str, keys: Array) -> Array:
     s = root(n, strength)
     slots = _slots(s, dims, strength, jitter)
     side = cell_side(s if jitter == "jittered" else n)
     out = np.empty((len(keys), n, dims))
     shared = jitter == "correlated-multi-jittered"
-    _orthogonal_kernels.fill_orthogonal(keys, slots, s, shared, side, out)
+    _fill_orthogonal(keys, slots, s, shared, side, out)
     return out
 
 
@@ -191,7 +171,7 @@ def _slots(s: int, dims: int, strength: int, jitter: str) -> Array:
     point among those of the level, which is what its levels on t − 1 other axes say.
     """
     slots = np.empty((s**strength, max(dims, strength)), np.int32)
-    _orthogonal_kernels.bush_levels(s, strength, slots)
+    _bush_levels(s, strength, slots)
     if jitter != "jittered":
         levels = slots.copy()
         for step in range(1, strength):
@@ -204,22 +184,54 @@ def _slots(s: int, dims: int, strength: int, jitter: str) -> Array:
 
 def _prime_powers_near(n: int, power: int, dims: int) -> tuple[int | None, int]:
     """Return the largest s^power ≤ n (None if none) and the smallest ≥ n, for possible primes s."""
-    least = _next_prime(max(dims, power) - 1)
+    least = prime_from(max(dims, power) - 1)
     s = root(n, power)
-    while s > least and not _is_prime(s):
+    while s > least and not is_prime(s):
         s -= 1
     if s < least:
         return None, least**power
     below = s**power
-    return below, below if below == n else _next_prime(s + 1) ** power
+    return below, below if below == n else prime_from(s + 1) ** power
 
 
-def _next_prime(least: int) -> int:
-    candidate = max(least, 2)
-    while not _is_prime(candidate):
-        candidate += 1
-    return candidate
+@kernel
+def _bush_levels(s: int, strength: int, out: Array) -> None:
+    # Bush's array: row i are the values of a polynomial, its digits in base s the coefficients.
+    # Out int32 (s^strength, d), d ≤ s + 1: column 0 is the leading coefficient ("the value at
+    # infinity"), column j + 1 the value at j modulo the prime s.
+    n, dims = out.shape
+    for i in range(n):
+        out[i, 0] = i // (n // s)
+        for j in range(dims - 1):
+            value, rest, base = 0, i, n // s
+            for _ in range(strength):  # Horner, the leading coefficient first
+                value = (value * j + rest // base) % s
+                rest, base = rest % base, base // s
+            out[i, j + 1] = value
 
 
-def _is_prime(s: int) -> bool:
-    return s >= 2 and all(s % q for q in range(2, math.isqrt(s) + 1))
+@kernel
+def _fill_orthogonal(
+    keys: Array, slots: Array, levels: int, shared: bool, side: float, out: Array
+) -> None:
+    # Point i in stratum slots[i, j] of axis j, after a shuffle; jittered within it. A level is a run
+    # of equally many strata. Levels are shuffled, and the strata within each: in all levels alike if
+    # `shared`. Slots int32 (n, d); out (R, n, d); `side` of a stratum.
+    count, n, dims = out.shape
+    strata = slots[:, 0].max() + 1
+    width = strata // levels
+    order = np.empty(strata, np.int32)
+    places, within = np.empty(levels, np.int64), np.empty(width, np.int64)
+    for r in range(count):
+        k0, k1 = keys[r, 0], keys[r, 1]
+        for j in range(dims):
+            number = n * dims + j * (levels + strata)
+            _shuffle(k0, k1, number, places)
+            for a in range(levels):
+                if a == 0 or not shared:
+                    _shuffle(k0, k1, number + levels + a * width, within)
+                for q in range(width):
+                    order[a * width + q] = places[a] * width + within[q]
+            for i in range(n):
+                x = order[slots[i, j]] / strata
+                out[r, i, j] = x + side * mix_uniform(k0, k1, i * dims + j)

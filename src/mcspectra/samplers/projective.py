@@ -10,11 +10,6 @@ that d partial sums, g_1² + … + g_k² ≥ r_k², check all 2^d − 1 projecti
 The projection on one axis leaves little room, but the axes are independent there: each coordinate is
 drawn until it is free by itself, before the others are looked at. That changes the time and not the
 law, which on the torus does not change under translation: every point is uniform.
-
-References
-----------
-.. [Reinert2016] Reinert, Ritschel, Seidel, Georgiev, "Projective blue-noise sampling",
-   doi 10.1111/cgf.12725.
 """
 
 from __future__ import annotations
@@ -29,7 +24,8 @@ from mcspectra.core.errors import CountError
 from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream, mix_uniform
-from mcspectra.samplers.base import Sampler, Structure, check_dims
+from mcspectra.samplers._fields import checked
+from mcspectra.samplers.base import Sampler, Structure
 from mcspectra.samplers.poisson import densest_distance
 
 __all__ = ["ProjectiveBlueNoise"]
@@ -56,8 +52,7 @@ class ProjectiveBlueNoise(Sampler):
 
     References
     ----------
-    Reinert, Ritschel, Seidel, Georgiev (2016), "Projective blue-noise sampling",
-    doi 10.1111/cgf.12725.
+    [Reinert2016]_
     """
 
     name: ClassVar[str] = "projective-blue-noise"
@@ -65,13 +60,9 @@ class ProjectiveBlueNoise(Sampler):
     max_dims: ClassVar[int | None] = 6
     max_count: ClassVar[int] = 2**12  # the time grows with n² and more
     dims: int = DEFAULT_DIMS
-    radius_: float | None = None
-
-    def __post_init__(self) -> None:
-        check_dims(self)
-        if self.radius_ is not None:
-            radius = as_real("radius", self.radius_, least=_LEAST_RADIUS, most=1.0)
-            object.__setattr__(self, "radius_", radius)
+    radius_: float | None = checked(
+        lambda name, given: as_real(name, given, least=_LEAST_RADIUS, most=1.0), None
+    )
 
     def radii(self, n: int) -> tuple[float, ...]:
         """Return the minimum distances of n points in projections on 1 to d axes."""

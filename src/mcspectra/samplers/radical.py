@@ -2,70 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice, as_integer
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.checks import Array
+from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
-from mcspectra.samplers import _radical_kernels
-from mcspectra.samplers._repeated import repeated
-from mcspectra.samplers.base import MAX_COUNT, Sampler, Structure, check_dims
+from mcspectra.samplers._fields import choice, whole
+from mcspectra.samplers._primes import LARGEST_BASE, power_from
+from mcspectra.samplers.base import FIRST_STEP, MAX_COUNT, FixedSet, Sampler, Structure
 
 __all__ = ["Halton", "Hammersley", "VanDerCorput"]
 
-_SCRAMBLES = ("none", "permute", "owen")
-_LARGEST_BASE = 2**13
+_BELOW_ONE = 1.0 - 2.0**-53
+_BLOCK = 1024  # indices of one table of low digits: 8 kB, half the nearest cache at most
 
 
-@final
-@dataclass(frozen=True, kw_only=True)
-class Halton(Sampler):
-    """Halton points: coordinate j is the radical inverse of the index in the j-th prime.
+class _RadicalInverses(FixedSet):
+    """Points whose digits ``scramble`` may randomise: short for a permute or owen that follows."""
 
-    Up to 1000 dims, any count.
-
-    Attributes
-    ----------
-    skip
-        Index of the first point.
-    scramble
-        ``"none"``: the same points every time. ``"permute"``: an independent random permutation
-        of the digits at every position, of every realisation. ``"owen"``: nested uniform, the
-        permutation at a position hangs on all digits above it. All points are uniform after either.
-
-    Notes
-    -----
-    Permuting *all* digit positions [Owen2017]_ takes the zeros beyond the last digit to random
-    digits too, the same for all points: one uniform number a coordinate. Nested scrambling
-    [Owen1995]_ is done level by level down to where no two points agree; below that the digits of
-    every point are independent of those of the others.
-
-    References
-    ----------
-    .. [Halton1960] "On the efficiency of certain quasi-random sequences of points in evaluating
-       multi-dimensional integrals", doi 10.1007/BF01386213.
-    .. [Owen1995] "Randomly permuted (t, m, s)-nets and (t, s)-sequences",
-       doi 10.1007/978-1-4612-2552-2_19.
-    .. [Owen2017] "A randomized Halton algorithm in R", arXiv 1706.02808.
-    """
-
-    name: ClassVar[str] = "halton"
     structure: ClassVar[Structure] = Structure.DIGITS
-    sequence: ClassVar[bool] = True
-    max_dims: ClassVar[int | None] = 1000
-    dims: int = DEFAULT_DIMS
-    skip: int = 0
-    scramble: str = "none"
-
-    def __post_init__(self) -> None:
-        check_dims(self)
-        object.__setattr__(self, "skip", as_integer("skip", self.skip, least=0, most=MAX_COUNT))
-        as_choice("scramble", self.scramble, _SCRAMBLES)
+    scramble: str
 
     @property
     def unbiased(self) -> bool:  # type: ignore[override]
@@ -78,18 +39,65 @@ class Halton(Sampler):
         return self.scramble == "none"
 
     @property
-    def digit_bases(self) -> tuple[int, ...]:
-        """The first primes."""
-        return _primes(self.dims)
+    def scrambles(self) -> int:  # type: ignore[override]
+        """One randomisation inside, if any: those that follow have the streams after its own."""
+        return int(self.scramble != "none")
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        keys = stream.keys(first, count)
-        return _inverses(self.digit_bases, self.scramble, self.skip, n, keys)
+        if self.scramble == "none":
+            return FixedSet._points(self, n, stream, first, count)
+
+        # Draw what ``scramble=`` is short for
+        from mcspectra.samplers.scrambles import Owen, Permute
+
+        plain: Sampler = replace(self, scramble="none")  # type: ignore[type-var]
+        step = (Owen() if self.scramble == "owen" else Permute()).fit(plain)
+        return step.draw(plain, n, stream, stream.child(FIRST_STEP), first, count)
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class VanDerCorput(Sampler):
+class Halton(_RadicalInverses):
+    """Halton points: coordinate j is the radical inverse of the index in the j-th prime.
+
+    Up to 1000 dims, any count.
+
+    Attributes
+    ----------
+    skip
+        Index of the first point.
+    scramble
+        ``"permute"`` or ``"owen"``: the points are those of ``halton | permute`` or ``halton | owen``,
+        all of them uniform. ``"none"``: the same points every time.
+
+    References
+    ----------
+    [Halton1960]_, [Owen2017]_
+    """
+
+    name: ClassVar[str] = "halton"
+    sequence: ClassVar[bool] = True
+    max_dims: ClassVar[int | None] = 1000
+    dims: int = DEFAULT_DIMS
+    skip: int = whole(0, least=0, most=MAX_COUNT)
+    scramble: str = choice("none", "permute", "owen")
+
+    @property
+    def digit_bases(self) -> tuple[int, ...]:
+        """The first primes."""
+        return _primes(self.dims)
+
+    def first_index(self) -> int | None:
+        """Return the index of the first point; None if digits are scrambled."""
+        return self.skip if self.scramble == "none" else None
+
+    def _set(self, n: int) -> Array:
+        return _inverses(self.digit_bases, self.skip, n)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class VanDerCorput(_RadicalInverses):
     """Van der Corput points: the radical inverses of 0, 1, 2, … in one base (1-D).
 
     Any count.
@@ -103,51 +111,33 @@ class VanDerCorput(Sampler):
 
     References
     ----------
-    van der Corput (1935), "Verteilungsfunktionen I", Proc. Kon. Ned. Akad. v. Wetensch. 38,
-    813–821.
+    [VanDerCorput1935]_
     """
 
     name: ClassVar[str] = "van-der-corput"
-    structure: ClassVar[Structure] = Structure.DIGITS
     sequence: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 1
+    other_dims: ClassVar[str] = "for other dims use halton or hammersley"
     dims: int = 1
-    base: int = 2
-    scramble: str = "none"
-
-    def __post_init__(self) -> None:
-        if self.dims != 1:
-            raise ParameterError(
-                f"van-der-corput: dims is {self.dims!r}; it must be 1, "
-                "for other dims use halton or hammersley."
-            )
-        check_dims(self)
-        base = as_integer("base", self.base, least=2, most=_LARGEST_BASE)
-        object.__setattr__(self, "base", base)
-        as_choice("scramble", self.scramble, _SCRAMBLES)
-
-    @property
-    def unbiased(self) -> bool:  # type: ignore[override]
-        """Only scrambled digits make every point uniform."""
-        return self.scramble != "none"
-
-    @property
-    def fixed(self) -> bool:  # type: ignore[override]
-        """Unless digits are scrambled."""
-        return self.scramble == "none"
+    base: int = whole(2, least=2, most=LARGEST_BASE)
+    scramble: str = choice("none", "permute", "owen")
 
     @property
     def digit_bases(self) -> tuple[int, ...]:
         """The base."""
         return (self.base,)
 
-    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        return _inverses((self.base,), self.scramble, 0, n, stream.keys(first, count))
+    def first_index(self) -> int | None:
+        """Return the index of the first point; None if digits are scrambled."""
+        return 0 if self.scramble == "none" else None
+
+    def _set(self, n: int) -> Array:
+        return _inverses((self.base,), 0, n)
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Hammersley(Sampler):
+class Hammersley(_RadicalInverses):
     """Hammersley points: i/n, then the radical inverses of i in the first primes.
 
     Up to 1000 dims, any count.
@@ -159,39 +149,20 @@ class Hammersley(Sampler):
 
     Notes
     -----
-    The n-ths i/n have binary digits of their own only for n = 2^m: they are then the radical
-    inverses of the reversed indices and are scrambled in base 2, which keeps the balance of the set
-    because runs of 2^k indices that start at multiples of 2^k go to such runs. For other n the
-    n-ths keep their order, and only what lies below the first n-th is random: one offset for all
-    points (``"permute"``) or one for each (``"owen"``). Either way each n-th of the first axis
-    holds one point. Randomisations of digits (``| owen``) take the first coordinate in base 2:
-    they fit n = 2^m only.
+    The n-ths i/n have binary digits of their own only for n = 2^m, and are then scrambled in base 2.
+    For other n, which ``| permute`` and ``| owen`` refuse, the n-ths keep their order and only what
+    lies below the first n-th is random: one offset for all points (``"permute"``) or one for each
+    (``"owen"``). Either way each n-th of the first axis holds one point.
 
     References
     ----------
-    Hammersley (1960), "Monte Carlo methods for solving multivariable problems",
-    doi 10.1111/j.1749-6632.1960.tb42846.x.
+    [Hammersley1960]_
     """
 
     name: ClassVar[str] = "hammersley"
-    structure: ClassVar[Structure] = Structure.DIGITS
     max_dims: ClassVar[int | None] = 1000
     dims: int = DEFAULT_DIMS
-    scramble: str = "none"
-
-    def __post_init__(self) -> None:
-        check_dims(self)
-        as_choice("scramble", self.scramble, _SCRAMBLES)
-
-    @property
-    def unbiased(self) -> bool:  # type: ignore[override]
-        """Only scrambled digits make every point uniform."""
-        return self.scramble != "none"
-
-    @property
-    def fixed(self) -> bool:  # type: ignore[override]
-        """Unless digits are scrambled."""
-        return self.scramble == "none"
+    scramble: str = choice("none", "permute", "owen")
 
     @property
     def digit_bases(self) -> tuple[int, ...]:
@@ -203,40 +174,24 @@ class Hammersley(Sampler):
         """True: the n-ths have binary digits for n = 2^m only."""
         return True
 
+    def _set(self, n: int) -> Array:
+        out = np.empty((n, self.dims))
+        out[:, 0] = np.arange(n) / n
+        out[:, 1:] = _inverses(self.digit_bases[1:], 0, n)
+        return out
+
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        if self.scramble == "none" or n & (n - 1) == 0:
+            return _RadicalInverses._points(self, n, stream, first, count)
+
+        # No digits of n-ths: offsets below them
         out = np.empty((count, n, self.dims))
-        out[..., 0] = self._fractions(n, stream.child(0), first, count)
+        own = stream.child(0).uniforms(first, count, 1 if self.scramble == "permute" else n)
+        out[..., 0] = np.minimum((np.arange(n) + own) / n, _BELOW_ONE)
         if self.dims > 1:
-            keys = stream.keys(first, count)
-            out[..., 1:] = _inverses(self.digit_bases[1:], self.scramble, 0, n, keys)
+            rest = Halton(dims=self.dims - 1, scramble=self.scramble)
+            out[..., 1:] = rest.draw_stream(n, stream, first, count)
         return out
-
-    def _fractions(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        """Return the first coordinates (count or 1, n)."""
-        indices = np.arange(n)
-        if self.scramble == "none":
-            return indices[None] / n
-        if n & (n - 1) == 0:
-            keys = stream.keys(first, count)
-            plain = _inverses((2,), "none", 0, n, keys[:1])[0, :, 0]
-            backwards = (plain * n).astype(np.int64)  # bits of the index reversed
-            scrambled = _inverses((2,), self.scramble, 0, n, keys)[..., 0]
-            return np.asarray(scrambled[:, backwards])
-        below = stream.uniforms(first, count, 1 if self.scramble == "permute" else n)
-        return np.minimum((indices + below) / n, np.nextafter(1.0, 0.0))
-
-
-def _inverses(bases: tuple[int, ...], scramble: str, start: int, n: int, keys: Array) -> Array:
-    """Radical inverses of start … start+n−1, one realisation for each row of `keys`: (R, n, d)."""
-    fixed = scramble == "none"
-    out = np.empty((1 if fixed else len(keys), n, len(bases)))
-    radices = np.array(bases)
-    if scramble == "owen":
-        _radical_kernels.fill_nested(keys, start, radices, out)
-        return out
-    digits = np.array([_digits_needed(start + n, base) for base in bases])
-    _radical_kernels.fill_permuted(keys, not fixed, start, radices, digits, out)
-    return repeated(out[0], len(keys)) if fixed else out
 
 
 @lru_cache
@@ -249,9 +204,43 @@ def _primes(count: int) -> tuple[int, ...]:
     return tuple(np.flatnonzero(sieve)[:count].tolist())
 
 
-def _digits_needed(indices: int, base: int) -> int:
-    """Smallest K ≥ 1 with base^K ≥ indices: digits of the largest index."""
-    digits = 1
-    while base**digits < indices:
-        digits += 1
-    return digits
+def _inverses(bases: tuple[int, ...], start: int, n: int) -> Array:
+    """Radical inverses of start … start+n−1: float64 (n, d)."""
+    out = np.empty((n, len(bases)))
+    digits = np.array([max(1, power_from(start + n, base)) for base in bases], np.int64)
+    _fill_inverses(start, np.array(bases, np.int64), digits, out)
+    return out
+
+
+@kernel
+def _fill_inverses(start: int, bases: Array, digits: Array, out: Array) -> None:
+    # Radical inverses of start, start+1, …: out (n, d), base^digits greater than every index. Sums
+    # of digits are whole numbers below 2^53, kept as floats: they are exact.
+    n, dims = out.shape
+    for j in range(dims):
+        base = bases[j]
+
+        # Tabulate as many of the lowest digits as are worth it
+        size, low = base, 1
+        while low < digits[j] and size * base <= min(n, _BLOCK):
+            size, low = size * base, low + 1
+        table = np.zeros(size)
+        width, weight = 1, float(base) ** (digits[j] - 1)
+        for _ in range(low):
+            for digit in range(base - 1, -1, -1):  # digit 0 last: it overwrites what others read
+                for v in range(width):
+                    table[digit * width + v] = table[v] + digit * weight
+            width, weight = width * base, weight / base
+
+        # Add what the digits above contribute, the same for a run of indices
+        scale = float(base) ** digits[j]
+        i, v, block = 0, start % size, start // size
+        while i < n:
+            high, weight, rest = 0.0, scale / base / size, block
+            for _ in range(low, digits[j]):
+                high += rest % base * weight
+                weight, rest = weight / base, rest // base
+            stop = min(n, i + size - v)
+            for t in range(i, stop):
+                out[t, j] = min((table[v + t - i] + high) / scale, _BELOW_ONE)
+            i, v, block = stop, 0, block + 1

@@ -1,25 +1,43 @@
-"""Randomisations of the points of any sampler, one realisation at a time."""
+"""Randomisations that move all points of a set: shifts, rotations, mirror images, pixels.
+
+Reflected is u → 1 − 2^-53 − u, not 1 − u, which would leave [0,1) for u = 0: multiples of 2^-53,
+which float64 points are, go to such multiples one to one.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array, as_real, as_reals
-from mcspectra.core.streams import Stream
-from mcspectra.samplers import _kernels
-from mcspectra.samplers.base import Randomization, Sampler, Structure
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.jit import kernel
+from mcspectra.core.streams import Stream, mix_bits, mix_uniform
+from mcspectra.samplers._fields import checked, choice, settle, whole
+from mcspectra.samplers._kernels import random_offsets, translate
+from mcspectra.samplers.base import MAX_COUNT, Randomization, Sampler, Structure, repeated
 
-__all__ = ["Shift", "StrataShift"]
+__all__ = ["Decorrelate", "Mirror", "RandomRotation", "Shift", "StrataShift", "folded"]
 
-_TRANSLATED: dict[Structure, Structure] = {s: s for s in Structure} | {
-    Structure.STRATA: Structure.TORUS,
-    Structure.DIGITS: Structure.TORUS,
-}
-"""What a toroidal translation leaves: strata and elementary intervals are no longer at the origin."""
+_BELOW_ONE = 1.0 - 2.0**-53
+_MOST_IMAGED = 30  # dims: 2^d images of at least one point
+_MASK_KEY = 0x3A5C  # any number: the mask is the same for everybody, its place is not
+_FIRST_REACH = 0.6  # half-side of a window that nearly always holds n + 1 points: area 1.44
+_REACH = 1.12  # one that always does: a disk of radius √5/2 holds two domains side by side
+
+# What is left of each structure. A toroidal translation moves strata and elementary intervals away
+# from the origin. A rotation keeps digits, too, but coordinates of different bases change places.
+# Reflections of a cell are cells, but images of points near a face lie close to one another.
+_ALL: dict[Structure, Structure] = {s: s for s in Structure}
+_TRANSLATED = _ALL | dict.fromkeys((Structure.STRATA, Structure.DIGITS), Structure.TORUS)
+_TURNED = _ALL | {Structure.DIGITS: Structure.TORUS}
+_IMAGES = _ALL | {Structure.TORUS: Structure.NONE}
+_NOTHING = dict.fromkeys(Structure, Structure.NONE) | {Structure.UNKNOWN: Structure.UNKNOWN}
 
 
 @final
@@ -29,7 +47,7 @@ class Shift(Randomization):
 
     References
     ----------
-    Cranley, Patterson (1976), doi 10.1137/0713071.
+    [CranleyPatterson1976]_
     """
 
     name: ClassVar[str] = "shift"
@@ -45,14 +63,19 @@ class Shift(Randomization):
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
-        """Draw realisations of `sampler` (a fixed set once) and translate them."""
+        """Draw a fixed set once."""
         points = sampler.draw_stream(n, stream, first, 1 if sampler.fixed else count)
         return self._moved(points, own, first, count)
 
     def _moved(self, points: Array, stream: Stream, first: int, count: int) -> Array:
         offsets = np.empty((count, points.shape[2]))
-        _kernels.random_offsets(stream.keys(first, count), offsets)
+        random_offsets(stream.keys(first, count), offsets)
         return _translated(points, offsets)
+
+
+def _as_offset(name: str, given: Any) -> object:
+    listed = isinstance(given, Sequence | np.ndarray) and not isinstance(given, str)
+    return as_reals(name, given, len(given)) if listed else as_real(name, given)
 
 
 @final
@@ -67,19 +90,13 @@ class StrataShift(Randomization):
 
     References
     ----------
-    Ramamoorthi, Anderson, Meyer, Nowrouzezahrai (2012), doi 10.1145/2231816.2231819.
+    [Ramamoorthi2012]_
     """
 
     name: ClassVar[str] = "strata-shift"
     fixed: ClassVar[bool] = True
     fits: ClassVar[Mapping[Structure, Structure]] = _TRANSLATED
-    offset: float | Sequence[float] = 0.5
-
-    def __post_init__(self) -> None:
-        given: Any = self.offset
-        listed = isinstance(given, Sequence | np.ndarray) and not isinstance(given, str)
-        value = as_reals("offset", given, len(given)) if listed else as_real("offset", given)
-        object.__setattr__(self, "offset", value)
+    offset: float | Sequence[float] = checked(_as_offset, 0.5)
 
     def fit(self, sampler: Sampler) -> Randomization:
         """Refuse a list of offsets of another length than dims."""
@@ -98,5 +115,356 @@ class StrataShift(Randomization):
 def _translated(points: Array, offsets: Array) -> Array:
     """Sets (R or 1, n, d) moved by offsets (R or 1, d)."""
     out = np.empty((max(len(points), len(offsets)), *points.shape[1:]))
-    _kernels.translate(points, offsets, out)
+    translate(points, offsets, out)
     return out
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class RandomRotation(Randomization):
+    """Random rotation: by right angles with reflections, or by any angle through a window (2-D).
+
+    Attributes
+    ----------
+    boundary
+        ``"toroidal"``: one of the d!·2^d symmetries of the cube, which are all that the torus has:
+        axes permuted and reflected at random. Distances on the torus, strata of equal sides and
+        elementary intervals (their shapes turned along) are kept.
+        ``"clipped"`` (2-D): the periodically repeated points, rotated by a uniform angle, seen
+        through a square window at a random place that is just so large that one more than n points
+        would touch it, scaled to the unit square and translated at random on the torus.
+
+    Notes
+    -----
+    A unit square that is rotated by any other angle and wrapped around covers a part of the torus
+    twice and leaves another empty: hence the window. Distances are kept inside the window up to its
+    scale, 1 + O(n^-1/2) for random points, but not across its seam, which the translation takes to
+    a random place; for it every point is exactly uniform.
+    """
+
+    name: ClassVar[str] = "random-rotation"
+    fits: ClassVar[Mapping[Structure, Structure]] = _TURNED
+    pointwise: ClassVar[bool] = True
+    boundary: str = choice("toroidal", "clipped")
+
+    def _check(self) -> None:
+        if self.boundary == "clipped":
+            settle(self, fits=_TRANSLATED, debiases=True, stationary=True, pointwise=False)
+
+    def fit(self, sampler: Sampler) -> Randomization:
+        """Refuse rotations by any angle unless `sampler` has 2 dims."""
+        if self.boundary == "clipped" and sampler.dims != 2:
+            raise ParameterError(
+                f"random-rotation(boundary='clipped') needs 2 dims, but {sampler.spec} has "
+                f"{sampler.dims}; use boundary='toroidal'."
+            )
+        return Randomization.fit(self, sampler)
+
+    def left(self, sampler: Sampler) -> Structure:
+        """Elementary intervals stay where all coordinates have digits in one base."""
+        same = self.boundary == "toroidal" and len(set(sampler.digit_bases)) == 1
+        if sampler.structure is Structure.DIGITS and same:
+            return Structure.DIGITS
+        return Randomization.left(self, sampler)
+
+    def apply(self, points: Array, stream: Stream, first: int) -> Array:
+        """Rotate each realisation by its own symmetry or angle."""
+        out = np.empty(points.shape)
+        keys = stream.keys(first, len(points))
+        if self.boundary == "toroidal":
+            _turn(keys, points, out)
+        else:
+            _clip_all(keys, points, out)
+        return out
+
+
+@kernel
+def _turn(keys: Array, points: Array, out: Array) -> None:
+    # A random symmetry of the cube: coordinate j from axis order[j], reflected if its bit is set
+    count, n, dims = points.shape
+    order, flip = np.arange(dims), np.zeros(dims, np.bool_)
+    for r in range(count):
+        for j in range(dims):
+            order[j] = j
+        for j in range(dims):
+            bits = mix_bits(keys[r, 0], keys[r, 1], j)
+            flip[j] = bits & np.uint64(1)
+            chosen = np.int64((bits >> np.uint64(1)) % np.uint64(j + 1))
+            order[j], order[chosen] = order[chosen], order[j]
+        for i in range(n):
+            for j in range(dims):
+                x = points[r, i, order[j]]
+                out[r, i, j] = _BELOW_ONE - x if flip[j] else x
+
+
+@kernel
+def _seen(points: Array, center: Array, turn: Array, reach: float, found: Array) -> int:
+    # Turned copies within max(|x|, |y|) ≤ reach of the centre into found (25n, 3): x, y, that norm
+    size = 0
+    for i in range(points.shape[0]):
+        x0, y0 = points[i, 0] - center[0], points[i, 1] - center[1]
+        x0, y0 = x0 - np.floor(x0 + 0.5), y0 - np.floor(y0 + 0.5)
+        for copy in range(25):
+            x, y = x0 + copy // 5 - 2, y0 + copy % 5 - 2
+            u, v = turn[0] * x - turn[1] * y, turn[1] * x + turn[0] * y
+            norm = max(abs(u), abs(v))
+            if norm <= reach:
+                found[size, 0], found[size, 1], found[size, 2] = u, v, norm
+                size += 1
+    return size
+
+
+@kernel
+def _clip_all(keys: Array, points: Array, out: Array) -> None:
+    # Points within the window whose edge the (n + 1)-th nearest to its centre lies on; out (R, n, 2)
+    count, n, _ = points.shape
+    found = np.empty((25 * n, 3))
+    numbers = np.empty(5)
+    for r in range(count):
+        for k in range(5):
+            numbers[k] = mix_uniform(keys[r, 0], keys[r, 1], k)
+        angle = 2.0 * math.pi * numbers[2]
+        turn = np.array([math.cos(angle), math.sin(angle)])
+        size = _seen(points[r], numbers[:2], turn, _FIRST_REACH, found)
+        if size <= n:
+            size = _seen(points[r], numbers[:2], turn, _REACH, found)
+        edge = np.partition(found[:size, 2].copy(), n)[n]
+        inside = np.count_nonzero(found[:size, 2] < edge)
+        taken, ties = 0, n - inside  # of several points on the edge the first ones count
+        for i in range(size):
+            on_edge = found[i, 2] == edge
+            if found[i, 2] > edge or (on_edge and ties == 0):
+                continue
+            ties -= on_edge
+            for j in range(2):
+                x = found[i, j] / (2.0 * edge) + 0.5 + numbers[3 + j]
+                out[r, taken, j] = min(x - np.floor(x), _BELOW_ONE)
+            taken += 1
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Mirror(Randomization):
+    """Mirroring: put samples into one random mirror image of the integrand, into all, or fold them.
+
+    Attributes
+    ----------
+    mode
+        ``"random"``: every coordinate of every sample is reflected or not, as by a fair coin.
+        ``"uniform"``: each of n/2^d samples becomes its 2^d reflections, one after the other.
+        ``"fold"``: u → 1 − |2u − 1| in every coordinate (the baker's transform), nothing random.
+
+    Notes
+    -----
+    Reflected at its upper faces, an integrand f on [0,1)^d becomes g(k + x) = f(x reflected in the
+    coordinates with k_j = 1), k ∈ {0,1}^d, which is continuous across all faces and of period 2. A
+    sample x can be put at k + x for one image k chosen at random, or for all of them, or the whole
+    set can be stretched over [0,2)^d. The result holds the arguments of f for each sample.
+
+    Uniform samples stay exactly uniform, and each half-open cell of a grid goes to the cell opposite.
+
+    Random reflection and folding do away with strata, elementary intervals and differences; the
+    uniform mode keeps strata and intervals, with 2^d times as many points in each.
+
+    References
+    ----------
+    [Hickernell2002]_ for the baker's transform. The other modes are our reading of mirrored samples; the
+    uniform one is the antithetic variate of [HammersleyMorton1956]_ in every coordinate.
+    """
+
+    name: ClassVar[str] = "mirror"
+    pointwise: ClassVar[bool] = True
+    fits: ClassVar[Mapping[Structure, Structure]] = _NOTHING
+    mode: str = choice("random", "uniform", "fold")
+
+    def _check(self) -> None:
+        if self.mode == "uniform":
+            settle(self, fits=_IMAGES, pointwise=False)
+
+    def fit(self, sampler: Sampler) -> Randomization:
+        """Refuse the uniform mode in too many dims."""
+        if self.mode == "uniform" and sampler.dims > _MOST_IMAGED:
+            raise ParameterError(
+                f"mirror(mode='uniform') makes 2^d images of a point, but {sampler.spec} has "
+                f"{sampler.dims} dims; use at most {_MOST_IMAGED}, or mode='random'."
+            )
+        return Randomization.fit(self, sampler)
+
+    def apply(self, points: Array, stream: Stream, first: int) -> Array:
+        """Mirror each realisation; the uniform mode returns 2^d points for each of `points`."""
+        if self.mode == "uniform":
+            count, n, dims = points.shape
+            images = np.arange(1 << dims)[:, None] >> np.arange(dims)[::-1] & 1
+            turned = np.where(images == 1, _BELOW_ONE - points[:, :, None], points[:, :, None])
+            return turned.reshape(count, n << dims, dims)
+        if self.mode == "fold":
+            return folded(points)
+        out = np.empty(points.shape)
+        _reflect_at_random(stream.keys(first, len(points)), points, out)
+        return out
+
+    def draw(
+        self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
+    ) -> Array:
+        points = sampler.draw_stream(n // self._images(sampler), stream, first, count)
+        return self.apply(points, own, first)
+
+    def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
+        images = self._images(sampler)
+        below = sampler._counts_near(n // images)[0] if n >= images else None
+        above = sampler._counts_near(-(-n // images))[1]
+        return (below and below * images), above * images
+
+    def max_count(self, sampler: Sampler) -> int:
+        return min(sampler.max_count * self._images(sampler), MAX_COUNT)
+
+    def count_warning(self, sampler: Sampler, n: int) -> str | None:
+        return sampler._count_warning(n // self._images(sampler))
+
+    def _images(self, sampler: Sampler) -> int:
+        return 1 << sampler.dims if self.mode == "uniform" else 1
+
+
+def folded(points: Array) -> Array:
+    """Return u → 1 − |2u − 1| of coordinates in [0,1), within [0,1)."""
+    doubled = 2.0 * points
+    return np.where(doubled < 1.0, doubled, _BELOW_ONE - (doubled - 1.0))
+
+
+@kernel
+def _reflect_at_random(keys: Array, points: Array, out: Array) -> None:
+    # Reflect each coordinate if its bit is set: 64 coordinates share a random number.
+    count, n, dims = points.shape
+    words = (dims + 63) // 64
+    for r in range(count):
+        for i in range(n):
+            for word in range(words):
+                bits = mix_bits(keys[r, 0], keys[r, 1], i * words + word)
+                for j in range(64 * word, min(64 * word + 64, dims)):
+                    x = points[r, i, j]
+                    out[r, i, j] = _BELOW_ONE - x if bits & np.uint64(1) else x
+                    bits >>= np.uint64(1)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Decorrelate(Randomization):
+    """Decorrelate pixels: all share one realisation of the sampler, each with its own shift.
+
+    Realisation r is pixel (r mod width, r div width) of an image.
+
+    Attributes
+    ----------
+    mode
+        Randomisation of the shared set in a pixel: ``"shift"``, ``"digital-shift"`` or ``"owen"``.
+    mask
+        Source of its random numbers. ``"white"``: independent in all pixels.
+        ``"blue-noise"``: a void-and-cluster dither mask, repeated, at a random place for each
+        dim, so that neighbours get very different shifts and the error of the image is blue noise.
+        ``"r2"``: the R-sequence of Roberts by the number of the pixel, from a random start.
+    width
+        Width of the image, and side of the blue-noise mask.
+
+    Notes
+    -----
+    The realisations of one seed are the pixels of one image: they share a set, and with a mask their
+    shifts too are those of one pattern. Variances over them are those within an image, and do not
+    tend to those over seeds.
+
+    Masks hold numbers, one for each dim: for shift, and for digital-shift in base 2. In one pixel
+    every point is uniform whatever the mask. Over the width² pixels of a blue-noise mask, the
+    shifts of each dim take each width²-th of [0,1) once.
+
+    References
+    ----------
+    [GeorgievFajardo2016]_, [Roberts2018]_
+    """
+
+    name: ClassVar[str] = "decorrelate"
+    pointwise: ClassVar[bool] = True
+    fits: ClassVar[Mapping[Structure, Structure]] = _TRANSLATED
+    debiases: ClassVar[bool] = True
+    mode: str = choice("shift", "digital-shift", "owen")
+    mask: str = choice("white", "blue-noise", "r2")
+    width: int = whole(64, least=1, most=256)
+
+    def _check(self) -> None:
+        settle(
+            self,
+            fits=self._step().fits,
+            stationary=self.mode == "shift",
+            independent=self.mask == "white",
+        )
+        if self.mode == "owen" and self.mask != "white":
+            raise ParameterError(
+                f"mask is {self.mask!r}, but mode='owen' needs many random numbers for each dim and a "
+                "mask gives one; use mask='white' or mode='shift'."
+            )
+
+    def fit(self, sampler: Sampler) -> Randomization:
+        """Refuse samplers that the mode refuses, and masks for digits in other bases."""
+        Randomization.fit(self, sampler)
+        self._step().fit(sampler)
+        others = set(sampler.digit_bases) - {2}
+        if self.mode == "digital-shift" and self.mask != "white" and others:
+            raise ParameterError(
+                f"mask={self.mask!r} shifts binary digits, but {sampler.spec} has digits in base "
+                f"{min(others)}; use mask='white' or mode='shift'."
+            )
+        return self
+
+    def apply(self, points: Array, stream: Stream, first: int) -> Array:
+        """Move each of `points`, given for each pixel, by the shift of its pixel."""
+        return self._moved(self._step(), points, stream, first)
+
+    def draw(
+        self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
+    ) -> Array:
+        shared = repeated(sampler.draw_stream(n, stream, 0, 1)[0], count)
+        return self._moved(self._step().fit(sampler), shared, own, first)
+
+    def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
+        return self._step().fit(sampler).counts_near(sampler, n)
+
+    def offsets(self, stream: Stream, first: int, count: int, dims: int) -> Array:
+        """Return the masks' shifts of pixels first … first+count−1: float64 (count, dims)."""
+        pixels = np.arange(first, first + count)
+        places = stream.child(0).uniforms(0, 1, 2 * dims)[0]
+        if self.mask == "r2":
+            from mcspectra.samplers.lattice import golden_steps
+
+            units = (places[:dims] * 2.0**53).astype(np.uint64) << np.uint64(11)
+            sums = units + pixels.astype(np.uint64)[:, None] * golden_steps(dims)  # modulo 2^64
+            return np.asarray((sums >> np.uint64(11)) * 2.0**-53)
+
+        # Ranks of the mask, at a place of its own for each dim, and a random number within each
+        width, places = self.width, places.reshape(2, dims)
+        columns = pixels[:, None] % width + (places[0] * width).astype(np.int64)
+        rows = pixels[:, None] // width % width + (places[1] * width).astype(np.int64)
+        ranks = _mask(width)[rows % width, columns % width]
+        inside = stream.uniforms(first, count, dims)
+        return np.asarray(np.minimum((ranks + inside) / width**2, _BELOW_ONE))
+
+    def _moved(self, step: Randomization, points: Array, stream: Stream, first: int) -> Array:
+        if self.mask == "white":
+            return step.apply(points, stream, first)
+        count, _, dims = points.shape
+        offsets = self.offsets(stream, first, count, dims)
+        if self.mode == "digital-shift":
+            words = (points * 2.0**53).astype(np.uint64)
+            words ^= (offsets * 2.0**53).astype(np.uint64)[:, None]
+            return np.asarray(words * 2.0**-53)
+        return _translated(points, offsets)
+
+    def _step(self) -> Randomization:
+        from mcspectra.samplers.registry import RANDOMIZATIONS
+
+        step: Randomization = RANDOMIZATIONS.load(self.mode)()
+        return step
+
+
+@lru_cache(maxsize=4)
+def _mask(width: int) -> Array:
+    from mcspectra.samplers.dither import dither_mask
+
+    return dither_mask(width, Stream(_MASK_KEY).keys(0, 1)[0])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,7 +11,6 @@ from mcspectra.core.checks import as_integer
 from mcspectra.core.errors import ParameterError, SpecError, UnknownName
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import Call, parse_chain
-from mcspectra.samplers._qmcpy import is_qmcpy
 from mcspectra.samplers.base import Randomization, Sampler
 
 __all__ = ["RANDOMIZATIONS", "SAMPLERS", "as_sampler", "sampler", "sampler_from_calls"]
@@ -39,30 +37,30 @@ SAMPLERS = Registry(
         "hexagonal": "mcspectra.samplers.hexagonal:Hexagonal",
         "jittered": "mcspectra.samplers.stratified:Jittered",
         "korobov": "mcspectra.samplers.lattice:Korobov",
-        "kronecker": "mcspectra.samplers.kronecker:Kronecker",
-        "larcher-pillichshammer": "mcspectra.samplers.digital:LarcherPillichshammer",
+        "kronecker": "mcspectra.samplers.lattice:Kronecker",
+        "larcher-pillichshammer": "mcspectra.samplers.nets:LarcherPillichshammer",
         "latin-hypercube": "mcspectra.samplers.orthogonal:LatinHypercube",
         "ldbn": "mcspectra.samplers.ldbn:LowDiscrepancyBlueNoise",
         "lloyd": "mcspectra.samplers.voronoi:Lloyd",
         "mitsuba": "mcspectra.rendering.point_sampler:MitsubaSampler",
         "multi-jittered": "mcspectra.samplers.multijitter:MultiJittered",
         "n-rooks": "mcspectra.samplers.orthogonal:NRooks",
-        "niederreiter": "mcspectra.samplers.digital:Niederreiter",
+        "niederreiter": "mcspectra.samplers.nets:Niederreiter",
         "orthogonal-array": "mcspectra.samplers.orthogonal:OrthogonalArray",
         "perturbed-lattice": "mcspectra.samplers.hyperuniform:PerturbedLattice",
         "pmj": "mcspectra.samplers.progressive:PMJ",
         "pmj02": "mcspectra.samplers.progressive:PMJ02",
         "pmj02-blue-noise": "mcspectra.samplers.progressive:PMJ02BlueNoise",
-        "points": "mcspectra.samplers.base:GivenPoints",
+        "points": "mcspectra.samplers.external:GivenPoints",
         "poisson-disk": "mcspectra.samplers.poisson:PoissonDisk",
         "projective-blue-noise": "mcspectra.samplers.projective:ProjectiveBlueNoise",
-        "qmcpy": "mcspectra.samplers.base:QmcpySampler",
+        "qmcpy": "mcspectra.samplers.external:QmcpySampler",
         "random": "mcspectra.samplers.stratified:Random",
         "rank1-lattice": "mcspectra.samplers.lattice:Rank1Lattice",
         "regular": "mcspectra.samplers.stratified:Regular",
-        "scipy": "mcspectra.samplers.base:ScipySampler",
+        "scipy": "mcspectra.samplers.external:ScipySampler",
         "sliced-optimal-transport": "mcspectra.samplers.sliced:SlicedOptimalTransport",
-        "sobol": "mcspectra.samplers.digital:Sobol",
+        "sobol": "mcspectra.samplers.nets:Sobol",
         "stealthy-hyperuniform": "mcspectra.samplers.hyperuniform:StealthyHyperuniform",
         "step-blue-noise": "mcspectra.samplers.spectral_targets:StepBlueNoise",
         "target-pcf": "mcspectra.samplers.spectral_targets:TargetPcf",
@@ -77,13 +75,13 @@ RANDOMIZATIONS = Registry(
     "randomization",
     "mcspectra.randomizations",
     {
-        "decorrelate": "mcspectra.samplers.decorrelate:Decorrelate",
+        "decorrelate": "mcspectra.samplers.randomizations:Decorrelate",
         "digital-shift": "mcspectra.samplers.scrambles:DigitalShift",
         "lms": "mcspectra.samplers.scrambles:Lms",
-        "mirror": "mcspectra.samplers.mirror:Mirror",
+        "mirror": "mcspectra.samplers.randomizations:Mirror",
         "owen": "mcspectra.samplers.scrambles:Owen",
         "permute": "mcspectra.samplers.scrambles:Permute",
-        "random-rotation": "mcspectra.samplers.rotation:RandomRotation",
+        "random-rotation": "mcspectra.samplers.randomizations:RandomRotation",
         "shift": "mcspectra.samplers.randomizations:Shift",
         "shuffle": "mcspectra.samplers.selection:Shuffle",
         "skip": "mcspectra.samplers.selection:Skip",
@@ -119,9 +117,9 @@ def sampler(spec: str | Sampler, dims: int | None = None) -> Sampler:
 def sampler_from_calls(calls: Sequence[Call], dims: int | None = None) -> Sampler:
     """Make a sampler from a spec string already parsed (`core.spec.parse_chain`)."""
     head, *rest = calls
-    made = _build_sampler(head, _checked(dims))
+    made: Sampler = _built(SAMPLERS, head, _checked(dims))
     for call in rest:
-        made = made.then(_build_randomization(call))
+        made = made.then(_built(RANDOMIZATIONS, call))
     return made
 
 
@@ -156,56 +154,41 @@ def _checked(dims: object) -> int | None:
 
 
 def _from_object(source: Any, dims: int | None) -> Sampler:
+    from mcspectra.samplers.external import is_engine, is_generator
+
     if isinstance(source, Sampler):
         return source
     nested = isinstance(source, list | tuple) and source and isinstance(source[0], list | tuple)
     if isinstance(source, np.ndarray) or nested:
         return Sampler.from_points(source)
-    if _is_engine(source):
-        sizes = {"d": dims} if isinstance(source, type) and dims is not None else {}
-        return Sampler.from_scipy(source, **sizes)
-    if is_qmcpy(source):
-        sizes = {"dims": dims} if isinstance(source, type) and dims is not None else {}
-        return Sampler.from_qmcpy(source, **sizes)
+    sized = isinstance(source, type) and dims is not None
+    if is_engine(source):
+        return Sampler.from_scipy(source, **({"d": dims} if sized else {}))
+    if is_generator(source):
+        return Sampler.from_qmcpy(source, **({"dims": dims} if sized else {}))
     raise ParameterError(
         f"{source!r} is not a sampler; give a Sampler, a spec such as 'jittered | shift', an array "
         "of points (n, d) or (R, n, d), a scipy.stats.qmc engine, or a QMCPy generator."
     )
 
 
-def _is_engine(source: object) -> bool:
-    """Whether this is a QMCEngine or a class of them; nobody has one without importing qmc."""
-    engine = getattr(sys.modules.get("scipy.stats.qmc"), "QMCEngine", None)
-    if engine is None:
-        return False
-    return isinstance(source, engine) or (isinstance(source, type) and issubclass(source, engine))
-
-
-def _build_sampler(call: Call, dims: int | None) -> Sampler:
+def _built(registry: Registry, call: Call, dims: int | None = None) -> Any:
+    """Make a part of a chain; a name from the other registry is in the wrong place."""
+    first = registry is SAMPLERS
     try:
-        made = SAMPLERS.build(call, dims)
+        made = registry.build(call, dims)
     except UnknownName:
-        if call.name in RANDOMIZATIONS:
+        if first and call.name in RANDOMIZATIONS:
             raise SpecError(
                 f"{call.name!r} is a randomization, not a sampler; write a sampler before it, "
                 f"as in 'jittered | {call.name}'."
             ) from None
-        raise
-    if not isinstance(made, Sampler):
-        raise ParameterError(f"{call.name!r} is registered as a sampler, but does not make one.")
-    return made
-
-
-def _build_randomization(call: Call) -> Randomization:
-    try:
-        made = RANDOMIZATIONS.build(call)
-    except UnknownName:
-        if call.name in SAMPLERS:
+        if not first and call.name in SAMPLERS:
             raise SpecError(
                 f"{call.name!r} is a sampler, not a randomization; only the first part of a chain "
                 f"is a sampler, after '|' come {', '.join(RANDOMIZATIONS)}."
             ) from None
         raise
-    if not isinstance(made, Randomization):
-        raise ParameterError(f"{call.name!r} is registered as a randomization, but is not one.")
+    if not isinstance(made, Sampler if first else Randomization):
+        raise ParameterError(f"{call.name!r} is registered as a {registry.kind}, but is not one.")
     return made

@@ -8,11 +8,10 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.checks import Array
 from mcspectra.samplers._descent import random_points
+from mcspectra.samplers._fields import whole
 from mcspectra.samplers._hyperuniform_kernels import fill_normals
-from mcspectra.samplers.base import check_dims
 from mcspectra.samplers.optimised import OptimisedSampler, check_sets
 
 __all__ = ["SlicedOptimalTransport", "projected_quantiles"]
@@ -46,25 +45,18 @@ class SlicedOptimalTransport(OptimisedSampler):
 
     References
     ----------
-    Paulin, Bonneel, Coeurjolly, Iehl, Webanck, Desbrun, Ostromoukhov (2020), "Sliced optimal
-    transport sampling", doi 10.1145/3386569.3392395.
+    [Paulin2020]_
     """
 
     name: ClassVar[str] = "sliced-optimal-transport"
+    min_dims: ClassVar[int] = 2
+    other_dims: ClassVar[str] = "in 1-D use jittered"
     dims: int = 2
-    iterations: int = 150
-    directions: int = 32
+    iterations: int = whole(150, least=1, most=10**6)
+    directions: int = whole(32, least=1, most=10**6)
 
-    def __post_init__(self) -> None:
-        check_dims(self)
+    def _check(self) -> None:
         check_sets(self)
-        if self.dims < 2:
-            raise ParameterError(
-                f"{self.name}: dims is {self.dims}; it must be at least 2, in 1-D use jittered."
-            )
-        for field in ("iterations", "directions"):
-            value = as_integer(field, getattr(self, field), least=1, most=10**6)
-            object.__setattr__(self, field, value)
 
     @property
     def unbiased(self) -> bool:  # type: ignore[override]
@@ -79,7 +71,17 @@ class SlicedOptimalTransport(OptimisedSampler):
             used += normals.size + 1  # an odd number of normals uses one uniform more
             directions = normals.reshape(self.directions, self.dims)
             directions = directions / np.sqrt(np.sum(directions**2, axis=1))[:, None]
-            points = np.clip(points + _mean_move(points, directions), 0.0, _BELOW_ONE)
+
+            # Move by the mean over directions of the moves to the quantiles along each
+            move = np.zeros(points.shape)
+            for direction in directions:
+                place = np.sum(
+                    (points - 0.5) * direction, axis=1
+                )  # no library: the same bits always
+                order, delta = np.argsort(place, kind="stable"), np.empty(n)
+                delta[order] = projected_quantiles(direction, n) - place[order]
+                move += delta[:, None] * direction
+            points = np.clip(points + move / len(directions), 0.0, _BELOW_ONE)
             if i % max(1, self.iterations // 20) == 0:
                 report(i / self.iterations)
         return points
@@ -97,28 +99,11 @@ def projected_quantiles(direction: Array, n: int) -> Array:
     below = np.clip(t / widths[0] + 0.5, 0.0, 1.0)
     for width in widths[1:]:
         if width > _NARROW:
-            below = _mean_over(t, below, width)
+            # Means of `below`, tabulated at t, over the width around each t; beyond the ends it is 1
+            strips = np.cumsum((below[1:] + below[:-1]) * ((t[1] - t[0]) / 2))
+            primitive = np.concatenate([[0.0], strips])
+            upper, lower = t + width / 2, t - width / 2
+            added = np.interp(upper, t, primitive) + np.maximum(upper - t[-1], 0.0)
+            below = (added - np.interp(lower, t, primitive)) / width
     quantiles: Array = np.interp((np.arange(n) + 0.5) / n, below, t)
     return quantiles
-
-
-def _mean_over(t: Array, below: Array, width: float) -> Array:
-    """Return the mean of a distribution function, tabulated at t, over intervals around each t."""
-    step = t[1] - t[0]
-    primitive = np.concatenate([[0.0], np.cumsum((below[1:] + below[:-1]) * (step / 2))])
-    upper, lower = t + width / 2, t - width / 2
-    beyond = np.maximum(upper - t[-1], 0.0)  # where the function is 1
-    mean: Array = (np.interp(upper, t, primitive) + beyond - np.interp(lower, t, primitive)) / width
-    return mean
-
-
-def _mean_move(points: Array, directions: Array) -> Array:
-    """Return the mean over directions of the moves to the quantiles along each."""
-    n, move = len(points), np.zeros(points.shape)
-    for direction in directions:
-        place = np.sum((points - 0.5) * direction, axis=1)  # no library: bits are the same always
-        order = np.argsort(place, kind="stable")
-        delta = np.empty(n)
-        delta[order] = projected_quantiles(direction, n) - place[order]
-        move += delta[:, None] * direction
-    return move / len(directions)

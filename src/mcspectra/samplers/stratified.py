@@ -23,8 +23,7 @@ from mcspectra.samplers._grid import (
     grid_counts_near,
     grid_sides,
 )
-from mcspectra.samplers._repeated import repeated
-from mcspectra.samplers.base import Sampler, Structure, check_dims
+from mcspectra.samplers.base import Sampler, Structure, check_dims, repeated
 
 __all__ = ["Jittered", "Random", "Regular", "UniformJitter"]
 

@@ -35,7 +35,7 @@ from mcspectra.integrands import Integrand
 from mcspectra.integrands.products import axis_rules, cell_integrals, product_coefficients
 from mcspectra.samplers import Randomized, Sampler
 from mcspectra.samplers.base import Randomization, Structure
-from mcspectra.samplers.mirror import Mirror
+from mcspectra.samplers.randomizations import Mirror
 from mcspectra.spectra._kernels import bin_weights
 from mcspectra.spectra.transforms import FrequencyGrid, IndexGrid, Transform, given_or_equal
 

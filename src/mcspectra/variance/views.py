@@ -17,7 +17,7 @@ from mcspectra.core.analysis import Subject
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError, warn
 from mcspectra.estimators import AbstractEstimator, Mirrored
-from mcspectra.samplers.mirror import Mirror
+from mcspectra.samplers.randomizations import Mirror
 from mcspectra.spectra.bases import Basis, Coefficients, fitting_basis, make_basis
 from mcspectra.variance.sums import Partition, Variables
 
