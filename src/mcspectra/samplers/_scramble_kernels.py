@@ -44,7 +44,7 @@ _S11, _S21, _S32, _S43 = np.uint64(11), np.uint64(21), np.uint64(32), np.uint64(
 _S34 = np.uint64(34)  # nodes: b^(m−1) < 2^32 of a level, numbered from b^level, stay below 2^33
 _LOW32 = np.uint64(0xFFFFFFFF)
 _TO_53, _UNIT_53, _TO_32 = 2.0**53, 2.0**-53, 2.0**32
-_LEVELS = 6  # a binary subtree of 6 levels has 63 nodes: one 64-bit hash flips them all
+_WORDS = 512  # words of a block: 4 kB
 _TABLE = 1024  # entries of a table of images of several digits: 8 kB
 _USED_UP = 2**32
 _LEAST, _FINEST = 2.0**32, 2.0**50
@@ -73,30 +73,70 @@ def _with_tail(k0: np.uint64, k1: np.uint64, number: int, word: Any) -> Any:
 
 
 @kernel
-def _flip_nested(k0: np.uint64, k1: np.uint64, dim: int, word: Any) -> np.uint64:
-    # Nested uniform scramble of a 32-bit word: the flip of a bit hangs on all the bits above it.
-    flips = np.uint64(0)
-    for level in range(0, 32, _LEVELS):
-        prefix = np.uint64(word >> (32 - level))
-        address: Any = (np.uint64(dim) << _S32) | (_ONE << np.uint64(level)) | prefix
-        bits = mix_bits(k0, k1, address)
-        node = 1  # heap order: the children of node v are 2v and 2v + 1
-        for depth in range(level, min(level + _LEVELS, 32)):
-            flips = (flips << _ONE) | ((bits >> np.uint64(node)) & _ONE)
-            node = 2 * node + ((word >> (31 - depth)) & 1)
-    return flips ^ np.uint64(word)
+def _six_flips(bits: Any, piece: Any) -> Any:
+    # Flips of six bits, the highest first, by the node that the bits above lead to; nodes are numbered
+    # as in a heap, node v has the children 2v and 2v + 1
+    flips = (bits >> _ONE) & _ONE
+    flips = (flips << _ONE) | ((bits >> (np.uint64(2) + (piece >> np.uint64(5)))) & _ONE)
+    flips = (flips << _ONE) | ((bits >> (np.uint64(4) + (piece >> np.uint64(4)))) & _ONE)
+    flips = (flips << _ONE) | ((bits >> (np.uint64(8) + (piece >> np.uint64(3)))) & _ONE)
+    flips = (flips << _ONE) | ((bits >> (np.uint64(16) + (piece >> np.uint64(2)))) & _ONE)
+    return (flips << _ONE) | ((bits >> (np.uint64(32) + (piece >> _ONE))) & _ONE)
+
+
+@kernel
+def _flip_two_levels(
+    k0: np.uint64, k1: np.uint64, dim: int, level: int, w: Array, out: Array
+) -> None:
+    # Two subtrees of six levels each, of all words: the loop has no branch and is vectorised
+    root, six = np.uint64(dim) << _S32, np.uint64(63)
+    upper, lower = root | (_ONE << np.uint64(level)), root | (_ONE << np.uint64(level + 6))
+    above, between, below = np.uint64(32 - level), np.uint64(26 - level), np.uint64(20 - level)
+    for i in range(w.size):
+        word = w[i]
+        first: Any = upper | (word >> above)
+        second: Any = lower | (word >> between)
+        flips = _six_flips(mix_bits(k0, k1, first), (word >> between) & six) << between
+        out[i] ^= flips | (_six_flips(mix_bits(k0, k1, second), (word >> below) & six) << below)
+
+
+@kernel
+def _nest(
+    k0: np.uint64, k1: np.uint64, dim: int, dims: int, start: int, w: Array, out: Array
+) -> None:
+    # Nested uniform scramble of 32-bit words w (uint64) of points start, start + 1, … into out: the
+    # flip of a bit hangs on all the bits above it. One 64-bit hash has the flips of six levels.
+    words = w.copy()
+    root: Any = (np.uint64(dim) << _S32) | _ONE
+    bits = mix_bits(k0, k1, root)
+    for i in range(w.size):
+        words[i] ^= _six_flips(bits, w[i] >> np.uint64(26)) << np.uint64(26)
+    _flip_two_levels(k0, k1, dim, 6, w, words)
+    _flip_two_levels(k0, k1, dim, 18, w, words)
+    last = (np.uint64(dim) << _S32) | np.uint64(1 << 30)
+    for i in range(w.size):
+        word = w[i]
+        node: Any = last | (word >> np.uint64(2))
+        bits = mix_bits(k0, k1, node) >> _ONE
+        second = (bits >> (_ONE + ((word >> _ONE) & _ONE))) & _ONE
+        words[i] ^= ((bits & _ONE) << _ONE) | second
+    for i in range(w.size):
+        out[i] = _with_tail(k0, k1, (start + i) * dims + dim, words[i])
 
 
 @kernel
 def scramble_nested(keys: Array, points: Array, out: Array) -> None:
     """Owen's nested uniform scrambling in base 2: 32 levels, independent uniform digits below."""
     count, n, dims = out.shape
+    block = np.empty(_WORDS, np.uint64)
     for r in range(count):
-        k0, k1 = keys[r, 0], keys[r, 1]
-        for i in range(n):
+        for start in range(0, n, _WORDS):
+            stop = min(n, start + _WORDS)
+            words = block[: stop - start]
             for j in range(dims):
-                flipped = _flip_nested(k0, k1, j, np.int64(points[r, i, j] * _TO_32))
-                out[r, i, j] = _with_tail(k0, k1, i * dims + j, flipped)
+                for i in range(words.size):
+                    words[i] = np.uint64(np.int64(points[r, start + i, j] * _TO_32))
+                _nest(keys[r, 0], keys[r, 1], j, dims, start, words, out[r, start:stop, j])
 
 
 @kernel
@@ -425,17 +465,19 @@ def scramble_trees(keys: Array, bases: Array, points: Array, out: Array) -> None
     Coordinates in base 2 are those of `scramble_nested`.
     """
     count, n, dims = out.shape
+    words = np.empty(n, np.uint64)
     for r in range(count):
         k0, k1 = keys[r, 0], keys[r, 1]
         for j in range(dims):
             places, scale, nudge, unit = _format(bases[j])
+            if bases[j] == 2:
+                for i in range(n):
+                    words[i] = np.uint64(_read(points[r, i, j], scale, nudge))
+                _nest(k0, k1, j, dims, 0, words, out[r, :, j])
+                continue
             for i in range(n):
-                number = i * dims + j
                 v = _read(points[r, i, j], scale, nudge)
-                if bases[j] == 2:
-                    out[r, i, j] = _with_tail(k0, k1, number, _flip_nested(k0, k1, j, v))
-                    continue
-                address: Any = _TAIL | np.uint64(number)
+                address: Any = _TAIL | np.uint64(i * dims + j)
                 tail = mix_uniform(k0, k1, address)
                 scrambled = _climb(k0, k1, j, bases[j], places, v)
                 out[r, i, j] = _write(scrambled, tail, scale, unit)
