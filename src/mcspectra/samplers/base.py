@@ -27,9 +27,11 @@ from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.spec import Component, format_call
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.samplers import _engines, _qmcpy
+from mcspectra.samplers._fields import check_fields, settle
 
 __all__ = [
     "MAX_COUNT",
+    "FixedSet",
     "FunctionSampler",
     "GivenPoints",
     "QmcpySampler",
@@ -39,6 +41,7 @@ __all__ = [
     "ScipySampler",
     "Structure",
     "check_dims",
+    "repeated",
 ]
 
 MAX_COUNT = 2**31
@@ -82,8 +85,9 @@ class Sampler(Component, ABC):
         Whether points come in pairs that mirror each other within a cell.
     independent
         Whether the realisations of a seed are independent of one another.
-    max_dims, max_count
-        Largest dims and largest count of a realisation; beyond them, time or memory run out.
+    min_dims, max_dims, max_count
+        Least and largest dims and largest count of a realisation; beyond them, time or memory run
+        out. `other_dims` is the advice where there are no others.
     """
 
     dims: int
@@ -93,8 +97,18 @@ class Sampler(Component, ABC):
     sequence: ClassVar[bool] = False
     antithetic: ClassVar[bool] = False
     independent: ClassVar[bool] = True
+    min_dims: ClassVar[int] = 1
     max_dims: ClassVar[int | None] = None
+    other_dims: ClassVar[str] = ""
     max_count: ClassVar[int] = MAX_COUNT
+
+    def __post_init__(self) -> None:
+        check_dims(self)
+        check_fields(self)
+        self._check()
+
+    def _check(self) -> None:
+        """Check what parameters, each checked by its field, mean together."""
 
     @property
     def digit_bases(self) -> tuple[int, ...]:
@@ -238,6 +252,21 @@ class Sampler(Component, ABC):
         return QmcpySampler.from_generator(generator, **arguments)
 
 
+class FixedSet(Sampler):
+    """A sampler of the same points every time: implementations write `_set`."""
+
+    unbiased: ClassVar[bool] = False
+    fixed: ClassVar[bool] = True
+
+    @abstractmethod
+    def _set(self, n: int) -> Array:
+        """Make the set of `n` points: float64 (n, dims)."""
+
+    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        del stream, first
+        return repeated(self._set(n), count)
+
+
 class Randomization(Component, ABC):
     """A change to the points of a sampler, with its own randomness."""
 
@@ -253,6 +282,13 @@ class Randomization(Component, ABC):
     """Whether realisations are moved independently of one another."""
     fits: ClassVar[Mapping[Structure, Structure]] = {s: s for s in Structure}
     """The structures that survive, and what is left of each; samplers of others are refused."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        self._check()
+
+    def _check(self) -> None:
+        """Check what parameters, each checked by its field, mean together."""
 
     @abstractmethod
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
@@ -315,6 +351,9 @@ class Randomized(Sampler):
 
     base: Sampler
     steps: tuple[Randomization, ...]
+
+    def __post_init__(self) -> None:
+        """The parts were checked when they were made."""
 
     @property
     def dims(self) -> int:  # type: ignore[override]
@@ -773,12 +812,24 @@ class QmcpySampler(Sampler):
 
 
 def check_dims(sampler: Any) -> None:
-    """Make a sampler's `dims` an int from 1 to its class's `max_dims`; for `__post_init__`."""
+    """Make a sampler's `dims` an int from its class's `min_dims` to `max_dims`."""
+    least, most, given = sampler.min_dims, sampler.max_dims, sampler.dims
     try:
-        dims = as_integer("dims", sampler.dims, least=1, most=sampler.max_dims or 2**16)
-        object.__setattr__(sampler, "dims", dims)
+        settle(sampler, dims=as_integer("dims", given, least=least, most=most or 2**16))
     except ParameterError as error:
-        raise ParameterError(f"{sampler.name}: {error}") from None
+        only = f"dims is {given!r}; it must be {least}" if least == most else str(error).rstrip(".")
+        advice = f", {sampler.other_dims}" if sampler.other_dims else ""
+        raise ParameterError(f"{sampler.name}: {only}{advice}.") from None
+
+
+def repeated(points: Array, count: int) -> Array:
+    """Points (n, d) `count` times: float64 (count, n, d).
+
+    Unlike `numpy.tile`, this copies without Python's lock, so that threads do not wait for one another.
+    """
+    out = np.empty((count, *points.shape))
+    out[...] = points
+    return out
 
 
 def _checked(points: object, n: int, dims: int, source: str) -> Array:

@@ -14,8 +14,8 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import _kernels, _orthogonal_kernels
-from mcspectra.samplers._grid import cell_side, root
 from mcspectra.samplers.base import MAX_COUNT, Sampler, Structure, check_dims
+from mcspectra.samplers.stratified import cell_side, root
 
 __all__ = ["LatinHypercube", "NRooks", "OrthogonalArray"]
 

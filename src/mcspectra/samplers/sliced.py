@@ -10,10 +10,9 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
-from mcspectra.samplers._descent import random_points
-from mcspectra.samplers._hyperuniform_kernels import fill_normals
 from mcspectra.samplers.base import check_dims
-from mcspectra.samplers.optimised import OptimisedSampler, check_sets
+from mcspectra.samplers.hyperuniform import fill_normals
+from mcspectra.samplers.optimised import OptimisedSampler, check_sets, random_points
 
 __all__ = ["SlicedOptimalTransport", "projected_quantiles"]
 

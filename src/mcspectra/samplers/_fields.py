@@ -1,0 +1,62 @@
+"""Fields of frozen dataclasses that check, and convert, what they are given.
+
+A class declares ``strength: int = whole(1, least=1, most=2)``; `check_fields`, called once when an
+instance is made, puts the checked value in place of the given one. None stays None where it is the
+default.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+from mcspectra.core.checks import as_choice, as_integer, as_real
+from mcspectra.core.errors import ParameterError
+
+__all__ = ["check_fields", "checked", "choice", "flag", "real", "settle", "whole"]
+
+
+def checked(check: Callable[[str, Any], object], default: object) -> Any:
+    """Declare a field that holds ``check(name, given)``."""
+    return dataclasses.field(default=default, metadata={"check": check})
+
+
+def whole(default: int | None, *, least: int, most: int | None = None) -> Any:
+    """Declare a field of whole numbers from `least` to `most`."""
+    return checked(lambda name, given: as_integer(name, given, least=least, most=most), default)
+
+
+def real(default: float | None, **limits: float) -> Any:
+    """Declare a field of finite floats within the limits of `core.checks.as_real`."""
+    return checked(lambda name, given: as_real(name, given, **limits), default)
+
+
+def choice(*allowed: str, default: str | None = None) -> Any:
+    """Declare a field of one of several words, the first of them by default."""
+    return checked(lambda name, given: as_choice(name, given, allowed), default or allowed[0])
+
+
+def flag(*, default: bool) -> Any:
+    """Declare a field of True or False."""
+    return checked(_as_flag, default)
+
+
+def _as_flag(name: str, given: object) -> bool:
+    if not isinstance(given, bool):
+        raise ParameterError(f"{name} is {given!r}; give True or False.")
+    return given
+
+
+def check_fields(component: Any) -> None:
+    """Check all fields of a component that were declared so."""
+    for field in dataclasses.fields(component):
+        check, given = field.metadata.get("check"), getattr(component, field.name)
+        if check and not (given is None and field.default is None):
+            settle(component, **{field.name: check(field.name.rstrip("_"), given)})
+
+
+def settle(component: object, **values: object) -> None:
+    """Set attributes of a frozen dataclass that follow from its fields; for `__post_init__`."""
+    for name, value in values.items():
+        object.__setattr__(component, name, value)
