@@ -449,8 +449,7 @@ def test_holes_are_those_of_the_voronoi_diagram(n):
     points = Stream(n).uniforms(0, 1, 2 * n).reshape(n, 2)
     tiles = np.concatenate([points + np.array(t) for t in itertools.product((0, 1, -1), repeat=2)])
     diagram = Voronoi(tiles)
-    holes = np.empty((n, 4))
-    kernels.measure_all(points, kernels.point_buckets(points), holes)
+    _, holes = kernels.measure_all(points)
     for i in range(n):
         corners = diagram.vertices[diagram.regions[diagram.point_region[i]]]
         far = np.hypot(*(corners - points[i]).T).max()
@@ -463,12 +462,11 @@ def test_holes_are_those_of_the_voronoi_diagram(n):
 def test_cells_stay_right_while_points_move():
     """After every move: those measured on the way are those measured anew; none gets nearer."""
     points = Stream(1).uniforms(0, 1, 120).reshape(60, 2)
-    buckets, holes, anew = kernels.point_buckets(points), np.empty((60, 4)), np.empty((60, 4))
-    kernels.measure_all(points, buckets, holes)
+    buckets, holes = kernels.measure_all(points)
     for i in range(60):
         before, least = points.copy(), holes[:, 3].min()
         kernels.move_points(i, i + 1, points, buckets, holes)
-        kernels.measure_all(points, kernels.point_buckets(points), anew)
+        _, anew = kernels.measure_all(points)
         np.testing.assert_allclose(holes[:, 2:], anew[:, 2:], rtol=1e-9)
         assert holes[:, 3].min() >= least * (1 - ROUNDING)
         others = np.delete(before, i, axis=0)

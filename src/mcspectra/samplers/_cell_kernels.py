@@ -36,7 +36,6 @@ __all__ = [
     "measure_all",
     "move_points",
     "near_energy",
-    "point_buckets",
     "power_diagram",
     "series_energy",
 ]
@@ -61,16 +60,6 @@ def _sort_into_cells(cell: Array, cells: int) -> tuple[Array, Array]:
         order[start[cell[i] + 1]] = i
         start[cell[i] + 1] += 1
     return start[: cells + 1], order
-
-
-@kernel
-def point_buckets(points: Array) -> Any:
-    """Return buckets with all points, about one a cell."""
-    n = points.shape[0]
-    buckets = empty_buckets(n, 2, max(1, int(np.sqrt(n))))
-    for i in range(n):
-        add_to_buckets(i, points[i], buckets)
-    return buckets
 
 
 @kernel
@@ -149,11 +138,16 @@ def _measure(
 
 
 @kernel
-def measure_all(points: Array, buckets: Any, holes: Array) -> None:
-    """Fill `holes` (n, 4) for all cells."""
+def measure_all(points: Array) -> Any:
+    """Return buckets with all points, about one in each, and the holes (n, 4) of all cells."""
+    n = points.shape[0]
+    buckets, holes = empty_buckets(n, 2, max(1, int(np.sqrt(n)))), np.empty((n, 4))
     corners, neighbors = np.empty((_CORNERS, 2)), np.empty(_CORNERS, np.int64)
-    for i in range(points.shape[0]):
+    for i in range(n):
+        add_to_buckets(i, points[i], buckets)
+    for i in range(n):
         _measure(i, points, buckets, corners, neighbors, holes)
+    return buckets, holes
 
 
 @kernel

@@ -26,7 +26,7 @@ from mcspectra.core.parallel import available_workers, map_in_order
 from mcspectra.core.progress import report
 from mcspectra.core.streams import Stream, mix_uniform
 from mcspectra.samplers._fields import check_fields, whole
-from mcspectra.samplers._kernels import random_offsets, translate
+from mcspectra.samplers._kernels import random_offsets
 from mcspectra.samplers.base import Sampler, Structure
 
 __all__ = [
@@ -133,10 +133,9 @@ def check_sets(sampler: OptimisedSampler) -> None:
 
 def translated(points: Array, keys: Array) -> Array:
     """Move each set of (R, n, d) on the torus by the random vector of its keys uint64 (R, 2)."""
-    offsets, moved = np.empty((len(points), points.shape[-1])), np.empty_like(points)
+    offsets = np.empty((len(points), points.shape[-1]))
     random_offsets(keys, offsets)
-    translate(points, offsets, moved)
-    return moved
+    return wrap(points + offsets[:, None])
 
 
 def random_points(keys: Array, n: int, dims: int) -> Array:

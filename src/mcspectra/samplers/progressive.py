@@ -31,7 +31,7 @@ _PASSES = 31
 _ONE, _S11 = np.uint64(1), np.uint64(11)
 _EVEN_BITS = np.uint64(0x5555555555555555)
 _BITS = 5  # of each word that are chosen below those of its cell; finer ones matter little
-_TO_53, _UNIT_53 = 2.0**53, 2.0**-53
+_UNIT_53 = 2.0**-53
 _CHOICES, _SHUFFLES = 1 << 40, 1 << 41  # where the addresses of other random numbers begin
 
 
@@ -103,7 +103,7 @@ class PMJ02(_PlaneSequence):
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         out = np.empty((count, n, 2))
-        _fill_pmj02(stream.keys(first, count), pairings(), out)
+        _fill_pmj02(stream.keys(first, count), pairings(), 0, out)
         return out
 
 
@@ -145,7 +145,7 @@ class PMJ02BlueNoise(_PlaneSequence):
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         out = np.empty((count, n, 2))
-        _fill_pmj02_blue_noise(stream.keys(first, count), pairings(), self.sweeps, out)
+        _fill_pmj02(stream.keys(first, count), pairings(), self.sweeps, out)
         return out
 
 
@@ -175,43 +175,6 @@ def _complete(k0: np.uint64, k1: np.uint64, number: int, high: Any, level: int) 
     # The word whose bits up to that of `level` are those of `high`, and random below.
     low = (_ONE << np.uint64(52 - level)) - _ONE
     return (high & ~low) | ((mix_bits(k0, k1, number) >> _S11) & low)
-
-
-@kernel
-def _pair(k0: np.uint64, k1: np.uint64, i: int, j: int, level: int, partner: Any) -> Any:
-    # The word in the other half of the partner's interval of width 2^-level.
-    return _complete(k0, k1, 2 * i + j, partner ^ (_ONE << np.uint64(52 - level)), level)
-
-
-@kernel
-def _partners(k0: np.uint64, k1: np.uint64, xors: Array, own: Array) -> None:
-    # Which axis the third quarter of each cell's points goes along, by a coin for each pass.
-    coins = mix_bits(k0, k1, _CHOICES) & _EVEN_BITS
-    for j in range(2):
-        for level in range(xors.shape[1]):
-            x = xors[j, level]
-            own[j, level] = np.int64(x ^ ((x >> _ONE) & coins))
-
-
-@kernel
-def _fill_pmj02(keys: Array, xors: Array, out: Array) -> None:
-    # The partner of i on axis j in pass k is i xor xors[j, k].
-    count, n, _ = out.shape
-    own = np.empty(xors.shape, np.int64)
-    for r in range(count):
-        k0, k1 = keys[r, 0], keys[r, 1]
-        points = out[r]
-        _partners(k0, k1, xors, own)
-        for j in range(2):
-            points[0, j] = np.float64(mix_bits(k0, k1, j) >> _S11) * _UNIT_53
-        level, size = 0, 1
-        while size < n:
-            for i in range(size, min(2 * size, n)):
-                for j in range(2):
-                    partner = np.uint64(points[i ^ own[j, level], j] * _TO_53)
-                    word = _pair(k0, k1, i, j, level, partner)
-                    points[i, j] = np.float64(word) * _UNIT_53
-            level, size = level + 1, 2 * size
 
 
 @kernel
@@ -333,23 +296,34 @@ def _try_flips(axis: int, level: int, size: int, words: Array, owner: Array) -> 
 
 
 @kernel
-def _fill_pmj02_blue_noise(keys: Array, xors: Array, sweeps: int, out: Array) -> None:
-    # As pmj02, but 2^k points are spread out before the next are made.
+def _fill_pmj02(keys: Array, xors: Array, sweeps: int, out: Array) -> None:
+    # (0,2)-sequence; the partner of i on axis j in pass k is i xor xors[j, k]. With `sweeps`, the
+    # points of all passes so far are spread out before the next are made.
     count, n, _ = out.shape
-    own = np.empty(xors.shape, np.int64)
     passes = 0
     while 1 << passes < n:
         passes += 1
-    words = np.empty((2, 1 << passes), np.uint64)
+    room = 1 << passes if sweeps else n
+    own, words = np.empty(xors.shape, np.int64), np.empty((2, room), np.uint64)
     for r in range(count):
         k0, k1 = keys[r, 0], keys[r, 1]
-        _partners(k0, k1, xors, own)
-        words[0, 0], words[1, 0] = mix_bits(k0, k1, 0) >> _S11, mix_bits(k0, k1, 1) >> _S11
+
+        # A coin for each pass: which axis the third quarter of each cell's points goes along
+        coins = mix_bits(k0, k1, _CHOICES) & _EVEN_BITS
+        for j in range(2):
+            words[j, 0] = mix_bits(k0, k1, j) >> _S11
+            for level in range(xors.shape[1]):
+                own[j, level] = np.int64(xors[j, level] ^ ((xors[j, level] >> _ONE) & coins))
+
         for level in range(passes):
-            size = 2 << level
-            for i in range(size >> 1, size):
+            # Each point goes to the other half of its partner's interval of width 2^-level
+            size, half = 2 << level, _ONE << np.uint64(52 - level)
+            for i in range(size >> 1, min(size, room)):
                 for j in range(2):
-                    words[j, i] = _pair(k0, k1, i, j, level, words[j, i ^ own[j, level]])
+                    high = words[j, i ^ own[j, level]] ^ half
+                    words[j, i] = _complete(k0, k1, 2 * i + j, high, level)
+            if not sweeps:
+                continue
 
             # Flip bits below those that number the cells, one point in each
             down = (level + 1) // 2
@@ -363,6 +337,4 @@ def _fill_pmj02_blue_noise(keys: Array, xors: Array, sweeps: int, out: Array) ->
                 for below in range(min(_BITS, down + 1)):
                     _try_flips(0, across + below, size, words, owner)
                     _try_flips(1, down + below, size, words, owner)
-        for i in range(n):
-            for j in range(2):
-                out[r, i, j] = words[j, i] * _UNIT_53
+        out[r] = words[:, :n].T * _UNIT_53

@@ -24,7 +24,6 @@ from mcspectra.core.errors import DomainError
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.samplers import _cell_kernels as kernels
 from mcspectra.samplers._fields import real, whole
-from mcspectra.samplers._kernels import translate
 from mcspectra.samplers.optimised import OptimisedSampler, Report, minimize, random_points, wrap
 
 __all__ = [
@@ -327,8 +326,7 @@ class FarthestPoint(OptimisedSampler):
     def _optimize(self, n: int, keys: Array, report: Report) -> Array:
         drawn = random_points(keys, n + 1, 2)
         points, offset = drawn[:n].copy(), drawn[n:]
-        buckets, holes = kernels.point_buckets(points), np.empty((n, 4))
-        kernels.measure_all(points, buckets, holes)
+        buckets, holes = kernels.measure_all(points)
         for sweep in range(self.sweeps):
             before = points.copy()
             for start in range(0, n, _CHUNK):
@@ -338,7 +336,4 @@ class FarthestPoint(OptimisedSampler):
             if np.array_equal(points, before):
                 break
         # Holes of equal size (there are, among few points) were chosen by where they are
-        moved = np.empty((1, n, 2))
-        translate(points[None], offset, moved)
-        result: Array = moved[0]
-        return result
+        return wrap(points + offset)
