@@ -30,7 +30,7 @@ class Facts:
     counts
         For instance ``any`` or ``1, 4, 9, 16, 25, 36, …`` (in 2-D where it can do 2-D).
     sources
-        The references of its docstring, one line.
+        The references of its docstring, one line; [Keys] are those of ``docs/references.bib``.
     """
 
     name: str
@@ -102,4 +102,4 @@ def _sources(cls: type) -> str:
     match = re.search(
         r"^References\n-+\n(.*?)(?=^\w[^\n]*\n-+\n|\Z)", text, re.MULTILINE | re.DOTALL
     )
-    return " ".join(match.group(1).split()) if match else ""
+    return " ".join(match.group(1).replace("]_", "]").split()) if match else ""
