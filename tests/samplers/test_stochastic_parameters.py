@@ -74,6 +74,22 @@ def test_samplers_of_all_families_are_in_the_plane_only():
     assert {"hexagonal", "multi-jittered", "lloyd", "pmj", "target-pcf", "ldbn"} <= set(PLANE)
 
 
+def test_largest_counts():
+    """Beyond them, time or memory run out."""
+    most = {
+        "poisson-disk": 2**26,
+        "dart-throwing": 2**22,
+        "best-candidate": 2**16,
+        "farthest-point": 2**16,
+        "void-and-cluster": 2**16,
+        "ldbn": 2**16,
+        "pmj02-blue-noise": 2**18,
+        "stealthy-hyperuniform": 2**14,
+        "determinantal": 2**12,
+    }
+    assert {name: sampler(name).max_count for name in most} == most
+
+
 @pytest.mark.parametrize(
     ("spec", "words"),
     [

@@ -337,4 +337,6 @@ def _fill_pmj02(keys: Array, xors: Array, sweeps: int, out: Array) -> None:
                 for below in range(min(_BITS, down + 1)):
                     _try_flips(0, across + below, size, words, owner)
                     _try_flips(1, down + below, size, words, owner)
-        out[r] = words[:, :n].T * _UNIT_53
+        for i in range(n):
+            for j in range(2):
+                out[r, i, j] = words[j, i] * _UNIT_53
