@@ -1,4 +1,4 @@
-"""Poisson disks: n points, the declared distance, no gaps, uniform points, a hole in the spectrum."""
+"""Points that keep apart: declared distances, no gaps, slow references, the law of dart throwing."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import pytest
 from scipy import stats
 from scipy.spatial import Voronoi, cKDTree
 
-import mcspectra as mcs
 from mcspectra.core.errors import CountError, ParameterError
-from mcspectra.samplers import PoissonDisk, sampler
+from mcspectra.core.streams import Stream
+from mcspectra.samplers import BestCandidate, DartThrowing, PoissonDisk, sampler
+from mcspectra.samplers.poisson import densest_distance
 
-FALSE_ALARMS = 1e-6
-CHECKS = 12  # statistical tests in this file
-LEVEL = 1 - (1 - FALSE_ALARMS) ** (1 / CHECKS)  # Šidák
+LEVEL = 1 - (1 - 1e-6) ** (1 / 12)  # Šidák: at most 12 statistical tests in this file share 1e-6
 SHARP = 1e-9  # relative: holes are found to 1e-10 of their size
 ROUNDING = 1e-12  # of a distance computed from coordinates below 1
+
 
 CASES = [
     (1, 100, True),
@@ -35,7 +35,7 @@ CASES = [
 ]
 
 
-def nearest(points, toroidal):
+def nearest(points, toroidal=True):
     """Distance from each point to its nearest neighbor."""
     tree = cKDTree(points, boxsize=1.0 if toroidal else None)
     return tree.query(points, k=2)[0][:, 1]
@@ -95,11 +95,6 @@ def test_maximal_sets_leave_no_room_for_another_disk(dims, n, toroidal):
         assert largest_gap(x, toroidal) <= nearest(x, toroidal).min() * (1 + SHARP)
 
 
-def test_exact_sets_leave_room_that_maximal_ones_do_not():
-    points = PoissonDisk().draw(500, realizations=4, rng=9)
-    assert max(largest_gap(x, True) for x in points) > 1.1 * PoissonDisk().radius(500)
-
-
 def test_maximal_sets_are_near_the_density_at_jamming():
     """Relative radius 0.777 [Torquato 2006]; the points that fill holes come a few percent later."""
     points = PoissonDisk(mode="maximal").draw(500, realizations=10, rng=10)
@@ -109,46 +104,12 @@ def test_maximal_sets_are_near_the_density_at_jamming():
     assert relative.max() < 0.80
 
 
-def test_spec_round_trip():
-    for spec in (
-        "poisson-disk",
-        "poisson-disk(mode='maximal')",
-        "poisson-disk(boundary='bounded', radius=0.5)",
-    ):
-        assert sampler(spec, 3).spec == spec
-        assert sampler(spec, 3) == sampler(sampler(spec, 3).spec, 3)
-    assert sampler("poisson-disk(radius=1)").spec == "poisson-disk(radius=1.0)"
-
-
-@pytest.mark.parametrize("dims", [1, 2, 3])
-def test_a_realization_does_not_depend_on_the_call(dims):
-    source = PoissonDisk(dims=dims)
-    whole = source.draw(50, realizations=8, rng=3)
-    np.testing.assert_array_equal(source.draw(50, realizations=3, rng=3, first=4), whole[4:7])
-    assert len(np.unique(whole.reshape(8, -1), axis=0)) == 8
-    assert not np.array_equal(source.draw(50, rng=4)[0], whole[0])
-
-
-def test_only_the_torus_is_unbiased():
-    assert PoissonDisk().unbiased
-    assert not PoissonDisk(boundary="bounded").unbiased
-    assert sampler("poisson-disk(boundary='bounded') | shift").unbiased
-
-
-@pytest.fixture(scope="module", params=[5, 40])
-def many_sets(request):
-    return PoissonDisk().draw(request.param, realizations=10_000, rng=5)
-
-
-@pytest.mark.parametrize("order", ["first", "last", "any"])
-def test_every_point_is_uniform_on_the_torus(many_sets, order):
-    """χ² on 6×6 cells, one point a realisation."""
-    points, n = many_sets, many_sets.shape[1]
-    any_point = np.random.default_rng(0).integers(n, size=len(points))
-    index = {"first": 0, "last": n - 1, "any": any_point}[order]
-    x = np.floor(6 * points[np.arange(len(points)), index])
-    counts = np.bincount((6 * x[:, 0] + x[:, 1]).astype(int), minlength=36)
-    assert stats.chisquare(counts).pvalue > LEVEL
+def test_first_and_last_points_are_uniform_on_the_torus():
+    """χ² on 6×6 cells, of sets that jam in one attempt of twelve."""
+    points = PoissonDisk().draw(5, realizations=10_000, rng=5)
+    for x in (np.floor(6 * points[:, index]) for index in (0, -1)):
+        counts = np.bincount((6 * x[:, 0] + x[:, 1]).astype(int), minlength=36)
+        assert stats.chisquare(counts).pvalue > LEVEL
 
 
 def test_the_bounded_kind_prefers_the_boundary():
@@ -202,61 +163,91 @@ def test_power_is_low_at_low_frequencies_and_peaks_near_the_inverse_distance():
     assert periodogram(points, peak).mean() > 1 + noise[1]
 
 
-def test_variance_falls_between_the_rates_of_its_two_terms():
-    """Power at low frequencies, which stays, gives −1; gaps at the edge of the disk, −1.5.
-
-    The first is what is left at large n [Pilleboue et al. 2015, table 1: Poisson disk].
-    """
-    disk = mcs.Estimator("disk(center=[0.463, 0.517], radius=0.27)")
-    fit = mcs.convergence(disk, "poisson-disk", [16, 64, 256], realizations=400, rng=11)
-    low, high = fit["rate_ci"].values
-    assert -1.5 < low < high < -1.0
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ({"dims": 5}, "poisson-disk: dims is 5; give a whole number from 1 to 4"),
-        ({"dims": 0}, "dims is 0"),
-        ({"boundary": "torodial"}, "boundary is 'torodial'; .* Did you mean 'toroidal'"),
-        ({"boundary": True}, "boundary is True; it must be one of toroidal, bounded"),
-        ({"mode": "minimal"}, "mode is 'minimal'; it must be one of exact, maximal"),
-        ({"mode": None}, "mode is None"),
-        ({"mode": "maximal", "radius_": 0.5}, "radius is 0.5, but each maximal set has its own"),
-        ({"mode": "maximal", "dims": 4}, "are for 1 to 3 dims, not 4"),
-        ({"radius_": float("inf")}, "radius is inf"),
-        ({"radius_": 0}, "radius is 0; give a finite number at least 0.25 and at most 1"),
-        ({"radius_": -0.5}, "radius is -0.5"),
-        ({"radius_": 1.5}, "radius is 1.5"),
-        ({"radius_": float("nan")}, "radius is nan"),
-        ({"radius_": "wide"}, "radius is 'wide'"),
-    ],
-)
-def test_bad_parameters(arguments, words):
-    with pytest.raises(ParameterError, match=words):
-        PoissonDisk(**arguments)
-
-
-@pytest.mark.parametrize("n", [0, -1, 1.5, "x", float("nan")])
-def test_bad_counts(n):
-    with pytest.raises(CountError, match="give a whole number"):
-        PoissonDisk().draw(n)
-    with pytest.raises(CountError, match="give a whole number"):
-        PoissonDisk().radius(n)
-
-
-@pytest.mark.parametrize("mode", ["exact", "maximal"])
-def test_huge_counts_are_refused_at_once(mode):
-    with pytest.raises(CountError, match="makes at most 67108864 points"):
-        PoissonDisk(mode=mode, dims=1).draw(2**31)
-
-
 def test_maximal_sets_have_no_common_radius():
     with pytest.raises(ParameterError, match="no common radius"):
         PoissonDisk(mode="maximal").radius(16)
 
 
-def test_a_radius_that_leaves_no_room_is_said():
-    with pytest.raises(CountError, match=r"no room for 200 points in 2 dims; give a smaller") as e:
-        sampler("poisson-disk(radius=0.9)").draw(200, rng=1)
-    assert "\n" not in str(e.value)
+def clearances(places, points):
+    """Toroidal distance from each of `places` to the nearest of `points`, without any grid."""
+    gaps = np.abs(places[:, None] - points)
+    return np.sqrt((np.minimum(gaps, 1 - gaps) ** 2).sum(axis=-1)).min(axis=1)
+
+
+@pytest.mark.parametrize(
+    ("dims", "n", "radius"),
+    [(1, 200, 0.7), (2, 1, 0.65), (2, 2, 0.65), (2, 300, 0.72), (3, 200, 0.7), (5, 50, 0.65)],
+)
+def test_darts_keep_the_declared_distance(dims, n, radius):
+    source = DartThrowing(dims=dims, radius_=radius)
+    points = source.draw(n, realizations=5, rng=1)
+    assert points.shape == (5, n, dims)
+    if n > 1:
+        smallest = min(nearest(x).min() for x in points)
+        assert smallest >= source.radius(n) * (1 - ROUNDING)
+    if n >= 200:  # the least distance of many is a tight bound
+        assert smallest < 1.05 * source.radius(n)
+
+
+@pytest.mark.parametrize(("dims", "n"), [(1, 30), (2, 60), (4, 20)])
+def test_darts_are_the_first_places_that_are_far_enough(dims, n):
+    """A slow reference: the same random numbers, every point checked against all before it."""
+    source, stream = DartThrowing(dims=dims), Stream(5)
+    darts = stream.uniforms(3, 1, 20_000 * dims).reshape(-1, dims)
+    taken = darts[:1]
+    for dart in darts[1:]:
+        if len(taken) < n and clearances(dart[None], taken)[0] >= source.radius(n):
+            taken = np.vstack([taken, dart])
+    np.testing.assert_array_equal(source.draw_stream(n, stream, 3, 1)[0], taken)
+
+
+def test_dart_throwing_has_the_law_of_the_poisson_disks():
+    """Same radius: distances to the nearest neighbor of one point a set, from both."""
+    n, realizations = 30, 1500
+    darts = DartThrowing(radius_=0.6).draw(n, realizations=realizations, rng=2)
+    disks = PoissonDisk(radius_=0.6).draw(n, realizations=realizations, rng=3)
+    assert DartThrowing(radius_=0.6).radius(n) == PoissonDisk(radius_=0.6).radius(n)
+    samples = [[nearest(x)[-1] for x in sets] for sets in (darts, disks)]
+    assert stats.ks_2samp(*samples).pvalue > LEVEL
+
+
+@pytest.mark.parametrize(
+    ("dims", "n", "candidates"), [(1, 70, 2), (2, 150, 3), (3, 90, 2), (5, 40, 1)]
+)
+def test_best_candidates_are_those_of_a_search_without_grids(dims, n, candidates):
+    stream = Stream(7)
+    total = sum(max(1, candidates * i) for i in range(n))
+    places = stream.uniforms(2, 1, total * dims).reshape(-1, dims)
+    chosen = places[:1]
+    for i in range(1, n):
+        start = 1 + candidates * i * (i - 1) // 2
+        mine = places[start : start + candidates * i]
+        best = np.argmax(clearances(mine, chosen))
+        chosen = np.vstack([chosen, mine[best]])
+    source = BestCandidate(dims=dims, candidates=candidates)
+    np.testing.assert_array_equal(source.draw_stream(n, stream, 2, 1)[0], chosen)
+
+
+def test_best_candidates_are_progressive():
+    points = BestCandidate().draw(200, realizations=2, rng=4)
+    np.testing.assert_array_equal(BestCandidate().draw(77, realizations=2, rng=4), points[:, :77])
+
+
+def test_more_candidates_are_farther_apart():
+    least = [
+        np.mean(
+            [
+                nearest(x).min()
+                for x in BestCandidate(candidates=c).draw(200, realizations=20, rng=5)
+            ]
+        )
+        for c in (1, 4, 30)
+    ]
+    assert least == sorted(least)
+    assert least[2] > 0.7 * densest_distance(200, 2)
+
+
+@pytest.mark.parametrize("spec", ["poisson-disk(radius=0.9)", "dart-throwing(radius=0.95)"])
+def test_darts_that_find_no_room_are_said(spec):
+    with pytest.raises(CountError, match="no room for 200 points in 2 dims.* smaller radius"):
+        sampler(spec).draw(200, rng=1)

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import stats
-from tests.samplers.test_dither import toroidal_distances
 
 import mcspectra as mcs
-from mcspectra.core.errors import CountError, NotPowerOfTwoWarning, ParameterError
+from mcspectra.core.errors import NotPowerOfTwoWarning
 from mcspectra.samplers import PMJ, PMJ02, PMJ02BlueNoise
-from mcspectra.samplers.progressive import _pairings
+from mcspectra.samplers.progressive import pairings
+
+LEVEL = 1 - (1 - 1e-6) ** (1 / 8)  # Šidák
+
 
 ALL = [PMJ(), PMJ02(), PMJ02BlueNoise()]
 NETS = [PMJ02(), PMJ02BlueNoise()]
-LEVEL = 1 - (1 - 1e-6) ** (1 / 8)  # Šidák
-
 every_sequence = pytest.mark.parametrize("source", ALL, ids=lambda source: source.name)
 every_net = pytest.mark.parametrize("source", NETS, ids=lambda source: source.name)
 
@@ -26,39 +26,42 @@ def occupancy(points, columns, rows):
     return np.stack([np.bincount(row, minlength=columns * rows) for row in cells])
 
 
+def toroidal_distances(points):
+    """Distance of every point to its nearest neighbour on the torus."""
+    offsets = np.abs(points[:, None] - points)
+    squares = (np.minimum(offsets, 1 - offsets) ** 2).sum(axis=-1)
+    np.fill_diagonal(squares, np.inf)
+    return np.sqrt(squares.min(axis=1))
+
+
 def uniform(counts):
     """Whether counts pass as those of equally likely cells."""
     return stats.chisquare(counts).pvalue > LEVEL
 
 
 @every_sequence
-@pytest.mark.parametrize("level", range(11))
-def test_one_point_in_each_interval_of_either_axis(source, level):
-    prefix = source.draw(2**10, realizations=20, rng=1)[:, : 2**level]
-    assert (occupancy(prefix, 2**level, 1) == 1).all()
-    assert (occupancy(prefix, 1, 2**level) == 1).all()
-
-
-@every_sequence
-@pytest.mark.parametrize("level", range(6))
-def test_cells_have_one_point_then_two_on_a_diagonal(source, level):
-    sequence = source.draw(2**10, realizations=20, rng=2)
-    cells = 2**level
-    assert (occupancy(sequence[:, : cells**2], cells, cells) == 1).all()
-    if level == 5:
-        return
-    two = sequence[:, : 2 * cells**2]
-    first, second = two[:, : cells**2], two[:, cells**2 :]
-    quarters = np.floor(first * 2 * cells).astype(int)
-    np.testing.assert_array_equal(quarters ^ 1, np.floor(second * 2 * cells).astype(int))
+def test_intervals_of_either_axis_and_cells_have_one_point(source):
+    """4^k points are one in each of 2^k × 2^k cells, the next 4^k diagonal to them."""
+    sequence = source.draw(2**10, realizations=20, rng=1)
+    for level in range(11):
+        prefix = sequence[:, : 2**level]
+        assert (occupancy(prefix, 2**level, 1) == 1).all()
+        assert (occupancy(prefix, 1, 2**level) == 1).all()
+    for cells in (1, 2, 4, 8, 16, 32):
+        first, second = sequence[:, : cells**2], sequence[:, cells**2 : 2 * cells**2]
+        assert (occupancy(first, cells, cells) == 1).all()
+        if cells < 32:
+            quarters = np.floor(first * 2 * cells).astype(int)
+            np.testing.assert_array_equal(quarters ^ 1, np.floor(second * 2 * cells).astype(int))
 
 
 @every_net
-@pytest.mark.parametrize("level", range(11))
-def test_one_point_in_each_elementary_interval(source, level):
-    prefix = source.draw(2**10, realizations=20, rng=3)[:, : 2**level]
-    for across in range(level + 1):
-        assert (occupancy(prefix, 2**across, 2 ** (level - across)) == 1).all()
+def test_one_point_in_each_elementary_interval(source):
+    sequence = source.draw(2**10, realizations=20, rng=3)
+    for level in range(11):
+        for across in range(level + 1):
+            counts = occupancy(sequence[:, : 2**level], 2**across, 2 ** (level - across))
+            assert (counts == 1).all()
 
 
 @every_net
@@ -87,7 +90,7 @@ def test_pairings_are_those_of_scrambled_sobol_points():
     digits = (sobol * 2**10).astype(int)
     order = [0]
     for level in range(10):  # x of point i differs from that of its partner in digit `level`
-        xor = _pairings()[:, level].astype(int)
+        xor = pairings()[:, level].astype(int)
         size = 2**level
         for i in range(size, 2 * size):
             pairs = [digits[order[i ^ xor[j]], j] >> (9 - level) ^ 1 for j in range(2)]
@@ -149,38 +152,8 @@ def test_more_sweeps_spread_more():
     )
 
 
-@pytest.mark.parametrize(("source", "slope"), [("pmj", -1.8), ("pmj02", -2.8)])
-def test_rates(source, slope):
-    """Variances fall as those of jittered sets, n^-2, or of scrambled nets, near n^-3 (with logs)."""
-    estimator = mcs.Estimator("christensen-gaussian", dims=2)
-    counts = [64, 256, 1024, 4096]
-    fit = mcs.convergence(estimator, source, counts, realizations=1000, rng=2)
-    # With logs there is no straight line, and the interval of a bent fit is wide: noise of the slope alone
-    x = np.log(counts)
-    se = (2 / 1000) ** 0.5 / np.sqrt(((x - x.mean()) ** 2).sum())
-    assert float(fit["rate"]) + 4 * se < slope
-
-
-@every_sequence
-@pytest.mark.parametrize("dims", [0, 1, 3, 2.5, "2", None])
-def test_two_dimensional(source, dims):
-    with pytest.raises(ParameterError, match=f"{source.name}: dims is .* must be 2"):
-        type(source)(dims=dims)
-
-
 @every_sequence
 def test_other_counts_warn(source):
     for n in (3, 100):
         with pytest.warns(NotPowerOfTwoWarning, match=f"{source.name} are not balanced"):
             assert source.draw(n, rng=1).shape == (1, n, 2)
-
-
-@pytest.mark.parametrize("sweeps", [0, -1, 101, 1.5, "2", None, True, float("nan"), float("inf")])
-def test_impossible_sweeps(sweeps):
-    with pytest.raises(ParameterError, match="sweeps is .* from 1 to 100"):
-        PMJ02BlueNoise(sweeps=sweeps)
-
-
-def test_blue_noise_has_a_largest_count():
-    with pytest.raises(CountError, match="makes at most 262144 points"):
-        PMJ02BlueNoise().draw(2**19)

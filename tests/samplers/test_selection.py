@@ -107,12 +107,6 @@ def test_counts_after_skip():
         mcs.Sampler.from_points(np.full((4, 2), 0.5)).then(Skip(count=5)).draw(1)
 
 
-@pytest.mark.parametrize("spec", ["jittered", "uniform-jitter", "rank1-lattice", "latin-hypercube"])
-def test_sets_that_are_no_sequences_cannot_skip(spec):
-    with pytest.raises(ParameterError, match="would break the uniform coverage"):
-        mcs.sampler(f"{spec} | skip(count=4)", 2)
-
-
 def test_hammersley_points_are_no_sequence():
     with pytest.raises(
         ParameterError, match="which is not a sequence; use a sequence such as sobol, halton"
@@ -144,24 +138,3 @@ def test_padded_sets_are_not_correlated_once_shuffled():
     plain = Sobol(dims=1).draw(64)[0, :, 0]
     r = np.array([np.corrcoef(plain, row)[0, 1] for row in x])
     assert abs(r.mean()) < stats.norm.isf(LEVEL / 2) / np.sqrt(63 * 400)
-
-
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: Subset(of=0), "of is"),
-        (lambda: Subset(of=2.5), "of is"),
-        (lambda: Subset(of=float("nan")), "of is"),
-        (lambda: Subset(of="x"), "of is"),
-        (lambda: Subset(of=2**40), "of is"),
-        (lambda: Subset(pick="first"), "random, run"),
-        (lambda: Jittered(dims=2).then(Subset(of=20)), "16 and 25"),
-        (lambda: Skip(count=-1), "count is"),
-        (lambda: Skip(count=0.5), "count is"),
-        (lambda: Skip(count=None), "count is"),
-        (lambda: Skip(count=2**40), "count is"),
-    ],
-)
-def test_bad_parameters(make, words):
-    with pytest.raises(ParameterError, match=words):
-        make()

@@ -9,7 +9,7 @@ from scipy import special
 import mcspectra as mcs
 from mcspectra.core.errors import DomainError, ParameterError
 from mcspectra.samplers import StepBlueNoise, TargetPcf, TargetSpectrum
-from mcspectra.samplers._spectrum_matching import RingLoss, hankel, piecewise_linear
+from mcspectra.samplers.spectral_targets import RingLoss, hankel, piecewise_linear
 
 TARGETS = [
     (StepBlueNoise(), lambda nu: nu >= 0.55),
@@ -20,11 +20,6 @@ TARGETS = [
         lambda nu: np.interp(nu, [0.5, 0.8, 1.2], [0.3, 1.2, 1.0]),
     ),
 ]
-
-
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path))
 
 
 def ring_power(points, most):
@@ -104,21 +99,6 @@ def test_gradient_of_the_loss(n):
     assert abs(slope - np.sum(gradient * direction)) < 1e-5 * (value + 1)
 
 
-def test_rate_of_the_disk():
-    """Power 0 below √n/2: edges leave n^(−3/2) (Pilleboue et al. 2015)."""
-    sampler = StepBlueNoise(cutoff=0.5, iterations=60, sets=4)
-    f = mcs.Estimator(mcs.integrand("disk"))
-    d = mcs.convergence(f, sampler, [16, 64, 256], realizations=500, rng=3)
-    low, high = d["rate_ci"].values
-    assert low - 0.1 < -1.5 < high + 0.1 or high < -1.5  # rings are whole: cutoffs within 10 %
-
-
-@pytest.mark.parametrize("value", [0.6, 0.57, 3])
-def test_steps_that_cannot_be_made(value):
-    with pytest.raises(ParameterError, match="negative density of pairs"):
-        StepBlueNoise(cutoff=value)
-
-
 def test_the_largest_step_is_where_the_pair_correlation_reaches_zero():
     largest = 1 / np.sqrt(np.pi)
     assert StepBlueNoise(cutoff=largest).cutoff == largest
@@ -138,38 +118,6 @@ def test_lists_become_tuples_and_specs():
     made = mcs.samplers.sampler("target-spectrum(frequencies=[0, 1], power=[0.5, 1])")
     assert made == TargetSpectrum(frequencies=(0.0, 1.0), power=np.array([0.5, 1.0]))
     assert hash(made) == hash(TargetSpectrum(frequencies=(0.0, 1.0), power=(0.5, 1.0)))
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"frequencies": [0, 1]}, "shapes"),
-        ({"frequencies": [0, 1], "power": [1]}, "shapes"),
-        ({"frequencies": 1, "power": 1}, "shapes"),
-        ({"frequencies": [], "power": []}, "shapes"),
-        ({"frequencies": [1, 0], "power": [1, 1]}, "increasing"),
-        ({"frequencies": [0, 5], "power": [1, 1]}, "increasing numbers from 0 to 4"),
-        ({"frequencies": [0, float("nan")], "power": [1, 1]}, "increasing"),
-        ({"frequencies": [0, 1], "power": [-1, 1]}, "that are at least 0"),
-        ({"frequencies": [0, 1], "power": [1, float("inf")]}, "that are at least 0"),
-        ({"frequencies": "x", "power": [1]}, "not an array of real numbers"),
-        ({"iterations": 0}, "iterations is 0"),
-        ({"dims": 3}, "dims is 3"),
-        ({"dims": 1}, "it must be 2"),
-        ({"sets": 0}, "sets is 0"),
-    ],
-)
-def test_bad_targets(arguments, message):
-    if "frequencies" in arguments and "power" not in arguments:
-        arguments = arguments | {"power": [1, 1, 1]}
-    with pytest.raises(ParameterError, match=message):
-        TargetSpectrum(**arguments)
-
-
-@pytest.mark.parametrize("value", [0, -1, float("nan"), float("inf"), "x", None, True])
-def test_cutoff_out_of_range(value):
-    with pytest.raises(ParameterError, match=r"^cutoff is .*; give a finite number"):
-        StepBlueNoise(cutoff=value)
 
 
 def test_misfit_wants_points():

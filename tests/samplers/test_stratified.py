@@ -1,15 +1,23 @@
-"""Grids: who sits in which cell, exactly; what is random in it, by χ² and moments."""
+"""Grids: who sits in which cell, exactly; what is random in it, by χ² and moments; lattices."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.spatial import cKDTree
 
 import mcspectra as mcs
-from mcspectra.core.errors import CountError, ParameterError
+from mcspectra.core.errors import CountError
 from mcspectra.core.streams import mix_bits
 from mcspectra.samplers import (
+    AntitheticJittered,
+    BoxJitter,
+    CorrelatedMultiJittered,
+    GaussianJitter,
+    Hexagonal,
     Jittered,
     LatinHypercube,
     MultiJittered,
@@ -18,10 +26,10 @@ from mcspectra.samplers import (
     UniformJitter,
     sampler,
 )
-from mcspectra.samplers._grid import cell_side
 from mcspectra.samplers._kernels import _mix_below
+from mcspectra.samplers.stratified import cell_side, corners
 
-LEVEL = 1 - (1 - 1e-6) ** (1 / 16)  # Šidák: at most 16 statistical tests in this file share 1e-6
+LEVEL = 1 - (1 - 1e-6) ** (1 / 28)  # Šidák: at most 28 statistical tests in this file share 1e-6
 SIGMAS = stats.norm.isf(LEVEL / 2)
 
 
@@ -72,24 +80,6 @@ def test_given_sides_allow_their_product_only(name):
         with pytest.raises(CountError, match=r"nearest count is 15\.$") as caught:
             source.draw(n)
         assert caught.value.nearest == (15,)
-
-
-@pytest.mark.parametrize(
-    ("sides", "sentence"),
-    [
-        ("[3]", "give one for each of the 2 dims"),
-        ("[3, 0]", r"sides\[1\] is 0; give a whole number of at least 1"),
-        ("[3, 2.5]", r"sides\[1\] is 2.5"),
-        ("[3, True]", r"sides\[1\] is True"),
-        ("'33'", "give a list of 2 whole numbers"),
-        ("4", "give a list of 2 whole numbers"),
-        ("[65536, 65536]", "4.29e[+]09 cells; at most 2.15e[+]09"),
-    ],
-)
-@pytest.mark.parametrize("name", ["jittered", "uniform-jitter", "regular"])
-def test_impossible_sides(name, sides, sentence):
-    with pytest.raises(ParameterError, match=sentence):
-        sampler(f"{name}(sides={sides})")
 
 
 def test_positions_of_a_grid_of_given_sides():
@@ -227,3 +217,209 @@ def test_exact_variance_of_given_sides(spec):
     else:
         means = values.mean(axis=0)
         np.testing.assert_allclose(found, weights @ means**2 - (weights @ means) ** 2, rtol=1e-6)
+
+
+def moves_in_cells(points, s):
+    """Toroidal displacement of every point from the centre of its cell, in sides of a cell."""
+    centers = corners((s,) * points.shape[-1]) + 0.5 / s
+    return ((points - centers + 0.5) % 1.0 - 0.5) * s
+
+
+@pytest.mark.parametrize("cls", [BoxJitter, GaussianJitter])
+@pytest.mark.parametrize(("dims", "s"), [(1, 7), (2, 4), (3, 3)])
+def test_no_width_is_the_regular_grid(cls, dims, s):
+    points = cls(dims=dims, width=0.0).draw(s**dims, realizations=2, rng=1)
+    np.testing.assert_allclose(moves_in_cells(points, s), 0.0, atol=1e-14)
+
+
+@pytest.mark.parametrize("width", [0.1, 0.5, 1.0, 1.7, 2.0])
+def test_box_jitter_is_uniform_in_its_box(width):
+    """Whatever the width, up to where the box is as wide as the torus."""
+    s = 4
+    moves = moves_in_cells(BoxJitter(width=width).draw(s * s, realizations=2000, rng=3), s)
+    assert np.abs(moves).max() <= width / 2 + 1e-12
+    share = moves.ravel() / width + 0.5
+    assert stats.kstest(share, "uniform").pvalue > LEVEL
+    first, second = (np.floor(8 * np.clip(share[i::2], 0, 1 - 1e-9)) for i in (0, 1))
+    assert stats.chisquare(np.bincount((8 * first + second).astype(int))).pvalue > LEVEL
+
+
+@pytest.mark.parametrize(
+    ("width", "unbiased"), [(0.5, False), (0.0, False), (1, True), (1.5, False), (3.0, True)]
+)
+def test_box_jitter_is_unbiased_where_the_boxes_tile_the_torus(width, unbiased):
+    """The mean of cos(2π s x), which the centres of the cells make −1, tells."""
+    source = BoxJitter(dims=1, width=width)
+    assert source.unbiased == unbiased
+    waves = np.cos(2 * np.pi * 8 * source.draw(8, realizations=4000, rng=4)).mean()
+    expected = -np.sinc(width)
+    assert abs(waves - expected) < stats.norm.isf(LEVEL / 2) / np.sqrt(2 * 8 * 4000)
+    assert (abs(expected) < 1e-12) == unbiased
+
+
+@pytest.mark.parametrize("width", [0.1, 0.25, 0.6])
+def test_gaussian_jitter_is_gaussian(width):
+    """On a torus of 16 cells, where 0.6 cells wrap at 13 standard deviations."""
+    moves = moves_in_cells(
+        GaussianJitter(dims=1, width=width).draw(16, realizations=3000, rng=5), 16
+    )
+    assert stats.kstest(moves.ravel() / width, "norm").pvalue > LEVEL
+
+
+def test_gaussian_jitter_of_any_width_is_in_range():
+    points = GaussianJitter(width=1000.0).draw(4, realizations=5000, rng=5)
+    assert points.min() >= 0.0
+    assert points.max() < 1.0
+
+
+@pytest.mark.parametrize(("dims", "s"), [(1, 7), (2, 5), (3, 4), (6, 2), (4, 1)])
+def test_antithetic_pairs(dims, s):
+    """Both points in the cell, and their midpoint its centre."""
+    n = 2 * s**dims
+    pairs = AntitheticJittered(dims=dims).draw(n, realizations=50, rng=6).reshape(50, -1, 2, dims)
+    np.testing.assert_array_equal(
+        np.floor(pairs * s) / s, np.broadcast_to(corners((s,) * dims)[:, None], pairs.shape)
+    )
+    centers = corners((s,) * dims) + 0.5 / s
+    np.testing.assert_allclose(
+        pairs.mean(axis=2), np.broadcast_to(centers, (50, n // 2, dims)), rtol=0, atol=1e-15
+    )
+
+
+def test_antithetic_points_are_uniform_in_their_cells():
+    inside = AntitheticJittered().draw(32, realizations=3000, rng=7) * 4 % 1.0
+    for half in (inside[:, ::2], inside[:, 1::2]):
+        pairs = (8 * np.floor(8 * half[..., 0]) + np.floor(8 * half[..., 1])).astype(int)
+        assert stats.chisquare(np.bincount(pairs.ravel(), minlength=64)).pvalue > LEVEL
+
+
+def test_antithetic_counts_are_twice_those_of_grids():
+    possible = [2 * s * s for s in range(1, 20)]
+    source = AntitheticJittered()
+    for n in range(1, 600):
+        below, above = source._counts_near(n)
+        assert below == max((m for m in possible if m <= n), default=None)
+        assert above == min(m for m in possible if m >= n)
+    with pytest.raises(CountError, match="18 and 32"):
+        source.draw(25)
+
+
+def neighbour_distances(points):
+    """Toroidal distances to the six nearest neighbours: (n, 6), sorted."""
+    return cKDTree(points, boxsize=1.0).query(points, k=7)[0][:, 1:]
+
+
+@pytest.mark.parametrize("n", [12, 30, 56, 168, 1400, 3828])
+def test_every_point_of_the_hexagonal_lattice_has_the_same_six_neighbours(n):
+    """Two along its row and four in the rows next to it, at about the distances of the ideal."""
+    distances = neighbour_distances(Hexagonal().draw(n)[0])
+    np.testing.assert_allclose(distances, np.broadcast_to(distances[0], distances.shape), rtol=1e-9)
+    ideal = np.sqrt(2 / (np.sqrt(3) * n))
+    ratio = distances[0, -1] / distances[0, 0]
+    assert ratio < (1.12 if n < 56 else 1.061 if n < 780 else 1.02)
+    assert distances[0, 0] <= ideal * (1 + 1e-12) <= distances[0, -1] * (1 + 1e-9)
+
+
+def test_hexagonal_counts_are_the_nearest_regular_arrays():
+    """By trying all numbers of rows: the nearest to the ratio of the ideal lattice."""
+    wanted = [2 * a * min(range(1, a + 2), key=lambda b: abs(b - a / 3**0.5)) for a in range(1, 30)]
+    source = Hexagonal()
+    for n in range(1, wanted[-1]):
+        below, above = source._counts_near(n)
+        assert below == max((m for m in wanted if m <= n), default=None)
+        assert above == min(m for m in wanted if m >= n)
+    assert wanted[:8] == [2, 4, 12, 16, 30, 36, 56, 80]
+
+
+def test_hexagonal_rows():
+    points = Hexagonal().draw(12)[0].reshape(4, 3, 2)
+    np.testing.assert_allclose(points[..., 1], np.repeat([[1, 3, 5, 7]], 3, axis=0).T / 8)
+    np.testing.assert_allclose(points[0, :, 0], [1 / 12, 5 / 12, 9 / 12])
+    np.testing.assert_allclose(points[1, :, 0], [3 / 12, 7 / 12, 11 / 12])
+
+
+both = pytest.mark.parametrize("cls", [MultiJittered, CorrelatedMultiJittered])
+
+
+def pattern_counts(points):
+    """How often each assignment of the points to n × n strata was drawn."""
+    strata = np.floor(points * points.shape[1]).reshape(len(points), -1)
+    return np.unique(strata, axis=0, return_counts=True)[1]
+
+
+@both
+@pytest.mark.parametrize(
+    ("n", "columns", "rows"), [(1, 1, 1), (2, 1, 2), (16, 4, 4), (24, 4, 6), (1020, 30, 34)]
+)
+def test_jittered_and_latin(cls, n, columns, rows):
+    points = cls().draw(n, realizations=50, rng=9)
+    cells = np.floor(points * [columns, rows]) @ [rows, 1]
+    np.testing.assert_array_equal(np.sort(cells, axis=1), np.tile(np.arange(n), (50, 1)))
+    latin = np.sort(np.floor(points * n), axis=1)
+    np.testing.assert_array_equal(latin, np.broadcast_to(np.arange(n)[:, None], latin.shape))
+
+
+@pytest.mark.parametrize(
+    ("cls", "n", "patterns"),
+    [
+        (MultiJittered, 4, 16),  # 2 × 2 cells: four shuffles of two
+        (CorrelatedMultiJittered, 6, 12),  # 2 × 3 cells: 2! · 3!
+    ],
+)
+def test_shuffles_are_uniform_and_independent(cls, n, patterns):
+    counts = pattern_counts(cls().draw(n, realizations=16_000, rng=6))
+    assert len(counts) == patterns
+    assert stats.chisquare(counts).pvalue > LEVEL
+
+
+@both
+def test_jitter_within_the_strata_is_uniform(cls):
+    inside = cls().draw(16, realizations=4000, rng=12) * 16 % 1.0
+    pairs = (8 * np.floor(8 * inside[..., 0]) + np.floor(8 * inside[..., 1])).astype(int)
+    assert stats.chisquare(np.bincount(pairs.ravel(), minlength=64)).pvalue > LEVEL
+
+
+def rectangle(n):
+    """Columns and rows of the correlated set: a nearly square rectangle, else the memo's rule."""
+    exact = [a for a in range(1, math.isqrt(n) + 1) if n % a == 0 and n <= 2 * a * a]
+    columns = exact[-1] if exact else math.isqrt(n)
+    return columns, math.ceil(n / columns)
+
+
+@pytest.mark.parametrize("n", [3, 5, 7, 10, 13, 14, 32, 61, 997])
+def test_correlated_of_any_count_leaves_the_last_row_incomplete(n):
+    """The second axis is Latin, the cells and the strata of the first hold at most one point."""
+    points = CorrelatedMultiJittered().draw(n, realizations=40, rng=3)
+    columns, rows = rectangle(n)
+    np.testing.assert_array_equal(np.floor(points[..., 1] * n), np.tile(np.arange(n), (40, 1)))
+    cells = np.floor(points[..., 0] * columns) * rows + np.arange(n) // columns
+    strata = np.floor(points[..., 0] * columns * rows)
+    for taken in (cells, strata):
+        assert all(len(np.unique(row)) == n for row in taken)
+
+
+@pytest.mark.parametrize("n", [24, 14])
+def test_correlated_is_one_shuffle_of_columns_and_one_of_rows(n):
+    """What the memo writes for point s, with the shuffles read off the first row and column."""
+    columns, rows = rectangle(n)
+    s = np.arange(n)
+    for points in CorrelatedMultiJittered().draw(n, realizations=20, rng=8):
+        fine = np.floor(points[:, 0] * columns * rows).astype(int)
+        across, down = fine[:columns] // rows, fine[::columns] % rows
+        np.testing.assert_array_equal(fine, across[s % columns] * rows + down[s // columns])
+        assert sorted(across) == list(range(columns))
+        assert sorted(down) == list(range(rows))
+
+
+def test_multi_jittered_counts_are_the_nearly_square_products():
+    possible = [a * b for a in range(1, 40) for b in range(a, 2 * a + 1)]
+    source = MultiJittered()
+    for n in range(1, 800):
+        if n in possible:
+            assert source.check_count(n) == n
+            continue
+        below = max(m for m in possible if m < n)
+        above = min(m for m in possible if m > n)
+        with pytest.raises(CountError, match=f"{below} and {above}") as caught:
+            source.check_count(n)
+        assert caught.value.nearest == (below, above)

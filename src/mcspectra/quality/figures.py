@@ -219,7 +219,7 @@ def _transport_cost(points: Array) -> float:
             f"{len(points)} points are too many for the transport cost; "
             f"give at most {_MOST_TRANSPORTED}."
         )
-    from mcspectra.samplers.voronoi import transport_cost
+    from mcspectra.samplers.relaxation import transport_cost
 
     return transport_cost(points)
 

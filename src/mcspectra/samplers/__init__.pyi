@@ -2,29 +2,19 @@ from .base import Randomization as Randomization
 from .base import Randomized as Randomized
 from .base import Sampler as Sampler
 from .base import Structure as Structure
-from .candidates import BestCandidate as BestCandidate
-from .candidates import DartThrowing as DartThrowing
-from .candidates import FarthestPoint as FarthestPoint
-from .determinantal import Determinantal as Determinantal
+from .dither import LowDiscrepancyBlueNoise as LowDiscrepancyBlueNoise
 from .dither import VoidAndCluster as VoidAndCluster
 from .external import FunctionSampler as FunctionSampler
 from .external import GivenPoints as GivenPoints
 from .external import QmcpySampler as QmcpySampler
 from .external import ScipySampler as ScipySampler
-from .gaussian_blue_noise import GaussianBlueNoise as GaussianBlueNoise
-from .hexagonal import Hexagonal as Hexagonal
+from .hyperuniform import Determinantal as Determinantal
 from .hyperuniform import PerturbedLattice as PerturbedLattice
 from .hyperuniform import StealthyHyperuniform as StealthyHyperuniform
-from .jitter import AntitheticJittered as AntitheticJittered
-from .jitter import BoxJitter as BoxJitter
-from .jitter import GaussianJitter as GaussianJitter
 from .lattice import Fibonacci as Fibonacci
 from .lattice import Korobov as Korobov
 from .lattice import Kronecker as Kronecker
 from .lattice import Rank1Lattice as Rank1Lattice
-from .ldbn import LowDiscrepancyBlueNoise as LowDiscrepancyBlueNoise
-from .multijitter import CorrelatedMultiJittered as CorrelatedMultiJittered
-from .multijitter import MultiJittered as MultiJittered
 from .nets import DigitalNet as DigitalNet
 from .nets import Faure as Faure
 from .nets import LarcherPillichshammer as LarcherPillichshammer
@@ -33,6 +23,8 @@ from .nets import Sobol as Sobol
 from .orthogonal import LatinHypercube as LatinHypercube
 from .orthogonal import NRooks as NRooks
 from .orthogonal import OrthogonalArray as OrthogonalArray
+from .poisson import BestCandidate as BestCandidate
+from .poisson import DartThrowing as DartThrowing
 from .poisson import PoissonDisk as PoissonDisk
 from .progressive import PMJ as PMJ
 from .progressive import PMJ02 as PMJ02
@@ -51,6 +43,11 @@ from .registry import SAMPLERS as SAMPLERS
 from .registry import as_sampler as as_sampler
 from .registry import sampler as sampler
 from .registry import sampler_from_calls as sampler_from_calls
+from .relaxation import Bnot as Bnot
+from .relaxation import FarthestPoint as FarthestPoint
+from .relaxation import GaussianBlueNoise as GaussianBlueNoise
+from .relaxation import Lloyd as Lloyd
+from .relaxation import transport_cost as transport_cost
 from .scrambles import DigitalShift as DigitalShift
 from .scrambles import Lms as Lms
 from .scrambles import Owen as Owen
@@ -62,13 +59,16 @@ from .sliced import SlicedOptimalTransport as SlicedOptimalTransport
 from .spectral_targets import StepBlueNoise as StepBlueNoise
 from .spectral_targets import TargetPcf as TargetPcf
 from .spectral_targets import TargetSpectrum as TargetSpectrum
+from .stratified import AntitheticJittered as AntitheticJittered
+from .stratified import BoxJitter as BoxJitter
+from .stratified import CorrelatedMultiJittered as CorrelatedMultiJittered
+from .stratified import GaussianJitter as GaussianJitter
+from .stratified import Hexagonal as Hexagonal
 from .stratified import Jittered as Jittered
+from .stratified import MultiJittered as MultiJittered
 from .stratified import Random as Random
 from .stratified import Regular as Regular
 from .stratified import UniformJitter as UniformJitter
-from .voronoi import Bnot as Bnot
-from .voronoi import Lloyd as Lloyd
-from .voronoi import transport_cost as transport_cost
 
 __all__ = [
     "PMJ",

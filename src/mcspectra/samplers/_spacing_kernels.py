@@ -1,13 +1,13 @@
 """Numba kernels of samplers that keep points apart: arrays only, nothing checked.
 
-Dart throwing on a grid of cells that hold one point each (method: `samplers.poisson`), and buckets:
-cells over the first axes of the domain, each with a chain of the points in it, for distances to
-points that stand anywhere.
+Dart throwing on a grid of cells that hold one point each (method: `samplers.poisson`); buckets, cells
+over the first axes of the domain, each with a chain of the points in it, for distances to points that
+stand anywhere; and what is chosen by such distances: darts, best candidates, largest empty disks.
 
-Legend: n points, d dims; ``out`` float64 (R, n, d), ``keys`` uint64 (R, 2); `at` numbers the random
-numbers of a realisation; `wrap`: distances go round the edges. Buckets are a tuple (side, axes, head,
-chain): `side` cells along each of the first `axes` axes, head (cells,) the last point put into each
-cell, chain (n,) the one before it, −1 at the end.
+Legend: R realisations, n points, d dims; ``out`` float64 (R, n, d), ``keys`` uint64 (R, 2); `at`
+numbers the random numbers of a realisation; `wrap`: distances go round the edges. Buckets are a tuple
+(side, axes, head, chain): `side` cells along each of the first `axes` axes, head (cells,) the last
+point put into each cell, chain (n,) the one before it, −1 at the end.
 """
 
 from __future__ import annotations
@@ -20,12 +20,25 @@ from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import mix_uniform
 
-__all__ = ["add_to_buckets", "clearance", "empty_buckets", "throw_set", "throw_sets"]
+__all__ = [
+    "add_to_buckets",
+    "empty_buckets",
+    "fill_holes",
+    "pick_candidates",
+    "throw_darts",
+    "throw_set",
+    "throw_sets",
+]
 
 _BELOW_ONE = 1.0 - 2.0**-53
 _FINEST = 2**40
 _NOWHERE = 9.0  # coordinate of an empty cell, farther away than any radius
-_AXES = 3  # of buckets: more would be visits to empty cells
+_AXES = 3  # of buckets and grids: more would be visits to empty cells
+# In cells, which are about a quarter of the points' spacing: more than any distance to the nearest
+_REACH = 7
+_ROUNDING = 1e-9  # of a cell
+_FAR = 16.0  # squared distance beyond any in the domain, in up to 4 dims
+_SHARP = 1e-10  # of the distance: how exactly the centre of a hole is found
 
 
 @kernel
@@ -44,18 +57,6 @@ def add_to_buckets(i: int, x: Array, buckets: Any) -> None:
         cell = cell * side + min(int(x[j] * side), side - 1)
     chain[i] = head[cell]
     head[cell] = i
-
-
-@kernel
-def _square(a: Array, b: Array, wrap: bool) -> float:
-    # Squared distance of two points, the short way round if `wrap`.
-    total = 0.0
-    for j in range(a.size):
-        gap = abs(a[j] - b[j])
-        if wrap and gap > 0.5:
-            gap = 1.0 - gap
-        total += gap * gap
-    return total
 
 
 @kernel
@@ -78,23 +79,22 @@ def _shell_cell(x: Array, code: int, ring: int, buckets: Any, wrap: bool) -> int
 
 
 @kernel
-def _edge(x: Array, buckets: Any) -> float:
-    # Distance from x to the nearest wall of its cell, in cells.
-    side, nearest = buckets[0], 0.5
-    for j in range(buckets[1]):
-        inside = x[j] * side - min(int(x[j] * side), side - 1)
-        nearest = min(nearest, inside, 1.0 - inside)
-    return max(nearest, 0.0)
-
-
-@kernel
-def clearance(x: Array, points: Array, buckets: Any, wrap: bool, stop: float, most: float) -> float:
-    """Return the squared distance from x to the nearest point, `most` if that is smaller.
-
-    As soon as a point is nearer than `stop` (squared), the search ends with its distance.
-    """
+def _clearance(
+    x: Array, points: Array, buckets: Any, wrap: bool, stop: float, most: float
+) -> float:
+    # Squared distance from x to the nearest point, `most` if that is smaller. As soon as a point is
+    # nearer than `stop` (squared), the search ends with its distance.
     side, axes, head, chain = buckets
-    least, edge = most, _edge(x, buckets)
+
+    # Distance from x to the nearest wall of its cell, in cells
+    edge = 0.5
+    for j in range(axes):
+        inside = x[j] * side - min(int(x[j] * side), side - 1)
+        edge = min(edge, inside, 1.0 - inside)
+    edge = max(edge, 0.0)
+
+    # Look into the cells around x, shell by shell
+    least = most
     for ring in range(side if not wrap else side // 2 + 1):
         if ring and (ring - 1.0 + edge) ** 2 >= least * side * side:
             break
@@ -102,7 +102,13 @@ def clearance(x: Array, points: Array, buckets: Any, wrap: bool, stop: float, mo
             cell = _shell_cell(x, code, ring, buckets, wrap)
             i = head[cell] if cell >= 0 else -1
             while i >= 0:
-                least = min(least, _square(x, points[i], wrap))
+                square = 0.0
+                for j in range(x.size):
+                    gap = abs(x[j] - points[i, j])
+                    if wrap and gap > 0.5:
+                        gap = 1.0 - gap
+                    square += gap * gap
+                least = min(least, square)
                 if least < stop:
                     return least
                 i = chain[i]
@@ -137,8 +143,7 @@ def _place(x: Array, side: int, reach: int, wrap: bool, grid: Array) -> None:
     # Put x, and its periodic images within reach of the domain, into the padded grid.
     dims = x.size
     turns = 1 + (reach - 1) // side if wrap else 0
-    images = (2 * turns + 1) ** dims
-    for image in range(images):
+    for image in range((2 * turns + 1) ** dims):
         rest, index, inside = image, 0, True
         for j in range(dims):
             c = min(int(x[j] * side), side - 1) + reach + (rest % (2 * turns + 1) - turns) * side
@@ -153,38 +158,6 @@ def _place(x: Array, side: int, reach: int, wrap: bool, grid: Array) -> None:
 
 
 @kernel
-def _halved(
-    active: Array, scale: int, side: int, reach: int, radius: float, near: Array, grid: Array
-) -> Array:
-    # Children, at twice the scale, of the active cells, but those that a disk covers.
-    m, dims = active.shape
-    children = np.empty((m << dims, dims), np.int64)
-    center = np.empty(dims)
-    kept = 0
-    for i in range(m):
-        for corner in range(1 << dims):
-            for j in range(dims):
-                children[kept, j] = 2 * active[i, j] + ((corner >> j) & 1)
-                center[j] = (children[kept, j] + 0.5) / (2 * scale)
-            home = _home(center, side, reach)
-            if not _is_covered(center, 0.25 / scale, home, radius, near, grid):
-                kept += 1
-    return children[:kept]
-
-
-@kernel
-def _all_cells(side: int, dims: int) -> Array:
-    # Integer coordinates (side^d, d) of the grid.
-    active = np.empty((side**dims, dims), np.int64)
-    for i in range(active.shape[0]):
-        rest = i
-        for j in range(dims):
-            active[i, dims - 1 - j] = rest % side
-            rest //= side
-    return active
-
-
-@kernel
 def throw_set(k0: Any, k1: Any, at: int, disks: Any, points: Array) -> tuple[int, int]:
     """Throw until `points` (n, d) are placed or none fits any more.
 
@@ -193,10 +166,18 @@ def throw_set(k0: Any, k1: Any, at: int, disks: Any, points: Array) -> tuple[int
     radius, side, reach, near, wrap, throws = disks
     n, dims = points.shape
     grid = np.full(((side + 2 * reach) ** dims, dims), _NOWHERE)
-    active = _all_cells(side, dims)
-    scale, placed = side, 0
-    x = np.empty(dims)
+    scale, placed, x = side, 0, np.empty(dims)
+
+    # All cells may have room: their integer coordinates (side^d, d)
+    active = np.empty((side**dims, dims), np.int64)
+    for i in range(active.shape[0]):
+        rest = i
+        for j in range(dims):
+            active[i, dims - 1 - j] = rest % side
+            rest //= side
+
     while active.shape[0] > 0 and scale < _FINEST:
+        # Throw darts into random cells; one that has got its point goes off the list
         m = active.shape[0]
         for _ in range(throws * m):
             pick = int(mix_uniform(k0, k1, at) * m)
@@ -213,13 +194,24 @@ def throw_set(k0: Any, k1: Any, at: int, disks: Any, points: Array) -> tuple[int
                 placed += 1
                 if placed == n:
                     return placed, at
-            # The cell has its point: take it off the list.
             m -= 1
             for j in range(dims):
                 active[pick, j] = active[m, j]
             if m == 0:
                 break
-        active = _halved(active[:m], scale, side, reach, radius, near, grid)
+
+        # Halve the cells left over along every axis, and drop the children that a disk covers
+        children = np.empty((m << dims, dims), np.int64)
+        kept = 0
+        for i in range(m):
+            for corner in range(1 << dims):
+                for j in range(dims):
+                    children[kept, j] = 2 * active[i, j] + ((corner >> j) & 1)
+                    x[j] = (children[kept, j] + 0.5) / (2 * scale)
+                home = _home(x, side, reach)
+                if not _is_covered(x, 0.25 / scale, home, radius, near, grid):
+                    kept += 1
+        active = children[:kept]
         scale *= 2
     return placed, at
 
@@ -227,13 +219,190 @@ def throw_set(k0: Any, k1: Any, at: int, disks: Any, points: Array) -> tuple[int
 @kernel
 def throw_sets(keys: Array, disks: Any, attempts: int, out: Array) -> bool:
     """Fill out (R, n, d); False if a realisation jams in every attempt."""
-    n = out.shape[1]
     for r in range(out.shape[0]):
         at: Any = np.int64(0)  # a literal 0 would compile throw_set twice
         placed, attempt = 0, 0
-        while placed < n:
+        while placed < out.shape[1]:
             if attempt == attempts:
                 return False
             placed, at = throw_set(keys[r, 0], keys[r, 1], at, disks, out[r])
             attempt += 1
     return True
+
+
+@kernel
+def throw_darts(
+    keys: Array, limit: float, side: int, trials: int, attempts: int, out: Array
+) -> bool:
+    """Fill out (R, n, d) with points of squared distances ≥ `limit`; False if a set does not fit."""
+    count, n, dims = out.shape
+    for r in range(count):
+        points, at, placed, attempt = out[r], 0, 0, 0
+        while placed < n:
+            if attempt == attempts:
+                return False
+            attempt += 1
+
+            # Throw until all points stick or `trials` darts in a row do not
+            buckets = empty_buckets(n, dims, side)
+            placed, missed = 0, 0
+            while placed < n and missed < trials:
+                x = points[placed]
+                for j in range(dims):
+                    x[j] = mix_uniform(keys[r, 0], keys[r, 1], at + j)
+                at += dims
+                missed += 1
+                if _clearance(x, points, buckets, True, limit, limit) >= limit:
+                    add_to_buckets(placed, x, buckets)
+                    placed += 1
+                    missed = 0
+    return True
+
+
+@kernel
+def _lower_ceilings(x: Array, side: int, ceilings: Array) -> None:
+    # What a new point at x means for the cells around it: no place is farther from it than the
+    # centre of the cell is, plus half the diagonal. Cells beyond the reach keep their ceilings.
+    dims = x.size
+    half = 0.5 * np.sqrt(dims) + _ROUNDING
+    reach = min(_REACH, side // 2)
+    for code in range((2 * reach + 1) ** dims if dims <= _AXES else 0):
+        rest, cell, square = code, 0, 0.0
+        for j in range(dims):
+            c = int(x[j] * side) + rest % (2 * reach + 1) - reach
+            square += (c + 0.5 - x[j] * side) ** 2
+            cell = cell * side + c % side
+            rest //= 2 * reach + 1
+        ceilings[cell] = min(ceilings[cell], ((np.sqrt(square) + half) / side) ** 2)
+
+
+@kernel
+def _grids(points: Array, placed: int, room: int) -> Any:
+    # For `room` points, of which the first `placed` are there: buckets, about one point in each when
+    # full, and ceilings of much smaller cells (of one cell in many dims, which knows nothing).
+    dims = points.shape[1]
+    buckets = empty_buckets(room, dims, max(1, int(room ** (1.0 / min(dims, _AXES)))))
+    side = 4 * buckets[0] if dims <= _AXES else 1
+    ceilings = np.full(side ** min(dims, _AXES), 1.0 * dims)
+    for i in range(placed):
+        add_to_buckets(i, points[i], buckets)
+        _lower_ceilings(points[i], side, ceilings)
+    return buckets, side, ceilings
+
+
+@kernel
+def pick_candidates(keys: Array, candidates: int, out: Array) -> None:
+    """Fill out (R, n, d): point i is the farthest from those before it of candidates·i places."""
+    count, n, dims = out.shape
+    x = np.empty(dims)
+    for r in range(count):
+        points, at, room = out[r], 0, 1
+        buckets, side, ceilings = _grids(points, 0, room)
+        for i in range(n):
+            if i == room:  # smaller cells
+                room *= 2
+                buckets, side, ceilings = _grids(points, i, room)
+            best = -1.0
+            for _ in range(max(1, candidates * i)):
+                for j in range(dims):
+                    x[j] = mix_uniform(keys[r, 0], keys[r, 1], at + j)
+                at += dims
+
+                # Pass over places whose cell is known to be nearer to a point than the best
+                cell = 0
+                for j in range(dims if side > 1 else 0):
+                    cell = cell * side + min(int(x[j] * side), side - 1)
+                if ceilings[cell] <= best:
+                    continue
+                near = _clearance(x, points, buckets, True, best, 1.0 * dims)
+                if near > best:
+                    best = near
+                    points[i] = x
+            add_to_buckets(i, points[i], buckets)
+            _lower_ceilings(points[i], side, ceilings)
+
+
+@kernel
+def _push(heap: Array, size: int, row: Array) -> None:
+    # Put a row into the heap of `size` rows, the largest first column on top.
+    i = size
+    while i > 0 and heap[(i - 1) // 2, 0] < row[0]:
+        heap[i] = heap[(i - 1) // 2]
+        i = (i - 1) // 2
+    heap[i] = row
+
+
+@kernel
+def _pop(heap: Array, size: int, row: Array) -> None:
+    # Take the top of the heap of `size` rows into `row`.
+    row[:] = heap[0]
+    last = heap[size - 1]
+    i, child = 0, 1
+    while child < size - 1:
+        if child + 1 < size - 1 and heap[child + 1, 0] > heap[child, 0]:
+            child += 1
+        if last[0] >= heap[child, 0]:
+            break
+        heap[i] = heap[child]
+        i, child = child, 2 * child + 1
+    heap[i] = last
+
+
+@kernel
+def _set_bound(box: Array, points: Array, buckets: Any, wrap: bool) -> None:
+    # box (d + 2,): bound, half the side, centre.
+    near = _clearance(box[2:], points, buckets, wrap, -1.0, _FAR)
+    box[0] = np.sqrt(near) + box[1] * np.sqrt(box.size - 2)
+
+
+@kernel
+def fill_holes(points: Array, placed: int, wrap: bool) -> None:
+    """Place the rest of points (n, d), the first `placed` given, each as far from all as can be.
+
+    Branch and bound, on the torus or in the cube: in a box of centre c no place is farther from all
+    points than c is, plus half the diagonal. Boxes wait in a heap, that of the largest bound on top;
+    new points only lower bounds, so that stale ones are mended when they come up.
+    """
+    n, dims = points.shape
+    buckets = empty_buckets(n, dims, max(1, int(n ** (1.0 / dims))))
+    for i in range(placed):
+        add_to_buckets(i, points[i], buckets)
+
+    # Begin with boxes as large as half a bucket
+    side, box, part = 2 * buckets[0], np.empty(dims + 2), np.empty(dims + 2)
+    heap, size = np.empty((2 * side**dims + 1024, dims + 2)), side**dims
+    for i in range(size):
+        rest = i
+        for j in range(dims):
+            box[2 + j] = (rest % side + 0.5) / side
+            rest //= side
+        box[1] = 0.5 / side
+        _set_bound(box, points, buckets, wrap)
+        _push(heap, i, box)
+
+    while placed < n:
+        _pop(heap, size, box)
+        size -= 1
+        _set_bound(box, points, buckets, wrap)
+        if size > 0 and box[0] < heap[0, 0]:  # the bound was stale: back into the heap
+            _push(heap, size, box)
+            size += 1
+        elif box[1] > _SHARP * box[0]:
+            # Split the box into its 2^d parts
+            if size + (1 << dims) > heap.shape[0]:
+                larger = np.empty((2 * heap.shape[0], dims + 2))
+                larger[:size] = heap[:size]
+                heap = larger
+            for corner in range(1 << dims):
+                part[1] = 0.5 * box[1]
+                for j in range(dims):
+                    part[2 + j] = box[2 + j] + (2 * ((corner >> j) & 1) - 1) * part[1]
+                _set_bound(part, points, buckets, wrap)
+                _push(heap, size, part)
+                size += 1
+        else:
+            points[placed] = np.minimum(box[2:], _BELOW_ONE)
+            add_to_buckets(placed, points[placed], buckets)
+            placed += 1
+            _push(heap, size, box)
+            size += 1

@@ -1,24 +1,50 @@
-"""Void and cluster: the order in which cells of a toroidal grid are filled, each time the emptiest."""
+"""Blue noise in the cells of a toroidal grid: void and cluster, dither masks, low discrepancy.
+
+Void and cluster fills the cells of a fine grid, each time the emptiest place. Low-discrepancy blue noise
+moves the points of a blue-noise set within their cells so that they become a low-discrepancy set.
+
+Legend of the kernels: a ``pattern`` bool (s, s) on the torus has ones where points are; ``energy``
+float64 (s, s) is the sum of Gaussians around the ones; ``weights`` (2·reach + 1,) is one Gaussian along
+an axis; ``heads`` int64 (2, s) holds, for each row, the column of the one of highest energy (tightest
+cluster) and that of the zero of lowest energy (largest void), -1 where the row has none. A ``grid`` is
+pattern, energy and heads; a cell is i·s + j. Other ``points`` float64 (s, s, 2) have one point in each of
+s × s cells, in units of cells: that of cell (i, j) is in [i, i+1) × [j, j+1), on the torus.
+
+The Gaussian's width is 1.5 cells, as Ulichney's, but grows with the spacing of the ones where that is
+more than three cells: a Gaussian that does not reach the next point cannot tell where that is.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
-from mcspectra.samplers import _dither_kernels
-from mcspectra.samplers.base import check_dims
-from mcspectra.samplers.optimised import OptimisedSampler, check_sets
+from mcspectra.core.jit import kernel
+from mcspectra.core.streams import mix_uniform
+from mcspectra.samplers._fields import whole
+from mcspectra.samplers._kernels import _mix_below, _shuffle
+from mcspectra.samplers.base import Structure
+from mcspectra.samplers.optimised import OptimisedSampler, Report, random_points
 
-__all__ = ["VoidAndCluster", "dither_mask"]
+__all__ = ["LowDiscrepancyBlueNoise", "VoidAndCluster", "dither_mask", "snap_in_chunks"]
 
 _MOST_SIDE = 2048
 _ONES = 0.1  # share of ones in the first pattern of a mask, Ulichney (1993)
+_SIGMA = 1.5  # cells, Ulichney (1993)
+_SIGMA_PER_SPACING = 0.47  # what 1.5 cells are at his density, one point in ten cells
+_WIDTHS = 6.0  # where the Gaussian is cut off: 1.5e-8
+_CLEAR = 1e-9  # gain of energy that is more than rounding: relaxation must come to an end
+_CLUSTER, _VOID = 0, 1
+_REPELLING = 0.5  # width of the Gaussians that repel points in their cells, in cells
+_REACH = 2  # cells to either side whose points are felt
+_REPORTS = 10
+_LAST_STEP = 0.05  # cells
+_BELOW_ONE = 1.0 - 2.0**-53
 
 
 def dither_mask(size: int, keys: Array) -> Array:
@@ -39,17 +65,17 @@ def dither_mask(size: int, keys: Array) -> Array:
 
     References
     ----------
-    Ulichney (1993), "The void-and-cluster method for dither array generation",
-    doi 10.1117/12.152707.
+    [Ulichney1993]_.
     """
     size = as_integer("size", size, least=1, most=_MOST_SIDE)
     if size == 1:
         return np.zeros((1, 1), np.int64)
-    grid = _Grid(size, max(1, round(_ONES * size * size)), keys)
-    while not grid.relax(size * size):
+    grid, weights = _random_grid(keys[0], keys[1], max(1, round(_ONES * size * size)), size)
+    while not _relax(grid, weights, size * size):
         pass
-    ranks = np.empty(size * size, np.int64)
-    ranks[grid.order_all()] = np.arange(size * size)
+    order, ranks = np.empty(size * size, np.int64), np.empty(size * size, np.int64)
+    _rank_all(grid, order)
+    ranks[order] = np.arange(size * size)
     return ranks.reshape(size, size)
 
 
@@ -70,60 +96,309 @@ class VoidAndCluster(OptimisedSampler):
 
     References
     ----------
-    Ulichney (1993), "The void-and-cluster method for dither array generation",
-    doi 10.1117/12.152707.
+    [Ulichney1993]_.
     """
 
     name: ClassVar[str] = "void-and-cluster"
+    min_dims: ClassVar[int] = 2
     max_dims: ClassVar[int | None] = 2
+    other_dims: ClassVar[str] = "for other dims use poisson-disk"
     dims: int = 2
-    cells: int = 16
+    cells: int = whole(16, least=4, most=256)
 
-    def __post_init__(self) -> None:
-        if self.dims != 2:
-            raise ParameterError(
-                f"void-and-cluster: dims is {self.dims!r}; it must be 2, "
-                "for other dims use poisson-disk."
-            )
-        check_dims(self)
-        check_sets(self)
-        object.__setattr__(self, "cells", as_integer("cells", self.cells, least=4, most=256))
-
-    def _optimize(self, n: int, keys: Array, report: Callable[[float], None]) -> Array:
+    def _optimize(self, n: int, keys: Array, report: Report) -> Array:
         side = math.isqrt(self.cells * n - 1) + 1
-        grid = _Grid(side, n, keys)
+        grid, weights = _random_grid(keys[0], keys[1], n, side)
         rounds = 0
-        while not grid.relax(n):
+        while not _relax(grid, weights, n):
             rounds += 1
             report(1.0 - 0.5 ** (rounds / 4))  # how many will follow is not known
-        points = np.empty((n, 2))
-        _dither_kernels.jitter_cells(keys[0], keys[1], grid.order_ones(), side, points)
+        order, points = np.empty(n, np.int64), np.empty((n, 2))
+        _rank_ones(grid, order)
+        _jitter_cells(keys[0], keys[1], order, side, points)
         return points
 
 
-class _Grid:
-    """A pattern on its way to a ranking."""
+@kernel
+def _spread(cell: Any, sign: float, weights: Array, energy: Array) -> None:
+    # Add the Gaussian around a cell, times `sign`, to the energy.
+    side, reach = energy.shape[0], weights.size // 2
+    for k in range(weights.size):
+        row = energy[(cell // side + k - reach) % side]
+        height = sign * weights[k]
+        j = (cell - reach) % side
+        for m in range(weights.size):
+            row[j] += height * weights[m]
+            j = j + 1 if j + 1 < side else 0
 
-    def __init__(self, side: int, ones: int, keys: Array) -> None:
-        self.ones = ones
-        self.pattern = np.zeros((side, side), np.bool_)
-        self.energy = np.empty((side, side))
-        self.heads = np.empty((2, side), np.int64)
-        _dither_kernels.random_pattern(keys[0], keys[1], ones, self.pattern)
-        self.weights = _dither_kernels.start(self.pattern, self.energy, self.heads)
 
-    def relax(self, steps: int) -> bool:
-        """Move ones out of clusters into voids; return whether no more moves are left."""
-        return _dither_kernels.relax(self.pattern, self.weights, self.energy, self.heads, steps)
+@kernel
+def _find_heads(i: int, pattern: Array, energy: Array, heads: Array) -> None:
+    # Find the heads of row i.
+    high, low = -np.inf, np.inf
+    heads[_CLUSTER, i] = heads[_VOID, i] = -1
+    for j in range(pattern.shape[0]):
+        e = energy[i, j]
+        if pattern[i, j]:
+            if e > high:
+                high, heads[_CLUSTER, i] = e, j
+        elif e < low:
+            low, heads[_VOID, i] = e, j
 
-    def order_ones(self) -> Array:
-        """Return the cells of the pattern, which is lost, by rank."""
-        order = np.empty(self.ones, np.int64)
-        _dither_kernels.rank_pattern(self.pattern, self.energy, self.heads, order)
-        return order
 
-    def order_all(self) -> Array:
-        """Return all cells by rank; the pattern is lost."""
-        order = np.empty(self.pattern.size, np.int64)
-        _dither_kernels.fill_mask(self.pattern, self.energy, self.heads, order)
-        return order
+@kernel
+def _random_grid(k0: np.uint64, k1: np.uint64, ones: int, side: int) -> Any:
+    # A grid with `ones` random ones, and its weights.
+    pattern, order = np.zeros((side, side), np.bool_), np.empty(side * side, np.int64)
+    _shuffle(k0, k1, 0, order)
+    for cell in order[:ones]:
+        pattern[cell // side, cell % side] = True
+    grid = pattern, np.empty((side, side)), np.empty((2, side), np.int64)
+    return grid, _start(grid)
+
+
+@kernel
+def _start(grid: Any) -> Array:
+    # Fill energy and heads of a pattern, which has ones; return the weights.
+    pattern, energy, heads = grid
+    side, cells = pattern.shape[0], np.flatnonzero(pattern)
+    sigma = max(_SIGMA, _SIGMA_PER_SPACING * side / np.sqrt(cells.size))
+    reach = min(int(np.ceil(_WIDTHS * sigma)), (side - 1) // 2)
+    weights: Array = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    energy[:] = 0.0
+    for cell in cells:
+        _spread(cell, 1.0, weights, energy)
+    for i in range(side):
+        _find_heads(i, pattern, energy, heads)
+    return weights
+
+
+@kernel
+def _flip(cell: int, grid: Any, weights: Array) -> None:
+    # Turn a one into a zero, or back.
+    pattern, energy, heads = grid
+    side, reach = pattern.shape[0], weights.size // 2
+    i, j = cell // side, cell % side
+    pattern[i, j] = not pattern[i, j]
+    _spread(cell, 1.0 if pattern[i, j] else -1.0, weights, energy)
+    for k in range(weights.size):
+        _find_heads((i + k - reach) % side, pattern, energy, heads)
+
+
+@kernel
+def _head(kind: int, grid: Any) -> int:
+    # Cell of the tightest cluster or of the largest void; there must be one.
+    _, energy, heads = grid
+    sign = 1.0 if kind == _CLUSTER else -1.0
+    best, cell = -np.inf, -1
+    for i in range(energy.shape[0]):
+        j = heads[kind, i]
+        if j >= 0 and sign * energy[i, j] > best:
+            best, cell = sign * energy[i, j], i * energy.shape[0] + j
+    return cell
+
+
+@kernel
+def _relax(grid: Any, weights: Array, steps: int) -> bool:
+    # Move tightest clusters into largest voids, at most `steps` times; return whether that is all.
+    energy = grid[1]
+    side = energy.shape[0]
+    for _ in range(steps):
+        cluster = _head(_CLUSTER, grid)
+        before = energy[cluster // side, cluster % side] - 1.0
+        _flip(cluster, grid, weights)
+        void = _head(_VOID, grid)
+        if energy[void // side, void % side] > before - _CLEAR:
+            _flip(cluster, grid, weights)
+            return True
+        _flip(void, grid, weights)
+    return False
+
+
+@kernel
+def _rank_ones(grid: Any, order: Array) -> None:
+    # Clear the pattern, tightest cluster first: order (ones,) its cells, that one last.
+    weights, again = _start(grid), order.size // 2
+    for rank in range(order.size - 1, -1, -1):
+        order[rank] = _head(_CLUSTER, grid)
+        _flip(order[rank], grid, weights)
+        if rank == again and rank > 0:  # points are farther apart now
+            weights, again = _start(grid), again // 2
+
+
+@kernel
+def _rank_all(grid: Any, order: Array) -> None:
+    # Rank all cells from a relaxed pattern of at most half of them: order (s²,).
+    pattern, energy, heads = grid
+    ones, half = np.count_nonzero(pattern), order.size // 2
+    first = pattern.copy()
+    _rank_ones(grid, order[:ones])
+
+    # Set cells until half of them are ones, largest void first
+    filled = first, energy, heads
+    weights = _start(filled)
+    for rank in range(ones, half):
+        order[rank] = _head(_VOID, filled)
+        _flip(order[rank], filled, weights)
+
+    # Beyond a half the zeros are the minority, and their tightest cluster is next
+    rest = order[half:]
+    pattern[:] = ~first
+    _rank_ones(grid, rest)
+    rest[:] = rest[::-1].copy()
+
+
+@kernel
+def _jitter_cells(k0: np.uint64, k1: np.uint64, cells: Array, side: int, out: Array) -> None:
+    # Uniform points in cells (n,) after one random translation of all by whole cells; out (n, 2).
+    number = side * side  # numbers below that shuffled the first pattern
+    down, across = _mix_below(k0, k1, number, side), _mix_below(k0, k1, number + 1, side)
+    for p in range(cells.size):
+        number += 2
+        x = (cells[p] // side + down) % side + mix_uniform(k0, k1, number)
+        y = (cells[p] + across) % side + mix_uniform(k0, k1, number + 1)
+        out[p, 0], out[p, 1] = min(x / side, _BELOW_ONE), min(y / side, _BELOW_ONE)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class LowDiscrepancyBlueNoise(OptimisedSampler):
+    """Low-discrepancy blue noise in s × s cells, s a power of two (2-D).
+
+    Counts 4^k up to 65,536. Points come in row-major order of their cells. A set of 1024 points takes
+    a quarter of a second, four times as many four times as long.
+
+    Attributes
+    ----------
+    chunk
+        Number of cells in line whose offsets follow the blue-noise set, a power of two up to 64:
+        more of them give cleaner blue noise, fewer a lower discrepancy.
+    sweeps
+        Number of tries to move each point of the blue-noise set that is followed.
+    sets
+        Largest number of different sets, None for one for each realisation: see `OptimisedSampler`.
+
+    Notes
+    -----
+    One point in each cell, and one in each n-th of either axis. An interval of area 1/n of any other
+    shape has one if it is 2^j cells long with 2^j ≥ chunk (and a 2^j-th of one wide): chunk = 2 makes
+    a (0,2)-net. The whole set is uniform over its cells and along each axis, but a bit less so within
+    cells: follow it by shift where unbiased means are needed.
+
+    The set followed is a jittered one, relaxed within its cells until Gaussians of half a cell's width
+    around the points overlap least. It is made anew for every realisation, where the authors keep a
+    table of one.
+
+    References
+    ----------
+    [Ahmed2016]_.
+    """
+
+    name: ClassVar[str] = "ldbn"
+    structure: ClassVar[Structure] = Structure.STRATA
+    unbiased: ClassVar[bool] = False
+    min_dims: ClassVar[int] = 2
+    max_dims: ClassVar[int | None] = 2
+    other_dims: ClassVar[str] = "for other dims use projective-blue-noise or sobol | owen"
+    dims: int = 2
+    chunk: int = whole(16, least=2, most=64)
+    sweeps: int = whole(100, least=1, most=10**5)
+
+    def _check(self) -> None:
+        if self.chunk & (self.chunk - 1):
+            raise ParameterError(f"chunk is {self.chunk}; give a power of two from 2 to 64.")
+
+    def _counts_near(self, n: int) -> tuple[int | None, int]:
+        below = 1 << (n.bit_length() - 1) // 2 * 2
+        return below, below if below == n else 4 * below
+
+    def _optimize(self, n: int, keys: Array, report: Report) -> Array:
+        side = math.isqrt(n)
+        corners = np.stack(np.meshgrid(np.arange(side), np.arange(side), indexing="ij"), axis=-1)
+        followed = corners + random_points(keys, n, 2).reshape(side, side, 2)
+        for sweep in range(self.sweeps):
+            number = 2 * n * (sweep + 1)
+            step = _LAST_STEP ** (sweep / self.sweeps)
+            _relax_in_cells(keys[0], keys[1], number, step, followed)
+            if (sweep + 1) % max(1, self.sweeps // _REPORTS) == 0:
+                report((sweep + 1) / self.sweeps)
+        points = np.empty((side, side, 2))
+        number = 2 * n * (self.sweeps + 1)
+        snap_in_chunks(keys[0], keys[1], number, min(self.chunk, side), followed, points)
+        return points.reshape(n, 2)
+
+
+@kernel
+def _energy(i: int, j: int, x: float, y: float, points: Array) -> float:
+    # Energy of the point of cell (i, j), were it at (x, y).
+    side, total = points.shape[0], 0.0
+    reach = min(_REACH, (side - 1) // 2)
+    for u in range(i - reach, i + reach + 1):
+        for v in range(j - reach, j + reach + 1):
+            if u != i or v != j:
+                other = points[u % side, v % side]
+                # by the whole cells between them, since other cells may be across the border
+                dx = other[0] - u % side + u - x
+                dy = other[1] - v % side + v - y
+                total += np.exp(-(dx * dx + dy * dy) / (2 * _REPELLING * _REPELLING))
+    return total
+
+
+@kernel
+def _relax_in_cells(k0: np.uint64, k1: np.uint64, number: int, step: float, points: Array) -> None:
+    # Move each point by up to `step` if that lowers its energy and it stays in its cell.
+    side = points.shape[0]
+    for i in range(side):
+        for j in range(side):
+            here = points[i, j]
+            x = here[0] + step * (2.0 * mix_uniform(k0, k1, number) - 1.0)
+            y = here[1] + step * (2.0 * mix_uniform(k0, k1, number + 1) - 1.0)
+            number += 2
+            if x < i or x >= i + 1 or y < j or y >= j + 1:
+                continue
+            if _energy(i, j, x, y, points) < _energy(i, j, here[0], here[1], points):
+                here[0], here[1] = x, y
+
+
+@kernel
+def _snap_line(low: int, chunk: int, line: int, positions: Array, out: Array) -> None:
+    # Give the cells of a line, whose points are at `positions` (s,) across it, one each of the s
+    # intervals of its width; out (s,) intervals. The digits of `low` shift van der Corput's.
+    side, digits = positions.size, 0
+    while chunk << digits < side:
+        digits += 1
+    for block in range(side // chunk):
+        # Low digits of all in the chunk: those of its number, the last one first, shifted
+        mine = 0
+        for k in range(digits):
+            mine |= ((block >> k) & 1) << (digits - 1 - k)
+        mine ^= low & ((1 << digits) - 1)
+
+        # High digits: the rank in the chunk
+        start = block * chunk
+        for rank, index in enumerate(np.argsort(positions[start : start + chunk])):
+            out[start + index] = line * side + ((rank << digits) | mine)
+
+
+@kernel
+def snap_in_chunks(
+    k0: np.uint64, k1: np.uint64, number: int, chunk: int, points: Array, out: Array
+) -> None:
+    """Move points to a low-discrepancy set that keeps their order in chunks; out (s, s, 2) in [0,1).
+
+    In each column of cells, and likewise in each row, s cells share out the s intervals of their
+    width: those of a chunk by the order of their points, the chunks among themselves by the van der
+    Corput sequence, its digits shifted by random ones. Within its interval a point is random.
+    """
+    side = points.shape[0]
+    for line in range(side):
+        x, y = _mix_below(k0, k1, number, side), _mix_below(k0, k1, number + 1, side)
+        _snap_line(x, chunk, line, points[line, :, 0], out[line, :, 0])
+        _snap_line(y, chunk, line, points[:, line, 1], out[:, line, 1])
+        number += 2
+    for i in range(side):
+        for j in range(side):
+            for axis in range(2):
+                value = (out[i, j, axis] + mix_uniform(k0, k1, number)) / (side * side)
+                out[i, j, axis] = min(value, _BELOW_ONE)
+                number += 1

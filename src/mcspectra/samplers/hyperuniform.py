@@ -1,37 +1,53 @@
-"""Hyperuniform sets: lattices with correlated noise, and points without any low frequencies.
+"""Hyperuniform sets: noisy lattices, sets without low frequencies, determinantal sets.
 
 In a hyperuniform set, the power n⟨|S_m|²⟩ goes to 0 as the frequency |m| does.
+
+Legend of the kernels: R realisations, n points, d dims, K frequencies. Complex numbers are kept as two
+real arrays, so that the inner loops run over neighbours in memory without a sum carried along:
+compilers vectorise those.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
+from math import cos, log, pi, sin, sqrt
 from typing import ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer, as_real
+from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.core.streams import Stream
-from mcspectra.samplers import _hyperuniform_kernels, _kernels
-from mcspectra.samplers._descent import minimize, random_points, wrap
-from mcspectra.samplers._shells import half_shells
-from mcspectra.samplers.base import Sampler, Structure, check_dims
-from mcspectra.samplers.optimised import OptimisedSampler, check_sets
-from mcspectra.samplers.stratified import Regular
+from mcspectra.core.streams import Stream, mix_uniform
+from mcspectra.samplers._fields import real, whole
+from mcspectra.samplers._kernels import random_offsets
+from mcspectra.samplers.base import Sampler, Structure
+from mcspectra.samplers.optimised import OptimisedSampler, Report, minimize, random_points, wrap
+from mcspectra.samplers.stratified import GridSampler, corners
 
-__all__ = ["PerturbedLattice", "StealthyHyperuniform"]
+__all__ = [
+    "Determinantal",
+    "PerturbedLattice",
+    "StealthyHyperuniform",
+    "fill_normals",
+    "frequencies_within",
+    "half_shells",
+    "nearest_frequencies",
+    "summed_power",
+]
 
 _GOAL = 1e-22  # sum of all powers that count as zero: rounding leaves 1e-28 each, random points 1
 _STARTS = 20
+_BLOCK = 16  # basis vectors between two looks at which proposals are lost already
+_BATCH = 8  # proposals that are tested together, so that the basis is read once for all
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class PerturbedLattice(Sampler):
+class PerturbedLattice(GridSampler):
     """Grid of s^d points, moved by a Gaussian random field and a uniform translation; any dims.
 
     Attributes
@@ -50,72 +66,67 @@ class PerturbedLattice(Sampler):
 
     References
     ----------
-    Gabrielli, Joyce, Sylos Labini (2002), "Glass-like universe: real-space correlation properties
-    of standard cosmological models", doi 10.1103/PhysRevD.65.083523. Gabrielli (2004), "Point
-    processes and stochastic displacement fields", doi 10.1103/PhysRevE.70.066131.
+    [Gabrielli2002]_, [Gabrielli2004]_.
     """
 
     name: ClassVar[str] = "perturbed-lattice"
     structure: ClassVar[Structure] = Structure.TORUS
     dims: int = DEFAULT_DIMS
-    width: float = 0.25
-    correlation: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_dims(self)
-        object.__setattr__(self, "width", as_real("width", self.width, least=0.0, most=1e3))
-        beta = as_real("correlation", self.correlation, least=-2.0, most=2.0)
-        object.__setattr__(self, "correlation", beta)
-
-    @property
-    def _grid(self) -> Regular:
-        return Regular(dims=self.dims, position="corner")
+    width: float = real(0.25, least=0.0, most=1e3)
+    correlation: float = real(0.0, least=-2.0, most=2.0)
 
     def displacement_correlation(self, n: int) -> Array:
         """Correlation of the displacements of two points by their distance on the grid: s^d."""
-        sides = self._grid.sides(n)[0]
-        if sides == 1 or self.correlation == 0.0:
-            return np.asarray(np.arange(n) == 0, float).reshape((sides,) * self.dims)
-        return np.asarray(np.fft.ifftn(_gains(sides, self.dims, self.correlation) ** 2).real)
+        sides = self.sides(n)
+        if n == 1 or self.correlation == 0.0:
+            return np.asarray(np.arange(n) == 0, float).reshape(sides)
+        return np.asarray(np.fft.ifftn(_gains(sides, self.correlation) ** 2).real)
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        keys, sides = stream.keys(first, count), self._grid.sides(n)[0]
-        offsets = np.empty((count, self.dims))
-        _kernels.random_offsets(keys, offsets)
-        moves = np.empty((count, n * self.dims))
-        _hyperuniform_kernels.fill_normals(keys, self.dims, moves)
+        keys, sides = stream.keys(first, count), self._sides(n)
+        offsets, moves = np.empty((count, self.dims)), np.empty((count, n * self.dims))
+        random_offsets(keys, offsets)
+        fill_normals(keys, self.dims, moves)
         field = moves.reshape(count, n, self.dims)
-        if self.correlation != 0.0:
-            field = self._correlated(field, sides)
-        points = self._grid.draw_stream(n, stream, 0, 1) + field * (self.width / sides)
+
+        # Filter the white noise: same variance, power proportional to |k|^(−β)
+        if self.correlation != 0.0 and n == 1:
+            field = np.zeros_like(field)  # a field without any frequency but 0
+        elif self.correlation != 0.0:
+            gains, axes = _gains(sides, self.correlation), tuple(range(1, self.dims + 1))
+            waves = np.fft.fftn(field.reshape(count, *sides, self.dims), axes=axes)
+            filtered = np.fft.ifftn(waves * gains[..., None], axes=axes)
+            field = filtered.real.reshape(field.shape)
+        points = corners(sides) + field * (self.width / sides[0])
         return wrap(points + offsets[:, None])
-
-    def _correlated(self, white: Array, sides: int) -> Array:
-        """Filter white noise (R, s^d, d): same variance, power proportional to |k|^(−β)."""
-        if sides == 1:
-            return np.zeros_like(white)  # a field without any frequency but 0
-        grid = (sides,) * self.dims
-        gains, axes = _gains(sides, self.dims, self.correlation), tuple(range(1, self.dims + 1))
-        waves = np.fft.fftn(white.reshape(-1, *grid, self.dims), axes=axes)
-        return np.fft.ifftn(waves * gains[..., None], axes=axes).real.reshape(white.shape)
-
-    def _counts_near(self, n: int) -> tuple[int | None, int]:
-        return self._grid._counts_near(n)
 
 
 @lru_cache(maxsize=2)
-def _gains(sides: int, dims: int, beta: float) -> Array:
+def _gains(sides: tuple[int, ...], beta: float) -> Array:
     """Return |k|^(−β/2) on the grid of frequencies, 0 at k = 0, mean square 1."""
-    squares = np.zeros((sides,) * dims)
-    for j in range(dims):
-        shape = [1] * dims
-        shape[j] = sides
-        squares += (np.fft.fftfreq(sides, 1.0 / sides) ** 2).reshape(shape)
+    squares = np.zeros(sides)
+    for j, s in enumerate(sides):
+        shape = [1] * len(sides)
+        shape[j] = s
+        squares += (np.fft.fftfreq(s, 1.0 / s) ** 2).reshape(shape)
     squares.flat[0] = np.inf if beta > 0 else 0.0
     gains: Array = squares ** (-beta / 4)
     gains /= np.sqrt(np.mean(gains**2))
     gains.setflags(write=False)
     return gains
+
+
+@kernel
+def fill_normals(keys: Array, start: int, out: Array) -> None:
+    """Independent standard normal numbers, out (R, size), from the numbers `start` on."""
+    for r in range(out.shape[0]):
+        k0, k1 = keys[r, 0], keys[r, 1]
+        for i in range(0, out.shape[1], 2):
+            radius = sqrt(-2.0 * log(1.0 - mix_uniform(k0, k1, start + i)))
+            angle = 2.0 * pi * mix_uniform(k0, k1, start + i + 1)
+            out[r, i] = radius * cos(angle)
+            if i + 1 < out.shape[1]:
+                out[r, i + 1] = radius * sin(angle)
 
 
 @final
@@ -140,45 +151,48 @@ class StealthyHyperuniform(OptimisedSampler):
 
     References
     ----------
-    Uche, Stillinger, Torquato (2004), "Constraints on collective density variables: two
-    dimensions", doi 10.1103/PhysRevE.70.046122. Torquato, Zhang, Stillinger (2015), "Ensemble
-    theory for stealthy hyperuniform disordered ground states", doi 10.1103/PhysRevX.5.021020.
-    Morse, Kim, Steinhardt, Torquato (2023), "Generating large disordered stealthy hyperuniform
-    systems with ultrahigh accuracy", doi 10.1103/PhysRevResearch.5.033190.
+    [Uche2004]_, [Torquato2015]_, [Morse2023]_.
     """
 
     name: ClassVar[str] = "stealthy-hyperuniform"
     max_dims: ClassVar[int | None] = 64
     max_count: ClassVar[int] = 2**14  # work grows like n²
     dims: int = DEFAULT_DIMS
-    stealthiness: float = 0.4
-    iterations: int = 10_000
+    stealthiness: float = real(0.4, above=0.0)
+    iterations: int = whole(10_000, least=1, most=10**6)
 
-    def __post_init__(self) -> None:
-        check_dims(self)
-        check_sets(self)
-        chi = as_real("stealthiness", self.stealthiness, above=0.0)
-        if chi >= 0.5:
+    def _check(self) -> None:
+        if self.stealthiness >= 0.5:
             raise ParameterError(
-                f"stealthiness is {chi:g}; give less than 0.5: from 0.5 on, all sets are crystals."
+                f"stealthiness is {self.stealthiness:g}; give less than 0.5: from 0.5 on, all sets "
+                "are crystals."
             )
-        object.__setattr__(self, "stealthiness", chi)
-        steps = as_integer("iterations", self.iterations, least=1, most=10**6)
-        object.__setattr__(self, "iterations", steps)
 
     def constrained(self, n: int) -> Array:
         """Return the frequencies without power in sets of `n` points, int64 (K, dims), one of ±m."""
         most = int(self.stealthiness * self.dims * (self.check_count(n) - 1))
         return half_shells(most, self.dims)
 
-    def _optimize(self, n: int, keys: Array, report: Callable[[float], None]) -> Array:
+    def _optimize(self, n: int, keys: Array, report: Report) -> Array:
         frequencies = self.constrained(n)
         if not frequencies.size:
             return random_points(keys, n, self.dims)
-        starts = random_points(keys, n * _STARTS, self.dims).reshape(_STARTS, n, self.dims)
-        power = partial(_power, frequencies)
-        for start in starts:
-            points = self._descend(power, start, report)
+
+        def power(points: Array) -> tuple[float, Array]:
+            return summed_power(frequencies, points)
+
+        longest = n ** (-1.0 / self.dims) / 4
+        for start in random_points(keys, n * _STARTS, self.dims).reshape(_STARTS, n, self.dims):
+            points = wrap(
+                minimize(
+                    power,
+                    start,
+                    iterations=self.iterations,
+                    longest=longest,
+                    report=report,
+                    goal=_GOAL,
+                )
+            )
             if power(points)[0] <= 2 * _GOAL:
                 return points
         raise ParameterError(
@@ -187,25 +201,229 @@ class StealthyHyperuniform(OptimisedSampler):
             f"(now {self.iterations})."
         )
 
-    def _descend(
-        self,
-        power: Callable[[Array], tuple[float, Array]],
-        start: Array,
-        report: Callable[[float], None],
-    ) -> Array:
-        return wrap(
-            minimize(
-                power,
-                start,
-                iterations=self.iterations,
-                longest=len(start) ** (-1.0 / self.dims) / 4,
-                report=report,
-                goal=_GOAL,
-            )
-        )
 
-
-def _power(frequencies: Array, points: Array) -> tuple[float, Array]:
-    """Return the power summed over `frequencies`, and its gradient."""
+def summed_power(frequencies: Array, points: Array) -> tuple[float, Array]:
+    """Return Σ_m |Σ_i exp(2π i m·x_i)|²/n over frequencies (K, d), and its gradient (n, d)."""
     gradient, orders = np.empty(points.shape), int(np.abs(frequencies).max()) + 1
-    return _hyperuniform_kernels.power_sum(points, frequencies, orders, gradient), gradient
+    return _power_sum(points, frequencies, orders, gradient), gradient
+
+
+@kernel
+def _power_sum(points: Array, frequencies: Array, orders: int, gradient: Array) -> float:
+    # No frequency has a component of `orders` or more.
+    n, dims = points.shape
+
+    # Tabulate cos and sin of 2π m x of each coordinate
+    c, s = np.empty((dims, orders, n)), np.empty((dims, orders, n))
+    for j in range(dims):
+        for order in range(orders):
+            for i in range(n):
+                c[j, order, i] = cos(2.0 * pi * order * points[i, j])
+                s[j, order, i] = sin(2.0 * pi * order * points[i, j])
+
+    re, im = np.empty(n), np.empty(n)
+    slope = np.zeros((dims, n))
+    total = 0.0
+    for k in range(frequencies.shape[0]):
+        m = frequencies[k]
+
+        # exp(2π i m·x) of every point, as a product over the coordinates
+        re[:] = 1.0
+        im[:] = 0.0
+        for j in range(dims):
+            if m[j] == 0:
+                continue
+            sign = 1.0 if m[j] > 0 else -1.0
+            cj, sj = c[j, abs(m[j])], s[j, abs(m[j])]
+            for i in range(n):
+                a, b = re[i], im[i]
+                re[i] = a * cj[i] - sign * b * sj[i]
+                im[i] = sign * a * sj[i] + b * cj[i]
+
+        # Power of the sum over the points, and its slope
+        a, b = 0.0, 0.0
+        for i in range(n):
+            a += re[i]
+            b += im[i]
+        total += (a * a + b * b) / n
+        for j in range(dims):
+            factor = 4.0 * pi * m[j] / n
+            if factor != 0.0:
+                for i in range(n):
+                    slope[j, i] += factor * (b * re[i] - a * im[i])
+    gradient[:] = slope.T
+    return total
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Determinantal(Sampler):
+    """Points of the projection determinantal process of n Fourier waves on the torus; any dims.
+
+    The kernel is K(x, y) = Σ exp(2πi m·(x − y)) over M, the n frequencies of least norm; of equal
+    norms the lexicographically first. M need not be symmetric, so any count is possible (up to
+    4096: an exact draw takes about n³ log n steps).
+
+    Notes
+    -----
+    Drawn exactly, point after point (Hough et al., algorithm 18; Lavancier et al., algorithm 1),
+    each by rejection from uniform proposals. The process is stationary, with pair density
+    n² − |K(x, y)|² and n⟨|S_k|²⟩ = 1 − #{(m, m') in M × M: m − m' = k}/n, hence hyperuniform
+    like |k|: variances of smooth integrands fall like n^(−1−1/d).
+
+    References
+    ----------
+    [Hough2006]_, [Lavancier2015]_, [Bardenet2020]_.
+    """
+
+    name: ClassVar[str] = "determinantal"
+    structure: ClassVar[Structure] = Structure.TORUS
+    max_dims: ClassVar[int | None] = 64
+    max_count: ClassVar[int] = 2**12  # work grows like n³ log n, memory like n²
+    dims: int = DEFAULT_DIMS
+
+    def frequencies(self, n: int) -> Array:
+        """Return M, the frequencies of the kernel of `n` points: int64 (n, dims)."""
+        return nearest_frequencies(self.check_count(n), self.dims)
+
+    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        out = np.empty((count, n, self.dims))
+        _fill_determinantal(stream.keys(first, count), self.frequencies(n), out)
+        return out
+
+
+@kernel
+def _add_block(re: Array, im: Array, vr: Array, vi: Array, cr: Array, ci: Array) -> float:
+    # Coefficients of a feature vector in one block of the basis, and the sum of their squares.
+    cr[:] = 0.0
+    ci[:] = 0.0
+    for k in range(re.size):
+        a, b = re[k], im[k]
+        for j in range(_BLOCK):
+            cr[j] += vr[k, j] * a + vi[k, j] * b
+            ci[j] += vr[k, j] * b - vi[k, j] * a
+    total = 0.0
+    for j in range(_BLOCK):
+        total += cr[j] * cr[j] + ci[j] * ci[j]
+    return total
+
+
+@kernel
+def _append(re: Array, im: Array, basis: tuple[Array, Array], i: int, cr: Array, ci: Array) -> None:
+    # Make what i vectors of the basis leave of the feature vector the next: Gram and Schmidt.
+    for block in range((i + _BLOCK - 1) // _BLOCK):
+        vr, vi, sr, si = basis[0][block], basis[1][block], cr[block], ci[block]
+        for k in range(re.size):
+            a, b = 0.0, 0.0
+            for j in range(_BLOCK):
+                a += sr[j] * vr[k, j] - si[j] * vi[k, j]
+                b += sr[j] * vi[k, j] + si[j] * vr[k, j]
+            re[k] -= a
+            im[k] -= b
+    scale = 1.0 / sqrt((re * re + im * im).sum())
+    for k in range(re.size):
+        re[k] *= scale
+        im[k] *= scale
+        basis[0][i // _BLOCK, k, i % _BLOCK] = re[k]
+        basis[1][i // _BLOCK, k, i % _BLOCK] = im[k]
+
+
+@kernel
+def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], out: Array) -> None:
+    # One realisation. Proposals that a point found before them leaves untested stay in line for
+    # the points after it: what they were tested for is still true.
+    n, dims = out.shape
+    x, most, within = np.empty((_BATCH, dims)), np.empty(_BATCH), np.empty(_BATCH)
+    re, im = np.empty((_BATCH, n)), np.empty((_BATCH, n))
+    shape = (_BATCH, (n + _BLOCK - 1) // _BLOCK, _BLOCK)
+    cr, ci = np.zeros(shape), np.zeros(shape)
+    i, number = 0, 0
+    while i < n:
+        # Propose places, with their feature vectors exp(2π i m·x)
+        for p in range(_BATCH):
+            for j in range(dims):
+                x[p, j] = mix_uniform(k0, k1, number + j)
+            most[p] = n * mix_uniform(k0, k1, number + dims)
+            number += dims + 1
+            for k in range(n):
+                phase = 0.0
+                for j in range(dims):
+                    phase += m[k, j] * x[p, j]
+                re[p, k] = cos(2.0 * pi * phase)
+                im[p, k] = sin(2.0 * pi * phase)
+
+        # Project them on the basis, and give up those that exceed their limits
+        within[:] = 0.0
+        for block in range((i + _BLOCK - 1) // _BLOCK):
+            vr, vi = basis[0][block], basis[1][block]
+            for p in range(_BATCH):
+                if within[p] < most[p]:
+                    within[p] += _add_block(re[p], im[p], vr, vi, cr[p, block], ci[p, block])
+
+        # Take those left in order; each adds to the basis, and so to the projections after it
+        for p in range(_BATCH):
+            if i == n or within[p] >= most[p]:
+                continue
+            out[i] = x[p]
+            _append(re[p], im[p], basis, i, cr[p], ci[p])
+            for q in range(p + 1, _BATCH):
+                if within[q] < most[q]:
+                    a, b = 0.0, 0.0
+                    for k in range(n):
+                        a += re[p, k] * re[q, k] + im[p, k] * im[q, k]
+                        b += re[p, k] * im[q, k] - im[p, k] * re[q, k]
+                    cr[q, i // _BLOCK, i % _BLOCK], ci[q, i // _BLOCK, i % _BLOCK] = a, b
+                    within[q] += a * a + b * b
+            i += 1
+
+
+@kernel
+def _fill_determinantal(keys: Array, m: Array, out: Array) -> None:
+    # The projection process of the frequencies m (n, d); out (R, n, d). With i points drawn, the
+    # density of the next is ‖P φ(x)‖²/(n − i), φ(x) the feature vector and P the projection away
+    # from those of the points drawn; ‖φ‖² = n bounds it.
+    n = out.shape[1]
+    shape = ((n + _BLOCK - 1) // _BLOCK, n, _BLOCK)
+    basis = np.empty(shape), np.empty(shape)
+    for r in range(out.shape[0]):
+        basis[0][:] = 0.0
+        basis[1][:] = 0.0
+        _draw(keys[r, 0], keys[r, 1], m, basis, out[r])
+
+
+def frequencies_within(square: int, dims: int) -> Array:
+    """Return all integer vectors with |m|² ≤ `square`, int64 (K, dims), ordered by |m|², then m."""
+    reach = math.isqrt(square)
+    axis = np.arange(-reach, reach + 1)
+    found, norms = np.zeros((1, 0), np.int64), np.zeros(1, np.int64)
+    for _ in range(dims):
+        total = norms[:, None] + axis**2
+        row, column = np.nonzero(total <= square)
+        found = np.column_stack([found[row], axis[column]])
+        norms = total[row, column]
+    order = np.argsort(norms, kind="stable")
+    return found[order]
+
+
+def nearest_frequencies(count: int, dims: int) -> Array:
+    """Return the `count` integer vectors of least norm, of equal norms the first in order of m."""
+    # Begin somewhat below the radius of the ball of volume `count`
+    log_volume = 0.5 * dims * math.log(math.pi) - math.lgamma(0.5 * dims + 1)
+    square = int(0.8 * math.exp(2.0 / dims * (math.log(count) - log_volume))) if dims <= 3 else 0
+    while len(found := frequencies_within(square, dims)) < count:
+        square += 1
+    nearest: Array = found[:count]
+    return nearest
+
+
+def half_shells(most: int, dims: int) -> Array:
+    """Return half the vectors of 0 < |m|² ≤ K², one of each ±m: all shells that `most` vectors hold.
+
+    Of each pair it is the one whose first component that is not 0 is positive.
+    """
+    found = nearest_frequencies(2 * most + 2, dims)
+    norms = np.sum(found**2, axis=1)
+    inside = found[norms < norms[-1]]  # the last shell may be cut short
+    first = np.argmax(inside != 0, axis=1)
+    half: Array = inside[inside[np.arange(len(inside)), first] > 0]
+    return half

@@ -1,4 +1,9 @@
-"""The base class of samplers with optimised sets: a cache, progress reports, reuse of sets."""
+"""What samplers with optimised sets share: a cache, progress reports, reuse of sets; descent.
+
+`minimize` is limited-memory BFGS with bits that never vary [Nocedal1980]_. Libraries of linear algebra
+may sum in another order with another number of threads; here every sum is NumPy's own, so that a set
+depends on its random numbers only.
+"""
 
 from __future__ import annotations
 
@@ -6,24 +11,41 @@ import hashlib
 import inspect
 import sys
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import lru_cache, partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
 from mcspectra.core.cache import cached_array
-from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.checks import Array
+from mcspectra.core.jit import kernel
 from mcspectra.core.parallel import available_workers, map_in_order
 from mcspectra.core.progress import report
-from mcspectra.core.streams import Stream
-from mcspectra.samplers import _kernels
+from mcspectra.core.streams import Stream, mix_uniform
+from mcspectra.samplers._fields import whole
+from mcspectra.samplers._kernels import random_offsets
 from mcspectra.samplers.base import Sampler, Structure
 
-__all__ = ["OptimisedSampler", "check_sets"]
+__all__ = [
+    "OptimisedSampler",
+    "Report",
+    "minimize",
+    "random_points",
+    "translated",
+    "wrap",
+]
+
+Report: TypeAlias = Callable[[float], None]
+"""Called now and then with the fraction of the work done."""
 
 _CHILD = 1  # label of the stream that translates sets used again
+_MEMORY = 10  # pairs of steps and changes of the gradient; 5 to 20 are usual
+_DECREASE = 1e-4  # of what the slope promises, for a step to be taken
+_HALVINGS = 20
+_REPORTS = 50
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,10 +66,10 @@ class OptimisedSampler(Sampler, ABC):
     """Version of the method: sets of another one are not taken from the cache."""
     structure: ClassVar[Structure] = Structure.TORUS
     max_count: ClassVar[int] = 2**16
-    sets: int | None = None
+    sets: int | None = whole(None, least=1, most=10**6)
 
     @abstractmethod
-    def _optimize(self, n: int, keys: Array, report: Callable[[float], None]) -> Array:
+    def _optimize(self, n: int, keys: Array, report: Report) -> Array:
         """Make one set (n, dims) in [0,1) from keys uint64 (2,); report the fraction done."""
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
@@ -61,11 +83,7 @@ class OptimisedSampler(Sampler, ABC):
         points = np.stack(list(made))[place]
         if self.sets is None:
             return points
-        offsets = np.empty((count, self.dims))
-        _kernels.random_offsets(stream.child(_CHILD).keys(first, count), offsets)
-        moved = np.empty_like(points)
-        _kernels.translate(points, offsets, moved)
-        return moved
+        return translated(points, stream.child(_CHILD).keys(first, count))
 
     def _set(self, n: int, stream: Stream, realization: int) -> Array:
         """Fetch one set from the cache, or make it."""
@@ -107,7 +125,107 @@ def _exact(value: object) -> object:
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-def check_sets(sampler: OptimisedSampler) -> None:
-    """Make `sets` None or an int of at least 1; for `__post_init__`."""
-    if sampler.sets is not None:
-        object.__setattr__(sampler, "sets", as_integer("sets", sampler.sets, least=1, most=10**6))
+def translated(points: Array, keys: Array) -> Array:
+    """Move each set of (R, n, d) on the torus by the random vector of its keys uint64 (R, 2)."""
+    offsets = np.empty((len(points), points.shape[-1]))
+    random_offsets(keys, offsets)
+    return wrap(points + offsets[:, None])
+
+
+def random_points(keys: Array, n: int, dims: int) -> Array:
+    """Return the first n·d numbers of a realisation as independent uniform points (n, d)."""
+    out = np.empty((n, dims))
+    _fill(keys[0], keys[1], out.reshape(-1))
+    return out
+
+
+@kernel
+def _fill(k0: np.uint64, k1: np.uint64, out: Array) -> None:
+    for i in range(out.size):
+        out[i] = mix_uniform(k0, k1, i)
+
+
+def wrap(points: Array) -> Array:
+    """Return points modulo 1, all below 1."""
+    inside = points - np.floor(points)
+    inside[inside >= 1.0] = 0.0  # −1e-20 is 1 after rounding
+    return inside
+
+
+def minimize(
+    function: Callable[[Array], tuple[float, Array]],
+    start: Array,
+    *,
+    iterations: int,
+    longest: float,
+    report: Report,
+    goal: float = -np.inf,
+) -> Array:
+    """Return points near `start` where `function` is small.
+
+    Parameters
+    ----------
+    function
+        Value and gradient (n, d) at points (n, d), which are not wrapped into [0,1).
+    start
+        Points to begin with, (n, d).
+    iterations
+        Most steps taken.
+    longest
+        How far a coordinate may move in one step.
+    report
+        Called now and then with the fraction of the iterations done.
+    goal
+        A value that is small enough.
+    """
+    x, (value, gradient) = start, function(start)
+    memory: deque[tuple[Array, Array, float]] = deque(maxlen=_MEMORY)
+    for i in range(iterations):
+        if i % max(1, iterations // _REPORTS) == 0:
+            report(i / iterations)
+        if value <= goal or not gradient.any():
+            break
+
+        # Halve the step until the value falls by a part of what the slope promises
+        direction = _direction(gradient, memory)
+        slope = _dot(direction, gradient)
+        length = longest / float(np.abs(direction).max())
+        length = min(1.0, length) if memory else length
+        for _ in range(_HALVINGS):
+            moved = x + length * direction
+            trial, changed = function(moved)
+            if trial <= value + _DECREASE * length * slope:
+                break
+            length /= 2
+        else:
+            if not memory:
+                break  # even along the gradient nothing is gained: rounding
+            memory.clear()
+            continue
+
+        # Remember steps of positive curvature only
+        step, change = moved - x, changed - gradient
+        product = _dot(step, change)
+        if product > 1e-10 * _dot(change, change) ** 0.5 * _dot(step, step) ** 0.5:
+            memory.append((step, change, product))
+        x, value, gradient = moved, trial, changed
+    return x
+
+
+def _direction(gradient: Array, memory: deque[tuple[Array, Array, float]]) -> Array:
+    """Return minus the approximate inverse Hessian times the gradient: Nocedal's two loops."""
+    direction, factors = -gradient, []
+    for step, change, product in reversed(memory):
+        factor = _dot(step, direction) / product
+        direction = direction - factor * change
+        factors.append(factor)
+    if memory:
+        _, change, product = memory[-1]
+        direction = direction * (product / _dot(change, change))
+    for (step, change, product), factor in zip(memory, reversed(factors), strict=True):
+        direction = direction + (factor - _dot(change, direction) / product) * step
+    return direction
+
+
+def _dot(a: Array, b: Array) -> float:
+    return float(np.sum(a * b))

@@ -14,10 +14,10 @@ from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream, mix_uniform
 from mcspectra.samplers._fields import choice, whole
-from mcspectra.samplers._grid import cell_side, root
 from mcspectra.samplers._kernels import _shuffle, fill_latin
 from mcspectra.samplers._primes import is_prime, prime_from
 from mcspectra.samplers.base import MAX_COUNT, Sampler, Structure
+from mcspectra.samplers.stratified import cell_side, root
 
 __all__ = ["LatinHypercube", "NRooks", "OrthogonalArray"]
 

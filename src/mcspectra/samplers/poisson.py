@@ -1,12 +1,10 @@
-"""Poisson-disk sampling: random points that keep a minimum distance, exactly n of them.
+"""Random points that keep apart: Poisson disks, classic dart throwing, best candidates.
 
-Method
-------
-Dart throwing, that is random sequential addition: a dart, uniform on the domain, becomes a point
+Dart throwing is random sequential addition: a dart, uniform on the domain, becomes a point
 if it is at least r away from all points before it. On the torus that law does not change under
-translation, hence every point is uniform. In mode "exact", r is fixed beforehand by n and the dart
-throwing stops at the n-th point; a set that jams before (see `PoissonDisk.radius`) is thrown away and
-begun anew, which keeps the law translation-invariant.
+translation, hence every point is uniform. For "exact" Poisson disks, r is fixed beforehand by n and the
+dart throwing stops at the n-th point; a set that jams before (see `PoissonDisk.radius`) is thrown away
+and begun anew, which keeps the law translation-invariant.
 
 Darts are not thrown where they cannot stick: a grid of cells of diagonal r (at most one point in
 each) lists the cells that may have room, and those left over are halved along every axis now and
@@ -14,23 +12,11 @@ then, without the children that a disk covers [Ebeida2012]_. The darts that stic
 uncovered part all the same, so that this changes the time and not the law. It also tells when
 nothing is left uncovered: when the set is maximal.
 
-In mode "maximal", r is the least of a growing sequence at which the darts jam before there are
+For "maximal" sets, r is the least of a growing sequence at which the darts jam before there are
 more than n points. Those that are missing, a few in a hundred, go one by one into the largest empty
 disk, whose radius is the largest minimum distance that has room for one more [Schloemer2011]_. Hence
 the n-th is at least as far from the others as any place in the domain is from all n: no disk of the
 set's minimum distance fits any more.
-
-References
-----------
-.. [Cook1986] Cook, "Stochastic sampling in computer graphics", doi 10.1145/7529.8927.
-.. [Torquato2006] Torquato, Uche, Stillinger, "Random sequential addition of hard spheres in high
-   Euclidean dimensions", doi 10.1103/PhysRevE.74.061308: where dart throwing jams.
-.. [Lagae2008] Lagae, Dutré, "A comparison of methods for generating Poisson disk distributions",
-   doi 10.1111/j.1467-8659.2007.01100.x: radius relative to the densest packing.
-.. [Ebeida2012] Ebeida et al., "A simple algorithm for maximal Poisson-disk sampling in high
-   dimensions", doi 10.1111/j.1467-8659.2012.03059.x.
-.. [Schloemer2011] Schlömer, Heck, Deussen, "Farthest-point optimized point sets with maximized
-   minimum distance", doi 10.1145/2018323.2018345.
 """
 
 from __future__ import annotations
@@ -41,15 +27,16 @@ from typing import ClassVar, TypeAlias, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice, as_real
+from mcspectra.core.checks import Array
 from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import _spacing_kernels as kernels
-from mcspectra.samplers._kernels import random_offsets, translate
-from mcspectra.samplers.base import Sampler, Structure, check_dims
+from mcspectra.samplers._fields import choice, real, whole
+from mcspectra.samplers.base import Sampler, Structure
+from mcspectra.samplers.optimised import translated
 
-__all__ = ["DENSEST", "PoissonDisk", "densest_distance"]
+__all__ = ["DENSEST", "BestCandidate", "DartThrowing", "PoissonDisk", "densest_distance"]
 
 Disks: TypeAlias = tuple[float, int, int, Array, bool, int]
 """Radius, cells an axis, reach of a disk in cells, cells it can touch, torus?, darts a cell."""
@@ -66,6 +53,7 @@ _NEXT_RADIUS = 1.01  # times the one before: 2 % of the points of a plane on ave
 _MOST_MAXIMAL = 3  # dims: 1000 points took 0.02 s in 2-D, 0.8 s in 3-D, a minute in 4-D
 _LEAST_RADIUS = 0.25  # below, sets are as good as random, and the grid of (c/r)^d cells grows large
 _OFFSETS = 1  # label of the stream that translates maximal sets
+_TRIALS = 100_000  # darts in a row that may miss: then less than a ten-thousandth is uncovered
 
 
 @final
@@ -86,15 +74,12 @@ class PoissonDisk(Sampler):
         further disk fits into a set, whose minimum distance is then its own.
     radius_
         Minimum distance in mode ``"exact"``, relative to that of the densest known packing of n
-        points, 0.25 to 1. By default 0.7 in 1-D and 0.75 above, near the largest that dart throwing
-        can do: it jams on average at 0.748, 0.777, 0.803, 0.806 in 1 to 4 dims.
+        points [Lagae2008]_, 0.25 to 1. By default 0.7 in 1-D and 0.75 above, near the largest that
+        dart throwing can do: it jams on average at 0.748, 0.777, 0.803, 0.806 in 1 to 4 dims.
 
     References
     ----------
-    Cook (1986), "Stochastic sampling in computer graphics", doi 10.1145/7529.8927; Bridson (2007),
-    "Fast Poisson disk sampling in arbitrary dimensions", doi 10.1145/1278780.1278807; Ebeida et
-    al. (2012), "A simple algorithm for maximal Poisson-disk sampling in high dimensions",
-    doi 10.1111/j.1467-8659.2012.03059.x.
+    [Cook1986]_, [Bridson2007]_, [Ebeida2012]_.
     """
 
     name: ClassVar[str] = "poisson-disk"
@@ -102,26 +87,19 @@ class PoissonDisk(Sampler):
     max_dims: ClassVar[int | None] = 4
     max_count: ClassVar[int] = 2**26  # grids of cells take many times the memory of the points
     dims: int = DEFAULT_DIMS
-    boundary: str = "toroidal"
-    mode: str = "exact"
-    radius_: float | None = None
+    boundary: str = choice("toroidal", "bounded")
+    mode: str = choice("exact", "maximal")
+    radius_: float | None = real(None, least=_LEAST_RADIUS, most=1.0)
 
-    def __post_init__(self) -> None:
-        check_dims(self)
-        as_choice("boundary", self.boundary, ("toroidal", "bounded"))
-        as_choice("mode", self.mode, ("exact", "maximal"))
+    def _check(self) -> None:
         if self.mode == "maximal" and self.dims > _MOST_MAXIMAL:
             raise ParameterError(
                 f"Maximal Poisson-disk sets are for 1 to {_MOST_MAXIMAL} dims, not {self.dims} (the "
                 "last gaps take minutes to find); use mode='exact'."
             )
-        if self.radius_ is None:
-            return
-        radius = as_real("radius", self.radius_, least=_LEAST_RADIUS, most=1.0)
-        object.__setattr__(self, "radius_", radius)
-        if self.mode == "maximal":
+        if self.mode == "maximal" and self.radius_ is not None:
             raise ParameterError(
-                f"radius is {radius:g}, but each maximal set has its own minimum distance; "
+                f"radius is {self.radius_:g}, but each maximal set has its own minimum distance; "
                 "leave radius out, or use mode='exact'."
             )
 
@@ -146,60 +124,125 @@ class PoissonDisk(Sampler):
         return relative * densest_distance(self.check_count(n), self.dims)
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        keys = stream.keys(first, count)
         if self.mode == "maximal":
-            return self._maximal_sets(n, stream, first, count)
+            points = np.stack([self._maximal_set(n, each) for each in keys])
+            # Holes of equal size (there are, among few points) are chosen by where they are
+            own = stream.child(_OFFSETS).keys(first, count)
+            return points if self.boundary == "bounded" else translated(points, own)
         attempts = 3 + 3000 // n  # a small set jams often at the default radius, a large one never
         out = np.empty((count, n, self.dims))
-        disks = self._disks(self.radius(n))
-        if not kernels.throw_sets(stream.keys(first, count), disks, attempts, out):
+        if not kernels.throw_sets(keys, self._disks(self.radius(n)), attempts, out):
             raise CountError(
                 f"{self.spec} found no room for {n} points in {self.dims} dims; "
                 f"give a smaller radius, at most {_DEFAULT_RADIUS[self.dims - 1]}."
             )
         return out
 
-    def _maximal_sets(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        points = np.stack([self._maximal_set(n, keys) for keys in stream.keys(first, count)])
-        if self.boundary == "bounded":
-            return points
-        # Holes of equal size (there are, among few points) are chosen by where they are
-        offsets, moved = np.empty((count, self.dims)), np.empty_like(points)
-        random_offsets(stream.child(_OFFSETS).keys(first, count), offsets)
-        translate(points, offsets, moved)
-        return moved
-
     def _maximal_set(self, n: int, keys: Array) -> Array:
         """Throw darts at the least radius that leaves no room for n + 1 points, then fill holes."""
-        from mcspectra.samplers._void_kernels import fill_holes
-
         radius = _FIRST_RADIUS[self.dims - 1] * densest_distance(n, self.dims)
         points, placed, at = np.empty((n + 1, self.dims)), n + 1, 0
         while placed > n:
             placed, at = kernels.throw_set(keys[0], keys[1], at, self._disks(radius), points)
             radius *= _NEXT_RADIUS
-        fill_holes(points[:n], placed, self.unbiased)
+        kernels.fill_holes(points[:n], placed, self.unbiased)
         return points[:n]
 
     def _disks(self, radius: float) -> Disks:
         """Return what the kernels know of the disks and of the grid of cells around them."""
         side = max(1, int(np.ceil(self.dims**0.5 / radius)))
-        reach, near = _neighbors(self.dims, side, radius)
-        return radius, side, reach, near, self.unbiased, 2 if self.dims < 3 else 8
+
+        # Steps to the cells that a disk can touch, near ones first, in the grid padded by its reach
+        reach = int(np.ceil(radius * side))
+        offsets = np.array(list(product(range(-reach, reach + 1), repeat=self.dims)))
+        gaps = np.maximum(np.abs(offsets) - 1, 0) / side
+        near = offsets[(gaps**2).sum(axis=1) < radius**2]
+        near = near[np.argsort((near**2).sum(axis=1), kind="stable")]
+        steps = near @ (side + 2 * reach) ** np.arange(self.dims - 1, -1, -1)
+        return radius, side, reach, steps, self.unbiased, 2 if self.dims < 3 else 8
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class DartThrowing(Sampler):
+    """Random points, each rejected if it is too close to an earlier one, until n are accepted (Cook).
+
+    The law is that of `poisson-disk`, whose method is faster, for up to 8 dims; distances are
+    toroidal. A set is begun anew when 100,000 darts in a row have missed.
+
+    Attributes
+    ----------
+    dims
+        1 to 8.
+    radius_
+        Minimum distance relative to that of the densest known packing of n points [Lagae2008]_,
+        above 0, at most 1. Dart throwing jams at about 0.75 in 1-D, 0.78 in 2-D, 0.8 above, and
+        classic rejection gets slow before.
+
+    References
+    ----------
+    [Cook1986]_, [Lagae2008]_.
+    """
+
+    name: ClassVar[str] = "dart-throwing"
+    structure: ClassVar[Structure] = Structure.TORUS
+    max_dims: ClassVar[int | None] = 8
+    max_count: ClassVar[int] = 2**22
+    dims: int = DEFAULT_DIMS
+    radius_: float = real(0.65, above=0.0, most=1.0)
+
+    def radius(self, n: int) -> float:
+        """Return the minimum distance between any two of n points, in units of the domain."""
+        return self.radius_ * densest_distance(self.check_count(n), self.dims)
+
+    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        radius = self.radius(n)
+        # Cells no smaller than a disk, so that it can only touch those next to its own
+        side = max(1, min(int(1.0 / radius), int(n ** (1.0 / min(self.dims, 3)))))
+        attempts = 3 + 300 // n  # few points jam often: whether they fit is luck
+        out = np.empty((count, n, self.dims))
+        keys = stream.keys(first, count)
+        if not kernels.throw_darts(keys, radius**2, side, _TRIALS, attempts, out):
+            raise CountError(
+                f"{self.spec} found no room for {n} points in {self.dims} dims with {_TRIALS} darts; "
+                "give a smaller radius."
+            )
+        return out
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class BestCandidate(Sampler):
+    """Each point is the best of random candidates: the farthest from all earlier points.
+
+    Progressive: the first points of a set are themselves one. Distances are toroidal. The time is
+    O(candidates · n²).
+
+    Attributes
+    ----------
+    dims
+        Any number.
+    candidates
+        Candidates for each point there is already: point i (from 0) is chosen from candidates · i.
+
+    References
+    ----------
+    [Mitchell1991]_.
+    """
+
+    name: ClassVar[str] = "best-candidate"
+    structure: ClassVar[Structure] = Structure.TORUS
+    max_count: ClassVar[int] = 2**16
+    dims: int = DEFAULT_DIMS
+    candidates: int = whole(4, least=1, most=10_000)
+
+    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        out = np.empty((count, n, self.dims))
+        kernels.pick_candidates(stream.keys(first, count), self.candidates, out)
+        return out
 
 
 def densest_distance(n: int, dims: int) -> float:
     """Return the minimum distance in the densest known packing of n points in 1 to 8 dims."""
     return float((DENSEST[dims - 1] / n) ** (1.0 / dims))
-
-
-def _neighbors(dims: int, side: int, radius: float) -> tuple[int, Array]:
-    """Return the reach of a disk in cells, and the cells around one that it can touch, near first.
-
-    The cells come as steps (K,) in a grid of side cells an axis that is padded by the reach.
-    """
-    reach = int(np.ceil(radius * side))
-    offsets = np.array(list(product(range(-reach, reach + 1), repeat=dims)))
-    gaps = np.maximum(np.abs(offsets) - 1, 0) / side
-    near = offsets[(gaps**2).sum(axis=1) < radius**2]
-    near = near[np.argsort((near**2).sum(axis=1), kind="stable")]
-    return reach, near @ (side + 2 * reach) ** np.arange(dims - 1, -1, -1)

@@ -9,10 +9,11 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice, as_integer
+from mcspectra.core.checks import Array
 from mcspectra.core.errors import NotPowerOfTwoWarning, ParameterError
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import Stream, mix_bits, mix_uniform
+from mcspectra.samplers._fields import choice, whole
 from mcspectra.samplers.base import MAX_COUNT, Randomization, Sampler, Structure
 
 __all__ = ["Shuffle", "Skip", "Subset"]
@@ -48,18 +49,13 @@ class Subset(Randomization):
 
     References
     ----------
-    Knuth (1997), "The Art of Computer Programming" vol. 2, section 3.4.2, algorithm S.
+    [Knuth1997]_, section 3.4.2, algorithm S.
     """
 
     name: ClassVar[str] = "subset"
     fits: ClassVar[Mapping[Structure, Structure]] = _PARTS
-    of: int | None = None
-    pick: str = "random"
-
-    def __post_init__(self) -> None:
-        as_choice("pick", self.pick, ("random", "run"))
-        if self.of is not None:
-            object.__setattr__(self, "of", as_integer("of", self.of, least=1, most=MAX_COUNT))
+    of: int | None = whole(None, least=1, most=MAX_COUNT)
+    pick: str = choice("random", "run")
 
     def fit(self, sampler: Sampler) -> Randomization:
         """Refuse a number of points that `sampler` cannot make."""
@@ -71,7 +67,7 @@ class Subset(Randomization):
         return Randomization.fit(self, sampler)
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """Return the subset of all points: a copy."""
+        """Return all points: a copy."""
         del stream, first
         return points.copy()
 
@@ -115,22 +111,19 @@ class Skip(Randomization):
     Notes
     -----
     For sequences (sobol, halton, kronecker, random, …) and points from outside: other sets cover only
-    a part of the domain without their first points, and are refused. A run of b^m points of a sequence in base b has the balance of a
-    net only if `count` is a multiple of b^m: leaving out just the origin spoils it (Owen 2020).
-    Skipped points are made and thrown away.
+    a part of the domain without their first points, and are refused. A run of b^m points of a
+    sequence in base b has the balance of a net only if `count` is a multiple of b^m: leaving out just
+    the origin spoils it. Skipped points are made and thrown away.
 
     References
     ----------
-    Owen (2020), "On dropping the first Sobol' point", doi 10.1007/978-3-030-98319-2_4.
+    [Owen2020]_.
     """
 
     name: ClassVar[str] = "skip"
     fixed: ClassVar[bool] = True
     pointwise: ClassVar[bool] = True
-    count: int = 0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "count", as_integer("count", self.count, least=0, most=MAX_COUNT))
+    count: int = whole(0, least=0, most=MAX_COUNT)
 
     def fit(self, sampler: Sampler) -> Randomization:
         """Refuse sets that are not sequences."""
@@ -190,7 +183,7 @@ class Shuffle(Randomization):
 
     References
     ----------
-    Knuth (1997), "The Art of Computer Programming" vol. 2, section 3.4.2, algorithm P.
+    [Knuth1997]_, section 3.4.2, algorithm P.
     """
 
     name: ClassVar[str] = "shuffle"

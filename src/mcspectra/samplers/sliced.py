@@ -9,10 +9,9 @@ from typing import ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.samplers._descent import random_points
 from mcspectra.samplers._fields import whole
-from mcspectra.samplers._hyperuniform_kernels import fill_normals
-from mcspectra.samplers.optimised import OptimisedSampler, check_sets
+from mcspectra.samplers.hyperuniform import fill_normals
+from mcspectra.samplers.optimised import OptimisedSampler, random_points
 
 __all__ = ["SlicedOptimalTransport", "projected_quantiles"]
 
@@ -54,9 +53,6 @@ class SlicedOptimalTransport(OptimisedSampler):
     dims: int = 2
     iterations: int = whole(150, least=1, most=10**6)
     directions: int = whole(32, least=1, most=10**6)
-
-    def _check(self) -> None:
-        check_sets(self)
 
     @property
     def unbiased(self) -> bool:  # type: ignore[override]

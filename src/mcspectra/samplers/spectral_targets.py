@@ -1,27 +1,37 @@
 """Sets in 2-D for a given target: a step, a radial power spectrum or a pair correlation.
 
-Frequencies are given as |m|/√n and distances as r√n, in units of the mean distance 1/√n of the
+Frequencies are given as ν = |m|/√n and distances as r√n, in units of the mean distance 1/√n of the
 points, so that one target serves every count.
 """
 
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar, final
+from typing import Any, ClassVar, TypeAlias, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer, as_real, as_real_array, as_unit_points
+from mcspectra.core.checks import Array, as_real_array, as_unit_points
 from mcspectra.core.errors import ParameterError
-from mcspectra.samplers._descent import minimize, random_points, wrap
-from mcspectra.samplers._spectrum_matching import Profile, RingLoss, hankel, piecewise_linear
-from mcspectra.samplers.base import check_dims
-from mcspectra.samplers.optimised import OptimisedSampler, check_sets
+from mcspectra.samplers._fields import real, settle, whole
+from mcspectra.samplers.optimised import OptimisedSampler, Report, minimize, random_points, wrap
 
-__all__ = ["StepBlueNoise", "TargetPcf", "TargetSpectrum"]
+__all__ = [
+    "Profile",
+    "RingLoss",
+    "StepBlueNoise",
+    "TargetPcf",
+    "TargetSpectrum",
+    "hankel",
+    "piecewise_linear",
+]
+
+Profile: TypeAlias = Callable[[Array], Array]
+"""A function of the distance from 0, 1 far away: power over ν, or pair correlation over r."""
 
 _REACH = 2.0  # |m|/√n up to where power is matched
 _PCF_REACH = 4.0  # the same for pair correlations: details of ⅛ of the mean distance
@@ -30,11 +40,46 @@ _LINE = np.linspace(0.0, 2 * _PCF_REACH, 1601)  # beyond the corners of the squa
 _NEGATIVE = -1e-6  # what counts as negative there: quadrature leaves 1e-9
 _LARGEST_STEP = 1 / math.sqrt(math.pi)
 _MOST_KNOTS, _LARGEST_PLACE = 200, 4.0
+_EPS = 1e-9  # of the non-uniform transforms
+_NODES = 48  # of Gauss and Legendre, on each piece: products with J0 up to 2π·4·4 are smooth there
+
+
+class _MatchedSampler(OptimisedSampler):
+    """Points whose radial mean power descends to that of a target."""
+
+    min_dims: ClassVar[int] = 2
+    max_dims: ClassVar[int | None] = 2
+    other_dims: ClassVar[str] = "for other dims use gaussian-blue-noise"
+    iterations: int
+
+    @abstractmethod
+    def _loss(self, n: int) -> RingLoss:
+        """Return how far points are from the target, for `n` of them."""
+
+    def misfit(self, points: object) -> float:
+        """Return the root mean square difference of the power of `points` (n, 2) from the target.
+
+        The mean is over the frequencies, of which each ring shares its mean power.
+        """
+        x = as_unit_points(points, dims=2)
+        power, target, sizes = self._loss(len(x)).rings(x)
+        return float(np.sqrt(np.average((power - target) ** 2, weights=sizes)))
+
+    def _optimize(self, n: int, keys: Array, report: Report) -> Array:
+        return wrap(
+            minimize(
+                self._loss(n),
+                random_points(keys, n, 2),
+                iterations=self.iterations,
+                longest=0.25 / math.sqrt(n),
+                report=report,
+            )
+        )
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class StepBlueNoise(OptimisedSampler):
+class StepBlueNoise(_MatchedSampler):
     """Points without power below a cutoff frequency and flat power above it; 2-D.
 
     Attributes
@@ -49,40 +94,28 @@ class StepBlueNoise(OptimisedSampler):
 
     References
     ----------
-    Heck, Schlömer, Deussen (2013), "Blue noise sampling with controlled aliasing",
-    doi 10.1145/2487228.2487233.
+    [Heck2013]_.
     """
 
     name: ClassVar[str] = "step-blue-noise"
-    max_dims: ClassVar[int | None] = 2
     dims: int = 2
-    cutoff: float = 0.55
-    iterations: int = 200
+    cutoff: float = real(0.55, above=0.0)
+    iterations: int = whole(200, least=1, most=10**6)
 
-    def __post_init__(self) -> None:
-        _check(self)
-        cutoff = as_real("cutoff", self.cutoff, above=0.0)
-        if cutoff > _LARGEST_STEP:
+    def _check(self) -> None:
+        if self.cutoff > _LARGEST_STEP:
             raise ParameterError(
-                f"cutoff is {cutoff:g}; give at most 1/√π = 0.5642: a higher cutoff would need a "
-                "negative density of pairs."
+                f"cutoff is {self.cutoff:g}; give at most 1/√π = 0.5642: a higher cutoff would need "
+                "a negative density of pairs."
             )
-        object.__setattr__(self, "cutoff", cutoff)
-
-    def misfit(self, points: object) -> float:
-        """Return how far the radial power of `points` (n, 2) is from the target, see `ring_misfit`."""
-        return ring_misfit(self._loss, points)
 
     def _loss(self, n: int) -> RingLoss:
         return RingLoss(n, lambda nu: (nu >= self.cutoff).astype(float), _REACH)
 
-    def _optimize(self, n: int, keys: Array, report: Callable[[float], None]) -> Array:
-        return _matched(self._loss(n), n, keys, self.iterations, report)
-
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class TargetSpectrum(OptimisedSampler):
+class TargetSpectrum(_MatchedSampler):
     """Points whose radial mean power follows a given piecewise linear curve; 2-D.
 
     Attributes
@@ -106,46 +139,30 @@ class TargetSpectrum(OptimisedSampler):
 
     References
     ----------
-    Heck, Schlömer, Deussen (2013), "Blue noise sampling with controlled aliasing",
-    doi 10.1145/2487228.2487233. Zhou, Huang, Wei, Wang (2012), "Point sampling with general noise
-    spectrum", doi 10.1145/2185520.2185572.
+    [Heck2013]_, [Zhou2012]_.
     """
 
     name: ClassVar[str] = "target-spectrum"
-    max_dims: ClassVar[int | None] = 2
     dims: int = 2
     frequencies: tuple[float, ...] = (0.2, 0.8)
     power: tuple[float, ...] = (0.0, 1.0)
-    iterations: int = 200
+    iterations: int = whole(200, least=1, most=10**6)
 
-    def __post_init__(self) -> None:
-        _check(self)
-        _check_knots(self, "frequencies", "power")
-        low, where = _least_transform(self._profile, self.frequencies)
+    def _check(self) -> None:
+        low, where = _least_transform(self, "frequencies", "power")
         if low < _NEGATIVE:
             raise ParameterError(
                 f"No point set has this power: its pair correlation would be {low:.3g} at the "
                 f"distance {where:.3g}/√n; lower the power at fewer low frequencies."
             )
 
-    def misfit(self, points: object) -> float:
-        """Return how far the radial power of `points` (n, 2) is from the target, see `ring_misfit`."""
-        return ring_misfit(self._loss, points)
-
-    @property
-    def _profile(self) -> Profile:
-        return piecewise_linear(np.array(self.frequencies), np.array(self.power))
-
     def _loss(self, n: int) -> RingLoss:
-        return RingLoss(n, self._profile, _REACH)
-
-    def _optimize(self, n: int, keys: Array, report: Callable[[float], None]) -> Array:
-        return _matched(self._loss(n), n, keys, self.iterations, report)
+        return RingLoss(n, piecewise_linear(self.frequencies, self.power), _REACH)
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class TargetPcf(OptimisedSampler):
+class TargetPcf(_MatchedSampler):
     """Points whose pair correlation follows a given piecewise linear curve; 2-D.
 
     Attributes
@@ -167,83 +184,33 @@ class TargetPcf(OptimisedSampler):
 
     References
     ----------
-    Öztireli, Gross (2012), "Analysis and synthesis of point distributions based on pair
-    correlation", doi 10.1145/2366145.2366189. Heck, Schlömer, Deussen (2013), "Blue noise sampling
-    with controlled aliasing", doi 10.1145/2487228.2487233.
+    [Oztireli2012]_, [Heck2013]_.
     """
 
     name: ClassVar[str] = "target-pcf"
-    max_dims: ClassVar[int | None] = 2
     dims: int = 2
     distances: tuple[float, ...] = (0.4, 0.6)
     pcf: tuple[float, ...] = (0.0, 1.0)
-    iterations: int = 200
+    iterations: int = whole(200, least=1, most=10**6)
 
-    def __post_init__(self) -> None:
-        _check(self)
-        _check_knots(self, "distances", "pcf")
-        low, where = _least_transform(self._correlation, self.distances)
+    def _check(self) -> None:
+        low, where = _least_transform(self, "distances", "pcf")
         if low < _NEGATIVE:
             raise ParameterError(
                 f"No point set has this pair correlation: its power would be {low:.3g} at the "
                 f"frequency {where:.3g} √n; keep the points less far apart."
             )
 
-    def misfit(self, points: object) -> float:
-        """Return how far the radial power of `points` (n, 2) is from the target, see `ring_misfit`."""
-        return ring_misfit(self._loss, points)
-
-    @property
-    def _correlation(self) -> Profile:
-        return piecewise_linear(np.array(self.distances), np.array(self.pcf))
-
     def _loss(self, n: int) -> RingLoss:
-        power = _power(self.distances, self.pcf)
+        power = _power_of_pcf(self.distances, self.pcf)
         return RingLoss(n, lambda nu: np.interp(nu, _LINE, power), _PCF_REACH)
 
-    def _optimize(self, n: int, keys: Array, report: Callable[[float], None]) -> Array:
-        return _matched(self._loss(n), n, keys, self.iterations, report)
 
+def _least_transform(sampler: Any, places: str, values: str) -> tuple[float, float]:
+    """Make both fields tuples of floats: increasing places, values that are not negative.
 
-@lru_cache(maxsize=8)  # many small sets have one target
-def _power(distances: tuple[float, ...], pcf: tuple[float, ...]) -> Array:
-    """Return the power of a pair correlation along `_LINE`."""
-    places = np.array(distances)
-    return np.maximum(hankel(piecewise_linear(places, np.array(pcf)), places, _LINE), 0.0)
-
-
-def ring_misfit(loss: Callable[[int], RingLoss], points: object) -> float:
-    """Return the root of the mean square difference of power and target over all frequencies."""
-    x = as_unit_points(points, dims=2)
-    power, target, sizes = loss(len(x)).rings(x)
-    return float(np.sqrt(np.average((power - target) ** 2, weights=sizes)))
-
-
-def _matched(
-    loss: RingLoss, n: int, keys: Array, iterations: int, report: Callable[[float], None]
-) -> Array:
-    return wrap(
-        minimize(
-            loss,
-            random_points(keys, n, 2),
-            iterations=iterations,
-            longest=0.25 / math.sqrt(n),
-            report=report,
-        )
-    )
-
-
-def _check(sampler: StepBlueNoise | TargetSpectrum | TargetPcf) -> None:
-    check_dims(sampler)
-    if sampler.dims != 2:
-        raise ParameterError(f"{sampler.name}: dims is {sampler.dims!r}; it must be 2.")
-    check_sets(sampler)
-    iterations = as_integer("iterations", sampler.iterations, least=1, most=10**6)
-    object.__setattr__(sampler, "iterations", iterations)
-
-
-def _check_knots(sampler: TargetSpectrum | TargetPcf, places: str, values: str) -> None:
-    """Make both fields tuples of floats: increasing places, values that are not negative."""
+    Returns the least value of the other description of this target, and where it is.
+    """
     x, y = (as_real_array(name, getattr(sampler, name)) for name in (places, values))
     if x.ndim != 1 or x.shape != y.shape or not 0 < x.size <= _MOST_KNOTS:
         raise ParameterError(
@@ -257,11 +224,102 @@ def _check_knots(sampler: TargetSpectrum | TargetPcf, places: str, values: str) 
         )
     if not np.isfinite(y).all() or y.min() < 0:
         raise ParameterError(f"{values} is {y.tolist()}; give finite numbers that are at least 0.")
-    object.__setattr__(sampler, places, tuple(x.tolist()))
-    object.__setattr__(sampler, values, tuple(y.tolist()))
+    settle(sampler, **{places: tuple(x.tolist()), values: tuple(y.tolist())})
+    transform = hankel(piecewise_linear(x, y), x, _TRIED)
+    return float(transform.min()), float(_TRIED[transform.argmin()])
 
 
-def _least_transform(profile: Profile, places: tuple[float, ...]) -> tuple[float, float]:
-    """Return the least value of the other description of a target, and where it is."""
-    values = hankel(profile, np.array(places), _TRIED)
-    return float(values.min()), float(_TRIED[values.argmin()])
+@lru_cache(maxsize=8)  # many small sets have one target
+def _power_of_pcf(distances: tuple[float, ...], pcf: tuple[float, ...]) -> Array:
+    """Return the power of a pair correlation along `_LINE`."""
+    return np.maximum(hankel(piecewise_linear(distances, pcf), np.array(distances), _LINE), 0.0)
+
+
+def piecewise_linear(places: Any, values: Any) -> Profile:
+    """Return the profile through (places, values), constant before the first and 1 after the last."""
+
+    def profile(x: Array) -> Array:
+        return np.asarray(np.interp(x, places, values, right=1.0))
+
+    return profile
+
+
+def hankel(profile: Profile, places: Array, at: Array) -> Array:
+    """Return 1 + 2π ∫ (profile(t) − 1) J0(2π t s) t dt at every s of `at`.
+
+    It turns power into pair correlation and back: both are 1 plus the transform of the other's
+    difference from 1. `places` are where the pieces of the profile meet, its end included.
+    """
+    from scipy.special import j0
+
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    ends = np.unique(np.concatenate([[0.0], places]))
+    half = np.diff(ends) / 2
+    t = (ends[:-1] + half)[:, None] + half[:, None] * nodes
+    w = half[:, None] * weights * (profile(t) - 1.0) * t
+    waves: Array = j0(2 * np.pi * np.multiply.outer(at, t.ravel()))
+    transform: Array = 1.0 + 2 * np.pi * np.sum(waves * w.ravel(), axis=-1)
+    return transform
+
+
+@final
+class RingLoss:
+    """Squared difference between the mean power of rings of frequencies and a target, in 2-D.
+
+    Ring r holds the frequencies with |m| within ½ of r; the loss is Σ (mean power − target)² over
+    rings, the target averaged over the same frequencies. Weighing rings by their frequencies
+    instead leaves the lowest ones, which matter most, ten times further from their target.
+
+    Parameters
+    ----------
+    n
+        Number of points.
+    target
+        n⟨|S_m|²⟩ against |m|/√n.
+    reach
+        The largest |m|/√n that counts.
+    """
+
+    def __init__(self, n: int, target: Profile, reach: float) -> None:
+        import finufft
+
+        self.n = n
+        most = max(2, round(reach * n**0.5))
+        self.axis = np.arange(-most, most + 1)
+        norm = np.hypot(self.axis[:, None], self.axis)
+        self.ring = np.where(norm < most + 0.5, np.round(norm), 0).astype(np.int64)  # 0: outside
+        self.sizes = np.maximum(np.bincount(self.ring.ravel()), 1)
+        self.target = self._ring_means(target(norm / n**0.5))
+        plans = [(1, -1, 1), (2, 1, 2)]  # type, sign, transforms at once
+        self.plans: list[Any] = [
+            finufft.Plan(
+                kind, norm.shape, n_trans=many, eps=_EPS, isign=sign, nthreads=1, showwarn=0
+            )
+            for kind, sign, many in plans
+        ]
+
+    def __call__(self, points: Array) -> tuple[float, Array]:
+        """Return the loss and its gradient (n, 2)."""
+        angles = 2 * np.pi * wrap(points)
+        for plan in self.plans:
+            plan.setpts(angles[:, 0].copy(), angles[:, 1].copy())
+        sums = self.plans[0].execute(np.ones(self.n, np.complex128))
+        excess = self._ring_means(sums.real**2 + sums.imag**2) / self.n - self.target
+        excess[0] = 0.0
+        pull = (excess / self.sizes)[self.ring] * sums
+        waves = np.stack([pull * self.axis[:, None], pull * self.axis])
+        slopes = self.plans[1].execute(waves)
+        gradient = (-8 * np.pi / self.n) * np.ascontiguousarray(slopes.imag.T)
+        return float(np.sum(excess**2)), gradient
+
+    def rings(self, points: Array) -> tuple[Array, Array, Array]:
+        """Return mean power, target and number of frequencies of the rings |m| = 1, 2, …"""
+        angles = 2 * np.pi * points
+        self.plans[0].setpts(angles[:, 0].copy(), angles[:, 1].copy())
+        sums = self.plans[0].execute(np.ones(self.n, np.complex128))
+        power = self._ring_means(np.abs(sums) ** 2) / self.n
+        return power[1:], self.target[1:], self.sizes[1:]
+
+    def _ring_means(self, values: Array) -> Array:
+        total: Array = np.bincount(self.ring.ravel(), values.ravel())
+        return total / self.sizes

@@ -1,31 +1,53 @@
-"""Random points, regular grids and one point a cell: random, regular, uniform-jitter, jittered.
+"""Random points, grids, jitter in their cells, multi-jittered sets and the triangular lattice.
 
 The unit cube is cut into n cells of equal volume, s a side (n = s^d) unless other sides are given.
 Points come in row-major order of their cells, the last coordinate fastest.
+
+Legend of the kernels: R realisations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`;
+``out`` float64 (R, n, d). Number i·d + j of a realisation belongs to coordinate j of point i; those of
+shuffles come after them.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, final
+from functools import lru_cache
+from typing import Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice
+from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.core.streams import Stream
-from mcspectra.samplers import _kernels
-from mcspectra.samplers._grid import (
-    cell_side,
-    check_sides,
-    corners,
-    grid_counts_near,
-    grid_sides,
-)
-from mcspectra.samplers.base import Sampler, Structure, check_dims, repeated
+from mcspectra.core.streams import Stream, mix_uniform
+from mcspectra.samplers._fields import choice, real, settle
+from mcspectra.samplers._kernels import _shuffle, fill_jittered
+from mcspectra.samplers.base import MAX_COUNT, FixedSet, Sampler, Structure
 
-__all__ = ["Jittered", "Random", "Regular", "UniformJitter"]
+__all__ = [
+    "AntitheticJittered",
+    "BoxJitter",
+    "CorrelatedMultiJittered",
+    "GaussianJitter",
+    "GridSampler",
+    "Hexagonal",
+    "Jittered",
+    "MultiJittered",
+    "Random",
+    "Regular",
+    "UniformJitter",
+    "cell_side",
+    "corners",
+    "nearly_square",
+    "root",
+]
+
+_SLACK = 2.0**-52
+_LAST_UNIFORM = 1.0 - 2.0**-53
+_MOST_WIDTH = 1000.0  # cells: far beyond independent points, and wrapped in float64 without loss
 
 
 @final
@@ -37,7 +59,7 @@ class Random(Sampler):
 
     References
     ----------
-    Metropolis, Ulam (1949), "The Monte Carlo method", doi 10.1080/01621459.1949.10483310.
+    [Metropolis1949]_.
     """
 
     name: ClassVar[str] = "random"
@@ -45,16 +67,54 @@ class Random(Sampler):
     sequence: ClassVar[bool] = True
     dims: int = DEFAULT_DIMS
 
-    def __post_init__(self) -> None:
-        check_dims(self)
-
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         return stream.uniforms(first, count, n * self.dims).reshape(count, n, self.dims)
 
 
+class GridSampler(Sampler):
+    """Base of samplers on a grid of s^d cells, or of `sides_` cells along the axes."""
+
+    sides_: Sequence[int] | None = None
+
+    def _check(self) -> None:
+        given: Any = self.sides_
+        if given is None:
+            return
+        if isinstance(given, str) or not isinstance(given, Sequence | np.ndarray):
+            raise ParameterError(
+                f"{self.name}: sides is {given!r}; give a list of {self.dims} whole numbers."
+            )
+        sides = tuple(as_integer(f"sides[{i}]", s, least=1) for i, s in enumerate(given))
+        if len(sides) != self.dims:
+            raise ParameterError(
+                f"{self.name}: sides has {len(sides)} numbers; give one for each of the "
+                f"{self.dims} dims."
+            )
+        if math.prod(sides) > MAX_COUNT:
+            raise ParameterError(
+                f"{self.name}: sides give {float(math.prod(sides)):.3g} cells; "
+                f"at most {MAX_COUNT:.3g} are possible."
+            )
+        settle(self, sides_=sides)
+
+    def sides(self, n: int) -> tuple[int, ...]:
+        """Return the number of cells along each axis for `n` points."""
+        return self._sides(self.check_count(n))
+
+    def _sides(self, n: int) -> tuple[int, ...]:
+        return (root(n, self.dims),) * self.dims if self.sides_ is None else tuple(self.sides_)
+
+    def _counts_near(self, n: int) -> tuple[int | None, int]:
+        if self.sides_ is None:
+            s = root(n, self.dims)
+            return s**self.dims, n if s**self.dims == n else (s + 1) ** self.dims
+        only = math.prod(self.sides_)
+        return (only if only <= n else None), (only if only >= n else MAX_COUNT + 1)
+
+
 @final
 @dataclass(frozen=True, kw_only=True)
-class Regular(Sampler):
+class Regular(FixedSet, GridSampler):
     """Regular grid of s^d points, or of given sides, deterministic; randomise with shift.
 
     Any dims; counts s^d, or only the product of `sides`.
@@ -68,40 +128,24 @@ class Regular(Sampler):
 
     References
     ----------
-    Ramamoorthi, Anderson, Meyer, Nowrouzezahrai (2012), "A theory of Monte Carlo visibility
-    sampling", doi 10.1145/2231816.2231819.
+    [Ramamoorthi2012]_.
     """
 
     name: ClassVar[str] = "regular"
     structure: ClassVar[Structure] = Structure.STRATA
-    unbiased: ClassVar[bool] = False
-    fixed: ClassVar[bool] = True
     dims: int = DEFAULT_DIMS
-    position: str = "center"
+    position: str = choice("center", "corner")
     sides_: Sequence[int] | None = None
 
-    def __post_init__(self) -> None:
-        check_dims(self)
-        check_sides(self)
-        as_choice("position", self.position, ("center", "corner"))
-
-    def sides(self, n: int) -> tuple[int, ...]:
-        """Return the number of cells along each axis for `n` points."""
-        return grid_sides(self.check_count(n), self.dims, self.sides_)
-
-    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        del stream, first  # the same points every time
-        sides = grid_sides(n, self.dims, self.sides_)
-        offset = 0.5 / np.array(sides) if self.position == "center" else 0.0
-        return repeated(corners(sides) + offset, count)
-
-    def _counts_near(self, n: int) -> tuple[int | None, int]:
-        return grid_counts_near(n, self.dims, self.sides_)
+    def _set(self, n: int) -> Array:
+        sides = self._sides(n)
+        points: Array = corners(sides) + (0.5 / np.array(sides) if self.position == "center" else 0)
+        return points
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class UniformJitter(Sampler):
+class UniformJitter(GridSampler):
     """Regular grid moved by one random offset within a cell, the same for all points.
 
     Any dims; counts s^d, or only the product of `sides`.
@@ -113,8 +157,7 @@ class UniformJitter(Sampler):
 
     References
     ----------
-    Ramamoorthi, Anderson, Meyer, Nowrouzezahrai (2012), "A theory of Monte Carlo visibility
-    sampling", doi 10.1145/2231816.2231819.
+    [Ramamoorthi2012]_.
     """
 
     name: ClassVar[str] = "uniform-jitter"
@@ -122,27 +165,13 @@ class UniformJitter(Sampler):
     dims: int = DEFAULT_DIMS
     sides_: Sequence[int] | None = None
 
-    def __post_init__(self) -> None:
-        check_dims(self)
-        check_sides(self)
-
-    def sides(self, n: int) -> tuple[int, ...]:
-        """Return the number of cells along each axis for `n` points."""
-        return grid_sides(self.check_count(n), self.dims, self.sides_)
-
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        sides = grid_sides(n, self.dims, self.sides_)
-        shares = stream.uniforms(first, count, self.dims)[:, None, :]
-        points: Array = corners(sides) + shares * [cell_side(s) for s in sides]
-        return points
-
-    def _counts_near(self, n: int) -> tuple[int | None, int]:
-        return grid_counts_near(n, self.dims, self.sides_)
+        return _in_cells(self._sides(n), stream.uniforms(first, count, self.dims)[:, None, :])
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Jittered(Sampler):
+class Jittered(GridSampler):
     """One uniform point in each of s^d cells, or in each cell of a given grid.
 
     Any dims; counts s^d, or only the product of `sides`.
@@ -154,9 +183,7 @@ class Jittered(Sampler):
 
     References
     ----------
-    Haber (1966), "A modified Monte-Carlo quadrature", doi 10.1090/S0025-5718-1966-0210285-0.
-
-    Cook (1986), "Stochastic sampling in computer graphics", doi 10.1145/7529.8927.
+    [Haber1966]_, [Cook1986]_.
     """
 
     name: ClassVar[str] = "jittered"
@@ -164,24 +191,363 @@ class Jittered(Sampler):
     dims: int = DEFAULT_DIMS
     sides_: Sequence[int] | None = None
 
-    def __post_init__(self) -> None:
-        check_dims(self)
-        check_sides(self)
+    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        sides = self._sides(n)
+        if len(set(sides)) > 1:
+            shares = stream.uniforms(first, count, n * self.dims)
+            return _in_cells(sides, shares.reshape(count, n, self.dims))
+        out = np.empty((count, n * self.dims))
+        fill_jittered(stream.keys(first, count), corners(sides).ravel(), cell_side(sides[0]), out)
+        return out.reshape(count, n, self.dims)
 
-    def sides(self, n: int) -> tuple[int, ...]:
-        """Return the number of strata along each axis for `n` points."""
-        return grid_sides(self.check_count(n), self.dims, self.sides_)
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class BoxJitter(GridSampler):
+    """Centers of the cells of a grid, each moved uniformly within a box of a given width, wrapped.
+
+    Any dims; counts s^d.
+
+    Attributes
+    ----------
+    width
+        Side of the box in sides of a cell, from 0 to 1000: 0 is the regular grid, 1 is jittered.
+
+    Notes
+    -----
+    Every point is uniform on the torus where the boxes tile it: for whole widths from 1 on. Others
+    leave gaps or overlaps at the same places of every cell; shift makes them uniform. Points that
+    leave the domain at one end come in at the other. The default is narrow enough to look
+    unlike jittered, and is not from a paper.
+
+    References
+    ----------
+    [Ramamoorthi2012]_.
+    """
+
+    name: ClassVar[str] = "box-jitter"
+    structure: ClassVar[Structure] = Structure.TORUS
+    dims: int = DEFAULT_DIMS
+    width: float = real(0.5, least=0.0, most=_MOST_WIDTH)
+
+    @property
+    def unbiased(self) -> bool:  # type: ignore[override]
+        """Whether the boxes tile the torus."""
+        return self.width >= 1.0 and self.width.is_integer()
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        sides = grid_sides(n, self.dims, self.sides_)
-        if len(set(sides)) > 1:
-            shares = stream.uniforms(first, count, n * self.dims).reshape(count, n, self.dims)
-            points: Array = corners(sides) + shares * [cell_side(s) for s in sides]
-            return points
-        out = np.empty((count, n * self.dims))
-        corner = corners(sides).ravel()
-        _kernels.fill_jittered(stream.keys(first, count), corner, cell_side(sides[0]), out)
+        u = stream.uniforms(first, count, n * self.dims)
+        return _moved_centers(self._sides(n), self.width * (u - 0.5))
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class GaussianJitter(GridSampler):
+    """Centers of the cells of a grid, each moved by a Gaussian vector of its own, wrapped.
+
+    Any dims; counts s^d.
+
+    Attributes
+    ----------
+    width
+        Standard deviation along each axis in sides of a cell, from 0 (the regular grid) to 1000.
+
+    Notes
+    -----
+    A point is not uniform: the centers show in its density as 1 + 2 exp(−2π² width²) cos(2πsx) + …
+    along each axis, by 58 % at width 0.25 and by 10^-8 at width 1; shift makes it uniform. Points
+    may leave their cells; those that leave the domain come in at the other end. The default is about
+    the standard deviation of jittered, 0.29, and is not from a paper.
+
+    References
+    ----------
+    [Balakrishnan1962]_.
+    """
+
+    name: ClassVar[str] = "gaussian-jitter"
+    structure: ClassVar[Structure] = Structure.TORUS
+    unbiased: ClassVar[bool] = False
+    dims: int = DEFAULT_DIMS
+    width: float = real(0.25, least=0.0, most=_MOST_WIDTH)
+
+    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        from scipy.special import ndtri
+
+        u = stream.uniforms(first, count, n * self.dims)
+        normal = ndtri(np.maximum(u, 2.0**-54))  # 0 would go to −∞
+        return _moved_centers(self._sides(n), self.width * normal)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class AntitheticJittered(Sampler):
+    """Two points in each of s^d cells: a uniform one and its reflection through the cell's center.
+
+    Any dims; counts 2 s^d. Points 2i and 2i + 1 are the pair of cell i.
+
+    Notes
+    -----
+    The linear part of the integrand cancels within each pair, so that the variance of smooth
+    integrands goes down as n^(−1 − 4/d), that of jittered as n^(−1 − 2/d).
+
+    References
+    ----------
+    [Haber1967]_, [Haber1970]_.
+    """
+
+    name: ClassVar[str] = "antithetic-jittered"
+    structure: ClassVar[Structure] = Structure.STRATA
+    antithetic: ClassVar[bool] = True
+    dims: int = DEFAULT_DIMS
+
+    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        s = root(n // 2, self.dims)
+        out = np.empty((count, n // 2, 2, self.dims))
+        _fill_antithetic(stream.keys(first, count), corners((s,) * self.dims), cell_side(s), out)
         return out.reshape(count, n, self.dims)
 
     def _counts_near(self, n: int) -> tuple[int | None, int]:
-        return grid_counts_near(n, self.dims, self.sides_)
+        s = root(n // 2, self.dims)
+        below = 2 * s**self.dims
+        return below or None, below if below == n else 2 * (s + 1) ** self.dims
+
+
+@kernel
+def _fill_antithetic(keys: Array, corners: Array, side: float, out: Array) -> None:
+    # Corners (cells, d), out (R, cells, 2, d); `side` as from `cell_side`.
+    count, cells, _, dims = out.shape
+    for r in range(count):
+        for i in range(cells):
+            for j in range(dims):
+                u = mix_uniform(keys[r, 0], keys[r, 1], i * dims + j)
+                out[r, i, 0, j] = corners[i, j] + side * u
+                # The numbers k/2^53 reflected: exact, and as evenly spread as they are
+                out[r, i, 1, j] = corners[i, j] + side * (_LAST_UNIFORM - u)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class MultiJittered(Sampler):
+    """Jittered in a × b cells, with one point in each of n strata of either axis too (2-D).
+
+    2-D. The counts are those n = a·b with a ≤ b ≤ 2a; the most nearly square such a × b is taken.
+
+    Notes
+    -----
+    The shares of a column (or row) are shuffled independently of those of the others;
+    correlated-multi-jittered repeats one shuffle in all of them.
+
+    References
+    ----------
+    [Chiu1994]_.
+    """
+
+    name: ClassVar[str] = "multi-jittered"
+    structure: ClassVar[Structure] = Structure.STRATA
+    min_dims: ClassVar[int] = 2
+    max_dims: ClassVar[int | None] = 2
+    other_dims: ClassVar[str] = "for other dims use orthogonal-array, jittered or latin-hypercube"
+    dims: int = 2
+
+    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        columns, out = nearly_square(n), np.empty((count, n, 2))
+        keys = stream.keys(first, count)
+        _fill_multi_jittered(keys, columns, n // columns, cell_side(n), out)
+        return out
+
+    def _counts_near(self, n: int) -> tuple[int | None, int]:
+        below = above = n
+        while not nearly_square(below):
+            below -= 1
+        while not nearly_square(above):
+            above += 1
+        return below, above
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class CorrelatedMultiJittered(Sampler):
+    """Multi-jittered with one shuffle for all columns and one for all rows, any count (2-D).
+
+    2-D, any count.
+
+    Notes
+    -----
+    Counts n = a·b with a ≤ b ≤ 2a take the most nearly square such a × b: each of the a × b cells
+    and each n-th of either axis holds one point. Other counts follow the memo's code: a = ⌊√n⌋
+    columns and b = ⌈n/a⌉ rows of height a/n, of which the last is incomplete. Each n-th of the
+    second axis then holds one point, and each (a·b)-th of the first and each cell at most one; digit
+    scrambles are for rectangles only. Shuffles are true random permutations, where the memo hashes
+    indices. Points come in the order of their second coordinate; shuffle gives them another.
+
+    References
+    ----------
+    [Kensler2013]_.
+    """
+
+    name: ClassVar[str] = "correlated-multi-jittered"
+    structure: ClassVar[Structure] = Structure.STRATA
+    min_dims: ClassVar[int] = 2
+    max_dims: ClassVar[int | None] = 2
+    other_dims: ClassVar[str] = "for other dims use orthogonal-array, jittered or latin-hypercube"
+    dims: int = 2
+
+    def digit_strata(self, n: int, base: int) -> bool:
+        """Whether n is a rectangle of columns and rows that are powers of the base."""
+        columns = nearly_square(n)
+        return columns > 0 and base ** round(math.log(columns, base)) == columns
+
+    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        columns = nearly_square(n) or math.isqrt(n)
+        rows = -(-n // columns)
+        sides = cell_side(columns * rows), cell_side(n)
+        out = np.empty((count, n, 2))
+        _fill_correlated(stream.keys(first, count), columns, rows, *sides, out)
+        return out
+
+
+@kernel
+def _fill_multi_jittered(keys: Array, columns: int, rows: int, side: float, out: Array) -> None:
+    # Point (i, j) is in column i and row j, and alone in its n-th of each axis.
+    n = columns * rows
+    down, across = np.empty(rows, np.int64), np.empty(columns, np.int64)
+    for r in range(out.shape[0]):
+        k0, k1, points = keys[r, 0], keys[r, 1], out[r]
+        # The points of a column share it out among themselves
+        for i in range(columns):
+            _shuffle(k0, k1, 2 * n + i * rows, down)
+            for j in range(rows):
+                p = i * rows + j
+                points[p, 0] = (i * rows + down[j]) / n + side * mix_uniform(k0, k1, 2 * p)
+        # Those of a row likewise
+        for j in range(rows):
+            _shuffle(k0, k1, 3 * n + j * columns, across)
+            for i in range(columns):
+                p = i * rows + j
+                y = (j * columns + across[i]) / n
+                points[p, 1] = y + side * mix_uniform(k0, k1, 2 * p + 1)
+
+
+@kernel
+def _fill_correlated(
+    keys: Array, columns: int, rows: int, wide: float, high: float, out: Array
+) -> None:
+    # One shuffle of the columns, one of the rows, for all points. Point p stays in the p-th of the n
+    # strata of the second axis, and so in row ⌊p / columns⌋; the last row may be incomplete. `wide`
+    # and `high` are the sides of the strata of either axis.
+    n, slots = out.shape[1], columns * rows
+    across, down = np.empty(columns, np.int64), np.empty(rows, np.int64)
+    for r in range(out.shape[0]):
+        k0, k1 = keys[r, 0], keys[r, 1]
+        _shuffle(k0, k1, 2 * n, across)
+        _shuffle(k0, k1, 2 * n + columns, down)
+        for p in range(n):
+            x = (across[p % columns] * rows + down[p // columns]) / slots
+            out[r, p, 0] = x + wide * mix_uniform(k0, k1, 2 * p)
+            out[r, p, 1] = p / n + high * mix_uniform(k0, k1, 2 * p + 1)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Hexagonal(FixedSet):
+    """Triangular lattice (hexagonal cells) stretched to fit the torus; randomise with shift.
+
+    2-D; counts n = 2ab for a = 1, 2, 3, … and b the whole number nearest to a/√3, at least 1:
+    2, 4, 12, 16, 30, 36, 56, 80, …
+
+    Notes
+    -----
+    The points are 2b rows of a points, every other row moved by half a step; nothing is random.
+    On a square torus no such array is quite regular: that takes b = a/√3. The chosen b is off by ½
+    at most, and the longer of the two distances between neighbours is then 1.41, 1.12, 1.11, 1.12,
+    1.03 and 1.12 times the shorter one at the first six counts, at most 1.06 from n = 56 and 1.02
+    from n = 780 on.
+
+    References
+    ----------
+    [Petersen1962]_.
+    """
+
+    name: ClassVar[str] = "hexagonal"
+    structure: ClassVar[Structure] = Structure.TORUS
+    min_dims: ClassVar[int] = 2
+    max_dims: ClassVar[int | None] = 2
+    other_dims: ClassVar[str] = "for other dims use rank1-lattice or regular"
+    dims: int = 2
+
+    def _set(self, n: int) -> Array:
+        across = _largest_across(n)
+        row, step = np.divmod(np.arange(n), across)
+        x = (4 * step + 1 + 2 * (row % 2)) / (4 * across)
+        y = (2 * row + 1) / (2 * (n // across))
+        return np.stack([x, y], axis=-1)
+
+    def _counts_near(self, n: int) -> tuple[int | None, int]:
+        across = _largest_across(n)
+        below = _hexagonal_count(across) if across else None
+        return below, n if below == n else _hexagonal_count(across + 1)
+
+
+def _hexagonal_count(across: int) -> int:
+    """Number of points in rows of `across`: twice that times the best half of the rows."""
+    return 2 * across * max(1, round(across / math.sqrt(3.0)))
+
+
+def _largest_across(n: int) -> int:
+    """Largest a of which the count is at most `n`, 0 if there is none."""
+    across = math.isqrt(n) + 2  # the count is at least a² for a > 1
+    while across and _hexagonal_count(across) > n:
+        across -= 1
+    return across
+
+
+def root(n: int, dims: int) -> int:
+    """Largest s with s^dims ≤ n, in exact integers (64 ** (1 / 3) is 3.9999…)."""
+    s: int = round(n ** (1.0 / dims)) + 1
+    while s**dims > n:
+        s -= 1
+    return s
+
+
+def nearly_square(n: int) -> int:
+    """Largest divisor a of n with n/2 ≤ a² ≤ n, 0 if there is none."""
+    candidates = np.arange(math.isqrt(n), math.isqrt((n - 1) // 2), -1)
+    found = candidates[n % candidates == 0]
+    return int(found[0]) if found.size else 0
+
+
+@lru_cache(maxsize=2)  # analyses draw block after block of one n; no more memory than the points
+def corners(sides: tuple[int, ...]) -> Array:
+    """Lower corners of the cells in row-major order: float64 (cells, dims), read-only."""
+    out = np.zeros((math.prod(sides), len(sides)))
+    for j, s in enumerate(sides):
+        steps = (np.arange(s) / s)[:, None]
+        out[:, j].reshape(math.prod(sides[:j]), s, -1)[:] = steps
+    out.setflags(write=False)
+    return out
+
+
+def cell_side(s: int) -> float:
+    """Return 1/s, shorter by 2^-52: then k/s + side·u stays below (k + 1)/s for all u < 1.
+
+    k/s, the product, the sum and (k + 1)/s are each rounded by at most 2^-54 below 1, and what is
+    taken off is four times that.
+    """
+    return 1.0 / s - _SLACK
+
+
+def _in_cells(sides: tuple[int, ...], shares: Array) -> Array:
+    """Points at `shares` (R, n or 1, d) of the sides of their cells."""
+    points: Array = corners(sides) + shares * [cell_side(s) for s in sides]
+    return points
+
+
+def _moved_centers(sides: tuple[int, ...], displacements: Array) -> Array:
+    """Return the cell centers plus displacements in cells, (count, n·d), on the torus."""
+    points = displacements.reshape(-1, math.prod(sides), len(sides))
+    points += 0.5
+    points /= sides[0]
+    points += corners(sides)
+    points -= np.floor(points)
+    points[points == 1.0] = 0.0  # −1e-20 − ⌊−1e-20⌋ rounds to 1
+    return points

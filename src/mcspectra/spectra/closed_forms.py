@@ -43,7 +43,7 @@ from mcspectra.densities import Density, Linear, TruncatedNormal, Uniform, as_wa
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import AxisRule
 from mcspectra.samplers import Randomized, Sampler, Shift, StrataShift, as_sampler
-from mcspectra.samplers._grid import root
+from mcspectra.samplers.stratified import nearly_square, root
 
 __all__ = ["Moments", "closed_form_covariance", "closed_form_power", "moments_of", "points_at"]
 
@@ -275,9 +275,7 @@ def _known_moments(sampler: Any, n: int) -> Moments | None:
             shared_out = sampler.jitter == "multi-jittered"
             return _orthogonal_array(root(n, 2), sampler.dims, shared_out=shared_out)
         case "multi-jittered":
-            from mcspectra.samplers.multijitter import _nearly_square
-
-            return _multi_jittered(_nearly_square(n), n)
+            return _multi_jittered(nearly_square(n), n)
     return None
 
 

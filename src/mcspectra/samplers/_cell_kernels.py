@@ -1,0 +1,540 @@
+"""Numba kernels of points that are relaxed by their cells or their neighbours: nothing is checked.
+
+Farthest points: a largest empty disk is centred on a corner of a Voronoi cell. Each cell is cut from the
+square around its point (the bisectors with the point's own images) by the bisectors with the points
+nearby; taking a point away, or putting one in, changes only the cells next to it. Legend: n points,
+2 dims; buckets as in `_spacing_kernels`; corners (K, 2) and neighbours (K,) of a cell,
+counterclockwise, neighbour k beyond the edge from corner k to the next, −1 for an image of the point
+itself; holes (n, 4): coordinates of the corner of each cell that is farthest from its point, its squared
+distance, and the squared distance of the nearest neighbour.
+
+Power diagrams: the cell of site i holds the x with |x − x_i|² − w_i ≤ |x − x_j|² − w_j for all sites j
+and their images. It is cut likewise by the sites in a grid of cells, ring by ring, until those left are
+too far away to reach it. Legend: n sites, 2 dims; points (n, 2) in [0,1), weights w (n,); sites (n, 3):
+both in the order of the grid; a cell (K, 4), counterclockwise and relative to its site: x and y of a
+corner, distance of the site beyond the edge to the next corner, its number, −1 for an image of the
+site itself.
+
+Gaussian blue noise: energy of all pairs of points and its gradient. Legend: n points, d dims; `points`
+float64 in [0,1), `force` is overwritten with the gradient.
+"""
+
+from __future__ import annotations
+
+from math import cos, exp, pi, sin
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.jit import kernel
+from mcspectra.samplers._spacing_kernels import add_to_buckets, empty_buckets
+
+__all__ = [
+    "Diagram",
+    "balance",
+    "measure_all",
+    "move_points",
+    "near_energy",
+    "power_diagram",
+    "series_energy",
+]
+
+_BELOW_ONE = 1.0 - 2.0**-53
+_CORNERS = 64  # most corners of a Voronoi cell; six on average
+_LOAD = 2.0  # sites in a cell of the grid; 1 to 3 take the same time
+_SOLVED = 1e-3  # residual of the linear equations, relative: Newton's steps need no better
+_LONGER = 4.0  # than the step before, at most: far from the goal, short steps come in series
+_HALVINGS = 40
+
+
+@kernel
+def _sort_into_cells(cell: Array, cells: int) -> tuple[Array, Array]:
+    # Counting sort: the points of cell c are order[start[c]:start[c + 1]].
+    start, order = np.zeros(cells + 2, np.int64), np.empty(cell.size, np.int64)
+    for i in range(cell.size):
+        start[cell[i] + 2] += 1
+    for c in range(2, cells + 2):
+        start[c] += start[c - 1]
+    for i in range(cell.size):
+        order[start[cell[i] + 1]] = i
+        start[cell[i] + 1] += 1
+    return start[: cells + 1], order
+
+
+@kernel
+def _cut_voronoi(
+    dx: float, dy: float, label: int, corners: Array, neighbors: Array, size: int
+) -> int:
+    # Cut a convex polygon by the bisector of the origin and (dx, dy); return its new size.
+    half = 0.5 * (dx * dx + dy * dy)
+    old, labels = corners[:size].copy(), neighbors[:size].copy()
+    count, outside = 0, 0
+    for k in range(size):
+        x, y = old[k]
+        u, v = old[(k + 1) % size]
+        here, there = x * dx + y * dy - half, u * dx + v * dy - half
+        if here <= 0.0:
+            corners[count, 0], corners[count, 1], neighbors[count] = x, y, labels[k]
+            count += 1
+        else:
+            outside += 1
+        if (here <= 0.0) != (there <= 0.0):
+            t = here / (here - there)
+            corners[count, 0], corners[count, 1] = x + t * (u - x), y + t * (v - y)
+            # Leaving the polygon the new edge begins, entering it an old one goes on
+            neighbors[count] = label if here <= 0.0 else labels[k]
+            count += 1
+    if outside == 0:
+        corners[:size], neighbors[:size] = old, labels
+        return size
+    return count
+
+
+@kernel
+def _farthest_corner(corners: Array, size: int) -> tuple[int, float]:
+    best, square = 0, -1.0
+    for k in range(size):
+        here = corners[k, 0] ** 2 + corners[k, 1] ** 2
+        if here > square:
+            best, square = k, here
+    return best, square
+
+
+@kernel
+def _measure(
+    i: int, points: Array, buckets: Any, corners: Array, neighbors: Array, holes: Array
+) -> int:
+    # Make Voronoi cell i and its row of `holes`; return its number of corners.
+    side, _, head, chain = buckets
+    size, near = 4, 1.0
+    for k in range(4):
+        corners[k, 0] = 0.5 if k in (0, 3) else -0.5
+        corners[k, 1] = 0.5 if k < 2 else -0.5
+        neighbors[k] = -1
+
+    # Cut it by the points in rings of buckets, or by their images
+    ring, far = 0, 0.5
+    while ring == 0 or (ring - 1.0) ** 2 < 4.0 * far * side * side:
+        for a in range(-ring, ring + 1):
+            for b in range(-ring, ring + 1, 1 if abs(a) == ring else max(1, 2 * ring)):
+                c0 = min(int(points[i, 0] * side), side - 1) + a
+                c1 = min(int(points[i, 1] * side), side - 1) + b
+                p = head[(c0 % side) * side + c1 % side]
+                while p >= 0:
+                    if p != i:
+                        dx = points[p, 0] - points[i, 0] + c0 // side
+                        dy = points[p, 1] - points[i, 1] + c1 // side
+                        near = min(near, dx * dx + dy * dy)
+                        if dx * dx + dy * dy < 4.0 * _farthest_corner(corners, size)[1]:
+                            size = _cut_voronoi(dx, dy, p, corners, neighbors, size)
+                    p = chain[p]
+        far = _farthest_corner(corners, size)[1]
+        ring += 1
+    best, far = _farthest_corner(corners, size)
+    holes[i, 0], holes[i, 1] = points[i, 0] + corners[best, 0], points[i, 1] + corners[best, 1]
+    holes[i, 2], holes[i, 3] = far, near
+    return size
+
+
+@kernel
+def measure_all(points: Array) -> Any:
+    """Return buckets with all points, about one in each, and the holes (n, 4) of all cells."""
+    n = points.shape[0]
+    buckets, holes = empty_buckets(n, 2, max(1, int(np.sqrt(n)))), np.empty((n, 4))
+    corners, neighbors = np.empty((_CORNERS, 2)), np.empty(_CORNERS, np.int64)
+    for i in range(n):
+        add_to_buckets(i, points[i], buckets)
+    for i in range(n):
+        _measure(i, points, buckets, corners, neighbors, holes)
+    return buckets, holes
+
+
+@kernel
+def _measure_around(size: int, neighbors: Array, points: Array, buckets: Any, holes: Array) -> None:
+    # Measure the neighbours of a cell.
+    corners, others = np.empty((_CORNERS, 2)), np.empty(_CORNERS, np.int64)
+    for k in range(size):
+        if neighbors[k] >= 0:
+            _measure(neighbors[k], points, buckets, corners, others, holes)
+
+
+@kernel
+def move_points(start: int, stop: int, points: Array, buckets: Any, holes: Array) -> None:
+    """Move each of the points start … stop−1 to the centre of the largest empty disk without it."""
+    side, _, head, chain = buckets
+    corners, neighbors = np.empty((_CORNERS, 2)), np.empty(_CORNERS, np.int64)
+    for i in range(start, stop):
+        size = _measure(i, points, buckets, corners, neighbors, holes)
+
+        # Take the point out of its bucket
+        x, y = points[i]
+        cell = min(int(x * side), side - 1) * side + min(int(y * side), side - 1)
+        if head[cell] == i:
+            head[cell] = chain[i]
+        else:
+            before = head[cell]
+            while chain[before] != i:
+                before = chain[before]
+            chain[before] = chain[i]
+        _measure_around(size, neighbors, points, buckets, holes)
+
+        # Put it into the largest hole
+        holes[i, 2] = -1.0
+        best = np.argmax(holes[:, 2])
+        for j in range(2):
+            points[i, j] = min(holes[best, j] - np.floor(holes[best, j]), _BELOW_ONE)
+        add_to_buckets(i, points[i], buckets)
+        size = _measure(i, points, buckets, corners, neighbors, holes)
+        _measure_around(size, neighbors, points, buckets, holes)
+
+
+class Diagram(NamedTuple):
+    """Cells of a power diagram, and the faces between them as rows of a sparse matrix.
+
+    Attributes
+    ----------
+    areas, moments
+        ∫ 1 and ∫ |x − x_i|² over each cell, (n,).
+    offsets
+        Centroids minus sites, (n, 2).
+    rows, neighbors, couplings
+        Cell i has faces rows[i, 0] … rows[i, 1] − 1: the site beyond, and by how much the area of
+        cell i falls with its weight, length / (2 distance).
+    """
+
+    areas: Array
+    moments: Array
+    offsets: Array
+    rows: Array
+    neighbors: Array
+    couplings: Array
+
+
+@kernel
+def _bucket(x: float, side: int) -> int:
+    return min(int(x * side), side - 1)
+
+
+@kernel
+def _cut(dx: float, dy: float, level: float, label: int, cell: Array, size: int, new: Array) -> int:
+    # Keep in `new` the part of the cell with x·d ≤ level; return its number of corners.
+    count, v = 0, cell[0, 0] * dx + cell[0, 1] * dy - level
+    for k in range(size):
+        after = 0 if k + 1 == size else k + 1
+        u, v = v, cell[after, 0] * dx + cell[after, 1] * dy - level
+        if u <= 0.0:
+            for c in range(4):
+                new[count, c] = cell[k, c]
+            count += 1
+        if (u <= 0.0) != (v <= 0.0):
+            t = u / (u - v)
+            new[count, 0] = cell[k, 0] + t * (cell[after, 0] - cell[k, 0])
+            new[count, 1] = cell[k, 1] + t * (cell[after, 1] - cell[k, 1])
+            new[count, 2] = np.sqrt(dx * dx + dy * dy) if u <= 0.0 else cell[k, 2]
+            new[count, 3] = label if u <= 0.0 else cell[k, 3]
+            count += 1
+    return count
+
+
+@kernel
+def _cut_by_bucket(
+    s: int,
+    sites: Array,
+    bucket: Any,
+    place: Any,
+    radius2: float,
+    size: int,
+    cell: Array,
+    new: Array,
+) -> Any:
+    # Cut the cell of site s, which is at `place` as seen from the bucket, by the sites in there
+    # near enough to reach it; return the new square of the farthest corner's distance, and size.
+    for t in range(bucket[0], bucket[1]):
+        dx, dy = sites[t, 0] - place[0], sites[t, 1] - place[1]
+        d2 = dx * dx + dy * dy
+        level = 0.5 * (d2 + sites[s, 2] - sites[t, 2])
+        if t == s or (level > 0.0 and level * level >= radius2 * d2):
+            continue
+        extent = -np.inf
+        for k in range(size):
+            extent = max(extent, cell[k, 0] * dx + cell[k, 1] * dy)
+        if extent > level:
+            size = _cut(dx, dy, level, t, cell, size, new)
+            radius2 = 0.0
+            for k in range(size):
+                for c in range(4):
+                    cell[k, c] = new[k, c]
+                radius2 = max(radius2, cell[k, 0] ** 2 + cell[k, 1] ** 2)
+    return radius2, size
+
+
+@kernel
+def _cut_cell(s: int, sites: Array, buckets: Any, heaviest: float, cell: Array, new: Array) -> int:
+    # Make the cell of site s (in the order of the buckets); return its number of corners.
+    side, starts = buckets
+    x, y, excess, width = sites[s, 0], sites[s, 1], heaviest - sites[s, 2], 1.0 / side
+    row, column = _bucket(x, side), _bucket(y, side)
+    margin = min(x - row * width, (row + 1) * width - x)
+    margin = min(margin, y - column * width, (column + 1) * width - y)
+    for k in range(4):
+        cell[k, 0] = 0.5 if k in (1, 2) else -0.5
+        cell[k, 1] = 0.5 if k >= 2 else -0.5
+        cell[k, 2], cell[k, 3] = 1.0, -1.0
+    size, radius2, ring = 4, 0.5, 0
+    while (ring - 1) * width + margin <= np.sqrt(radius2) + np.sqrt(max(0.0, radius2 + excess)):
+        for a in range(row - ring, row + ring + 1):
+            i, turns = a % side, float(a // side)
+            step = 1 if abs(a - row) == ring else 2 * ring
+            for b in range(column - ring, column + ring + 1, step):
+                k = i * side + b % side
+                bucket, place = (starts[k], starts[k + 1]), (x - turns, y - b // side)
+                radius2, size = _cut_by_bucket(s, sites, bucket, place, radius2, size, cell, new)
+        if size == 0:
+            break
+        ring += 1
+    return size
+
+
+@kernel
+def power_diagram(points: Array, weights: Array) -> Diagram:
+    """Return the power diagram of the sites; the Voronoi diagram if all weights are 0."""
+    n = points.shape[0]
+    side = max(1, int(np.sqrt(n / _LOAD)))
+    bucket = np.empty(n, np.int64)
+    for i in range(n):
+        bucket[i] = _bucket(points[i, 0], side) * side + _bucket(points[i, 1], side)
+    starts, order = _sort_into_cells(bucket, side * side)
+    sites = np.empty((n, 3))
+    for s in range(n):
+        i = order[s]
+        sites[s, 0], sites[s, 1], sites[s, 2] = points[i, 0], points[i, 1], weights[i]
+
+    heaviest = weights.max()
+    areas, moments, offsets = np.empty(n), np.empty(n), np.empty((n, 2))
+    rows, used = np.zeros((n, 2), np.int64), 0
+    neighbors, couplings = np.empty(8 * n + 8, np.int64), np.empty(8 * n + 8)
+    # A cell lies within a unit square, where at most 9 images of a site can have a face with it
+    cell, spare = np.empty((10 * n + 10, 4)), np.empty((10 * n + 10, 4))
+    for s in range(n):
+        i = order[s]
+        size = _cut_cell(s, sites, (side, starts), heaviest, cell, spare)
+        if used + size > len(neighbors):  # more faces than in general position: 6 n
+            neighbors = np.append(neighbors, np.empty(used + size, np.int64))
+            couplings = np.append(couplings, np.empty(used + size))
+
+        # Area, centroid and second moment about the site; faces with other sites
+        area, x, y, moment = 0.0, 0.0, 0.0, 0.0
+        rows[i, 0] = used
+        for k in range(size):
+            after = 0 if k + 1 == size else k + 1
+            px, py, qx, qy = cell[k, 0], cell[k, 1], cell[after, 0], cell[after, 1]
+            cross = px * qy - py * qx
+            area += cross / 2
+            x += cross * (px + qx) / 6
+            y += cross * (py + qy) / 6
+            moment += cross * (px * (px + qx) + qx * qx + py * (py + qy) + qy * qy) / 12
+            length = np.hypot(qx - px, qy - py)
+            if cell[k, 3] >= 0 and length > 0.0:
+                neighbors[used] = order[int(cell[k, 3])]
+                couplings[used] = length / (2 * cell[k, 2])
+                used += 1
+        rows[i, 1] = used
+        scale = 1.0 / area if area > 0.0 else 0.0
+        areas[i], offsets[i, 0], offsets[i, 1], moments[i] = area, x * scale, y * scale, moment
+    return Diagram(areas, moments, offsets, rows, neighbors[:used], couplings[:used])
+
+
+@kernel
+def _divide(x: Array, diagonal: Array, out: Array) -> float:
+    # out = x / diagonal; return x · out.
+    product = 0.0
+    for i in range(x.size):
+        out[i] = x[i] / diagonal[i]
+        product += x[i] * out[i]
+    return product
+
+
+@kernel
+def _solve(diagram: Diagram, rest: Array) -> Array:
+    # The change of the weights that changes areas by `rest`, which is overwritten: conjugate gradients
+    # for the Laplacian L of the graph of neighbours, each face counting its coupling.
+    n = rest.size
+    change, direction, work, diagonal = np.zeros(n), np.empty(n), np.empty(n), np.zeros(n)
+    for i in range(n):
+        for k in range(diagram.rows[i, 0], diagram.rows[i, 1]):
+            diagonal[i] += diagram.couplings[k]
+    rho = _divide(rest, diagonal, direction)
+    goal = _SOLVED**2 * rho
+    for _ in range(4 * n):
+        if rho <= goal:
+            break
+
+        # work = L direction
+        product = 0.0
+        for i in range(n):
+            total = 0.0
+            for k in range(diagram.rows[i, 0], diagram.rows[i, 1]):
+                total += diagram.couplings[k] * (direction[i] - direction[diagram.neighbors[k]])
+            work[i] = total
+            product += direction[i] * total
+        length = rho / product
+        for i in range(n):
+            change[i] += length * direction[i]
+            rest[i] -= length * work[i]
+        before, rho = rho, _divide(rest, diagonal, work)
+        for i in range(n):
+            direction[i] = work[i] + rho / before * direction[i]
+    return change
+
+
+@kernel
+def _compare(areas: Array, masses: Array, rest: Array) -> Any:
+    # Put masses − areas into `rest`; return the largest of them relative to a mass, and |rest|².
+    worst, square = 0.0, 0.0
+    for i in range(areas.size):
+        rest[i] = masses[i] - areas[i]
+        worst = max(worst, abs(rest[i]) / masses[i])
+        square += rest[i] ** 2
+    return worst, square
+
+
+@kernel
+def balance(points: Array, weights: Array, masses: Array, tolerance: float, steps: int) -> Any:
+    """Return weights whose cells have areas `masses`, and their power diagram.
+
+    At most so many Newton steps, from `weights` or, if those leave a cell empty, from 0, until all
+    areas are right within `tolerance` times their mass or get no better. Such weights are where a
+    concave function is largest, the dual of the transport of the uniform density to the sites; damped
+    Newton steps find them from any weights that leave no cell empty [Kitagawa2019]_.
+    """
+    weights, diagram = weights.copy(), power_diagram(points, weights)
+    if diagram.areas.min() <= 0.0:
+        weights[:] = 0.0
+        diagram = power_diagram(points, weights)
+    least = 0.5 * min(diagram.areas.min(), masses.min())
+    rest, length = np.empty(weights.size), 1.0
+    worst, square = _compare(diagram.areas, masses, rest)
+    for _ in range(steps):
+        if worst <= tolerance:
+            break
+        change, length = _solve(diagram, rest), min(1.0, _LONGER * length)
+        for _ in range(_HALVINGS):
+            trial = power_diagram(points, weights + length * change)
+            trial_worst, trial_square = _compare(trial.areas, masses, rest)
+            if trial.areas.min() > least and trial_square <= (1.0 - length / 2) ** 2 * square:
+                break
+            length /= 2
+        else:
+            break  # nothing is gained any more: rounding
+        weights += length * change
+        diagram, worst, square = trial, trial_worst, trial_square
+    return weights, diagram
+
+
+@kernel
+def _add_cell_pair(
+    points: Array, a: Array, b: Array, image: Array, sigma: float, force: Array
+) -> float:
+    # Energy between the points a and the points b moved by `image`; each pair once if a is b.
+    factor, far = -0.5 / sigma**2, 72.0 * sigma**2 / 2.0
+    same = image[0] == 0.0 and image[1] == 0.0 and image[2] == 0.0
+    energy = 0.0
+    for s in range(a.size):
+        i = a[s]
+        for t in range(b.size):
+            k = b[t]
+            if same and a[0] == b[0] and t <= s:
+                continue
+            x = points[i, 0] - points[k, 0] - image[0]
+            y = points[i, 1] - points[k, 1] - image[1]
+            z = points[i, 2] - points[k, 2] - image[2]
+            square = x * x + y * y + z * z
+            if square < far:
+                e = exp(factor * square)
+                energy += e
+                pull = 2.0 * factor * e
+                force[i, 0] += pull * x
+                force[i, 1] += pull * y
+                force[i, 2] += pull * z
+                force[k, 0] -= pull * x
+                force[k, 1] -= pull * y
+                force[k, 2] -= pull * z
+    return energy
+
+
+@kernel
+def near_energy(points: Array, cells: Array, offsets: Array, sigma: float, force: Array) -> float:
+    """Return the energy of points (n, 3) up to 6 σ apart, in cells; fewer dims: zeros, one cell.
+
+    `offsets` (K, 3) are the steps to neighbouring cells, one of each opposite pair, the first
+    zero; they may go around the torus several times, so that all images of a point count.
+    """
+    n = points.shape[0]
+    cell = np.empty(n, np.int64)
+    for i in range(n):
+        c = 0
+        for j in range(3):
+            c = c * cells[j] + min(int(points[i, j] * cells[j]), cells[j] - 1)
+        cell[i] = c
+    start, order = _sort_into_cells(cell, cells[0] * cells[1] * cells[2])
+
+    force[:] = 0.0
+    energy, image = 0.0, np.zeros(3)
+    for c0 in range(cells[0]):
+        for c1 in range(cells[1]):
+            for c2 in range(cells[2]):
+                a = (c0 * cells[1] + c1) * cells[2] + c2
+                mine = order[start[a] : start[a + 1]]
+                if mine.size == 0:
+                    continue
+                for o in range(offsets.shape[0]):
+                    b0, b1, b2 = c0 + offsets[o, 0], c1 + offsets[o, 1], c2 + offsets[o, 2]
+                    image[0], image[1] = b0 // cells[0], b1 // cells[1]
+                    image[2] = b2 // cells[2]
+                    b = ((b0 % cells[0]) * cells[1] + b1 % cells[1]) * cells[2] + b2 % cells[2]
+                    others = order[start[b] : start[b + 1]]
+                    energy += _add_cell_pair(points, mine, others, image, sigma, force)
+    return energy
+
+
+@kernel
+def series_energy(points: Array, weights: Array, force: Array) -> float:
+    """Return Σ over pairs of Π_j (1 + Σ_m weights[m−1] cos 2πm(x_j − y_j)), any number of dims."""
+    n, dims = points.shape
+
+    # Tabulate cos and sin of 2π m x for m = 1, 2, …: (n, d, orders)
+    shape = (n, dims, weights.size)
+    c, s = np.empty(shape), np.empty(shape)
+    for i in range(n):
+        for j in range(dims):
+            for m in range(weights.size):
+                c[i, j, m] = cos(2.0 * pi * (m + 1) * points[i, j])
+                s[i, j, m] = sin(2.0 * pi * (m + 1) * points[i, j])
+
+    value, slope, after = np.empty(dims), np.empty(dims), np.empty(dims + 1)
+    force[:] = 0.0
+    energy = 0.0
+    for i in range(n):
+        for k in range(i):
+            # Factor of each axis and its derivative
+            for j in range(dims):
+                value[j], slope[j] = 1.0, 0.0
+                for m in range(weights.size):
+                    w = weights[m]
+                    value[j] += w * (c[i, j, m] * c[k, j, m] + s[i, j, m] * s[k, j, m])
+                    turn = s[i, j, m] * c[k, j, m] - c[i, j, m] * s[k, j, m]
+                    slope[j] -= 2.0 * pi * (m + 1) * w * turn
+
+            # Derivatives of the product
+            after[dims] = 1.0
+            for j in range(dims - 1, -1, -1):
+                after[j] = after[j + 1] * value[j]
+            energy += after[0]
+            before = 1.0
+            for j in range(dims):
+                pull = before * slope[j] * after[j + 1]
+                before *= value[j]
+                force[i, j] += pull
+                force[k, j] -= pull
+    return energy

@@ -1,0 +1,339 @@
+"""Points moved until they are spread evenly: Lloyd, bnot, Gaussian blue noise, farthest points.
+
+Lloyd's method moves each point to the centroid of its Voronoi cell, again and again. Blue noise
+through optimal transport does the same with the power diagram whose cells have equal areas: that is
+a descent of the cost of transporting the uniform density to the points, of which the gradient by a
+point is 2/n times its distance from the centroid of its cell [deGoes2012]_. Gaussian blue noise descends
+an energy of pairs; farthest-point optimisation moves each point to the farthest place of all.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import ClassVar, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_unit_points
+from mcspectra.core.errors import DomainError
+from mcspectra.core.registry import DEFAULT_DIMS
+from mcspectra.samplers import _cell_kernels as kernels
+from mcspectra.samplers._fields import real, whole
+from mcspectra.samplers.optimised import OptimisedSampler, Report, minimize, random_points, wrap
+
+__all__ = [
+    "Bnot",
+    "FarthestPoint",
+    "GaussianBlueNoise",
+    "Lloyd",
+    "near_energy",
+    "relax",
+    "series_energy",
+    "transport_cost",
+]
+
+_NEWTON = 100  # steps at most: about 10 from random points, 2 or 3 after a move
+_BALANCED = 1e-3  # of an area, while points still move
+_EXACT = 1e-9  # the same for the cost, which errs by its square
+_CLOSE = 1e-4  # the same where rounding is in the way: the cost is right to about 1e-6
+_REPORTS = 50
+_CHUNK = 4096  # moves between reports of progress
+_CUTOFF = 6.0  # σ: exp(−18) = 1.5e-8, as small as the kernel's own spectrum at the spacing
+_SERIES_END = 6.0  # e^(−½ 6²), of the terms of the Fourier series in many dims
+_CELLS = 4  # along a cut-off
+
+
+class _CentroidSampler(OptimisedSampler):
+    """Points moved to the centroids of their cells until they are near."""
+
+    min_dims: ClassVar[int] = 2
+    max_dims: ClassVar[int | None] = 2
+    other_dims: ClassVar[str] = "for other dims use gaussian-blue-noise"
+    iterations: int
+    tolerance: float
+
+    @abstractmethod
+    def _offsets(self, n: int) -> Callable[[Array], Array]:
+        """Return the function from `n` points to the centroids of their cells minus them."""
+
+    def _optimize(self, n: int, keys: Array, report: Report) -> Array:
+        start, offsets = random_points(keys, n, 2), self._offsets(n)
+        return relax(start, offsets, self.iterations, self.tolerance, report)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Lloyd(_CentroidSampler):
+    """Points at the centroids of their Voronoi cells, by Lloyd's method (2-D torus).
+
+    Any count.
+
+    Attributes
+    ----------
+    dims
+        2.
+    iterations
+        Largest number of moves of all points.
+    tolerance
+        The method stops at this distance of points from their centroids: root mean square, as a
+        multiple of n^(−1/2).
+    sets
+        Reuse of sets, see `OptimisedSampler`.
+
+    Notes
+    -----
+    The start is random, and the method does not depend on where the origin is: every point is
+    uniform. Low frequencies are slow to go, since areas become equal by diffusion only: see bnot.
+
+    References
+    ----------
+    [Lloyd1982]_, [McCoolFiume1992]_.
+    """
+
+    name: ClassVar[str] = "lloyd"
+    dims: int = 2
+    iterations: int = whole(100, least=1, most=10**6)
+    tolerance: float = real(0.0, least=0.0, most=1.0)
+
+    def _offsets(self, n: int) -> Callable[[Array], Array]:
+        return lambda points: kernels.power_diagram(points, np.zeros(n)).offsets
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Bnot(_CentroidSampler):
+    """Blue noise through optimal transport: cells of equal areas around their centroids (2-D torus).
+
+    Any count.
+
+    Attributes
+    ----------
+    dims
+        2.
+    iterations
+        Largest number of moves of all points.
+    tolerance
+        The method stops at this distance of points from the centroids of their cells: root mean
+        square, as a multiple of n^(−1/2). Smaller values order the points into crystals.
+    sets
+        Reuse of sets, see `OptimisedSampler`.
+
+    Notes
+    -----
+    The start is random, and the method does not depend on where the origin is: every point is
+    uniform. The paper also jitters regions that have become regular; here descent ends before
+    that. The capacity-constrained Voronoi tessellations [Balzer2009]_, which swap samples of the
+    density between points, are the discrete forerunner of this method.
+
+    References
+    ----------
+    [deGoes2012]_, [Balzer2009]_.
+    """
+
+    name: ClassVar[str] = "bnot"
+    dims: int = 2
+    iterations: int = whole(200, least=1, most=10**6)
+    tolerance: float = real(0.01, least=0.0, most=1.0)
+
+    def _offsets(self, n: int) -> Callable[[Array], Array]:
+        weights, masses = np.zeros(n), np.full(n, 1.0 / n)
+
+        def offsets(points: Array) -> Array:
+            weights[:], diagram = kernels.balance(points, weights, masses, _BALANCED, _NEWTON)
+            return kernels.Diagram(*diagram).offsets
+
+        return offsets
+
+
+def relax(
+    points: Array,
+    offsets: Callable[[Array], Array],
+    iterations: int,
+    tolerance: float,
+    report: Report,
+) -> Array:
+    """Return points moved by their `offsets` until these are small, `iterations` times at most."""
+    for i in range(iterations):
+        if i % max(1, iterations // _REPORTS) == 0:
+            report(i / iterations)
+        moves = offsets(points)
+        if float(np.sum(moves**2)) <= tolerance**2:
+            break
+        points = wrap(points + moves)
+    return points
+
+
+def transport_cost(points: object) -> float:
+    """Return the cost of transporting the uniform density to the points, equal masses at each.
+
+    The least mean square distance on the torus, W₂², over all ways to share the unit square out
+    equally; in 1-D by sorting, in 2-D by the power diagram with equal areas. n times the cost is
+    1/6 for a square grid, 0.1604 (5/(18√3)) for a hexagonal one, which no set can beat.
+
+    Parameters
+    ----------
+    points
+        Points (n, 1) or (n, 2) in [0,1).
+
+    Raises
+    ------
+    DomainError
+        More than 2 dims, no points in [0,1), or points so far from uniform that Newton's method
+        takes more than 100 steps; random ones take 10.
+
+    References
+    ----------
+    [Kitagawa2019]_.
+    """
+    x = as_unit_points(points)
+    if x.ndim != 2 or x.shape[1] > 2:
+        raise DomainError(
+            f"points have shape {x.shape}; the transport cost is for one set, (n, 1) or (n, 2)."
+        )
+    n = len(x)
+    if x.shape[1] == 1:
+        # Intervals of 1/n in the order of the points, moved along the circle to where it costs least
+        distances = np.sort(x[:, 0]) - (np.arange(n) + 0.5) / n
+        return float(distances.var() + 1.0 / (12.0 * n * n))
+
+    sites, counts = np.unique(x, axis=0, return_counts=True)  # equal points share a cell
+    masses = counts / n
+    weights, diagram = kernels.balance(sites, np.zeros(len(sites)), masses, _EXACT, _NEWTON)
+    lacking = masses - diagram.areas
+    if float(np.abs(lacking / masses).max()) > _CLOSE:
+        raise DomainError(
+            f"The transport cost was not found in {_NEWTON} Newton steps: the points are too far "
+            "from uniform; transform them to be nearly uniform, or give fewer."
+        )
+    # The dual value: what areas lack counts at its price, so that errors are of second order
+    return float(np.sum(diagram.moments) + np.sum(weights * lacking))
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class GaussianBlueNoise(OptimisedSampler):
+    """Points of least energy Σ exp(−|x_i − x_k|²/(2σ²)) on the torus; any dims, any count.
+
+    Attributes
+    ----------
+    sigma
+        σ as a multiple of the mean distance n^(−1/d): larger ones empty more of the low
+        frequencies and take more iterations.
+    iterations
+        Most steps of the descent.
+    sets
+        Reuse of sets, see `OptimisedSampler`.
+
+    Notes
+    -----
+    The paper descends along the gradient; here the same gradient drives limited-memory BFGS, which
+    needs fewer steps. Up to 3 dims pairs are cut off at 6 σ, beyond them all images count through
+    the Fourier series of the Gaussian on the torus: work grows like n, or like n². The start is
+    random, and the energy does not change under translations: hence every point is uniform.
+
+    References
+    ----------
+    [Ahmed2022]_.
+    """
+
+    name: ClassVar[str] = "gaussian-blue-noise"
+    dims: int = DEFAULT_DIMS
+    sigma: float = real(1.0, least=0.2, most=2.0)
+    iterations: int = whole(400, least=1, most=10**6)
+
+    def _optimize(self, n: int, keys: Array, report: Report) -> Array:
+        spacing = n ** (-1.0 / self.dims)
+        energy = near_energy if self.dims <= 3 else series_energy
+        points = minimize(
+            partial(energy, self.sigma * spacing),
+            random_points(keys, n, self.dims),
+            iterations=self.iterations,
+            longest=spacing / 4,
+            report=report,
+        )
+        return wrap(points)
+
+
+def near_energy(sigma: float, points: Array) -> tuple[float, Array]:
+    """Return energy and gradient up to 3 dims, by cells."""
+    n, dims = points.shape
+    cells, offsets = _neighbor_cells(sigma, dims)
+    padded, force = np.zeros((n, 3)), np.empty((n, 3))
+    padded[:, :dims] = wrap(points)
+    energy = kernels.near_energy(padded, cells, offsets, sigma, force)
+    return energy, force[:, :dims].copy()
+
+
+@lru_cache(maxsize=4)
+def _neighbor_cells(sigma: float, dims: int) -> tuple[Array, Array]:
+    """Return the cells along each of 3 axes and the steps to neighbours: half of them, 0 first."""
+    reach = _CUTOFF * sigma
+    side = max(1, min(int(_CELLS / reach), 1024))
+    steps = math.ceil(reach * side)
+    axes = [range(-steps, steps + 1) if j < dims else range(1) for j in range(3)]
+
+    def gap(offset: tuple[int, ...]) -> float:
+        """Least distance, in cells, between points of two cells so many steps apart."""
+        return math.hypot(*(max(abs(step) - 1, 0) for step in offset))
+
+    found = itertools.product(*axes)
+    half = [offset for offset in found if offset >= (0, 0, 0) and gap(offset) < reach * side]
+    return np.array([side] * dims + [1] * (3 - dims)), np.array(half)
+
+
+def series_energy(sigma: float, points: Array) -> tuple[float, Array]:
+    """Return energy (divided by its mean) and gradient in any number of dims, by Fourier series."""
+    orders = np.arange(1, max(2, math.ceil(_SERIES_END / (2 * math.pi * sigma))) + 1)
+    weights = 2.0 * np.exp(-2.0 * (math.pi * sigma * orders) ** 2)
+    force = np.empty(points.shape)
+    return kernels.series_energy(points, weights, force), force
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class FarthestPoint(OptimisedSampler):
+    """Farthest-point optimised points: minimum distance near that of the densest packing (2-D torus).
+
+    From random points on, every point in turn is taken out and put into the centre of the largest
+    empty disk: the farthest place there is from all others. The minimum distance never decreases. One
+    sweep over n points takes O(n²) with a small constant: 1024 points and 30 sweeps, 2 s.
+
+    Attributes
+    ----------
+    dims
+        2.
+    sweeps
+        Largest number of moves of every point; fewer if nothing changes any more. After 30 the
+        minimum distance is about 0.92 of that of the hexagonal packing.
+
+    References
+    ----------
+    [Schloemer2011]_.
+    """
+
+    name: ClassVar[str] = "farthest-point"
+    min_dims: ClassVar[int] = 2
+    max_dims: ClassVar[int | None] = 2
+    other_dims: ClassVar[str] = "for other dims use best-candidate or dart-throwing"
+    dims: int = 2
+    sweeps: int = whole(30, least=1, most=100_000)
+
+    def _optimize(self, n: int, keys: Array, report: Report) -> Array:
+        drawn = random_points(keys, n + 1, 2)
+        points, offset = drawn[:n].copy(), drawn[n:]
+        buckets, holes = kernels.measure_all(points)
+        for sweep in range(self.sweeps):
+            before = points.copy()
+            for start in range(0, n, _CHUNK):
+                report((sweep + start / n) / self.sweeps)
+                stop = min(start + _CHUNK, n)
+                kernels.move_points(start, stop, points, buckets, holes)
+            if np.array_equal(points, before):
+                break
+        # Holes of equal size (there are, among few points) were chosen by where they are
+        return wrap(points + offset)
