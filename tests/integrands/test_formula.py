@@ -11,7 +11,7 @@ import pytest
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
 from mcspectra.integrands import Formula
-from mcspectra.integrands._expression import FUNCTIONS, MOST_CHARACTERS, MOST_PARTS
+from mcspectra.integrands.formula import FUNCTIONS, MOST_CHARACTERS, MOST_PARTS
 
 X = np.random.default_rng(3).random((5, 7, 3))
 x, y, z = np.moveaxis(X, -1, 0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.integrands._shapes import cut_cube_volume, cut_disk_fourier
+from mcspectra.integrands.indicators import _cut_cube_volume, _cut_disk_fourier
 
 
 def some_frequencies(dims=2, largest=300, count=200):
@@ -18,7 +18,7 @@ def some_frequencies(dims=2, largest=300, count=200):
 def test_chords_of_a_whole_disk_give_bessel_functions():
     m = some_frequencies()
     disk = mcs.integrands.Disk(center=(0.47, 0.52), radius=0.31)
-    chords = cut_disk_fourier(m, np.array([0.47, 0.52]), 0.31)
+    chords = _cut_disk_fourier(m, np.array([0.47, 0.52]), 0.31)
     assert np.abs(chords - disk.fourier(m)).max() < 1e-13
 
 
@@ -153,16 +153,16 @@ def test_moderate_degrees_keep_their_digits():
 def test_the_volume_of_a_cut_cube(dims):
     """Irwin and Hall: at the middle of a sum of uniforms ½, below 1 c^d/d!."""
     normal = np.ones(dims)
-    assert cut_cube_volume(normal, dims / 2) == pytest.approx(0.5, rel=1e-12)
-    assert cut_cube_volume(normal, 0.8) == pytest.approx(
+    assert _cut_cube_volume(normal, dims / 2) == pytest.approx(0.5, rel=1e-12)
+    assert _cut_cube_volume(normal, 0.8) == pytest.approx(
         0.8**dims / np.prod(np.arange(1, dims + 1))
     )
-    assert cut_cube_volume(-normal, -dims + 0.8) == pytest.approx(cut_cube_volume(normal, 0.8))
-    assert cut_cube_volume(normal, 0.0) == 0
-    assert cut_cube_volume(normal, dims) == 1
+    assert _cut_cube_volume(-normal, -dims + 0.8) == pytest.approx(_cut_cube_volume(normal, 0.8))
+    assert _cut_cube_volume(normal, 0.0) == 0
+    assert _cut_cube_volume(normal, dims) == 1
 
 
 def test_an_ill_conditioned_volume_is_refused():
-    assert cut_cube_volume(np.array([1.0, 1e-8, 1e-8, 1e-8]), 0.5) is None
+    assert _cut_cube_volume(np.array([1.0, 1e-8, 1e-8, 1e-8]), 0.5) is None
     f = mcs.integrands.HalfSpace(normal=(1.0, 1e-8, 1e-8), offset=0.5, dims=3)
     assert f.integral == pytest.approx(0.5, abs=1e-6)

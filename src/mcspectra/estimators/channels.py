@@ -32,7 +32,7 @@ from mcspectra.estimators.importance import Estimator, check_support
 from mcspectra.estimators.mis import MultipleImportance
 from mcspectra.estimators.primary import PrimaryIntegrand
 from mcspectra.integrands import Integrand, as_integrand, integral_accuracy
-from mcspectra.integrands.channel import Channel
+from mcspectra.integrands.base import Channel
 from mcspectra.samplers import Sampler
 
 __all__ = ["ChannelSampling", "channel_estimators"]
