@@ -83,9 +83,6 @@ class Mirrored(AbstractEstimator):
         self.mode = as_choice("mode", mode, MIRRORINGS)
         self.counts, self.sets = self.estimator.counts, self.estimator.sets
 
-    def __repr__(self) -> str:
-        return f"Mirrored({self.spec})"
-
     @property
     def dims(self) -> int:
         """Number of dims of the estimator inside."""

@@ -15,40 +15,25 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
-from mcspectra.integrands import Integrand
+from mcspectra.integrands.base import Breaks, Derived, Integrand
 from mcspectra.samplers.mirror import folded
 
 __all__ = ["FoldedIntegrand", "SymmetrizedIntegrand"]
 
-_Breaks = tuple[tuple[float, ...], ...]
 _MOST_DIMS = 12  # 2^d values of the integrand for one of its average over reflections
 
 
 @final
 @dataclass(frozen=True)
-class FoldedIntegrand(Integrand):
+class FoldedIntegrand(Derived):
     """f(1 − |2u − 1|), every coordinate folded: continuous on the torus where f is on the cube."""
 
     name: ClassVar[str] = "folded"
+    text = "folded {0.integrand.spec}"
     integrand: Integrand
 
     @property
-    def dims(self) -> int:  # type: ignore[override]
-        """Number of dims of f."""
-        return self.integrand.dims
-
-    @property
-    def channels(self) -> int:  # type: ignore[override]
-        """Channels of f."""
-        return self.integrand.channels
-
-    @property
-    def spec(self) -> str:
-        """Text for messages."""
-        return f"folded {self.integrand.spec}"
-
-    @property
-    def breaks(self) -> _Breaks:
+    def breaks(self) -> Breaks:
         """Both images of each break of f, and the fold."""
         return tuple(
             tuple(sorted({0.5, *(0.5 * b for b in axis), *(1.0 - 0.5 * b for b in axis)}))
@@ -72,9 +57,6 @@ class FoldedIntegrand(Integrand):
     def _evaluate(self, x: Array) -> Array:
         return self.integrand(np.maximum(folded(x), 0.0))  # at 1, which no sample is, −2^-53
 
-    def _integral(self) -> Any:
-        return self.integrand._integral()
-
 
 def _part(lo: Array, hi: Array, above: Array) -> tuple[Array, Array, Array]:
     """Image under folding of the part of boxes above (or below) ½, and its share of each box."""
@@ -88,10 +70,11 @@ def _part(lo: Array, hi: Array, above: Array) -> tuple[Array, Array, Array]:
 
 @final
 @dataclass(frozen=True)
-class SymmetrizedIntegrand(Integrand):
+class SymmetrizedIntegrand(Derived):
     """2^-d Σ f(u reflected), the average over all reflections: of period 1 and continuous."""
 
     name: ClassVar[str] = "symmetrized"
+    text = "symmetrised {0.integrand.spec}"
     integrand: Integrand
 
     def __post_init__(self) -> None:
@@ -102,22 +85,7 @@ class SymmetrizedIntegrand(Integrand):
             )
 
     @property
-    def dims(self) -> int:  # type: ignore[override]
-        """Number of dims of f."""
-        return self.integrand.dims
-
-    @property
-    def channels(self) -> int:  # type: ignore[override]
-        """Channels of f."""
-        return self.integrand.channels
-
-    @property
-    def spec(self) -> str:
-        """Text for messages."""
-        return f"symmetrised {self.integrand.spec}"
-
-    @property
-    def breaks(self) -> _Breaks:
+    def breaks(self) -> Breaks:
         """Each break of f and its reflection."""
         return tuple(
             tuple(sorted({*axis, *(1.0 - b for b in axis)})) for axis in self.integrand.breaks
@@ -128,9 +96,6 @@ class SymmetrizedIntegrand(Integrand):
         for reflected in itertools.product((False, True), repeat=self.dims):
             total = total + self.integrand(np.where(reflected, 1.0 - x, x))
         return np.asarray(total / 2.0**self.dims)
-
-    def _integral(self) -> Any:
-        return self.integrand._integral()
 
     def _fourier(self, m: Array) -> Array | None:
         total: Any = 0.0

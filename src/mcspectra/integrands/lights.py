@@ -167,7 +167,7 @@ class RectangleLight(Integrand):
 
 
 def _clip(polygon: Array, normal: Array, offset: float) -> Array:
-    """The part of a convex polygon (k, 3) where normal·x >= offset (Sutherland & Hodgman 1974)."""
+    """The part of a convex polygon (k, 3) where normal·x >= offset [SutherlandHodgman1974]_."""
     if not len(polygon):
         return polygon
     heights = polygon @ normal - offset
