@@ -235,7 +235,6 @@ class DomainEstimator(AbstractEstimator):
 
     @property
     def channels(self) -> int:
-        """Channels of f."""
         return self.integrand.channels
 
     @property
@@ -245,12 +244,10 @@ class DomainEstimator(AbstractEstimator):
 
     @property
     def integral_source(self) -> str:
-        """Source of `integral`."""
         return self.integrand.integral_source
 
     @property
     def integral_error(self) -> float:
-        """Error of ∫ f."""
         return integral_accuracy(self.domain_integrand or self.integrand)[1]
 
     @property
@@ -262,17 +259,23 @@ class DomainEstimator(AbstractEstimator):
 @final
 @dataclass(frozen=True)
 class PrimaryIntegrand(Derived):
-    """The primary-space integrand g_t of an estimator of f, as an integrand."""
+    """The primary-space integrand g_t of an estimator of f, as an integrand.
+
+    Attributes
+    ----------
+    density
+        p_t; None where points choose their technique.
+    """
 
     name: ClassVar[str] = "primary"
     text = "primary integrand {0.technique} of {0.estimator.spec}"
     estimator: AbstractEstimator
     technique: int
     integrand: Integrand
+    density: Density | None = None
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """Number of dims of primary space."""
         return self.estimator.dims
 
     @property

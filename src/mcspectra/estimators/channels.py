@@ -103,7 +103,7 @@ class ChannelSampling(DomainEstimator):
 
     def primary_integrand(self, technique: int) -> Integrand:
         """g_c(u) = f_c(T_c(u))/p_c(T_c(u)) in channel c, 0 in the others."""
-        return PrimaryIntegrand(self, technique, self.integrand)
+        return PrimaryIntegrand(self, technique, self.integrand, self.densities[technique])
 
     def primary_breaks(self, technique: int) -> Breaks:
         return carried_breaks(self.integrand, self.densities[technique])

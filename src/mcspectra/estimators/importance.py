@@ -71,7 +71,9 @@ class Estimator(DomainEstimator):
             check_support(self.integrand, [self.density])
         # Kept, because it keeps what was computed for it
         self._primary = (
-            self.integrand if self.density is None else PrimaryIntegrand(self, 0, self.integrand)
+            self.integrand
+            if self.density is None
+            else PrimaryIntegrand(self, 0, self.integrand, self.density)
         )
 
     @property

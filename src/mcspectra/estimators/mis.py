@@ -73,7 +73,6 @@ class Combined(DomainEstimator):
 
     @property
     def pilot_evaluations(self) -> int:
-        """Pilot evaluations of the heuristic."""
         return self.combination.heuristic.pilot_evaluations
 
     @property
@@ -86,13 +85,6 @@ class Combined(DomainEstimator):
         """f; with optimal weights the residual f − Σ α_t p_t, which has the same variance."""
         controlled = self.combination.control is not None
         return Residual(self.integrand, self.combination) if controlled else self.integrand
-
-    def primary_integrand(self, technique: int = 0) -> Integrand:
-        return PrimaryIntegrand(self, technique, self.integrand)
-
-    def primary_breaks(self, technique: int = 0) -> Breaks:
-        density = self.densities[technique]
-        return carried_breaks(self.integrand, density, self.combination.breaks)
 
 
 @final
@@ -146,6 +138,14 @@ class MultipleImportance(Combined):
         parts = zip(self.counts, self.densities, strict=True)
         shown = ", ".join(f"{c}×{p.spec}" if c > 1 else p.spec for c, p in parts)
         return f"{self.integrand.spec} / {self.heuristic}[{shown}]{self.sets_label}"
+
+    def primary_integrand(self, technique: int) -> Integrand:
+        density = self.densities[technique]
+        return PrimaryIntegrand(self, technique, self.integrand, density)
+
+    def primary_breaks(self, technique: int) -> Breaks:
+        density = self.densities[technique]
+        return carried_breaks(self.integrand, density, self.combination.breaks)
 
     def primary_values(self, technique: int, u: Array) -> Array:
         """g_t(u), which with optimal weights is α_t + (f − Σ α_s p_s) w_t/p_t."""
@@ -224,12 +224,10 @@ class TechniqueSum(AbstractEstimator):
 
     @property
     def dims(self) -> int:
-        """Number of dims of every technique."""
         return self.integrands[0].dims
 
     @property
     def channels(self) -> int:
-        """Channels of every technique."""
         return self.integrands[0].channels
 
     @property

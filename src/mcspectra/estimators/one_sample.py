@@ -15,7 +15,7 @@ import numpy as np
 from mcspectra.core.checks import Array, as_choice, as_reals
 from mcspectra.core.errors import ParameterError
 from mcspectra.densities import Density
-from mcspectra.estimators.base import carried_breaks
+from mcspectra.estimators.base import PrimaryIntegrand, carried_breaks
 from mcspectra.estimators.heuristics import Heuristic
 from mcspectra.estimators.importance import scale
 from mcspectra.estimators.mis import Combined
@@ -103,6 +103,10 @@ class OneSampleMIS(Combined):
         split = ", coordinate" if self.selection == "coordinate" else ""
         return f"{self.integrand.spec} / one-sample {self.heuristic}{split}[{shown}]"
 
+    def primary_integrand(self, technique: int = 0) -> Integrand:
+        """g(u), of all techniques together."""
+        return PrimaryIntegrand(self, technique, self.integrand)
+
     def primary_values(self, technique: int, u: Array) -> Array:
         """g(u) = w_t f/(P_t p_t) at T_t of the rest of u, t chosen by its coordinate."""
         del technique
@@ -112,7 +116,6 @@ class OneSampleMIS(Combined):
         return values if control is None else np.asarray(values + control.sum(axis=0))
 
     def warp(self, technique: int, u: Array) -> Array:
-        """T_t(u) of the chosen technique."""
         del technique
         return self._chosen(u)[0]
 

@@ -183,17 +183,14 @@ class _Parts(Pilot):
         return np.stack([p.pdf(x) for p in self.densities])
 
     def values(self, x: Array) -> Array:
-        """Values of f at points (k, d): (k, channels), with one channel for scalars."""
         return self.integrand(x).reshape(len(x), -1)
 
     def points(self, technique: int, count: int, seed: int) -> Array:
-        """Random points of a technique, (count, d)."""
         density, stream = self.densities[technique], Stream.from_rng(seed).child(technique)
         u = stream.uniforms(0, 1, count * density.primary_dims)
         return density.sample(u.reshape(count, -1))
 
     def quadrature(self, function: Callable[[Array], Array]) -> Array:
-        """Integrals of `system` or `moments` over the cube."""
         shape = function(np.full((1, self.integrand.dims), 0.5)).shape[1:]
         found = _Packed(self.integrand, self.densities, function, int(np.prod(shape))).integral
         return np.asarray(found).reshape(shape)

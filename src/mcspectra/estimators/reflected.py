@@ -86,7 +86,6 @@ class SymmetrizedIntegrand(Derived):
 
     @property
     def breaks(self) -> Breaks:
-        """Each break of f and its reflection."""
         return tuple(
             tuple(sorted({*axis, *(1.0 - b for b in axis)})) for axis in self.integrand.breaks
         )

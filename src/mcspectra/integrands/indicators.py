@@ -413,7 +413,8 @@ def _cut_cube_volume(normal: Array, offset: float) -> float | None:
     """Volume of {x in [0,1]^d: normal·x < offset}; None where rounding would spoil it.
 
     With k positive components after reflection, Σ_v (−1)^|v| (offset − n·v)_+^k / (k! Π n_i) over
-    the corners v of the cube [BarrowSmith1979]_. The terms cancel: the relative rounding is checked.
+    the corners v of the cube [BarrowSmith1979]_. The terms cancel: the
+    relative rounding is checked.
     """
     level = offset - np.minimum(normal, 0.0).sum()
     n = np.abs(normal[normal != 0])

@@ -84,7 +84,7 @@ class RectangleLight(Integrand):
 
     def __post_init__(self) -> None:
         settle(self)
-        if not any(self.normal):
+        if not norm(np.array(self.normal)) > 0:
             raise ParameterError("The normal is (0, 0, 0); give the direction the receiver faces.")
         self._height  # noqa: B018 - refuses degenerate lights
 
