@@ -1,4 +1,4 @@
-"""Coefficients against independent formulas: Bessel functions, polygons, sums of pieces, Parseval."""
+"""Coefficients against independent formulas: Bessel functions, polygons, sums of pieces."""
 
 import itertools
 
@@ -102,42 +102,6 @@ def test_a_gaussian_from_afar(center):
         expected = (0.5 * weight * f(x[:, None]) * np.exp(-2j * np.pi * m * x)).sum()
         # Relative: the tail 58 widths away is 1e-740 = 0, 22 widths away 1e-105.
         assert abs(f.fourier([[m]])[0] - expected) <= 1e-12 * f(x[:, None]).max()
-
-
-@pytest.mark.parametrize(
-    ("spec", "variation"),
-    [
-        ("step(at=0.3)", 2.0),
-        ("linear", 2.0),
-        ("smoothed-step(at=0.4, width=0.2)", 2.0),
-        ("gaussian", 4.0),
-        ("polynomial(coefficients=[0, 0, 1])", 2.0),
-        ("disk(center=0.4, radius=0.2)", 2.0),
-    ],
-)
-def test_parseval_1d(spec, variation):
-    """|f_m| ≤ V/(2π|m|) for variation V on the circle, so that the tail is at most V²/(2π²K)."""
-    f, k = mcs.integrand(spec, dims=1), 2000
-    tail = f.box_moments(np.zeros(1), np.ones(1))[1] - (np.abs(f.fourier_grid(k)) ** 2).sum()
-    assert -1e-12 < tail < variation**2 / (2 * np.pi**2 * k)
-
-
-def test_parseval_of_a_disk():
-    """|f_m|² ≤ 0.83²·r/(2π ρ³), since √z |J_1(z)| ≤ 0.83; summed over |m| > K − 1."""
-    k, radius = 100, 0.3
-    f = mcs.integrands.Disk(radius=radius)
-    tail = f.integral - (np.abs(f.fourier_grid(k)) ** 2).sum()
-    assert 0 < tail < 0.83**2 * radius / (k - 1)
-
-
-def test_parseval_of_an_image():
-    """All frequencies of one alias class sum to the power of the pixels: Σ sinc² = 1."""
-    f = mcs.integrands.Image(values=np.random.default_rng(1).random((4, 6)))
-    k = 400
-    square = f.box_moments(np.zeros(2), np.ones(2))[1]
-    tail = square - (np.abs(f.fourier_grid(k)) ** 2).sum()
-    # In each axis Σ_{|m|>K} sinc²(πm/N) ≤ 2N²/(π²K)
-    assert 0 < tail < square * 2 * (4**2 + 6**2) / (np.pi**2 * k)
 
 
 def test_moderate_degrees_keep_their_digits():
