@@ -23,8 +23,6 @@ def _estimators():
     return [
         mcs.Estimator(SMOOTH),
         mcs.Estimator(SMOOTH, densities[1]),
-        mcs.Estimator("disk(center=[0.4, 0.3], radius=0.35)", dims=2),
-        mcs.MultipleImportance(SMOOTH, densities),
         mcs.MultipleImportance(SMOOTH, densities, heuristic="power", counts=(1, 4)),
         mcs.MultipleImportance(SMOOTH, densities, sets="shared"),
         mcs.TechniqueSum([SMOOTH, "step"]),
@@ -37,7 +35,7 @@ def _as_sampler_mode(mode):
 
 @pytest.mark.parametrize("estimator", _estimators(), ids=lambda e: e.spec)
 @pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("spec", ["jittered", "jittered | shift", "sobol | owen"])
+@pytest.mark.parametrize("spec", ["jittered | shift", "sobol | owen"])
 def test_mirrored_is_the_mirrored_sampler_bit_for_bit(estimator, mode, spec):
     mirrored = mcs.Mirrored(estimator, mode)
     inner = mcs.sampler(spec, dims=2)
@@ -319,15 +317,6 @@ def test_exact_variances_of_the_study():
     assert float(cell) == mcs.exact_variance(uniform, "jittered | shift", 4)
     blank = mcs.mirror_study(SMOOTH_1D, "sobol", [4], realizations=2, exact=True)
     assert np.isnan(blank["exact_variance"]).all()
-
-
-def test_the_study_of_an_edge_keeps_its_rate_under_mirroring():
-    disk = mcs.integrand("disk(center=[0.463, 0.517], radius=0.27)", dims=2)
-    study = mcs.mirror_study(
-        disk, "jittered", [64, 256, 1024], mirrorings=["integrand"], realizations=300
-    )
-    for rate, ci in zip(study["rate"][0], study["rate_ci"][0], strict=True):
-        assert abs(float(rate) + 1.5) < WITHIN / 1.96 * float(ci[1] - ci[0]) / 2 + 0.05
 
 
 @pytest.mark.parametrize(

@@ -132,15 +132,18 @@ def test_variance_of_small_boxes_is_not_lost_to_rounding():
         assert np.abs(square - mean**2 - squared * side**2 / 12).max() < bound
 
 
-def test_reference_integrals():
+def test_reference_functions():
+    x = np.random.default_rng(8).random((100, 2))
+    radius = (x**2).sum(axis=-1)
     known = {
-        "disk": 0.5,
-        "triangle": 0.5,
-        "step": 1 / np.pi,
-        "gaussian": 0.5577462853510337,
-        "bilinear": 0.25,
+        "disk": (0.5, radius < 2 / np.pi),
+        "triangle": (0.5, x[:, 1] > x[:, 0]),
+        "step": (1 / np.pi, x[:, 0] < 1 / np.pi),
+        "gaussian": (0.5577462853510337, np.exp(-radius)),
+        "bilinear": (0.25, x.prod(axis=-1)),
     }
-    for name, expected in known.items():
+    for name, (integral, values) in known.items():
         f = mcs.integrand(f"christensen-{name}")
-        assert f.integral == pytest.approx(expected, abs=4e-16)
+        assert f.integral == pytest.approx(integral, abs=4e-16)
         assert f.integral_source == "exact"
+        np.testing.assert_allclose(f(x), values, rtol=1e-14)

@@ -45,27 +45,23 @@ class FoldedIntegrand(Derived):
         mean: Any = 0.0
         square: Any = 0.0
         for sides in itertools.product((False, True), repeat=self.dims):
+            # The image under folding of the part above (or below) ½, and its share of each box
             above = np.array(sides)
-            low, high, share = _part(lo, hi, above)
-            found = self.integrand.box_moments(low, high)
+            low = np.where(above, 1.0 - np.clip(hi, 0.5, 1.0), np.clip(lo, 0.0, 0.5))
+            high = np.where(above, 1.0 - np.clip(lo, 0.5, 1.0), np.clip(hi, 0.0, 0.5))
+            share = ((high - low) / (hi - lo)).prod(axis=-1)
+            share = share[..., None] if self.channels else share
+            empty = ~(high > low)  # has no mean: any box will do, its share is 0
+            found = self.integrand.box_moments(
+                np.where(empty, 0.0, 2.0 * low), np.where(empty, 1.0, 2.0 * high)
+            )
             if found is None:
                 return None
-            share = share[..., None] if self.channels else share
             mean, square = mean + share * found[0], square + share * found[1]
         return mean, square
 
     def _evaluate(self, x: Array) -> Array:
         return self.integrand(np.maximum(folded(x), 0.0))  # at 1, which no sample is, −2^-53
-
-
-def _part(lo: Array, hi: Array, above: Array) -> tuple[Array, Array, Array]:
-    """Image under folding of the part of boxes above (or below) ½, and its share of each box."""
-    low, high = np.clip(lo, 0.0, 0.5), np.clip(hi, 0.0, 0.5)
-    upper_low, upper_high = 1.0 - np.clip(hi, 0.5, 1.0), 1.0 - np.clip(lo, 0.5, 1.0)
-    low, high = np.where(above, upper_low, low), np.where(above, upper_high, high)
-    share = ((high - low) / (hi - lo)).prod(axis=-1)
-    empty = ~(high > low)  # has no mean: any box will do, its share is 0
-    return np.where(empty, 0.0, 2.0 * low), np.where(empty, 1.0, 2.0 * high), share
 
 
 @final

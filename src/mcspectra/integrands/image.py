@@ -241,22 +241,16 @@ class Environment(_Picture):
     def _evaluate(self, x: Array) -> Array:
         cosine = np.maximum(directions(x) @ self._unit, 0.0)
         factor = 2 * math.pi**2 * np.sin(np.pi * x[..., 1]) * cosine
-        radiance = self._pixel(x) if self.interpolation == "constant" else self._blend(x)
+        if self.interpolation == "constant":
+            radiance = self._pixel(x)
+        else:  # between the four centres around x
+            height, width = self._pixels.shape[:2]
+            s, t = x[..., 0] * width - 0.5, np.clip(x[..., 1] * height - 0.5, 0, height - 1)
+            left, top = np.floor(s).astype(np.intp), np.floor(t).astype(np.intp)
+            columns = left % width, (left + 1) % width
+            rows = top, np.minimum(top + 1, height - 1)
+            radiance = _between(self._pixels, columns, rows, s - left, t - top)
         return np.asarray(radiance * (factor[..., None] if self.channels else factor))
-
-    def _blend(self, x: Array) -> Array:
-        """Between the four centres around x."""
-        height, width = self._pixels.shape[:2]
-        s, t = x[..., 0] * width - 0.5, np.clip(x[..., 1] * height - 0.5, 0, height - 1)
-        left, top = np.floor(s).astype(np.intp), np.floor(t).astype(np.intp)
-        s, t = s - left, t - top
-        if self.channels:
-            s, t = s[..., None], t[..., None]
-        right, bottom = (left + 1) % width, np.minimum(top + 1, height - 1)
-        left = left % width
-        upper = (1 - s) * self._pixels[top, left] + s * self._pixels[top, right]
-        lower = (1 - s) * self._pixels[bottom, left] + s * self._pixels[bottom, right]
-        return np.asarray((1 - t) * upper + t * lower)
 
     def _integral(self) -> Any:
         """Exact for constant pixels and a vertical normal: ∫ cos θ sin θ dθ = ½ sin² θ."""
@@ -294,21 +288,26 @@ def _summed_area(pixels: Array) -> Array:
 
 def _box_means(table: Array, lo: Array, hi: Array) -> Array:
     """Mean over boxes from a summed-area table: its bilinear interpolant is the exact primitive."""
+    height, width = table.shape[0] - 1, table.shape[1] - 1
     total: Any = 0.0
     for x, sx in ((hi[..., 0], 1.0), (lo[..., 0], -1.0)):
         for y, sy in ((hi[..., 1], 1.0), (lo[..., 1], -1.0)):
-            total = total + sx * sy * _interpolate(table, x, y)
+            column = np.clip(np.floor(x * width), 0, width - 1).astype(np.intp)
+            row = np.clip(np.floor(y * height), 0, height - 1).astype(np.intp)
+            ends = (column, column + 1), (row, row + 1)
+            primitive = _between(table, *ends, x * width - column, y * height - row)
+            total = total + sx * sy * primitive
     volume = (hi - lo).prod(axis=-1)
     return np.asarray(total / (volume[..., None] if table.ndim == 3 else volume))
 
 
-def _interpolate(table: Array, x: Array, y: Array) -> Array:
-    height, width = table.shape[0] - 1, table.shape[1] - 1
-    column = np.clip(np.floor(x * width), 0, width - 1).astype(np.intp)
-    row = np.clip(np.floor(y * height), 0, height - 1).astype(np.intp)
-    s, t = x * width - column, y * height - row
+def _between(
+    table: Array, columns: tuple[Array, Array], rows: tuple[Array, Array], s: Array, t: Array
+) -> Array:
+    """Bilinear interpolation at shares s of the way between two columns, t between two rows."""
     if table.ndim == 3:
         s, t = s[..., None], t[..., None]
-    top = (1 - s) * table[row, column] + s * table[row, column + 1]
-    bottom = (1 - s) * table[row + 1, column] + s * table[row + 1, column + 1]
-    return np.asarray((1 - t) * top + t * bottom)
+    (left, right), (top, bottom) = columns, rows
+    upper = (1 - s) * table[top, left] + s * table[top, right]
+    lower = (1 - s) * table[bottom, left] + s * table[bottom, right]
+    return np.asarray((1 - t) * upper + t * lower)

@@ -237,14 +237,18 @@ class BoxSmoothed(Derived):
         return tuple(tuple(sorted(b for b in axis if 0.0 < b < 1.0)) for axis in moved)
 
     def _evaluate(self, x: Array) -> Array:
-        return self._exact_mean(x) if self._known else self._gauss_mean(x)
-
-    def _exact_mean(self, x: Array) -> Array:
-        """Parts of the box below 0, inside and above 1 along each axis, by means over boxes."""
-        low, high = x - 0.5 * self.width, x + 0.5 * self.width
         total: Any = 0.0
+        if not self._known:
+            node, weight = gauss_rule(self.nodes)
+            for place in itertools.product(range(self.nodes), repeat=self.dims):
+                moved = np.abs(x + self.width * (node[list(place)] - 0.5))
+                inside = np.where(moved > 1.0, 2.0 - moved, moved)
+                total = total + weight[list(place)].prod() * self.integrand(inside)
+            return np.asarray(total)
+
+        # Parts of the box below 0 (−1), inside (0) and above 1 (1) along each axis, reflected
+        low, high = x - 0.5 * self.width, x + 0.5 * self.width
         for parts in itertools.product((-1, 0, 1), repeat=self.dims):
-            # Reflect what lies below 0 (−1) or above 1 (1)
             part = np.array(parts)
             start = np.where(part == 0, np.maximum(low, 0.0), np.where(part < 0, 0.0, 2.0 - high))
             stop = np.where(part == 0, np.minimum(high, 1.0), np.where(part < 0, -low, 1.0))
@@ -257,13 +261,4 @@ class BoxSmoothed(Derived):
             )
             assert found is not None  # _known
             total = total + (share[..., None] if self.channels else share) * found[0]
-        return np.asarray(total)
-
-    def _gauss_mean(self, x: Array) -> Array:
-        node, weight = gauss_rule(self.nodes)
-        total: Any = 0.0
-        for place in itertools.product(range(self.nodes), repeat=self.dims):
-            moved = np.abs(x + self.width * (node[list(place)] - 0.5))
-            inside = np.where(moved > 1.0, 2.0 - moved, moved)
-            total = total + weight[list(place)].prod() * self.integrand(inside)
         return np.asarray(total)
