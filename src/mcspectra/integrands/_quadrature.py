@@ -19,17 +19,19 @@ import functools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 
+if TYPE_CHECKING:
+    from mcspectra.integrands.base import Integrand
+
 __all__ = [
     "AxisRule",
     "Estimate",
-    "Function",
     "adaptive_integral",
     "gauss_rule",
     "lattice_integral",
@@ -56,30 +58,6 @@ def gauss_rule(order: int) -> tuple[Array, Array]:
     """Nodes and weights (order,) of Gauss-Legendre quadrature on [0,1]."""
     node, weight = np.polynomial.legendre.leggauss(order)
     return 0.5 * (node + 1.0), 0.5 * weight
-
-
-class Function(Protocol):
-    """The interface of functions for quadrature: values, and where they are not smooth.
-
-    Attributes
-    ----------
-    dims, channels
-        Points are (..., dims); values (...), or (..., channels) where channels is not 0.
-    breaks
-        For each axis, where the function jumps or kinks across a whole axis-normal plane.
-    spec
-        Name of the function in messages.
-    """
-
-    @property
-    def dims(self) -> int: ...
-    @property
-    def channels(self) -> int: ...
-    @property
-    def breaks(self) -> tuple[tuple[float, ...], ...]: ...
-    @property
-    def spec(self) -> str: ...
-    def __call__(self, x: object) -> Array: ...
 
 
 @final
@@ -148,7 +126,7 @@ class AxisRule:
         return np.asarray(found)
 
 
-def refined_coefficients(function: Function, m: Sequence[Array]) -> Estimate:
+def refined_coefficients(function: Integrand, m: Sequence[Array]) -> Estimate:
     """Coefficients at the tensor product of the integers m[i] (U_i,): (U_0, …, U_{d−1}[, channels]).
 
     Starts with 16 nodes a wavelength of the highest frequency (8 from 3-D on, 4 where more would
@@ -185,7 +163,7 @@ def refined_coefficients(function: Function, m: Sequence[Array]) -> Estimate:
         coarse, counts = fine, [2 * c for c in counts]
 
 
-def _coefficients(function: Function, counts: Sequence[int], m: Sequence[Array]) -> Array:
+def _coefficients(function: Integrand, counts: Sequence[int], m: Sequence[Array]) -> Array:
     """One tensor grid, transformed slab by slab along all axes but the first, and then along that."""
     rules = [
         AxisRule.make(count, min(_ORDER, count), breaks)
@@ -202,7 +180,7 @@ def _coefficients(function: Function, counts: Sequence[int], m: Sequence[Array])
     return np.moveaxis(found, 0, -1) if function.channels else found[0]
 
 
-def slabs(function: Function, rules: Sequence[AxisRule]) -> Iterator[tuple[int, Array]]:
+def slabs(function: Integrand, rules: Sequence[AxisRule]) -> Iterator[tuple[int, Array]]:
     """Values on slabs of the product of the nodes, along the first axis: start, (C, p, P_1, …)."""
     first, rest = rules[0].nodes, [rule.nodes for rule in rules[1:]]
     step = max(1, _BLOCK // math.prod(nodes.size for nodes in rest))
@@ -216,12 +194,12 @@ def _tensor(axes: Sequence[Array]) -> Array:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
-def _columns(function: Function, x: Array) -> Array:
+def _columns(function: Integrand, x: Array) -> Array:
     values = function(x)
     return values if function.channels else values[..., None]
 
 
-def adaptive_integral(function: Function) -> Estimate:
+def adaptive_integral(function: Integrand) -> Estimate:
     """∫ f in up to 5 dims by boxes that split until their halves agree: value (C,), C ≥ 1 channels.
 
     Gauss-Legendre tensor rules on cells cut at the breaks; a cell whose 2^d parts differ from it by
@@ -263,7 +241,7 @@ def adaptive_integral(function: Function) -> Estimate:
     return Estimate(total, float(error.max()), "adaptive Gauss-Legendre quadrature")
 
 
-def _cell_integrals(function: Function, low: Array, size: Array, order: int) -> Array:
+def _cell_integrals(function: Integrand, low: Array, size: Array, order: int) -> Array:
     """∫ f over boxes (N, d): (N, channels) or (N, 1)."""
     dims = low.shape[1]
     node, weight = gauss_rule(order)
@@ -277,7 +255,7 @@ def _cell_integrals(function: Function, low: Array, size: Array, order: int) -> 
     return np.asarray(np.concatenate(means) * size.prod(axis=-1)[:, None])
 
 
-def lattice_integral(function: Function) -> Estimate:
+def lattice_integral(function: Integrand) -> Estimate:
     """∫ f in any number of dims by the mean over 2^20 points of a Kronecker sequence: value (C,).
 
     Points ½ + k (φ^-1, …, φ^-d) mod 1 with φ^{d+1} = φ + 1 [Roberts2018]_. The error is the

@@ -333,12 +333,10 @@ class Derived(Integrand):
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """Number of dims of the integrand inside."""
         return self.integrand.dims
 
     @property
     def channels(self) -> int:  # type: ignore[override]
-        """Channels of the integrand inside."""
         return self.integrand.channels
 
     @property
@@ -348,12 +346,10 @@ class Derived(Integrand):
 
     @property
     def breaks(self) -> Breaks:
-        """Breaks of the integrand inside."""
         return self.integrand.breaks
 
     @property
     def evaluations_per_point(self) -> int:
-        """Evaluations for one value of the integrand inside."""
         return self.integrand.evaluations_per_point
 
     def _integral(self) -> Any:
