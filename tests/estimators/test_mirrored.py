@@ -127,6 +127,12 @@ def test_folded_and_symmetrised_integrands_by_their_definitions(dims):
     np.testing.assert_allclose(SymmetrizedIntegrand(f)(u), mean, rtol=1e-13)
 
 
+def test_breaks_are_reflected_and_the_fold_is_one():
+    step = mcs.integrand("step(at=0.25)", dims=1)
+    assert FoldedIntegrand(step).breaks == ((0.125, 0.5, 0.875),)
+    assert SymmetrizedIntegrand(step).breaks == ((0.25, 0.75),)
+
+
 @pytest.mark.parametrize("make", [FoldedIntegrand, SymmetrizedIntegrand])
 def test_reflected_integrands_are_continuous_across_the_faces(make):
     g = make(mcs.integrand("linear(gradient=[1, -2], offset=0.3)", dims=2))
