@@ -11,7 +11,6 @@ from mcspectra.integrands import Integrand, _quadrature, integral_accuracy
 SPECS = [
     ("constant(value=-2.5)", 2),
     ("linear", 1),
-    ("linear", 2),
     ("linear(gradient=[1, -2, 0.5], offset=0.3)", 3),
     ("polynomial(coefficients=[1, 2, -3])", 1),
     ("polynomial(coefficients=[0.5, 0, 0, 1])", 2),
@@ -36,7 +35,6 @@ SPECS = [
     ("disk(center=0.2, radius=0.4)", 3),
     ("half-space(normal=-2, offset=-0.4)", 1),
     ("half-space(normal=[1, 2], offset=0.9)", 2),
-    ("half-space(normal=[-1, 0.3], offset=-0.4)", 2),
     ("half-space(normal=[0.2, -1], offset=-0.1)", 2),
     ("half-space(normal=[0, -2], offset=-0.4)", 2),
     ("half-space(normal=[1, 1], offset=3)", 2),
@@ -45,10 +43,6 @@ SPECS = [
     ("image(values=[[[1, -1], [2, 0]], [[4, 1], [5, 7]], [[0, 1], [2, 2]]])", 2),
     ("formula(expression='sin(pi*x2)/(1 + x0*y)')", 3),
     ("christensen-disk", 2),
-    ("christensen-triangle", 2),
-    ("christensen-step", 2),
-    ("christensen-gaussian", 2),
-    ("christensen-bilinear", 2),
 ]
 
 # Where halving leaves √½ of the error (x^-½ at 0; borders do better), what is left is 1/(1 − √½) = 3.4

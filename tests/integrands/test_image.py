@@ -109,7 +109,6 @@ def test_files(tmp_path):
         ({"values": [1, 2]}, "(2,)"),
         ({"values": np.zeros((0, 4))}, "(0, 4)"),
         ({"values": [[1], [1, 2]]}, "array of numbers"),
-        ({"values": "picture"}, "array of numbers"),
         ({"values": [[1]], "channel": 1}, "channel is 1"),
         ({"values": [[1]], "channel": True}, "channel is True"),
         ({"values": np.ones((2, 2, 2)), "channel": "luminance"}, "luminance"),

@@ -6,8 +6,7 @@ import pytest
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
 from mcspectra.integrands import fourier_accuracy, integral_accuracy
-from mcspectra.integrands._axes import gauss_rule
-from mcspectra.integrands._quadrature import AxisRule
+from mcspectra.integrands._quadrature import AxisRule, gauss_rule
 
 K = 12
 

@@ -12,28 +12,7 @@ from .mirrored import MIRRORINGS as MIRRORINGS
 from .mirrored import Mirrored as Mirrored
 from .mis import MultipleImportance as MultipleImportance
 from .mis import TechniqueSum as TechniqueSum
+from .mis import split_mixture as split_mixture
 from .moments import Moments as Moments
 from .one_sample import OneSampleMIS as OneSampleMIS
-from .split import split_mixture as split_mixture
 from .vegas_ import VegasDensity as VegasDensity
-
-__all__ = [
-    "HEURISTICS",
-    "MIRRORINGS",
-    "AbstractEstimator",
-    "ChannelSampling",
-    "Combination",
-    "Estimator",
-    "Heuristic",
-    "Mirrored",
-    "Moments",
-    "MultipleImportance",
-    "OneSampleMIS",
-    "TechniqueSum",
-    "VegasDensity",
-    "as_estimator",
-    "as_heuristic",
-    "as_subject",
-    "channel_estimators",
-    "split_mixture",
-]

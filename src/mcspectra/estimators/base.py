@@ -11,11 +11,13 @@ and returns I = Σ_t (1/n_t) Σ_k g_t(u_tk). Two views of it are analysed:
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, final, runtime_checkable
 
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.display import html_of
 from mcspectra.core.errors import (
     CountError,
@@ -27,12 +29,21 @@ from mcspectra.core.errors import (
 from mcspectra.core.streams import Stream
 from mcspectra.estimators.moments import Moments
 from mcspectra.estimators.sets import draw_sets, set_sizes
+from mcspectra.integrands import integral_accuracy
+from mcspectra.integrands.base import Breaks, Derived, Integrand
 
 if TYPE_CHECKING:
-    from mcspectra.integrands.base import Integrand
+    from mcspectra.densities import Density
     from mcspectra.samplers.base import Sampler
 
-__all__ = ["AbstractEstimator", "DomainEstimator", "Weighted", "check_counts"]
+__all__ = [
+    "AbstractEstimator",
+    "DomainEstimator",
+    "PrimaryIntegrand",
+    "Weighted",
+    "carried_breaks",
+    "check_counts",
+]
 
 
 class AbstractEstimator(ABC):
@@ -48,6 +59,9 @@ class AbstractEstimator(ABC):
 
     counts: tuple[int, ...]
     sets: str = "independent"
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.spec})"
 
     def _repr_html_(self) -> str | None:
         """Pictures and the main figures, for notebooks."""
@@ -91,8 +105,6 @@ class AbstractEstimator(ABC):
     @property
     def integral_error(self) -> float:
         """Standard error of `integral`, or an estimate of its absolute error; 0 where it is exact."""
-        from mcspectra.integrands import integral_accuracy
-
         f = self.domain_integrand
         parts = [self.primary_integrand(t) for t in range(len(self.counts))] if f is None else [f]
         return sum(integral_accuracy(g)[1] for g in parts)
@@ -121,6 +133,10 @@ class AbstractEstimator(ABC):
     @abstractmethod
     def primary_integrand(self, technique: int) -> Integrand:
         """The integrand g_t of the primary view."""
+
+    def primary_breaks(self, technique: int) -> Breaks:
+        """Where g_t may jump or kink, along each axis of primary space."""
+        raise NotImplementedError
 
     @abstractmethod
     def primary_values(self, technique: int, u: Array) -> Array:
@@ -159,8 +175,8 @@ class AbstractEstimator(ABC):
                     raise
                 joint = self.sets == "joint"
                 who = "The joint set has" if joint else f"Technique {technique} draws"
-                where = f"{who} {size // n} · {n} points: "
-                raise CountError(where + str(error), error.nearest) from None
+                text = f"{who} {size // n} · {n} points: {error}"
+                raise CountError(text, error.nearest) from None
 
     def check_independent(self) -> None:
         """Raise NoClosedForm unless the variance is the sum over the techniques."""
@@ -182,8 +198,7 @@ class AbstractEstimator(ABC):
         """Estimates from primary points of each technique: float64 (R,) or (R, channels)."""
         total: Any = 0.0
         for technique, u in enumerate(points):
-            values = self.primary_values(technique, u)
-            total = total + values.mean(axis=1)
+            total = total + self.primary_values(technique, u).mean(axis=1)
         if not np.isfinite(total).all():
             raise ParameterError(f"{self.spec} gave an estimate that is NaN or infinite.")
         return np.asarray(total)
@@ -220,7 +235,6 @@ class DomainEstimator(AbstractEstimator):
 
     @property
     def channels(self) -> int:
-        """Channels of f."""
         return self.integrand.channels
 
     @property
@@ -230,13 +244,61 @@ class DomainEstimator(AbstractEstimator):
 
     @property
     def integral_source(self) -> str:
-        """Source of `integral`."""
         return self.integrand.integral_source
 
     @property
-    def domain_integrand(self) -> Integrand:
+    def integral_error(self) -> float:
+        return integral_accuracy(self.domain_integrand or self.integrand)[1]
+
+    @property
+    def domain_integrand(self) -> Integrand | None:
         """f."""
         return self.integrand
+
+
+@final
+@dataclass(frozen=True)
+class PrimaryIntegrand(Derived):
+    """The primary-space integrand g_t of an estimator of f, as an integrand.
+
+    Attributes
+    ----------
+    density
+        p_t; None where points choose their technique.
+    """
+
+    name: ClassVar[str] = "primary"
+    text = "primary integrand {0.technique} of {0.estimator.spec}"
+    estimator: AbstractEstimator
+    technique: int
+    integrand: Integrand
+    density: Density | None = None
+
+    @property
+    def dims(self) -> int:  # type: ignore[override]
+        return self.estimator.dims
+
+    @property
+    def breaks(self) -> Breaks:
+        """Discontinuities of f, of the warp and of the weights, carried to primary space."""
+        return self.estimator.primary_breaks(self.technique)
+
+    def _evaluate(self, x: Array) -> Array:
+        return self.estimator.primary_values(self.technique, x)
+
+    def _integral(self) -> Any:
+        exact = len(self.estimator.counts) == 1 and self.integrand.integral_source == "exact"
+        return self.integrand.integral if exact else None
+
+
+def carried_breaks(integrand: Integrand, density: Density, weights: Sequence[float] = ()) -> Breaks:
+    """Breaks of a warp and, in 1-D, those of f and of weights through the inverse warp."""
+    own = density.breaks
+    inner = (*integrand.breaks[0], *weights)
+    if density.primary_dims > 1 or not inner:
+        return own
+    x = np.clip(np.array(inner)[:, None], 0.0, np.nextafter(1.0, 0.0))
+    return (tuple(sorted({*own[0], *density.preimages(x)[:, 0].tolist()})),)
 
 
 @runtime_checkable
@@ -256,9 +318,9 @@ class Weighted(Protocol):
 
 
 def check_counts(counts: Any, techniques: int) -> tuple[int, ...]:
-    """Return counts as a tuple of `techniques` positive ints."""
-    from mcspectra.core.checks import as_integer
-
+    """Return counts as a tuple of `techniques` positive ints, all 1 for None."""
+    if counts is None:
+        return (1,) * techniques
     values = tuple(counts) if isinstance(counts, list | tuple | np.ndarray) else (counts,)
     if len(values) != techniques:
         raise ParameterError(

@@ -18,21 +18,25 @@ Four ways, made side by side by `channel_estimators`:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, final
+from typing import final
 
 import numpy as np
 
 from mcspectra.core.checks import Array, as_choice
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
-from mcspectra.densities import Density, as_density
+from mcspectra.densities import Density
 from mcspectra.densities.base import divide_by_density
-from mcspectra.estimators.base import AbstractEstimator
-from mcspectra.estimators.importance import Estimator, check_support
+from mcspectra.estimators.base import (
+    AbstractEstimator,
+    DomainEstimator,
+    PrimaryIntegrand,
+    carried_breaks,
+)
+from mcspectra.estimators.importance import Estimator, as_densities, check_support, known_dims
 from mcspectra.estimators.mis import MultipleImportance
-from mcspectra.estimators.primary import PrimaryIntegrand
-from mcspectra.integrands import Integrand, as_integrand, integral_accuracy
-from mcspectra.integrands.channel import Channel
+from mcspectra.integrands import Integrand, as_integrand
+from mcspectra.integrands.base import Breaks, Channel
 from mcspectra.samplers import Sampler
 
 __all__ = ["ChannelSampling", "channel_estimators"]
@@ -41,7 +45,7 @@ _SETS = ("independent", "shared")
 
 
 @final
-class ChannelSampling(AbstractEstimator):
+class ChannelSampling(DomainEstimator):
     """Channel c estimated with a density of its own, I_c = (1/n) Σ_k f_c(x_ck)/p_c(x_ck).
 
     A technique is a channel. There is no common domain: the spectra of the channels' points differ, and
@@ -80,39 +84,11 @@ class ChannelSampling(AbstractEstimator):
         for channel, density in enumerate(self.densities):
             check_support(Channel(integrand=self.integrand, channel=channel), [density])
 
-    def __repr__(self) -> str:
-        return f"ChannelSampling({self.spec})"
-
     @property
     def spec(self) -> str:
         """``f / sets[densities]``."""
         shown = ", ".join(density.spec for density in self.densities)
         return f"{self.integrand.spec} / channels, {self.sets}[{shown}]"
-
-    @property
-    def dims(self) -> int:
-        """Number of dims of f."""
-        return self.integrand.dims
-
-    @property
-    def channels(self) -> int:
-        """Channels of f."""
-        return self.integrand.channels
-
-    @property
-    def integral(self) -> Any:
-        """∫ f."""
-        return self.integrand.integral
-
-    @property
-    def integral_source(self) -> str:
-        """Source of `integral`."""
-        return self.integrand.integral_source
-
-    @property
-    def integral_error(self) -> float:
-        """Error of ∫ f."""
-        return integral_accuracy(self.integrand)[1]
 
     @property
     def domain_integrand(self) -> None:
@@ -128,6 +104,9 @@ class ChannelSampling(AbstractEstimator):
     def primary_integrand(self, technique: int) -> Integrand:
         """g_c(u) = f_c(T_c(u))/p_c(T_c(u)) in channel c, 0 in the others."""
         return PrimaryIntegrand(self, technique, self.integrand, self.densities[technique])
+
+    def primary_breaks(self, technique: int) -> Breaks:
+        return carried_breaks(self.integrand, self.densities[technique])
 
     def primary_values(self, technique: int, u: Array) -> Array:
         """g_c(u): (..., channels), 0 in all channels but one."""
@@ -187,19 +166,12 @@ def _matched(
     integrand: Integrand | str, densities: Sequence[Density | str], dims: int | None
 ) -> tuple[Integrand, tuple[Density, ...]]:
     """The integrand with a density for each channel."""
-    if not isinstance(densities, list | tuple) or len(densities) == 0:
-        raise ParameterError(f"densities is {densities!r}; give a list, one for each channel.")
-    if dims is None:
-        parts = (integrand, *densities)
-        dims = next((c.dims for c in parts if isinstance(c, Integrand | Density)), None)
-    f = as_integrand(integrand, dims)
-    if f.channels != len(densities):
+    parts = densities if isinstance(densities, list | tuple) else ()
+    f = as_integrand(integrand, known_dims(dims, integrand, *parts))
+    if parts and f.channels != len(parts):
         channels = f"{f.channels} channels" if f.channels else "no channels: it is scalar"
         raise ParameterError(
-            f"{f.spec} has {channels}, but {len(densities)} densities were given; "
+            f"{f.spec} has {channels}, but {len(parts)} densities were given; "
             "give one for each channel."
         )
-    found = tuple(p for p in (as_density(d, f.dims) for d in densities) if p is not None)
-    if len(found) != len(densities):
-        raise ParameterError("densities holds None; write 'uniform' for a uniform density.")
-    return f, found
+    return f, as_densities(densities, f.dims, ", one for each channel")

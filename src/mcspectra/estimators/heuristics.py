@@ -19,19 +19,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, final
+from typing import ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_real
+from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import Component, parse
 from mcspectra.densities import Density
 from mcspectra.densities.adaptive import mean_or_infinity
-
-if TYPE_CHECKING:
-    from mcspectra.integrands import Integrand
+from mcspectra.integrands.base import Integrand, real, settle
 
 __all__ = [
     "HEURISTICS",
@@ -69,6 +67,9 @@ _FEW_CELLS = 2**12  # whether an integral diverges shows long before its value i
 
 class Heuristic(Component, ABC):
     """A rule that combines techniques: `ratio` gives weights from q_t, `fit` from f and p_t."""
+
+    def __post_init__(self) -> None:
+        settle(self)
 
     @property
     def bounded(self) -> bool:
@@ -199,19 +200,16 @@ class Combination:
         finite = [math.isfinite(p.reciprocal_integral()) for p in self.densities]
         if all(finite) or (any(finite) and self.heuristic.bounded):
             return False
-        dims = self.densities[0].dims
-        value = mean_or_infinity(self._second_moment, dims, most_cells=_FEW_CELLS)
-        return not math.isfinite(value)
 
-    def _second_moment(self, x: Array) -> Array:
-        """Σ_t (w_t/p_t)² p_t at points x (..., d): (...)."""
-        with np.errstate(divide="ignore", over="ignore"):
-            parts = [
-                self.over_density(t, x) ** 2 * density.pdf(x)
-                for t, density in enumerate(self.densities)
-            ]
-            nowhere = sum(density.pdf(x) for density in self.densities) == 0
-        return np.asarray(np.where(nowhere, np.inf, sum(parts)))
+        def second_moment(x: Array) -> Array:
+            """Σ_t (w_t/p_t)² p_t at points x (..., d): (...)."""
+            pdfs = [density.pdf(x) for density in self.densities]
+            with np.errstate(divide="ignore", over="ignore"):
+                parts = [self.over_density(t, x) ** 2 * pdf for t, pdf in enumerate(pdfs)]
+            return np.asarray(np.where(sum(pdfs) == 0, np.inf, sum(parts)))
+
+        dims = self.densities[0].dims
+        return not math.isfinite(mean_or_infinity(second_moment, dims, most_cells=_FEW_CELLS))
 
     def weights(self, x: Array) -> Array:
         """w_t at points x (..., d): (T, ...), which sum to 1 where any density is positive."""
@@ -227,21 +225,21 @@ class Combination:
         if self.densities[0].dims > 1:
             return ()
         found = density_breaks(self.densities)
-        return tuple(sorted(found if self.heuristic.smooth else found | self._crossings()))
+        if self.heuristic.smooth:
+            return tuple(sorted(found))
 
-    def _crossings(self) -> set[float]:
-        """Where the set of techniques with a weight changes, by bisection: 1-D."""
-        low, high = np.linspace(0.0, 1.0, _GRID)[:-1, None], np.linspace(0.0, 1.0, _GRID)[1:, None]
-        changes = (self._active(low) != self._active(high)).any(axis=0)
-        low, high = low[changes], high[changes]
+        def active(x: Array) -> Array:
+            return np.stack([self.over_density(t, x) > 0 for t in range(len(self.densities))])
+
+        # Bisect to where the set of techniques with a weight changes
+        grid = np.linspace(0.0, 1.0, _GRID)[:, None]
+        changes = (active(grid[:-1]) != active(grid[1:])).any(axis=0)
+        low, high = grid[:-1][changes], grid[1:][changes]
         for _ in range(_BISECTIONS):
             middle = 0.5 * (low + high)
-            left = (self._active(low) == self._active(middle)).all(axis=0)[:, None]
+            left = (active(low) == active(middle)).all(axis=0)[:, None]
             low, high = np.where(left, middle, low), np.where(left, high, middle)
-        return set(high[:, 0].tolist())
-
-    def _active(self, x: Array) -> Array:
-        return np.stack([self.over_density(t, x) > 0 for t in range(len(self.densities))])
+        return tuple(sorted(found | set(high[:, 0].tolist())))
 
     def offset(self, x: Array) -> Array:
         """Σ_t α_t p_t at points x (..., d): (...) or (..., channels)."""
@@ -262,10 +260,7 @@ class Power(Heuristic):
     """
 
     name: ClassVar[str] = "power"
-    beta: float = 2.0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "beta", as_real("beta", self.beta, least=0.0))
+    beta: float = real(2.0, least=0.0)
 
     @property
     def bounded(self) -> bool:
@@ -274,14 +269,12 @@ class Power(Heuristic):
 
     def ratio(self, q: Array, technique: int) -> Array:
         """q_t^(β−1) / Σ q_s^β, from q/max q, which neither overflows nor vanishes."""
-        largest, scaled = _relative(q)
+        largest = q.max(axis=0)
+        scaled = np.divide(q, largest, out=np.zeros_like(q), where=largest > 0)
         # 0⁰ is 1, but a technique that cannot sample x has no share there.
         powers = np.where(scaled > 0, scaled**self.beta, 0.0)
         own = scaled[technique]
-        if self.beta >= 1.0:
-            part = own ** (self.beta - 1.0)
-        else:
-            part = np.divide(powers[technique], own, out=np.zeros_like(own), where=own > 0)
+        part = own ** (self.beta - 1.0) if self.beta >= 1.0 else _divided(powers[technique], own)
         return _divided(part, largest * powers.sum(axis=0))
 
 
@@ -293,7 +286,6 @@ class Balance(Heuristic):
     name: ClassVar[str] = "balance"
 
     def ratio(self, q: Array, technique: int) -> Array:
-        """1 / Σ q_s."""
         del technique
         return _divided(np.ones(q.shape[1:]), q.sum(axis=0))
 
@@ -310,14 +302,10 @@ class Cutoff(Heuristic):
     """
 
     name: ClassVar[str] = "cutoff"
-    alpha: float = 0.1
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "alpha", as_real("alpha", self.alpha, least=0.0, most=1.0))
+    alpha: float = real(0.1, least=0.0, most=1.0)
 
     @property
     def smooth(self) -> bool:
-        """Only if it is `balance`."""
         return self.alpha == 0.0
 
     def ratio(self, q: Array, technique: int) -> Array:
@@ -336,11 +324,9 @@ class Maximum(Heuristic):
 
     @property
     def smooth(self) -> bool:
-        """False: weights jump where densities cross."""
         return False
 
     def ratio(self, q: Array, technique: int) -> Array:
-        """Ratio of `cutoff` with α = 1."""
         return Cutoff(alpha=1.0).ratio(q, technique)
 
 
@@ -379,12 +365,6 @@ def as_heuristic(given: object) -> Heuristic:
     if not isinstance(made, Heuristic):
         raise ParameterError(f"{given!r:.80} is registered as a heuristic but does not make one.")
     return made
-
-
-def _relative(q: Array) -> tuple[Array, Array]:
-    """The largest q and all q relative to it, (...) and (T, ...)."""
-    largest = q.max(axis=0)
-    return largest, np.divide(q, largest, out=np.zeros_like(q), where=largest > 0)
 
 
 def _divided(part: Array, total: Array) -> Array:

@@ -11,18 +11,25 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.densities import Density, as_density
 from mcspectra.densities.base import divide_by_density
-from mcspectra.estimators.base import AbstractEstimator, DomainEstimator
-from mcspectra.estimators.primary import PrimaryIntegrand
+from mcspectra.estimators.base import (
+    AbstractEstimator,
+    DomainEstimator,
+    PrimaryIntegrand,
+    carried_breaks,
+)
 from mcspectra.estimators.support import check_support
 from mcspectra.integrands import Integrand, as_integrand
+from mcspectra.integrands.base import Breaks
 from mcspectra.samplers import as_sampler
 
 __all__ = [
     "Estimator",
+    "as_densities",
     "as_estimator",
     "as_subject",
     "check_same_dims",
     "check_support",
+    "known_dims",
     "scale",
 ]
 
@@ -58,11 +65,7 @@ class Estimator(DomainEstimator):
         *,
         dims: int | None = None,
     ) -> None:
-        if dims is None:
-            dims = next(
-                (c.dims for c in (integrand, density) if isinstance(c, Integrand | Density)), None
-            )
-        self.integrand = as_integrand(integrand, dims)
+        self.integrand = as_integrand(integrand, known_dims(dims, integrand, density))
         self.density = as_density(density, self.integrand.dims)
         if self.density is not None:
             check_support(self.integrand, [self.density])
@@ -73,9 +76,6 @@ class Estimator(DomainEstimator):
             else PrimaryIntegrand(self, 0, self.integrand, self.density)
         )
 
-    def __repr__(self) -> str:
-        return f"Estimator({self.spec})"
-
     @property
     def dims(self) -> int:
         """Number of dims of the sampler: those of f, or more where the density's warp takes more."""
@@ -83,35 +83,33 @@ class Estimator(DomainEstimator):
 
     @property
     def spec(self) -> str:
-        """``integrand / density``."""
         return self.integrand.spec + (f" / {self.density.spec}" if self.density else "")
 
     @property
     def infinite_weights(self) -> bool:
-        """Whether ∫1/p diverges."""
         return self.density is not None and not np.isfinite(self.density.reciprocal_integral())
 
-    def primary_integrand(self, technique: int = 0) -> Integrand:
+    def primary_integrand(self, technique: int = 0) -> Integrand:  # noqa: ARG002
         """g(u) = f(T(u))/p(T(u)), the same object each time; f itself where p is uniform."""
-        del technique  # there is one
         return self._primary
 
+    def primary_breaks(self, technique: int = 0) -> Breaks:  # noqa: ARG002
+        own = self.density
+        return self.integrand.breaks if own is None else carried_breaks(self.integrand, own)
+
     def primary_values(self, technique: int, u: Array) -> Array:
-        """g(u)."""
         if self.density is None:
             return self.integrand(u)
         x = self.warp(technique, u)
         return divide_by_density(self.integrand(x), self.density.pdf(x), x, self.spec)
 
     def warp(self, technique: int, u: Array) -> Array:  # noqa: ARG002
-        """T(u)."""
         return u if self.density is None else self.density.sample(u)
 
     def weight(self, technique: int, x: Array) -> Array:  # noqa: ARG002
-        """1/p(x)."""
-        if self.density is None:
-            return np.ones(x.shape[:-1])
         ones = np.ones(x.shape[:-1])
+        if self.density is None:
+            return ones
         return divide_by_density(ones, self.density.pdf(x), x, self.spec, constant=True)
 
 
@@ -158,6 +156,29 @@ def as_subject(estimator: Any, sampler: Any, *, lists: bool = False) -> Subject:
 def scale(values: Array, weights: Array) -> Array:
     """values (...) or (..., channels) times weights (...)."""
     return np.asarray(values * (weights if values.ndim == weights.ndim else weights[..., None]))
+
+
+def known_dims(dims: int | None, *parts: Any) -> int | None:
+    """`dims`, or else those of the first integrand or density that is no spec string."""
+    if dims is not None:
+        return dims
+    return next((part.dims for part in parts if isinstance(part, Integrand | Density)), None)
+
+
+def as_densities(given: Any, dims: int, need: str = " of one or more") -> tuple[Density, ...]:
+    """Return densities from a list of them or of their spec strings.
+
+    Raises
+    ------
+    ParameterError
+        No list, an empty one, or one with None in it.
+    """
+    if not isinstance(given, list | tuple) or len(given) == 0:
+        raise ParameterError(f"densities is {given!r}; give a list{need}.")
+    found = tuple(p for p in (as_density(each, dims) for each in given) if p is not None)
+    if len(found) != len(given):
+        raise ParameterError("densities holds None; write 'uniform' for a uniform density.")
+    return found
 
 
 def check_same_dims(components: list[Any]) -> None:

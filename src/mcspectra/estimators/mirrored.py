@@ -83,17 +83,12 @@ class Mirrored(AbstractEstimator):
         self.mode = as_choice("mode", mode, MIRRORINGS)
         self.counts, self.sets = self.estimator.counts, self.estimator.sets
 
-    def __repr__(self) -> str:
-        return f"Mirrored({self.spec})"
-
     @property
     def dims(self) -> int:
-        """Number of dims of the estimator inside."""
         return self.estimator.dims
 
     @property
     def channels(self) -> int:
-        """Channels of the estimator inside."""
         return self.estimator.channels
 
     @property
@@ -108,17 +103,14 @@ class Mirrored(AbstractEstimator):
 
     @property
     def integral(self) -> Any:
-        """Integral of the estimator inside."""
         return self.estimator.integral
 
     @property
     def integral_source(self) -> str:
-        """Source of `integral`."""
         return self.estimator.integral_source
 
     @property
     def integral_error(self) -> float:
-        """Error of `integral`."""
         return self.estimator.integral_error
 
     @property
@@ -128,12 +120,10 @@ class Mirrored(AbstractEstimator):
 
     @property
     def pilot_evaluations(self) -> int:
-        """Pilot evaluations of the estimator inside."""
         return self.estimator.pilot_evaluations
 
     @property
     def infinite_weights(self) -> bool:
-        """Whether the estimator inside has infinite weights."""
         return self.estimator.infinite_weights
 
     def randomized(self, sampler: Sampler) -> Sampler:
@@ -163,7 +153,6 @@ class Mirrored(AbstractEstimator):
         return self.estimator.warp(technique, self._inside(u))
 
     def weight(self, technique: int, x: Array) -> Array:
-        """w_t/p_t."""
         return self.estimator.weight(technique, x)
 
     def _inside(self, u: Array) -> Array:

@@ -5,27 +5,90 @@ Counts are per technique, as renderers count: n light samples *and* n BSDF sampl
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from fractions import Fraction
 from typing import Any, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
-from mcspectra.densities import Density, as_density
-from mcspectra.estimators.base import AbstractEstimator, DomainEstimator, check_counts
-from mcspectra.estimators.heuristics import Heuristic, as_heuristic
-from mcspectra.estimators.importance import Estimator, check_same_dims, check_support, scale
+from mcspectra.densities import Defensive, Density, Mixture, as_density
+from mcspectra.estimators.base import (
+    AbstractEstimator,
+    DomainEstimator,
+    PrimaryIntegrand,
+    carried_breaks,
+    check_counts,
+)
+from mcspectra.estimators.heuristics import Combination, Heuristic, as_heuristic
+from mcspectra.estimators.importance import (
+    Estimator,
+    as_densities,
+    check_same_dims,
+    check_support,
+    known_dims,
+    scale,
+)
 from mcspectra.estimators.pilots import Residual
-from mcspectra.estimators.primary import PrimaryIntegrand
 from mcspectra.estimators.sets import check_sets
 from mcspectra.integrands import Integrand, as_integrand
+from mcspectra.integrands.base import Breaks
 
-__all__ = ["MultipleImportance", "TechniqueSum", "as_parts"]
+__all__ = ["Combined", "MultipleImportance", "TechniqueSum", "split_mixture"]
+
+_EXACT = 1e-9  # shares such as 0.1 + 0.2 are taken as the fractions they stand for
+
+
+class Combined(DomainEstimator):
+    """An estimator of f by densities that a heuristic combines.
+
+    Attributes
+    ----------
+    densities
+        p_t, of the dims of f.
+    heuristic
+        Spec of the heuristic.
+    combination
+        Its weights.
+    """
+
+    densities: tuple[Density, ...]
+    heuristic: str
+    combination: Combination
+
+    def _take(self, integrand: Integrand | str, densities: Any, dims: int | None) -> None:
+        """Set f and one or more p_t that cover it, of equal dims, from them or their specs."""
+        parts = densities if isinstance(densities, list | tuple) else ()
+        self.integrand = as_integrand(integrand, known_dims(dims, integrand, *parts))
+        self.densities = as_densities(densities, self.integrand.dims)
+        check_same_dims([self.integrand, *self.densities])
+        check_support(self.integrand, list(self.densities))
+
+    def _combine(self, heuristic: Heuristic | str, shares: Sequence[float]) -> None:
+        chosen = as_heuristic(heuristic)
+        self.heuristic = chosen.spec
+        self.combination = chosen.fit(self.integrand, self.densities, shares)
+
+    @property
+    def pilot_evaluations(self) -> int:
+        return self.combination.heuristic.pilot_evaluations
+
+    @property
+    def infinite_weights(self) -> bool:
+        """Whether the combined weights have no second moment (`Combination.infinite`)."""
+        return self.combination.infinite
+
+    @property
+    def domain_integrand(self) -> Integrand:
+        """f; with optimal weights the residual f − Σ α_t p_t, which has the same variance."""
+        controlled = self.combination.control is not None
+        return Residual(self.integrand, self.combination) if controlled else self.integrand
 
 
 @final
-class MultipleImportance(DomainEstimator):
+class MultipleImportance(Combined):
     """Multiple importance sampling, I = Σ_t (1/n_t) Σ_k w_t f/p_t [VeachGuibas1995]_.
 
     Parameters
@@ -63,16 +126,11 @@ class MultipleImportance(DomainEstimator):
         sets: str = "independent",
         dims: int | None = None,
     ) -> None:
-        self.integrand, self.densities = as_parts(integrand, densities, dims)
-        chosen = as_heuristic(heuristic)
-        self.heuristic = chosen.spec
-        total = len(self.densities)
-        self.counts = check_counts([1] * total if counts is None else counts, total)
+        self._take(integrand, densities, dims)
+        heuristic = as_heuristic(heuristic)
+        self.counts = check_counts(counts, len(self.densities))
         self.sets = check_sets(sets, self.counts)
-        self.combination = chosen.fit(self.integrand, self.densities, self.counts)
-
-    def __repr__(self) -> str:
-        return f"MultipleImportance({self.spec})"
+        self._combine(heuristic, self.counts)
 
     @property
     def spec(self) -> str:
@@ -81,31 +139,13 @@ class MultipleImportance(DomainEstimator):
         shown = ", ".join(f"{c}×{p.spec}" if c > 1 else p.spec for c, p in parts)
         return f"{self.integrand.spec} / {self.heuristic}[{shown}]{self.sets_label}"
 
-    @property
-    def evaluations_per_point(self) -> int:
-        """Evaluations of f for one value."""
-        return self.integrand.evaluations_per_point
-
-    @property
-    def pilot_evaluations(self) -> int:
-        """Pilot evaluations of the heuristic."""
-        return self.combination.heuristic.pilot_evaluations
-
-    @property
-    def infinite_weights(self) -> bool:
-        """Whether the combined weights have no second moment (`Combination.infinite`)."""
-        return self.combination.infinite
-
-    @property
-    def domain_integrand(self) -> Integrand:
-        """f; with optimal weights the residual f − Σ α_t p_t, which has the same variance."""
-        controlled = self.combination.control is not None
-        return Residual(self.integrand, self.combination) if controlled else self.integrand
-
     def primary_integrand(self, technique: int) -> Integrand:
-        """g_t(u) = w_t f/p_t at T_t(u)."""
-        density, breaks = self.densities[technique], self.combination.breaks
-        return PrimaryIntegrand(self, technique, self.integrand, density, breaks)
+        density = self.densities[technique]
+        return PrimaryIntegrand(self, technique, self.integrand, density)
+
+    def primary_breaks(self, technique: int) -> Breaks:
+        density = self.densities[technique]
+        return carried_breaks(self.integrand, density, self.combination.breaks)
 
     def primary_values(self, technique: int, u: Array) -> Array:
         """g_t(u), which with optimal weights is α_t + (f − Σ α_s p_s) w_t/p_t."""
@@ -131,43 +171,14 @@ class MultipleImportance(DomainEstimator):
         return Estimator(self.integrand, self.densities[technique])
 
     def technique_name(self, technique: int) -> str:
-        """The spec of the density."""
         return self.densities[technique].spec
 
     def warp(self, technique: int, u: Array) -> Array:
-        """T_t(u)."""
         return self.densities[technique].sample(u)
 
     def weight(self, technique: int, x: Array) -> Array:
         """w_t/p_t, finite where any p_s is positive; those of `domain_integrand` if optimal."""
         return self.combination.over_density(technique, x)
-
-
-def as_parts(
-    integrand: Integrand | str, densities: Any, dims: int | None
-) -> tuple[Integrand, tuple[Density, ...]]:
-    """Return f and one or more p_t that cover it, of equal dims, from them or their spec strings.
-
-    Raises
-    ------
-    DensityError
-        All densities are zero at points where f is not.
-    ParameterError
-        No density, or different numbers of dims.
-    """
-    if not isinstance(densities, list | tuple) or len(densities) == 0:
-        raise ParameterError(f"densities is {densities!r}; give a list of one or more.")
-    if dims is None:
-        parts = (integrand, *densities)
-        dims = next((c.dims for c in parts if isinstance(c, Integrand | Density)), None)
-    f = as_integrand(integrand, dims)
-    found = [as_density(density, f.dims) for density in densities]
-    kept = tuple(density for density in found if density is not None)
-    if len(kept) != len(found):
-        raise ParameterError("densities holds None; write 'uniform' for a uniform density.")
-    check_same_dims([f, *kept])
-    check_support(f, list(kept))
-    return f, kept
 
 
 @final
@@ -200,8 +211,7 @@ class TechniqueSum(AbstractEstimator):
     ) -> None:
         if not isinstance(integrands, list | tuple) or len(integrands) == 0:
             raise ParameterError(f"integrands is {integrands!r}; give a list of one or more.")
-        if dims is None:
-            dims = next((g.dims for g in integrands if isinstance(g, Integrand)), None)
+        dims = known_dims(dims, *integrands)
         self.integrands = tuple(as_integrand(g, dims) for g in integrands)
         check_same_dims(list(self.integrands))
         channels = {g.channels for g in self.integrands}
@@ -209,21 +219,15 @@ class TechniqueSum(AbstractEstimator):
             raise ParameterError(
                 f"The techniques have {sorted(channels)} channels; make them equal."
             )
-        total = len(self.integrands)
-        self.counts = check_counts([1] * total if counts is None else counts, total)
+        self.counts = check_counts(counts, len(self.integrands))
         self.sets = check_sets(sets, self.counts)
-
-    def __repr__(self) -> str:
-        return f"TechniqueSum({self.spec})"
 
     @property
     def dims(self) -> int:
-        """Number of dims of every technique."""
         return self.integrands[0].dims
 
     @property
     def channels(self) -> int:
-        """Channels of every technique."""
         return self.integrands[0].channels
 
     @property
@@ -248,9 +252,62 @@ class TechniqueSum(AbstractEstimator):
         return
 
     def primary_integrand(self, technique: int) -> Integrand:
-        """g_t."""
         return self.integrands[technique]
 
     def primary_values(self, technique: int, u: Array) -> Array:
-        """g_t(u)."""
         return self.integrands[technique](u)
+
+
+def split_mixture(
+    integrand: Integrand | str, mixture: Density | str, *, most: int = 1000
+) -> MultipleImportance:
+    """Estimate with n w_t points of each part of a mixture, in place of points that choose.
+
+    Parameters
+    ----------
+    integrand
+        f, or its spec string.
+    mixture
+        `Mixture` or `Defensive`, or its spec string. Its selection does not matter.
+    most
+        Largest total count, the common denominator of the shares.
+
+    Returns
+    -------
+    MultipleImportance
+        The parts with counts in proportion to their shares and the balance heuristic, so that every
+        point weighs 1/p of the mixture. With counts c_t the points are n Σ c_t in all. For random
+        points its variance is at most that of the mixture ([OwenZhou2000]_ §3.2: a stratified
+        mixture).
+
+    Raises
+    ------
+    ParameterError
+        Not a mixture, or the shares have no common denominator up to `most`.
+
+    Examples
+    --------
+    >>> e = split_mixture("gaussian(dims=1)", "mixture(parts=['uniform', 'tent'], weights=[1, 3])")
+    >>> e.counts, [p.spec for p in e.densities]
+    ((1, 3), ['uniform', 'tent'])
+    """
+    f = as_integrand(integrand, mixture.dims if isinstance(mixture, Density) else None)
+    given = as_density(mixture, f.dims)
+    found = given.mixture if isinstance(given, Defensive) else given
+    if not isinstance(found, Mixture):
+        raise ParameterError(
+            f"{mixture!r:.80} is not a mixture; give mixture(parts=[…]) or defensive(density=…)."
+        )
+
+    # Find the smallest whole numbers in proportion to the shares
+    most, shares = as_integer("most", most, least=1), found.shares
+    fractions = [Fraction(share).limit_denominator(most) for share in shares.tolist()]
+    total = math.lcm(*(fraction.denominator for fraction in fractions))
+    far = max(abs(float(f) - share) for f, share in zip(fractions, shares.tolist(), strict=True))
+    if far > _EXACT or total > most or sum(fractions) != 1:
+        shown = ", ".join(f"{share:.6g}" for share in shares)
+        raise ParameterError(
+            f"The shares {shown} have no common denominator up to {most}; give weights that are "
+            "whole numbers with a small sum, or raise most."
+        )
+    return MultipleImportance(f, found.parts, counts=[int(part * total) for part in fractions])

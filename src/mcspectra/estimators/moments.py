@@ -1,6 +1,6 @@
 """Mergeable moments: mean, variance and its confidence interval, in blocks and in any number.
 
-Blocks are merged by the formulas of Chan, Golub & LeVeque (1983) and Pébay (2008), which do not
+Blocks are merged by the formulas of [ChanGolubLeVeque1983]_ and Pébay (2008), which do not
 cancel. All arrays have the realisation axis first.
 """
 

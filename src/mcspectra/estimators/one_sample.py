@@ -8,21 +8,19 @@ I = (1/n) Σ_k w_t f/(P_t p_t) with t chosen with probability P_t [VeachGuibas19
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar, final
+from typing import final
 
 import numpy as np
 
 from mcspectra.core.checks import Array, as_choice, as_reals
 from mcspectra.core.errors import ParameterError
 from mcspectra.densities import Density
-from mcspectra.estimators.base import DomainEstimator
-from mcspectra.estimators.heuristics import Heuristic, as_heuristic
+from mcspectra.estimators.base import PrimaryIntegrand, carried_breaks
+from mcspectra.estimators.heuristics import Heuristic
 from mcspectra.estimators.importance import scale
-from mcspectra.estimators.mis import as_parts
-from mcspectra.estimators.pilots import Residual
-from mcspectra.estimators.primary import PrimaryIntegrand
+from mcspectra.estimators.mis import Combined
 from mcspectra.integrands import Integrand
+from mcspectra.integrands.base import Breaks
 
 __all__ = ["SELECTIONS", "OneSampleMIS"]
 
@@ -32,7 +30,7 @@ _SUM = 1e-9  # by which probabilities may miss 1
 
 
 @final
-class OneSampleMIS(DomainEstimator):
+class OneSampleMIS(Combined):
     """Multiple importance sampling with one technique for each point, chosen at random.
 
     Parameters
@@ -45,9 +43,8 @@ class OneSampleMIS(DomainEstimator):
         P_t, above 0 with the sum 1; equal by default.
     heuristic
         As for `MultipleImportance`, with P_t in the place of n_t. ``"optimal"`` is the balance heuristic
-        with the control variate Σ α_t p_t, whose integral Σ α_t is added as it is (Owen, Zhou 2000,
-        "Safe and effective importance sampling", §4), rather than as α_t/P_t of the chosen
-        technique, which would add variance.
+        with the control variate Σ α_t p_t, whose integral Σ α_t is added as it is [OwenZhou2000]_ §4,
+        rather than as α_t/P_t of the chosen technique, which would add variance.
     selection
         ``"extra"``: the last of d + 1 coordinates chooses; ``"coordinate"``: the first of d chooses, and is
         stretched to be used again. The coordinate's borders are Σ_{s<t} P_s.
@@ -86,18 +83,12 @@ class OneSampleMIS(DomainEstimator):
         selection: str = "extra",
         dims: int | None = None,
     ) -> None:
-        self.integrand, self.densities = as_parts(integrand, densities, dims)
+        self._take(integrand, densities, dims)
         self.probabilities = _as_probabilities(probabilities, len(self.densities))
-        chosen = as_heuristic(heuristic)
-        self.heuristic = chosen.spec
         self.selection = as_choice("selection", selection, SELECTIONS)
-        self.combination = chosen.fit(self.integrand, self.densities, self.probabilities)
-        borders = np.cumsum((0.0, *self.probabilities))
-        borders[-1] = 1.0
-        self._borders = borders
-
-    def __repr__(self) -> str:
-        return f"OneSampleMIS({self.spec})"
+        self._combine(heuristic, self.probabilities)
+        self._borders = np.cumsum((0.0, *self.probabilities))
+        self._borders[-1] = 1.0
 
     @property
     def dims(self) -> int:
@@ -112,31 +103,9 @@ class OneSampleMIS(DomainEstimator):
         split = ", coordinate" if self.selection == "coordinate" else ""
         return f"{self.integrand.spec} / one-sample {self.heuristic}{split}[{shown}]"
 
-    @property
-    def evaluations_per_point(self) -> int:
-        """Evaluations of f for one value."""
-        return self.integrand.evaluations_per_point
-
-    @property
-    def pilot_evaluations(self) -> int:
-        """Pilot evaluations of the heuristic."""
-        return self.combination.heuristic.pilot_evaluations
-
-    @property
-    def infinite_weights(self) -> bool:
-        """Whether the combined weights have no second moment (`Combination.infinite`)."""
-        return self.combination.infinite
-
-    @property
-    def domain_integrand(self) -> Integrand:
-        """f; with optimal weights the residual f − Σ α_t p_t, which has the same variance."""
-        controlled = self.combination.control is not None
-        return Residual(self.integrand, self.combination) if controlled else self.integrand
-
     def primary_integrand(self, technique: int = 0) -> Integrand:
         """g(u), of all techniques together."""
-        del technique
-        return _Choice(self)
+        return PrimaryIntegrand(self, technique, self.integrand)
 
     def primary_values(self, technique: int, u: Array) -> Array:
         """g(u) = w_t f/(P_t p_t) at T_t of the rest of u, t chosen by its coordinate."""
@@ -147,7 +116,6 @@ class OneSampleMIS(DomainEstimator):
         return values if control is None else np.asarray(values + control.sum(axis=0))
 
     def warp(self, technique: int, u: Array) -> Array:
-        """T_t(u) of the chosen technique."""
         del technique
         return self._chosen(u)[0]
 
@@ -156,21 +124,20 @@ class OneSampleMIS(DomainEstimator):
         x, weights = self._chosen(points[0])
         return x, weights / x.shape[1]
 
-    def primary_breaks(self) -> tuple[tuple[float, ...], ...]:
+    def primary_breaks(self, technique: int = 0) -> Breaks:  # noqa: ARG002
         """Along each axis of primary space: borders of the choice, and breaks of every g_t."""
         found: list[set[float]] = [set() for _ in range(self.dims)]
         axis = self.dims - 1 if self.selection == "extra" else 0
         found[axis].update(self._borders[1:-1].tolist())
         for t, density in enumerate(self.densities):
-            own = PrimaryIntegrand(self, t, self.integrand, density, self.combination.breaks).breaks
+            own = carried_breaks(self.integrand, density, self.combination.breaks)
             for i, places in enumerate(own):
-                stretched = i == axis
-                found[i].update(float(self._placed(t, b)) if stretched else b for b in places)
+                if i == axis:  # of the part of the axis that chooses this technique
+                    stretched = (self._borders[t] + b * self.probabilities[t] for b in places)
+                    found[i].update(map(float, stretched))
+                else:
+                    found[i].update(places)
         return tuple(tuple(sorted(places)) for places in found)
-
-    def _placed(self, technique: int, part: float) -> float:
-        """Where the choosing coordinate is at `part` of the way through a technique's share."""
-        return float(self._borders[technique] + part * self.probabilities[technique])
 
     def _chosen(self, u: Array) -> tuple[Array, Array]:
         """Domain points (..., d) and w_t/(P_t p_t) (...) of primary points (..., dims)."""
@@ -188,38 +155,6 @@ class OneSampleMIS(DomainEstimator):
             x[own] = density.sample(part)
             weights[own] = self.combination.over_density(t, x[own]) / self.probabilities[t]
         return x.reshape(*u.shape[:-1], -1), weights.reshape(u.shape[:-1])
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class _Choice(Integrand):
-    """The primary-space integrand of a one-sample estimator."""
-
-    name: ClassVar[str] = "primary"
-    estimator: OneSampleMIS
-
-    @property
-    def dims(self) -> int:  # type: ignore[override]
-        return self.estimator.dims
-
-    @property
-    def channels(self) -> int:  # type: ignore[override]
-        return self.estimator.channels
-
-    @property
-    def spec(self) -> str:
-        return f"primary integrand of {self.estimator.spec}"
-
-    @property
-    def breaks(self) -> tuple[tuple[float, ...], ...]:
-        return self.estimator.primary_breaks()
-
-    def _evaluate(self, x: Array) -> Array:
-        return self.estimator.primary_values(0, x)
-
-    def _integral(self) -> Any:
-        f = self.estimator.integrand
-        return f.integral if f.integral_source == "exact" else None
 
 
 def _as_probabilities(given: Sequence[float] | None, techniques: int) -> tuple[float, ...]:

@@ -18,7 +18,7 @@ from mcspectra.core.checks import Array, as_choice, as_integer
 from mcspectra.core.streams import Stream
 from mcspectra.densities import Density
 from mcspectra.estimators.heuristics import Balance, Combination, Heuristic, Pilot, density_breaks
-from mcspectra.integrands import Integrand
+from mcspectra.integrands.base import Breaks, Derived, Integrand, checked
 
 __all__ = ["Optimal", "Residual", "VarianceAware"]
 
@@ -28,9 +28,36 @@ _SINGULAR = 1e-10  # relative; densities that differ by less share one α
 _MOST_FACTOR = 1e8  # v_t = 1 + μ²/σ² of a technique whose samples are all alike, instead of ∞
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Piloted(Heuristic):
+    """The balance heuristic with what `adapt` finds out from a pilot."""
+
+    pilot: str = checked("samples", lambda _, name, value: as_choice(name, value, _SOURCES))
+    samples: int = checked(
+        4096, lambda _, name, value: as_integer(name, value, least=2, most=_MOST_SAMPLES)
+    )
+    seed: int = checked(0, lambda _, name, value: as_integer(name, value, least=0))
+
+    @property
+    def pilot_evaluations(self) -> int:
+        """`samples`; a quadrature is not counted."""
+        return self.samples if self.pilot == "samples" else 0
+
+    def ratio(self, q: Array, technique: int) -> Array:
+        """Ratio of `balance`."""
+        return Balance().ratio(q, technique)
+
+    def fit(
+        self, integrand: Integrand, densities: Sequence[Density], shares: Sequence[float]
+    ) -> Combination:
+        """Find shares and control."""
+        parts = _Parts(integrand, tuple(densities), np.asarray(shares, np.float64))
+        return Combination(self, parts.densities, *self.adapt(parts))
+
+
 @final
 @dataclass(frozen=True, kw_only=True)
-class Optimal(Heuristic):
+class Optimal(_Piloted):
     """The weights of least variance of random points, which may be negative [Kondapaneni2019]_.
 
     With q = Σ n_t p_t, they are w_t = α_t p_t/f + (n_t p_t/q)(1 − Σ_s α_s p_s/f),
@@ -54,50 +81,29 @@ class Optimal(Heuristic):
     """
 
     name: ClassVar[str] = "optimal"
-    pilot: str = "samples"
-    samples: int = 4096
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        _check_pilot(self)
-
-    @property
-    def pilot_evaluations(self) -> int:
-        """`samples`; a quadrature is not counted."""
-        return self.samples if self.pilot == "samples" else 0
-
-    def ratio(self, q: Array, technique: int) -> Array:
-        """Ratio of `balance`, for the residual."""
-        return Balance().ratio(q, technique)
-
-    def fit(
-        self, integrand: Integrand, densities: Sequence[Density], shares: Sequence[float]
-    ) -> Combination:
-        """Solve for α."""
-        parts = _Parts(integrand, tuple(densities), np.asarray(shares, np.float64))
-        return Combination(self, parts.densities, *self.adapt(parts))
 
     def adapt(self, pilot: Pilot) -> tuple[tuple[float, ...], Array]:
         """The counts as they are, and α: (T,) or (T, channels)."""
-        found = pilot.quadrature(pilot.system) if self.pilot == "quadrature" else self._sums(pilot)
+        if self.pilot == "quadrature":
+            found = pilot.quadrature(pilot.system)
+        else:
+            # A and b side by side (T, T + C), of pilot points weighted by the balance heuristic
+            wanted = self.samples * pilot.shares / pilot.shares.sum()
+            counts = np.maximum(1, np.rint(wanted).astype(np.int64))
+            drawn = [pilot.points(t, m, self.seed) for t, m in enumerate(counts.tolist())]
+            x = np.concatenate(drawn)
+            q = counts @ pilot.pdfs(x)
+            weight = np.divide(1.0, q, out=np.zeros_like(q), where=q > 0)
+            found = np.tensordot(weight, pilot.system(x), axes=1)
         techniques = len(pilot.shares)
         matrix, right = found[:, :techniques], found[:, techniques:]
         alpha = np.linalg.lstsq(matrix, right, rcond=_SINGULAR)[0]
         return tuple(pilot.shares.tolist()), alpha if pilot.channels else alpha[:, 0]
 
-    def _sums(self, pilot: Pilot) -> Array:
-        """A and b side by side (T, T + C), from pilot points weighted by the balance heuristic."""
-        wanted = self.samples * pilot.shares / pilot.shares.sum()
-        counts = np.maximum(1, np.rint(wanted).astype(np.int64))
-        x = np.concatenate([pilot.points(t, m, self.seed) for t, m in enumerate(counts.tolist())])
-        drawn = counts @ pilot.pdfs(x)
-        weight = np.divide(1.0, drawn, out=np.zeros_like(drawn), where=drawn > 0)
-        return np.asarray(np.tensordot(weight, pilot.system(x), axes=1))
-
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class VarianceAware(Heuristic):
+class VarianceAware(_Piloted):
     """Balance with counts times v_t = second moment / variance of technique t [Grittmann2019]_.
 
     w_t = v_t n_t p_t / Σ_s v_s n_s p_s with v_t = 1 + μ_t²/σ_t² of one random sample of f/p_t alone
@@ -116,77 +122,38 @@ class VarianceAware(Heuristic):
     """
 
     name: ClassVar[str] = "variance-aware"
-    pilot: str = "samples"
-    samples: int = 4096
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        _check_pilot(self)
-
-    @property
-    def pilot_evaluations(self) -> int:
-        """`samples`; a quadrature is not counted."""
-        return self.samples if self.pilot == "samples" else 0
-
-    def ratio(self, q: Array, technique: int) -> Array:
-        """Ratio of `balance`, with the factors in q."""
-        return Balance().ratio(q, technique)
-
-    def fit(
-        self, integrand: Integrand, densities: Sequence[Density], shares: Sequence[float]
-    ) -> Combination:
-        """Find the factors v_t."""
-        parts = _Parts(integrand, tuple(densities), np.asarray(shares, np.float64))
-        return Combination(self, parts.densities, *self.adapt(parts))
 
     def adapt(self, pilot: Pilot) -> tuple[tuple[float, ...], None]:
         """The counts times the factors v_t, and no control variate."""
-        exact = self.pilot == "quadrature"
-        mean, square = pilot.quadrature(pilot.moments).T if exact else self._moments(pilot)
+        techniques = len(pilot.shares)
+        if self.pilot == "quadrature":
+            found = pilot.quadrature(pilot.moments)
+        else:
+            # Mean and mean square of f/p_t for random points of each technique
+            found = np.empty((techniques, 2))
+            for t in range(techniques):
+                x = pilot.points(t, max(2, self.samples // techniques), self.seed)
+                pdf = pilot.pdfs(x)[t]
+                weight = np.divide(1.0, pdf, out=np.zeros_like(pdf), where=pdf > 0)
+                found[t] = np.mean(weight[:, None] * pilot.moments(x)[:, t], axis=0)
+        mean, square = found.T
         variance = np.maximum(square - mean**2, mean**2 / _MOST_FACTOR)
         factor = 1.0 + np.divide(mean**2, variance, out=np.zeros_like(mean), where=variance > 0)
         return tuple((pilot.shares * factor).tolist()), None
 
-    def _moments(self, pilot: Pilot) -> tuple[Array, Array]:
-        """Mean and mean square of f/p_t for random points of each technique: (T,) each."""
-        techniques = len(pilot.shares)
-        each = max(2, self.samples // techniques)
-        found = np.empty((techniques, 2))
-        for t in range(techniques):
-            x = pilot.points(t, each, self.seed)
-            pdf = pilot.pdfs(x)[t]
-            weight = np.divide(1.0, pdf, out=np.zeros_like(pdf), where=pdf > 0)
-            found[t] = np.mean(weight[:, None] * pilot.moments(x)[:, t], axis=0)
-        mean, square = found.T
-        return mean, square
-
 
 @final
 @dataclass(frozen=True)
-class Residual(Integrand):
+class Residual(Derived):
     """The residual f − Σ α_t p_t of the control variate: the domain view of optimal weights."""
 
     name: ClassVar[str] = "residual"
+    text = "{0.integrand.spec} less its control variate"
     integrand: Integrand
     combination: Combination
 
     @property
-    def dims(self) -> int:  # type: ignore[override]
-        """Number of dims of f."""
-        return self.integrand.dims
-
-    @property
-    def channels(self) -> int:  # type: ignore[override]
-        """Channels of f."""
-        return self.integrand.channels
-
-    @property
-    def spec(self) -> str:
-        """Text for messages."""
-        return f"{self.integrand.spec} less its control variate"
-
-    @property
-    def breaks(self) -> tuple[tuple[float, ...], ...]:
+    def breaks(self) -> Breaks:
         """Breaks of f and, in 1-D, of the densities."""
         return _breaks(self.integrand, self.combination.densities)
 
@@ -210,25 +177,20 @@ class _Parts(Pilot):
 
     @property
     def channels(self) -> int:  # type: ignore[override]
-        """Channels of f."""
         return self.integrand.channels
 
     def pdfs(self, x: Array) -> Array:
-        """p_t at points (k, d): (T, k)."""
         return np.stack([p.pdf(x) for p in self.densities])
 
     def values(self, x: Array) -> Array:
-        """Values of f at points (k, d): (k, channels), with one channel for scalars."""
         return self.integrand(x).reshape(len(x), -1)
 
     def points(self, technique: int, count: int, seed: int) -> Array:
-        """Random points of a technique, (count, d)."""
         density, stream = self.densities[technique], Stream.from_rng(seed).child(technique)
         u = stream.uniforms(0, 1, count * density.primary_dims)
         return density.sample(u.reshape(count, -1))
 
     def quadrature(self, function: Callable[[Array], Array]) -> Array:
-        """Integrals of `system` or `moments` over the cube."""
         shape = function(np.full((1, self.integrand.dims), 0.5)).shape[1:]
         found = _Packed(self.integrand, self.densities, function, int(np.prod(shape))).integral
         return np.asarray(found).reshape(shape)
@@ -236,42 +198,34 @@ class _Parts(Pilot):
 
 @final
 @dataclass(frozen=True, eq=False)
-class _Packed(Integrand):
+class _Packed(Derived):
     """Several functions as the channels of one integrand, for the quadrature of integrands."""
 
     name: ClassVar[str] = "pilot"
+    text = "pilot of {0.integrand.spec}"
     integrand: Integrand
     densities: tuple[Density, ...]
     function: Callable[[Array], Array]
-    channels: int
+    size: int
 
     @property
-    def dims(self) -> int:  # type: ignore[override]
-        return self.integrand.dims
+    def channels(self) -> int:  # type: ignore[override]
+        return self.size
 
     @property
-    def spec(self) -> str:
-        return f"pilot of {self.integrand.spec}"
-
-    @property
-    def breaks(self) -> tuple[tuple[float, ...], ...]:
+    def breaks(self) -> Breaks:
         return _breaks(self.integrand, self.densities)
 
     def _evaluate(self, x: Array) -> Array:
         flat = x.reshape(-1, self.dims)
         return self.function(flat).reshape(*x.shape[:-1], self.channels)
 
+    def _integral(self) -> None:
+        return None
 
-def _breaks(integrand: Integrand, densities: Sequence[Density]) -> tuple[tuple[float, ...], ...]:
+
+def _breaks(integrand: Integrand, densities: Sequence[Density]) -> Breaks:
     """Breaks of f and, in 1-D, those of the warps carried to the domain."""
     if integrand.dims > 1:
         return integrand.breaks
     return (tuple(sorted({*integrand.breaks[0], *density_breaks(densities)})),)
-
-
-def _check_pilot(heuristic: Any) -> None:
-    """Check the fields that say where a pilot is from."""
-    as_choice("pilot", heuristic.pilot, _SOURCES)
-    samples = as_integer("samples", heuristic.samples, least=2, most=_MOST_SAMPLES)
-    object.__setattr__(heuristic, "samples", samples)
-    object.__setattr__(heuristic, "seed", as_integer("seed", heuristic.seed, least=0))

@@ -15,40 +15,25 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
-from mcspectra.integrands import Integrand
+from mcspectra.integrands.base import Breaks, Derived, Integrand
 from mcspectra.samplers.randomizations import folded
 
 __all__ = ["FoldedIntegrand", "SymmetrizedIntegrand"]
 
-_Breaks = tuple[tuple[float, ...], ...]
 _MOST_DIMS = 12  # 2^d values of the integrand for one of its average over reflections
 
 
 @final
 @dataclass(frozen=True)
-class FoldedIntegrand(Integrand):
+class FoldedIntegrand(Derived):
     """f(1 − |2u − 1|), every coordinate folded: continuous on the torus where f is on the cube."""
 
     name: ClassVar[str] = "folded"
+    text = "folded {0.integrand.spec}"
     integrand: Integrand
 
     @property
-    def dims(self) -> int:  # type: ignore[override]
-        """Number of dims of f."""
-        return self.integrand.dims
-
-    @property
-    def channels(self) -> int:  # type: ignore[override]
-        """Channels of f."""
-        return self.integrand.channels
-
-    @property
-    def spec(self) -> str:
-        """Text for messages."""
-        return f"folded {self.integrand.spec}"
-
-    @property
-    def breaks(self) -> _Breaks:
+    def breaks(self) -> Breaks:
         """Both images of each break of f, and the fold."""
         return tuple(
             tuple(sorted({0.5, *(0.5 * b for b in axis), *(1.0 - 0.5 * b for b in axis)}))
@@ -60,38 +45,32 @@ class FoldedIntegrand(Integrand):
         mean: Any = 0.0
         square: Any = 0.0
         for sides in itertools.product((False, True), repeat=self.dims):
+            # The image under folding of the part above (or below) ½, and its share of each box
             above = np.array(sides)
-            low, high, share = _part(lo, hi, above)
-            found = self.integrand.box_moments(low, high)
+            low = np.where(above, 1.0 - np.clip(hi, 0.5, 1.0), np.clip(lo, 0.0, 0.5))
+            high = np.where(above, 1.0 - np.clip(lo, 0.5, 1.0), np.clip(hi, 0.0, 0.5))
+            share = ((high - low) / (hi - lo)).prod(axis=-1)
+            share = share[..., None] if self.channels else share
+            empty = ~(high > low)  # has no mean: any box will do, its share is 0
+            found = self.integrand.box_moments(
+                np.where(empty, 0.0, 2.0 * low), np.where(empty, 1.0, 2.0 * high)
+            )
             if found is None:
                 return None
-            share = share[..., None] if self.channels else share
             mean, square = mean + share * found[0], square + share * found[1]
         return mean, square
 
     def _evaluate(self, x: Array) -> Array:
         return self.integrand(np.maximum(folded(x), 0.0))  # at 1, which no sample is, −2^-53
 
-    def _integral(self) -> Any:
-        return self.integrand._integral()
-
-
-def _part(lo: Array, hi: Array, above: Array) -> tuple[Array, Array, Array]:
-    """Image under folding of the part of boxes above (or below) ½, and its share of each box."""
-    low, high = np.clip(lo, 0.0, 0.5), np.clip(hi, 0.0, 0.5)
-    upper_low, upper_high = 1.0 - np.clip(hi, 0.5, 1.0), 1.0 - np.clip(lo, 0.5, 1.0)
-    low, high = np.where(above, upper_low, low), np.where(above, upper_high, high)
-    share = ((high - low) / (hi - lo)).prod(axis=-1)
-    empty = ~(high > low)  # has no mean: any box will do, its share is 0
-    return np.where(empty, 0.0, 2.0 * low), np.where(empty, 1.0, 2.0 * high), share
-
 
 @final
 @dataclass(frozen=True)
-class SymmetrizedIntegrand(Integrand):
+class SymmetrizedIntegrand(Derived):
     """2^-d Σ f(u reflected), the average over all reflections: of period 1 and continuous."""
 
     name: ClassVar[str] = "symmetrized"
+    text = "symmetrised {0.integrand.spec}"
     integrand: Integrand
 
     def __post_init__(self) -> None:
@@ -102,23 +81,7 @@ class SymmetrizedIntegrand(Integrand):
             )
 
     @property
-    def dims(self) -> int:  # type: ignore[override]
-        """Number of dims of f."""
-        return self.integrand.dims
-
-    @property
-    def channels(self) -> int:  # type: ignore[override]
-        """Channels of f."""
-        return self.integrand.channels
-
-    @property
-    def spec(self) -> str:
-        """Text for messages."""
-        return f"symmetrised {self.integrand.spec}"
-
-    @property
-    def breaks(self) -> _Breaks:
-        """Each break of f and its reflection."""
+    def breaks(self) -> Breaks:
         return tuple(
             tuple(sorted({*axis, *(1.0 - b for b in axis)})) for axis in self.integrand.breaks
         )
@@ -128,9 +91,6 @@ class SymmetrizedIntegrand(Integrand):
         for reflected in itertools.product((False, True), repeat=self.dims):
             total = total + self.integrand(np.where(reflected, 1.0 - x, x))
         return np.asarray(total / 2.0**self.dims)
-
-    def _integral(self) -> Any:
-        return self.integrand._integral()
 
     def _fourier(self, m: Array) -> Array | None:
         total: Any = 0.0

@@ -75,15 +75,11 @@ def draw_sets(
         return drawn
     if sampler.sequence:
         return np.split(drawn[0], np.cumsum([n * c for c in counts])[:-1], axis=1)
-    return _dealt(drawn[0], counts, stream.child(_DEAL), first)
 
-
-def _dealt(points: Array, counts: tuple[int, ...], stream: Stream, first: int) -> list[Array]:
-    """Deal groups of Σ counts consecutive points (R, n Σ counts, d) to the techniques."""
-    realizations, total, dims = points.shape
-    group = sum(counts)
-    keys = stream.uniforms(first, realizations, total).reshape(realizations, -1, group)
+    # Deal each group of Σ counts consecutive points to the techniques
+    total, group = n * sum(counts), sum(counts)
+    keys = stream.child(_DEAL).uniforms(first, count, total).reshape(count, n, group)
     order = np.argsort(keys, axis=2)[..., None]
-    mixed = np.take_along_axis(points.reshape(realizations, -1, group, dims), order, axis=2)
-    ends = np.cumsum(counts)[:-1]
-    return [part.reshape(realizations, -1, dims) for part in np.split(mixed, ends, axis=2)]
+    mixed = np.take_along_axis(drawn[0].reshape(count, n, group, -1), order, axis=2)
+    parts = np.split(mixed, np.cumsum(counts)[:-1], axis=2)
+    return [part.reshape(count, -1, sampler.dims) for part in parts]

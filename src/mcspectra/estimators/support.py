@@ -48,15 +48,32 @@ def check_support(integrand: Integrand, densities: Sequence[Density]) -> None:
     DensityError
         The message says where.
     """
-    x = np.concatenate(
-        [
-            probe_points(integrand.dims),
-            _borders(integrand.dims),
-            _landmarks(integrand),
-            *(_gaps(density) for density in densities),
-            *(density.zero_points() for density in densities),
-        ]
-    )
+    dims = integrand.dims
+    found = [probe_points(dims)]
+
+    # Points next to faces, one axis after another, and in few dims next to all corners
+    points, k, near = found[0][:_FACES].copy(), np.arange(_FACES), np.resize(_NEAR, _FACES)
+    points[k, k % dims] = np.where(k // dims % 2 == 0, near, 1.0 - near)
+    found.append(points)
+    if dims <= _MOST_CORNERS:
+        ends = [[e, 1.0 - e] for e in _NEAR]
+        found += [np.array(list(itertools.product(pair, repeat=dims))) for pair in ends]
+    if dims == 1:
+        found.append(((np.arange(_CELLS) + 0.5) / _CELLS)[:, None])
+
+    # Both sides of every break of f, at probes for the other axes, and what f itself names
+    found.append(integrand.landmarks())
+    for axis, breaks in enumerate(integrand.breaks):
+        sides = np.array([*np.subtract(breaks, _BESIDE), *np.add(breaks, _BESIDE)])
+        sides = sides[(sides >= 0) & (sides < 1)]
+        points = np.resize(found[0], (len(sides), dims))
+        points[:, axis] = sides
+        found.append(points)
+
+    # What densities know of their zeros, and gaps of their warps
+    found += [_gaps(density) for density in densities]
+    found += [density.zero_points() for density in densities]
+    x = np.concatenate(found)
     covered = sum((density.pdf(x) for density in densities), np.zeros(len(x))) > 0
     if covered.all():
         return
@@ -78,49 +95,17 @@ def probe_points(dims: int, count: int = _PROBES) -> Array:
     return np.asarray((0.5 + np.arange(1, count + 1)[:, None] * steps) % 1.0)
 
 
-def _borders(dims: int) -> Array:
-    """Points next to faces, one axis after another, and in few dims next to all corners."""
-    points = probe_points(dims)[:_FACES].copy()
-    k = np.arange(_FACES)
-    near = np.resize(_NEAR, _FACES)
-    points[k, k % dims] = np.where(k // dims % 2 == 0, near, 1.0 - near)
-    found = [points]
-    if dims <= _MOST_CORNERS:
-        ends = [[e, 1.0 - e] for e in _NEAR]
-        found += [np.array(list(itertools.product(pair, repeat=dims))) for pair in ends]
-    if dims == 1:
-        found.append(((np.arange(_CELLS) + 0.5) / _CELLS)[:, None])
-    return np.concatenate(found)
-
-
-def _landmarks(integrand: Integrand) -> Array:
-    """Both sides of every break of f, at probes for the other axes, and what f itself names."""
-    found = [integrand.landmarks()]
-    for axis, breaks in enumerate(integrand.breaks):
-        if breaks:
-            sides = np.concatenate([np.subtract(breaks, _BESIDE), np.add(breaks, _BESIDE)])
-            sides = sides[(sides >= 0) & (sides < 1)]
-            points = np.resize(probe_points(integrand.dims), (len(sides), integrand.dims))
-            points[:, axis] = sides
-            found.append(points)
-    return np.concatenate(found)
-
-
 def _gaps(density: Density) -> Array:
-    """Points in gaps of the warp, or of those of the parts of a product or mixture."""
+    """Points in gaps of the warp, or of those of the parts of a product or mixture: in 1-D.
+
+    They are the middles of the largest step of T in each of 1024 intervals of u. Each interval is
+    halved 32 times, to the half over which x moves more: at a jump x moves by the width of what T
+    leaves out, elsewhere by nothing in the end.
+    """
     if isinstance(density, Product):
         return density.lifted([_gaps(part) for part in density.parts])
     if isinstance(density, Mixture):
         return np.concatenate([_gaps(part) for part in density.parts])
-    return _steps(density)
-
-
-def _steps(density: Density) -> Array:
-    """Middle of the largest step of T in each of 1024 intervals of u, in 1-D.
-
-    Each interval is halved 32 times, to the half over which x moves more: at a jump x moves by the
-    width of what T leaves out, elsewhere by nothing in the end.
-    """
     if density.dims > 1 or not density.one_to_one:
         return np.empty((0, density.dims))
     u = np.linspace(0.0, 1.0, _INTERVALS + 1)[:, None]

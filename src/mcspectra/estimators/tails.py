@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from mcspectra.core.checks import Array
 from mcspectra.estimators.base import AbstractEstimator
 from mcspectra.estimators.importance import Estimator
 from mcspectra.estimators.support import probe_points
@@ -45,7 +44,13 @@ def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:
     order = np.argsort(p)
     unsampled = int(np.searchsorted(np.cumsum(p[order]) / count, 1.0 / samples))
     values = np.asarray(estimator.integrand(x[order])).reshape(count, -1)
-    squares = _scaled_squares(values, p[order, None])
+
+    # f²/p relative to the largest of its channel, by logarithms: p may be 1e-300
+    with np.errstate(divide="ignore"):
+        floor = np.maximum(p[order, None], np.finfo(float).tiny)
+        logarithms = 2 * np.log(np.abs(values)) - np.log(floor)
+    largest = logarithms.max(axis=0)
+    squares = np.exp(logarithms - np.where(np.isfinite(largest), largest, 0.0))
     totals = squares.sum(axis=0)
     shares = squares[:unsampled].sum(axis=0) / np.where(totals > 0, totals, 1.0)
     return float(shares.max())
@@ -61,11 +66,3 @@ def unsampled_note(estimator: AbstractEstimator, samples: int) -> str | None:
         "the true variance may be far above the measured one and its interval; choose a density "
         "with heavier tails, such as defensive(density=…)"
     )
-
-
-def _scaled_squares(values: Array, p: Array) -> Array:
-    """f²/p of (k, channels) relative to the largest of its channel; by logarithms: p may be 1e-300."""
-    with np.errstate(divide="ignore"):
-        logarithms = 2 * np.log(np.abs(values)) - np.log(np.maximum(p, np.finfo(float).tiny))
-    largest = logarithms.max(axis=0)
-    return np.asarray(np.exp(logarithms - np.where(np.isfinite(largest), largest, 0.0)))

@@ -15,24 +15,28 @@ its own, which are few and summed directly.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
-from mcspectra.integrands._axes import gauss_rule
+
+if TYPE_CHECKING:
+    from mcspectra.integrands.base import Integrand
 
 __all__ = [
     "AxisRule",
     "Estimate",
-    "Function",
     "adaptive_integral",
+    "gauss_rule",
     "lattice_integral",
     "refined_coefficients",
+    "slabs",
 ]
 
 _ORDER = 16  # nodes a cell: at 4 nodes a wavelength, 16 are good to 1e-10, at 8 to rounding
@@ -49,28 +53,11 @@ _INTEGRAL_TOLERANCE = 1e-12
 _LATTICE_POINTS = 2**20
 
 
-class Function(Protocol):
-    """The interface of functions for quadrature: values, and where they are not smooth.
-
-    Attributes
-    ----------
-    dims, channels
-        Points are (..., dims); values (...), or (..., channels) where channels is not 0.
-    breaks
-        For each axis, where the function jumps or kinks across a whole axis-normal plane.
-    spec
-        Name of the function in messages.
-    """
-
-    @property
-    def dims(self) -> int: ...
-    @property
-    def channels(self) -> int: ...
-    @property
-    def breaks(self) -> tuple[tuple[float, ...], ...]: ...
-    @property
-    def spec(self) -> str: ...
-    def __call__(self, x: object) -> Array: ...
+@functools.lru_cache(maxsize=32)
+def gauss_rule(order: int) -> tuple[Array, Array]:
+    """Nodes and weights (order,) of Gauss-Legendre quadrature on [0,1]."""
+    node, weight = np.polynomial.legendre.leggauss(order)
+    return 0.5 * (node + 1.0), 0.5 * weight
 
 
 @final
@@ -139,7 +126,7 @@ class AxisRule:
         return np.asarray(found)
 
 
-def refined_coefficients(function: Function, m: Sequence[Array]) -> Estimate:
+def refined_coefficients(function: Integrand, m: Sequence[Array]) -> Estimate:
     """Coefficients at the tensor product of the integers m[i] (U_i,): (U_0, …, U_{d−1}[, channels]).
 
     Starts with 16 nodes a wavelength of the highest frequency (8 from 3-D on, 4 where more would
@@ -151,7 +138,20 @@ def refined_coefficients(function: Function, m: Sequence[Array]) -> Estimate:
     ParameterError
         The first grid exceeds 2^24 evaluations.
     """
-    counts = _first_counts(function, [int(np.abs(axis).max()) for axis in m])
+    # Choose the first grid by the highest frequency of each axis
+    dims, least = len(m), _LEAST_NODES.get(len(m), 16)
+    highest = [int(np.abs(axis).max()) for axis in m]
+    for per_wave in (16, 8, 4) if dims <= 2 else (8, 4):
+        counts = [1 << (max(least, per_wave * h) - 1).bit_length() for h in highest]
+        if math.prod(counts) <= _LIMIT:
+            break
+    else:
+        raise ParameterError(
+            f"The Fourier coefficients of {function.spec} up to |m| = {max(highest)} in {dims} dims "
+            f"take {float(math.prod(counts)):.2g} evaluations, more than {_LIMIT:.2g}; ask for lower "
+            "frequencies, or give exact coefficients (fourier=)."
+        )
+
     coarse = _coefficients(function, [c // 2 for c in counts], m)
     while True:
         fine = _coefficients(function, counts, m)
@@ -163,41 +163,30 @@ def refined_coefficients(function: Function, m: Sequence[Array]) -> Estimate:
         coarse, counts = fine, [2 * c for c in counts]
 
 
-def _first_counts(function: Function, highest: list[int]) -> list[int]:
-    dims = len(highest)
-    least = _LEAST_NODES.get(dims, 16)
-    needed: list[int] = []
-    for per_wave in (16, 8, 4) if dims <= 2 else (8, 4):
-        needed = [1 << (max(least, per_wave * h) - 1).bit_length() for h in highest]
-        if math.prod(needed) <= _LIMIT:
-            return needed
-    raise ParameterError(
-        f"The Fourier coefficients of {function.spec} up to |m| = {max(highest)} in {dims} dims "
-        f"take {float(math.prod(needed)):.2g} evaluations, more than {_LIMIT:.2g}; ask for lower "
-        "frequencies, or give exact coefficients (fourier=)."
-    )
-
-
-def _coefficients(function: Function, counts: Sequence[int], m: Sequence[Array]) -> Array:
-    """One tensor grid, evaluated in slabs along the first axis."""
+def _coefficients(function: Integrand, counts: Sequence[int], m: Sequence[Array]) -> Array:
+    """One tensor grid, transformed slab by slab along all axes but the first, and then along that."""
     rules = [
         AxisRule.make(count, min(_ORDER, count), breaks)
         for count, breaks in zip(counts, function.breaks, strict=True)
     ]
-    first, rest = rules[0], rules[1:]
-    step = max(1, _BLOCK // math.prod(rule.nodes.size for rule in rest))
-    slabs = []
-    for start in range(0, first.nodes.size, step):
-        points = _tensor([first.nodes[start : start + step], *(rule.nodes for rule in rest)])
-        values = function(points)
-        values = np.moveaxis(values, -1, 0) if function.channels else values[None]
-        for axis in range(len(rest), 0, -1):
+    parts = []
+    for _, values in slabs(function, rules):
+        for axis in range(len(rules) - 1, 0, -1):
             turned = rules[axis].transform(np.moveaxis(values, axis + 1, -1), m[axis])
             values = np.moveaxis(turned, -1, axis + 1)
-        slabs.append(values)
-    whole = np.moveaxis(np.concatenate(slabs, axis=1), 1, -1)
-    found = np.moveaxis(first.transform(whole, m[0]), -1, 1)
+        parts.append(values)
+    whole = np.moveaxis(np.concatenate(parts, axis=1), 1, -1)
+    found = np.moveaxis(rules[0].transform(whole, m[0]), -1, 1)
     return np.moveaxis(found, 0, -1) if function.channels else found[0]
+
+
+def slabs(function: Integrand, rules: Sequence[AxisRule]) -> Iterator[tuple[int, Array]]:
+    """Values on slabs of the product of the nodes, along the first axis: start, (C, p, P_1, …)."""
+    first, rest = rules[0].nodes, [rule.nodes for rule in rules[1:]]
+    step = max(1, _BLOCK // math.prod(nodes.size for nodes in rest))
+    for start in range(0, first.size, step):
+        points = _tensor([first[start : start + step], *rest])
+        yield start, np.moveaxis(_columns(function, points), -1, 0)
 
 
 def _tensor(axes: Sequence[Array]) -> Array:
@@ -205,7 +194,12 @@ def _tensor(axes: Sequence[Array]) -> Array:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
-def adaptive_integral(function: Function) -> Estimate:
+def _columns(function: Integrand, x: Array) -> Array:
+    values = function(x)
+    return values if function.channels else values[..., None]
+
+
+def adaptive_integral(function: Integrand) -> Estimate:
     """∫ f in up to 5 dims by boxes that split until their halves agree: value (C,), C ≥ 1 channels.
 
     Gauss-Legendre tensor rules on cells cut at the breaks; a cell whose 2^d parts differ from it by
@@ -214,16 +208,27 @@ def adaptive_integral(function: Function) -> Estimate:
     """
     dims = function.dims
     order = _CELL_ORDER[dims]
-    low, size = _first_cells(function)
+
+    # Cut the first cells at the breaks: lower corners and sizes (N, d)
+    uniform = np.linspace(0.0, 1.0, _CELLS[dims] + 1)
+    edges = [np.union1d(uniform, [b for b in axis if 0 < b < 1]) for axis in function.breaks]
+    low = _tensor([e[:-1] for e in edges]).reshape(-1, dims)
+    size = _tensor([np.diff(e) for e in edges]).reshape(-1, dims)
+
     coarse = _cell_integrals(function, low, size, order)
     total, error = np.zeros(coarse.shape[1]), np.zeros(coarse.shape[1])
     scale = np.abs(coarse).sum(axis=0)
     budget = _INTEGRAL_BUDGET
+    halves = _tensor([np.array([0.0, 0.5])] * dims).reshape(-1, dims)
     while len(low):
+        # Halve the boxes along every axis, the parts of a box side by side
         budget -= len(low) * (2 * order) ** dims
-        low, size = _split(low, size)
+        low = (low[:, None] + halves * size[:, None]).reshape(-1, dims)
+        size = np.repeat(0.5 * size, 2**dims, axis=0)
         fine = _cell_integrals(function, low, size, order).reshape(len(coarse), 2**dims, -1)
         better = fine.sum(axis=1)
+
+        # Keep splitting those that changed by more than their share, if the budget allows
         scale = np.maximum(scale, np.abs(fine).sum(axis=(0, 1)))
         difference = np.abs(better - coarse)
         bad = (difference > _INTEGRAL_TOLERANCE * scale / len(coarse)).any(axis=1)
@@ -236,64 +241,36 @@ def adaptive_integral(function: Function) -> Estimate:
     return Estimate(total, float(error.max()), "adaptive Gauss-Legendre quadrature")
 
 
-def _first_cells(function: Function) -> tuple[Array, Array]:
-    """Lower corners and sizes (N, d) of the first cells; breaks are edges."""
-    uniform = np.linspace(0.0, 1.0, _CELLS[function.dims] + 1)
-    edges = [np.union1d(uniform, [b for b in axis if 0 < b < 1]) for axis in function.breaks]
-    low = _tensor([e[:-1] for e in edges]).reshape(-1, function.dims)
-    return low, _tensor([np.diff(e) for e in edges]).reshape(-1, function.dims)
-
-
-def _split(low: Array, size: Array) -> tuple[Array, Array]:
-    """Halve boxes along every axis: (N 2^d, d) each, parts of a box side by side."""
-    dims = low.shape[1]
-    corner = _tensor([np.array([0.0, 0.5])] * dims).reshape(-1, dims)
-    parts = (low[:, None] + corner * size[:, None]).reshape(-1, dims)
-    return parts, np.repeat(0.5 * size, 2**dims, axis=0)
-
-
-def _cell_integrals(function: Function, low: Array, size: Array, order: int) -> Array:
+def _cell_integrals(function: Integrand, low: Array, size: Array, order: int) -> Array:
     """∫ f over boxes (N, d): (N, channels) or (N, 1)."""
     dims = low.shape[1]
     node, weight = gauss_rule(order)
     nodes = _tensor([node] * dims).reshape(-1, dims)
     weights = _tensor([weight] * dims).reshape(-1, dims).prod(axis=-1)
     step = max(1, _BLOCK // len(nodes))
-    means = [
-        np.tensordot(
-            weights,
-            _columns(function, low[i : i + step] + nodes[:, None] * size[i : i + step]),
-            axes=1,
-        )
-        for i in range(0, len(low), step)
-    ]
+    means = []
+    for i in range(0, len(low), step):
+        points = low[i : i + step] + nodes[:, None] * size[i : i + step]
+        means.append(np.tensordot(weights, _columns(function, points), axes=1))
     return np.asarray(np.concatenate(means) * size.prod(axis=-1)[:, None])
 
 
-def _columns(function: Function, x: Array) -> Array:
-    values = function(x)
-    return values if function.channels else values[..., None]
-
-
-def lattice_integral(function: Function) -> Estimate:
+def lattice_integral(function: Integrand) -> Estimate:
     """∫ f in any number of dims by the mean over 2^20 points of a Kronecker sequence: value (C,).
 
-    Points ½ + k (φ^-1, …, φ^-d) mod 1 with φ^{d+1} = φ + 1 (Roberts 2018, "The unreasonable
-    effectiveness of quasirandom sequences"). The error is the difference from the first half.
+    Points ½ + k (φ^-1, …, φ^-d) mod 1 with φ^{d+1} = φ + 1 [Roberts2018]_. The error is the
+    difference from the first half.
     """
     dims = function.dims
     ratio = 2.0
     for _ in range(64):  # a contraction: each step halves the error at least
         ratio = (1.0 + ratio) ** (1.0 / (dims + 1))
-    sums = [_columns(function, x).sum(axis=0) for x in _kronecker(ratio, dims)]
+    alpha = ratio ** -np.arange(1.0, dims + 1)
+    sums = []
+    for start in range(1, _LATTICE_POINTS, 2**14):
+        points = (0.5 + np.arange(start, start + 2**14)[:, None] * alpha) % 1.0
+        sums.append(_columns(function, points).sum(axis=0))
     half = np.sum(sums[: len(sums) // 2], axis=0) / (_LATTICE_POINTS // 2)
     value = np.sum(sums, axis=0) / _LATTICE_POINTS
     method = "mean over 2^20 points of a Kronecker sequence"
     return Estimate(value, float(np.abs(value - half).max()), method)
-
-
-def _kronecker(ratio: float, dims: int) -> Iterator[Array]:
-    """Blocks (2^14, d) of the sequence."""
-    alpha = ratio ** -np.arange(1.0, dims + 1)
-    for start in range(0, _LATTICE_POINTS, 2**14):
-        yield (0.5 + np.arange(start + 1, start + 1 + 2**14)[:, None] * alpha) % 1.0

@@ -4,33 +4,43 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer, as_real, as_reals
+from mcspectra.core.checks import Array, as_integer, as_reals
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.integrands._axes import (
-    PerAxis,
-    along_first_axis,
-    axis_values,
-    gauss_rule,
-    gaussian_fourier,
-    gaussian_mean,
-    power_fourier,
-    product_over_axes,
-    settle,
-    squared_distance,
-)
-from mcspectra.integrands.base import Integrand, check_dims
+from mcspectra.integrands._quadrature import gauss_rule
+from mcspectra.integrands.base import Integrand, any_dims, checked, per_axis, real
 
-__all__ = ["Constant", "Cosine", "Gaussian", "Linear", "Polynomial"]
+__all__ = ["Constant", "Cosine", "Gaussian", "Linear", "Polynomial", "squared_distance"]
 
-_MAX_DEGREE = 20  # see `power_fourier`; beyond, powers of x are a bad basis in any case
+_MAX_DEGREE = 20  # see `Polynomial._fourier`; beyond, powers of x are a bad basis in any case
+_LOW_FREQUENCY = 4  # 2π·4 is more than the highest degree, 20
+_NARROW = 0.5  # below this width 8 Gauss nodes integrate exp(−t²) to 1e-19; above, erf differences
+
+
+def _as_coefficients(_: object, name: str, given: object) -> tuple[float, ...]:
+    listed = isinstance(given, Sequence | np.ndarray) and not isinstance(given, str)
+    count = len(given) if listed else 0  # type: ignore[arg-type]
+    if not 1 <= count <= _MAX_DEGREE + 1:
+        raise ParameterError(
+            f"coefficients is {given!r}; give a list of 1 to {_MAX_DEGREE + 1} numbers, "
+            "the factors of 1, x, x², …"
+        )
+    return as_reals(name, given, count)
+
+
+def _as_cycles(f: Integrand, name: str, given: object) -> int | tuple[int, ...]:
+    cycles = as_reals(name, given, f.dims)
+    if not isinstance(given, Sequence | np.ndarray):
+        return as_integer(name, cycles[0], least=-(2**31), most=2**31)
+    return tuple(
+        as_integer(f"{name}[{i}]", c, least=-(2**31), most=2**31) for i, c in enumerate(cycles)
+    )
 
 
 @final
@@ -47,11 +57,8 @@ class Constant(Integrand):
     """
 
     name: ClassVar[str] = "constant"
-    value: float = 1.0
-    dims: int = DEFAULT_DIMS
-
-    def __post_init__(self) -> None:
-        settle(self, dims=check_dims(self), value=as_real("value", self.value))
+    value: float = real(1.0)
+    dims: int = any_dims()
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:  # noqa: ARG002
         """Value and its square."""
@@ -83,17 +90,13 @@ class Linear(Integrand):
     """
 
     name: ClassVar[str] = "linear"
-    gradient: PerAxis = 1.0
-    offset: float = 0.0
-    dims: int = DEFAULT_DIMS
-
-    def __post_init__(self) -> None:
-        settle(self, dims=check_dims(self), offset=as_real("offset", self.offset))
-        settle(self, gradient=axis_values("gradient", self.gradient, self.dims))
+    gradient: float | Sequence[float] = per_axis(1.0)
+    offset: float = real(0.0)
+    dims: int = any_dims()
 
     @property
     def _slopes(self) -> Array:
-        return along_first_axis(self.gradient, self.dims)
+        return _along_first_axis(self.gradient, self.dims)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
         """Mean at the centre; the variance is Σ_i (g_i h_i)²/12 for sides h_i."""
@@ -128,11 +131,8 @@ class Polynomial(Integrand):
     """
 
     name: ClassVar[str] = "polynomial"
-    coefficients: Sequence[float] = (0.0, 1.0)
-    dims: int = DEFAULT_DIMS
-
-    def __post_init__(self) -> None:
-        settle(self, dims=check_dims(self), coefficients=_check_coefficients(self.coefficients))
+    coefficients: Sequence[float] = checked((0.0, 1.0), _as_coefficients)
+    dims: int = any_dims()
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
         """Products over axes, by a Gauss rule that is exact for the squared polynomial."""
@@ -150,11 +150,21 @@ class Polynomial(Integrand):
         return sum(c / (k + 1) for k, c in enumerate(self.coefficients)) ** self.dims
 
     def _fourier(self, m: Array) -> Array:
+        # By parts I_k = ∫ x^k exp(−2πi m x) dx = (k I_{k−1} − 1)/(2πi m), where rounding does not
+        # grow: k < 2π|m|. At lower frequencies a Gauss rule is exact to rounding (degree 79, 3 cycles)
+        node, weight = gauss_rule(40)
+
         def factor(frequency: Array) -> Array:
-            powers = power_fourier(frequency, len(self.coefficients) - 1)
+            low = np.abs(frequency) < _LOW_FREQUENCY
+            scale = 2j * np.pi * np.where(low, 1.0, frequency)
+            cycles = np.where(low, frequency, 0.0)[..., None]
+            waves = weight * np.exp(-2j * np.pi * cycles * node)
+            powers = [np.where(low, frequency == 0, 0.0).astype(np.complex128)]
+            for k in range(1, len(self.coefficients)):
+                powers.append(np.where(low, waves @ node**k, (k * powers[-1] - 1.0) / scale))
             return np.tensordot(np.array(self.coefficients), np.stack(powers), axes=1)
 
-        return product_over_axes(m, [factor] * self.dims)
+        return _product_over_axes(m, [factor] * self.dims)
 
 
 @final
@@ -173,13 +183,9 @@ class Gaussian(Integrand):
     """
 
     name: ClassVar[str] = "gaussian"
-    center: PerAxis = 0.5
-    width: float = 0.25
-    dims: int = DEFAULT_DIMS
-
-    def __post_init__(self) -> None:
-        settle(self, dims=check_dims(self), width=as_real("width", self.width, above=0.0))
-        settle(self, center=axis_values("center", self.center, self.dims))
+    center: float | Sequence[float] = per_axis(0.5)
+    width: float = real(0.25, above=0.0)
+    dims: int = any_dims()
 
     @property
     def _centers(self) -> Array:
@@ -187,8 +193,8 @@ class Gaussian(Integrand):
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
         """Products of error functions; f² is a Gaussian of width/√2."""
-        mean = gaussian_mean(lo, hi, self._centers, self.width)
-        square = gaussian_mean(lo, hi, self._centers, self.width / math.sqrt(2.0))
+        mean = _gaussian_mean(lo, hi, self._centers, self.width)
+        square = _gaussian_mean(lo, hi, self._centers, self.width / math.sqrt(2.0))
         return mean.prod(axis=-1), square.prod(axis=-1)
 
     def _evaluate(self, x: Array) -> Array:
@@ -201,8 +207,8 @@ class Gaussian(Integrand):
         return float(self._fourier(np.zeros((1, self.dims)))[0].real)
 
     def _fourier(self, m: Array) -> Array:
-        factors = [partial(gaussian_fourier, center=c, width=self.width) for c in self._centers]
-        return product_over_axes(m, factors)
+        factors = [partial(_gaussian_fourier, center=c, width=self.width) for c in self._centers]
+        return _product_over_axes(m, factors)
 
 
 @final
@@ -221,17 +227,13 @@ class Cosine(Integrand):
     """
 
     name: ClassVar[str] = "cosine"
-    frequency: int | Sequence[int] = 1
-    phase: float = 0.0
-    dims: int = DEFAULT_DIMS
-
-    def __post_init__(self) -> None:
-        settle(self, dims=check_dims(self), phase=as_real("phase", self.phase))
-        settle(self, frequency=_check_cycles(self.frequency, self.dims))
+    frequency: int | Sequence[int] = checked(1, _as_cycles)
+    phase: float = real(0.0)
+    dims: int = any_dims()
 
     @property
     def _wave(self) -> Array:
-        return along_first_axis(self.frequency, self.dims)
+        return _along_first_axis(self.frequency, self.dims)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
         """cos at the centre times Π sinc; f² = ½ + ½ cos of the doubled argument."""
@@ -253,21 +255,61 @@ class Cosine(Integrand):
         return np.asarray(np.where(forward, half, 0.0) + np.where(backward, half.conjugate(), 0.0))
 
 
-def _check_coefficients(coefficients: object) -> tuple[float, ...]:
-    listed = isinstance(coefficients, Sequence | np.ndarray) and not isinstance(coefficients, str)
-    count = len(coefficients) if listed else 0  # type: ignore[arg-type]
-    if not 1 <= count <= _MAX_DEGREE + 1:
-        raise ParameterError(
-            f"coefficients is {coefficients!r}; give a list of 1 to {_MAX_DEGREE + 1} numbers, "
-            "the factors of 1, x, x², …"
-        )
-    return as_reals("coefficients", coefficients, count)
+def _along_first_axis(value: float | Sequence[float], dims: int) -> Array:
+    """Return a vector (d,): a single number is its first component."""
+    vector = np.zeros(dims)
+    vector[: 1 if isinstance(value, int | float) else dims] = value
+    return vector
 
 
-def _check_cycles(frequency: object, dims: int) -> int | tuple[int, ...]:
-    cycles = axis_values("frequency", frequency, dims)
-    if isinstance(cycles, float):
-        return as_integer("frequency", cycles, least=-(2**31), most=2**31)
-    return tuple(
-        as_integer(f"frequency[{i}]", c, least=-(2**31), most=2**31) for i, c in enumerate(cycles)
-    )
+def _product_over_axes(m: Array, factors: Sequence[Callable[[Array], Array]]) -> Array:
+    """Return Π_i factors[i](m_i) for m (..., d), each factor called once for each distinct m_i."""
+    product = np.ones(m.shape[:-1], np.complex128)
+    for i, factor in enumerate(factors):
+        distinct, where = np.unique(m[..., i], return_inverse=True)
+        product *= factor(distinct)[where.reshape(product.shape)]
+    return product
+
+
+def squared_distance(x: Array, center: Array, scale: float = 1.0) -> Array:
+    """Σ_i (scale (x_i − c_i))² of points x (..., d): float64 (...)."""
+    # NumPy's sum over a last axis of two or three numbers takes several times as long.
+    from mcspectra.integrands._kernels import fill_squared_distances
+
+    out = np.empty(x.shape[:-1])
+    points = np.ascontiguousarray(x).reshape(-1, x.shape[-1])
+    fill_squared_distances(points, np.array(center, float), scale, out.reshape(-1))
+    return out
+
+
+def _gaussian_fourier(m: Array, center: float, width: float) -> Array:
+    """∫_0^1 exp(−(x−c)²/(2w²)) exp(−2πi m x) dx for integer m.
+
+    With t = (x−c)/(w√2) and β = π m w√2 it is w√2 e^{−2πimc} e^{−β²} (√π/2) [erf(t + iβ)] from x = 0
+    to 1. Written by the Faddeeva function W(z) = e^{−z²} erfc(−iz) in its upper half plane, where
+    |W| ≤ 1, nothing overflows at large m; the phases at the ends are exp(−2πi m) = 1.
+    """
+    from scipy.special import wofz
+
+    scale = math.sqrt(2.0) * width
+    beta = np.pi * m * scale
+
+    def end(x: float) -> Array:
+        t = (x - center) / scale
+        sign = 1.0 if t >= 0 else -1.0
+        return np.asarray(sign * math.exp(-t * t) * wofz(sign * (1j * t - beta)))
+
+    peak = 2.0 * np.exp(-beta * beta - 2j * np.pi * m * center) if 0 < center <= 1 else 0.0
+    return np.asarray(0.5 * math.sqrt(math.pi) * scale * (peak + end(0.0) - end(1.0)))
+
+
+def _gaussian_mean(low: Array, high: Array, center: Array, width: float) -> Array:
+    """Mean of exp(−(x−c)²/(2w²)) over intervals [low, high], to rounding also where they are short."""
+    from scipy.special import erf
+
+    scale = math.sqrt(2.0) * width
+    a, b = (low - center) / scale, (high - center) / scale
+    node, weight = gauss_rule(8)
+    short = np.exp(-((a[..., None] + (b - a)[..., None] * node) ** 2)) @ weight
+    long = 0.5 * math.sqrt(math.pi) * (erf(b) - erf(a)) / (b - a)
+    return np.where(b - a < _NARROW, short, long)

@@ -5,6 +5,8 @@ Conventions: f_m = ∫ f(x) exp(−2πi m·x) dx over [0,1)^d, integer m. Implem
 Gauss-Legendre quadrature (with an FFT for the coefficients) stands in and `integral_source` and
 `fourier_source` say so. Results of quadrature are kept in the integrand itself, the last few sets of
 frequencies each: an integrand must always give the same values.
+
+Parameters are fields made by `checked` or `real`: each names its check, which `settle` applies.
 """
 
 from __future__ import annotations
@@ -13,13 +15,23 @@ import contextlib
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import MAX_DIMS, Array, as_frequencies, as_integer, as_real_array
+from mcspectra.core.checks import (
+    MAX_DIMS,
+    Array,
+    as_frequencies,
+    as_integer,
+    as_real,
+    as_real_array,
+    as_reals,
+)
 from mcspectra.core.errors import DomainError, ParameterError, point_in_words
+from mcspectra.core.images import REC709
+from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.spec import Component
 from mcspectra.integrands._quadrature import (
     Estimate,
@@ -29,21 +41,77 @@ from mcspectra.integrands._quadrature import (
 )
 
 __all__ = [
+    "Breaks",
+    "Channel",
+    "Derived",
     "Estimate",
     "FunctionIntegrand",
     "Integrand",
-    "check_dims",
+    "any_dims",
+    "axis_number",
+    "checked",
     "fourier_accuracy",
     "fourier_grid",
     "integral_accuracy",
     "numeric_integral",
+    "per_axis",
+    "real",
+    "settle",
 ]
+
+Breaks = tuple[tuple[float, ...], ...]
+"""Places along each axis."""
 
 _MOST_COEFFICIENTS = 2**26  # 1 GiB of complex numbers
 _EXACT_BLOCK = 2**20
 _KEPT = 4
 _ADAPTIVE_DIMS = 5
 _PROBE = (4, 7)  # two axes, so that functions of one list of points are found out
+
+
+def checked(default: Any, check: Callable[[Any, str, Any], Any]) -> Any:
+    """A field with a default (or `MISSING`), whose value becomes ``check(component, name, value)``."""
+    return field(default=default, metadata={"check": check})
+
+
+def settle(component: Any) -> None:
+    """Apply the checks of the fields of a frozen dataclass, that of `dims` first."""
+    for each in sorted(fields(component), key=lambda each: each.name != "dims"):
+        if "check" in each.metadata:
+            value = each.metadata["check"](component, each.name, getattr(component, each.name))
+            object.__setattr__(component, each.name, value)
+
+
+def real(default: Any = MISSING, **limits: float) -> Any:
+    """A field of one finite number within `limits`, those of `mcspectra.core.checks.as_real`."""
+    return checked(default, lambda _, name, value: as_real(name, value, **limits))
+
+
+def any_dims() -> Any:
+    """The field `dims` of an integrand in any number of dims."""
+
+    def check(component: Any, name: str, value: Any) -> int:
+        try:
+            return as_integer(name, value, least=1, most=MAX_DIMS)
+        except ParameterError as error:
+            raise ParameterError(f"{component.name}: {error}") from None
+
+    return checked(DEFAULT_DIMS, check)
+
+
+def axis_number() -> Any:
+    """A field that chooses one of the axes."""
+    return checked(0, lambda f, name, value: as_integer(name, value, least=0, most=f.dims - 1))
+
+
+def per_axis(default: float) -> Any:
+    """A field of one finite number, or one for each axis; it stays a single one if it was."""
+
+    def check(component: Any, name: str, value: Any) -> float | tuple[float, ...]:
+        found = as_reals(name, value, component.dims)
+        return found if isinstance(value, Sequence | np.ndarray) else found[0]
+
+    return checked(default, check)
 
 
 class Integrand(Component, ABC):
@@ -59,7 +127,9 @@ class Integrand(Component, ABC):
 
     dims: int
     channels: int = 0
-    max_dims: ClassVar[int | None] = None
+
+    def __post_init__(self) -> None:
+        settle(self)
 
     def __call__(self, x: object) -> Array:
         """Values at points x of shape (..., d): float64 (...) or (..., channels).
@@ -113,7 +183,17 @@ class Integrand(Component, ABC):
                 "Fourier coefficients exist at integer frequencies m only; give whole numbers."
             )
         exact = self._fourier(frequencies)
-        return _fourier_at(self, frequencies) if exact is None else exact
+        if exact is not None:
+            return exact
+
+        # One tensor grid serves all: its size is set by the highest |m_i| along each axis
+        axes, places = [], []
+        for i in range(self.dims):
+            distinct, where = np.unique(frequencies[..., i], return_inverse=True)
+            axes.append(distinct)
+            places.append(where.reshape(frequencies.shape[:-1]))
+        _check_size(self, [axis.size for axis in axes])
+        return np.asarray(_quadrature(self, axes).value[tuple(places)])
 
     def fourier_grid(self, half_width: int) -> Array:
         """Coefficients at all m in {−half_width … half_width}^d.
@@ -122,8 +202,26 @@ class Integrand(Component, ABC):
         -------
         ndarray
             complex128 of shape (2 half_width + 1,) * d, or with (channels,) after that.
+
+        Raises
+        ------
+        ParameterError
+            More than 2^26 coefficients, or a quadrature of more than 2^24 evaluations.
         """
-        return fourier_grid(self, half_width)
+        m = _all_frequencies(self, half_width)
+        if self._fourier(np.zeros((1, self.dims))) is None:
+            return _quadrature(self, m).value.copy()
+        points = np.stack(np.meshgrid(*m, indexing="ij"), axis=-1).reshape(-1, self.dims)
+        blocks = []
+        for start in range(0, len(points), _EXACT_BLOCK):
+            exact = self._fourier(points[start : start + _EXACT_BLOCK])
+            if exact is None:
+                raise ParameterError(
+                    f"{self.spec} knows its coefficients at some frequencies only."
+                )
+            blocks.append(exact)
+        found = np.concatenate(blocks)
+        return found.reshape(*(axis.size for axis in m), *found.shape[1:])
 
     @property
     def fourier_source(self) -> str:
@@ -132,7 +230,7 @@ class Integrand(Component, ABC):
         return "exact" if probe is not None else "FFT of composite Gauss-Legendre quadrature"
 
     @property
-    def breaks(self) -> tuple[tuple[float, ...], ...]:
+    def breaks(self) -> Breaks:
         """For each axis, where f is discontinuous or not smooth across a whole axis-normal plane."""
         return ((),) * self.dims
 
@@ -210,8 +308,10 @@ class Integrand(Component, ABC):
             )
         dims = as_integer("dims", dims, least=1)
         channels = _probe(function, dims)
+        if fourier is not None and not callable(fourier):
+            raise ParameterError(f"fourier is {fourier!r}, not a callable; give m -> coefficients.")
         if fourier is not None:
-            _probe_fourier(fourier, dims, channels)
+            _coefficients(fourier, np.zeros((2, 3, dims)), channels)
         return FunctionIntegrand(
             function=function,
             dims=dims,
@@ -219,6 +319,102 @@ class Integrand(Component, ABC):
             known_integral=None if integral is None else _check_integral(integral, channels),
             known_fourier=fourier,
         )
+
+
+class Derived(Integrand):
+    """An integrand made of another, whose properties hold where a subclass has none of its own.
+
+    Subclasses are dataclasses with the field `integrand`; `text` makes their `spec`, for messages, of
+    the instance as ``{0}``.
+    """
+
+    text: ClassVar[str]
+    integrand: Integrand
+
+    @property
+    def dims(self) -> int:  # type: ignore[override]
+        return self.integrand.dims
+
+    @property
+    def channels(self) -> int:  # type: ignore[override]
+        return self.integrand.channels
+
+    @property
+    def spec(self) -> str:
+        """Text for messages, not a spec to read again."""
+        return self.text.format(self)
+
+    @property
+    def breaks(self) -> Breaks:
+        return self.integrand.breaks
+
+    @property
+    def evaluations_per_point(self) -> int:
+        return self.integrand.evaluations_per_point
+
+    def _integral(self) -> Any:
+        return self.integrand._integral()
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Channel(Derived):
+    """A scalar view of an integrand with channels.
+
+    Attributes
+    ----------
+    integrand
+        The integrand f, with at least one channel.
+    channel
+        Number of the channel, or ``"luminance"`` (Rec. 709; of three channels).
+
+    Raises
+    ------
+    ParameterError
+        f is scalar, or has no such channel, or not three for the luminance.
+    """
+
+    name: ClassVar[str] = "channel"
+    text = "{0.integrand.spec}[{0.channel}]"
+    channels = 0
+    integrand: Integrand
+    channel: int | str = checked("luminance", lambda f, _, value: _as_channel(f.integrand, value))
+
+    def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:
+        """Means of f for a single channel; unknown for the luminance, which needs products."""
+        found = self.integrand.box_moments(lo, hi)
+        if found is None or self.channel == "luminance":
+            return None
+        return self._of(found[0]), self._of(found[1])
+
+    def _of(self, values: Any) -> Array:
+        values = np.asarray(values)
+        found = values @ REC709 if isinstance(self.channel, str) else values[..., self.channel]
+        return np.asarray(found)
+
+    def _evaluate(self, x: Array) -> Array:
+        return self._of(self.integrand._evaluate(x))
+
+    def _integral(self) -> Any:
+        exact = self.integrand._integral()
+        return None if exact is None else float(self._of(exact))
+
+    def _fourier(self, m: Array) -> Array | None:
+        exact = self.integrand._fourier(m)
+        return None if exact is None else self._of(exact)
+
+
+def _as_channel(f: Integrand, channel: object) -> int | str:
+    if not f.channels:
+        raise ParameterError(f"{f.spec} is scalar: it has no channels to choose.")
+    if channel != "luminance":
+        return as_integer("channel", channel, least=0, most=f.channels - 1)
+    if f.channels != len(REC709):
+        raise ParameterError(
+            f"{f.spec} has {f.channels} channels, luminance needs {len(REC709)}; give the number of "
+            "a channel."
+        )
+    return "luminance"
 
 
 @final
@@ -243,7 +439,7 @@ class FunctionIntegrand(Integrand):
 
     def _evaluate(self, x: Array) -> Array:
         shape = (*x.shape[:-1], self.channels) if self.channels else x.shape[:-1]
-        values = _real(_called(self.function, x))
+        values = _real_values(self.function, x)
         if values.shape != shape:
             raise ParameterError(
                 f"{self.spec} gave values of shape {values.shape} at points of shape {x.shape}; "
@@ -260,48 +456,9 @@ class FunctionIntegrand(Integrand):
         return _coefficients(self.known_fourier, m, self.channels)
 
 
-def check_dims(integrand: Integrand) -> int:
-    """Return an integrand's `dims` as an int, at most its class's `max_dims`; for `__post_init__`."""
-    try:
-        return as_integer("dims", integrand.dims, least=1, most=integrand.max_dims or MAX_DIMS)
-    except ParameterError as error:
-        raise ParameterError(f"{integrand.name}: {error}") from None
-
-
 def fourier_grid(integrand: Integrand, half_width: int) -> Array:
-    """Coefficients at all m in {−half_width … half_width}^d.
-
-    Returns
-    -------
-    ndarray
-        complex128, (2 half_width + 1,) * d, then (channels,) where f has several.
-
-    Raises
-    ------
-    ParameterError
-        More than 2^26 coefficients, or a quadrature of more than 2^24 evaluations.
-    """
-    m = _all_frequencies(integrand, half_width)
-    if integrand._fourier(np.zeros((1, integrand.dims))) is None:
-        return _quadrature(integrand, m).value.copy()
-    points = np.stack(np.meshgrid(*m, indexing="ij"), axis=-1).reshape(-1, integrand.dims)
-    blocks = (points[i : i + _EXACT_BLOCK] for i in range(0, len(points), _EXACT_BLOCK))
-    found = np.concatenate([_exact(integrand, block) for block in blocks])
-    return found.reshape(*(axis.size for axis in m), *found.shape[1:])
-
-
-def _fourier_at(integrand: Integrand, m: Array) -> Array:
-    """Coefficients by quadrature at the integer frequencies m of shape (..., d).
-
-    One tensor grid serves all: its size is set by the highest |m_i| along each axis.
-    """
-    axes, places = [], []
-    for i in range(integrand.dims):
-        distinct, where = np.unique(m[..., i], return_inverse=True)
-        axes.append(distinct)
-        places.append(where.reshape(m.shape[:-1]))
-    _check_size(integrand, [axis.size for axis in axes])
-    return np.asarray(_quadrature(integrand, axes).value[tuple(places)])
+    """`Integrand.fourier_grid` of an integrand."""
+    return integrand.fourier_grid(half_width)
 
 
 def fourier_accuracy(integrand: Integrand, half_width: int) -> tuple[str, float]:
@@ -354,36 +511,25 @@ def _check_size(integrand: Integrand, sizes: list[int]) -> None:
         )
 
 
-def _exact(integrand: Integrand, m: Array) -> Array:
-    found = integrand._fourier(m)
-    if found is None:
-        raise ParameterError(f"{integrand.spec} knows its coefficients at some frequencies only.")
-    return found
-
-
 def _quadrature(integrand: Integrand, m: Sequence[Array]) -> Estimate:
     """Coefficients on a tensor product of frequencies, remembered by the integrand."""
     kept = _memory(integrand)
     key = tuple(axis.tobytes() for axis in m)
-    if key not in kept:
-        while len(kept) >= _KEPT:
-            kept.pop(next(iter(kept)), None)
-        kept[key] = _with_integral(integrand, m, refined_coefficients(integrand, m))
-    return kept[key]
-
-
-def _with_integral(integrand: Integrand, m: Sequence[Array], found: Estimate) -> Estimate:
-    """Put the integral, exact or from the better rule, in the place of the coefficient at 0.
-
-    Where two grids agree by chance (a border along their diagonals), it shows that they are off.
-    """
-    if not all((axis == 0).any() for axis in m):
-        return found
-    zero = tuple(int(np.flatnonzero(axis == 0)[0]) for axis in m)
-    value, integral = found.value.copy(), integrand.integral
-    error = max(found.error, float(np.abs(value[zero] - integral).max()))
-    value[zero] = integral
-    return replace(found, value=value, error=error)
+    if key in kept:
+        return kept[key]
+    found = refined_coefficients(integrand, m)
+    if all((axis == 0).any() for axis in m):
+        # The integral, exact or from the better rule, replaces the coefficient at 0. Where two grids
+        # agree by chance (a border along their diagonals), it shows that they are off
+        zero = tuple(int(np.flatnonzero(axis == 0)[0]) for axis in m)
+        value, integral = found.value.copy(), integrand.integral
+        error = max(found.error, float(np.abs(value[zero] - integral).max()))
+        value[zero] = integral
+        found = replace(found, value=value, error=error)
+    while len(kept) >= _KEPT:
+        kept.pop(next(iter(kept)), None)
+    kept[key] = found
+    return found
 
 
 def _integral_estimate(integrand: Integrand) -> Estimate:
@@ -402,9 +548,11 @@ def _memory(integrand: Integrand) -> dict[Any, Estimate]:
 
 def _probe(function: Callable[[Any], Any], dims: int) -> int:
     """Return the number of channels, 0 for a scalar function, after a try on 28 points."""
-    x = _probe_points(dims)
+    # Points of an additive recurrence, on no grid line
+    steps = np.sqrt(np.arange(2, 2 + dims) + 0.5)
+    x = ((0.5 + np.arange(1, 29)[:, None] * steps) % 1.0).reshape(*_PROBE, dims)
     try:
-        given = _called(function, x)
+        values = _real_values(function, x)
     except ParameterError:
         raise
     except (TypeError, ValueError, IndexError) as error:
@@ -414,7 +562,6 @@ def _probe(function: Callable[[Any], Any], dims: int) -> int:
                 "(..., d), with x[..., 0] for the first coordinate and numpy's functions."
             ) from error
         raise
-    values = _real(given)
     if values.shape[:2] != _PROBE or values.ndim > 3 or 0 in values.shape:
         raise ParameterError(
             f"The function gave shape {values.shape} at points of shape {x.shape}; it must give "
@@ -423,12 +570,6 @@ def _probe(function: Callable[[Any], Any], dims: int) -> int:
         )
     _finite(values, x, "The function")
     return values.shape[2] if values.ndim == 3 else 0
-
-
-def _probe_points(dims: int) -> Array:
-    """Points of an additive recurrence, on no grid line."""
-    steps = np.sqrt(np.arange(2, 2 + dims) + 0.5)
-    return np.asarray((0.5 + np.arange(1, 29)[:, None] * steps) % 1.0).reshape(*_PROBE, dims)
 
 
 def _works_on_one_point(function: Callable[[Any], Any], point: Array) -> bool:
@@ -440,21 +581,18 @@ def _works_on_one_point(function: Callable[[Any], Any], point: Array) -> bool:
     return False
 
 
-def _called(function: Callable[[Any], Any], x: Array) -> Any:
-    """Call `function` with a read-only view: the same points are weighted afterwards."""
+def _real_values(function: Callable[[Any], Any], x: Array) -> Array:
+    """Call `function` with a read-only view, as the same points are weighted afterwards."""
     view = x.view()
     view.flags.writeable = False
     try:
-        return function(view)
+        given = function(view)
     except ValueError as error:
         if "read-only" not in str(error):
             raise
         raise ParameterError(
             "The function changes its argument in place; work on a copy, x = x.copy()."
         ) from error
-
-
-def _real(given: object) -> Array:
     if np.ma.is_masked(given):
         raise ParameterError("The function gave masked values; it must give a plain array.")
     try:
@@ -489,12 +627,6 @@ def _check_integral(integral: object, channels: int) -> Any:
         wanted = f"{channels} finite numbers, one a channel" if channels else "one finite number"
         raise ParameterError(f"integral is {integral!r}; give {wanted}.")
     return value if channels else float(value)
-
-
-def _probe_fourier(fourier: Callable[[Any], Any], dims: int, channels: int) -> None:
-    if not callable(fourier):
-        raise ParameterError(f"fourier is {fourier!r}, not a callable; give m -> coefficients.")
-    _coefficients(fourier, np.zeros((2, 3, dims)), channels)
 
 
 def _coefficients(fourier: Callable[[Any], Any], m: Array, channels: int) -> Array:

@@ -1,7 +1,6 @@
-"""The five test functions on the unit square of Christensen, Kensler and Kilpatrick (2018).
+"""The five test functions on the unit square of [Christensen2018]_.
 
-Source: "Progressive multi-jittered sample sequences", Computer Graphics Forum 37 (4):
-three discontinuous (quarter disk, triangle, step) and two smooth (Gaussian, bilinear). Each is one
+Three discontinuous (quarter disk, triangle, step) and two smooth (Gaussian, bilinear). Each is one
 of this package's own integrands under the name of the paper.
 """
 
@@ -9,11 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, final
+from typing import ClassVar, final
 
 from mcspectra.core.checks import Array
+from mcspectra.core.spec import Component
 from mcspectra.integrands.analytic import Gaussian, Polynomial
-from mcspectra.integrands.base import Integrand
+from mcspectra.integrands.base import Derived, Integrand
 from mcspectra.integrands.indicators import Disk, HalfSpace, Step
 
 __all__ = [
@@ -22,75 +22,66 @@ __all__ = [
     "ChristensenGaussian",
     "ChristensenStep",
     "ChristensenTriangle",
+    "NamedFunction",
 ]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _TestFunction(Integrand):
-    """A test function, evaluated by `model`; abstract, named by its subclasses."""
+class NamedFunction(Derived):
+    """A test function: `integrand` of a class, under its name."""
 
-    model: ClassVar[Integrand]
-    dims: int = field(default=2, init=False)
-
-    @property
-    def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """As for the model."""
-        return self.model.breaks
+    integrand: Integrand = field(init=False, repr=False)
+    spec = Component.spec
 
     @property
     def fourier_source(self) -> str:
-        """As for the model."""
-        return self.model.fourier_source
+        return self.integrand.fourier_source
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:
-        """As for the model."""
-        return self.model.box_moments(lo, hi)
+        return self.integrand.box_moments(lo, hi)
 
     def _evaluate(self, x: Array) -> Array:
-        return self.model._evaluate(x)
-
-    def _integral(self) -> Any:
-        return self.model._integral()
+        return self.integrand._evaluate(x)
 
     def _fourier(self, m: Array) -> Array | None:
-        return self.model._fourier(m)
+        return self.integrand._fourier(m)
 
 
 @final
-class ChristensenDisk(_TestFunction):
+class ChristensenDisk(NamedFunction):
     """A quarter disk, 1 where x² + y² < 2/π; its integral is ½."""
 
     name: ClassVar[str] = "christensen-disk"
-    model: ClassVar[Integrand] = Disk(center=0.0, radius=math.sqrt(2.0 / math.pi), dims=2)
+    integrand = Disk(center=0.0, radius=math.sqrt(2.0 / math.pi), dims=2)
 
 
 @final
-class ChristensenTriangle(_TestFunction):
+class ChristensenTriangle(NamedFunction):
     """A triangle, 1 where y > x; its integral is ½."""
 
     name: ClassVar[str] = "christensen-triangle"
-    model: ClassVar[Integrand] = HalfSpace(normal=(1.0, -1.0), offset=0.0, dims=2)
+    integrand = HalfSpace(normal=(1.0, -1.0), offset=0.0, dims=2)
 
 
 @final
-class ChristensenStep(_TestFunction):
+class ChristensenStep(NamedFunction):
     """A step, 1 where x < 1/π; its integral is 1/π."""
 
     name: ClassVar[str] = "christensen-step"
-    model: ClassVar[Integrand] = Step(at=1.0 / math.pi, dims=2)
+    integrand = Step(at=1.0 / math.pi, dims=2)
 
 
 @final
-class ChristensenGaussian(_TestFunction):
+class ChristensenGaussian(NamedFunction):
     """A Gaussian, exp(−x² − y²); its integral is (π/4) erf(1)² = 0.5577462853510337."""
 
     name: ClassVar[str] = "christensen-gaussian"
-    model: ClassVar[Integrand] = Gaussian(center=0.0, width=math.sqrt(0.5), dims=2)
+    integrand = Gaussian(center=0.0, width=math.sqrt(0.5), dims=2)
 
 
 @final
-class ChristensenBilinear(_TestFunction):
+class ChristensenBilinear(NamedFunction):
     """A bilinear function, x y; its integral is ¼."""
 
     name: ClassVar[str] = "christensen-bilinear"
-    model: ClassVar[Integrand] = Polynomial(coefficients=(0.0, 1.0), dims=2)
+    integrand = Polynomial(coefficients=(0.0, 1.0), dims=2)

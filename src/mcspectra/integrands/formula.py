@@ -1,22 +1,57 @@
-"""Integrands that are written as a formula."""
+"""Integrands that are written as a formula such as ``exp(-x**2 - y**2)``, read as data.
+
+Python's parser reads the text; what it gives is walked once into a tree of NumPy's functions, and
+everything that is not in the lists below is refused. No name is looked up anywhere else, and nothing
+is evaluated as Python: numbers become floats before anything is done with them, so that ``9**9**9``
+is infinite instead of endless.
+"""
 
 from __future__ import annotations
 
+import ast
+import itertools
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, final
+from functools import lru_cache
+from typing import Any, ClassVar, TypeAlias, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import ParameterError, point_in_words
-from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.integrands._axes import settle
-from mcspectra.integrands._expression import compiled
-from mcspectra.integrands.base import Integrand, check_dims
+from mcspectra.core.errors import ParameterError, close_match_hint, point_in_words
+from mcspectra.integrands.base import Breaks, Integrand, any_dims, settle
 
 __all__ = ["Formula"]
 
+MOST_CHARACTERS = 1000
+MOST_PARTS = 300  # numbers, names, operators and calls
 _PROBES = 4
+_MOST_DEPTH = 100  # levels of a tree: reading and evaluating recurse, three frames a level
+
+Evaluation: TypeAlias = Callable[[Array], Any]
+"""From points (..., d) to values, an array (...) or a number."""
+
+FUNCTIONS: Mapping[str, tuple[Callable[..., Any], int]] = {
+    **{name: (getattr(np, name), 1) for name in (
+        "sin", "cos", "tan", "arcsin", "arccos", "arctan", "sinh", "cosh", "tanh", "exp", "log",
+        "log2", "log10", "sqrt", "floor", "ceil", "sign", "sinc",
+    )},
+    **{name: (getattr(np, name), 2) for name in ("hypot", "arctan2")},
+    "abs": (np.abs, 1),
+    "min": (np.minimum, 2),
+    "max": (np.maximum, 2),
+    "where": (np.where, 3),
+}  # fmt: skip
+"""Functions by their names, with the number of arguments."""
+
+_CONSTANTS = {"pi": math.pi, "e": math.e}
+_AXES = "xyz"
+_OPERATORS: Mapping[type, Callable[..., Any]] = {
+    ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide,
+    ast.Pow: np.power, ast.Mod: np.mod, ast.UAdd: np.positive, ast.USub: np.negative,
+    ast.Lt: np.less, ast.LtE: np.less_equal, ast.Gt: np.greater, ast.GtE: np.greater_equal,
+}  # fmt: skip
 
 
 @final
@@ -51,10 +86,10 @@ class Formula(Integrand):
 
     name: ClassVar[str] = "formula"
     expression: str
-    dims: int = DEFAULT_DIMS
+    dims: int = any_dims()
 
     def __post_init__(self) -> None:
-        settle(self, dims=check_dims(self))
+        settle(self)
         given: object = self.expression
         if not isinstance(given, str) or not given.strip():
             raise ParameterError(
@@ -64,13 +99,13 @@ class Formula(Integrand):
         self._evaluate(np.arange(1, _PROBES + 1)[:, None] * steps % 1.0)
 
     @property
-    def breaks(self) -> tuple[tuple[float, ...], ...]:
+    def breaks(self) -> Breaks:
         """Places where a coordinate is compared to a number."""
-        return compiled(self.expression, self.dims).breaks
+        return _compiled(self.expression, self.dims)[1]
 
     def _evaluate(self, x: Array) -> Array:
         with np.errstate(all="ignore"):
-            found = compiled(self.expression, self.dims).evaluate(x)
+            found = _compiled(self.expression, self.dims)[0](x)
         values = np.array(np.broadcast_to(found, x.shape[:-1]), np.float64)
         finite = np.isfinite(values)
         if not finite.all():
@@ -80,3 +115,138 @@ class Formula(Integrand):
                 "wherever it is evaluated."
             )
         return values
+
+
+@lru_cache(64)
+def _compiled(text: str, dims: int) -> tuple[Evaluation, Breaks]:
+    """Read a formula: its evaluation, and where a coordinate is compared to a number."""
+    if len(text) > MOST_CHARACTERS:
+        raise ParameterError(
+            f"The formula has {len(text)} characters; give at most {MOST_CHARACTERS}."
+        )
+    try:
+        tree = ast.parse(text.strip(), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        shown = text if len(text) <= 60 else f"{text[:60]}…"
+        raise ParameterError(
+            f"The formula {shown!r} cannot be read; write it as in Python, "
+            "such as 'exp(-x**2 - y**2)', with * for products."
+        ) from None
+
+    # Count parts and levels, without recursion; operators and marks of names that are read are no parts
+    level: list[ast.AST] = [tree]
+    parts = depth = 0
+    kinds = ast.expr | ast.comprehension | ast.keyword
+    while level:
+        parts, depth = parts + len(level), depth + 1
+        children = itertools.chain.from_iterable(map(ast.iter_child_nodes, level))
+        level = [child for child in children if isinstance(child, kinds)]
+    if parts > MOST_PARTS or depth > _MOST_DEPTH:
+        raise ParameterError(
+            f"The formula has {parts} parts on {depth} levels; give at most {MOST_PARTS} parts "
+            f"on {_MOST_DEPTH} levels."
+        )
+
+    reader = _Reader(dims)
+    evaluate = reader.read(tree)
+    return evaluate, tuple(tuple(sorted(places)) for places in reader.breaks)
+
+
+class _Reader:
+    """Turns a syntax tree into an evaluation; collects `breaks` on its way."""
+
+    def __init__(self, dims: int) -> None:
+        self.dims = dims
+        self.breaks: list[set[float]] = [set() for _ in range(dims)]
+
+    def read(self, node: ast.expr) -> Evaluation:
+        match node:
+            case ast.Constant():
+                return _number(node.value)
+            case ast.Name():
+                return self._name(node.id)
+            case ast.UnaryOp():
+                return _applied(_operator(node.op), self.read(node.operand))
+            case ast.BinOp():
+                return _applied(_operator(node.op), self.read(node.left), self.read(node.right))
+            case ast.Compare():
+                return self._comparison(node)
+            case ast.Call():
+                return self._call(node)
+        raise ParameterError(
+            f"The formula contains {ast.unparse(node)[:40]!r}; use numbers, coordinates, "
+            "+ - * / ** %, comparisons and functions only."
+        )
+
+    def _name(self, name: str) -> Evaluation:
+        if name in _CONSTANTS:
+            return _number(_CONSTANTS[name])
+        axis = self._axis(name)
+        return lambda x: x[..., axis]
+
+    def _axis(self, name: str) -> int:
+        known = {f"x{i}": i for i in range(self.dims)}
+        known |= {letter: i for i, letter in enumerate(_AXES[: self.dims])}
+        if name in known:
+            return known[name]
+        hint, close = close_match_hint(name, [*known, *_CONSTANTS])
+        few = self.dims <= len(_AXES)
+        names = _AXES[: self.dims] if few else ("x0", "…", f"x{self.dims - 1}")
+        raise ParameterError(
+            f"A formula in {self.dims} dims has no {name[:40]!r}."
+            + (hint if close else f" Its coordinates are {', '.join(names)}.")
+        )
+
+    def _comparison(self, node: ast.Compare) -> Evaluation:
+        """1 where all of ``a < b < c`` hold, else 0."""
+        sides = [node.left, *node.comparators]
+        for a, b in itertools.pairwise(sides):
+            self._note_break(a, b)
+            self._note_break(b, a)
+        values = [self.read(side) for side in sides]
+        pairs = zip(node.ops, values, values[1:], strict=False)
+        tests = [_applied(_operator(op), a, b) for op, a, b in pairs]
+        return lambda x: np.multiply.reduce([np.asarray(test(x), np.float64) for test in tests])
+
+    def _note_break(self, side: ast.expr, other: ast.expr) -> None:
+        if isinstance(side, ast.Name) and isinstance(other, ast.Constant):
+            place = float(_number(other.value)(np.empty(0)))
+            if side.id not in _CONSTANTS and 0.0 < place < 1.0:
+                self.breaks[self._axis(side.id)].add(place)
+
+    def _call(self, node: ast.Call) -> Evaluation:
+        name = node.func.id if isinstance(node.func, ast.Name) else ""
+        if name not in FUNCTIONS:
+            called = ast.unparse(node.func)[:40]
+            hint, close = close_match_hint(called, FUNCTIONS)
+            known = hint if close else f" There are {', '.join(FUNCTIONS)}."
+            raise ParameterError(f"A formula has no function {called!r}.{known}")
+        function, arity = FUNCTIONS[name]
+        starred = any(isinstance(each, ast.Starred) for each in node.args)
+        if len(node.args) != arity or node.keywords or starred:
+            raise ParameterError(f"{name} in a formula takes {arity} positional argument(s).")
+        return _applied(function, *(self.read(each) for each in node.args))
+
+
+def _number(value: object) -> Evaluation:
+    """A constant as a float: whole numbers of Python have no limit, floats have."""
+    try:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise TypeError
+        number = np.float64(value)
+    except (TypeError, OverflowError):
+        shown = repr(value) if not isinstance(value, int) else "a number that is too large"
+        raise ParameterError(f"The formula contains {shown[:40]}; use real numbers.") from None
+    return lambda _: number
+
+
+def _operator(node: ast.AST) -> Callable[..., Any]:
+    if type(node) not in _OPERATORS:
+        raise ParameterError(
+            f"The formula contains the operator {type(node).__name__}; use + - * / ** % < <= > >=."
+        )
+    return _OPERATORS[type(node)]
+
+
+def _applied(function: Callable[..., Any], *arguments: Evaluation) -> Evaluation:
+    return lambda x: function(*(each(x) for each in arguments))

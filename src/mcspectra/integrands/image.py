@@ -1,8 +1,18 @@
-"""A picture as an integrand: constant in each pixel, with exact coefficients at every frequency."""
+"""Pictures as integrands: constant in each pixel, or as the light of a sky on a surface.
+
+Conventions of environment maps are those of `mcspectra.core.environments`: x_0 is φ/2π, x_1 is θ/π. The
+density to go with one is ``environment`` of `mcspectra.densities.environment`. Sampled by luminance, a
+channel c keeps the ratio L_c / luminance, which jumps at the borders of colored pixels; sampled by its
+own density it keeps the cosine only, which is smooth but for its horizon.
+"""
+
+# ruff: noqa: RUF009 - the fields are made by `checked`
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, final
@@ -10,20 +20,58 @@ from typing import Any, ClassVar, final
 import numpy as np
 import numpy.typing as npt
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import Array, as_choice, as_reals
+from mcspectra.core.environments import directions, environment_pixels, synthetic_sky
 from mcspectra.core.errors import ParameterError
-from mcspectra.integrands._axes import settle
-from mcspectra.integrands.base import Integrand
+from mcspectra.core.images import luminance, read_image
+from mcspectra.integrands.base import Breaks, Integrand, checked, settle
 
-__all__ = ["Image", "select_channel"]
+__all__ = ["Environment", "Image", "synthetic_sky"]
 
 _MOST_BREAKS = 64
 _LANDMARKS = 4096
 
 
+class _Picture(Integrand):
+    """A function of x by way of pixels (h, w) or (h, w, channels)."""
+
+    _pixels: Array
+
+    def __post_init__(self) -> None:
+        settle(self)
+        self._pixels  # noqa: B018 - reads the file, refuses bad pixels
+
+    @property
+    def channels(self) -> int:  # type: ignore[override]
+        """Channels that were chosen."""
+        return 0 if self._pixels.ndim == 2 else self._pixels.shape[2]
+
+    def _pixel(self, x: Array) -> Array:
+        """The value of the pixel around x."""
+        height, width = self._pixels.shape[:2]
+        column = np.minimum((x[..., 0] * width).astype(np.intp), width - 1)
+        row = np.minimum((x[..., 1] * height).astype(np.intp), height - 1)
+        return np.asarray(self._pixels[row, column])
+
+    def _lines(self, first: float) -> Breaks:
+        """Borders of pixels, or centres if `first` is ½, along axes with at most 64 pixels."""
+        height, width = self._pixels.shape[:2]
+        return tuple(
+            tuple((np.arange(first, size) / size).tolist()) if size <= _MOST_BREAKS else ()
+            for size in (width, height)
+        )
+
+
+def _path() -> Any:
+    """A field of the name of a file, or None."""
+    return checked(
+        None, lambda _, __, value: os.fspath(value) if isinstance(value, os.PathLike) else value
+    )
+
+
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Image(Integrand):
+class Image(_Picture):
     """A picture on the unit square, constant in each pixel; x_0 runs along rows, x_1 down them.
 
     With v the pixels, w wide and h high, its coefficients are exact at every frequency: the discrete
@@ -50,31 +98,39 @@ class Image(Integrand):
     """
 
     name: ClassVar[str] = "image"
-    path: str | os.PathLike[str] | None = None
+    path: str | os.PathLike[str] | None = _path()
     values: npt.ArrayLike | None = None
     channel: int | str | None = None
     dims: int = field(default=2, init=False)
-    channels: int = field(init=False)
-    _pixels: Array = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
+    @cached_property
+    def _pixels(self) -> Array:  # type: ignore[override]
         if (self.path is None) == (self.values is None):
             raise ParameterError("image needs either path, of a picture file, or values, not both.")
-        if self.path is None:
-            pixels = select_channel(_check_values(self.values), self.channel)
-        else:
-            pixels = select_channel(_read(self.path), self.channel)
-            settle(self, path=os.fspath(self.path))
-        settle(self, _pixels=pixels, channels=0 if pixels.ndim == 2 else pixels.shape[2])
+        if isinstance(self.path, str):
+            return _chosen(read_image(self.path), self.channel)
+        if self.path is not None:
+            raise ParameterError(f"path is {self.path!r}; give the name of a picture file.")
+
+        # Copy the values as float64 (h, w, channels)
+        try:
+            pixels = np.array(self.values, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ParameterError(
+                "values are not an array of numbers; give (h, w) or (h, w, channels)."
+            ) from None
+        if pixels.ndim not in (2, 3) or pixels.size == 0:
+            raise ParameterError(
+                f"values have shape {pixels.shape}; give pixels of shape (h, w) or (h, w, channels)."
+            )
+        if not np.isfinite(pixels).all():
+            raise ParameterError("values hold NaN or infinity; give finite pixels.")
+        return _chosen(pixels.reshape(*pixels.shape[:2], -1), self.channel)
 
     @property
-    def breaks(self) -> tuple[tuple[float, ...], ...]:
+    def breaks(self) -> Breaks:
         """Pixel borders, along axes with at most 64 pixels."""
-        height, width = self._pixels.shape[:2]
-        return tuple(
-            tuple((np.arange(1, size) / size).tolist()) if size <= _MOST_BREAKS else ()
-            for size in (width, height)
-        )
+        return self._lines(1.0)
 
     def landmarks(self) -> Array:
         """Centres of the pixels that are not 0, of the 4096 largest at most."""
@@ -102,10 +158,7 @@ class Image(Integrand):
         return np.asarray(np.fft.fft2(self._pixels, axes=(0, 1)) / (height * width))
 
     def _evaluate(self, x: Array) -> Array:
-        height, width = self._pixels.shape[:2]
-        column = np.clip(np.floor(x[..., 0] * width), 0, width - 1).astype(np.intp)
-        row = np.clip(np.floor(x[..., 1] * height), 0, height - 1).astype(np.intp)
-        return np.asarray(self._pixels[row, column])
+        return self._pixel(x)
 
     def _integral(self) -> Any:
         mean = self._pixels.mean(axis=(0, 1))
@@ -121,39 +174,103 @@ class Image(Integrand):
         return np.asarray(found * (pixel[..., None] if self.channels else pixel))
 
 
-def _read(path: object) -> Array:
-    if not isinstance(path, str | os.PathLike):
-        raise ParameterError(f"path is {path!r}; give the name of a picture file.")
-    from mcspectra.core.images import read_image
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Environment(_Picture):
+    """Irradiance by a lat-long environment map: L(ω) max(0, n·ω), per unit of the square.
 
-    return read_image(path)
+    f(x) = 2π² sin(π x_1) L(x) max(0, n·ω(x)); its integral is the irradiance of a surface with the
+    normal n.
+
+    Parameters
+    ----------
+    path, values
+        A file that `mcspectra.core.images.read_image` reads, or pixels (h, w) or (h, w, channels),
+        linear and at least 0; by default `synthetic_sky`.
+    channel
+        Number of one channel, ``"luminance"`` (Rec. 709, of three), or None for all. All of a
+        one-channel map is a scalar integrand.
+    normal
+        Three numbers, not all 0, of any length; +z is towards the first row.
+    interpolation
+        ``"constant"`` in each pixel, or ``"bilinear"`` between centres: periodic in φ, the outermost
+        rows continued to the poles.
+
+    Raises
+    ------
+    ParameterError
+        Both path and values; pixels, channel, normal or interpolation not as above.
+    FileFormatError
+        The file is missing or cannot be read.
+    """
+
+    name: ClassVar[str] = "environment"
+    path: str | os.PathLike[str] | None = _path()
+    values: npt.ArrayLike | None = None
+    channel: int | str | None = None
+    normal: Sequence[float] = checked((0.0, 0.0, 1.0), lambda _, name, v: as_reals(name, v, 3))
+    interpolation: str = checked(
+        "constant", lambda _, name, value: as_choice(name, value, ("constant", "bilinear"))
+    )
+    dims: int = field(default=2, init=False)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not any(self.normal):
+            raise ParameterError(f"normal is {self.normal!r}; give a direction, not all 0.")
+
+    @cached_property
+    def _pixels(self) -> Array:  # type: ignore[override]
+        return _chosen(environment_pixels(self.path, self.values), self.channel)
+
+    @cached_property
+    def _unit(self) -> Array:
+        scaled = np.array(self.normal) / max(abs(c) for c in self.normal)
+        return np.asarray(scaled / np.linalg.norm(scaled))
+
+    @property
+    def breaks(self) -> Breaks:
+        """Pixel borders or centres, along axes with at most 64; the horizon of a vertical normal."""
+        columns, rows = self._lines(1.0 if self.interpolation == "constant" else 0.5)
+        return columns, tuple(sorted({*rows, 0.5})) if self._vertical else rows
+
+    @property
+    def _vertical(self) -> bool:
+        return bool(self._unit[0] == 0 and self._unit[1] == 0)
+
+    def _evaluate(self, x: Array) -> Array:
+        cosine = np.maximum(directions(x) @ self._unit, 0.0)
+        factor = 2 * math.pi**2 * np.sin(np.pi * x[..., 1]) * cosine
+        if self.interpolation == "constant":
+            radiance = self._pixel(x)
+        else:  # between the four centres around x
+            height, width = self._pixels.shape[:2]
+            s, t = x[..., 0] * width - 0.5, np.clip(x[..., 1] * height - 0.5, 0, height - 1)
+            left, top = np.floor(s).astype(np.intp), np.floor(t).astype(np.intp)
+            columns = left % width, (left + 1) % width
+            rows = top, np.minimum(top + 1, height - 1)
+            radiance = _between(self._pixels, columns, rows, s - left, t - top)
+        return np.asarray(radiance * (factor[..., None] if self.channels else factor))
+
+    def _integral(self) -> Any:
+        """Exact for constant pixels and a vertical normal: ∫ cos θ sin θ dθ = ½ sin² θ."""
+        if self.interpolation != "constant" or not self._vertical:
+            return None
+        height, width = self._pixels.shape[:2]
+        theta = np.pi * np.arange(height + 1) / height
+        up = self._unit[2] > 0
+        lit = np.minimum(theta, np.pi / 2) if up else np.maximum(theta, np.pi / 2)
+        rows = 0.5 * np.abs(np.diff(np.sin(lit) ** 2)) * 2 * np.pi / width
+        found = np.tensordot(rows, self._pixels.sum(axis=1), axes=1)
+        return found if self.channels else float(found)
 
 
-def _check_values(values: object) -> Array:
-    """Return the pixels as a float64 copy (h, w, channels)."""
-    try:
-        pixels = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ParameterError(
-            "values are not an array of numbers; give (h, w) or (h, w, channels)."
-        ) from None
-    if pixels.ndim not in (2, 3) or pixels.size == 0:
-        raise ParameterError(
-            f"values have shape {pixels.shape}; give pixels of shape (h, w) or (h, w, channels)."
-        )
-    if not np.isfinite(pixels).all():
-        raise ParameterError("values hold NaN or infinity; give finite pixels.")
-    return pixels.reshape(*pixels.shape[:2], -1)
-
-
-def select_channel(pixels: Array, channel: object) -> Array:
+def _chosen(pixels: Array, channel: object) -> Array:
     """Return one channel (h, w), or all of several (h, w, channels)."""
     count = pixels.shape[2]
     if channel is None:
         return pixels if count > 1 else pixels[..., 0]
     if channel == "luminance" and count in (1, 3):
-        from mcspectra.core.images import luminance
-
         return luminance(pixels)
     if type(channel) is int and 0 <= channel < count:
         return pixels[..., channel]
@@ -171,21 +288,26 @@ def _summed_area(pixels: Array) -> Array:
 
 def _box_means(table: Array, lo: Array, hi: Array) -> Array:
     """Mean over boxes from a summed-area table: its bilinear interpolant is the exact primitive."""
+    height, width = table.shape[0] - 1, table.shape[1] - 1
     total: Any = 0.0
     for x, sx in ((hi[..., 0], 1.0), (lo[..., 0], -1.0)):
         for y, sy in ((hi[..., 1], 1.0), (lo[..., 1], -1.0)):
-            total = total + sx * sy * _interpolate(table, x, y)
+            column = np.clip(np.floor(x * width), 0, width - 1).astype(np.intp)
+            row = np.clip(np.floor(y * height), 0, height - 1).astype(np.intp)
+            ends = (column, column + 1), (row, row + 1)
+            primitive = _between(table, *ends, x * width - column, y * height - row)
+            total = total + sx * sy * primitive
     volume = (hi - lo).prod(axis=-1)
     return np.asarray(total / (volume[..., None] if table.ndim == 3 else volume))
 
 
-def _interpolate(table: Array, x: Array, y: Array) -> Array:
-    height, width = table.shape[0] - 1, table.shape[1] - 1
-    column = np.clip(np.floor(x * width), 0, width - 1).astype(np.intp)
-    row = np.clip(np.floor(y * height), 0, height - 1).astype(np.intp)
-    s, t = x * width - column, y * height - row
+def _between(
+    table: Array, columns: tuple[Array, Array], rows: tuple[Array, Array], s: Array, t: Array
+) -> Array:
+    """Bilinear interpolation at shares s of the way between two columns, t between two rows."""
     if table.ndim == 3:
         s, t = s[..., None], t[..., None]
-    top = (1 - s) * table[row, column] + s * table[row, column + 1]
-    bottom = (1 - s) * table[row + 1, column] + s * table[row + 1, column + 1]
-    return np.asarray((1 - t) * top + t * bottom)
+    (left, right), (top, bottom) = columns, rows
+    upper = (1 - s) * table[top, left] + s * table[top, right]
+    lower = (1 - s) * table[bottom, left] + s * table[bottom, right]
+    return np.asarray((1 - t) * upper + t * lower)

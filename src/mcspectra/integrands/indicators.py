@@ -5,41 +5,56 @@ The strict inequality decides on borders, so that 1[x < a] of a grid point at a 
 
 from __future__ import annotations
 
+import itertools
+import math
+from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer, as_real
+from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.integrands._axes import (
-    PerAxis,
-    axis_values,
-    interval_fourier,
-    overlap,
+from mcspectra.integrands._quadrature import gauss_rule
+from mcspectra.integrands.analytic import squared_distance
+from mcspectra.integrands.base import (
+    Breaks,
+    Integrand,
+    any_dims,
+    axis_number,
+    per_axis,
+    real,
     settle,
-    squared_distance,
 )
-from mcspectra.integrands._shapes import (
-    ball_fourier,
-    ball_volume,
-    cut_cube_volume,
-    cut_disk_fourier,
-    disk_share,
-    half_plane_fourier,
-    half_plane_share,
-)
-from mcspectra.integrands.base import Integrand, check_dims
 
 __all__ = ["Disk", "HalfSpace", "SmoothedStep", "Step"]
 
-_Breaks = tuple[tuple[float, ...], ...]
+_CYCLES, _ORDER = 8, 32  # 32 Gauss nodes integrate 8 cycles of a wave to rounding
+_BLOCK = 2**22  # complex numbers in one block of a sum over nodes: 64 MiB
+_CONDITION = 1e-10  # relative rounding that inclusion and exclusion may cost
+
+
+class _Indicator(Integrand):
+    """A function of values 0 and 1."""
+
+    @abstractmethod
+    def _share(self, lo: Array, hi: Array) -> Array | None:
+        """Share of boxes where it is 1, if known."""
+
+    def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:
+        """The share of each box, twice: f² = f."""
+        share = self._share(lo, hi)
+        return None if share is None else (share, share)
+
+    def _integral(self) -> float | None:
+        whole = self._share(np.zeros(self.dims), np.ones(self.dims))
+        return None if whole is None else float(whole)
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Step(Integrand):
+class Step(_Indicator):
     """A step along one axis, f(x) = 1 where x_axis < at, else 0.
 
     Parameters
@@ -53,32 +68,23 @@ class Step(Integrand):
     """
 
     name: ClassVar[str] = "step"
-    at: float = 0.5
-    axis: int = 0
-    dims: int = DEFAULT_DIMS
-
-    def __post_init__(self) -> None:
-        settle(self, dims=check_dims(self), at=as_real("at", self.at, least=0.0, most=1.0))
-        settle(self, axis=as_integer("axis", self.axis, least=0, most=self.dims - 1))
+    at: float = real(0.5, least=0.0, most=1.0)
+    axis: int = axis_number()
+    dims: int = any_dims()
 
     @property
-    def breaks(self) -> _Breaks:
+    def breaks(self) -> Breaks:
         """The step."""
         return _on_axis(self.dims, self.axis, self.at)
 
-    def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Share of each box below the step, twice: f² = f."""
-        share = overlap(lo[..., self.axis], hi[..., self.axis], 0.0, self.at)
-        return share, share
+    def _share(self, lo: Array, hi: Array) -> Array:
+        return _overlap(lo[..., self.axis], hi[..., self.axis], 0.0, self.at)
 
     def _evaluate(self, x: Array) -> Array:
         return np.asarray(x[..., self.axis] < self.at, np.float64)
 
-    def _integral(self) -> float:
-        return self.at
-
     def _fourier(self, m: Array) -> Array:
-        return _only_along(m, self.axis, interval_fourier(m[..., self.axis], 0.0, self.at))
+        return _only_along(m, self.axis, _interval_fourier(m[..., self.axis], 0.0, self.at))
 
 
 @final
@@ -99,15 +105,10 @@ class SmoothedStep(Integrand):
     """
 
     name: ClassVar[str] = "smoothed-step"
-    at: float = 0.5
-    width: float = 0.1
-    axis: int = 0
-    dims: int = DEFAULT_DIMS
-
-    def __post_init__(self) -> None:
-        settle(self, dims=check_dims(self), at=as_real("at", self.at, least=0.0, most=1.0))
-        settle(self, axis=as_integer("axis", self.axis, least=0, most=self.dims - 1))
-        settle(self, width=as_real("width", self.width, above=0.0))
+    at: float = real(0.5, least=0.0, most=1.0)
+    width: float = real(0.1, above=0.0)
+    axis: int = axis_number()
+    dims: int = any_dims()
 
     @property
     def _ramp(self) -> tuple[float, float]:
@@ -115,7 +116,7 @@ class SmoothedStep(Integrand):
         return max(self.at - 0.5 * self.width, 0.0), min(self.at + 0.5 * self.width, 1.0)
 
     @property
-    def breaks(self) -> _Breaks:
+    def breaks(self) -> Breaks:
         """The two knees, where they are inside."""
         inside = (knee for knee in self._ramp if 0.0 < knee < 1.0)
         return _on_axis(self.dims, self.axis, *inside)
@@ -124,7 +125,7 @@ class SmoothedStep(Integrand):
         """Share below the ramp, and the trapezoid and its square within the ramp."""
         start, stop = self._ramp
         low, high = lo[..., self.axis], hi[..., self.axis]
-        full, sloped = overlap(low, high, 0.0, start), overlap(low, high, start, stop)
+        full, sloped = _overlap(low, high, 0.0, start), _overlap(low, high, start, stop)
         p = self._height(np.clip(low, start, stop))
         q = self._height(np.clip(high, start, stop))
         return full + 0.5 * sloped * (p + q), full + sloped * (p * p + p * q + q * q) / 3.0
@@ -143,7 +144,7 @@ class SmoothedStep(Integrand):
     def _fourier(self, m: Array) -> Array:
         # By parts: f_m = (f(0) − f(1) + ∫ f' exp(−2πi m x) dx) / (2πi m), with f' = −1/width.
         along = m[..., self.axis]
-        slope = interval_fourier(along, *self._ramp) / self.width
+        slope = _interval_fourier(along, *self._ramp) / self.width
         drop = self._height(0.0) - self._height(1.0)
         ramp = (drop - slope) / (2j * np.pi * np.where(along == 0, 1.0, along))
         return _only_along(m, self.axis, np.where(along == 0, self._integral(), ramp))
@@ -151,7 +152,7 @@ class SmoothedStep(Integrand):
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Disk(Integrand):
+class Disk(_Indicator):
     """The indicator of a ball, f(x) = 1 where |x − center| < radius, else 0.
 
     In 2-D everything is exact, also where the domain cuts the disk: its coefficients are then
@@ -169,13 +170,9 @@ class Disk(Integrand):
     """
 
     name: ClassVar[str] = "disk"
-    center: PerAxis = 0.5
-    radius: float = 0.25
-    dims: int = DEFAULT_DIMS
-
-    def __post_init__(self) -> None:
-        settle(self, dims=check_dims(self), radius=as_real("radius", self.radius, above=0.0))
-        settle(self, center=axis_values("center", self.center, self.dims))
+    center: float | Sequence[float] = per_axis(0.5)
+    radius: float = real(0.25, above=0.0)
+    dims: int = any_dims()
 
     @property
     def _centers(self) -> Array:
@@ -194,7 +191,7 @@ class Disk(Integrand):
         return low, max(low, high)
 
     @property
-    def breaks(self) -> _Breaks:
+    def breaks(self) -> Breaks:
         """Both ends in 1-D; in more dims the border lies along no axis."""
         inside = tuple(end for end in self._interval if 0.0 < end < 1.0)
         return (inside,) if self.dims == 1 else ((),) * self.dims
@@ -206,36 +203,36 @@ class Disk(Integrand):
             return "Gauss-Legendre quadrature over exact chords, to rounding"
         return super().fourier_source
 
-    def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:
-        """Share of each box within the disk, twice, in 1-D and 2-D."""
+    def _share(self, lo: Array, hi: Array) -> Array | None:
         if self.dims == 1:
-            share = overlap(lo[..., 0], hi[..., 0], *self._interval)
-        elif self.dims == 2:
-            share = disk_share(lo, hi, self._centers, self.radius)
-        else:
-            return None
-        return share, share
+            return _overlap(lo[..., 0], hi[..., 0], *self._interval)
+        return _disk_share(lo, hi, self._centers, self.radius) if self.dims == 2 else None
 
     def _evaluate(self, x: Array) -> Array:
         return np.asarray(squared_distance(x, self._centers) < self.radius**2, np.float64)
 
     def _integral(self) -> float | None:
-        if self._inside:
-            return ball_volume(self.dims, self.radius)
-        whole = self.box_moments(np.zeros(self.dims), np.ones(self.dims))
-        return None if whole is None else float(whole[0])
+        return _ball_volume(self.dims, self.radius) if self._inside else super()._integral()
 
     def _fourier(self, m: Array) -> Array | None:
         if self.dims == 1:
-            return interval_fourier(m[..., 0], *self._interval)
-        if self._inside:
-            return ball_fourier(m, self._centers, self.radius)
-        return cut_disk_fourier(m, self._centers, self.radius) if self.dims == 2 else None
+            return _interval_fourier(m[..., 0], *self._interval)
+        if not self._inside:
+            return _cut_disk_fourier(m, self._centers, self.radius) if self.dims == 2 else None
+
+        # (r/|m|)^{d/2} J_{d/2}(2π r |m|) exp(−2πi m·c)
+        from scipy.special import jv
+
+        order, length = self.dims / 2, np.sqrt((m * m).sum(axis=-1))
+        safe = np.where(length > 0, length, 1.0)
+        size = (self.radius / safe) ** order * jv(order, 2 * np.pi * self.radius * safe)
+        size = np.where(length > 0, size, _ball_volume(self.dims, self.radius))
+        return np.asarray(size * np.exp(-2j * np.pi * (m @ self._centers)))
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class HalfSpace(Integrand):
+class HalfSpace(_Indicator):
     """The indicator of a half-space, f(x) = 1 where normal·x < offset, else 0.
 
     Exact in 1-D and 2-D; in more dims the integral is exact (where inclusion and exclusion of the
@@ -252,13 +249,12 @@ class HalfSpace(Integrand):
     """
 
     name: ClassVar[str] = "half-space"
-    normal: PerAxis = 1.0
-    offset: float = 0.75
-    dims: int = DEFAULT_DIMS
+    normal: float | Sequence[float] = per_axis(1.0)
+    offset: float = real(0.75)
+    dims: int = any_dims()
 
     def __post_init__(self) -> None:
-        settle(self, dims=check_dims(self), offset=as_real("offset", self.offset))
-        settle(self, normal=axis_values("normal", self.normal, self.dims))
+        settle(self)
         if not self._normal.any():
             raise ParameterError(
                 f"normal is {self.normal!r}; one component at least must not be 0."
@@ -269,7 +265,7 @@ class HalfSpace(Integrand):
         return np.broadcast_to(np.asarray(self.normal, float), (self.dims,))
 
     @property
-    def breaks(self) -> _Breaks:
+    def breaks(self) -> Breaks:
         """The border, if it is normal to an axis."""
         axes = np.flatnonzero(self._normal)
         at = float(self.offset / self._normal[axes[0]])
@@ -277,31 +273,25 @@ class HalfSpace(Integrand):
             return ((),) * self.dims
         return _on_axis(self.dims, int(axes[0]), at)
 
-    def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:
-        """Share of each box on the side of 1, twice, in 1-D and 2-D."""
-        if self.dims > 2:
-            return None
-        share = half_plane_share(lo, hi, self._normal, self.offset)
-        return share, share
+    def _share(self, lo: Array, hi: Array) -> Array | None:
+        return _half_plane_share(lo, hi, self._normal, self.offset) if self.dims <= 2 else None
 
     def _evaluate(self, x: Array) -> Array:
         return np.asarray(x @ self._normal < self.offset, np.float64)
 
     def _integral(self) -> float | None:
-        if self.dims > 2:
-            return cut_cube_volume(self._normal, self.offset)
-        unit = np.zeros(self.dims), np.ones(self.dims)
-        return float(half_plane_share(*unit, self._normal, self.offset))
+        whole = super()._integral()
+        return _cut_cube_volume(self._normal, self.offset) if whole is None else whole
 
     def _fourier(self, m: Array) -> Array | None:
         if self.dims == 1:
             at = float(np.clip(self.offset / self._normal[0], 0.0, 1.0))
             ends = (0.0, at) if self._normal[0] > 0 else (at, 1.0)
-            return interval_fourier(m[..., 0], *ends)
-        return half_plane_fourier(m, self._normal, self.offset) if self.dims == 2 else None
+            return _interval_fourier(m[..., 0], *ends)
+        return _half_plane_fourier(m, self._normal, self.offset) if self.dims == 2 else None
 
 
-def _on_axis(dims: int, axis: int, *places: float) -> _Breaks:
+def _on_axis(dims: int, axis: int, *places: float) -> Breaks:
     return tuple(places if i == axis else () for i in range(dims))
 
 
@@ -309,3 +299,172 @@ def _only_along(m: Array, axis: int, coefficients: Array) -> Array:
     """Coefficients of a function of x_axis alone: 0 where another component of m is not 0."""
     others = (np.delete(m, axis, axis=-1) != 0).any(axis=-1)
     return np.where(others, 0.0, coefficients)
+
+
+def _overlap(low: Array, high: Array, start: float, stop: float) -> Array:
+    """Share of the intervals [low, high] that lies in [start, stop]."""
+    inside = np.minimum(high, stop) - np.maximum(low, start)
+    return np.asarray(np.maximum(inside, 0.0) / (high - low))
+
+
+def _interval_fourier(nu: Array, low: Array | float, high: Array | float) -> Array:
+    """∫_low^high exp(−2πi ν x) dx for real ν, without a singular case at ν = 0."""
+    width = high - low
+    return np.asarray(width * np.sinc(nu * width) * np.exp(-1j * np.pi * nu * (low + high)))
+
+
+def _ball_volume(dims: int, radius: float) -> float:
+    """Volume of a d-ball."""
+    return float(math.pi ** (dims / 2) * radius**dims / math.gamma(dims / 2 + 1))
+
+
+def _disk_share(lo: Array, hi: Array, center: Array, radius: float) -> Array:
+    """Share of the rectangles [lo, hi], (..., 2), that lies in a disk.
+
+    By inclusion and exclusion of quadrants, with rectangles wholly inside or outside told apart
+    first: there the difference of nearly equal areas would leave rounding where 0 or 1 is right.
+    """
+    a, b = (lo - center) / radius, (hi - center) / radius
+    box = (b - a).prod(axis=-1)
+    area = (
+        _quadrant(b[..., 0], b[..., 1])
+        - _quadrant(a[..., 0], b[..., 1])
+        - _quadrant(b[..., 0], a[..., 1])
+        + _quadrant(a[..., 0], a[..., 1])
+    )
+    farthest = (np.maximum(np.abs(a), np.abs(b)) ** 2).sum(axis=-1)
+    nearest = (np.clip(0.0, a, b) ** 2).sum(axis=-1)
+    share = np.clip(area / box, 0.0, 1.0)
+    return np.where(farthest <= 1.0, 1.0, np.where(nearest >= 1.0, 0.0, share))
+
+
+def _quadrant(x: Array, y: Array) -> Array:
+    """Area of the unit disk within (−∞, x] × (−∞, y]."""
+    x, y = np.clip(x, -1.0, 1.0), np.clip(y, -1.0, 1.0)
+    k = np.sqrt(1.0 - y * y)
+    inner = np.clip(x, -k, k)
+    strip = y * (inner + k)  # where the chord is cut at height y
+    below = _half_area(inner) - _half_area(-k) + strip
+    caps = _half_area(np.minimum(x, -k)) + _half_area(np.maximum(x, k)) - _half_area(k)
+    return np.asarray(np.where(y < 0, below, _half_area(x) + caps + strip))
+
+
+def _half_area(x: Array) -> Array:
+    """∫_{−1}^x √(1−t²) dt."""
+    return np.asarray(0.5 * (x * np.sqrt(1.0 - x * x) + np.arcsin(x) + 0.5 * np.pi))
+
+
+def _cut_disk_fourier(m: Array, center: Array, radius: float) -> Array:
+    """Coefficients of a disk cut by the unit square, m (..., 2): chords, integrated over x_0.
+
+    Along a chord the integral is exact; over x_0 = c_0 + r sin θ, where chords are smooth between
+    the kinks at which the circle meets the borders, Gauss-Legendre panels are short enough for the
+    highest frequency to be integrated to rounding. Cost O(U_0 U_1 (|m| + const)) for U_i distinct m_i.
+    """
+    m0, where0 = np.unique(m[..., 0], return_inverse=True)
+    m1, where1 = np.unique(m[..., 1], return_inverse=True)
+
+    # Cut θ at the kinks, and into panels of at most 8 cycles
+    cycles = float(np.abs(m).sum(axis=-1).max())
+    ends = np.arcsin(np.clip((np.array([0.0, 1.0]) - center[0]) / radius, -1.0, 1.0))
+    meets = np.arccos(np.clip(np.abs(np.array([center[1], 1.0 - center[1]])) / radius, 0.0, 1.0))
+    kinks = np.unique(np.clip([*ends, *meets, *-meets], ends[0], ends[1]))
+    edges = [np.empty(0)]
+    for low, high in itertools.pairwise(kinks):
+        count = math.ceil(1 + cycles * radius * (high - low) / _CYCLES)
+        edges.append(np.linspace(low, high, count + 1))
+    lower = np.concatenate([e[:-1] for e in edges])[:, None]
+    width = np.concatenate([np.diff(e) for e in edges])[:, None]
+    node, rule = gauss_rule(_ORDER)
+    theta, weight = (lower + width * node).ravel(), (width * rule).ravel()
+
+    # Sum over blocks of chords
+    total = np.zeros((m0.size, m1.size), np.complex128)
+    step = max(1, _BLOCK // (m0.size + m1.size))
+    for start in range(0, theta.size, step):
+        t = theta[start : start + step]
+        half = radius * np.cos(t)
+        low, high = np.clip(center[1] - half, 0.0, 1.0), np.clip(center[1] + half, 0.0, 1.0)
+        waves = np.exp(-2j * np.pi * m0[:, None] * (center[0] + radius * np.sin(t)))
+        chords = _interval_fourier(m1[:, None], low, high)
+        total += (waves * (weight[start : start + step] * half)) @ chords.T
+    return np.asarray(total[where0.reshape(m.shape[:-1]), where1.reshape(m.shape[:-1])])
+
+
+def _half_plane_share(lo: Array, hi: Array, normal: Array, offset: float) -> Array:
+    """Share of the boxes [lo, hi], (..., 1) or (..., 2), in which normal·x < offset.
+
+    In units of the box, with both components of the normal made positive by reflection, it is the
+    distribution function of a u + b v for uniform u, v: a trapezoid with corners at b and a, a ≥ b.
+    """
+    sides = (hi - lo) * normal
+    level = offset - lo @ normal - np.minimum(sides, 0.0).sum(axis=-1)
+    sides = np.sort(np.abs(sides), axis=-1)
+    a = sides[..., -1]
+    b = sides[..., 0] if sides.shape[-1] == 2 else np.zeros_like(a)
+    level = np.clip(level, 0.0, a + b)
+    mirrored = np.minimum(level, a + b - level)  # the distribution is symmetric about (a + b)/2
+    twice = np.where(b > 0, 2.0 * a * b, 1.0)
+    share = np.where(mirrored < b, mirrored**2 / twice, (mirrored - 0.5 * b) / a)
+    return np.asarray(np.where(level > 0.5 * (a + b), 1.0 - share, share))
+
+
+def _cut_cube_volume(normal: Array, offset: float) -> float | None:
+    """Volume of {x in [0,1]^d: normal·x < offset}; None where rounding would spoil it.
+
+    With k positive components after reflection, Σ_v (−1)^|v| (offset − n·v)_+^k / (k! Π n_i) over
+    the corners v of the cube [BarrowSmith1979]_. The terms cancel: the
+    relative rounding is checked.
+    """
+    level = offset - np.minimum(normal, 0.0).sum()
+    n = np.abs(normal[normal != 0])
+    if level <= 0 or level >= n.sum():
+        return float(level > 0)
+    if n.size > 16:
+        return None
+    low = min(level, n.sum() - level)
+    corners = np.array(list(itertools.product((0.0, 1.0), repeat=n.size)))
+    terms = np.maximum(low - corners @ n, 0.0) ** n.size / (math.factorial(n.size) * n.prod())
+    volume = float((terms * (-1.0) ** corners.sum(axis=-1)).sum())
+    if np.finfo(float).eps * n.size * terms.sum() > _CONDITION * volume:
+        return None
+    return volume if level == low else 1.0 - volume
+
+
+def _half_plane_fourier(m: Array, normal: Array, offset: float) -> Array:
+    """Coefficients of the indicator of normal·x < offset on the unit square, m (..., 2).
+
+    The region is {x_k < α + β x_j} or its complement, with k the axis on which the normal is larger,
+    so that |β| ≤ 1; where the line is inside, x_j in [a, b], the integral along x_k is exact and
+    what is left is one of exp(−2πi (m_j + β m_k) x_j), regular also where m is normal to the line.
+    """
+    k = int(np.argmax(np.abs(normal)))
+    mj, mk = m[..., 1 - k], m[..., k]
+    alpha, beta = float(offset / normal[k]), float(-normal[1 - k] / normal[k])
+    if beta == 0:
+        a, b = (0.0, 1.0) if 0 < alpha < 1 else (0.0, 0.0)
+    else:
+        a, b = np.clip(sorted((-alpha / beta, (1 - alpha) / beta)), 0, 1).tolist()
+    if beta == 0:  # where the line is above the square
+        full = (0.0, 1.0) if alpha >= 1 else (0.0, 0.0)
+    else:
+        cross = min(max((1.0 - alpha) / beta, 0.0), 1.0)
+        full = (cross, 1.0) if beta > 0 else (0.0, cross)
+
+    # ∫_a^b ∫_0^{α+βx} exp(−2πi (m_j x + m_k y)) dy dx, and all of the column where it is full
+    flat = mk == 0
+    edge = np.exp(-2j * np.pi * mk * alpha) * _interval_fourier(mj + beta * mk, a, b)
+    base = _interval_fourier(mj, a, b)
+    tilted = (base - edge) / (2j * np.pi * np.where(flat, 1.0, mk))
+    below = np.where(flat, alpha * base + beta * _ramp_fourier(mj, a, b), tilted)
+    below += np.where(flat, _interval_fourier(mj, *full), 0.0)
+    whole = ((mj == 0) & flat).astype(float)
+    return np.asarray(below if normal[k] > 0 else whole - below)
+
+
+def _ramp_fourier(m: Array, a: float, b: float) -> Array:
+    """∫_a^b x exp(−2πi m x) dx for integer m, by parts."""
+    zero = m == 0
+    c = 2j * np.pi * np.where(zero, 1.0, m)
+    at_a, at_b = np.exp(-c * a), np.exp(-c * b)
+    return np.where(zero, 0.5 * (b * b - a * a), (a * at_a - b * at_b) / c + (at_a - at_b) / c**2)

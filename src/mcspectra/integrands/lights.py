@@ -1,5 +1,7 @@
 """Irradiance from a rectangular light, over the light's area: a rendering integrand with a known answer."""
 
+# ruff: noqa: RUF009 - the fields are made by `checked`
+
 from __future__ import annotations
 
 from dataclasses import dataclass, field
@@ -8,10 +10,10 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_real
+from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.geometry import as_vector, check_light, norm
-from mcspectra.integrands.base import Integrand
+from mcspectra.integrands.base import Integrand, checked, real, settle
 
 __all__ = ["RectangleLight"]
 
@@ -19,6 +21,24 @@ Vector = tuple[float, float, float]
 
 _CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 _FLAT = 1e-12  # height of an occluder's plane over the origin, relative, that hides nothing
+
+
+def _vector(*default: float) -> Any:
+    return checked(default, lambda _, name, value: as_vector(name, value))
+
+
+def _as_occluder(_: object, __: str, value: Any) -> tuple[Vector, Vector, Vector] | None:
+    if value is None:
+        return None
+    if not isinstance(value, list | tuple | np.ndarray) or len(value) != 3:
+        raise ParameterError(
+            f"occluder is {value!r:.80}; give None or [corner, edge0, edge1] of three numbers each."
+        )
+    corner, edge0, edge1 = (as_vector(f"occluder[{i}]", v) for i, v in enumerate(value))
+    first, second = np.array(edge0), np.array(edge1)
+    if not norm(np.cross(first, second)) > 1e-9 * norm(first) * norm(second):
+        raise ParameterError("The occluder has no area; give edges that are not parallel.")
+    return corner, edge0, edge1
 
 
 @final
@@ -54,19 +74,16 @@ class RectangleLight(Integrand):
 
     name: ClassVar[str] = "rectangle-light"
     dims: int = field(default=2, init=False)
-    corner: Vector = (-0.5, -0.5, 1.0)
-    edge0: Vector = (1.0, 0.0, 0.0)
-    edge1: Vector = (0.0, 1.0, 0.0)
-    origin: Vector = (0.0, 0.0, 0.0)
-    normal: Vector = (0.0, 0.0, 1.0)
-    radiance: float = 1.0
-    occluder: Any = None
+    corner: Vector = _vector(-0.5, -0.5, 1.0)
+    edge0: Vector = _vector(1.0, 0.0, 0.0)
+    edge1: Vector = _vector(0.0, 1.0, 0.0)
+    origin: Vector = _vector(0.0, 0.0, 0.0)
+    normal: Vector = _vector(0.0, 0.0, 1.0)
+    radiance: float = real(1.0, least=0.0)
+    occluder: Any = checked(None, _as_occluder)
 
     def __post_init__(self) -> None:
-        for key in ("corner", "edge0", "edge1", "origin", "normal"):
-            object.__setattr__(self, key, as_vector(key, getattr(self, key)))
-        object.__setattr__(self, "radiance", as_real("radiance", self.radiance, least=0.0))
-        object.__setattr__(self, "occluder", _as_occluder(self.occluder))
+        settle(self)
         if not norm(np.array(self.normal)) > 0:
             raise ParameterError("The normal is (0, 0, 0); give the direction the receiver faces.")
         self._height  # noqa: B018 - refuses degenerate lights
@@ -134,14 +151,14 @@ class RectangleLight(Integrand):
     def _shadow(self, lit: Array) -> Array:
         """The part of a polygon of the light that the occluder hides."""
         if self._shade is None:
-            return np.empty((0, 3))
+            return lit[:0]
         corner, e0, e1 = self._shade
         toward = np.cross(self._light[1], self._light[2])
         toward = toward / norm(toward) * np.sign(self._light[0] @ toward)
         shade = _clip(corner + _CORNERS @ np.stack([e0, e1]), toward, 0.0)
         shade = -_clip(-shade, toward, -self._height)  # what is behind the light hides nothing
         if len(shade) < 3:
-            return np.empty((0, 3))
+            return lit[:0]
         middle = shade.mean(axis=0)
         for start, end in zip(shade, np.roll(shade, -1, axis=0), strict=True):
             side = np.cross(start, end)
@@ -150,7 +167,7 @@ class RectangleLight(Integrand):
 
 
 def _clip(polygon: Array, normal: Array, offset: float) -> Array:
-    """The part of a convex polygon (k, 3) where normal·x >= offset (Sutherland & Hodgman 1974)."""
+    """The part of a convex polygon (k, 3) where normal·x >= offset [SutherlandHodgman1974]_."""
     if not len(polygon):
         return polygon
     heights = polygon @ normal - offset
@@ -163,18 +180,3 @@ def _clip(polygon: Array, normal: Array, offset: float) -> Array:
             share = height / (height - heights[following])
             kept.append(polygon[i] + share * (polygon[following] - polygon[i]))
     return np.array(kept).reshape(-1, 3)
-
-
-def _as_occluder(value: Any) -> tuple[Vector, Vector, Vector] | None:
-    """Check corner and edges of an occluder."""
-    if value is None:
-        return None
-    if not isinstance(value, list | tuple | np.ndarray) or len(value) != 3:
-        raise ParameterError(
-            f"occluder is {value!r:.80}; give None or [corner, edge0, edge1] of three numbers each."
-        )
-    corner, edge0, edge1 = (as_vector(f"occluder[{i}]", v) for i, v in enumerate(value))
-    first, second = np.array(edge0), np.array(edge1)
-    if not norm(np.cross(first, second)) > 1e-9 * norm(first) * norm(second):
-        raise ParameterError("The occluder has no area; give edges that are not parallel.")
-    return corner, edge0, edge1

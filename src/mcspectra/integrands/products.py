@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
-from mcspectra.integrands._quadrature import AxisRule
+from mcspectra.integrands._quadrature import AxisRule, slabs
 from mcspectra.integrands.base import Integrand
 
 __all__ = ["axis_rules", "cell_integrals", "product_coefficients"]
@@ -17,7 +16,6 @@ __all__ = ["axis_rules", "cell_integrals", "product_coefficients"]
 _ORDER = 16
 _LEAST = {1: 512, 2: 512, 3: 64, 4: 32}
 _LIMIT = 2**24  # evaluations
-_BLOCK = 2**18  # points evaluated at once
 _CELL_NODES = {1: 64, 2: 16, 3: 4, 4: 2}
 
 
@@ -60,7 +58,7 @@ def product_coefficients(
         float64 (channels or 1, N_0 · … · N_{d−1}), C order.
     """
     total: Array | float = 0.0
-    for start, values in _slabs(f, rules):
+    for start, values in slabs(f, rules):
         weighted = [rule.weights[:, None] * phi for rule, phi in zip(rules, functions, strict=True)]
         weighted[0] = weighted[0][start : start + values.shape[1]]
         # values (C, P_0, …): each step takes the first axis of nodes and adds one of functions
@@ -84,34 +82,28 @@ def cell_integrals(f: Integrand, size: int) -> tuple[Array, str]:
             f"{cells:.2g} cells in {f.dims} dims are more than {_LIMIT:.2g}; lower "
             "half_width or levels."
         )
-    exact = _box_means(f, size)
-    if exact is not None:
-        return exact / cells, "exact"
-    return _quadrature_of_cells(f, size), "composite Gauss-Legendre quadrature"
-
-
-def _box_means(f: Integrand, size: int) -> Array | None:
+    # Take means over boxes, where the integrand knows them
     low = np.stack(np.meshgrid(*[np.arange(size) / size] * f.dims, indexing="ij"), axis=-1)
     low = low.reshape(-1, f.dims)
-    found = f.box_moments(low, low + 1.0 / size)
-    return None if found is None else np.asarray(found[0]).reshape(len(low), -1).T
+    moments = f.box_moments(low, low + 1.0 / size)
+    if moments is not None:
+        return np.asarray(moments[0]).reshape(len(low), -1).T / cells, "exact"
 
-
-def _quadrature_of_cells(f: Integrand, size: int) -> Array:
+    # Else add up the nodes of each cell, slab by slab
     nodes = _CELL_NODES.get(f.dims, 2)
     while nodes > 1 and (float(nodes) * size) ** f.dims > _LIMIT:
         nodes //= 2
     order = min(nodes, _ORDER)
     rules = [AxisRule.make(size * nodes, order, breaks) for breaks in f.breaks]
-    cells = [np.floor(rule.nodes * size).astype(np.int64) for rule in rules]
+    cell = [np.floor(rule.nodes * size).astype(np.int64) for rule in rules]
     total = np.zeros((max(1, f.channels), *[size] * f.dims))
-    for start, values in _slabs(f, rules):
+    for start, values in slabs(f, rules):
         stop = start + values.shape[1]
         for axis in range(f.dims, 1, -1):
-            values = _sum_by(values, axis, rules[axis - 1].weights, cells[axis - 1])
-        values = _sum_by(values, 1, rules[0].weights[start:stop], cells[0][start:stop])
-        total[:, np.unique(cells[0][start:stop])] += values
-    return total.reshape(len(total), -1)
+            values = _sum_by(values, axis, rules[axis - 1].weights, cell[axis - 1])
+        values = _sum_by(values, 1, rules[0].weights[start:stop], cell[0][start:stop])
+        total[:, np.unique(cell[0][start:stop])] += values
+    return total.reshape(len(total), -1), "composite Gauss-Legendre quadrature"
 
 
 def _sum_by(values: Array, axis: int, weights: Array, cell: Array) -> Array:
@@ -122,18 +114,3 @@ def _sum_by(values: Array, axis: int, weights: Array, cell: Array) -> Array:
     shape[axis] = -1
     weighted = np.take(values, order, axis=axis) * weights[order].reshape(shape)
     return np.asarray(np.add.reduceat(weighted, first, axis=axis))
-
-
-def _slabs(f: Integrand, rules: Sequence[AxisRule]) -> Iterator[tuple[int, Array]]:
-    """Values on slabs of the product of the nodes, along the first axis: start, (C, p, P_1, …)."""
-    rest = [rule.nodes for rule in rules[1:]]
-    size = math.prod(nodes.size for nodes in rest)
-    height = max(1, _BLOCK // size)
-    first = rules[0].nodes
-    for start in range(0, first.size, height):
-        axes = [first[start : start + height], *rest]
-        x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-        values = np.asarray(f(x))
-        shape = x.shape[:-1]
-        channels = values.reshape(*shape, -1)
-        yield start, np.moveaxis(channels, -1, 0)

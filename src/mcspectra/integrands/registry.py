@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from mcspectra.core.checks import MAX_DIMS, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import Registry
@@ -24,7 +22,7 @@ INTEGRANDS = Registry(
         "constant": "mcspectra.integrands.analytic:Constant",
         "cosine": "mcspectra.integrands.analytic:Cosine",
         "disk": "mcspectra.integrands.indicators:Disk",
-        "environment": "mcspectra.integrands.environment:Environment",
+        "environment": "mcspectra.integrands.image:Environment",
         "formula": "mcspectra.integrands.formula:Formula",
         "gaussian": "mcspectra.integrands.analytic:Gaussian",
         "half-space": "mcspectra.integrands.indicators:HalfSpace",
@@ -58,7 +56,10 @@ def integrand(spec: str, dims: int | None = None) -> Integrand:
         A parameter is unknown, missing or out of range, or dims disagree.
     """
     asked = None if dims is None else as_integer("dims", dims, least=1, most=MAX_DIMS)
-    return _as_built(INTEGRANDS.build(parse(spec), asked))
+    found = INTEGRANDS.build(parse(spec), asked)
+    if not isinstance(found, Integrand):
+        raise ParameterError(f"{found!r} is registered as an integrand, but is not one.")
+    return found
 
 
 def as_integrand(given: object, dims: int | None = None) -> Integrand:
@@ -79,9 +80,3 @@ def as_integrand(given: object, dims: int | None = None) -> Integrand:
     if dims is not None and given.dims != dims:
         raise ParameterError(f"{given.spec} has {given.dims} dims, but {dims} are needed.")
     return given
-
-
-def _as_built(component: Any) -> Integrand:
-    if not isinstance(component, Integrand):
-        raise ParameterError(f"{component!r} is registered as an integrand, but is not one.")
-    return component

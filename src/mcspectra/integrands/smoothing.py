@@ -18,25 +18,17 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_choice, as_integer, as_real
 from mcspectra.core.errors import ParameterError
-from mcspectra.integrands._axes import gauss_rule
-from mcspectra.integrands.base import Integrand
-from mcspectra.integrands.christensen import (
-    ChristensenDisk,
-    ChristensenStep,
-    ChristensenTriangle,
-)
+from mcspectra.integrands._quadrature import gauss_rule
+from mcspectra.integrands.base import Breaks, Derived, Integrand, checked, real, settle
+from mcspectra.integrands.christensen import NamedFunction
 from mcspectra.integrands.indicators import Disk, HalfSpace, SmoothedStep, Step
 from mcspectra.integrands.registry import as_integrand
 
 __all__ = ["BoxSmoothed", "EdgeSmoothed", "smoothed"]
 
 _METHODS = ("auto", "distance", "box")
-_ORDER = (
-    32  # nodes over τ: to rounding for 8 cycles of a wave, the same as for disks cut by borders
-)
-_CYCLES = 8
+_CYCLES, _ORDER = 8, 32  # nodes over τ: to rounding for 8 cycles of a wave, as for cut disks
 _MOST_NODES = 4096
-_MODELS = (ChristensenDisk, ChristensenStep, ChristensenTriangle)
 
 
 def smoothed(
@@ -85,7 +77,7 @@ def smoothed(
     ramp = as_real("width", width, above=0.0)
     if as_choice("method", method, _METHODS) == "box":
         return BoxSmoothed(integrand=f, width=ramp, nodes=nodes)
-    edge = f.model if isinstance(f, _MODELS) else f
+    edge = f.integrand if isinstance(f, NamedFunction) else f
     if isinstance(edge, Step):
         return SmoothedStep(at=edge.at, axis=edge.axis, dims=edge.dims, width=ramp)
     if isinstance(edge, Disk | HalfSpace):
@@ -112,10 +104,10 @@ class EdgeSmoothed(Integrand):
 
     name: ClassVar[str] = "edge-smoothed"
     edge: Disk | HalfSpace
-    width: float
+    width: float = real(above=0.0)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "width", as_real("width", self.width, above=0.0))
+        settle(self)
         if isinstance(self.edge, Disk) and self.width >= 2.0 * self.edge.radius:
             raise ParameterError(
                 f"width is {self.width:g}; the ramp of a disk of radius {self.edge.radius:g} must be "
@@ -133,7 +125,7 @@ class EdgeSmoothed(Integrand):
         return f"{self.edge.spec} with edges smoothed over {self.width:g}"
 
     @property
-    def breaks(self) -> tuple[tuple[float, ...], ...]:
+    def breaks(self) -> Breaks:
         """Both ends of the ramp, where the edge itself is a break."""
         ends = [self._moved(t).breaks for t in (-0.5 * self.width, 0.5 * self.width)]
         return tuple(tuple(sorted({*a, *b})) for a, b in zip(*ends, strict=True))
@@ -178,15 +170,14 @@ class EdgeSmoothed(Integrand):
         value = self._mean(lambda edge: edge._integral())
         return None if value is None else float(value)
 
-    def _fourier(self, m: Array) -> Array | None:
+    def _fourier(self, m: Array) -> Any:
         cycles = float(np.sqrt((m * m).sum(axis=-1).max())) * self.width
-        found = self._mean(lambda edge: edge._fourier(m), math.ceil(1 + cycles / _CYCLES))
-        return None if found is None else np.asarray(found)
+        return self._mean(lambda edge: edge._fourier(m), math.ceil(1 + cycles / _CYCLES))
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class BoxSmoothed(Integrand):
+class BoxSmoothed(Derived):
     """The mean of an integrand over a box about x, reflected at the faces of the domain.
 
     Parameters
@@ -204,33 +195,18 @@ class BoxSmoothed(Integrand):
     """
 
     name: ClassVar[str] = "box-smoothed"
+    text = "{0.integrand.spec} averaged over boxes of side {0.width:g}"
     integrand: Integrand
-    width: float
-    nodes: int = 16
+    width: float = real(above=0.0, most=1.0)
+    nodes: int = checked(16, lambda _, name, value: as_integer(name, value, least=1, most=64))
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "width", as_real("width", self.width, above=0.0, most=1.0))
-        object.__setattr__(self, "nodes", as_integer("nodes", self.nodes, least=1, most=64))
+        settle(self)
         if not self._known and self.nodes**self.dims > _MOST_NODES:
             raise ParameterError(
                 f"One smoothed value of {self.integrand.spec} takes {self.nodes}^{self.dims} of its "
                 f"values; lower nodes= to need at most {_MOST_NODES}."
             )
-
-    @property
-    def dims(self) -> int:  # type: ignore[override]
-        """Number of dims of f."""
-        return self.integrand.dims
-
-    @property
-    def channels(self) -> int:  # type: ignore[override]
-        """Channels of f."""
-        return self.integrand.channels
-
-    @property
-    def spec(self) -> str:
-        """Text for messages."""
-        return f"{self.integrand.spec} averaged over boxes of side {self.width:g}"
 
     @property
     def integral(self) -> Any:
@@ -251,29 +227,31 @@ class BoxSmoothed(Integrand):
         return few and self.integrand.box_moments(*unit) is not None
 
     @property
-    def breaks(self) -> tuple[tuple[float, ...], ...]:
+    def breaks(self) -> Breaks:
         """Points where the box starts or stops covering a break of f, or crosses a face."""
         half = 0.5 * self.width
-        return tuple(
-            tuple(
-                sorted(
-                    place
-                    for place in {half, 1 - half, *(b + s for b in axis for s in (-half, half))}
-                    if 0.0 < place < 1.0
-                )
-            )
+        moved = [
+            {half, 1 - half, *(b - half for b in axis), *(b + half for b in axis)}
             for axis in self.integrand.breaks
-        )
+        ]
+        return tuple(tuple(sorted(b for b in axis if 0.0 < b < 1.0)) for axis in moved)
 
     def _evaluate(self, x: Array) -> Array:
-        return self._exact_mean(x) if self._known else self._gauss_mean(x)
-
-    def _exact_mean(self, x: Array) -> Array:
-        """Parts of the box below 0, inside and above 1 along each axis, by means over boxes."""
-        low, high = x - 0.5 * self.width, x + 0.5 * self.width
         total: Any = 0.0
+        if not self._known:
+            node, weight = gauss_rule(self.nodes)
+            for place in itertools.product(range(self.nodes), repeat=self.dims):
+                moved = np.abs(x + self.width * (node[list(place)] - 0.5))
+                inside = np.where(moved > 1.0, 2.0 - moved, moved)
+                total = total + weight[list(place)].prod() * self.integrand(inside)
+            return np.asarray(total)
+
+        # Parts of the box below 0 (−1), inside (0) and above 1 (1) along each axis, reflected
+        low, high = x - 0.5 * self.width, x + 0.5 * self.width
         for parts in itertools.product((-1, 0, 1), repeat=self.dims):
-            start, stop = _reflected_part(low, high, np.array(parts))
+            part = np.array(parts)
+            start = np.where(part == 0, np.maximum(low, 0.0), np.where(part < 0, 0.0, 2.0 - high))
+            stop = np.where(part == 0, np.minimum(high, 1.0), np.where(part < 0, -low, 1.0))
             empty = ~(stop > start)
             share = (np.where(empty, 0.0, stop - start) / self.width).prod(axis=-1)
             if not share.any():
@@ -284,22 +262,3 @@ class BoxSmoothed(Integrand):
             assert found is not None  # _known
             total = total + (share[..., None] if self.channels else share) * found[0]
         return np.asarray(total)
-
-    def _gauss_mean(self, x: Array) -> Array:
-        node, weight = gauss_rule(self.nodes)
-        total: Any = 0.0
-        for place in itertools.product(range(self.nodes), repeat=self.dims):
-            moved = np.abs(x + self.width * (node[list(place)] - 0.5))
-            inside = np.where(moved > 1.0, 2.0 - moved, moved)
-            total = total + weight[list(place)].prod() * self.integrand(inside)
-        return np.asarray(total)
-
-    def _integral(self) -> Any:
-        return self.integrand._integral()
-
-
-def _reflected_part(low: Array, high: Array, part: Array) -> tuple[Array, Array]:
-    """Image in [0,1] of the part of [low, high] below 0 (−1), inside (0) or above 1 (1)."""
-    start = np.where(part == 0, np.maximum(low, 0.0), np.where(part < 0, 0.0, 2.0 - high))
-    stop = np.where(part == 0, np.minimum(high, 1.0), np.where(part < 0, -low, 1.0))
-    return start, stop
