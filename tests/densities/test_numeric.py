@@ -260,7 +260,7 @@ def test_one_cell_of_64_that_is_wrong_is_found():
 
 
 def test_sums_over_cells_of_twice_the_edge():
-    from mcspectra.densities.base import _doubled
+    from mcspectra.densities.consistency import _doubled
 
     cells = np.arange(2 * 16.0).reshape(2, 16)
     found = _doubled(cells, 4, 2)
