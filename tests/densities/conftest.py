@@ -126,7 +126,7 @@ MADE = {
 }
 
 
-@pytest.fixture(params=[*SPECS, *MADE, "picture"], ids=str)
+@pytest.fixture(scope="session", params=[*SPECS, *MADE, "picture"], ids=str)
 def density(request, picture):
     if request.param in MADE:
         return MADE[request.param]()
