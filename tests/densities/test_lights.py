@@ -76,30 +76,6 @@ def test_solid_angle_by_quadrature_of_the_jacobian(density):
     )
 
 
-def octant_formula(density):
-    """Ω of a rectangle as four arctangents (C. Mathar 2015, eq. 27, shifted)."""
-    corner = on_light(density, np.zeros(2))
-    e0, e1 = np.array(density.edge0, float), np.array(density.edge1, float)
-    l0, l1 = np.linalg.norm(e0), np.linalg.norm(e1)
-    x, y = corner @ e0 / l0, corner @ e1 / l1
-    z = abs(corner @ np.cross(e0, e1)) / (l0 * l1)
-
-    def corner_angle(x, y):
-        return math.atan(x * y / (z * math.sqrt(x * x + y * y + z * z)))
-
-    return (
-        corner_angle(x + l0, y + l1)
-        - corner_angle(x, y + l1)
-        - corner_angle(x + l0, y)
-        + corner_angle(x, y)
-    )
-
-
-@pytest.mark.parametrize("density", [*RECTANGLES, NEAR[0]], ids=name)
-def test_solid_angle_of_rectangles_in_closed_form(density):
-    assert density.solid_angle == pytest.approx(octant_formula(density), abs=2e-15 * 8)
-
-
 def test_known_solid_angles():
     """A face of a cube about the origin, an octant, and a rectangle as two triangles."""
     face = SphericalRectangle(corner=(-1, -1, 1), edge0=(2, 0, 0), edge1=(0, 2, 0))

@@ -147,57 +147,39 @@ class NumericalWarp:
 
     def sample(self, u: Array) -> Array:
         """Domain points of primary points (..., d)."""
-        return self._warped(u, _Axis.sample, self._row_sample)
+        return self._warped(u, inverse=False)
 
     def invert(self, x: Array) -> Array:
         """Primary points of domain points (..., d)."""
-        return self._warped(x, _Axis.invert, self._row_invert)
+        return self._warped(x, inverse=True)
 
-    def _warped(
-        self,
-        points: Array,
-        last: Callable[[_Axis, Array], Array],
-        row: Callable[[Array, Array], Array],
-    ) -> Array:
-        """Points (..., d) with each axis warped; `row` takes x_0 or u_0, and x_1."""
+    def _warped(self, points: Array, *, inverse: bool) -> Array:
         flat = np.ascontiguousarray(points).reshape(-1, self.dims)
         out = np.empty_like(flat)
         for b in self._blocks(flat):
-            out[b, -1] = last(self._last, flat[b, -1])
+            last = self._last.invert if inverse else self._last.sample
+            out[b, -1] = last(flat[b, -1])
             if self.dims == 2:
-                y = np.clip(out[b, 1] if last is _Axis.sample else flat[b, 1], 0.0, 1.0)
-                out[b, 0] = row(flat[b, 0], y)
+                y = np.clip(flat[b, 1] if inverse else out[b, 1], 0.0, 1.0)
+                out[b, 0] = self._in_rows(flat[b, 0], y, inverse=inverse)
         return out.reshape(points.shape)
 
-    def _row_cdf(self, y: Array) -> tuple[Array, Array]:
-        """Values (N, K, 12), scaled to rows of integral 1, and the cdf at cell borders (N, K+1)."""
+    def _in_rows(self, v: Array, y: Array, *, inverse: bool) -> Array:
+        """x_0 of u_0 = v in the rows at y, or u_0 of x_0 = v."""
         values = self._row_values(y)
+        # Cdf of each row at the borders of cells, scaled to integral 1
         sums = np.cumsum(self._rows.masses(values), axis=1)
-        total = np.where(sums[:, -1] > 0, sums[:, -1], 1.0)
-        cdf = np.concatenate([np.zeros((len(y), 1)), sums / total[:, None]], axis=1)
-        return values / total[:, None, None], cdf
-
-    def _row_sample(self, u: Array, y: Array) -> Array:
-        values, cdf = self._row_cdf(y)
-        cell = np.maximum((cdf[:, :-1] <= u[:, None]).sum(axis=1) - 1, 0)
-        density, integral, start = self._chosen(values, cdf, cell)
-        t = np.empty(len(u))
-        _solve(density, integral, u - start, t)
-        return np.asarray(self._rows.low[cell] + 0.5 * (t + 1.0) * self._rows.width[cell])
-
-    def _row_invert(self, x: Array, y: Array) -> Array:
-        values, cdf = self._row_cdf(y)
-        cell = self._rows.find(x)
-        _, integral, start = self._chosen(values, cdf, cell)
-        part = np.empty(len(x))
-        _integral_at(integral, self._rows.local(cell, x), part)
-        return start + np.maximum(part, 0.0)
-
-    def _chosen(self, values: Array, cdf: Array, cell: Array) -> tuple[Array, Array, Array]:
-        """Series of density and integral in one cell of each row, and the cdf at its left end."""
+        total = np.where(sums[:, -1] > 0, sums[:, -1], 1.0)[:, None]
+        cdf = np.concatenate([np.zeros((len(y), 1)), sums / total], axis=1)
+        # Series of density and integral in the cell of each point
+        below = (cdf[:, :-1] <= v[:, None]).sum(axis=1) - 1
+        cell = self._rows.find(v) if inverse else np.maximum(below, 0)
         each = np.arange(len(cell))
-        density, integral = self._rows.series(values[each, cell], self._rows.width[cell])
-        return density, integral, cdf[each, cell]
+        start, width = cdf[each, cell], self._rows.width[cell]
+        density, integral = self._rows.series(values[each, cell] / total, width)
+        if inverse:
+            return np.asarray(start + np.maximum(self._rows.part(cell, integral, v), 0.0))
+        return self._rows.place(cell, density, integral, v - start)
 
     def check_rows(self) -> None:
         """Compare row integrals of 2-D with those on halved cells, at rows that made no cells.
@@ -239,15 +221,13 @@ class _Axis:
 
     def sample(self, u: Array) -> Array:
         cell = np.searchsorted(self.cdf[:-1], u, side="right") - 1
-        t = np.empty(u.shape)
-        _solve(self.density[cell], self.integral[cell], u - self.cdf[cell], t)
-        return self.cells.low[cell] + 0.5 * (t + 1.0) * self.cells.width[cell]
+        mass = u - self.cdf[cell]
+        return self.cells.place(cell, self.density[cell], self.integral[cell], mass)
 
     def invert(self, x: Array) -> Array:
         cell = self.cells.find(x)
-        part = np.empty(x.shape)
-        _integral_at(self.integral[cell], self.cells.local(cell, x), part)
-        return np.clip(self.cdf[cell] + part, self.cdf[cell], self.cdf[cell + 1])
+        share = self.cdf[cell] + self.cells.part(cell, self.integral[cell], x)
+        return np.asarray(np.clip(share, self.cdf[cell], self.cdf[cell + 1]))
 
     def breaks(self) -> tuple[float, ...]:
         """Cdf where cells close in a jump or kink, and at borders across which the pdf jumps."""
@@ -287,6 +267,18 @@ class _Cells:
     def local(self, cell: Array, x: Array) -> Array:
         """Position of x in its cell, from −1 to 1."""
         return np.clip(2.0 * (x - self.low[cell]) / self.width[cell] - 1.0, -1.0, 1.0)
+
+    def place(self, cell: Array, density: Array, integral: Array, mass: Array) -> Array:
+        """The points of cells up to which they hold `mass`."""
+        t = np.empty(mass.shape)
+        _solve(density, integral, mass, t)
+        return np.asarray(self.low[cell] + 0.5 * (t + 1.0) * self.width[cell])
+
+    def part(self, cell: Array, integral: Array, x: Array) -> Array:
+        """Integrals over cells up to x."""
+        out = np.empty(x.shape)
+        _integral_at(integral, self.local(cell, x), out)
+        return out
 
     def series(self, values: Array, width: Array) -> tuple[Array, Array]:
         """Series of the function and of its integral over cells of `width`, from values (..., 12)."""

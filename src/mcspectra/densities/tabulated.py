@@ -38,7 +38,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, Protocol, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 
@@ -168,7 +168,8 @@ class PiecewiseConstant(Density):
         return np.asarray(self._cells / self._cells.mean())
 
     @cached_property
-    def _warp(self) -> _TableWarp:
+    def _warp(self) -> _Marginal | _Hierarchical | _Alias | _Hilbert:
+        # All take the table to the same masses, evenly within each cell: they differ in order only
         if self.warp == "alias":
             return _Alias(self._cells)
         if self.dims == 1 or self.warp == "marginal":
@@ -194,23 +195,6 @@ class PiecewiseConstant(Density):
         u = np.empty(x.shape)
         self._warp.invert(flat(x), u.reshape(-1, self.dims))
         return u
-
-
-class _TableWarp(Protocol):
-    """A warp T of the cells (h, w) of a table, one row for 1-D, scaled so that sums do not overflow.
-
-    All send [0,1)^d to the cells with the same masses, evenly within each: they differ in order
-    only. Points are contiguous (N, d) arrays in [0,1).
-    """
-
-    def sample(self, u: Array, x: Array) -> None:
-        """Fill x with T(u)."""
-
-    def invert(self, x: Array, u: Array) -> None:
-        """Fill u with T^-1(x)."""
-
-    def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Whole lines u_0 = b and u_1 = b at which T or its slope may jump, in (0,1)."""
 
 
 def _cdf(masses: Array) -> Array:
