@@ -201,7 +201,9 @@ def _as_lines(name: str, given: Any) -> tuple[tuple[float, ...], ...]:
 @final
 @dataclass(frozen=True, kw_only=True)
 class GridDensity(Density):
-    """Product over the dims of histograms whose bins hold equal shares [Lepage1978]_.
+    """Product over the dims of histograms whose bins hold equal shares: the densities of VEGAS.
+
+    See [Lepage1978]_.
 
     Attributes
     ----------
