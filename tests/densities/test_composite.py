@@ -240,6 +240,8 @@ def test_zeros_of_a_part_are_probed():
     p = Product(parts=["linear", PiecewiseConstant(values=[1, 0] + [1] * 20_000)])
     zeros = p.zero_points()
     assert zeros.shape == (1, 2)
+    several = Product(parts=["linear", PiecewiseConstant(values=[1] + [0] * 8)]).zero_points()
+    assert len(np.unique(several[:, 0])) == 4  # places of the other coordinate
     assert (p.pdf(zeros) == 0).all()
     with pytest.raises(DensityError, match="would miss"):
         mcs.Estimator("constant", p)

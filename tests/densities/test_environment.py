@@ -260,7 +260,11 @@ def test_alone_it_is_the_table_and_its_warp_is_kept():
 
 
 def test_tables_of_several_blocks_of_cells():
-    values = np.random.default_rng(1).random((300, 500)) ** 4
-    own = compensated(PiecewiseConstant(values=values), ["uniform", "linear(slope=1)"])
-    assert np.mean(own.values) == pytest.approx(1, abs=1e-9)
-    assert np.mean(np.asarray(own.values) == 0) > 0.3
+    """Where it is not cut off, its share and the others' together are λ p."""
+    p = np.random.default_rng(1).random((300, 500)) ** 4
+    own = compensated(PiecewiseConstant(values=p), ["uniform", "linear(slope=1)"]).values
+    assert np.mean(own) == pytest.approx(1, abs=1e-9)
+    assert np.mean(own == 0) > 0.3
+    linear = mcs.density("linear(slope=1)", dims=2).pdf(pixel_centers(300, 500))
+    level = ((own + 1 + linear) / p)[own > 0]
+    np.testing.assert_allclose(level, level[0], rtol=1e-9)
