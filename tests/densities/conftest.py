@@ -15,10 +15,21 @@ def table(*shape: int) -> np.ndarray:
     return 10 ** rng.uniform(-3, 0, shape) * (rng.random(shape) > 0.25)
 
 
+def pixel_centers(height: int, width: int) -> np.ndarray:
+    """Centres of pixels, (height, width, 2): x_0 over columns, x_1 over rows."""
+    rows, columns = ((np.arange(k) + 0.5) / k for k in (height, width))
+    return np.stack(np.meshgrid(columns, rows), axis=-1)
+
+
+def midpoints(side: int) -> np.ndarray:
+    """Centres of side × side cells, (side², 2)."""
+    return pixel_centers(side, side).reshape(-1, 2)
+
+
 def with_a_jump(x: np.ndarray) -> np.ndarray:
     """2x/3 to the left of ½, 2 (1 − x)/3 + 1 to the right."""
     left = x[..., 0] < 0.5
-    return np.where(left, x[..., 0], (1 - x[..., 0]) + 1.5) / 1.0
+    return np.where(left, x[..., 0], (1 - x[..., 0]) + 1.5)
 
 
 SPECS = [
@@ -115,7 +126,7 @@ MADE = {
 }
 
 
-@pytest.fixture(params=[*SPECS, *MADE, "picture"], ids=str)
+@pytest.fixture(scope="session", params=[*SPECS, *MADE, "picture"], ids=str)
 def density(request, picture):
     if request.param in MADE:
         return MADE[request.param]()

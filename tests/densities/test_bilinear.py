@@ -7,17 +7,16 @@ import math
 import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
+from tests.densities.conftest import pixel_centers
 
 import mcspectra as mcs
-from mcspectra.core.errors import ParameterError
 from mcspectra.densities import Bilinear, PiecewiseConstant
 
 VALUES = np.array([[1.0, 0.2, 3.0], [0.5, 4.0, 0.0], [2.0, 1.0, 0.7], [0.1, 0.3, 2.0]])
 
 
 def grid(n):
-    line = (np.arange(n) + 0.5) / n
-    return np.stack(np.meshgrid(line, line), axis=-1)
+    return pixel_centers(n, n)
 
 
 @pytest.mark.parametrize("nodes", ["corners", "centers"])
@@ -151,28 +150,3 @@ def test_bilinear_densities_restore_the_rate():
     # Sums of many strata are normal: a variance has the standard error √(2/(R−1)) of itself
     assert found[0] == pytest.approx(limit, rel=4 * math.sqrt(2 / (realizations - 1)))
     assert found[1] > 2 * limit
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({"values": [1, 2]}, r"shape \(2,\)"),
-        ({"values": []}, r"shape \(0,\)"),
-        ({"values": [[1, 2]], "nodes": "corners"}, "both at least 2"),
-        ({"values": [[0, 0]]}, "not all 0"),
-        ({"values": [[1, -1]]}, "at least 0"),
-        ({"values": [[1, math.nan]]}, "finite"),
-        ({"values": [[1, math.inf]]}, "finite"),
-        ({"values": "12"}, "not an array of real numbers"),
-        ({"values": None}, "not an array of real numbers"),
-        ({"values": np.broadcast_to(1.0, (10**6, 10**6))}, "at most .* cells"),
-        ({"values": [[1]], "nodes": "center"}, "nodes is 'center'; it must be one of"),
-        ({"values": [[1]], "nodes": None}, "nodes is None"),
-        ({"values": [[1]], "periodic": 1}, "periodic is 1"),
-        ({"values": VALUES, "nodes": "corners", "periodic": True}, "periodic goes with"),
-    ],
-)
-def test_bad_input(options, says):
-    with pytest.raises(ParameterError, match=says) as caught:
-        Bilinear(**options)
-    assert "\n" not in str(caught.value)

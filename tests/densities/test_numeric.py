@@ -173,36 +173,13 @@ def test_functions_cannot_change_the_points():
         mcs.Density.from_functions(pdf=one, sample=greedy)
 
 
-def alias_table(weights):
-    """Walker's alias method: a sampler with jumps all over and no inverse."""
-    count = len(weights)
-    share, other = weights.copy(), np.arange(count)
-    small = [i for i in range(count) if share[i] < 1]
-    large = [i for i in range(count) if share[i] >= 1]
-    while small and large:
-        low, high = small.pop(), large[-1]
-        other[low] = high
-        share[high] -= 1 - share[low]
-        if share[high] < 1:
-            small.append(large.pop())
-
-    def sample(u):
-        i = np.minimum((u * count).astype(int), count - 1)
-        rest = u * count - i
-        keep = rest < share[i]
-        up = np.where(keep, rest / np.maximum(share[i], 1e-9), (rest - share[i]) / (1 - share[i]))
-        return (np.where(keep, i, other[i]) + np.clip(up, 0, 1 - 1e-9)) / count
-
-    return sample
-
-
 def test_valid_densities_raise_no_alarm():
     weights = np.random.default_rng(3).random(500) ** 4
     weights *= 0.999 / weights.mean()
     weights += 0.001
-    steps = PiecewiseConstant(values=weights)
+    steps = PiecewiseConstant(values=weights, warp="alias")  # jumps all over, and no inverse
     valid = [
-        {"pdf": steps.pdf, "sample": alias_table(weights / weights.mean())},
+        {"pdf": steps.pdf, "sample": steps.sample},
         {"pdf": lambda x: 0.5 / np.sqrt(X(x)), "sample": np.square, "invert": np.sqrt},
         {"pdf": lambda x: 0.1 * X(x) ** -0.9, "sample": lambda u: u**10},
         {"pdf": lambda x: 2.0 * (X(x) < 0.5), "sample": lambda u: u / 2},
@@ -260,7 +237,7 @@ def test_one_cell_of_64_that_is_wrong_is_found():
 
 
 def test_sums_over_cells_of_twice_the_edge():
-    from mcspectra.densities.base import _doubled
+    from mcspectra.densities.consistency import _doubled
 
     cells = np.arange(2 * 16.0).reshape(2, 16)
     found = _doubled(cells, 4, 2)

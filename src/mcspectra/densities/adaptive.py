@@ -177,15 +177,21 @@ def mean_or_infinity(
 ) -> float:
     """Return ∫ of a function ≥ 0 of points (..., d), any d: infinite where it seems to diverge.
 
-    By the means of `mcspectra.densities.reciprocal_integral`, whose notes say what to expect of the value; `most_cells` is as
-    for `positive_integral`.
+    The notes of `mcspectra.densities.reciprocal_integral` say what to expect of the value; `most_cells` is
+    as for `positive_integral`.
     """
     if dims <= 2:
         with np.errstate(over="ignore", invalid="ignore"):
             found = integrate(function, dims, cells=CELLS[dims], most_cells=most_cells)
         if found.isolated:
             return found.limit
-    return _mean_with_tail(function(recurrences(dims).reshape(-1, dims)))
+    values = function(recurrences(dims).reshape(-1, dims))
+    if not np.isfinite(values).all():
+        return math.inf
+    # Hill's estimate says whether the tail is too heavy for a mean
+    tail = np.sort(values)[-_TAIL - 1 :]
+    index = float(np.log(tail[1:] / tail[0]).mean())
+    return math.inf if index > _LARGEST_TAIL_INDEX else float(values.mean())
 
 
 def positive_integral(
@@ -222,9 +228,9 @@ def positive_integral(
 
 
 def recurrences(dims: int) -> Array:
-    """Shifted additive recurrences (32, 4096, d): steps are powers of the root of g^(d+1) = g + 1.
+    """Shifted additive recurrences (32, 4096, d) [Roberts2018]_: steps are powers of a root.
 
-    M. Roberts (2018), "The unreasonable effectiveness of quasirandom sequences".
+    It is that of g^(d+1) = g + 1.
     """
     g = 1.5
     for _ in range(64):
@@ -238,15 +244,6 @@ def _aitken(a: float, b: float, c: float) -> float:
     """Limit of a geometric series with these last sums; the last where it is none."""
     steady = 0 < abs(c - b) < abs(b - a)
     return c + (c - b) ** 2 / ((b - a) - (c - b)) if steady else c
-
-
-def _mean_with_tail(values: Array) -> float:
-    """Mean, infinite where Hill's estimate says that the tail is too heavy for one."""
-    if not np.isfinite(values).all():
-        return math.inf
-    tail = np.sort(values)[-_TAIL - 1 :]
-    index = float(np.log(tail[1:] / tail[0]).mean())
-    return math.inf if index > _LARGEST_TAIL_INDEX else float(values.mean())
 
 
 def _grid(cells: int, dims: int) -> Array:

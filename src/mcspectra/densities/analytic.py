@@ -1,36 +1,59 @@
-"""Densities in closed form, products over the dims: uniform, linear, truncated normal."""
+"""Densities in closed form, products over the dims, with one parameter for all dims or one a dim.
+
+The cdf of uniform, linear, power, exponential, cosine and tent densities inverts in one expression,
+that of truncated normals by logarithms of the normal cdf.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar, final
+from typing import ClassVar, NamedTuple, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array, as_reals
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.densities.base import Density, bounded_product, exponential, plain, store_integer
+from mcspectra.densities.base import ANY_DIMS, Density, bounded_product, exponential, per_dim
 
-__all__ = ["Linear", "TruncatedNormal", "Uniform"]
+__all__ = [
+    "CosineWeighted",
+    "Exponential",
+    "Linear",
+    "Power",
+    "Tent",
+    "TruncatedNormal",
+    "Uniform",
+]
 
-_MAX_DIMS = 1024
 _MAX_SIGMAS = 100.0
 _MAX_SIGMA = 100.0
+# Nearer to −1 more than 1 in 1000 samples u^(1/(a+1)) would be less than the smallest float
+_LEAST_EXPONENT = -0.99
+_MOST_EXPONENT = 1000.0
+_MOST_RATE = 700.0  # exp(710) is infinite
+_NO_RATE = 1e-16
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Separable(Density):
+    """A product over any number of dims."""
+
+    dims: int = field(default=DEFAULT_DIMS, metadata=ANY_DIMS)
+
+    def _each(self, parameter: str) -> Array:
+        """Values (d,) of a parameter."""
+        return np.array(as_reals(parameter, getattr(self, parameter), self.dims))
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Uniform(Density):
+class Uniform(_Separable):
     """Uniform density, p = 1; the warp is the identity."""
 
     name: ClassVar[str] = "uniform"
-    dims: int = DEFAULT_DIMS
-
-    def __post_init__(self) -> None:
-        store_integer(self, "dims", least=1, most=_MAX_DIMS)
 
     def reciprocal_integral(self) -> float:
         """1."""
@@ -48,7 +71,7 @@ class Uniform(Density):
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Linear(Density):
+class Linear(_Separable):
     """Product of linear densities, p(x) = Π_i (1 + s_i (x_i − ½)).
 
     Attributes
@@ -65,21 +88,18 @@ class Linear(Density):
     """
 
     name: ClassVar[str] = "linear"
-    dims: int = DEFAULT_DIMS
-    slope: float | tuple[float, ...] = 1.0
-
-    def __post_init__(self) -> None:
-        store_integer(self, "dims", least=1, most=_MAX_DIMS)
-        as_reals("slope", self.slope, self.dims, least=-2.0, most=2.0)
-        object.__setattr__(self, "slope", plain(self.slope))
+    slope: float | tuple[float, ...] = field(default=1.0, metadata=per_dim(least=-2.0, most=2.0))
 
     @cached_property
     def _slopes(self) -> Array:
-        return np.array(as_reals("slope", self.slope, self.dims))
+        return self._each("slope")
 
     def reciprocal_integral(self) -> float:
         """Π ln((1 + s/2)/(1 − s/2))/s, infinite where a slope is ±2."""
-        return math.prod(_reciprocal_of_line(0.5 * s) for s in self._slopes.tolist())
+        halves = (0.5 * self._slopes).tolist()
+        if any(abs(t) == 1.0 for t in halves):
+            return math.inf
+        return math.prod(math.atanh(t) / t if t else 1.0 for t in halves)
 
     def _pdf(self, x: Array) -> Array:
         s = self._slopes
@@ -99,9 +119,31 @@ class Linear(Density):
         return np.asarray(x * rest)
 
 
+class _Normals(NamedTuple):
+    """Constants of truncated normals, one value a dim, shape (d,).
+
+    `flip` marks dims that are reflected, x → 1 − x, so that `mean` is at least 0; `low` and `high`
+    are z at x = 0 and 1; log_low, log_high and log_mass are log Φ(low), log Φ(high) and log of
+    their difference.
+    """
+
+    flip: Array
+    mean: Array
+    sigma: Array
+    low: Array
+    high: Array
+    log_low: Array
+    log_high: Array
+    log_mass: Array
+
+    def score(self, x: Array) -> Array:
+        """z at points x (..., d)."""
+        return np.asarray((np.where(self.flip, 1.0 - x, x) - self.mean) / self.sigma)
+
+
 @final
 @dataclass(frozen=True, kw_only=True)
-class TruncatedNormal(Density):
+class TruncatedNormal(_Separable):
     """Product of normal densities cut to [0,1) and rescaled.
 
     Attributes
@@ -119,111 +161,248 @@ class TruncatedNormal(Density):
     """
 
     name: ClassVar[str] = "truncated-normal"
-    dims: int = DEFAULT_DIMS
-    mean: float | tuple[float, ...] = 0.5
-    sigma: float | tuple[float, ...] = 0.2
+    mean: float | tuple[float, ...] = field(default=0.5, metadata=per_dim())
+    sigma: float | tuple[float, ...] = field(
+        default=0.2, metadata=per_dim(above=0.0, most=_MAX_SIGMA)
+    )
 
     def __post_init__(self) -> None:
-        store_integer(self, "dims", least=1, most=_MAX_DIMS)
-        sigmas = as_reals("sigma", self.sigma, self.dims, above=0.0, most=_MAX_SIGMA)
-        means = as_reals("mean", self.mean, self.dims)
-        for mean, sigma in zip(means, sigmas, strict=True):
+        self._convert()
+        for mean, sigma in zip(self._each("mean"), self._each("sigma"), strict=True):
             if max(-mean, mean - 1.0) > _MAX_SIGMAS * sigma:
                 raise ParameterError(
                     f"mean is {mean:g}, more than {_MAX_SIGMAS:g} sigma ({sigma:g}) outside [0,1]; "
                     "move it closer or make sigma larger."
                 )
-        object.__setattr__(self, "mean", plain(self.mean))
-        object.__setattr__(self, "sigma", plain(self.sigma))
 
     @cached_property
-    def _normal(self) -> _CutNormal:
-        means = np.array(as_reals("mean", self.mean, self.dims))
-        return _CutNormal.of(means, np.array(as_reals("sigma", self.sigma, self.dims)))
-
-    def reciprocal_integral(self) -> float:
-        """Exact, by Dawson's function; infinite where it exceeds the largest float (1e308)."""
-        return self._normal.reciprocal_integral()
-
-    def _pdf(self, x: Array) -> Array:
-        return exponential(self._normal.log_pdf(x), self.spec)
-
-    def _sample(self, u: Array) -> Array:
-        return self._normal.sample(u)
-
-    def _invert(self, x: Array) -> Array:
-        return self._normal.invert(x)
-
-
-@final
-@dataclass(frozen=True)
-class _CutNormal:
-    """The arithmetic of truncated normals; all fields have one value a dim, shape (d,).
-
-    `flip` marks dims that are reflected, x → 1 − x, so that `mean` is at least 0; `low` and `high`
-    are z at x = 0 and 1; log_low, log_high and log_mass are log Φ(low), log Φ(high) and log of
-    their difference.
-    """
-
-    flip: Array
-    mean: Array
-    sigma: Array
-    low: Array
-    high: Array
-    log_low: Array
-    log_high: Array
-    log_mass: Array
-
-    @staticmethod
-    def of(mean: Array, sigma: Array) -> _CutNormal:
+    def _normal(self) -> _Normals:
         from scipy.special import log_ndtr
 
+        mean, sigma = self._each("mean"), self._each("sigma")
         flip = mean < 0
         mean = np.where(flip, 1.0 - mean, mean)
         low, high = (0.0 - mean) / sigma, (1.0 - mean) / sigma
         log_low, log_high = log_ndtr(low), log_ndtr(high)
         log_mass = log_high + np.log(-np.expm1(log_low - log_high))
-        return _CutNormal(flip, mean, sigma, low, high, log_low, log_high, log_mass)
-
-    def log_pdf(self, x: Array) -> Array:
-        z = (np.where(self.flip, 1.0 - x, x) - self.mean) / self.sigma
-        log_scale = np.log(self.sigma * math.sqrt(2 * math.pi)) + self.log_mass
-        return np.asarray((-0.5 * z**2 - log_scale).sum(axis=-1))
-
-    def sample(self, u: Array) -> Array:
-        from scipy.special import ndtri_exp
-
-        share = np.where(self.flip, 1.0 - u, u)
-        ratio = np.exp(self.log_low - self.log_high)
-        with np.errstate(divide="ignore"):  # share 0 and ratio 0: the logarithm is −∞, z too
-            log_cdf = self.log_high + np.log(share + (1.0 - share) * ratio)
-        z = np.clip(ndtri_exp(np.minimum(log_cdf, 0.0)), self.low, self.high)
-        x = np.clip(self.mean + self.sigma * z, 0.0, 1.0)
-        return np.asarray(np.where(self.flip, 1.0 - x, x))
-
-    def invert(self, x: Array) -> Array:
-        from scipy.special import log_ndtr
-
-        z = (np.where(self.flip, 1.0 - x, x) - self.mean) / self.sigma
-        # [Φ(z) − Φ(low)]/mass, as Φ(z)/mass (1 − Φ(low)/Φ(z))
-        log_z = log_ndtr(z)
-        share = np.exp(log_z - self.log_mass) * -np.expm1(np.minimum(self.log_low - log_z, 0.0))
-        return np.asarray(np.clip(np.where(self.flip, 1.0 - share, share), 0.0, 1.0))
+        return _Normals(flip, mean, sigma, low, high, log_low, log_high, log_mass)
 
     def reciprocal_integral(self) -> float:
-        """Π π σ² mass [erfi(high/√2) − erfi(low/√2)], erfi(t) = 2/√π exp(t²) D(t)."""
+        """Π π σ² mass [erfi(high/√2) − erfi(low/√2)], erfi(t) = 2/√π exp(t²) D(t), D Dawson's.
+
+        Infinite where it exceeds the largest float (1e308).
+        """
         from scipy.special import dawsn
 
-        a, b = self.low / math.sqrt(2), self.high / math.sqrt(2)
+        c = self._normal
+        a, b = c.low / math.sqrt(2), c.high / math.sqrt(2)
         most = np.maximum(a**2, b**2)
         difference = dawsn(b) * np.exp(b**2 - most) - dawsn(a) * np.exp(a**2 - most)
-        logarithms = np.log(2 * math.sqrt(math.pi) * self.sigma**2 * difference)
+        logarithms = np.log(2 * math.sqrt(math.pi) * c.sigma**2 * difference)
         with np.errstate(over="ignore"):
-            return float(np.exp((logarithms + self.log_mass + most).sum()))
+            return float(np.exp((logarithms + c.log_mass + most).sum()))
+
+    def _pdf(self, x: Array) -> Array:
+        c = self._normal
+        log_scale = np.log(c.sigma * math.sqrt(2 * math.pi)) + c.log_mass
+        return exponential((-0.5 * c.score(x) ** 2 - log_scale).sum(axis=-1), self.spec)
+
+    def _sample(self, u: Array) -> Array:
+        from scipy.special import ndtri_exp
+
+        c = self._normal
+        share = np.where(c.flip, 1.0 - u, u)
+        ratio = np.exp(c.log_low - c.log_high)
+        with np.errstate(divide="ignore"):  # share 0 and ratio 0: the logarithm is −∞, z too
+            log_cdf = c.log_high + np.log(share + (1.0 - share) * ratio)
+        z = np.clip(ndtri_exp(np.minimum(log_cdf, 0.0)), c.low, c.high)
+        x = np.clip(c.mean + c.sigma * z, 0.0, 1.0)
+        return np.asarray(np.where(c.flip, 1.0 - x, x))
+
+    def _invert(self, x: Array) -> Array:
+        from scipy.special import log_ndtr
+
+        c = self._normal
+        # [Φ(z) − Φ(low)]/mass, as Φ(z)/mass (1 − Φ(low)/Φ(z))
+        log_z = log_ndtr(c.score(x))
+        share = np.exp(log_z - c.log_mass) * -np.expm1(np.minimum(c.log_low - log_z, 0.0))
+        return np.asarray(np.clip(np.where(c.flip, 1.0 - share, share), 0.0, 1.0))
 
 
-def _reciprocal_of_line(t: float) -> float:
-    """∫1/(1 + 2t (x − ½)) dx = artanh(t)/t for t in [−1, 1]."""
-    if abs(t) == 1.0:
+@final
+@dataclass(frozen=True, kw_only=True)
+class Power(_Separable):
+    """Product of powers, p(x) = Π_i (a_i + 1) x_i^a_i.
+
+    Attributes
+    ----------
+    exponent
+        a, from −0.99 to 1000: one number for all dims or one a dim. Below 0 the density is
+        unbounded at 0; above 0 it is 0 there, and from 1 on ∫1/p diverges.
+    """
+
+    name: ClassVar[str] = "power"
+    exponent: float | tuple[float, ...] = field(
+        default=1.0, metadata=per_dim(least=_LEAST_EXPONENT, most=_MOST_EXPONENT)
+    )
+
+    @cached_property
+    def _exponents(self) -> Array:
+        return self._each("exponent")
+
+    def reciprocal_integral(self) -> float:
+        """Π 1/(1 − a²), infinite where an exponent is 1 or more."""
+        a = self._exponents
+        return float(np.prod(1.0 / ((1.0 - a) * (1.0 + a)))) if (a < 1).all() else math.inf
+
+    def _pdf(self, x: Array) -> Array:
+        a = self._exponents
+        # 0^a is infinite for a < 0, and at 1e-320 or in products so may be what is finite in theory
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            factors = (a + 1.0) * x**a
+            product = factors.prod(axis=-1)
+        # 0 · ∞ in a product of dims: the set of those points has no volume
+        return np.asarray(np.where(np.isnan(product), 0.0, product))
+
+    def _sample(self, u: Array) -> Array:
+        return np.asarray(u ** (1.0 / (self._exponents + 1.0)))
+
+    def _invert(self, x: Array) -> Array:
+        return np.asarray(x ** (self._exponents + 1.0))
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Exponential(_Separable):
+    """Product of exponential densities cut to [0,1), p(x) = Π_i r_i exp(−r_i x_i)/(1 − exp(−r_i)).
+
+    Attributes
+    ----------
+    rate
+        r, from −700 to 700: one number for all dims or one a dim. Below 0 the density rises; at 0
+        it is uniform.
+    """
+
+    name: ClassVar[str] = "exponential"
+    rate: float | tuple[float, ...] = field(
+        default=1.0, metadata=per_dim(least=-_MOST_RATE, most=_MOST_RATE)
+    )
+
+    @cached_property
+    def _flat(self) -> Array:
+        """Where the rate is too small to change a float."""
+        return np.abs(self._each("rate")) < _NO_RATE
+
+    @cached_property
+    def _rates(self) -> Array:
+        """Rates, 1 in place of those that are flat."""
+        return np.where(self._flat, 1.0, self._each("rate"))
+
+    def reciprocal_integral(self) -> float:
+        """Π [sinh(r/2)/(r/2)]², infinite where it exceeds the largest float."""
+        half = 0.5 * self._rates
+        with np.errstate(over="ignore"):
+            return float(np.where(self._flat, 1.0, (np.sinh(half) / half) ** 2).prod())
+
+    def _pdf(self, x: Array) -> Array:
+        steep = np.abs(self._rates)
+        from_peak = np.where(self._rates > 0, x, 1.0 - x)
+        factors = steep * np.exp(-steep * from_peak) / -np.expm1(-steep)
+        return bounded_product(np.where(self._flat, 1.0, factors), self.spec)
+
+    def _sample(self, u: Array) -> Array:
+        r = self._rates
+        with np.errstate(divide="ignore"):  # u = 1 at rate 700: ∞, cut to the end
+            return np.where(self._flat, u, np.log1p(u * np.expm1(-r)) / -r)
+
+    def _invert(self, x: Array) -> Array:
+        r = self._rates
+        return np.where(self._flat, x, np.expm1(-r * x) / np.expm1(-r))
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class CosineWeighted(_Separable):
+    """Product of cosines about the centre, p(x) = Π_i (π/2) cos(π (x_i − ½)).
+
+    Notes
+    -----
+    Two meanings of *cosine-weighted* agree here. In flatland x = ½ + θ/π is the angle of a
+    direction above a line, p(θ) = cos θ/2. On the hemisphere with the density cos θ/π by solid
+    angle, the polar angle has the density sin 2θ, which is this one in x = 2θ/π; its warp
+    θ = arcsin √u is that of Malley's method [Pharr2016]_ (§13.6.3). The density is 0 at both ends
+    and ∫1/p diverges.
+    """
+
+    name: ClassVar[str] = "cosine-weighted"
+
+    def reciprocal_integral(self) -> float:
+        """Infinite."""
         return math.inf
-    return math.atanh(t) / t if t else 1.0
+
+    def _pdf(self, x: Array) -> Array:
+        from_end = np.minimum(x, 1.0 - x)  # so that the zero at x = 1 is exact
+        return np.asarray((0.5 * math.pi * np.sin(math.pi * from_end)).prod(axis=-1))
+
+    def _sample(self, u: Array) -> Array:
+        from_end = np.arcsin(np.sqrt(np.minimum(u, 1.0 - u))) * (2.0 / math.pi)
+        return np.where(u <= 0.5, from_end, 1.0 - from_end)
+
+    def _invert(self, x: Array) -> Array:
+        share = np.sin(0.5 * math.pi * np.minimum(x, 1.0 - x)) ** 2
+        return np.where(x <= 0.5, share, 1.0 - share)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Tent(_Separable):
+    """Product of tents: each rises linearly from 0 at 0 to 2 at its peak and falls to 0 at 1.
+
+    Attributes
+    ----------
+    peak
+        Position of the peak, from 0 to 1: one number for all dims or one a dim.
+    """
+
+    name: ClassVar[str] = "tent"
+    peak: float | tuple[float, ...] = field(default=0.5, metadata=per_dim(least=0.0, most=1.0))
+
+    @cached_property
+    def _peaks(self) -> Array:
+        return self._each("peak")
+
+    @cached_property
+    def _sides(self) -> tuple[Array, Array]:
+        """Lengths of the rising and the falling side, 1 in place of 0."""
+        c = self._peaks
+        return np.where(c > 0, c, 1.0), np.where(c < 1, 1.0 - c, 1.0)
+
+    @property
+    def breaks(self) -> tuple[tuple[float, ...], ...]:
+        """The peak: the cdf there is its position."""
+        return tuple((c,) if 0 < c < 1 else () for c in self._peaks.tolist())
+
+    def reciprocal_integral(self) -> float:
+        """Infinite: the density falls linearly to 0."""
+        return math.inf
+
+    def _rising(self, x: Array) -> Array:
+        """Where x (or u, the cdf of the peak being its position) is on the rising side."""
+        return np.asarray((x < self._peaks) | (self._peaks == 1))
+
+    def _heights(self, x: Array) -> tuple[Array, Array]:
+        """Heights of both sides at x, in peaks."""
+        left, right = self._sides
+        return np.minimum(x, left) / left, np.minimum(1.0 - x, right) / right
+
+    def _pdf(self, x: Array) -> Array:
+        line = np.where(self._rising(x), *self._heights(x))
+        return bounded_product(2.0 * line, self.spec)
+
+    def _sample(self, u: Array) -> Array:
+        left, right = self._sides
+        return np.where(self._rising(u), np.sqrt(u * left), 1.0 - np.sqrt((1.0 - u) * right))
+
+    def _invert(self, x: Array) -> Array:
+        up, down = self._heights(x)
+        return np.where(self._rising(x), x * up, 1.0 - (1.0 - x) * down)

@@ -1,72 +1,109 @@
 """The interface of importance densities, pdf, sample, invert; densities given by functions.
 
 A `Density` is a warp T from the unit cube (primary space, u) to itself (domain, x) together with
-its density: ``x = sample(u)``, ``u = invert(x)``, ``pdf(x) = |det dT/du|^-1``. Implementations
-write `_pdf`, `_sample` and `_invert` on plain arrays. What every density has is here: checks of
-arguments, `Density.check`, ∫1/p by quadrature, and `Density.from_functions`.
+its density: ``x = sample(u)``, ``u = invert(x)``, ``pdf(x) = |det dT/du|^-1``. The public methods
+check their points, once; implementations write `_pdf`, `_sample` and `_invert`, which trust plain
+arrays, and say in the metadata of a field (`whole`, `choice`, `flag`, `per_dim`, `converted`) how it
+is checked and stored. A `Wrapper` forwards to a density that it makes.
 """
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer, as_real_array
+from mcspectra.core.checks import (
+    MAX_DIMS,
+    Array,
+    as_choice,
+    as_integer,
+    as_real_array,
+    as_reals,
+)
 from mcspectra.core.errors import (
     DensityError,
     DomainError,
+    ParameterError,
     UndefinedRatioWarning,
     point_in_words,
     warn,
 )
 from mcspectra.core.spec import Component
-from mcspectra.densities.adaptive import (
-    CELLS,
-    SET_SIZE,
-    SETS,
-    integrate,
-    mean_or_infinity,
-    recurrences,
-)
+from mcspectra.densities.adaptive import mean_or_infinity
+from mcspectra.densities.consistency import LARGEST_BELOW_ONE, check_density
 from mcspectra.densities.numerical import NumericalWarp
 
 __all__ = [
+    "ANY_DIMS",
+    "LARGEST_BELOW_ONE",
     "Density",
     "FunctionDensity",
     "NumericalDensity",
+    "Wrapper",
     "as_points",
     "bounded_product",
     "check_density",
+    "choice",
+    "converted",
     "divide_by_density",
     "exponential",
+    "flag",
+    "per_dim",
     "plain",
     "reciprocal_integral",
-    "store_integer",
+    "whole",
 ]
 
-LARGEST_BELOW_ONE = float(np.nextafter(1.0, 0.0))
-LARGEST_LOGARITHM = float(np.log(np.finfo(float).max))
-
-_MAX_DIMS = 1024  # of functions
+_LARGEST_LOGARITHM = float(np.log(np.finfo(float).max))
 _PROBE = 5  # points of the first try; odd and small, so that no shape fits by accident
 _SAME = 1e-9
-_SPREADS = 7.0  # Student's t with 31 degrees: 7e-8 a cell, 2e-5 for 256 cells
-# Counts of a cell may be k in all sets where their mean is k + q, with the probability (1 − q)^32:
-# less than 7e-8 for q > 0.4. Where they are not alike the spread covers the rest.
-_ALIKE = 0.4
-_ROUND_TRIP = 1e-6
-_INTEGRAL = 1e-4
-_LARGEST_BOUND = 0.01
-_SLABS = 8
-_STEP = 1e-6
-_JACOBIAN = 1e-3
-_OUTLIERS = 0.02  # of the points may lie next to a jump of the warp
+
+Converter = Mapping[str, Callable[[str, Any, int], Any]]
+
+
+def converted(convert: Callable[[str, Any], Any]) -> Converter:
+    """Metadata of a field that holds ``convert(name, value)``."""
+    return {"convert": lambda name, value, _: convert(name, value)}
+
+
+def whole(*, least: int, most: int | None = None) -> Converter:
+    """Metadata of a field that holds an int: 2.0 is read as 2."""
+    return converted(lambda name, value: as_integer(name, value, least=least, most=most))
+
+
+def choice(allowed: Sequence[str]) -> Converter:
+    """Metadata of a field that holds one of `allowed`."""
+    return converted(lambda name, value: as_choice(name, value, allowed))
+
+
+def flag() -> Converter:
+    """Metadata of a field that holds True or False."""
+
+    def convert(name: str, value: Any) -> bool:
+        if not isinstance(value, bool):
+            raise ParameterError(f"{name} is {value!r}; give True or False.")
+        return value
+
+    return converted(convert)
+
+
+def per_dim(**limits: float) -> Converter:
+    """Metadata of a field that holds one real number for all dims or one a dim, as given."""
+
+    def convert(name: str, value: Any, dims: int) -> Any:
+        as_reals(name, value, dims, **limits)
+        return plain(value)
+
+    return {"convert": convert}
+
+
+ANY_DIMS = whole(least=1, most=MAX_DIMS)
+"""Metadata of the field ``dims`` where it is free."""
 
 
 class Density(Component, ABC):
@@ -87,6 +124,24 @@ class Density(Component, ABC):
     def primary_dims(self) -> int:
         """Number of dims of u: as many as x, or more if extra coordinates choose a part."""
         return self.dims
+
+    def __post_init__(self) -> None:
+        self._convert()
+
+    def _convert(self) -> None:
+        """Check and store the fields that have a converter, in their order."""
+        dims: Any = None
+        for each in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, each.name)
+            if convert := each.metadata.get("convert"):
+                value = convert(each.name, value, dims)
+                self._store(**{each.name: value})
+            dims = value if each.name == "dims" else dims
+
+    def _store(self, **values: Any) -> None:
+        """Set fields while the density is made."""
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
 
     def pdf(self, x: object) -> Array:
         """Density at points x of shape (..., d): float64 (...), integral 1 over [0,1)^d."""
@@ -143,14 +198,7 @@ class Density(Component, ABC):
         return reciprocal_integral(self)
 
     def check(self) -> None:
-        """Test that pdf, sample and invert belong together, on a deterministic set of points.
-
-        Raises
-        ------
-        DensityError
-            pdf is negative, not finite or does not integrate to 1; sample leaves [0,1);
-            invert(sample(u)) is not u; or samples do not follow the pdf.
-        """
+        """Test that pdf, sample and invert belong together (see `check_density`)."""
         check_density(self)
 
     @abstractmethod
@@ -162,6 +210,7 @@ class Density(Component, ABC):
         """Warp float64 points (..., d)."""
 
     def _invert(self, x: Array) -> Array:  # noqa: ARG002
+        """Undo `_sample` at float64 points (..., d)."""
         raise DensityError(f"The density {self.spec} was given without an inverse; give invert=.")
 
     @staticmethod
@@ -207,7 +256,18 @@ class Density(Component, ABC):
         array([[0.5]])
         """
         if sample is None:
-            return _numerical_density(pdf, invert, dims, normalize)
+            if not callable(pdf):
+                raise DensityError(f"pdf is {pdf!r}; give a function of points (..., d).")
+            if invert is not None:
+                raise DensityError("invert was given without sample; give both, or neither.")
+            if not isinstance(normalize, bool):
+                raise DensityError(f"normalize is {normalize!r}; give True or False.")
+            if as_integer("dims", dims, least=1) > 2:
+                raise DensityError(
+                    f"sample is None in {dims} dims; a pdf alone is enough in 1-D and 2-D only: give "
+                    "sample=, or a product of densities."
+                )
+            return NumericalDensity(dims=dims, pdf_function=pdf, normalize=normalize)
         if normalize:
             raise DensityError(
                 "normalize works without sample= only; leave it out and give a pdf with integral 1."
@@ -216,67 +276,130 @@ class Density(Component, ABC):
             if not callable(function) and not (name == "invert" and function is None):
                 raise DensityError(f"{name} is {function!r}; give a function of points (..., d).")
         made = FunctionDensity(
-            dims=as_integer("dims", dims, least=1, most=_MAX_DIMS),
-            pdf_function=pdf,
-            sample_function=sample,
-            invert_function=invert,
+            dims=dims, pdf_function=pdf, sample_function=sample, invert_function=invert
         )
-        made._try()
+        # Call all functions on few points, with one and with two axes in front
+        for shape in [(_PROBE, made.dims), (_PROBE, 2, made.dims)]:
+            u = np.linspace(0.2, 0.8, int(np.prod(shape))).reshape(shape)
+            made._pdf(u)
+            x = made._sample(u)
+            if made.has_inverse:
+                made._invert(np.clip(x, 0.0, LARGEST_BELOW_ONE))
         made.check()
         return made
 
 
+class Wrapper(Density):
+    """A density whose warp and pdf are those of another one, `_inside`, that it makes."""
+
+    @property
+    @abstractmethod
+    def _inside(self) -> Density:
+        """The density that does the work."""
+
+    @property
+    def primary_dims(self) -> int:
+        return self._inside.primary_dims
+
+    @property
+    def has_inverse(self) -> bool:
+        return self._inside.has_inverse
+
+    @property
+    def one_to_one(self) -> bool:
+        return self._inside.one_to_one
+
+    @property
+    def breaks(self) -> tuple[tuple[float, ...], ...]:
+        return self._inside.breaks
+
+    def preimages(self, x: object) -> Array:
+        return self._inside.preimages(x)
+
+    def zero_points(self) -> Array:
+        return self._inside.zero_points()
+
+    def reciprocal_integral(self) -> float:
+        return self._inside.reciprocal_integral()
+
+    def _pdf(self, x: Array) -> Array:
+        return self._inside._pdf(x)
+
+    def _sample(self, u: Array) -> Array:
+        return self._inside._sample(u)
+
+    def _invert(self, x: Array) -> Array:
+        return self._inside._invert(x)
+
+
+class _ByFunctions(Density):
+    """What densities given by functions share: a name, and how they are called."""
+
+    name: ClassVar[str] = "function"
+    pdf_function: Callable[[Any], Any]
+
+    @property
+    def spec(self) -> str:
+        """``function``, with the name of the pdf; not a spec that can be read back."""
+        called = getattr(self.pdf_function, "__name__", "")
+        return f"function({called})" if called.isidentifier() else "function"
+
+    def _call(self, name: str, points: Array) -> Array:
+        """Values of a function at points, after checking that they are numbers of its shape."""
+        shape = points.shape[:-1] if name == "pdf" else points.shape
+        shown = points.view()
+        shown.setflags(write=False)
+        try:
+            given = np.asarray(getattr(self, f"{name}_function")(shown))
+        except Exception as error:
+            raise DensityError(
+                f"The {name} of {self.spec} failed on points of shape {points.shape}: "
+                f"{type(error).__name__}: {error}"
+            ) from error
+        if given.dtype.kind not in "fiub":
+            raise DensityError(f"The {name} of {self.spec} gave {given.dtype}, not real numbers.")
+        if given.shape != shape:
+            column = name == "pdf" and given.shape == (*shape, 1)
+            raise DensityError(
+                f"The {name} of {self.spec} gave shape {given.shape} for points of shape "
+                f"{points.shape}; it must give {shape}."
+                + (" Write x[..., 0] in place of x." if column else "")
+            )
+        return np.asarray(given, np.float64)
+
+
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
-class FunctionDensity(Density):
+class FunctionDensity(_ByFunctions):
     """Given by functions pdf, sample and (optionally) invert.
 
     Make it by `Density.from_functions`, which checks it. The functions are called with read-only
     float64 arrays of shape (..., d), with any number of axes in front.
     """
 
-    name: ClassVar[str] = "function"
-    dims: int
+    dims: int = field(metadata=ANY_DIMS)
     pdf_function: Callable[[Any], Any]
     sample_function: Callable[[Any], Any]
     invert_function: Callable[[Any], Any] | None = None
-
-    @property
-    def spec(self) -> str:
-        """``function``, with the name of the pdf; not a spec that can be read back."""
-        return _function_spec(self.pdf_function)
 
     @property
     def has_inverse(self) -> bool:
         """Whether invert was given."""
         return self.invert_function is not None
 
-    def _try(self) -> None:
-        """Call all functions on few points, with one and with two axes in front."""
-        for shape in [(_PROBE, self.dims), (_PROBE, 2, self.dims)]:
-            u = np.linspace(0.2, 0.8, int(np.prod(shape))).reshape(shape)
-            self._pdf(u)
-            x = self._sample(u)
-            if self.has_inverse:
-                self._invert(np.clip(x, 0.0, np.nextafter(1.0, 0.0)))
-
     def _pdf(self, x: Array) -> Array:
-        return _called("pdf", self.spec, self.pdf_function, x, x.shape[:-1])
+        return self._call("pdf", x)
 
     def _sample(self, u: Array) -> Array:
-        return _called("sample", self.spec, self.sample_function, u, u.shape)
+        return self._call("sample", u)
 
     def _invert(self, x: Array) -> Array:
-        if self.invert_function is None:
-            raise DensityError(
-                f"The density {self.spec} was given without an inverse; give invert=."
-            )
-        return _called("invert", self.spec, self.invert_function, x, x.shape)
+        return self._call("invert", x) if self.has_inverse else Density._invert(self, x)
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
-class NumericalDensity(Density):
+class NumericalDensity(_ByFunctions):
     """Given by its pdf alone, in 1-D or 2-D; the warp is computed.
 
     Make it by `Density.from_functions`. The pdf is called with read-only float64 arrays (..., d) of
@@ -304,13 +427,12 @@ class NumericalDensity(Density):
         are not axis-parallel, in 1-D with poles anywhere but at 0, next to which floats are dense.
     """
 
-    name: ClassVar[str] = "function"
-    dims: int = 1
+    dims: int = field(default=1, metadata=whole(least=1, most=2))
     pdf_function: Callable[[Any], Any]
     normalize: bool = False
 
     def __post_init__(self) -> None:
-        store_integer(self, "dims", least=1, most=2)
+        self._convert()
         self._raw(np.linspace(0.2, 0.8, _PROBE * self.dims).reshape(_PROBE, self.dims))
         if self.dims == 2:
             self._warp.check_rows()
@@ -320,11 +442,6 @@ class NumericalDensity(Density):
                 f"The pdf of {self.spec} integrates to {total:.12g} over the unit domain, not to 1; "
                 "divide it by this number, or give normalize=True."
             )
-
-    @property
-    def spec(self) -> str:
-        """``function``, with the name of the pdf; not a spec that can be read back."""
-        return _function_spec(self.pdf_function)
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
@@ -342,7 +459,7 @@ class NumericalDensity(Density):
     def _raw(self, x: Array) -> Array:
         """What the pdf gives: poles and all."""
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-            return _called("pdf", self.spec, self.pdf_function, x, x.shape[:-1])
+            return self._call("pdf", x)
 
     def _pdf(self, x: Array) -> Array:
         p = self._raw(x)
@@ -376,12 +493,6 @@ def plain(value: Any) -> Any:
     return tuple(map(plain, value)) if isinstance(value, list | tuple) else value
 
 
-def store_integer(component: object, name: str, *, least: int, most: int | None = None) -> None:
-    """Check a field of a frozen dataclass, and store it as an int: 2.0 is read as 2."""
-    value = as_integer(name, getattr(component, name), least=least, most=most)
-    object.__setattr__(component, name, value)
-
-
 def bounded_product(factors: Array, spec: str) -> Array:
     """Return the product over the last axis of finite factors >= 0, which a float may not hold.
 
@@ -407,10 +518,10 @@ def exponential(logarithm: Array, spec: str) -> Array:
     DensityError
         It exceeds the largest float.
     """
-    if (logarithm >= LARGEST_LOGARITHM).any():
+    if (logarithm >= _LARGEST_LOGARITHM).any():
         raise DensityError(
             f"The pdf of {spec} reaches exp({logarithm.max():.6g}), more than a float can hold "
-            f"(exp({LARGEST_LOGARITHM:.0f})); use fewer dims or a wider density."
+            f"(exp({_LARGEST_LOGARITHM:.0f})); use fewer dims or a wider density."
         )
     return np.asarray(np.exp(logarithm))
 
@@ -464,59 +575,6 @@ def divide_by_density(
     return np.asarray(values / np.where(scaled > 0, scaled, 1.0))
 
 
-def _numerical_density(
-    pdf: Callable[[Any], Any], invert: object, dims: int, normalize: bool
-) -> NumericalDensity:
-    """Check what `Density.from_functions` was given without sample, and make the density."""
-    if not callable(pdf):
-        raise DensityError(f"pdf is {pdf!r}; give a function of points (..., d).")
-    if invert is not None:
-        raise DensityError("invert was given without sample; give both, or neither.")
-    if not isinstance(normalize, bool):
-        raise DensityError(f"normalize is {normalize!r}; give True or False.")
-    if as_integer("dims", dims, least=1) > 2:
-        raise DensityError(
-            f"sample is None in {dims} dims; a pdf alone is enough in 1-D and 2-D only: give sample=, "
-            "or a product of densities."
-        )
-    return NumericalDensity(dims=int(dims), pdf_function=pdf, normalize=normalize)
-
-
-def _function_spec(pdf: Callable[[Any], Any]) -> str:
-    """``function``, with the name of the pdf where it has one."""
-    called = getattr(pdf, "__name__", "")
-    return f"function({called})" if called.isidentifier() else "function"
-
-
-def _called(
-    name: str, spec: str, function: Callable[[Any], Any], points: Array, shape: tuple[int, ...]
-) -> Array:
-    """Call `function` of the density `spec` and check that it gave numbers of `shape`."""
-    shown = points.view()
-    shown.setflags(write=False)
-    try:
-        given = np.asarray(function(shown))
-    except Exception as error:
-        raise DensityError(
-            f"The {name} of {spec} failed on points of shape {points.shape}: "
-            f"{type(error).__name__}: {error}"
-        ) from error
-    if given.dtype.kind not in "fiub":
-        raise DensityError(f"The {name} of {spec} gave {given.dtype}, not real numbers.")
-    if given.shape != shape:
-        raise DensityError(
-            f"The {name} of {spec} gave shape {given.shape} for points of shape "
-            f"{points.shape}; it must give {shape}.{_shape_advice(name, given.shape, shape)}"
-        )
-    return np.asarray(given, np.float64)
-
-
-def _shape_advice(name: str, given: tuple[int, ...], wanted: tuple[int, ...]) -> str:
-    if name == "pdf" and given == (*wanted, 1):
-        return " Write x[..., 0] in place of x."
-    return ""
-
-
 def reciprocal_integral(density: Density) -> float:
     """Return ∫1/p over [0,1)^d, infinite where it diverges.
 
@@ -546,193 +604,3 @@ def reciprocal_integral(density: Density) -> float:
             return np.asarray(1.0 / density._pdf(x))
 
     return mean_or_infinity(reciprocal, density.dims)
-
-
-def check_density(density: Density) -> None:
-    """Test that pdf, sample and invert belong together.
-
-    Parameters
-    ----------
-    density
-        Any density.
-
-    Raises
-    ------
-    DensityError
-        The message names the error and, where possible, the function at fault.
-
-    Notes
-    -----
-    * pdf is finite and not negative on 4096 points, and its integral is 1 to 1e-4.
-    * sample stays in [0,1]; invert(sample(u)) = u to 1e-6, plus what rounding of x can do to u.
-    * Samples follow the pdf. In 1-D and 2-D: the share of 32 shifted sets of 4096 points that fall
-      into each of 64 (16 × 16) cells, and of the cells of 2, 4, … times the edge, is compared with
-      the integral of the pdf over the cell; the bound is 7 standard errors, 0.4/4096 for counts
-      that are alike in all sets, and the quadrature's error. So in 1-D a mass of 1/2 that is
-      0.1 % wrong is found, one of 1/64 that is 2 % wrong; errors within a cell are not.
-      In 3-D and more, where cells say little: |det ∂T/∂u| · p(T(u)) = 1, by central differences,
-      at 98 % of 512 points (the others may lie next to a jump). Where the warp is not one-to-one
-      (`Density.one_to_one`): the share of the sets in each of 8 slabs of every axis against the
-      mean of the pdf over that slab, from the same points; that sees marginals only.
-
-    A density with errors smaller than those bounds passes. Peaks narrower than 2^-20 (2^-12 in 2-D)
-    of the domain are not resolved.
-    """
-    with np.errstate(all="ignore"):  # what is not finite is reported below, or allowed at one point
-        _check(density)
-
-
-def _check(density: Density) -> None:
-    _check_values(density)
-    u = recurrences(density.primary_dims)
-    u[0, 0] = 0.0
-    u[0, 1] = LARGEST_BELOW_ONE
-    x = _samples(density, u)
-    loop = _round_trip(density, u[0], x[0])
-    problem = _sampling_problem(density, u, x)
-    if problem:
-        blame = (
-            ""
-            if loop is None or not density.has_inverse
-            else " (invert does not undo sample either)"
-        )
-        if loop is None and density.has_inverse:
-            blame = "; sample and invert agree, so the pdf is wrong"
-        raise DensityError(f"{problem}{blame}.")
-    if loop:
-        raise DensityError(f"{loop}; sample and pdf agree, so invert is wrong.")
-
-
-def _sampling_problem(density: Density, u: Array, x: Array) -> str | None:
-    """A sentence where samples x of u do not follow the pdf, by the check that fits, else None."""
-    if density.dims <= 2:
-        return _mass_problem(density, x)
-    return _jacobian_problem(density, u[0]) if density.one_to_one else _slab_problem(density, x)
-
-
-def _check_values(density: Density) -> None:
-    x = recurrences(density.dims)[0]
-    p = density._pdf(x)
-    for bad, what in ((~np.isfinite(p), "not finite"), (p < 0, "negative")):
-        if bad.any():
-            raise DensityError(
-                f"The pdf of {density.spec} is {what} ({p[bad][0]:.6g}) at {point_in_words(x[bad][0])}; "
-                "a density is finite and at least 0 almost everywhere."
-            )
-
-
-def _samples(density: Density, u: Array) -> Array:
-    x = density._sample(u)
-    outside = ~((x >= 0.0) & (x <= 1.0)).all(axis=-1)
-    if outside.any():
-        raise DensityError(
-            f"The samples of {density.spec} leave [0,1): {point_in_words(x[outside][0])} from u = "
-            f"{point_in_words(u[outside][0])}."
-        )
-    return np.minimum(x, LARGEST_BELOW_ONE)
-
-
-def _round_trip(density: Density, u: Array, x: Array) -> str | None:
-    """A sentence where invert(sample(u)) is not u, else None."""
-    if not density.has_inverse:
-        return None
-    back = density._invert(x)
-    # du = p dx in 1-D: x is known to 1e-16, near a peak u is not
-    allowed = _ROUND_TRIP + 1e-15 * density._pdf(x)
-    off = ~(np.abs(back - u).max(axis=-1) <= allowed)
-    if np.count_nonzero(off) <= _OUTLIERS * len(u):
-        return None
-    k = int(np.flatnonzero(off)[0])
-    return (
-        f"invert does not undo sample in {density.spec}: invert(sample(u)) is {point_in_words(back[k])} "
-        f"at u = {point_in_words(u[k])}"
-    )
-
-
-def _mass_problem(density: Density, x: Array) -> str | None:
-    """A sentence where masses of cells by pdf and by samples differ, else None."""
-    dims = density.dims
-    side = CELLS[dims]
-    pdf = integrate(density._pdf, dims, cells=side, points=x[0, :: 4 ** (dims - 1)])
-    total = pdf.limit if pdf.isolated else pdf.totals[-1]
-    if not abs(total - 1.0) <= _INTEGRAL + float(pdf.bounds.sum()) and not _integrates(density):
-        return f"The pdf of {density.spec} integrates to {total:.6g} over the unit domain, not to 1"
-    shares = np.stack([_shares(points, side) for points in x])
-    masses, errors = pdf.cells, pdf.bounds
-    while side > 1:
-        mean, spread = shares.mean(axis=0), shares.std(axis=0, ddof=1) / math.sqrt(SETS)
-        allowed = _SPREADS * spread + _ALIKE / SET_SIZE + errors
-        gap = np.abs(mean - masses)
-        worst = int(np.argmax(gap / allowed))
-        if gap[worst] > allowed[worst]:
-            low = np.array(np.unravel_index(worst, (side,) * dims)) / side
-            return (
-                f"The samples of {density.spec} do not follow its pdf: {mean[worst]:.6g} of them "
-                f"fall between {point_in_words(low)} and {point_in_words(low + 1 / side)}, where the pdf has the mass "
-                f"{masses[worst]:.6g}"
-            )
-        shares, masses, errors = (_doubled(a, side, dims) for a in (shares, masses, errors))
-        side //= 2
-    return None
-
-
-def _doubled(cells: Array, side: int, dims: int) -> Array:
-    """Sums over cells of twice the edge: (..., side^d) to (..., (side/2)^d)."""
-    grid = cells.reshape(*cells.shape[:-1], *(side // 2, 2) * dims)
-    sums = grid.sum(axis=tuple(range(-1, -2 * dims, -2)))
-    return np.asarray(sums.reshape(*cells.shape[:-1], -1))
-
-
-def _slab_problem(density: Density, x: Array) -> str | None:
-    """A sentence where shares of samples and of the pdf in slabs of an axis differ, else None."""
-    y = recurrences(density.dims)
-    p = density._pdf(y)
-    for axis in range(density.dims):
-        edge = np.arange(_SLABS)[:, None, None]
-        by_samples = (np.floor(x[..., axis] * _SLABS) == edge).mean(axis=-1)
-        by_pdf = (p * (np.floor(y[..., axis] * _SLABS) == edge)).mean(axis=-1)
-        gap = by_samples - by_pdf
-        spread = gap.std(axis=1, ddof=1) / math.sqrt(SETS)
-        off = np.abs(gap.mean(axis=1)) > _SPREADS * spread + _ALIKE / SET_SIZE
-        if off.any():
-            k = int(np.flatnonzero(off)[0])
-            return (
-                f"The samples of {density.spec} do not follow its pdf: "
-                f"{by_samples[k].mean():.6g} of them have x_{axis} from {k / _SLABS:g} to "
-                f"{(k + 1) / _SLABS:g}, where the pdf has the mass {by_pdf[k].mean():.6g}"
-            )
-    return None
-
-
-def _integrates(density: Density) -> bool:
-    """Whether the mean of p over low-discrepancy points is 1: for p with jumps at a thousand places."""
-    means = density._pdf(recurrences(density.dims)).mean(axis=1)
-    bound = _SPREADS * float(means.std(ddof=1)) / math.sqrt(SETS)
-    return abs(float(means.mean()) - 1.0) <= min(bound, _LARGEST_BOUND)
-
-
-def _shares(points: Array, side: int) -> Array:
-    """Share of points (n, d) in each of side^d cells, row-major."""
-    cell = np.minimum((points * side).astype(np.int64), side - 1)
-    index = cell @ side ** np.arange(points.shape[-1])[::-1]
-    return np.bincount(index, minlength=side ** points.shape[-1]) / len(points)
-
-
-def _jacobian_problem(density: Density, u: Array) -> str | None:
-    """A sentence where |det ∂T/∂u| p(T(u)) is not 1, or the pdf holds more than 1, else None."""
-    u = np.clip(u[2:514], 2 * _STEP, 1.0 - 2 * _STEP)
-    steps = _STEP * np.eye(density.dims)
-    ahead, behind = (density._sample(u[:, None, :] + s * steps) for s in (1.0, -1.0))
-    volume = np.abs(np.linalg.det((ahead - behind) / (2 * _STEP)))
-    product = volume * density._pdf(density._sample(u))
-    off = ~(np.abs(product - 1.0) <= _JACOBIAN)
-    if np.count_nonzero(off) > _OUTLIERS * len(u):
-        return (
-            f"The samples of {density.spec} do not follow its pdf: pdf × |det ∂sample/∂u| is "
-            f"{np.median(product[off]):.6g} at u = {point_in_words(u[off][0])}, not 1"
-        )
-    means = density._pdf(recurrences(density.dims)).mean(axis=1)
-    bound = 1.0 + _JACOBIAN + _SPREADS * float(means.std(ddof=1)) / math.sqrt(SETS)
-    if means.mean() > bound:
-        return f"The pdf of {density.spec} integrates to {means.mean():.6g}, where samples cover 1"
-    return None

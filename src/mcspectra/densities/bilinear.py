@@ -9,23 +9,29 @@ The primary-space integrand jumps only where f does, and bends at the borders of
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice
+from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
-from mcspectra.densities import _bilinear_kernels
-from mcspectra.densities.base import Density
-from mcspectra.densities.tabulated import as_table, flat, shown
+from mcspectra.core.jit import kernel
+from mcspectra.densities.base import LARGEST_BELOW_ONE, Density, choice, converted, flag
+from mcspectra.densities.tabulated import as_table, below, flat, last_at_most, shown
 
 __all__ = ["Bilinear"]
 
 
 class _Tables(NamedTuple):
-    """What the kernels take: see `_bilinear_kernels`."""
+    """What the kernels take.
+
+    The knots `xs` (w,) and `ys` (h,) run from 0 to 1; `nodes` (h, w) is the density at them; `sums`
+    (h, w) integrates the nodes along each row, from 0 at the first knot (exact for a function that is
+    linear between knots); `rows` (h,) integrates ``sums[:, -1]`` along the columns, from 0 to 1.
+    """
 
     xs: Array
     ys: Array
@@ -59,26 +65,23 @@ class Bilinear(Density):
 
     name: ClassVar[str] = "bilinear"
     dims: int = field(default=2, init=False)
-    values: Any
-    nodes: str = "centers"
-    periodic: bool = False
+    values: Any = field(metadata=converted(lambda _, values: shown(as_table(values))))
+    nodes: str = field(default="centers", metadata=choice(("centers", "corners")))
+    periodic: bool = field(default=False, metadata=flag())
 
     def __post_init__(self) -> None:
-        as_choice("nodes", self.nodes, ("centers", "corners"))
-        if not isinstance(self.periodic, bool):
-            raise ParameterError(f"periodic is {self.periodic!r}; give True or False.")
-        table = as_table(self.values)
+        self._convert()
+        shape = np.shape(self.values)
         least = 1 if self.nodes == "centers" else 2
-        if table.ndim != 2 or min(table.shape) < least:
+        if len(shape) != 2 or min(shape) < least:
             raise ParameterError(
-                f"values have shape {table.shape}; nodes at {self.nodes} need (h, w), "
+                f"values have shape {shape}; nodes at {self.nodes} need (h, w), "
                 f"both at least {least}."
             )
         if self.periodic and self.nodes == "corners":
             raise ParameterError(
                 "periodic goes with nodes='centers'; at corners, repeat the first column as the last."
             )
-        object.__setattr__(self, "values", shown(table))
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
@@ -97,37 +100,37 @@ class Bilinear(Density):
     @cached_property
     def _tables(self) -> _Tables:
         table = np.asarray(self.values, np.float64)
-        xs, ys, nodes = self._knots(table / table.max())
+        table = table / table.max()
+        # Place knots from 0 to 1 along both axes, and nodes at them
+        height, width = table.shape
+        if self.nodes == "corners":
+            xs, ys, nodes = np.linspace(0, 1, width), np.linspace(0, 1, height), table
+        else:
+            xs, ys = (
+                np.concatenate([[0.0], (np.arange(k) + 0.5) / k, [1.0]]) for k in (width, height)
+            )
+            nodes = np.pad(table, ((1, 1), (1, 1)), mode="edge")
+        if self.periodic:  # halfway between the last centre and the first
+            nodes[:, 0] = nodes[:, -1] = (nodes[:, 1] + nodes[:, -2]) / 2
         sums = _integrals(xs, nodes)
         rows = _integrals(ys, sums[:, -1])
         total = rows[-1]
         return _Tables(xs, ys, nodes / total, sums / total, rows / total)
 
-    def _knots(self, table: Array) -> tuple[Array, Array, Array]:
-        """Knots from 0 to 1 along both axes, and nodes at them."""
-        if self.nodes == "corners":
-            return np.linspace(0, 1, table.shape[1]), np.linspace(0, 1, table.shape[0]), table
-        height, width = table.shape
-        xs, ys = (np.concatenate([[0.0], (np.arange(k) + 0.5) / k, [1.0]]) for k in (width, height))
-        wide = np.pad(table, ((1, 1), (1, 1)), mode="edge")
-        if self.periodic:  # halfway between the last centre and the first
-            wide[:, 0] = wide[:, -1] = (wide[:, 1] + wide[:, -2]) / 2
-        return xs, ys, wide
-
     def _pdf(self, x: Array) -> Array:
         out = np.empty(x.shape[:-1])
-        _bilinear_kernels.evaluate(*self._tables[:3], flat(x), out.reshape(-1))
+        _evaluate(*self._tables[:3], flat(x), out.reshape(-1))
         return out
 
     def _sample(self, u: Array) -> Array:
         x = np.empty(u.shape)
-        inside = np.clip(u, 0.0, np.nextafter(1.0, 0.0))
-        _bilinear_kernels.shape(*self._tables, flat(inside), x.reshape(-1, 2))
+        inside = np.clip(u, 0.0, LARGEST_BELOW_ONE)
+        _shape(*self._tables, flat(inside), x.reshape(-1, 2))
         return x
 
     def _invert(self, x: Array) -> Array:
         u = np.empty(x.shape)
-        _bilinear_kernels.flatten(*self._tables, flat(x), u.reshape(-1, 2))
+        _flatten(*self._tables, flat(x), u.reshape(-1, 2))
         return u
 
 
@@ -137,3 +140,107 @@ def _integrals(knots: Array, values: Array) -> Array:
     areas = np.diff(knots) * (values[..., :-1] + values[..., 1:]) / 2
     np.cumsum(areas, axis=-1, out=out[..., 1:])
     return out
+
+
+@kernel
+def _interval(knots: Array, x: float) -> int:
+    """i with knots[i] <= x < knots[i+1]; points outside belong to the end intervals."""
+    return last_at_most(knots, 0, knots.size - 1, x)
+
+
+@kernel
+def _fraction(knots: Array, i: int, x: float) -> float:
+    return (x - knots[i]) / (knots[i + 1] - knots[i])  # type: ignore[no-any-return]
+
+
+@kernel
+def _solve(a: float, b: float, share: float) -> float:
+    """t in [0,1] up to which the line from a to b holds `share` of its integral.
+
+    The root of (b − a) t²/2 + a t = share (a + b)/2 in the form without cancellation.
+    """
+    scale = max(a, b)
+    if scale <= 0.0 or share <= 0.0:
+        return 0.0
+    a, b = a / scale, b / scale
+    root = math.sqrt((1.0 - share) * a * a + share * b * b)
+    return float(min(share * (a + b) / (a + root), 1.0))
+
+
+@kernel
+def _held(a: float, b: float, t: float) -> float:
+    """Integral up to t of the line from a at 0 to b at 1."""
+    return float(t * (a + 0.5 * t * (b - a)))
+
+
+@kernel
+def _mixed(table: Array, j: int, t: float, i: int) -> float:
+    """Entry i of rows j and j+1 of `table`, linear in t."""
+    return (1.0 - t) * table[j, i] + t * table[j + 1, i]  # type: ignore[no-any-return]
+
+
+@kernel
+def _place(knots: Array, i: int, t: float) -> float:
+    """The point at t in interval i; never the next interval's."""
+    x = knots[i] + t * (knots[i + 1] - knots[i])
+    return float(min(max(x, knots[i]), below(knots[i + 1])))
+
+
+@kernel
+def _evaluate(xs: Array, ys: Array, nodes: Array, x: Array, out: Array) -> None:
+    """Fill out (N,) with the density at x (N, 2)."""
+    for k in range(x.shape[0]):
+        i, j = _interval(xs, x[k, 0]), _interval(ys, x[k, 1])
+        s, t = _fraction(xs, i, x[k, 0]), _fraction(ys, j, x[k, 1])
+        out[k] = (1.0 - s) * _mixed(nodes, j, t, i) + s * _mixed(nodes, j, t, i + 1)
+
+
+@kernel
+def _column(xs: Array, nodes: Array, sums: Array, j: int, t: float, u: float) -> float:
+    """x_0 of the share u along the line at t between rows j and j+1."""
+    total = _mixed(sums, j, t, xs.size - 1)
+    if total <= 0.0:  # a line without mass: any rule will do that `_flatten` undoes
+        return u
+    target = min(u * total, below(total))
+    low, size = 0, xs.size - 1
+    while size > 1:  # as `last_at_most`, in the blend of two rows
+        half = size >> 1
+        low += half * (_mixed(sums, j, t, low + half) <= target)
+        size -= half
+    start = _mixed(sums, j, t, low)
+    share = (target - start) / (_mixed(sums, j, t, low + 1) - start)
+    a, b = _mixed(nodes, j, t, low), _mixed(nodes, j, t, low + 1)
+    return _place(xs, low, _solve(a, b, share))
+
+
+@kernel
+def _shape(
+    xs: Array, ys: Array, nodes: Array, sums: Array, rows: Array, u: Array, x: Array
+) -> None:
+    """Fill x (N, 2) from u (N, 2), in [0,1)."""
+    last = xs.size - 1
+    for k in range(u.shape[0]):
+        j = _interval(rows, u[k, 1])
+        share = (u[k, 1] - rows[j]) / (rows[j + 1] - rows[j])
+        x[k, 1] = _place(ys, j, _solve(sums[j, last], sums[j + 1, last], share))
+        t = _fraction(ys, j, x[k, 1])  # of the rounded point, which is the one that `_flatten` sees
+        x[k, 0] = _column(xs, nodes, sums, j, t, u[k, 0])
+
+
+@kernel
+def _flatten(
+    xs: Array, ys: Array, nodes: Array, sums: Array, rows: Array, x: Array, u: Array
+) -> None:
+    """Undo `_shape`."""
+    last = xs.size - 1
+    for k in range(x.shape[0]):
+        i, j = _interval(xs, x[k, 0]), _interval(ys, x[k, 1])
+        s, t = _fraction(xs, i, x[k, 0]), _fraction(ys, j, x[k, 1])
+        part = (ys[j + 1] - ys[j]) * _held(sums[j, last], sums[j + 1, last], t)
+        u[k, 1] = min(rows[j] + part, rows[j + 1])
+        total = _mixed(sums, j, t, last)
+        if total <= 0.0:
+            u[k, 0] = x[k, 0]
+            continue
+        part = (xs[i + 1] - xs[i]) * _held(_mixed(nodes, j, t, i), _mixed(nodes, j, t, i + 1), s)
+        u[k, 0] = (_mixed(sums, j, t, i) + part) / total

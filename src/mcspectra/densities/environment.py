@@ -1,31 +1,106 @@
-"""Importance densities of environment maps in latitude and longitude.
+"""Tables made of others: densities of pictures and of environment maps, and MIS compensation.
 
-Conventions are those of `mcspectra.core.environments`: x_0 is φ/2π, x_1 is θ/π, rows run from θ = 0.
-The density of *directions*, per steradian, is p(x)/(2π² sin(π x_1)).
+Maps are in latitude and longitude with the conventions of `mcspectra.core.environments`: x_0 is φ/2π, x_1
+is θ/π, rows run from θ = 0. The density of *directions*, per steradian, is p(x)/(2π² sin(π x_1)).
+
+Compensation lowers a table where other techniques sample enough already. With the balance heuristic
+and f proportional to a table p, the points of all techniques together should be distributed as p.
+Technique τ has a share β_τ = n_τ/Σ n of them, so that its own density should be what the others'
+leave, β_τ p'_τ = max(0, λ p − Σ_{s≠τ} β_s p_s), with λ such that p'_τ is a density [Karlik2019]_. This is
+the p'_τ of least ∫ f²/(β_τ p'_τ + Σ β_s p_s), hence of least second moment; λ = 1 where nothing is cut
+off, and then the estimate of f has no variance at all.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice, as_real
+from mcspectra.core.checks import Array, as_integer, as_real
 from mcspectra.core.environments import environment_pixels, row_solid_angles
 from mcspectra.core.errors import DensityError, ParameterError
-from mcspectra.densities._warps import WARPS
-from mcspectra.densities.base import Density
+from mcspectra.core.images import luminance, read_image
+from mcspectra.densities.base import Density, Wrapper, choice, converted, flag
 from mcspectra.densities.bilinear import Bilinear
-from mcspectra.densities.tabulated import PiecewiseConstant, select_channel, shown
+from mcspectra.densities.registry import as_density
+from mcspectra.densities.tabulated import WARPS, PiecewiseConstant, shown
 
-__all__ = ["EnvironmentDensity"]
+__all__ = ["EnvironmentDensity", "ImageDensity", "compensated"]
+
+_NODES = 4  # of a Gauss rule along each axis of a cell
+_BLOCK = 2**16  # cells at a time
+
+
+def _select_channel(image: Array, channel: object) -> Array:
+    """One channel (h, w), by number, or the luminance, of pixels (h, w, channels)."""
+    if channel == "luminance":
+        return luminance(image)
+    if isinstance(channel, str):
+        raise ParameterError(f'channel is {channel!r}; give "luminance" or a number.')
+    return np.asarray(image[..., as_integer("channel", channel, least=0, most=image.shape[2] - 1)])
+
+
+def _as_floor(name: str, value: Any) -> Any:
+    as_real(name, value, least=0.0)
+    return value
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class ImageDensity(Wrapper):
+    """Proportional to the pixels of a picture, x_0 to the right and x_1 down from the top.
+
+    Attributes
+    ----------
+    path
+        A file that `mcspectra.core.images.read_image` reads.
+    channel
+        ``"luminance"`` (Rec. 709; of one channel, itself) or the number of a channel.
+    floor
+        Pixels below `floor` times the mean are raised to it; 0 or more. Above 0 the density is
+        positive everywhere.
+    linear
+        Values of PNG and JPEG files are linear, not sRGB.
+    warp
+        As in `PiecewiseConstant`.
+    """
+
+    name: ClassVar[str] = "image"
+    warps: ClassVar[tuple[str, ...]] = WARPS
+    dims: int = field(default=2, init=False)
+    path: str | os.PathLike[str]
+    channel: str | int = "luminance"
+    floor: float = field(default=0.0, metadata=converted(_as_floor))
+    linear: bool = field(default=False, metadata=flag())
+    warp: str = "marginal"
+
+    def __post_init__(self) -> None:
+        self._convert()
+        self._inside  # noqa: B018 - refuses what is not a picture
+        self._store(path=os.fspath(self.path))
+
+    @cached_property
+    def _inside(self) -> PiecewiseConstant:
+        pixels = _select_channel(read_image(self.path, linear=self.linear), self.channel)
+        low = int(np.count_nonzero(pixels < 0))
+        if low:
+            raise DensityError(
+                f"{self.path} has {low} negative pixels; a density needs values of 0 or more."
+            )
+        if not pixels.any():
+            raise DensityError(f"{self.path} is black; a density needs pixels above 0.")
+        raised = np.maximum(pixels, self.floor * pixels.mean()) if self.floor else pixels
+        return PiecewiseConstant(values=raised, warp=self.warp)
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
-class EnvironmentDensity(Density):
+class EnvironmentDensity(Wrapper):
     """Proportional to the radiance of a lat-long environment map, over solid angle.
 
     Attributes
@@ -63,38 +138,31 @@ class EnvironmentDensity(Density):
     path: str | os.PathLike[str] | None = None
     values: Any = None
     channel: str | int = "luminance"
-    interpolation: str = "constant"
-    sin_theta: bool = True
+    interpolation: str = field(default="constant", metadata=choice(("constant", "bilinear")))
+    sin_theta: bool = field(default=True, metadata=flag())
     compensation: bool | float = False
-    warp: str = "marginal"
-    _inside: Density = field(init=False, repr=False, compare=False)
+    warp: str = field(default="marginal", metadata=choice(WARPS))
 
     def __post_init__(self) -> None:
-        self._check_options()
-        pixels = environment_pixels(self.path, self.values)
-        weighted = self._weighted(select_channel(pixels, self.channel))
-        if self.path is not None:
-            object.__setattr__(self, "path", os.fspath(self.path))
-        if self.values is not None:
-            object.__setattr__(self, "values", shown(np.array(self.values, np.float64)))
-        object.__setattr__(self, "_inside", self._table(weighted))
-
-    def _check_options(self) -> None:
-        as_choice("interpolation", self.interpolation, ("constant", "bilinear"))
-        as_choice("warp", self.warp, WARPS)
-        if not isinstance(self.sin_theta, bool):
-            raise ParameterError(f"sin_theta is {self.sin_theta!r}; give True or False.")
+        self._convert()
         if not isinstance(self.compensation, bool):
             as_real("compensation", self.compensation, least=0.0)
         if self.interpolation == "bilinear" and self.warp != "marginal":
             raise ParameterError(
                 f"warp is {self.warp!r}; bilinear interpolation has the marginal warp only."
             )
+        self._inside  # noqa: B018 - refuses what is not a map
+        if self.path is not None:
+            self._store(path=os.fspath(self.path))
+        if self.values is not None:
+            self._store(values=shown(np.array(self.values, np.float64)))
 
-    def _weighted(self, radiance: Array) -> Array:
-        """Pixels (h, w) in proportion to p."""
+    @cached_property
+    def _inside(self) -> Density:
+        source = "The environment map" if self.path is None else str(self.path)
+        radiance = _select_channel(environment_pixels(self.path, self.values), self.channel)
         if not radiance.any():
-            raise DensityError(f"{self._source} is black; a density needs pixels above 0.")
+            raise DensityError(f"{source} is black; a density needs pixels above 0.")
         height = len(radiance)
         angles = row_solid_angles(height) if self.sin_theta else np.full(height, 1.0 / height)
         scaled = radiance / radiance.max()
@@ -103,45 +171,114 @@ class EnvironmentDensity(Density):
         # The mean of a constant map may round to just below the pixels
         if self.compensation and left.max() <= 1e-12:
             raise DensityError(
-                f"Compensation leaves nothing of {self._source}: no pixel is above "
+                f"Compensation leaves nothing of {source}: no pixel is above "
                 f"{float(self.compensation):g} times the mean; give a smaller multiple or False."
             )
         # sin θ at the centres is this but for a factor (see `row_solid_angles`)
-        return np.asarray(left * angles[:, None])
-
-    def _table(self, weighted: Array) -> Density:
+        weighted = left * angles[:, None]
         if self.interpolation == "bilinear":
             return Bilinear(values=weighted, periodic=True)
         return PiecewiseConstant(values=weighted, warp=self.warp)
 
-    @property
-    def _source(self) -> str:
-        """Name of the map in messages."""
-        return "The environment map" if self.path is None else str(self.path)
 
-    @property
-    def has_inverse(self) -> bool:
-        """False for alias tables."""
-        return self._inside.has_inverse
+def compensated(
+    density: Density | str,
+    others: Sequence[Density | str],
+    counts: Sequence[int] | None = None,
+) -> PiecewiseConstant:
+    """Sharpen a table for multiple importance sampling with other techniques.
 
-    @property
-    def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Breaks of the table."""
-        return self._inside.breaks
+    Parameters
+    ----------
+    density
+        The table p, which stands for f: `PiecewiseConstant` or `ImageDensity`, or a spec string of one.
+    others
+        Densities of the other techniques, or spec strings.
+    counts
+        Points of `density` and of the others, as `MultipleImportance` takes them; equal by default.
 
-    def zero_points(self) -> Array:
-        """Centres of the areas that hold nothing."""
-        return self._inside.zero_points()
+    Returns
+    -------
+    PiecewiseConstant
+        p'_τ with the warp of `density`: 0 in cells that the others sample often enough.
 
-    def reciprocal_integral(self) -> float:
-        """∫1/p of the table."""
-        return self._inside.reciprocal_integral()
+    Raises
+    ------
+    ParameterError
+        Not a table, other dims, or counts of another length.
 
-    def _pdf(self, x: Array) -> Array:
-        return self._inside._pdf(x)
+    Notes
+    -----
+    The others count by their means over cells, from Gauss rules of 4 nodes an axis. A cell in which
+    one of these nodes finds all others 0 keeps all of λ p, so that f stays covered;
+    `MultipleImportance` checks this again. Only f proportional to p is served best: where f has
+    further factors, compensation still is unbiased.
 
-    def _sample(self, u: Array) -> Array:
-        return self._inside._sample(u)
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> table = mcs.density("piecewise-constant(values=[1, 1, 4, 2])")
+    >>> compensated(table, ["uniform"]).values
+    [0.0, 0.0, 3.0, 1.0]
+    """
+    table = as_density(density)
+    if isinstance(table, ImageDensity):
+        table = table._inside
+    if not isinstance(table, PiecewiseConstant):
+        raise ParameterError(
+            f"{density!r:.80} is not a table; compensation takes piecewise-constant(values=…) or "
+            "image(path=…)."
+        )
+    if not isinstance(others, list | tuple):
+        raise ParameterError(f"others is {others!r:.80}; give a list of densities.")
+    found = []
+    for given in others:
+        other = as_density(given, table.dims)
+        if other is None:
+            raise ParameterError("others holds None; write 'uniform' for a uniform density.")
+        found.append(other)
+    # Find β of all techniques, the table's own first
+    techniques = 1 + len(found)
+    points: Any = (1,) * techniques if counts is None else counts
+    if not isinstance(points, list | tuple | np.ndarray) or len(points) != techniques:
+        raise ParameterError(
+            f"counts is {counts!r:.80}; give {techniques} numbers, that of the table first."
+        )
+    values = [as_integer(f"counts[{i}]", count, least=1) for i, count in enumerate(points)]
+    shares = np.array(values) / sum(values)
+    p = table._pdf_table.reshape(table._table.shape)
+    taken = _taken(found, shares[1:], p.shape)
+    left = np.maximum(_level(p, taken, shares[0]) * p - taken, 0.0) / shares[0]
+    return PiecewiseConstant(values=left, warp=table.warp)
 
-    def _invert(self, x: Array) -> Array:
-        return self._inside._invert(x)
+
+def _taken(others: list[Density], shares: Array, shape: tuple[int, ...]) -> Array:
+    """Σ β_s p_s over each cell, 0 where it vanishes anywhere in the cell: `shape`."""
+    node, weight = np.polynomial.legendre.leggauss(_NODES)
+    grid = np.stack(np.meshgrid(*([0.5 * (node + 1)] * len(shape)), indexing="ij"), axis=-1)
+    inside = grid.reshape(-1, len(shape))
+    rule = weight / 2 if len(shape) == 1 else np.outer(weight / 2, weight / 2).ravel()
+    sides = np.array(shape[::-1])
+    out = np.zeros(int(np.prod(shape)))
+    for start in range(0, out.size, _BLOCK):
+        cells = np.arange(start, min(start + _BLOCK, out.size))
+        # Rows of the table run along axis 1.
+        corner = np.stack(np.unravel_index(cells, shape)[::-1], axis=-1)
+        x = (corner[:, None, :] + inside) / sides
+        total = np.zeros(x.shape[:-1])
+        for share, other in zip(shares, others, strict=True):
+            total += share * other.pdf(x)
+        out[cells] = np.where((total > 0).all(axis=1), total @ rule, 0.0)
+    return out.reshape(shape)
+
+
+def _level(p: Array, taken: Array, share: float) -> float:
+    """λ with mean max(0, λ p − taken) = share: one linear piece of it, found by sorting."""
+    inside = p.ravel() > 0
+    own, other = p.ravel()[inside], taken.ravel()[inside]
+    ratio = other / own
+    order = np.argsort(ratio)
+    # λ if just the first k cells in this order are above 0; right where the next is not.
+    levels = (share * p.size + np.cumsum(other[order])) / np.cumsum(own[order])
+    ends = np.append(ratio[order][1:], np.inf)
+    return float(levels[np.flatnonzero(levels <= ends)[0]])

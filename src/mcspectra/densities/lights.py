@@ -11,6 +11,8 @@ subtract angles of order 1 to get one of order Ω.
 
 from __future__ import annotations
 
+from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar, final
@@ -20,23 +22,82 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.geometry import as_vector, check_light, norm, triangle_angle
-from mcspectra.densities._newton import solve_increasing
-from mcspectra.densities.base import Density
+from mcspectra.densities.base import Density, converted
 
 __all__ = ["SphericalRectangle", "SphericalTriangle"]
 
 Vector = tuple[float, float, float]
 
 _PERPENDICULAR = 1e-9  # cosine
+_MOST = 120  # bisections alone need 53; with Newton's steps between them at most twice as many
+_EPS = float(np.finfo(float).eps)
+_VECTOR = converted(as_vector)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Light(Density):
+    """u_0 is the share of solid angle up to s, u_1 that up to t within the line of constant s."""
+
+    dims: int = field(default=2, init=False)
+
+    @abstractmethod
+    def _share(self, s: Array) -> tuple[Array, Array]:
+        """The share of solid angle up to s, and its slope."""
+
+    @abstractmethod
+    def _share_of_line(self, s: Array, t: Array) -> tuple[Array, Array]:
+        """The share up to t within the line at s, and its slope in t."""
+
+    def _sample(self, u: Array) -> Array:
+        s = _solve_increasing(self._share, u[..., 0])
+        t = _solve_increasing(lambda t: self._share_of_line(s, t), u[..., 1])
+        return np.stack([s, t], axis=-1)
+
+    def _invert(self, x: Array) -> Array:
+        s, t = x[..., 0], x[..., 1]
+        return np.stack([self._share(s)[0], self._share_of_line(s, t)[0]], axis=-1)
+
+
+def _solve_increasing(function: Callable[[Array], tuple[Array, Array]], target: Array) -> Array:
+    """Solve F(s) = target element by element, by Newton's steps safeguarded by bisection.
+
+    Parameters
+    ----------
+    function
+        s to F(s) and F'(s) > 0, for an F from F(0) = 0 to F(1) = 1; all of the shape of `target`.
+    target
+        Values in [0,1].
+
+    Notes
+    -----
+    An element that has converged stays as it is, so that results do not depend on its neighbours.
+    """
+    low, high = np.zeros_like(target), np.ones_like(target)
+    s, last = target.copy(), np.ones_like(target)
+    done = np.zeros(target.shape, bool)
+    for _ in range(_MOST):
+        value, slope = function(s)
+        gap = value - target
+        low, high = np.where(gap <= 0, s, low), np.where(gap >= 0, s, high)
+        step = gap / slope
+        done |= np.abs(gap) <= 4.0 * _EPS * target
+        small = np.abs(step) <= 8.0 * _EPS * s
+        newton = (s - step >= low) & (s - step <= high) & (small | (np.abs(step) <= 0.5 * last))
+        new = np.where(done, s, np.where(newton, s - step, 0.5 * (low + high)))
+        last = np.abs(new - s)
+        done |= small | (last <= _EPS * new)
+        s = new
+        if done.all():
+            break
+    return s
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class SphericalRectangle(Density):
+class SphericalRectangle(_Light):
     """Uniform in the solid angle of a rectangle, x = (s, t) for the point corner + s e_0 + t e_1.
 
-    u_0 is the share of solid angle up to s, u_1 that up to t within the line of constant s: the map
-    of Ureña, Fajardo and King.
+    u_0 is the share of solid angle up to s, u_1 that up to t within the line of constant s [Urena2013]_.
 
     Attributes
     ----------
@@ -46,23 +107,16 @@ class SphericalRectangle(Density):
         e_0 and e_1, the edges from it, at right angles.
     origin
         The point that is lit; not in the plane of the light.
-
-    References
-    ----------
-    C. Ureña, M. Fajardo, A. King (2013), "An area-preserving parametrization for spherical
-    rectangles", Computer Graphics Forum 32(4).
     """
 
     name: ClassVar[str] = "spherical-rectangle"
-    dims: int = field(default=2, init=False)
-    corner: Vector = (-0.5, -0.5, 1.0)
-    edge0: Vector = (1.0, 0.0, 0.0)
-    edge1: Vector = (0.0, 1.0, 0.0)
-    origin: Vector = (0.0, 0.0, 0.0)
+    corner: Vector = field(default=(-0.5, -0.5, 1.0), metadata=_VECTOR)
+    edge0: Vector = field(default=(1.0, 0.0, 0.0), metadata=_VECTOR)
+    edge1: Vector = field(default=(0.0, 1.0, 0.0), metadata=_VECTOR)
+    origin: Vector = field(default=(0.0, 0.0, 0.0), metadata=_VECTOR)
 
     def __post_init__(self) -> None:
-        for key in ("corner", "edge0", "edge1", "origin"):
-            object.__setattr__(self, key, as_vector(key, getattr(self, key)))
+        self._convert()
         e0, e1 = np.array(self.edge0), np.array(self.edge1)
         self._height  # noqa: B018 - refuses degenerate lights
         if abs(e0 @ e1) > _PERPENDICULAR * norm(e0) * norm(e1):
@@ -99,14 +153,12 @@ class SphericalRectangle(Density):
         return first + triangle_angle(volume, near[0], far[1], near[1])
 
     def _share(self, s: Array) -> tuple[Array, Array]:
-        """The share of solid angle up to s, and its slope."""
         x0, y0, l0, l1 = self._frame
         squared = (x0 + s * l0) ** 2 + self._height**2
         line = self._height / squared * _rise(squared, y0, l1)
         return self._strip(s) / self.solid_angle, l0 * line / self.solid_angle
 
     def _share_of_line(self, s: Array, t: Array) -> tuple[Array, Array]:
-        """The share up to t within the line at s, and its slope in t."""
         x0, y0, l0, l1 = self._frame
         squared = (x0 + s * l0) ** 2 + self._height**2
         whole = _rise(squared, y0, l1)
@@ -119,24 +171,16 @@ class SphericalRectangle(Density):
         squared = (x0 + s * l0) ** 2 + (y0 + t * l1) ** 2 + self._height**2
         return np.asarray(l0 * l1 * self._height / squared**1.5 / self.solid_angle)
 
-    def _sample(self, u: Array) -> Array:
-        s = solve_increasing(self._share, u[..., 0])
-        t = solve_increasing(lambda t: self._share_of_line(s, t), u[..., 1])
-        return np.stack([s, t], axis=-1)
-
-    def _invert(self, x: Array) -> Array:
-        s, t = x[..., 0], x[..., 1]
-        return np.stack([self._share(s)[0], self._share_of_line(s, t)[0]], axis=-1)
-
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class SphericalTriangle(Density):
+class SphericalTriangle(_Light):
     """Uniform in the solid angle of a triangle, on an area-uniform map of the square to it.
 
     x = (s, t) stands for the point b + √t ((1 − s) a + s c − b): s is the share of the area next to
     the edge ab as seen from b, t that of the triangle cut off parallel to ac. u_0 is the share of
-    solid angle up to s and u_1 that up to t within the line of constant s: Arvo's map, continuous.
+    solid angle up to s and u_1 that up to t within the line of constant s: Arvo's
+    map [Arvo1995]_, continuous.
 
     Attributes
     ----------
@@ -144,22 +188,16 @@ class SphericalTriangle(Density):
         Corners.
     origin
         The point that is lit; not in the plane of the light.
-
-    References
-    ----------
-    J. Arvo (1995), "Stratified sampling of spherical triangles", SIGGRAPH 95.
     """
 
     name: ClassVar[str] = "spherical-triangle"
-    dims: int = field(default=2, init=False)
-    a: Vector = (-0.5, -0.5, 1.0)
-    b: Vector = (0.5, -0.5, 1.0)
-    c: Vector = (-0.5, 0.5, 1.0)
-    origin: Vector = (0.0, 0.0, 0.0)
+    a: Vector = field(default=(-0.5, -0.5, 1.0), metadata=_VECTOR)
+    b: Vector = field(default=(0.5, -0.5, 1.0), metadata=_VECTOR)
+    c: Vector = field(default=(-0.5, 0.5, 1.0), metadata=_VECTOR)
+    origin: Vector = field(default=(0.0, 0.0, 0.0), metadata=_VECTOR)
 
     def __post_init__(self) -> None:
-        for key in ("a", "b", "c", "origin"):
-            object.__setattr__(self, key, as_vector(key, getattr(self, key)))
+        self._convert()
         self._volume  # noqa: B018 - refuses degenerate lights
 
     @cached_property
@@ -193,7 +231,6 @@ class SphericalTriangle(Density):
         return np.asarray(length * (norm(b) * length + point @ b))
 
     def _share(self, s: Array) -> tuple[Array, Array]:
-        """The share of solid angle up to s, and its slope."""
         a, b, _ = self._corners
         opposite = self._opposite(s)
         angle = triangle_angle(s * self._volume, a, b, opposite)
@@ -201,22 +238,13 @@ class SphericalTriangle(Density):
         return angle / self.solid_angle, slope / self.solid_angle
 
     def _share_of_line(self, s: Array, t: Array) -> tuple[Array, Array]:
-        """The share up to t within the line at s, (1 − cos)/(1 − cos of the whole), and its slope."""
+        """(1 − cos)/(1 − cos of the whole)."""
         point, whole = self._point(s, t), self._spread(self._opposite(s))
         return t * whole / self._spread(point), 0.5 * whole / norm(point) ** 3
 
     def _pdf(self, x: Array) -> Array:
         point = self._point(x[..., 0], x[..., 1])
         return np.asarray(0.5 * self._volume / norm(point) ** 3 / self.solid_angle)
-
-    def _sample(self, u: Array) -> Array:
-        s = solve_increasing(self._share, u[..., 0])
-        t = solve_increasing(lambda t: self._share_of_line(s, t), u[..., 1])
-        return np.stack([s, t], axis=-1)
-
-    def _invert(self, x: Array) -> Array:
-        s, t = x[..., 0], x[..., 1]
-        return np.stack([self._share(s)[0], self._share_of_line(s, t)[0]], axis=-1)
 
 
 def _corners(x: Array, y0: float, length: float, z: float) -> tuple[Array, Array]:

@@ -1,12 +1,14 @@
 """The warp of a pdf without a known sampling function: numerical inversion, in 1-D and 2-D.
 
 1-D: the axis is cut into cells on which 12-point Chebyshev interpolants of the pdf are as accurate as
-rounding; jumps and kinks are closed in by ever smaller cells. The cdf is the integral of the
-interpolants, its inverse Newton's method in the cell. 2-D: marginal of x_1, then x_0 given x_1, as in
-`mcspectra.densities.tabulated`; the row of each point is evaluated anew on common cells, so that the
-warp is as smooth along x_1 as the pdf. Cells are exact for jumps along lines x_0 = c and x_1 = c.
-Jumps and kinks along other lines are refused where one of 1018 rows and 1024 places on them sees
-them. In 1-D the interpolants are compared with the pdf at 2^18 further points.
+rounding; jumps and kinks are closed in by ever smaller cells. Matrices take the values at a cell's
+nodes to the coefficients of the interpolant, to those of its integral, and to the interpolant at the
+nodes of both halves and at the ends, which tells whether the cell is resolved [Trefethen2013]_. The
+cdf is the integral of the interpolants, its inverse Newton's method in the cell. 2-D: marginal of
+x_1, then x_0 given x_1, as in `mcspectra.densities.tabulated`; the row of each point is evaluated anew
+on common cells, so that the warp is as smooth along x_1 as the pdf. Cells are exact for jumps along
+lines x_0 = c and x_1 = c. Jumps and kinks along other lines are refused where one of 1018 rows and
+1024 places on them sees them. In 1-D the interpolants are compared with the pdf at 2^18 further points.
 """
 
 from __future__ import annotations
@@ -21,10 +23,11 @@ from numpy.polynomial import chebyshev
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import DensityError
-from mcspectra.densities._chebyshev import Cells, integral_at, refine, solve
+from mcspectra.core.jit import kernel
 
 __all__ = ["NumericalWarp"]
 
+_BELOW_ONE = np.nextafter(1.0, 0.0)
 _START = {1: 256, 2: 16}
 _MOST = {1: 2**15, 2: 256}
 _MOST_OF_MARGINAL = 2**11  # each node of it is a row
@@ -34,58 +37,26 @@ _SAME = 1e-9
 _BLOCK = 2**20  # values of a row block, 8 MiB
 _BEND = 1e-4
 _SHARP = 2.0**-18  # cells narrower than this close in a jump or a kink
+_ORDER = 12
+_TOLERANCE = 1e-14  # of the whole integral, a cell
+_MOST_UNRESOLVED = 1e-10
+_NARROWEST = 4.0  # floats a cell
+_PLACE = 0.381966011250105  # of a probe in its interval: on no dyadic border
+_PROBED = 2**14  # probes a block
+_OFF = 1e-7
+_JUMP = 2.0**-24  # cells narrower than this close in a jump or a pole
+_ADVICE = "give sample=, or move a pole to 0, where floats are dense"
+_LEAST = 1e-290  # nearer to 0 an unbounded pdf may overflow
 
-
-@dataclass(frozen=True)
-class _Axis:
-    """A cdf on cells: series of density and integral in each (K, 12) and (K, 13), cdf (K+1,)."""
-
-    cells: Cells
-    density: Array
-    integral: Array
-    cdf: Array
-    total: float
-
-    @staticmethod
-    def of(cells: Cells, values: Array) -> _Axis:
-        sums = np.concatenate([[0.0], np.cumsum(cells.masses(values))])
-        total = float(sums[-1])  # so that the cdf is exactly 1 where nothing follows
-        if not total > 0:
-            raise DensityError("The pdf is 0 at all evaluated points; its integral must be 1.")
-        density, integral = cells.series(values / total, cells.width)
-        return _Axis(cells, density, integral, sums / total, total)
-
-    def sample(self, u: Array) -> Array:
-        cell = np.searchsorted(self.cdf[:-1], u, side="right") - 1
-        t = np.empty(u.shape)
-        solve(self.density[cell], self.integral[cell], u - self.cdf[cell], t)
-        return self.cells.low[cell] + 0.5 * (t + 1.0) * self.cells.width[cell]
-
-    def invert(self, x: Array) -> Array:
-        cell = self.cells.find(x)
-        part = np.empty(x.shape)
-        integral_at(self.integral[cell], self.cells.local(cell, x), part)
-        return np.clip(self.cdf[cell] + part, self.cdf[cell], self.cdf[cell + 1])
-
-    def breaks(self) -> tuple[float, ...]:
-        """Cdf where cells close in a jump or kink, and at borders across which the pdf jumps."""
-        narrow = np.flatnonzero(self.cells.width < _SHARP)
-        runs = np.split(narrow, np.flatnonzero(np.diff(narrow) > 1) + 1) if narrow.size else []
-        closed = [run[np.argmin(self.cells.width[run])] for run in runs]
-        found = np.sort(self.cdf[np.union1d(closed, self._borders()).astype(int)])
-        found = found[(found > _SHARP) & (found < 1.0 - _SHARP)]
-        return tuple(found[np.diff(found, prepend=-1.0) > _SAME].tolist())
-
-    def _borders(self) -> Array:
-        """Indices of borders at which density or slope differ on both sides, beside wide cells."""
-        half = 0.5 * self.cells.width
-        values = chebyshev.chebval([-1.0, 1.0], self.density.T / half)
-        slopes = chebyshev.chebval([-1.0, 1.0], chebyshev.chebder(self.density.T) / half**2)
-        wide = np.minimum(half[1:], half[:-1]) > _SHARP
-        gap = np.abs(values[1:, 0] - values[:-1, 1])
-        bend = np.abs(slopes[1:, 0] - slopes[:-1, 1])
-        bound = _BEND * (1.0 + np.abs(slopes[1:, 0]) + np.abs(slopes[:-1, 1]))
-        return np.flatnonzero(wide & ((gap > _BEND) | (bend > bound))) + 1
+_NODES = -np.cos(np.pi * (np.arange(_ORDER) + 0.5) / _ORDER)
+_TO_SERIES = np.linalg.inv(chebyshev.chebvander(_NODES, _ORDER - 1))
+_TO_INTEGRAL = np.stack([chebyshev.chebint(c, lbnd=-1) for c in _TO_SERIES.T], axis=1)
+_TO_HALVES = (
+    chebyshev.chebvander(
+        np.concatenate([0.5 * (_NODES - 1), 0.5 * (_NODES + 1), [-1.0, 1.0]]), _ORDER - 1
+    )
+    @ _TO_SERIES
+)
 
 
 @final
@@ -130,7 +101,7 @@ class NumericalWarp:
         """The only axis, or the marginal of x_1."""
         density = self.pdf if self.dims == 1 else self._marginal
         subject = f"The pdf of {self.spec}" if self.dims == 1 else f"The marginal of {self.spec}"
-        cells = refine(
+        cells = _refine(
             lambda x: density(x[..., None])[..., None],
             start=256,
             most=_MOST[1] if self.dims == 1 else _MOST_OF_MARGINAL,
@@ -140,21 +111,26 @@ class NumericalWarp:
         return _Axis.of(cells, density(cells.nodes[..., None]))
 
     @cached_property
-    def _rows(self) -> Cells:
-        """Cells of axis 0 that suit 509 rows at once."""
+    def _rows(self) -> _Cells:
+        """_Cells of axis 0 that suit 509 rows at once."""
         rows = (0.5 + np.arange(_ROWS) * 0.6180339887498949) % 1.0
 
-        def values(x: Array) -> Array:
-            points = np.broadcast_arrays(x[..., None], rows)
-            return self.pdf(np.stack(points, axis=-1))
-
         subject = f"The pdf of {self.spec}, along x_0,"
-        return refine(values, start=_START[2], most=_MOST[2], subject=subject, probes=_PROBES[2])
+        return _refine(
+            lambda x: self._on_grid(x[..., None], rows),
+            start=_START[2],
+            most=_MOST[2],
+            subject=subject,
+            probes=_PROBES[2],
+        )
+
+    def _on_grid(self, x: Array, y: Array) -> Array:
+        """Values at all pairs of x and y, arrays that broadcast against each other."""
+        return self.pdf(np.stack(np.broadcast_arrays(x, y), axis=-1))
 
     def _row_values(self, y: Array) -> Array:
         """Values (N, K, 12) of the rows at y (N,)."""
-        points = np.broadcast_arrays(self._rows.nodes, y[:, None, None])
-        return self.pdf(np.stack(points, axis=-1))
+        return self._on_grid(self._rows.nodes, y[:, None, None])
 
     def _marginal(self, y: Array) -> Array:
         """Integrals over x_0 at y (..., 1)."""
@@ -171,57 +147,39 @@ class NumericalWarp:
 
     def sample(self, u: Array) -> Array:
         """Domain points of primary points (..., d)."""
-        return self._warped(u, _Axis.sample, self._row_sample)
+        return self._warped(u, inverse=False)
 
     def invert(self, x: Array) -> Array:
         """Primary points of domain points (..., d)."""
-        return self._warped(x, _Axis.invert, self._row_invert)
+        return self._warped(x, inverse=True)
 
-    def _warped(
-        self,
-        points: Array,
-        last: Callable[[_Axis, Array], Array],
-        row: Callable[[Array, Array], Array],
-    ) -> Array:
-        """Points (..., d) with each axis warped; `row` takes x_0 or u_0, and x_1."""
+    def _warped(self, points: Array, *, inverse: bool) -> Array:
         flat = np.ascontiguousarray(points).reshape(-1, self.dims)
         out = np.empty_like(flat)
         for b in self._blocks(flat):
-            out[b, -1] = last(self._last, flat[b, -1])
+            last = self._last.invert if inverse else self._last.sample
+            out[b, -1] = last(flat[b, -1])
             if self.dims == 2:
-                y = np.clip(out[b, 1] if last is _Axis.sample else flat[b, 1], 0.0, 1.0)
-                out[b, 0] = row(flat[b, 0], y)
+                y = np.clip(flat[b, 1] if inverse else out[b, 1], 0.0, 1.0)
+                out[b, 0] = self._in_rows(flat[b, 0], y, inverse=inverse)
         return out.reshape(points.shape)
 
-    def _row_cdf(self, y: Array) -> tuple[Array, Array]:
-        """Values (N, K, 12), scaled to rows of integral 1, and the cdf at cell borders (N, K+1)."""
+    def _in_rows(self, v: Array, y: Array, *, inverse: bool) -> Array:
+        """x_0 of u_0 = v in the rows at y, or u_0 of x_0 = v."""
         values = self._row_values(y)
+        # Cdf of each row at the borders of cells, scaled to integral 1
         sums = np.cumsum(self._rows.masses(values), axis=1)
-        total = np.where(sums[:, -1] > 0, sums[:, -1], 1.0)
-        cdf = np.concatenate([np.zeros((len(y), 1)), sums / total[:, None]], axis=1)
-        return values / total[:, None, None], cdf
-
-    def _row_sample(self, u: Array, y: Array) -> Array:
-        values, cdf = self._row_cdf(y)
-        cell = np.maximum((cdf[:, :-1] <= u[:, None]).sum(axis=1) - 1, 0)
-        density, integral, start = self._chosen(values, cdf, cell)
-        t = np.empty(len(u))
-        solve(density, integral, u - start, t)
-        return np.asarray(self._rows.low[cell] + 0.5 * (t + 1.0) * self._rows.width[cell])
-
-    def _row_invert(self, x: Array, y: Array) -> Array:
-        values, cdf = self._row_cdf(y)
-        cell = self._rows.find(x)
-        _, integral, start = self._chosen(values, cdf, cell)
-        part = np.empty(len(x))
-        integral_at(integral, self._rows.local(cell, x), part)
-        return start + np.maximum(part, 0.0)
-
-    def _chosen(self, values: Array, cdf: Array, cell: Array) -> tuple[Array, Array, Array]:
-        """Series of density and integral in one cell of each row, and the cdf at its left end."""
+        total = np.where(sums[:, -1] > 0, sums[:, -1], 1.0)[:, None]
+        cdf = np.concatenate([np.zeros((len(y), 1)), sums / total], axis=1)
+        # Series of density and integral in the cell of each point
+        below = (cdf[:, :-1] <= v[:, None]).sum(axis=1) - 1
+        cell = self._rows.find(v) if inverse else np.maximum(below, 0)
         each = np.arange(len(cell))
-        density, integral = self._rows.series(values[each, cell], self._rows.width[cell])
-        return density, integral, cdf[each, cell]
+        start, width = cdf[each, cell], self._rows.width[cell]
+        density, integral = self._rows.series(values[each, cell] / total, width)
+        if inverse:
+            return np.asarray(start + np.maximum(self._rows.part(cell, integral, v), 0.0))
+        return self._rows.place(cell, density, integral, v - start)
 
     def check_rows(self) -> None:
         """Compare row integrals of 2-D with those on halved cells, at rows that made no cells.
@@ -232,14 +190,285 @@ class NumericalWarp:
             They differ: there are jumps or kinks along other lines.
         """
         y = (0.25 + np.arange(_ROWS) * 0.7548776662466927) % 1.0
-        own, half = self._rows, 0.5 * self._rows.width
-        low = np.stack([own.low, own.low + half], axis=1).ravel()
-        finer = Cells(low, np.repeat(half, 2))
-        points = np.broadcast_arrays(finer.nodes, y[:, None, None])
+        finer = _Cells(*_halved(self._rows.low, self._rows.width))
         found = self._marginal(y[:, None])
-        gap = finer.masses(self.pdf(np.stack(points, axis=-1))).sum(axis=1) - found
+        gap = finer.masses(self._on_grid(finer.nodes, y[:, None, None])).sum(axis=1) - found
         if not np.abs(gap).max() <= _SAME * found.mean():
             raise DensityError(
                 f"The pdf of {self.spec} has jumps or kinks along lines that are not parallel to the "
                 "axes; give sample=."
             )
+
+
+@dataclass(frozen=True)
+class _Axis:
+    """A cdf on cells: series of density and integral in each (K, 12) and (K, 13), cdf (K+1,)."""
+
+    cells: _Cells
+    density: Array
+    integral: Array
+    cdf: Array
+    total: float
+
+    @staticmethod
+    def of(cells: _Cells, values: Array) -> _Axis:
+        sums = np.concatenate([[0.0], np.cumsum(cells.masses(values))])
+        total = float(sums[-1])  # so that the cdf is exactly 1 where nothing follows
+        if not total > 0:
+            raise DensityError("The pdf is 0 at all evaluated points; its integral must be 1.")
+        density, integral = cells.series(values / total, cells.width)
+        return _Axis(cells, density, integral, sums / total, total)
+
+    def sample(self, u: Array) -> Array:
+        cell = np.searchsorted(self.cdf[:-1], u, side="right") - 1
+        mass = u - self.cdf[cell]
+        return self.cells.place(cell, self.density[cell], self.integral[cell], mass)
+
+    def invert(self, x: Array) -> Array:
+        cell = self.cells.find(x)
+        share = self.cdf[cell] + self.cells.part(cell, self.integral[cell], x)
+        return np.asarray(np.clip(share, self.cdf[cell], self.cdf[cell + 1]))
+
+    def breaks(self) -> tuple[float, ...]:
+        """Cdf where cells close in a jump or kink, and at borders across which the pdf jumps."""
+        narrow = np.flatnonzero(self.cells.width < _SHARP)
+        runs = np.split(narrow, np.flatnonzero(np.diff(narrow) > 1) + 1) if narrow.size else []
+        closed = [run[np.argmin(self.cells.width[run])] for run in runs]
+        # Find borders at which density or slope differ on both sides, beside wide cells
+        half = 0.5 * self.cells.width
+        values = chebyshev.chebval([-1.0, 1.0], self.density.T / half)
+        slopes = chebyshev.chebval([-1.0, 1.0], chebyshev.chebder(self.density.T) / half**2)
+        wide = np.minimum(half[1:], half[:-1]) > _SHARP
+        gap = np.abs(values[1:, 0] - values[:-1, 1])
+        bend = np.abs(slopes[1:, 0] - slopes[:-1, 1])
+        bound = _BEND * (1.0 + np.abs(slopes[1:, 0]) + np.abs(slopes[:-1, 1]))
+        borders = np.flatnonzero(wide & ((gap > _BEND) | (bend > bound))) + 1
+        found = np.sort(self.cdf[np.union1d(closed, borders).astype(int)])
+        found = found[(found > _SHARP) & (found < 1.0 - _SHARP)]
+        return tuple(found[np.diff(found, prepend=-1.0) > _SAME].tolist())
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """Cells of [0,1], in order: left ends `low` and `width`, (K,)."""
+
+    low: Array
+    width: Array
+
+    @cached_property
+    def nodes(self) -> Array:
+        """Nodes (K, 12)."""
+        return _spread(self.low, self.width)
+
+    def find(self, x: Array) -> Array:
+        """Index of the cell that holds x."""
+        return np.maximum(np.searchsorted(self.low, x, side="right") - 1, 0)
+
+    def local(self, cell: Array, x: Array) -> Array:
+        """Position of x in its cell, from −1 to 1."""
+        return np.clip(2.0 * (x - self.low[cell]) / self.width[cell] - 1.0, -1.0, 1.0)
+
+    def place(self, cell: Array, density: Array, integral: Array, mass: Array) -> Array:
+        """The points of cells up to which they hold `mass`."""
+        t = np.empty(mass.shape)
+        _solve(density, integral, mass, t)
+        return np.asarray(self.low[cell] + 0.5 * (t + 1.0) * self.width[cell])
+
+    def part(self, cell: Array, integral: Array, x: Array) -> Array:
+        """Integrals over cells up to x."""
+        out = np.empty(x.shape)
+        _integral_at(integral, self.local(cell, x), out)
+        return out
+
+    def series(self, values: Array, width: Array) -> tuple[Array, Array]:
+        """Series of the function and of its integral over cells of `width`, from values (..., 12)."""
+        scaled = values * (0.5 * width[..., None])
+        return scaled @ _TO_SERIES.T, scaled @ _TO_INTEGRAL.T
+
+    def masses(self, values: Array) -> Array:
+        """Integrals over all cells, at least 0, of values (..., K, 12)."""
+        weights = _TO_INTEGRAL.sum(axis=0)
+        return np.asarray(np.maximum((values @ weights) * (0.5 * self.width), 0.0))
+
+
+def _spread(low: Array, width: Array) -> Array:
+    """Nodes (..., 12), below 1, of cells with left ends `low` (...) and `width` (...)."""
+    nodes = low[..., None] + (0.5 * width)[..., None] * (_NODES + 1.0)
+    return np.asarray(np.minimum(nodes, _BELOW_ONE))
+
+
+def _refine(
+    function: Callable[[Array], Array], *, start: int, most: int, subject: str, probes: int = 0
+) -> _Cells:
+    """Split cells until the interpolants resolve a non-negative function.
+
+    What lies between the nodes of all cells is not seen. Probes look there: where the interpolant
+    misses the function at one of them, the cells that hold it are split until they are as narrow as
+    the distance of the probes, and on from there.
+
+    Parameters
+    ----------
+    function
+        Nodes (C, 12) to values (C, 12, rows): functions that share the cells.
+    start, most
+        Number of cells to begin and to end with.
+    subject
+        Name of the function in messages.
+    probes
+        Number of further points, equally spaced, at which to compare function and interpolant.
+
+    Raises
+    ------
+    DensityError
+        A value is negative or not finite, or the function cannot be resolved by that many cells.
+    """
+    cells = _split(function, start, most, subject, np.empty(0), 1.0)
+    if not probes:
+        return cells
+    points = (np.arange(probes) + _PLACE) / probes
+    missed = _missed(function, cells, points, subject)
+    if not missed.size:
+        return cells
+    cells = _split(function, start, most, subject, missed, 1.0 / probes)
+    if _missed(function, cells, (points + 0.5 / probes) % 1.0, subject).size:
+        raise DensityError(
+            f"{subject} has details narrower than {1.0 / probes:.2g}, which a numerical inverse "
+            "does not resolve; give sample=."
+        )
+    return cells
+
+
+def _missed(
+    function: Callable[[Array], Array], cells: _Cells, points: Array, subject: str
+) -> Array:
+    """Points at which the interpolants of any row are off; within jumps nothing is compared."""
+    at_nodes = function(cells.nodes)
+    total = _size(at_nodes, cells.width)
+    off = np.zeros(points.size, bool)
+    for start in range(0, points.size, _PROBED):
+        part = slice(start, start + _PROBED)
+        x = points[part]
+        cell = cells.find(x)
+        basis = chebyshev.chebvander(cells.local(cell, x), _ORDER - 1) @ _TO_SERIES
+        fitted = np.einsum("pn,pnr->pr", basis, at_nodes[cell])
+        gap = np.abs(fitted - _checked(function(x[:, None]), subject)[:, 0]).max(axis=1)
+        allowed = _OFF * (total + np.abs(at_nodes[cell]).max(axis=(1, 2)))
+        off[part] = (gap > allowed) & (cells.width[cell] > _JUMP)
+    return points[off]
+
+
+def _split(
+    function: Callable[[Array], Array],
+    start: int,
+    most: int,
+    subject: str,
+    points: Array,
+    narrow_enough: float,
+) -> _Cells:
+    """_Cells that resolve the function at the nodes, at most `narrow_enough` wide around points."""
+    low, width = np.arange(start) / start, np.full(start, 1.0 / start)
+    values = _checked(function(_spread(low, width)), subject)
+    total = _size(values, width)
+    kept: list[tuple[Array, Array]] = []
+    unresolved = 0.0
+    while low.size:
+        # Test at the nodes of both halves and at the ends: an end sees a jump between it and the
+        # next node. 0 may be a pole: the next node instead
+        nodes = _spread(*_halved(low, width)).reshape(low.size, 2 * _ORDER)
+        first = np.where(low > 0, low, nodes[:, 0])
+        ends = np.stack([first, np.nextafter(low + width, 0.0)], axis=1)
+        found = _checked(function(np.concatenate([nodes, ends], axis=1)), subject)
+        off = np.abs(np.einsum("hn,cnr->chr", _TO_HALVES, values) - found)
+        off[low == 0, -2] = 0.0  # not at the left end
+        gap = off.max(axis=(1, 2)) * width
+        narrow = width <= np.maximum(_NARROWEST * np.spacing(low + width), _LEAST)
+        seen = np.searchsorted(points, low + width) == np.searchsorted(points, low)
+        done = ((gap <= _TOLERANCE * total) & (seen | (width <= narrow_enough))) | narrow
+        unresolved += float(gap[narrow].sum())
+        kept.append((low[done], width[done]))
+        low, width = _halved(low[~done], width[~done])
+        values = found[~done, : 2 * _ORDER].reshape(low.size, _ORDER, values.shape[-1])
+        if low.size + sum(len(part) for part, _ in kept) > most:
+            raise DensityError(f"{subject} is too rough for a numerical inverse; {_ADVICE}.")
+    if unresolved > _MOST_UNRESOLVED * total:
+        raise DensityError(
+            f"{subject} is too steep for a numerical inverse: {unresolved / total:.2g} of its "
+            f"integral is not resolved; {_ADVICE}."
+        )
+    low, width = (np.concatenate(parts) for parts in zip(*kept, strict=True))
+    order = np.argsort(low)
+    return _Cells(low[order], width[order])
+
+
+def _halved(low: Array, width: Array) -> tuple[Array, Array]:
+    """Left ends and widths (2C,) of the halves of cells."""
+    half = 0.5 * width
+    return np.stack([low, low + half], axis=1).ravel(), np.repeat(half, 2)
+
+
+def _size(values: Array, width: Array) -> float:
+    """Largest integral among the rows; 1 where all vanish, so that zeros count as resolved."""
+    total = float((values.mean(axis=1) * width[:, None]).sum(axis=0).max())
+    return total or 1.0
+
+
+def _checked(values: Array, subject: str) -> Array:
+    if not np.isfinite(values).all():
+        bad = values[~np.isfinite(values)][0]
+        raise DensityError(
+            f"{subject} is not finite ({bad:.6g}) within (0,1): a numerical inverse allows a pole "
+            "at 0 only; give sample=."
+        )
+    if (values < 0).any():
+        raise DensityError(
+            f"{subject} is negative ({values[values < 0][0]:.6g}) within (0,1); a density is at "
+            "least 0 everywhere."
+        )
+    return values
+
+
+@kernel
+def _integral_at(series: Array, t: Array, out: Array) -> None:  # pragma: no cover - compiled
+    """Values of series (N, k) at t (N,) in [−1, 1]."""
+    for i in range(t.size):
+        previous, current, total = 1.0, t[i], series[i, 0]
+        for k in range(1, series.shape[1]):
+            total += series[i, k] * current
+            previous, current = current, 2.0 * t[i] * current - previous
+        out[i] = total
+
+
+@kernel
+def _solve(
+    density: Array, integral: Array, mass: Array, out: Array
+) -> None:  # pragma: no cover - compiled
+    """Where the integral (N, 13) of the density (N, 12) reaches mass (N,): t in [−1, 1].
+
+    Newton's method within a bracket that bisection shrinks where a step leaves it.
+    """
+    for i in range(mass.size):
+        whole = 0.0
+        for k in range(integral.shape[1]):
+            whole += integral[i, k]
+        low, high = -1.0, 1.0
+        t = -1.0 + 2.0 * mass[i] / whole if whole > 0.0 else 0.0
+        t = min(max(t, -1.0), 1.0)
+        for _ in range(100):
+            slope, excess = density[i, 0], integral[i, 0] - mass[i]
+            previous, current = 1.0, t
+            for k in range(1, integral.shape[1]):
+                excess += integral[i, k] * current
+                if k < density.shape[1]:
+                    slope += density[i, k] * current
+                previous, current = current, 2.0 * t * current - previous
+            if excess > 0.0:
+                high = t
+            else:
+                low = t
+            step = t - excess / slope if slope > 0.0 else -2.0
+            if not low <= step <= high:
+                step = 0.5 * (low + high)
+            if abs(step - t) <= 2e-16 or excess == 0.0:
+                break
+            t = step
+        out[i] = t

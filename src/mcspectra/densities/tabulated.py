@@ -6,8 +6,7 @@ In 1-D the inverse of the cdf is the only monotone warp. In 2-D one pdf has many
 decides where the primary-space integrand g(u) = f(T(u))/p(T(u)) jumps, and with it the rate.
 `warp` chooses one of four, for the same pdf to the last bit (h rows of w columns):
 
-* ``"marginal"`` (Shirley 1992, "Nonuniform random point sets via warping"; Pharr, Jakob, Humphreys,
-  "Physically Based Rendering", §A.5): u_1 chooses the row by the marginal cdf, u_0 the column by
+* ``"marginal"`` [Shirley1992]_ [Pharr2016]_ (§13.6.7): u_1 chooses the row by the marginal cdf, u_0 the column by
   the cdf within that row. T_1 is continuous; T_0 jumps from row to row. All jumps lie on
   axis-aligned segments: whole lines ``u_1 = row border``, and within a row pieces
   ``u_0 = column border`` that differ from row to row. A line along u_0 meets no jump of T, one
@@ -36,23 +35,75 @@ side: jittered sampling in 2-D then loses from n^-2 to n^-1.5 (see the environme
 
 from __future__ import annotations
 
-import os
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice, as_integer, as_real
+from mcspectra.core.checks import Array
 from mcspectra.core.errors import DensityError, ParameterError
-from mcspectra.densities import _kernels
-from mcspectra.densities._warps import WARPS, TableWarp, make_warp
-from mcspectra.densities.base import Density
+from mcspectra.core.jit import kernel
+from mcspectra.densities.base import LARGEST_BELOW_ONE, Density, choice, converted
 
-__all__ = ["ImageDensity", "PiecewiseConstant", "as_table", "flat", "select_channel", "shown"]
+__all__ = [
+    "WARPS",
+    "PiecewiseConstant",
+    "as_table",
+    "below",
+    "check_masses",
+    "flat",
+    "last_at_most",
+    "shown",
+]
+
+WARPS = ("marginal", "hierarchical", "alias", "hilbert")
 
 _MOST_SHOWN = 256  # tables up to this size are kept as lists, so that spec strings hold them
 _MOST_CELLS = 2**26  # 512 MiB a copy, and a warp holds a few
+_MOST_BREAKS = 2**12  # more lines than that, and quadrature between them costs more than it gives
+_SAME_ROWS = 1e-12  # relative; rows that are proportional but for rounding
+
+
+def as_table(values: object) -> Array:
+    """Check relative densities and return them as a read-only copy."""
+    try:
+        given = np.asarray(values)
+    except ValueError:  # rows of different lengths
+        given = np.asarray(None)
+    if given.dtype.kind not in "fiub":
+        raise ParameterError(
+            "values are not an array of real numbers; give a list, or rows of equal length."
+        )
+    if given.ndim not in (1, 2) or given.size == 0:
+        raise ParameterError(f"values have shape {given.shape}; give (w,) or (h, w), not empty.")
+    if given.size > _MOST_CELLS:
+        raise ParameterError(
+            f"values have shape {given.shape}; tables hold at most {_MOST_CELLS:.3g} cells."
+        )
+    return check_masses(np.array(given, dtype=np.float64))
+
+
+def check_masses(table: Array) -> Array:
+    """Check that relative densities are finite, at least 0 and not all 0; make them read-only."""
+    if not np.isfinite(table).all() or table.min() < 0 or not table.any():
+        raise ParameterError(
+            f"values run from {table.min():g} to {table.max():g}; "
+            "they must be finite, at least 0, and not all 0."
+        )
+    table.setflags(write=False)
+    return table
+
+
+def shown(table: Array) -> Any:
+    """The table as spec strings show it: a list, or the array where it is long."""
+    return table.tolist() if table.size <= _MOST_SHOWN else table
+
+
+def flat(points: Array) -> Array:
+    """Points (..., d) as contiguous (N, d), for kernels."""
+    return np.ascontiguousarray(points).reshape(-1, points.shape[-1])
 
 
 @final
@@ -72,12 +123,8 @@ class PiecewiseConstant(Density):
 
     name: ClassVar[str] = "piecewise-constant"
     warps: ClassVar[tuple[str, ...]] = WARPS
-    values: Any
-    warp: str = "marginal"
-
-    def __post_init__(self) -> None:
-        as_choice("warp", self.warp, WARPS)
-        object.__setattr__(self, "values", shown(as_table(self.values)))
+    values: Any = field(metadata=converted(lambda _, values: shown(as_table(values))))
+    warp: str = field(default="marginal", metadata=choice(WARPS))
 
     @property
     def dims(self) -> int:  # type: ignore[override]
@@ -87,15 +134,14 @@ class PiecewiseConstant(Density):
     @property
     def has_inverse(self) -> bool:
         """False for alias tables, which are many-to-one."""
-        return self._warp.one_to_one
+        return self.warp != "alias"
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
         """Shares at which the warp or its slope jumps along a whole axis-normal line.
 
-        In 1-D the cdf at the borders between different cells. In 2-D those of the warp:
-        `mcspectra.densities._warps`. Borders that form segments rather than lines are not given, nor
-        are more than 4096 along one axis.
+        In 1-D the cdf at the borders between different cells. In 2-D those of the warp. Borders that
+        form segments rather than lines are not given, nor are more than 4096 along one axis.
         """
         return self._warp.breaks()[: self.dims]
 
@@ -122,17 +168,22 @@ class PiecewiseConstant(Density):
         return np.asarray(self._cells / self._cells.mean())
 
     @cached_property
-    def _warp(self) -> TableWarp:
-        return make_warp(self.warp, self._cells, self.dims)
+    def _warp(self) -> _Marginal | _Hierarchical | _Alias | _Hilbert:
+        # All take the table to the same masses, evenly within each cell: they differ in order only
+        if self.warp == "alias":
+            return _Alias(self._cells)
+        if self.dims == 1 or self.warp == "marginal":
+            return _Marginal(self._cells)
+        return _Hierarchical(self._cells) if self.warp == "hierarchical" else _Hilbert(self._cells)
 
     def _pdf(self, x: Array) -> Array:
         out = np.empty(x.shape[:-1])
-        _kernels.look_up(self._pdf_table, flat(x), out.reshape(-1))
+        _look_up(self._pdf_table, flat(x), out.reshape(-1))
         return out
 
     def _sample(self, u: Array) -> Array:
         x = np.empty(u.shape)
-        inside = np.clip(u, 0.0, np.nextafter(1.0, 0.0))
+        inside = np.clip(u, 0.0, LARGEST_BELOW_ONE)
         self._warp.sample(flat(inside), x.reshape(-1, self.dims))
         return x
 
@@ -146,129 +197,432 @@ class PiecewiseConstant(Density):
         return u
 
 
-@final
-@dataclass(frozen=True, kw_only=True)
-class ImageDensity(Density):
-    """Proportional to the pixels of a picture, x_0 to the right and x_1 down from the top.
+def _cdf(masses: Array) -> Array:
+    """Cdf along the last axis, (..., k+1) from 0 to exactly 1; uniform where there is no mass."""
+    sums = np.zeros((*masses.shape[:-1], masses.shape[-1] + 1))
+    np.cumsum(masses, axis=-1, out=sums[..., 1:])
+    total = sums[..., -1:]
+    even = np.broadcast_to(np.linspace(0.0, 1.0, sums.shape[-1]), sums.shape)
+    return np.divide(sums, total, out=even.copy(), where=total > 0)
 
-    Attributes
-    ----------
-    path
-        A file that `mcspectra.core.images.read_image` reads.
-    channel
-        ``"luminance"`` (Rec. 709; of one channel, itself) or the number of a channel.
-    floor
-        Pixels below `floor` times the mean are raised to it; 0 or more. Above 0 the density is
-        positive everywhere.
-    linear
-        Values of PNG and JPEG files are linear, not sRGB.
-    warp
-        As in `PiecewiseConstant`.
+
+def _inner(borders: Array, differ: Array | None = None) -> tuple[float, ...]:
+    """Ascending borders within (0,1), of those between cells that differ; none beyond 4096."""
+    kept = borders if differ is None else borders[1:-1][differ != 0]
+    found = np.unique(kept)
+    found = found[(found > 0) & (found < 1)]
+    return tuple(found.tolist()) if found.size <= _MOST_BREAKS else ()
+
+
+# Kernels: cell i of k covers [i/k, (i+1)/k) *as rounded*, for the look-up as for the samples: no sample
+# is counted to the cell next to its own. `borders` are cdf values at cell borders, from 0 to 1.
+
+
+@kernel
+def below(x: float) -> float:
+    """The float before x, for x in (0, 1]."""
+    return np.nextafter(x, 0.0)  # type: ignore[no-any-return]
+
+
+@kernel
+def _cell_at(x: float, cells: int) -> int:
+    """i with i/cells <= x < (i+1)/cells; points outside belong to the end cells."""
+    i = min(max(math.floor(x * cells), 0), cells - 1)
+    if i > 0 and x < i / cells:
+        return i - 1
+    if i < cells - 1 and x >= (i + 1) / cells:
+        return i + 1
+    return i
+
+
+@kernel
+def _within(cell: int, rest: float, cells: int) -> float:
+    """The point at `rest` in [0,1] of a cell; never the next cell's."""
+    return min((cell + rest) / cells, below((cell + 1) / cells))
+
+
+@kernel
+def last_at_most(borders: Array, low: int, size: int, u: float) -> int:
+    """Largest i of low … low + size − 1 with borders[i] <= u, where borders[low] <= u.
+
+    Halving without a branch: which half is as good as random, and mispredicted jumps cost more than
+    the arithmetic.
+    """
+    while size > 1:
+        half = size >> 1
+        low += half * (borders[low + half] <= u)
+        size -= half
+    return low
+
+
+@kernel
+def _look_up(table: Array, x: Array, out: Array) -> None:
+    """Fill out (N,) with the entries of `table` (h, w) at x (N, d)."""
+    row = 0
+    for k in range(x.shape[0]):
+        if x.shape[1] == 2:
+            row = _cell_at(x[k, 1], table.shape[0])
+        out[k] = table[row, _cell_at(x[k, 0], table.shape[1])]
+
+
+@final
+class _Marginal:
+    """u_1 chooses the row by the marginal cdf, u_0 the column by the cdf within that row."""
+
+    def __init__(self, cells: Array) -> None:
+        self.cells = cells
+        self.rows = _cdf(cells.sum(axis=1))  # (h+1,)
+        self.columns = _cdf(cells)  # (h, w+1)
+
+    def sample(self, u: Array, x: Array) -> None:
+        _warp_rows(self.rows, self.columns, u, x)
+
+    def invert(self, x: Array, u: Array) -> None:
+        _unwarp_rows(self.rows, self.columns, x, u)
+
+    def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Marginal cdf between different rows; column borders where they are those of all rows."""
+        # Rows are proportional where all that hold mass have the cdf of the first of them
+        columns = self.columns[self.cells.any(axis=1)]
+        separable = np.abs(columns - columns[0]).max() <= _SAME_ROWS
+        across = _inner(self.columns[0], np.diff(self.cells[0])) if separable else ()
+        return across, _inner(self.rows, np.asarray(np.diff(self.cells, axis=0).any(axis=1)))
+
+
+@kernel
+def _stretch(borders: Array, u: float) -> tuple[int, float]:
+    """The cell of u and the point in it."""
+    cells = borders.size - 1
+    i = last_at_most(borders, 0, cells, u)  # never a cell without mass, as u < 1 = borders[-1]
+    x = (i + (u - borders[i]) / (borders[i + 1] - borders[i])) / cells
+    return i, min(max(x, i / cells), below((i + 1) / cells))
+
+
+@kernel
+def _shrink(borders: Array, x: float) -> tuple[int, float]:
+    """The cell of x and the share up to it."""
+    cells = borders.size - 1
+    i = _cell_at(x, cells)
+    width = borders[i + 1] - borders[i]
+    u = borders[i] + (x * cells - i) * width
+    return i, max(borders[i], min(u, below(borders[i + 1]) if width > 0 else borders[i]))
+
+
+@kernel
+def _warp_rows(rows: Array, columns: Array, u: Array, x: Array) -> None:
+    row = 0
+    for k in range(u.shape[0]):
+        if u.shape[1] == 2:
+            row, x[k, 1] = _stretch(rows, u[k, 1])
+        _, x[k, 0] = _stretch(columns[row], u[k, 0])
+
+
+@kernel
+def _unwarp_rows(rows: Array, columns: Array, x: Array, u: Array) -> None:
+    row = 0
+    for k in range(x.shape[0]):
+        if x.shape[1] == 2:
+            row, u[k, 1] = _shrink(rows, x[k, 1])
+        _, u[k, 0] = _shrink(columns[row], x[k, 0])
+
+
+@final
+class _Hierarchical:
+    """Binary splits of the longer side down to the cells, each by the coordinate along that side.
+
+    `shares` is a heap: node k has the children 2k+1 (lower indices) and 2k+2, and shares[k] is the
+    part of its mass that the first child holds. `axes` (levels,) is the axis that each level splits:
+    0 columns, 1 rows. Tables are padded with empty cells to powers of two, which no sample enters.
     """
 
-    name: ClassVar[str] = "image"
-    warps: ClassVar[tuple[str, ...]] = WARPS
-    dims: int = field(default=2, init=False)
-    path: str | os.PathLike[str]
-    channel: str | int = "luminance"
-    floor: float = 0.0
-    linear: bool = False
-    warp: str = "marginal"
-    _inside: PiecewiseConstant = field(init=False, repr=False, compare=False)
+    def __init__(self, cells: Array) -> None:
+        # Split the longer side from the root on, rows where both are equal
+        bits = [(size - 1).bit_length() for size in cells.shape]
+        table = np.pad(cells, [(0, 2**b - size) for b, size in zip(bits, cells.shape, strict=True)])
+        axes = []
+        while any(bits):
+            axes.append(int(bits[0] >= bits[1]))
+            bits[1 - axes[-1]] -= 1
+        self.cells, self.axes = cells, np.array(axes, np.int64)
+        # Sum pairs of rows (axis 1) or columns (axis 0) from the cells up
+        levels = [np.empty(0)]
+        for depth in range(len(axes) - 1, -1, -1):
+            pairs = (table[0::2], table[1::2]) if axes[depth] else (table[:, 0::2], table[:, 1::2])
+            table = pairs[0] + pairs[1]
+            share = np.divide(pairs[0], table, out=np.full(table.shape, 0.5), where=table > 0)
+            # Flatten the level: from row bits, then column bits, to the order of the splits
+            above = self.axes[:depth]
+            order = np.empty(depth, np.int64)
+            order[above == 1] = np.arange(above.sum())
+            order[above == 0] = np.arange(above.sum(), depth)
+            levels.append(share.reshape((2,) * depth).transpose(order).ravel())
+        self.shares = np.concatenate(levels[::-1])
 
-    def __post_init__(self) -> None:
-        as_real("floor", self.floor, least=0.0)
-        if not isinstance(self.linear, bool):
-            raise ParameterError(f"linear is {self.linear!r}; give True or False.")
-        pixels = _select(self.path, self.channel, self.linear)
-        object.__setattr__(self, "path", os.fspath(self.path))
-        low = int(np.count_nonzero(pixels < 0))
-        if low:
-            raise DensityError(
-                f"{self.path} has {low} negative pixels; a density needs values of 0 or more."
-            )
-        if not pixels.any():
-            raise DensityError(f"{self.path} is black; a density needs pixels above 0.")
-        raised = np.maximum(pixels, self.floor * pixels.mean()) if self.floor else pixels
-        object.__setattr__(self, "_inside", PiecewiseConstant(values=raised, warp=self.warp))
+    def sample(self, u: Array, x: Array) -> None:
+        _descend(self.shares, self.axes, self.cells.shape, u, x)
 
-    @property
-    def has_inverse(self) -> bool:
-        """False for alias tables."""
-        return self._inside.has_inverse
+    def invert(self, x: Array, u: Array) -> None:
+        _return_to_root(self.shares, self.axes, self.cells.shape, x, u)
 
-    @property
-    def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Breaks of the table (see `PiecewiseConstant.breaks`)."""
-        return self._inside.breaks
-
-    def zero_points(self) -> Array:
-        """Centres of the pixels that are black."""
-        return self._inside.zero_points()
-
-    def reciprocal_integral(self) -> float:
-        """Mean over pixels of 1/p."""
-        return self._inside.reciprocal_integral()
-
-    def _pdf(self, x: Array) -> Array:
-        return self._inside._pdf(x)
-
-    def _sample(self, u: Array) -> Array:
-        return self._inside._sample(u)
-
-    def _invert(self, x: Array) -> Array:
-        return self._inside._invert(x)
+    def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Borders of the splits before the first one along the other axis: those cut all lines."""
+        found: list[tuple[float, ...]] = [(), ()]
+        if self.axes.size:
+            axis = int(self.axes[0])
+            changed = np.flatnonzero(self.axes != axis)
+            kept = int(changed[0]) if changed.size else self.axes.size
+            block = 2 ** (int(np.count_nonzero(self.axes == axis)) - kept)
+            borders = _cdf(self.cells.sum(axis=axis))[::block]
+            found[axis] = _inner(np.append(borders, 1.0))
+        return found[0], found[1]
 
 
-def as_table(values: object) -> Array:
-    """Check relative densities and return them as a read-only copy."""
-    try:
-        given = np.asarray(values)
-    except ValueError:  # rows of different lengths
-        given = np.asarray(None)
-    if given.dtype.kind not in "fiub":
-        raise ParameterError(
-            "values are not an array of real numbers; give a list, or rows of equal length."
-        )
-    if given.ndim not in (1, 2) or given.size == 0:
-        raise ParameterError(f"values have shape {given.shape}; give (w,) or (h, w), not empty.")
-    if given.size > _MOST_CELLS:
-        raise ParameterError(
-            f"values have shape {given.shape}; tables hold at most {_MOST_CELLS:.3g} cells."
-        )
-    table = np.array(given, dtype=np.float64)
-    if not np.isfinite(table).all() or table.min() < 0 or not table.any():
-        raise ParameterError(
-            f"values run from {table.min():g} to {table.max():g}; "
-            "they must be finite, at least 0, and not all 0."
-        )
-    table.setflags(write=False)
-    return table
+@kernel
+def _descend(shares: Array, axes: Array, size: tuple[int, ...], u: Array, x: Array) -> None:
+    """Each split takes its part of u and stretches it."""
+    height, width = size
+    one = below(1.0)
+    for k in range(u.shape[0]):
+        node, column, row = 0, 0, 0
+        rest_x, rest_y = u[k, 0], u[k, 1]
+        for axis in axes:
+            share = shares[node]
+            rest = rest_y if axis else rest_x
+            second = int(rest >= share)
+            # Without a branch on `second`, which is as good as random
+            start = share * second
+            length = share + second * (1.0 - 2.0 * share)
+            rest = min((rest - start) / length, one)
+            node = 2 * node + 1 + second
+            if axis:
+                row, rest_y = 2 * row + second, rest
+            else:
+                column, rest_x = 2 * column + second, rest
+        x[k, 0], x[k, 1] = _within(column, rest_x, width), _within(row, rest_y, height)
 
 
-def shown(table: Array) -> Any:
-    """The table as spec strings show it: a list, or the array where it is long."""
-    return table.tolist() if table.size <= _MOST_SHOWN else table
+@kernel
+def _return_to_root(shares: Array, axes: Array, size: tuple[int, ...], x: Array, u: Array) -> None:
+    height, width = size
+    row_bits = 0
+    for axis in axes:
+        row_bits += axis
+    for k in range(x.shape[0]):
+        column, row = _cell_at(x[k, 0], width), _cell_at(x[k, 1], height)
+        rest_x = max(x[k, 0] * width - column, 0.0)
+        rest_y = max(x[k, 1] * height - row, 0.0)
+        # Find the leaf: the cell's bits, the highest first, in the order of the splits
+        rows, columns = row_bits, axes.size - row_bits
+        node = 0
+        for axis in axes:
+            if axis:
+                rows -= 1
+                node = 2 * node + 1 + ((row >> rows) & 1)
+            else:
+                columns -= 1
+                node = 2 * node + 1 + ((column >> columns) & 1)
+        # Undo the splits from there up
+        for level in range(axes.size - 1, -1, -1):
+            second = node % 2 == 0
+            node = (node - 1) >> 1
+            share = shares[node]
+            rest = rest_y if axes[level] else rest_x
+            rest = share + (1.0 - share) * rest if second else share * rest
+            if axes[level]:
+                rest_y = rest
+            else:
+                rest_x = rest
+        u[k, 0], u[k, 1] = rest_x, rest_y
 
 
-def flat(points: Array) -> Array:
-    """Points (..., d) as contiguous (N, d), for kernels."""
-    return np.ascontiguousarray(points).reshape(-1, points.shape[-1])
+@final
+class _Alias:
+    """u_0 chooses a bin and one of its two cells; its remainder places along x_0, u_1 along x_1.
+
+    Bin i of n holds the cell i with the share `keep[i]` and, with the rest, the cell `other[i]`.
+    """
+
+    def __init__(self, cells: Array) -> None:
+        self.cells = cells
+        self.keep, self.other = _alias_table((cells / cells.mean()).ravel())
+
+    def sample(self, u: Array, x: Array) -> None:
+        _jump(self.keep, self.other, self.cells.shape, u, x)
+
+    def invert(self, x: Array, u: Array) -> None:
+        """Never called: a cell fills from its own bin and again from each that names it."""
+        raise NotImplementedError
+
+    def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Borders of the bins, and the border in each."""
+        starts = np.arange(self.keep.size)
+        return _inner(np.concatenate([starts, starts + self.keep]) / self.keep.size), ()
 
 
-def _select(path: str | os.PathLike[str], channel: object, linear: bool) -> Array:
-    """One channel of a picture, (h, w)."""
-    from mcspectra.core.images import read_image
+@kernel
+def _alias_table(masses: Array) -> tuple[Array, Array]:
+    """Shares `keep` (n,) and cells `other` (n,) of masses (n,) whose mean is 1.
 
-    return select_channel(read_image(path, linear=linear), channel)
+    Each cell below the mean is filled up by one above it. Empty cells get the share 0 exactly: they
+    are filled first while others are above the mean, and what rounding leaves over is near 1.
+    """
+    n = masses.size
+    left = masses.copy()
+    keep, other = np.ones(n), np.arange(n)
+    stack = np.empty(n, np.int64)  # cells below the mean from the front, the others from the back
+    low, high = 0, n
+    for i in range(n):
+        if left[i] < 1.0:
+            stack[low] = i
+            low += 1
+        else:
+            high -= 1
+            stack[high] = i
+    while low > 0 and high < n:
+        low -= 1
+        i, giver = stack[low], stack[high]
+        keep[i], other[i] = left[i], giver
+        left[giver] = (left[giver] + left[i]) - 1.0
+        if left[giver] < 1.0:
+            high += 1
+            stack[low] = giver
+            low += 1
+    return keep, other
 
 
-def select_channel(image: Array, channel: object) -> Array:
-    """One channel (h, w), by number, or the luminance, of pixels (h, w, channels)."""
-    from mcspectra.core.images import luminance
+@kernel
+def _jump(keep: Array, other: Array, size: tuple[int, ...], u: Array, x: Array) -> None:
+    height, width = size
+    n = keep.size
+    for k in range(u.shape[0]):
+        scaled = u[k, 0] * n
+        i = min(int(scaled), n - 1)
+        rest = scaled - i
+        if rest < keep[i]:
+            cell, rest = i, rest / keep[i]
+        else:
+            cell, rest = other[i], (rest - keep[i]) / (1.0 - keep[i])
+        row, column = divmod(cell, width)
+        x[k, 0] = _within(column, rest, width)
+        if u.shape[1] == 2:
+            x[k, 1] = _within(row, u[k, 1], height)
 
-    if channel == "luminance":
-        return luminance(image)
-    if isinstance(channel, str):
-        raise ParameterError(f'channel is {channel!r}; give "luminance" or a number.')
-    return np.asarray(image[..., as_integer("channel", channel, least=0, most=image.shape[2] - 1)])
+
+@final
+class _Hilbert:
+    """u_0 runs through the cells along a Hilbert curve and places along it, u_1 across it.
+
+    `borders` (n+1,) is the cdf of the cells in the order of the curve, `order` (n,) their flat
+    indices and `places` the inverse of it, `headings` (n,) where the curve goes next: 0 +x_0, 1 −x_0,
+    2 +x_1, 3 −x_1. `guide` holds the cell of each of 2^g equal shares, so that a search starts within
+    a cell or two [ChenAsau1974]_.
+    """
+
+    def __init__(self, cells: Array) -> None:
+        # Order the cells by the curve through the smallest square of 2^k cells around them
+        side = 1 << (max(cells.shape) - 1).bit_length()
+        numbers = np.empty(cells.size, np.int64)
+        headings = np.zeros(cells.size, np.int8)
+        _places_on_curve(side, cells.shape, numbers, headings)
+        self.cells, self.order = cells, np.argsort(numbers)
+        self.places = np.empty_like(self.order)
+        self.places[self.order] = np.arange(self.order.size)
+        self.headings = headings[self.order]
+        self.borders = _cdf(cells.ravel()[self.order])
+        shares = np.linspace(0.0, 1.0, (1 << (cells.size - 1).bit_length()) + 1)
+        found = np.searchsorted(self.borders, shares, side="right") - 1
+        self.guide = np.minimum(found, cells.size - 1)
+
+    def sample(self, u: Array, x: Array) -> None:
+        _follow(self.borders, self.guide, self.order, self.headings, self.cells.shape, u, x)
+
+    def invert(self, x: Array, u: Array) -> None:
+        _return_along(self.borders, self.places, self.headings, self.cells.shape, x, u)
+
+    def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Cdf along the curve: where it turns T jumps, where it goes straight its slope does."""
+        return _inner(self.borders), ()
+
+
+@kernel
+def _position(side: int, column: int, row: int) -> int:
+    """Number of a cell along the curve through side × side cells, side a power of two.
+
+    Quadrant by quadrant: each is entered after those before it, turned so that its curve fits.
+    """
+    found = 0
+    step = side >> 1
+    while step > 0:
+        right, down = int(column & step > 0), int(row & step > 0)
+        found += step * step * ((3 * right) ^ down)
+        if down == 0:
+            if right == 1:
+                column, row = step - 1 - (column & (step - 1)), step - 1 - (row & (step - 1))
+            column, row = row & (step - 1), column & (step - 1)
+        step >>= 1
+    return found
+
+
+@kernel
+def _places_on_curve(side: int, size: tuple[int, ...], places: Array, headings: Array) -> None:
+    """Fill the curve's numbers (height · width,) of the cells and their headings.
+
+    The heading is found by asking the four neighbors; the curve's last cell goes on as before.
+    """
+    height, width = size
+    last = side * side - 1
+    for row in range(height):
+        for column in range(width):
+            k = row * width + column
+            here = _position(side, column, row)
+            places[k] = here
+            step = 1 if here < last else -1
+            for heading in range(4):
+                x = column + (1 if heading == 0 else -1 if heading == 1 else 0)
+                y = row + (1 if heading == 2 else -1 if heading == 3 else 0)
+                inside = 0 <= x < side and 0 <= y < side
+                if inside and _position(side, x, y) == here + step:
+                    headings[k] = heading if step == 1 else heading ^ 1
+
+
+@kernel
+def _follow(
+    borders: Array,
+    guide: Array,
+    order: Array,
+    headings: Array,
+    size: tuple[int, ...],
+    u: Array,
+    x: Array,
+) -> None:
+    height, width = size
+    for k in range(u.shape[0]):
+        # u · 2^g is exact, so the guide's bracket holds u
+        g = int(u[k, 0] * (guide.size - 1))
+        i = last_at_most(borders, guide[g], guide[g + 1] + 1 - guide[g], u[k, 0])
+        rest = (u[k, 0] - borders[i]) / (borders[i + 1] - borders[i])
+        row, column = divmod(order[i], width)
+        along = 1.0 - rest if headings[i] & 1 else rest
+        a, b = (u[k, 1], along) if headings[i] & 2 else (along, u[k, 1])
+        x[k, 0], x[k, 1] = _within(column, a, width), _within(row, b, height)
+
+
+@kernel
+def _return_along(
+    borders: Array,
+    places: Array,
+    headings: Array,
+    size: tuple[int, ...],
+    x: Array,
+    u: Array,
+) -> None:
+    height, width = size
+    for k in range(x.shape[0]):
+        column, row = _cell_at(x[k, 0], width), _cell_at(x[k, 1], height)
+        i = places[row * width + column]
+        a = max(x[k, 0] * width - column, 0.0)
+        b = max(x[k, 1] * height - row, 0.0)
+        along, across = (b, a) if headings[i] & 2 else (a, b)
+        rest = 1.0 - along if headings[i] & 1 else along
+        u[k, 0] = borders[i] + rest * (borders[i + 1] - borders[i])
+        u[k, 1] = across

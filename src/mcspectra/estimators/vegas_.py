@@ -5,22 +5,24 @@ It stands here, not among the densities, because those know no integrands.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar, final
 
-from mcspectra.core.checks import Array
 from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.densities.base import Density, store_integer
-from mcspectra.densities.vegas_ import GridDensity, check_training, vegas_density
+from mcspectra.densities import GridDensity, vegas_density
+from mcspectra.densities.base import Wrapper, whole
+from mcspectra.densities.vegas_ import check_training
 from mcspectra.integrands import integrand as make_integrand
 
 __all__ = ["VegasDensity"]
 
+_COUNT = whole(least=0)  # 64.0 is 64 in the spec too
+
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class VegasDensity(Density):
+class VegasDensity(Wrapper):
     """Product of histograms, adapted to an integrand by VEGAS when first used.
 
     Attributes
@@ -35,18 +37,16 @@ class VegasDensity(Density):
 
     name: ClassVar[str] = "vegas"
     integrand: str
-    dims: int = DEFAULT_DIMS
-    increments: int = 64
-    iterations: int = 10
-    evaluations: int = 4096
+    dims: int = field(default=DEFAULT_DIMS, metadata=whole(least=1))
+    increments: int = field(default=64, metadata=_COUNT)
+    iterations: int = field(default=10, metadata=_COUNT)
+    evaluations: int = field(default=4096, metadata=_COUNT)
     alpha: float = 0.5
-    seed: int = 0
+    seed: int = field(default=0, metadata=_COUNT)
 
     def __post_init__(self) -> None:
         check_training(self.increments, self.iterations, self.evaluations, self.alpha, self.seed)
-        store_integer(self, "dims", least=1)
-        for name in ("increments", "iterations", "evaluations", "seed"):
-            store_integer(self, name, least=0)  # 64.0 is 64 in the spec too
+        self._convert()
         make_integrand(self.integrand, self.dims)
 
     @cached_property
@@ -62,19 +62,5 @@ class VegasDensity(Density):
         )
 
     @property
-    def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Shares between bins of different width."""
-        return self.grid.breaks
-
-    def reciprocal_integral(self) -> float:
-        """Π N Σ width²."""
-        return self.grid.reciprocal_integral()
-
-    def _pdf(self, x: Array) -> Array:
-        return self.grid._pdf(x)
-
-    def _sample(self, u: Array) -> Array:
-        return self.grid._sample(u)
-
-    def _invert(self, x: Array) -> Array:
-        return self.grid._invert(x)
+    def _inside(self) -> GridDensity:
+        return self.grid

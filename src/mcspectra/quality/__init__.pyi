@@ -1,14 +1,14 @@
-from .discrepancy import diaphony as diaphony
-from .discrepancy import generalized_l2_discrepancy as generalized_l2_discrepancy
-from .discrepancy import l2_discrepancy as l2_discrepancy
-from .discrepancy import star_discrepancy as star_discrepancy
-from .distances import best_minimum_distance as best_minimum_distance
-from .distances import nearest_distances as nearest_distances
-from .distances import relative_minimum_distance as relative_minimum_distance
 from .figures import FIGURES as FIGURES
+from .figures import FigureSummary as FigureSummary
 from .figures import quality_figures as quality_figures
-from .summary import FigureSummary as FigureSummary
-from .summary import summarize as summarize
+from .figures import summarize as summarize
+from .sets import best_minimum_distance as best_minimum_distance
+from .sets import diaphony as diaphony
+from .sets import generalized_l2_discrepancy as generalized_l2_discrepancy
+from .sets import l2_discrepancy as l2_discrepancy
+from .sets import nearest_distances as nearest_distances
+from .sets import relative_minimum_distance as relative_minimum_distance
+from .sets import star_discrepancy as star_discrepancy
 from .warps import warp_quality as warp_quality
 
 __all__ = [

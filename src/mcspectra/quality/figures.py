@@ -1,11 +1,13 @@
-"""All quality figures of a sampler's realisations, or of given sets, in one dataset."""
+"""All quality figures of a sampler's realisations, or of given sets, and their summaries."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -14,19 +16,27 @@ from mcspectra.core.errors import McspectraError, ParameterError, close_match_hi
 from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers, map_in_order
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.quality.discrepancy import (
+from mcspectra.quality.sets import (
     diaphony,
     generalized_l2_discrepancy,
     l2_discrepancy,
+    nearest_distances,
+    relative_minimum_distance,
     star_discrepancy,
 )
-from mcspectra.quality.distances import nearest_distances, relative_minimum_distance
 from mcspectra.samplers import GivenPoints, Sampler, as_sampler
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["FIGURES", "MOST_PROJECTED_AXES", "different_realizations", "quality_figures"]
+__all__ = [
+    "FIGURES",
+    "MOST_PROJECTED_AXES",
+    "FigureSummary",
+    "different_realizations",
+    "quality_figures",
+    "summarize",
+]
 
 MOST_PROJECTED_AXES = 10
 """Projections on pairs of axes are looked at for the first so many axes: 45 pairs."""
@@ -85,9 +95,17 @@ def quality_figures(
     coordinates share one; they are missing where the bases differ.
     """
     sampler = as_sampler(source)
-    n = sampler.check_count(_given_count(sampler) if n is None else n)
+    if n is None:
+        if not isinstance(sampler, GivenPoints):
+            raise ParameterError(
+                f"n is missing; give the number of points to draw from {sampler.spec}."
+            )
+        n = int(sampler.points.shape[1])
+    n = sampler.check_count(n)
     names = _names(figures, sampler.dims)
-    stream, base = Stream.from_rng(rng), _common_base(sampler)
+    bases = set(sampler.digit_bases)
+    base = bases.pop() if len(bases) == 1 else 0  # of the digits of all coordinates
+    stream = Stream.from_rng(rng)
     count = different_realizations(sampler, n, stream) if realizations is None else realizations
     count = as_integer("realizations", count, least=1, most=MAX_REALIZATIONS)
 
@@ -96,7 +114,63 @@ def quality_figures(
         return [_value(FIGURES[name], points, base) for name in names]
 
     rows = list(map_in_order(one, range(count), available_workers(workers)))
-    return _labelled(names, rows, sampler, n, base)
+    columns = dict(zip(names, zip(*rows, strict=True), strict=True))
+    pairs, all_pairs = len(_pairs(sampler.dims)), sampler.dims * (sampler.dims - 1) // 2
+    looked_at = f"{pairs} of {all_pairs} pairs of axes, the lowest axes first"
+    result = dataset(
+        {k: (("realization",), [value for value, _ in v]) for k, v in columns.items()},
+        {"realization": range(len(rows))},
+        sampler=sampler.spec,
+        n=n,
+        dims=sampler.dims,
+        base=base,
+        projections=looked_at if sampler.dims > 2 else None,
+    )
+    for name, values in columns.items():
+        if reason := next((why for _, why in values if why), ""):
+            result[name].attrs["missing"] = reason
+    return result
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class FigureSummary:
+    """One quality figure over realisations.
+
+    Attributes
+    ----------
+    name, long_name
+        Name of its variable, and its long name.
+    mean, standard_error
+        Over realisations; the standard error is NaN where there is one realisation only.
+    missing
+        Why there is no mean, else empty.
+    """
+
+    name: str
+    long_name: str
+    mean: float
+    standard_error: float
+    missing: str
+
+
+def summarize(figures: xr.Dataset) -> list[FigureSummary]:
+    """Return mean and standard error of each figure that `quality_figures` returned."""
+    found = []
+    for name, figure in figures.data_vars.items():
+        values = figure.values
+        count = len(values)
+        error = float(np.std(values, ddof=1)) / math.sqrt(count) if count > 1 else math.nan
+        found.append(
+            FigureSummary(
+                name=str(name),
+                long_name=figure.attrs["long_name"],
+                mean=float(np.mean(values)),
+                standard_error=error,
+                missing=figure.attrs.get("missing", ""),
+            )
+        )
+    return found
 
 
 def different_realizations(sampler: Sampler, n: int, stream: Stream, most: int = 16) -> int:
@@ -105,12 +179,6 @@ def different_realizations(sampler: Sampler, n: int, stream: Stream, most: int =
         return min(most, len(sampler.points)) if sampler.cycle else len(sampler.points)
     first, second = sampler.draw_stream(n, stream, 0, 2)
     return 1 if np.array_equal(first, second) else most
-
-
-def _given_count(sampler: Sampler) -> int:
-    if isinstance(sampler, GivenPoints):
-        return int(sampler.points.shape[1])
-    raise ParameterError(f"n is missing; give the number of points to draw from {sampler.spec}.")
 
 
 def _names(figures: Sequence[str] | None, dims: int) -> list[str]:
@@ -127,12 +195,6 @@ def _names(figures: Sequence[str] | None, dims: int) -> list[str]:
     return list(dict.fromkeys(given))
 
 
-def _common_base(sampler: Sampler) -> int:
-    """The base of the digits of all coordinates, 0 where they differ."""
-    bases = set(sampler.digit_bases)
-    return bases.pop() if len(bases) == 1 else 0
-
-
 def _value(figure: Figure, points: Array, base: int) -> Value:
     try:
         value = figure(points, base)
@@ -141,31 +203,6 @@ def _value(figure: Figure, points: Array, base: int) -> Value:
     if value is None:
         return np.nan, f"{len(points)} is not a power of {base}."
     return float(value), ""
-
-
-def _labelled(
-    names: list[str], rows: list[list[Value]], sampler: Sampler, n: int, base: int
-) -> xr.Dataset:
-    columns = dict(zip(names, zip(*rows, strict=True), strict=True))
-    variables = {k: (("realization",), [value for value, _ in v]) for k, v in columns.items()}
-    result = dataset(
-        variables,
-        {"realization": range(len(rows))},
-        sampler=sampler.spec,
-        n=n,
-        dims=sampler.dims,
-        base=base,
-        projections=_projections_looked_at(sampler.dims) if sampler.dims > 2 else None,
-    )
-    for name, values in columns.items():
-        if reason := next((why for _, why in values if why), ""):
-            result[name].attrs["missing"] = reason
-    return result
-
-
-def _projections_looked_at(dims: int) -> str:
-    pairs, all_pairs = len(_pairs(dims)), dims * (dims - 1) // 2
-    return f"{pairs} of {all_pairs} pairs of axes, the lowest axes first"
 
 
 def _pairs(dims: int) -> list[tuple[int, int]]:

@@ -69,8 +69,22 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
     image = p.sample(centers)
     jumps = find_jumps(p.sample, dims, side, scale=1.0)
     slopes = _slopes(p, centers + np.array(_ASIDE[:dims]) / side, _STEP / side)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # Stretch: largest over smallest singular value
+        values = np.linalg.svd(slopes, compute_uv=False)
+        ratio = values[..., 0] / values[..., -1]
+        stretch = np.where(values[..., -1] > 0, ratio, np.inf)
+        # Diameter of the image of a small square over that of a square of the same area
+        diameters = np.ones(slopes.shape[:-2])
+        if slopes.shape[-2:] == (2, 2):
+            diagonals = slopes @ np.array([[1.0, 1.0], [1.0, -1.0]])
+            diameter = np.sqrt((diagonals**2).sum(axis=-2)).max(axis=-1)
+            area = np.abs(np.linalg.det(slopes))
+            diameters = np.where(area > 0, diameter / np.sqrt(2.0 * area), np.inf)
+    # Root mean square distance of neighbours' images, in cells
+    squares = [(np.diff(image, axis=axis) ** 2).sum(axis=-1).ravel() for axis in range(dims)]
+    expansion = float(side * np.sqrt(np.concatenate(squares).mean()))
     cells = tuple(f"u{axis}" for axis in range(dims))
-    stretch = _stretch(slopes)
     line = (np.arange(side) + 0.5) / side
     return dataset(
         {
@@ -81,8 +95,8 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
             "max_stretch": ((), float(stretch.max())),
             "jump_length": ((), jumps.length),
             "mean_jump": ((), jumps.mean_height),
-            "distortion": ((), _geometric_mean(_diameters(slopes))),
-            "neighbor_expansion": ((), _expansion(image, dims)),
+            "distortion": ((), _geometric_mean(diameters)),
+            "neighbor_expansion": ((), expansion),
         },
         {**dict.fromkeys(cells, line), "axis": np.arange(dims)},
         density=p.spec,
@@ -102,33 +116,7 @@ def _slopes(p: Density, points: Array, step: float) -> Array:
     return np.stack(columns, axis=-1)
 
 
-def _stretch(slopes: Array) -> Array:
-    """Largest over smallest singular value, infinite where the smallest is 0."""
-    values = np.linalg.svd(slopes, compute_uv=False)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = values[..., 0] / values[..., -1]
-    return np.where(values[..., -1] > 0, ratio, np.inf)
-
-
-def _diameters(slopes: Array) -> Array:
-    """Diameter of the image of a small square over that of a square of the same area."""
-    if slopes.shape[-1] != 2 or slopes.shape[-2] != 2:
-        return np.ones(slopes.shape[:-2])
-    diagonals = slopes @ np.array([[1.0, 1.0], [1.0, -1.0]])
-    diameter = np.sqrt((diagonals**2).sum(axis=-2)).max(axis=-1)
-    area = np.abs(np.linalg.det(slopes))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(area > 0, diameter / np.sqrt(2.0 * area), np.inf)
-
-
 def _geometric_mean(values: Array) -> float:
     """Over those that are finite; NaN where none is."""
     finite = values[np.isfinite(values)]
     return float(np.exp(np.log(finite).mean())) if finite.size else float("nan")
-
-
-def _expansion(image: Array, dims: int) -> float:
-    """Root mean square distance of neighbours' images, in cells."""
-    side = image.shape[0]
-    squares = [(np.diff(image, axis=axis) ** 2).sum(axis=-1).ravel() for axis in range(dims)]
-    return float(side * np.sqrt(np.concatenate(squares).mean()))

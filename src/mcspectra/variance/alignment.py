@@ -20,7 +20,7 @@ from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.densities.aligned import AlignedStrata
+from mcspectra.densities import AlignedStrata
 from mcspectra.estimators import AbstractEstimator, Estimator, as_estimator, as_subject
 from mcspectra.estimators.moments import rounding_floor, variance_interval
 from mcspectra.integrands import Integrand

@@ -1,4 +1,4 @@
-"""Lines between nodes: exact cdfs, empty cells, the exact ∫1/p, and fine tables of others."""
+"""Lines between nodes and bins of equal shares: exact cdfs, empty cells, the exact ∫1/p."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ import pytest
 from scipy.integrate import quad
 
 import mcspectra as mcs
-from mcspectra.core.errors import ParameterError
-from mcspectra.densities import PiecewiseLinear
+from mcspectra.densities import GridDensity, PiecewiseConstant, PiecewiseLinear
 
 U = np.linspace(0, np.nextafter(1.0, 0.0), 2001)[:, None]
 
@@ -55,15 +54,6 @@ def test_three_nodes_are_the_tent():
     assert p.breaks == ((0.5,),)
 
 
-def test_a_fine_table_of_a_smooth_density_has_its_cdf():
-    """The trapezoid rule's relative error in any cell is at most h²/12 max p''/p of its mass."""
-    p = mcs.density("exponential(rate=4)", dims=1)
-    cells = 1000
-    table = PiecewiseLinear(values=p.pdf(np.linspace(0, 1, cells + 1)[:, None]))
-    assert np.abs(table.invert(U) - p.invert(U)).max() <= 2 * 16 / (8 * cells**2)
-    assert table.reciprocal_integral() == pytest.approx(p.reciprocal_integral(), rel=1e-5)
-
-
 def test_empty_cells_get_no_samples():
     p = PiecewiseLinear(values=[1, 0, 0, 0, 3, 0, 0])
     x = p.sample(np.random.default_rng(1).random((100_000, 1)))[:, 0]
@@ -93,25 +83,27 @@ def test_long_tables_are_not_written_out():
     assert p.breaks == ((),)
 
 
-@pytest.mark.parametrize(
-    ("values", "says"),
-    [
-        ([1], "two nodes"),
-        ([], "two nodes"),
-        (3, "two nodes"),
-        ([[1, 2], [3, 4]], "two nodes"),
-        ([0, 0], "not all 0"),
-        ([1, -1], "at least 0"),
-        ([1, math.nan], "finite"),
-        ([1, math.inf], "finite"),
-        (["a", "b"], "not an array"),
-        ([[1], [2, 3]], "not an array"),
-        ([1, 2j], "not an array"),
-        (None, "not an array"),
-    ],
-)
-def test_bad_values(values, says):
-    with pytest.raises(ParameterError, match=says):
-        PiecewiseLinear(values=values)
-    with pytest.raises(ParameterError, match="1 dims, but 2"):
-        mcs.density("piecewise-linear(values=[1, 2])", dims=2)
+def test_a_grid_by_hand():
+    p = GridDensity(nodes=[[0, 0.1, 1]])
+    np.testing.assert_allclose(p.pdf([[0.05], [0.1], [1.0]]), [5, 1 / 1.8, 1 / 1.8])
+    np.testing.assert_allclose(p.sample([[0.25], [0.5], [0.75]])[:, 0], [0.05, 0.1, 0.55])
+    assert p.breaks == ((0.5,),)
+    assert p.reciprocal_integral() == pytest.approx(2 * (0.01 + 0.81))
+    assert GridDensity(nodes=[[0, 0.5, 1]]).breaks == ((),)
+
+
+def test_a_grid_is_a_table_where_its_borders_are_cells():
+    u = np.random.default_rng(1).random((500, 2))
+    p = GridDensity(nodes=[[0, 0.125, 0.75, 1], [0, 0.5, 0.625, 1]])
+    cells = (np.arange(8) + 0.5) / 8
+    centers = np.stack(np.meshgrid(cells, cells), axis=-1)
+    table = PiecewiseConstant(values=p.pdf(centers))
+    np.testing.assert_allclose(p.pdf(u), table.pdf(u), rtol=1e-14)
+    np.testing.assert_allclose(p.sample(u), table.sample(u), atol=1e-15)
+
+
+def test_a_plain_list_of_borders_is_one_dim():
+    plain, nested = GridDensity(nodes=[0, 0.25, 1]), GridDensity(nodes=[[0, 0.25, 1]])
+    assert plain == nested == GridDensity(nodes=np.array([0, 0.25, 1]))
+    assert plain.dims == 1
+    assert mcs.density("grid(nodes=[0, 0.25, 1])", dims=1) == nested

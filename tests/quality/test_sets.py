@@ -1,4 +1,4 @@
-"""Discrepancies and diaphony against hand calculation, brute force, SciPy and Fourier series."""
+"""Figures of one set against hand calculation, brute force, SciPy, packings and Fourier series."""
 
 import itertools
 import math
@@ -8,13 +8,78 @@ import pytest
 from scipy.stats import qmc
 
 from mcspectra import sampler
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import DomainError, ParameterError
 from mcspectra.quality import (
+    best_minimum_distance,
     diaphony,
     generalized_l2_discrepancy,
     l2_discrepancy,
+    nearest_distances,
+    relative_minimum_distance,
     star_discrepancy,
 )
+
+
+def grid(side, dims):
+    return np.array(list(itertools.product(range(side), repeat=dims))) / side
+
+
+def brute_force(x):
+    steps = np.abs(x[:, None] - x[None])
+    lengths = np.sqrt((np.minimum(steps, 1 - steps) ** 2).sum(-1))
+    np.fill_diagonal(lengths, np.inf)
+    return lengths.min(1)
+
+
+@pytest.mark.parametrize(("side", "dims"), [(8, 1), (4, 2), (3, 3), (2, 7)])
+def test_a_grid_is_as_wide_as_its_cells(side, dims):
+    np.testing.assert_allclose(nearest_distances(grid(side, dims)), 1 / side, rtol=1e-14)
+
+
+@pytest.mark.parametrize("dims", [1, 2, 3, 6, 7, 9])
+def test_brute_force_finds_the_same(dims):
+    x = np.random.default_rng(dims).random((50, dims))
+    np.testing.assert_allclose(nearest_distances(x), brute_force(x), rtol=1e-12)
+
+
+def test_neighbours_across_the_border_count():
+    np.testing.assert_allclose(nearest_distances([[0.05, 0.5], [0.95, 0.5]]), [0.1, 0.1])
+
+
+def test_points_at_the_same_place_are_0_apart():
+    assert nearest_distances([[0.3, 0.7], [0.3, 0.7], [0.1, 0.1]])[:2].tolist() == [0.0, 0.0]
+
+
+def fcc():
+    return np.array([[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 0.5, 0]])
+
+
+def e8():
+    """E8 modulo (2Z)^8: coordinates all whole or all half, with even sum."""
+    whole = np.array(list(itertools.product((0.0, 1.0), repeat=8)))
+    points = np.concatenate([whole, whole + 0.5])
+    return points[points.sum(1) % 2 == 0] / 2
+
+
+@pytest.mark.parametrize("points", [grid(16, 1), fcc(), e8()], ids=["1-D", "fcc", "E8"])
+def test_the_densest_packings_are_the_best_possible(points):
+    assert relative_minimum_distance(points) == pytest.approx(1.0, rel=1e-12)
+
+
+def test_a_nearly_hexagonal_lattice_is_nearly_the_best_possible():
+    rows, columns = 8, 7  # 8 rows of 7: rows 1/8 apart, √3/2 · 1/7 = 0.1237 would be hexagonal
+    points = np.array(
+        [((i + 0.5 * (j % 2)) / columns, j / rows) for j in range(8) for i in range(7)]
+    )
+    distance = math.hypot(0.5 / columns, 1 / rows)
+    best = math.sqrt(2 / (math.sqrt(3) * 56))
+    assert relative_minimum_distance(points) == pytest.approx(min(distance, 1 / 7) / best)
+    assert 0.98 < relative_minimum_distance(points) < 1
+
+
+def test_own_images_count_for_the_best_distance():
+    # Two points of the 8-D torus can be √2 apart, but are 1 from their own images.
+    assert relative_minimum_distance([[0.0] * 8, [0.5] * 8]) == 1 / best_minimum_distance(2, 8)
 
 
 def brute_force_star(x):
@@ -87,9 +152,8 @@ def test_generalised_l2_discrepancy_sums_those_of_all_projections(dims):
 @pytest.mark.parametrize(("side", "dims"), [(1, 1), (16, 1), (4, 2), (3, 3)])
 def test_diaphony_of_a_grid(side, dims):
     # Only frequencies that are multiples of the grid's remain: (1 + π²/(3 s²))^d − 1.
-    points = np.array(list(itertools.product(range(side), repeat=dims))) / side
     expected = math.sqrt((1 + math.pi**2 / (3 * side**2)) ** dims - 1)
-    assert diaphony(points) == pytest.approx(expected, rel=1e-9)
+    assert diaphony(grid(side, dims)) == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("dims", [1, 2])
@@ -122,26 +186,32 @@ def test_mean_square_of_the_diaphony_of_random_points():
     assert abs(np.mean(squares) - expected) < 5 * error
 
 
-@pytest.mark.parametrize("figure", [diaphony, generalized_l2_discrepancy, l2_discrepancy])
-def test_too_many_pairs_are_refused_with_the_limit(figure):
-    with pytest.raises(ParameterError, match="give at most 8192"):
-        figure(np.full((8193, 2), 0.5))
-
-
 @pytest.mark.parametrize(
-    ("points", "words"),
+    ("figure", "points", "words"),
     [
-        (np.full((4, 3), 0.5), "1 and 2 dims only, not in 3"),
-        (np.full((2**14 + 1, 2), 0.5), "give at most 16384"),
-        (np.full((2, 4, 2), 0.5), "one set"),
-        ([[1.0]], r"\[0,1\)"),
+        (star_discrepancy, np.full((4, 3), 0.5), "1 and 2 dims only, not in 3"),
+        (star_discrepancy, np.full((2**14 + 1, 2), 0.5), "give at most 16384"),
+        (star_discrepancy, np.full((2, 4, 2), 0.5), "one set"),
+        (star_discrepancy, [[1.0]], r"\[0,1\)"),
+        (diaphony, np.full((8193, 2), 0.5), "give at most 8192"),
+        (generalized_l2_discrepancy, np.full((8193, 2), 0.5), "give at most 8192"),
+        (l2_discrepancy, np.full((8193, 2), 0.5), "give at most 8192"),
+        (nearest_distances, [[0.5, 0.5]], "at least two"),
+        (nearest_distances, np.full((12000, 7), 0.5), "too many"),
+        (nearest_distances, np.full((2**21 + 1, 1), 0.5), "too many"),
     ],
 )
-def test_star_discrepancies_that_cannot_be_had(points, words):
+def test_sets_that_are_refused(figure, points, words):
     with pytest.raises(ParameterError, match=words):
-        star_discrepancy(points)
+        figure(points)
 
 
-def test_unknown_kind():
+def test_unknown_kinds_packings_and_points_outside_are_refused():
     with pytest.raises(ParameterError, match="centered"):
         l2_discrepancy([[0.5]], "centred")
+    with pytest.raises(ParameterError, match="1, 2, 3, 8, 24"):
+        best_minimum_distance(4, 5)
+    with pytest.raises(ParameterError, match="n is 0"):
+        best_minimum_distance(0, 2)
+    with pytest.raises(DomainError, match="NaN"):
+        nearest_distances([[0.5], [np.nan]])

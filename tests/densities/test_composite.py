@@ -1,4 +1,4 @@
-"""Mixtures: the selecting piece, an extra coordinate, defensive shares, and the analyses with them."""
+"""Mixtures and products: the selecting piece, an extra coordinate, defensive shares, nested specs."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ from mcspectra.densities import (
     Linear,
     Mixture,
     PiecewiseConstant,
+    Product,
     Tent,
     as_warp,
     check_density,
 )
 
 PARTS = [Tent(dims=1, peak=0.3), Linear(dims=1, slope=1)]
+X = np.random.default_rng(1).random((300, 3))
 
 
 def test_the_pdf_is_the_weighted_sum_for_either_selection():
@@ -102,13 +104,6 @@ def test_preimages_lead_back():
     u = p.preimages(x)
     assert u.shape == (100, 1)
     np.testing.assert_allclose(p.sample(u), np.concatenate([x, x]), atol=1e-12)
-
-
-def test_there_is_no_inverse():
-    p = Mixture(parts=PARTS)
-    assert not p.has_inverse
-    with pytest.raises(DensityError, match="any of its parts"):
-        p.invert([[0.5]])
 
 
 def test_exact_variances_know_the_jumps():
@@ -198,48 +193,55 @@ def test_the_check_finds_wrong_shares(dims, selection):
         check_density(Both())
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        ({"parts": []}, "1 to 1024"),
-        ({"parts": "tent"}, "1 to 1024"),
-        ({"parts": None}, "1 to 1024"),
-        ({"parts": ["tent"] * 1025}, "1 to 1024"),
-        ({"parts": ["tent", None]}, "hold None"),
-        ({"parts": ["tent", 3]}, "is not a density"),
-        ({"parts": ["tentt"]}, "Did you mean 'tent'"),
-        ({"parts": [Tent(dims=1), Tent(dims=2)]}, "same number of dims"),
-        ({"parts": PARTS, "dims": 2}, "same number of dims"),
-        ({"parts": PARTS, "dims": 0}, "dims is 0"),
-        ({"parts": PARTS, "weights": [1]}, "2 parts"),
-        ({"parts": PARTS, "weights": 1}, "2 parts"),
-        ({"parts": PARTS, "weights": [1, 0]}, "greater than 0"),
-        ({"parts": PARTS, "weights": [1, -1]}, "greater than 0"),
-        ({"parts": PARTS, "weights": [1, np.nan]}, "finite"),
-        ({"parts": PARTS, "weights": [1, np.inf]}, "finite"),
-        ({"parts": PARTS, "weights": [1e308, 1e308]}, "finite"),
-        ({"parts": PARTS, "weights": ["a", "b"]}, "real numbers"),
-        ({"parts": PARTS, "axis": 1}, "axis is 1"),
-        ({"parts": PARTS, "axis": -1}, "axis is -1"),
-        ({"parts": PARTS, "selection": "split"}, "split_mixture"),
-        ({"parts": PARTS, "selection": "extr"}, "selection is 'extr'"),
-        ({"parts": [Mixture(parts=PARTS, selection="extra")]}, "extra coordinate"),
-    ],
-)
-def test_bad_mixtures(arguments, says):
-    with np.errstate(over="ignore"), pytest.raises(ParameterError, match=says):
-        Mixture(**arguments)
+def test_parts_act_on_their_own_axes():
+    table = PiecewiseConstant(values=[[1, 2], [3, 0.5]])
+    p = Product(parts=[Tent(dims=1), table])
+    assert p.dims == 3
+    np.testing.assert_allclose(p.pdf(X), Tent(dims=1).pdf(X[:, :1]) * table.pdf(X[:, 1:]))
+    x = p.sample(X)
+    np.testing.assert_array_equal(x[:, :1], Tent(dims=1).sample(X[:, :1]))
+    np.testing.assert_array_equal(x[:, 1:], table.sample(X[:, 1:]))
+    np.testing.assert_allclose(p.invert(x), X, atol=1e-14)
+    assert p.breaks == (*Tent(dims=1).breaks, *table.breaks)
 
 
-@pytest.mark.parametrize("share", [0, 1, -0.1, np.nan, np.inf, "a", None])
-def test_bad_shares(share):
-    with pytest.raises(ParameterError, match="share is"):
-        Defensive(density=PARTS[0], share=share)
-    with pytest.raises(ParameterError, match="is not a density|None"):
-        Defensive(density=share if share is None else 3)
+def test_a_product_of_lines_is_the_line_in_more_dims():
+    whole = Linear(dims=3, slope=[1, -2, 0.5])
+    p = Product(parts=["linear(slope=1)", "linear(dims=2, slope=[-2, 0.5])"])
+    np.testing.assert_allclose(p.pdf(X), whole.pdf(X), rtol=1e-14)
+    np.testing.assert_array_equal(p.sample(X), whole.sample(X))
+    assert Product(parts=["linear", "uniform"]).reciprocal_integral() == pytest.approx(np.log(3))
 
 
-@pytest.mark.parametrize("share", [0.0, 1.0, 1.5, -0.1])
-def test_the_share_of_the_uniform_density_is_between_0_and_1(share):
-    with pytest.raises(ParameterError, match="greater than 0 and less than 1"):
-        Defensive(density="tent", share=share)
+def test_specs_keep_the_dims_of_parts():
+    p = Product(parts=[Linear(dims=2), Tent(dims=1), Linear(dims=3, slope=1.5)])
+    assert p.spec == "product(parts=['linear(dims=2)', 'tent', 'linear(dims=3, slope=1.5)'])"
+    assert mcs.density(p.spec) == p
+    nested = Product(parts=[p, "mixture(parts=['tent', 'uniform'], dims=2)"])
+    again = mcs.density(nested.spec, dims=8)
+    assert again.spec == nested.spec
+    u = np.random.default_rng(2).random((50, 8))
+    np.testing.assert_array_equal(again.sample(u), nested.sample(u))
+
+
+def test_mixtures_in_products_bring_their_extra_coordinate():
+    p = Product(parts=["tent", "mixture(parts=['tent', 'uniform'], selection='extra')", "linear"])
+    assert (p.dims, p.primary_dims, p.has_inverse) == (3, 4, False)
+    u = np.random.default_rng(3).random((100, 4))
+    x = p.sample(u)
+    assert x.shape == (100, 3)
+    np.testing.assert_array_equal(x[:, 2:], Linear(dims=1).sample(u[:, 3:]))
+    p.check()
+    with pytest.raises(DensityError, match="no inverse"):
+        p.invert(x)
+
+
+def test_zeros_of_a_part_are_probed():
+    p = Product(parts=["linear", PiecewiseConstant(values=[1, 0] + [1] * 20_000)])
+    zeros = p.zero_points()
+    assert zeros.shape == (1, 2)
+    several = Product(parts=["linear", PiecewiseConstant(values=[1] + [0] * 8)]).zero_points()
+    assert len(np.unique(several[:, 0])) == 4  # places of the other coordinate
+    assert (p.pdf(zeros) == 0).all()
+    with pytest.raises(DensityError, match="would miss"):
+        mcs.Estimator("constant", p)

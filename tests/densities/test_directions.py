@@ -1,27 +1,25 @@
-"""Directions: moments, references of the maps, poles and seams."""
+"""The disk and directions: moments, references of the maps, special points, poles and seams."""
+
+from __future__ import annotations
 
 import math
 
 import numpy as np
 import pytest
+from tests.densities.conftest import midpoints
 
 import mcspectra as mcs
-from mcspectra.core.errors import ParameterError
-from mcspectra.densities import HemisphereDensity, PiecewiseConstant, SphereDensity
-from mcspectra.densities.adaptive import integrate
+from mcspectra.core.errors import DensityError
+from mcspectra.densities import DiskDensity, HemisphereDensity, SphereDensity
 
 WARPS = ("polar", "concentric")
-WEIGHTINGS = ("uniform", "cosine")
+LAST = np.nextafter(1.0, 0.0)
 ALL = [
-    *(HemisphereDensity(weighting=w, warp=t) for w in WEIGHTINGS for t in WARPS),
+    *(HemisphereDensity(weighting=w, warp=t) for w in ("uniform", "cosine") for t in WARPS),
     *(SphereDensity(warp=t) for t in WARPS),
 ]
+DISKS = [DiskDensity(radius=0.3, center=(0.4, 0.6), warp=t) for t in WARPS]
 each = pytest.mark.parametrize("density", ALL, ids=lambda p: p.spec)
-
-
-def midpoints(side):
-    line = (np.arange(side) + 0.5) / side
-    return np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
 def directions(density, x):
@@ -65,7 +63,7 @@ def test_the_pdf_is_the_density_of_directions_times_the_jacobian(density):
     np.testing.assert_allclose(density.pdf(x), expected, rtol=1e-12)
 
 
-@each
+@pytest.mark.parametrize("density", [*ALL, *DISKS], ids=lambda p: p.spec)
 def test_the_two_warps_share_one_pdf_and_jacobian(density):
     """p(T(u)) |det ∂T/∂u| = 1 by central differences, away from the creases and the seam."""
     u = np.random.default_rng(2).uniform(0.02, 0.98, (800, 2))
@@ -78,18 +76,6 @@ def test_the_two_warps_share_one_pdf_and_jacobian(density):
     area = np.abs(np.linalg.det(np.stack(slopes, axis=-1)))
     # Relative third derivatives within 1e-3 of a pole or crease: step²·1e6, and rounding eps/step
     np.testing.assert_allclose(area * density.pdf(density.sample(u)), 1.0, rtol=1e-5)
-
-
-@each
-def test_a_tabulated_version_has_the_same_masses(density):
-    masses = integrate(density.pdf, 2, cells=8).cells.reshape(8, 8)
-    table = PiecewiseConstant(values=masses.T)
-    shares = [
-        np.histogramdd(p.sample(midpoints(512)), bins=8, range=[(0, 1)] * 2)[0] / 512**2
-        for p in (density, table)
-    ]
-    assert np.abs(shares[0] - shares[1]).max() < 4 * 2 * 512 / 8 / 512**2
-    np.testing.assert_allclose(masses.sum(), 1.0, rtol=1e-9)
 
 
 def octahedral(a, b):
@@ -160,17 +146,73 @@ def test_digits_next_to_both_poles(spec):
     np.testing.assert_allclose(density.invert(density.sample(near)), near, rtol=0, atol=4e-16)
 
 
-@pytest.mark.parametrize(
-    ("kind", "options"),
-    [
-        (HemisphereDensity, {"weighting": "sine"}),
-        (HemisphereDensity, {"weighting": None}),
-        (HemisphereDensity, {"warp": "octahedral"}),
-        (SphereDensity, {"warp": 3}),
-    ],
-)
-def test_bad_parameters(kind, options):
-    with pytest.raises(ParameterError, match="must be one of"):
-        kind(**options)
-    with pytest.raises(ParameterError, match="dims"):
-        mcs.density(kind.name, dims=3)
+@pytest.mark.parametrize("warp", WARPS)
+def test_moments_of_the_disk(warp):
+    """E x = c and E (x − c)² = r²/4, by the midpoint rule in u (error of order side^-2)."""
+    disk = DiskDensity(radius=0.25, center=(0.3, 0.5), warp=warp)
+    x = disk.sample(midpoints(256)) - [0.3, 0.5]
+    np.testing.assert_allclose(x.mean(axis=0), 0.0, atol=1e-5)
+    np.testing.assert_allclose(x.T @ x / len(x), np.eye(2) * 0.0625 / 4, atol=1e-5)
+
+
+def test_special_points_of_the_polar_warp():
+    disk = DiskDensity(warp="polar")
+    u = [[0, 0.25], [0.25, 0.25], [0.5, 1], [0.7, 0]]
+    expected = [[0.75, 0.5], [0.5, 0.75], [0, 0.5], [0.5, 0.5]]
+    np.testing.assert_allclose(disk.sample(u), expected, atol=1e-15)
+
+
+def test_special_points_of_the_concentric_warp():
+    """Sides' middles to the axes, corners to the diagonals, squares to circles; π/8 up at half way."""
+    disk = DiskDensity()
+    c = 0.5 * math.sqrt(0.5)
+    angle = math.pi / 8
+    pairs = {
+        (0.5, 0.5): (0.5, 0.5),
+        (1.0, 0.5): (LAST, 0.5),
+        (0.5, 0.0): (0.5, 0.0),
+        (1.0, 1.0): (0.5 + c, 0.5 + c),
+        (0.0, 1.0): (0.5 - c, 0.5 + c),
+        (0.0, 0.0): (0.5 - c, 0.5 - c),
+        (0.25, 0.5): (0.25, 0.5),
+        (1.0, 0.75): (0.5 + 0.5 * math.cos(angle), 0.5 + 0.5 * math.sin(angle)),
+        (0.25, 1.0): (0.5 - 0.5 * math.sin(angle), 0.5 + 0.5 * math.cos(angle)),
+    }
+    np.testing.assert_allclose(disk.sample(list(pairs)), list(pairs.values()), atol=1e-15)
+    np.testing.assert_allclose(disk.invert(list(pairs.values())), list(pairs), atol=1e-14)
+
+
+@pytest.mark.parametrize("warp", WARPS)
+def test_invert_away_from_the_centre(warp):
+    disk = DiskDensity(warp=warp, radius=0.4, center=(0.45, 0.5))
+    u = np.random.default_rng(2).random((2000, 2))
+    x = disk.sample(u)
+    rho = np.hypot(*(x - [0.45, 0.5]).T)
+    # x is known to an ulp: so is an angle, over ρ
+    assert (np.abs(disk.invert(x) - u).max(axis=1) <= 8e-16 * (1 + 1 / rho)).all()
+
+
+def test_the_rim_is_inside_and_the_rest_is_not():
+    for warp in WARPS:
+        disk = DiskDensity(radius=1e-6, center=(0.1, 0.9), warp=warp)
+        rim = np.linspace(0, 1, 4001)
+        u = np.concatenate([np.stack([rim, np.full(4001, e)], axis=1) for e in (LAST, 1.0)])
+        assert (disk.pdf(disk.sample(u)) > 0).all()
+    disk = DiskDensity()
+    assert disk.pdf([0.5, 1e-9]) == pytest.approx(4 / math.pi)
+    assert disk.pdf([0.1, 0.1]) == 0
+    assert (disk.pdf(disk.zero_points()) == 0).all()
+    assert disk.reciprocal_integral() == math.inf
+    assert mcs.density("disk(radius=0.2)").pdf([0.5, 0.7000001]) == 0
+
+
+def test_points_outside_go_to_the_rim():
+    u = DiskDensity(warp="polar", radius=0.25).invert([[0.5, 1.0], [0.0, 0.5]])
+    np.testing.assert_allclose(u, [[0.25, LAST], [0.5, LAST]], atol=1e-15)
+
+
+def test_an_integrand_outside_the_disk_is_refused():
+    with pytest.raises(DensityError, match="would miss"):
+        mcs.Estimator("constant", "disk")
+    estimator = mcs.Estimator("disk(radius=0.2)", "disk(radius=0.3)")
+    assert estimator.primary_values(0, np.array([[0.5, 0.5]]))[0] == pytest.approx(math.pi * 0.09)

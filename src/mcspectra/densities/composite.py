@@ -1,0 +1,372 @@
+"""Densities made of densities: products over groups of dims, mixtures, and defensive mixtures.
+
+Which selection
+---------------
+A mixture p = Σ_t w_t p_t [OwenZhou2000]_ has two ways in which one point chooses its part:
+
+* ``"coordinate"``: one coordinate of u chooses the part and is stretched to be used again. Dims and
+  strata are kept, but the warp jumps at the borders of the shares w_t: g(u) = f/p jumps there too,
+  which costs jittered and low-discrepancy points their rate.
+* ``"extra"``: a further coordinate, the last one, chooses: each part sees all of the other ones, but
+  the estimator needs a sampler of d+1 dims, and g still jumps across it.
+* A *deterministic split* draws n w_t points of each part. That is no warp of one point but several
+  techniques with the balance heuristic: `mcspectra.estimators.split_mixture`.
+"""
+
+from __future__ import annotations
+
+import inspect
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from mcspectra.core.checks import MAX_DIMS, Array, as_choice, as_integer, as_real, as_real_array
+from mcspectra.core.errors import DensityError, ParameterError
+from mcspectra.core.registry import DEFAULT_DIMS
+from mcspectra.core.spec import parse
+from mcspectra.densities.analytic import Uniform
+from mcspectra.densities.base import LARGEST_BELOW_ONE, Density, Wrapper, converted, plain
+from mcspectra.densities.registry import DENSITIES, as_density, density
+
+__all__ = ["Defensive", "Mixture", "Product"]
+
+_MAX_PARTS = 1024
+_PLACES = 4  # of the other coordinates, for each zero of a part
+_SELECTIONS = ("coordinate", "extra")
+
+
+def _as_parts(given: Any, dims: int) -> tuple[Density, ...]:
+    """Densities from a list of densities and spec strings, those without dims in `dims` dims."""
+    if not isinstance(given, list | tuple) or not 0 < len(given) <= _MAX_PARTS:
+        raise ParameterError(
+            f"parts is {given!r:.80}; give a list of 1 to {_MAX_PARTS} densities or spec strings."
+        )
+    return tuple(_as_part(part, dims) for part in given)
+
+
+def _as_part(part: Any, dims: int) -> Density:
+    if isinstance(part, str):
+        call = parse(part)
+        takes = "dims" in inspect.signature(DENSITIES.load(call.name)).parameters
+        return density(part, dims if takes and "dims" not in call.arguments else None)
+    found = as_density(part)
+    if found is None:
+        raise ParameterError("parts hold None; write 'uniform' for a uniform density.")
+    return found
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Product(Density):
+    """Product of densities, p(x) = Π_j p_j(x of part j): the parts take the axes one after another.
+
+    Attributes
+    ----------
+    parts
+        Densities or spec strings. A spec string without ``dims`` stands for one dim:
+        ``product(parts=["linear(slope=1)", "tent"])`` is in 2-D.
+    """
+
+    name: ClassVar[str] = "product"
+    parts: Any = field(metadata=converted(lambda _, given: _as_parts(given, 1)))
+
+    def __post_init__(self) -> None:
+        self._convert()
+        if self.dims > MAX_DIMS:
+            raise ParameterError(
+                f"The parts of a product have more than {MAX_DIMS} dims in all; use fewer parts."
+            )
+
+    @property
+    def dims(self) -> int:  # type: ignore[override]
+        """Sum over the parts."""
+        return sum(part.dims for part in self.parts)
+
+    @property
+    def primary_dims(self) -> int:
+        return sum(part.primary_dims for part in self.parts)
+
+    @property
+    def spec(self) -> str:
+        """Spec string, with the dims of parts that do not have one."""
+        return f"{self.name}(parts=[{', '.join(repr(_with_dims(part)) for part in self.parts)}])"
+
+    @property
+    def has_inverse(self) -> bool:
+        return all(part.has_inverse for part in self.parts)
+
+    @property
+    def one_to_one(self) -> bool:
+        return all(part.one_to_one for part in self.parts)
+
+    @property
+    def breaks(self) -> tuple[tuple[float, ...], ...]:
+        return tuple(axis for part in self.parts for axis in part.breaks)
+
+    def zero_points(self) -> Array:
+        return self.lifted([part.zero_points() for part in self.parts])
+
+    def lifted(self, points: Sequence[Array]) -> Array:
+        """Points of each part, (k_j, d_j), each at a few places along the other axes: (Σk_j, d)."""
+        found = []
+        for own, given in zip(self._domain, points, strict=True):
+            turn = np.arange(len(given))[:, None] % _PLACES
+            lifted = (turn + 0.5 + 0.25 * np.sin(np.arange(self.dims))) / (_PLACES + 0.25)
+            lifted[:, own] = given
+            found.append(lifted)
+        return np.concatenate(found)
+
+    def reciprocal_integral(self) -> float:
+        """Product over the parts."""
+        return float(math.prod(part.reciprocal_integral() for part in self.parts))
+
+    @cached_property
+    def _domain(self) -> tuple[slice, ...]:
+        return _slices([part.dims for part in self.parts])
+
+    @cached_property
+    def _primary(self) -> tuple[slice, ...]:
+        return _slices([part.primary_dims for part in self.parts])
+
+    def _pdf(self, x: Array) -> Array:
+        factors = (p._pdf(x[..., own]) for p, own in zip(self.parts, self._domain, strict=True))
+        return math.prod(factors, start=np.ones(x.shape[:-1]))
+
+    def _sample(self, u: Array) -> Array:
+        pairs = zip(self.parts, self._primary, strict=True)
+        return np.concatenate([part.sample(u[..., own]) for part, own in pairs], axis=-1)
+
+    def _invert(self, x: Array) -> Array:
+        pairs = zip(self.parts, self._domain, strict=True)
+        return np.concatenate([part.invert(x[..., own]) for part, own in pairs], axis=-1)
+
+
+def _slices(sizes: list[int]) -> tuple[slice, ...]:
+    ends = np.cumsum([0, *sizes]).tolist()
+    return tuple(slice(a, b) for a, b in itertools.pairwise(ends))
+
+
+def _with_dims(part: Density) -> str:
+    """Spec string of a part, saying its dims where they are not 1 and the class takes any."""
+    spec, takes = part.spec, "dims" in inspect.signature(type(part)).parameters
+    if part.dims == 1 or not takes or part.name == "function":
+        return spec
+    name, bracket, rest = spec.partition("(")
+    return f"{name}(dims={part.dims}{', ' + rest if bracket else ')'}"
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Mixture(Density):
+    """Mixture of densities, p = Σ_t w_t p_t, the part chosen by one coordinate of u.
+
+    Attributes
+    ----------
+    dims
+        Number of dims; by default that of the parts, 2 where they are spec strings without ``dims``.
+    parts
+        Densities p_t or spec strings.
+    weights
+        Relative shares w_t, above 0, of any scale; equal by default.
+    selection
+        ``"coordinate"`` or ``"extra"``.
+    axis
+        The coordinate that chooses, with ``"coordinate"``; with ``"extra"`` it is the last one.
+
+    Notes
+    -----
+    The warp is not one-to-one, as each x may come from any part: there is no inverse. The pdf does
+    not depend on the selection.
+    """
+
+    name: ClassVar[str] = "mixture"
+    dims: int = None  # type: ignore[assignment]  # the parts' own
+    parts: Any
+    weights: Any = None
+    selection: str = "coordinate"
+    axis: int = 0
+
+    def __post_init__(self) -> None:
+        if self.selection == "split":
+            raise ParameterError(
+                "A mixture by deterministic split is several techniques, not one density; use "
+                "mcspectra.estimators.split_mixture(integrand, mixture)."
+            )
+        as_choice("selection", self.selection, _SELECTIONS)
+        # Find the dims of all parts, which must agree; none may need an extra coordinate
+        parts = _as_parts(self.parts, _dims_of(self.parts, self.dims))
+        given: int | None = self.dims
+        dims = parts[0].dims if given is None else int(given)
+        if any(part.dims != dims for part in parts):
+            shown = ", ".join(f"{part.spec} has {part.dims}" for part in parts)
+            raise ParameterError(
+                f"All parts of a mixture need the same number of dims: {shown:.300}."
+            )
+        deeper = next((part for part in parts if part.primary_dims != part.dims), None)
+        if deeper is not None:
+            raise ParameterError(
+                f"{deeper.spec} needs an extra coordinate; parts of a mixture must have "
+                "selection='coordinate'."
+            )
+        axis = as_integer("axis", self.axis, least=0, most=dims - 1)
+        weights = None if self.weights is None else _as_weights(self.weights, len(parts))
+        self._store(parts=parts, weights=weights, dims=dims, axis=axis)
+
+    @property
+    def shares(self) -> Array:
+        """w_t, with the sum 1."""
+        weights = np.ones(len(self.parts)) if self.weights is None else np.array(self.weights)
+        return np.asarray(weights / weights.max() / (weights / weights.max()).sum())
+
+    @property
+    def primary_dims(self) -> int:
+        """d, or d + 1 with a coordinate that only chooses."""
+        return self.dims + (self.selection == "extra")
+
+    has_inverse = one_to_one = False
+
+    @property
+    def breaks(self) -> tuple[tuple[float, ...], ...]:
+        """Borders of the shares on the axis that chooses; those of all parts on every axis."""
+        found: list[set[float]] = [set() for _ in range(self.primary_dims)]
+        found[self._chooser].update(self._borders[1:-1].tolist())
+        for t, part in enumerate(self.parts):
+            for axis, own in enumerate(part.breaks):
+                stretched = axis == self._chooser
+                found[axis].update(float(self._place(t, b)) if stretched else b for b in own)
+        return tuple(tuple(sorted(b for b in axis if 0 < b < 1)) for axis in found)
+
+    def preimages(self, x: object) -> Array:
+        """Primary points of every part that has an inverse, with selection by a coordinate."""
+        if self.selection == "extra":  # a line of u for each x and part
+            return np.empty((0, self.primary_dims))
+        found = [part.preimages(x) for part in self.parts]
+        for t, u in enumerate(found):
+            u[:, self.axis] = self._place(t, u[:, self.axis])
+        return np.concatenate(found)
+
+    def zero_points(self) -> Array:
+        """Zeros of any part that are zeros of the mixture."""
+        zeros = np.concatenate([part.zero_points() for part in self.parts])
+        return np.asarray(zeros[self._pdf(zeros) == 0])
+
+    def _pdf(self, x: Array) -> Array:
+        total = np.zeros(x.shape[:-1])
+        for share, part in zip(self.shares, self.parts, strict=True):
+            total += share * part._pdf(x)
+        return total
+
+    def _sample(self, u: Array) -> Array:
+        chosen = np.searchsorted(self._borders[1:-1], u[..., self._chooser], side="right")
+        x = np.empty((*u.shape[:-1], self.dims))
+        for t, part in enumerate(self.parts):
+            own = chosen == t
+            if not own.any():
+                continue
+            v = u[own]  # a copy
+            if self.selection == "extra":
+                v = v[..., :-1]
+            else:
+                low, high = self._borders[t], self._borders[t + 1]
+                stretched = (v[..., self.axis] - low) / (high - low)
+                v[..., self.axis] = np.clip(stretched, 0, LARGEST_BELOW_ONE)
+            x[own] = part.sample(v)
+        return x
+
+    def _invert(self, x: Array) -> Array:  # noqa: ARG002
+        raise DensityError(
+            f"{self.spec} has no inverse: a point may come from any of its parts; invert the part "
+            "that it came from."
+        )
+
+    @property
+    def _chooser(self) -> int:
+        return self.dims if self.selection == "extra" else self.axis
+
+    @cached_property
+    def _borders(self) -> Array:
+        """Cumulative shares (T+1,), from 0 to exactly 1."""
+        sums = np.concatenate([[0.0], np.cumsum(self.shares)])
+        sums[-1] = 1.0
+        return np.asarray(np.minimum(sums, 1.0))
+
+    def _place(self, t: int, v: Any) -> Any:
+        """Where v in [0,1) of part t lies on the axis that chooses."""
+        low, high = self._borders[t : t + 2]
+        return low + v * (high - low)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Defensive(Wrapper):
+    """Mixture of a density with a share of the uniform one, so that 1/p is at most 1/share.
+
+    A mixture that holds a share of a density that is large enough everywhere is *defensive*
+    [Hesterberg1995]_.
+
+    Attributes
+    ----------
+    dims
+        Number of dims; by default that of the density, 2 where its spec string has no ``dims``.
+    density
+        A density or spec string.
+    share
+        Share of the uniform density, above 0 and below 1.
+    selection, axis
+        As in `Mixture`; the uniform part is chosen by the upper end of the coordinate.
+    """
+
+    name: ClassVar[str] = "defensive"
+    dims: int = None  # type: ignore[assignment]  # the density's own
+    density: Any
+    share: float = 0.1
+    selection: str = "coordinate"
+    axis: int = 0
+
+    def __post_init__(self) -> None:
+        as_real("share", self.share, above=0.0, below=1.0)
+        own = _as_part(self.density, _dims_of([self.density], self.dims))
+        self._store(density=own)
+        self._store(dims=own.dims, axis=self.mixture.axis)
+
+    @cached_property
+    def mixture(self) -> Mixture:
+        """The same as a `Mixture` of two parts."""
+        return Mixture(
+            dims=self.dims,
+            parts=[self.density, Uniform(dims=self.density.dims)],
+            weights=[1.0 - self.share, self.share],
+            selection=self.selection,
+            axis=self.axis,
+        )
+
+    @property
+    def _inside(self) -> Mixture:
+        return self.mixture
+
+
+def _dims_of(parts: Any, dims: int | None) -> int:
+    """Dims for spec strings that do not say: those asked for, or those of a part that is given."""
+    if dims is not None:
+        return as_integer("dims", dims, least=1)
+    given = parts if isinstance(parts, list | tuple) else []
+    return next((part.dims for part in given if isinstance(part, Density)), DEFAULT_DIMS)
+
+
+def _as_weights(given: Any, length: int) -> tuple[float, ...]:
+    weights = as_real_array("weights", given)
+    if weights.shape != (length,):
+        raise ParameterError(
+            f"weights have shape {weights.shape}; give one number for each of the {length} parts."
+        )
+    if not np.isfinite(weights).all() or weights.min() <= 0 or not math.isfinite(weights.sum()):
+        raise ParameterError(
+            f"weights run from {weights.min():g} to {weights.max():g}; they must be finite and "
+            "greater than 0: leave out parts of weight 0."
+        )
+    return tuple(plain(weights))

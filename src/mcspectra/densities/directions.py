@@ -1,0 +1,265 @@
+"""The disk, and directions on the lat-long square: hemisphere and sphere, each with two warps.
+
+With solid angle dω = sin θ dθ dφ a density q per steradian is p(x) = q |∂ω/∂x| on the square, which
+falls to 0 at its poles: ∫1/p diverges logarithmically, ∫f²/p does not where f carries sin θ too.
+
+All rest on maps between the square and the disk or the sphere in polar coordinates. A point of the
+unit disk is (ρ, turn), a direction (θ/π, turn), with turn = φ/2π in [0,1]. Maps to the disk keep area
+but for the factor π, those to the sphere but for 4π.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_real, as_reals
+from mcspectra.core.errors import ParameterError
+from mcspectra.densities.base import Density, choice, converted
+
+__all__ = ["DiskDensity", "HemisphereDensity", "SphereDensity"]
+
+_WARPS = ("polar", "concentric")
+_LEAST_RADIUS = 1e-6
+_ROUNDING = 4e-16  # of a coordinate, so that samples on the rim count as inside
+_RIGHT_ANGLE = 0.5 * np.pi
+
+_Pair = tuple[Array, Array]
+_Map = tuple[Callable[[Array], _Pair], Callable[[Array, Array], Array]]
+
+
+def _polar_to_disk(u: Array) -> _Pair:
+    """turn = u_0, ρ² = u_1: distorts without bound at the centre; the seam is a jump of x."""
+    return np.sqrt(u[..., 1]), u[..., 0]
+
+
+def _polar_from_disk(radius: Array, turn: Array) -> Array:
+    return np.stack([turn, radius**2], axis=-1)
+
+
+def _concentric_to_disk(u: Array) -> _Pair:
+    """Squares about the centre to circles [Shirley1997]_, distorting by at most 4/π."""
+    a, b = 2.0 * u[..., 0] - 1.0, 2.0 * u[..., 1] - 1.0
+    wide = np.abs(a) > np.abs(b)
+    long, short = np.where(wide, a, b), np.where(wide, b, -a)
+    local = np.divide(short, long, out=np.zeros_like(long), where=long != 0)
+    quarter = np.where(wide, 0.0, 0.25) + np.where(long < 0, 0.5, 0.0)
+    return np.abs(long), (quarter + local / 8.0) % 1.0
+
+
+def _concentric_from_disk(radius: Array, turn: Array) -> Array:
+    quarter = np.rint(4.0 * turn)
+    local = radius * (8.0 * (turn - quarter / 4.0))
+    index = quarter.astype(np.int64) % 4
+    a = np.choose(index, [radius, -local, -radius, local])
+    b = np.choose(index, [local, radius, -local, -radius])
+    return np.asarray(0.5 * (np.stack([a, b], axis=-1) + 1.0))
+
+
+def _polar_to_sphere(u: Array) -> _Pair:
+    """turn = u_0, sin²(θ/2) = u_1: separable on the lat-long square."""
+    half = np.sqrt(np.minimum(u[..., 1], 1.0 - u[..., 1]))
+    theta = 2.0 / np.pi * np.arcsin(half)
+    return np.where(u[..., 1] > 0.5, 1.0 - theta, theta), u[..., 0]
+
+
+def _polar_from_sphere(theta: Array, turn: Array) -> Array:
+    share = np.sin(0.5 * np.pi * np.minimum(theta, 1.0 - theta)) ** 2
+    return np.stack([turn, np.where(theta > 0.5, 1.0 - share, share)], axis=-1)
+
+
+def _octahedral_to_sphere(u: Array) -> _Pair:
+    """The square folded to an octahedron, equal areas [Clarberg2008]_: one pole at the corners."""
+    a, b = np.abs(2.0 * u[..., 0] - 1.0), np.abs(2.0 * u[..., 1] - 1.0)
+    lower = a + b > 1.0
+    radius = np.where(lower, (1.0 - a) + (1.0 - b), a + b)
+    ratio = np.divide(b - a, radius, out=np.zeros_like(radius), where=radius != 0)
+    turn = (np.clip(ratio, -1.0, 1.0) + 1.0) / 8.0
+    turn = np.where(u[..., 0] < 0.5, 0.5 - turn, turn)
+    turn = np.where(u[..., 1] < 0.5, -turn, turn) % 1.0
+    theta = 2.0 / np.pi * np.arcsin(radius / np.sqrt(2.0))
+    return np.where(lower, 1.0 - theta, theta), turn
+
+
+def _octahedral_from_sphere(theta: Array, turn: Array) -> Array:
+    lower = theta > 0.5
+    radius = np.sqrt(2.0) * np.sin(0.5 * np.pi * np.where(lower, 1.0 - theta, theta))
+    below, left = turn > 0.5, np.abs(turn - 0.5) < 0.25
+    folded = np.where(below, 1.0 - turn, turn)
+    folded = np.where(left, 0.5 - folded, folded)
+    # Of |a| and |b|: their sum is the radius, or 2 − radius, their difference radius·ratio
+    b = 4.0 * radius * folded
+    a = radius - b
+    a, b = np.where(lower, 1.0 - b, a), np.where(lower, 1.0 - a, b)
+    signed = np.stack([np.where(left, -a, a), np.where(below, -b, b)], axis=-1)
+    return np.asarray(0.5 * (signed + 1.0))
+
+
+# Square to (ρ, turn) of the unit disk, or to (θ/π, turn) of the sphere, and back
+_DISK_MAPS: Mapping[str, _Map] = {
+    "polar": (_polar_to_disk, _polar_from_disk),
+    "concentric": (_concentric_to_disk, _concentric_from_disk),
+}
+_SPHERE_MAPS: Mapping[str, _Map] = {
+    "polar": (_polar_to_sphere, _polar_from_sphere),
+    "concentric": (_octahedral_to_sphere, _octahedral_from_sphere),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class _TwoWarps(Density):
+    """A density in 2-D with two warps, none of them of finite ∫1/p."""
+
+    warps: ClassVar[tuple[str, ...]] = _WARPS
+    dims: int = field(default=2, init=False)
+
+    def reciprocal_integral(self) -> float:
+        """Infinite."""
+        return math.inf
+
+
+def _as_radius(name: str, value: Any) -> float:
+    return as_real(name, value, least=_LEAST_RADIUS, most=0.5)
+
+
+def _as_center(name: str, value: Any) -> float | tuple[float, ...]:
+    center = as_reals(name, value, 2)
+    return center[0] if center[0] == center[1] else center
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class DiskDensity(_TwoWarps):
+    """Uniform on a disk inside the unit square, 0 outside.
+
+    Both warps keep areas; they differ in where T tears neighbours apart (see `warp`), and so in the
+    rate of correlated samplers.
+
+    Attributes
+    ----------
+    radius
+        Between 1e-6 and ½.
+    center
+        One number for both coordinates or one for each; the disk must lie inside the square.
+    warp
+        ``"polar"``: φ = 2π u_0, ρ² = radius² u_1. The sides u_0 = 0 and 1 meet in x, those of
+        u_1 do not: the whole side u_1 = 0 is the centre. ``"concentric"`` [Shirley1997]_: squares about
+        the centre to circles; all sides lie on the rim.
+    """
+
+    name: ClassVar[str] = "disk"
+    radius: float = field(default=0.5, metadata=converted(_as_radius))
+    center: float | tuple[float, float] = field(default=0.5, metadata=converted(_as_center))
+    warp: str = field(default="concentric", metadata=choice(_WARPS))
+
+    def __post_init__(self) -> None:
+        self._convert()
+        center, radius = as_reals("center", self.center, 2), self.radius
+        if min(center) < radius - _ROUNDING or max(center) > 1.0 - radius + _ROUNDING:
+            raise ParameterError(
+                f"A disk of radius {radius:g} at {center} leaves the unit square; its centre must "
+                f"lie between {radius:g} and {1.0 - radius:g}."
+            )
+
+    def zero_points(self) -> Array:
+        """The corners, and points around the disk that are not in it but in the square."""
+        turns = np.arange(16) / 16
+        around = self._place(np.full(16, 1.0 + 1e-6), turns)
+        inside = ((around >= 0.0) & (around <= 1.0)).all(axis=-1)
+        return np.concatenate([list(itertools.product((0.0, 1.0), repeat=2)), around[inside]])
+
+    def _place(self, rho: Array, turn: Array) -> Array:
+        """Points at polar coordinates in radii about the centre."""
+        angle = 2.0 * np.pi * turn
+        offset = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        return np.asarray(np.asarray(self.center) + self.radius * rho[..., None] * offset)
+
+    def _pdf(self, x: Array) -> Array:
+        distance = np.hypot(*np.moveaxis(x - np.asarray(self.center), -1, 0))
+        inside = distance <= self.radius + _ROUNDING
+        return np.where(inside, 1.0 / (np.pi * self.radius**2), 0.0)
+
+    def _sample(self, u: Array) -> Array:
+        return self._place(*_DISK_MAPS[self.warp][0](u))
+
+    def _invert(self, x: Array) -> Array:
+        """Points outside the disk count as those of the rim in their direction."""
+        a, b = np.moveaxis(x - np.asarray(self.center), -1, 0)
+        rho = np.minimum(np.hypot(a, b) / self.radius, 1.0)
+        return _DISK_MAPS[self.warp][1](rho, np.arctan2(b, a) / (2.0 * np.pi) % 1.0)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class HemisphereDensity(_TwoWarps):
+    """Directions of a hemisphere, x = (φ/2π, θ/(π/2)) with θ from its pole.
+
+    Attributes
+    ----------
+    weighting
+        ``"uniform"``: 1/2π per steradian, p = (π/2) sin θ. ``"cosine"``: cos θ/π per steradian,
+        p = (π/2) sin 2θ.
+    warp
+        How the disk is made whose ρ² is the share up to θ: ``"polar"`` keeps x_0 = u_0 and is
+        smooth on the lat-long square; ``"concentric"`` ([Shirley1997]_, lifted as by Malley)
+        is smooth on the sphere, and jumps in x where φ passes 0: along u_1 = ½, u_0 > ½.
+
+    Notes
+    -----
+    On x_1 = 0 all x_0 are one direction: `invert` gives one point for them with the concentric warp.
+    """
+
+    name: ClassVar[str] = "hemisphere"
+    weighting: str = field(default="cosine", metadata=choice(("uniform", "cosine")))
+    warp: str = field(default="concentric", metadata=choice(_WARPS))
+
+    def _pdf(self, x: Array) -> Array:
+        theta = x[..., 1]
+        if self.weighting == "uniform":
+            return np.asarray(_RIGHT_ANGLE * np.sin(_RIGHT_ANGLE * theta))
+        return np.asarray(_RIGHT_ANGLE * np.sin(np.pi * np.minimum(theta, 1.0 - theta)))
+
+    def _sample(self, u: Array) -> Array:
+        rho, turn = _DISK_MAPS[self.warp][0](u)
+        uniform = self.weighting == "uniform"
+        theta = 2.0 * np.arcsin(rho / np.sqrt(2.0)) if uniform else np.arcsin(rho)
+        return np.stack([turn, theta / _RIGHT_ANGLE], axis=-1)
+
+    def _invert(self, x: Array) -> Array:
+        theta = _RIGHT_ANGLE * x[..., 1]
+        uniform = self.weighting == "uniform"
+        rho = np.sqrt(2.0) * np.sin(0.5 * theta) if uniform else np.sin(theta)
+        return _DISK_MAPS[self.warp][1](rho, x[..., 0])
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class SphereDensity(_TwoWarps):
+    """Uniform directions of the sphere, x = (φ/2π, θ/π), p = (π/2) sin θ.
+
+    Attributes
+    ----------
+    warp
+        ``"polar"``: x_0 = u_0, cos θ = 1 − 2 u_1, smooth on the lat-long square. ``"concentric"``:
+        the equal-area octahedral map [Clarberg2008]_, with the pole θ = 0 at the centre of the square
+        and θ = π at its four corners; x jumps where φ passes 0: along u_1 = ½, u_0 > ½.
+    """
+
+    name: ClassVar[str] = "sphere"
+    warp: str = field(default="concentric", metadata=choice(_WARPS))
+
+    def _pdf(self, x: Array) -> Array:
+        theta = np.minimum(x[..., 1], 1.0 - x[..., 1])
+        return np.asarray(_RIGHT_ANGLE * np.sin(np.pi * theta))
+
+    def _sample(self, u: Array) -> Array:
+        theta, turn = _SPHERE_MAPS[self.warp][0](u)
+        return np.stack([turn, theta], axis=-1)
+
+    def _invert(self, x: Array) -> Array:
+        return _SPHERE_MAPS[self.warp][1](x[..., 1], x[..., 0])

@@ -1,0 +1,301 @@
+"""Figures of one set: distances between its points on the torus, discrepancies, diaphony.
+
+All are exact. Loops visit every pair of points once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_choice, as_integer, as_unit_points
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.jit import kernel
+
+__all__ = [
+    "best_minimum_distance",
+    "diaphony",
+    "generalized_l2_discrepancy",
+    "l2_discrepancy",
+    "nearest_distances",
+    "relative_minimum_distance",
+    "star_discrepancy",
+]
+
+_MAX_PAIR_WORK = 2**27  # n² d of figures that visit all pairs: a second or so, 8192 points in 2-D
+_TREE_DIMS = 6  # in more dims a tree visits nearly all pairs
+_TREE_POINTS = 2**21
+
+_BEST_LATTICE = {
+    # dims: minimum distance of the densest packing with one point a unit volume
+    1: 1.0,
+    2: math.sqrt(2.0 / math.sqrt(3.0)),
+    3: 2.0 ** (1.0 / 6.0),
+    8: math.sqrt(2.0),
+    24: 2.0,
+}
+_MOST_STAR_POINTS = 2**14  # half a second in 2-D
+_SCIPY: Mapping[str, tuple[str, bool]] = {
+    # kind: SciPy's name, and whether it returns the square
+    "star": ("L2-star", False),
+    "centered": ("CD", True),
+    "wraparound": ("WD", True),
+    "mixture": ("MD", True),
+}
+_MEAN = math.pi**2 / 6.0
+
+
+def _as_set(points: object) -> Array:
+    """Return one set (n, d), contiguous, after checking that it lies in the unit cube."""
+    x = as_unit_points(points)
+    if x.ndim != 2:
+        raise ParameterError(f"points have shape {x.shape}; give one set, shape (n, d).")
+    return np.ascontiguousarray(x)
+
+
+def _check_pairs(x: Array) -> None:
+    """Refuse sets (n, d) whose pairs take long to visit."""
+    n, dims = x.shape
+    most = math.isqrt(_MAX_PAIR_WORK // dims)
+    if n > most:
+        raise ParameterError(
+            f"{n} points are too many for a figure of all pairs; in {dims} dims give at most {most}."
+        )
+
+
+def nearest_distances(points: object) -> Array:
+    """Return each point's toroidal distance to its nearest neighbour.
+
+    Parameters
+    ----------
+    points
+        One set of at least two points, (n, d), in [0,1).
+
+    Raises
+    ------
+    ParameterError
+        One point only, or more work than a second or so: n > 2^21, or n² d > 2^27 from 7 dims on.
+    """
+    x = _as_set(points)
+    n, dims = x.shape
+    if n < 2:
+        raise ParameterError("One point has no neighbours; give at least two.")
+    if dims > _TREE_DIMS:
+        _check_pairs(x)
+        return np.asarray(np.sqrt(_torus_nearest(x)))
+    if n > _TREE_POINTS:
+        raise ParameterError(f"{n} points are too many for distances; give at most {_TREE_POINTS}.")
+    from scipy.spatial import cKDTree
+
+    distances, _ = cKDTree(x, boxsize=np.ones(dims)).query(x, k=2)
+    return np.array(np.asarray(distances)[:, 1])
+
+
+@kernel
+def _torus_nearest(x: Array) -> Array:
+    """Return each point's squared toroidal distance to its nearest neighbour."""
+    n, dims = x.shape
+    nearest = np.full(n, np.inf)
+    for i in range(n):
+        for j in range(i):
+            square = 0.0
+            for k in range(dims):
+                step = abs(x[i, k] - x[j, k])
+                step = min(step, 1.0 - step)
+                square += step * step
+            nearest[i] = min(nearest[i], square)
+            nearest[j] = min(nearest[j], square)
+    return nearest
+
+
+def best_minimum_distance(n: int, dims: int) -> float:
+    """Return the minimum distance that no `n` points on the torus exceed, where that is proven.
+
+    It is that of the densest packing of balls: points of equal distance in 1-D, the hexagonal
+    lattice in 2-D, face-centred cubic in 3-D [Hales2005]_, E8 in 8-D [Viazovska2017]_ and the Leech
+    lattice in 24-D [Cohn2017]_.
+
+    Raises
+    ------
+    ParameterError
+        The densest packing in `dims` dims is not known.
+    """
+    n = as_integer("n", n, least=1)
+    if dims not in _BEST_LATTICE:
+        raise ParameterError(
+            f"The densest packing is proven in {', '.join(map(str, _BEST_LATTICE))} dims, "
+            f"not in {dims}."
+        )
+    return float(_BEST_LATTICE[dims] * n ** (-1.0 / dims))
+
+
+def relative_minimum_distance(points: object) -> float:
+    """Return the minimum distance over the best possible one (at most 1).
+
+    A point's own images count too: they are 1 apart.
+    """
+    x = _as_set(points)
+    best = best_minimum_distance(*x.shape)
+    return min(1.0, float(nearest_distances(x).min())) / best
+
+
+def star_discrepancy(points: object) -> float:
+    """Return D* = sup |share of points in [0,a) − volume of [0,a)|, exactly, in 1-D and 2-D.
+
+    Parameters
+    ----------
+    points
+        One set, (n, d), in [0,1).
+
+    Raises
+    ------
+    ParameterError
+        More than 2 dims (exact algorithms take O(n^(1 + d/2)) and are not built in), or more than 2^14 points in 2-D.
+
+    Notes
+    -----
+    Cost O(n log n) in 1-D [Niederreiter1972]_, O(n²) in 2-D [DeClerck1986]_.
+    """
+    x = _as_set(points)
+    n, dims = x.shape
+    if dims == 1:
+        ascending = np.sort(x[:, 0])
+        middles = (np.arange(n) + 0.5) / n
+        return float(0.5 / n + np.abs(ascending - middles).max())
+    if dims > 2:
+        raise ParameterError(
+            f"The exact star discrepancy is computed in 1 and 2 dims only, not in {dims}."
+        )
+    if n > _MOST_STAR_POINTS:
+        raise ParameterError(
+            f"{n} points are too many for the star discrepancy; give at most {_MOST_STAR_POINTS}."
+        )
+    order = np.argsort(x[:, 0])
+    return float(_star_discrepancy_2d(x[order, 0], x[order, 1]))
+
+
+@kernel
+def _star_discrepancy_2d(x: Array, y: Array) -> float:
+    """Return D* of the points (x_i, y_i), x ascending.
+
+    The supremum over boxes [0,a) × [0,b) is reached, or approached, where a and b are coordinates
+    of points or 1: each column of the grid of all coordinates is scanned with the points left of
+    it, kept in order of y.
+    """
+    n = len(x)
+    heights = np.empty(n + 2)
+    heights[0], heights[1] = 0.0, 1.0
+    worst = 0.0
+    for column in range(n + 1):
+        left = x[column - 1] if column else 0.0
+        right = x[column] if column < n else 1.0
+        if column:
+            k = column
+            heights[column + 1] = 1.0
+            while heights[k - 1] > y[column - 1]:
+                heights[k] = heights[k - 1]
+                k -= 1
+            heights[k] = y[column - 1]
+        for k in range(column + 1):
+            share = k / n
+            worst = max(worst, share - left * heights[k], right * heights[k + 1] - share)
+    return worst
+
+
+def l2_discrepancy(points: object, kind: str = "star") -> float:
+    """Return an L2 discrepancy of a set, through `scipy.stats.qmc.discrepancy`.
+
+    Parameters
+    ----------
+    points
+        One set, (n, d), in [0,1).
+    kind
+        ``"star"``, ``"centered"``, ``"wraparound"`` [Hickernell1998]_ or ``"mixture"``
+        [ZhouFangNing2013]_. The square root is taken
+        of all, where SciPy returns squares of the last three.
+
+    Raises
+    ------
+    ParameterError
+        Unknown kind, or n² d > 2^27.
+    """
+    from scipy.stats import qmc
+
+    x = _as_set(points)
+    method, squared = _SCIPY[as_choice("kind", kind, tuple(_SCIPY))]
+    _check_pairs(x)
+    value = float(qmc.discrepancy(x, method=method))  # type: ignore[arg-type]
+    return math.sqrt(max(value, 0.0)) if squared else value
+
+
+def generalized_l2_discrepancy(points: object) -> float:
+    """Return the L2 star discrepancy over all projections together.
+
+    D² = (4/3)^d − 2/n Σ_i Π_k (3 − x_ik²)/2 + 1/n² Σ_ij Π_k (2 − max(x_ik, x_jk)), the sum of the
+    squared L2 star discrepancies of the projections on all sets of axes [Hickernell1998]_.
+
+    Raises
+    ------
+    ParameterError
+        n² d > 2^27.
+    """
+    x = _as_set(points)
+    _check_pairs(x)
+    n, dims = x.shape
+    single = np.prod((3.0 - x * x) / 2.0, axis=1).sum()
+    double = 2.0 * _generalized_l2_sum(x) + np.prod(2.0 - x, axis=1).sum()
+    return math.sqrt(max(0.0, (4.0 / 3.0) ** dims - 2.0 * single / n + double / n**2))
+
+
+@kernel
+def _generalized_l2_sum(x: Array) -> float:
+    """Return the sum over pairs i < j of Π(2 − max(x_ik, x_jk)) for points (n, d)."""
+    n, dims = x.shape
+    total = 0.0
+    for i in range(n):
+        row = 0.0
+        for j in range(i):
+            product = 1.0
+            for k in range(dims):
+                product *= 2.0 - max(x[i, k], x[j, k])
+            row += product
+        total += row
+    return total
+
+
+def diaphony(points: object) -> float:
+    """Return the diaphony F [Zinterhof1976]_: the spectrum weighted by (Π_k max(1, |m_k|))^−2.
+
+    F² = Σ_{m≠0} |S_m|² / Π_k max(1, m_k²) over all frequencies, S_m = 1/n Σ_i exp(2πi m·x_i),
+    summed in closed form over pairs. It does not change when the set is moved on the torus; the
+    mean of F² over random sets is ((1 + π²/3)^d − 1) / n.
+
+    Raises
+    ------
+    ParameterError
+        n² d > 2^27.
+    """
+    x = _as_set(points)
+    _check_pairs(x)
+    n, dims = x.shape
+    alone = (1.0 + math.pi**2 / 3.0) ** dims - 1.0
+    return math.sqrt(max(0.0, alone / n + 2.0 * _diaphony_sum(x) / n**2))
+
+
+@kernel
+def _diaphony_sum(x: Array) -> float:
+    """Return the sum over pairs i < j of Π(1 + 2π² B2({x_ik − x_jk})) − 1 for points (n, d)."""
+    n, dims = x.shape
+    total = 0.0
+    for i in range(n):
+        row = 0.0  # a sum for each point keeps rounding to that of n, not n², terms
+        for j in range(i):
+            product = 1.0
+            for k in range(dims):
+                turn = 1.0 - 2.0 * abs(x[i, k] - x[j, k])
+                product *= 1.0 - _MEAN + 3.0 * _MEAN * turn * turn
+            row += product - 1.0
+        total += row
+    return total
