@@ -115,16 +115,8 @@ def _unit(module: Any, word: Any) -> Any:
 class NetPoints:
     """Points 0 … count−1 of scrambled nets: for each stream the realisations with these numbers.
 
-    They are those of ``owen(method='hash')``, rounded down to float32.
-
-    Attributes
-    ----------
-    net, count
-        Net, and points of a set.
-    streams
-        Keys of random streams, uint64 (S,).
-    numbers
-        Numbers of realisations, uint32 (R,).
+    They are those of ``owen(method='hash')``, rounded down to float32. Streams are given by their
+    keys, uint64 (S,), numbers are uint32 (R,).
     """
 
     net: Net
@@ -175,21 +167,8 @@ def _hashed(x: Any, key: tuple[Any, Any]) -> Any:
 
 
 class Pads:
-    """Sets of 2^m points of nets, each in a random order, computed one point at a time.
+    """Sets of 2^m points of nets in one dim and in two, each in a random order, one point at a time.
 
-    Parameters
-    ----------
-    module
-        Variant of Mitsuba.
-    nets
-        Nets in one dim and in two.
-    count
-        Points of a set.
-    stream
-        Random stream of all sets.
-
-    Notes
-    -----
     An order is one of a table of random permutations, the same in every process, its argument
     shifted and its values XORed by random numbers. Sets are scrambled independently, so that an
     image is unbiased whatever their orders.
@@ -203,7 +182,11 @@ class Pads:
         orders = _orders(count)
         self._orders, self._last = module.UInt32(orders.ravel()), len(orders) - 1
 
-    def draw(self, dims: int, pixel: Any, request: Any, index: Any) -> list[Any]:
+    def following(self, request: Any) -> Any:
+        """Number of the next request."""
+        return request + 1
+
+    def draw(self, dims: int, pixel: Any, request: Any, index: Any, _: Any = True) -> list[Any]:
         """Point number `index` of the set in 1 or 2 dims that a pixel's request asks for."""
         import drjit
 

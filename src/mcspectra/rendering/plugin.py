@@ -321,10 +321,10 @@ def seed_lanes(
     lane = drjit.arange(module.UInt32, wavefront_size)
     width = drjit.opaque(module.UInt32, per_pass)
     nets = sets.nets
-    pads: _TablePads | _NetPads = (
+    pads: _TablePads | Pads = (
         _TablePads(module, sets, stream, pixels)
         if nets is None
-        else _NetPads(Pads(module, nets, sets.count, stream))
+        else Pads(module, nets, sets.count, stream)
     )
     return LaneState(
         module=module,
@@ -372,21 +372,6 @@ class _TablePads:
         return drjit.select(number >= self._size, number - self._size, number)
 
 
-class _NetPads:
-    """Sets of scrambled nets, computed where they are asked for; a request's offset is its number."""
-
-    def __init__(self, pads: Pads) -> None:
-        self._pads = pads
-
-    def following(self, offset: Any) -> Any:
-        """Offset of the next request."""
-        return offset + 1
-
-    def draw(self, dims: int, pixel: Any, offset: Any, index: Any, _: Any) -> list[Any]:
-        """Numbers of requests with this offset."""
-        return self._pads.draw(dims, pixel, offset, index)
-
-
 class _Joint:
     """Joint sets in Dr.Jit's memory."""
 
@@ -415,23 +400,15 @@ def _gathered(module: Any, table: Any, dims: int, first: Any, active: Any) -> li
 class LaneState:
     """State of a wavefront: a dataclass, so that Dr.Jit carries its arrays through loops.
 
-    Attributes
-    ----------
-    module, count, per_pass, done
-        Variant, samples of a pixel, those in a pass, and those in passes before.
-    pads, joint
-        Sets.
-    pixel, index
-        Of each lane.
-    coordinate, single_offset, pair_offset
-        What a sample has taken so far: numbers, and where its next sets are.
+    Of each lane: its pixel, the index of its sample, and what that has taken so far, numbers and
+    where its next sets are. `done` counts the samples of passes before.
     """
 
     module: Any
     count: int
     per_pass: int
     done: int
-    pads: _TablePads | _NetPads
+    pads: _TablePads | Pads
     joint: _Joint | None
     pixel: Any
     index: Any
@@ -518,12 +495,8 @@ def _shuffle(points: Array, keys: Array, largest: Any, out: Array) -> None:
 class Rounds:
     """Which set each request of each pixel takes: set (pixel + request · stride) mod size.
 
-    Attributes
-    ----------
-    size
-        Number of sets.
-    stride
-        Relatively prime to `size`, so that the first `size` requests of a pixel meet as many sets.
+    The stride is relatively prime to the size, so that so many first requests of a pixel meet as many
+    sets.
     """
 
     size: int
@@ -544,19 +517,7 @@ class Rounds:
 class PaddedSets:
     """Sets of one sampler for requests of one and of two numbers, and joint sets in more dims.
 
-    Parameters
-    ----------
-    spec
-        Spec of a sampler, in 2 dims and in `joint` dims.
-    count
-        Points of a set, that is samples a pixel.
-    joint
-        Dims of joint sets, 0 for none.
-
-    Raises
-    ------
-    ParameterError
-        The spec, the count or the dims are not possible; for counts the nearest are named.
+    A ParameterError if the spec, the count or the dims are not possible.
     """
 
     spec: str

@@ -248,20 +248,10 @@ def check_finite(values: Array, scene: Scene, pixels: Array) -> None:
 def sample_light(
     hit: Hit, emitter: Any, u: Any, extra: Any = None, active: Any = True
 ) -> Techniques:
-    """Sample a light.
+    """Sample the one light that counts, or with None one of all, by samples u, a `Point2f`.
 
-    Parameters
-    ----------
-    hit
-        Where the light arrives.
-    emitter
-        The one light that counts; None selects one of all.
-    u
-        Samples in [0,1)², a `Point2f`.
-    extra
-        A third number in [0,1), which selects the light; None takes it from the first of u.
-    active
-        Mask of points; elsewhere the value is 0.
+    A third number in [0,1), `extra`, selects the light; None takes it from the first of u. The value
+    is 0 where points are not `active`.
     """
     import drjit
 
@@ -313,17 +303,7 @@ def follow_bsdf(
 
 
 def look_at_sky(hit: Hit, emitter: Any, direction: Any, active: Any = True) -> tuple[Any, Any]:
-    """Evaluate f_r L V cos and the BSDF's density in given directions.
-
-    Parameters
-    ----------
-    hit, active
-        As for `sample_light`.
-    emitter
-        The environment.
-    direction
-        Unit vectors in the world, a `Vector3f`.
-    """
+    """Evaluate f_r L V cos and the BSDF's density in directions in the world to an environment."""
     import drjit
 
     mitsuba, at = load_mitsuba(), hit.interaction
