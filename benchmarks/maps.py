@@ -18,7 +18,7 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import load_mitsuba, variance_map
-from mcspectra.rendering._map_kernel import TECHNIQUES, Lighting, Receivers
+from mcspectra.rendering.map_tiles import TECHNIQUES, Lighting, Receivers
 from mcspectra.rendering.techniques import heuristic_weight, sample_bsdf, sample_light
 
 COUNTS, REALIZATIONS = (4, 9, 16, 36, 64), 64

@@ -15,9 +15,8 @@ from benchmarks.timing import compare
 from mcspectra.core.checks import Array
 from mcspectra.rendering import Pixel, load_mitsuba, load_scene
 from mcspectra.rendering.backend import LOCK
-from mcspectra.rendering.receivers import primary_hit
 from mcspectra.rendering.scenes import find_emitter
-from mcspectra.rendering.techniques import sample_bsdf, sample_light
+from mcspectra.rendering.techniques import primary_hit, sample_bsdf, sample_light
 
 SAMPLES = 2**20
 LEAST = 0.8

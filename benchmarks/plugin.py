@@ -1,7 +1,7 @@
 """Throughput of stock integrators with our samplers against Mitsuba's own one.
 
-Both sides of each line alternate in the same run. Ours draw new points for every image: a scrambled
-set for each pixel and request costs most, one set moved in each pixel least.
+Both sides of each line alternate in the same run. ``sobol | owen`` is computed in the kernel; other
+samplers draw new tables of points for every image, one set moved in each pixel being the cheapest.
 """
 
 from __future__ import annotations

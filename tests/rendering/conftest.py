@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import pytest
 
 from mcspectra.rendering import scenes
-from mcspectra.rendering.receivers import hits_of
 from mcspectra.rendering.skies import _sky
+from mcspectra.rendering.techniques import hits_of
 
 _CAMERA = """
   <sensor type="perspective">

@@ -77,14 +77,17 @@ def test_second_search_takes_the_kept_verdict(
 
 
 @pytest.mark.parametrize("kept", ["", "{", "[]", '{"works": true}', "null"])
-def test_broken_cache_file_is_written_anew(own_cache: Path, tmp_path: Path, kept: str) -> None:
+def test_broken_cache_file_is_written_anew(
+    monkeypatch: pytest.MonkeyPatch, own_cache: Path, tmp_path: Path, kept: str
+) -> None:
     library = _library(tmp_path)
     own_cache.mkdir()
     file = own_cache / f"llvm-{backend._fingerprint(library)}.json"
     file.write_text(kept)
     verdict = Verdict(library, False, "no")
     assert backend._read_verdict(file, library) is None
-    backend._write_verdict(file, verdict)
+    monkeypatch.setattr(backend, "_probe", lambda _: (verdict, True))
+    assert backend._verdict(library, fresh=False) == verdict
     assert backend._read_verdict(file, library) == verdict
 
 

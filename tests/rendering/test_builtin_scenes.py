@@ -21,8 +21,7 @@ from mcspectra.rendering import (
     named_pixels,
     project,
 )
-from mcspectra.rendering.builtin.figure1 import P, Q
-from mcspectra.rendering.builtin.penumbra import penumbra
+from mcspectra.rendering.builtin import P, Q, penumbra
 
 pytestmark = pytest.mark.render
 

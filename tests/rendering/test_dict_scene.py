@@ -16,9 +16,8 @@ from mcspectra.rendering import (
     named_pixels,
     project,
 )
-from mcspectra.rendering.builtin.figure1 import figure1
-from mcspectra.rendering.dict_scene import DictScene
-from mcspectra.rendering.scenes import as_scene, film_size, scene_name, sensor_of
+from mcspectra.rendering.builtin import figure1
+from mcspectra.rendering.scenes import DictScene, as_scene, film_size, scene_name, sensor_of
 
 pytestmark = pytest.mark.render
 

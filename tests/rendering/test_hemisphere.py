@@ -10,7 +10,7 @@ import xarray as xr
 
 from mcspectra.core.errors import ParameterError
 from mcspectra.rendering import Pixel, named_pixels
-from mcspectra.rendering.hemisphere import incident_light
+from mcspectra.rendering.pixel import incident_light
 
 pytestmark = pytest.mark.render
 

@@ -8,10 +8,10 @@ from scipy.stats import norm, t
 
 from mcspectra.core.checks import Array
 from mcspectra.core.streams import Stream
-from mcspectra.rendering import _map_prediction as prediction
-from mcspectra.rendering import _map_results as results
-from mcspectra.rendering import _map_statistics as statistics
-from mcspectra.rendering._map_tiles import Maps
+from mcspectra.rendering import map_statistics as statistics
+from mcspectra.rendering import map_tiles as prediction
+from mcspectra.rendering import maps as results
+from mcspectra.rendering.map_tiles import Maps
 from mcspectra.samplers import sampler
 from mcspectra.variance.fit import fit_rate
 

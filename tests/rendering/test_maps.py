@@ -20,11 +20,10 @@ from mcspectra.core.errors import (
 )
 from mcspectra.core.options import checked
 from mcspectra.core.progress import listening
-from mcspectra.rendering import _map_tiles as tiles
+from mcspectra.rendering import map_tiles as tiles
 from mcspectra.rendering import variance_map
-from mcspectra.rendering._map_kernel import Lighting, Receivers
-from mcspectra.rendering._map_tiles import Measurement
-from mcspectra.rendering.builtin.figure1 import figure1
+from mcspectra.rendering.builtin import figure1
+from mcspectra.rendering.map_tiles import Lighting, Measurement, Receivers
 from mcspectra.rendering.maps import Map
 from mcspectra.samplers import sampler
 from mcspectra.testing import check_analysis
@@ -294,7 +293,7 @@ def test_tiles_bound_the_memory(own: bool, largest: int, realizations: int) -> N
 def test_values_that_are_not_finite_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     sums = Receivers._sums
     monkeypatch.setattr(Receivers, "_sums", lambda *a: tuple(e * np.nan for e in sums(*a)))
-    with pytest.raises(ParameterError, match=r"NaN or infinite values at the pixel \(8, 9\)"):
+    with pytest.raises(ParameterError, match=r"NaN or infinite values, first at pixel \(8, 9\)"):
         variance_map("veach", crop=(8, 9, 2, 2), **SMALL)
 
 

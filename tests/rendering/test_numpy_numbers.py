@@ -9,7 +9,7 @@ import pytest
 
 from mcspectra.core.errors import ParameterError
 from mcspectra.rendering import Pixel, describe_pixel, pixel_mis, variance_map
-from mcspectra.rendering.hemisphere import incident_light
+from mcspectra.rendering.pixel import incident_light
 
 pytestmark = pytest.mark.render
 

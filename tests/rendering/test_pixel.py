@@ -17,13 +17,14 @@ from mcspectra.core.streams import Stream
 from mcspectra.rendering import (
     Pixel,
     describe_pixel,
-    draws,
     load_mitsuba,
     load_scene,
     pixel_strategies,
 )
+from mcspectra.rendering import pixel as module
 from mcspectra.rendering.pixel import STRATEGIES
 from mcspectra.rendering.scenes import film_size
+from mcspectra.rendering.techniques import sample_columns
 
 pytestmark = pytest.mark.render
 
@@ -230,7 +231,7 @@ def test_chunks_threads_and_order_do_not_change_bits(
     whole = g(u)
     with ThreadPoolExecutor(4) as pool:
         np.testing.assert_array_equal(list(pool.map(g, u)), whole)
-    monkeypatch.setattr(draws, "CHUNK", 777)
+    monkeypatch.setattr(module, "CHUNK", 777)
     np.testing.assert_array_equal(g(u[::-1])[::-1], whole)
 
 
@@ -243,8 +244,7 @@ def test_corners_of_the_square_are_finite(strategy: str) -> None:
 
 
 def test_single_precision_never_rounds_a_sample_up_to_one() -> None:
-    samples = draws._as_samples(np.array([0.0, 0.25, 1.0 - 2.0**-53, 1.0]))
-    assert samples.dtype == np.float32
+    (samples,) = sample_columns(np.array([[0.0, 0.25, 1.0 - 2.0**-53, 1.0]]).T)
     np.testing.assert_array_equal(samples, [0.0, 0.25, 1.0 - 2.0**-24, 1.0 - 2.0**-24])
 
 

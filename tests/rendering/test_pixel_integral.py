@@ -9,8 +9,9 @@ import mcspectra as mcs
 from mcspectra.core.checks import Array
 from mcspectra.core.streams import Stream
 from mcspectra.integrands import Integrand, integral_accuracy
-from mcspectra.rendering import Pixel, _pixel_integral, pixel_mis
-from mcspectra.rendering._pixel_integral import SOURCE, mean_of_points
+from mcspectra.rendering import Pixel, pixel_mis
+from mcspectra.rendering import pixel as module
+from mcspectra.rendering.pixel import SOURCE, mean_of_points
 
 pytestmark = pytest.mark.render
 
@@ -34,7 +35,7 @@ def test_it_is_the_mean_of_random_points(strategy: str, dims: int) -> None:
 
 def test_errors_cover_discontinuities(monkeypatch: pytest.MonkeyPatch) -> None:
     """An ellipse whose area is known: z-scores of 40 placements have the variance of a t."""
-    monkeypatch.setattr(_pixel_integral, "_POINTS", 2**10)
+    monkeypatch.setattr(module, "_POINTS", 2**10)
     scores = []
     for k in range(40):
         radii, centre = (0.11 + 0.004 * k, 0.2), (0.41, 0.53 + 0.003 * k)
@@ -57,22 +58,22 @@ def test_accuracy_says_how_it_was_made() -> None:
 
 
 def test_it_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_pixel_integral, "_POINTS", 2**10)
+    monkeypatch.setattr(module, "_POINTS", 2**10)
     pixel = Pixel(**FLOOR)
     kept = pixel.integral
-    monkeypatch.setattr(_pixel_integral, "_mean", None)
+    monkeypatch.setattr(module, "mean_of_points", None)
     assert pixel.integral == kept
 
 
 def test_channels_have_an_integral_each(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_pixel_integral, "_POINTS", 2**10)
+    monkeypatch.setattr(module, "_POINTS", 2**10)
     together = Pixel(**FLOOR, channel="rgb").integral
     single = [Pixel(**FLOOR, channel=c).integral for c in range(3)]
     assert np.allclose(together, single, rtol=1e-6)
 
 
 def test_sums_of_techniques_add_their_errors(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_pixel_integral, "_POINTS", 2**14)
+    monkeypatch.setattr(module, "_POINTS", 2**14)
     mis = pixel_mis(**FLOOR, light=0)
     parts = [mis.primary_integrand(t) for t in range(2)]
     assert mis.primary_integrand(1) is parts[1]

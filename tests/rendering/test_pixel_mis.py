@@ -13,7 +13,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import HEURISTICS
 from mcspectra.rendering import Pixel, PixelMIS, load_mitsuba, named_pixels, pixel_mis, sky_pixels
-from mcspectra.rendering.draws import Draws
+from mcspectra.rendering.pixel import Draws
 from mcspectra.samplers.registry import as_sampler
 from mcspectra.variance.counterfactuals import Budget, Setup, other_setups
 

@@ -17,8 +17,7 @@ from mcspectra.core.errors import CountError, FileFormatError, MissingDependency
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import load_mitsuba, load_scene, register_samplers, render_file
 from mcspectra.rendering.backend import import_mitsuba
-from mcspectra.rendering.plugin import PLUGIN_VARIANTS
-from mcspectra.rendering.sample_tables import LARGEST_SAMPLE, PaddedSets, Rounds
+from mcspectra.rendering.plugin import LARGEST_SAMPLE, PLUGIN_VARIANTS, PaddedSets, Rounds
 from mcspectra.rendering.scenes import film_size
 
 pytestmark = pytest.mark.render

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from mcspectra.rendering import receivers
+from mcspectra.rendering import techniques
 from mcspectra.rendering.scenes import load_scene
 
 
@@ -19,7 +19,7 @@ class Stub:
 @pytest.mark.render
 def test_a_pixel_is_traced_once() -> None:
     scene = load_scene("figure1")
-    assert receivers.primary_hit(scene, 96, 205) is receivers.primary_hit(scene, 96, 205)
+    assert techniques.primary_hit(scene, 96, 205) is techniques.primary_hit(scene, 96, 205)
 
 
 def test_few_scenes_and_pixels_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -29,21 +29,21 @@ def test_few_scenes_and_pixels_are_kept(monkeypatch: pytest.MonkeyPatch) -> None
         traced.append((x, y))
         return scene, x, y
 
-    monkeypatch.setattr(receivers, "_primary_hit", hit)
-    receivers.hits_of.cache_clear()
+    monkeypatch.setattr(techniques, "_primary_hit", hit)
+    techniques.hits_of.cache_clear()
     first: Any = Stub()
     alive = weakref.ref(first)
     for x in range(300):
-        assert receivers.primary_hit(first, x, 0) == (first, x, 0)
-    receivers.primary_hit(first, 299, 0)
+        assert techniques.primary_hit(first, x, 0) == (first, x, 0)
+    techniques.primary_hit(first, 299, 0)
     assert len(traced) == 300
-    receivers.primary_hit(first, 0, 0)  # the least recent of 300 is no longer known
+    techniques.primary_hit(first, 0, 0)  # the least recent of 300 is no longer known
     assert len(traced) == 301
     del first
     gc.collect()
     assert alive() is not None
     for _ in range(4):
-        receivers.primary_hit(Stub(), 0, 0)
+        techniques.primary_hit(Stub(), 0, 0)
     gc.collect()
     assert alive() is None
-    receivers.hits_of.cache_clear()
+    techniques.hits_of.cache_clear()

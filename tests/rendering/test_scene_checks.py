@@ -8,7 +8,7 @@ import pytest
 
 from mcspectra.core.errors import ParameterError, UnknownName
 from mcspectra.rendering import Pixel, check_scene
-from mcspectra.rendering.builtin.figure1 import figure1
+from mcspectra.rendering.builtin import figure1
 from mcspectra.rendering.scene_checks import check_lights, check_media
 from mcspectra.rendering.wavefront import Wavefront
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from mcspectra.rendering import _scene_files
-from mcspectra.rendering._scene_files import referenced_files, watched_state
+from mcspectra.rendering import scenes
+from mcspectra.rendering.scenes import referenced_files, watched_state
 
 SCENE = """<scene version="3.0.0">
   <default name="image" value="wall.png"/>
@@ -71,7 +71,7 @@ def test_a_watched_scene_shows_files_that_come_and_go(scene: Path) -> None:
 
 def test_only_changed_scenes_are_read_again(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = watched_state(scene)
-    monkeypatch.setattr(_scene_files, "referenced_files", lambda _: 1 / 0)
+    monkeypatch.setattr(scenes, "referenced_files", lambda _: 1 / 0)
     assert watched_state(scene) == before
 
 

@@ -11,8 +11,7 @@ import pytest
 
 from mcspectra.core.errors import ParameterError
 from mcspectra.rendering import Pixel, load_mitsuba, load_scene, variance_map
-from mcspectra.rendering._scene_probe import what_fails
-from mcspectra.rendering.scenes import SCENES
+from mcspectra.rendering.scenes import SCENES, what_fails
 from mcspectra.rendering.wavefront import Wavefront
 
 pytestmark = pytest.mark.render

@@ -14,7 +14,7 @@ import xarray as xr
 import mcspectra as mcs
 from mcspectra.core.errors import CountError, McspectraError, ParameterError
 from mcspectra.rendering import Pixel, named_pixels, pixel_mis
-from mcspectra.rendering.hemisphere import incident_light
+from mcspectra.rendering.pixel import incident_light
 from mcspectra.report.pixel_page import (
     STRATEGY_NAMES,
     about_pixel,

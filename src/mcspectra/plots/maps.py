@@ -152,7 +152,7 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
 
 
 def incident_maps(data: xr.Dataset) -> Plot:
-    """What `mcspectra.rendering.hemisphere.incident_light` returns, one map above the other."""
+    """What `mcspectra.rendering.pixel.incident_light` returns, one map above the other."""
     titles = {
         "incident_radiance": "radiance of the lights seen",
         "reflected_radiance": "f: that, times BSDF and cosine",

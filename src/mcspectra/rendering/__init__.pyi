@@ -1,6 +1,6 @@
 from .backend import describe as describe
 from .backend import load_mitsuba as load_mitsuba
-from .builtin.veach import veach as veach
+from .builtin import veach as veach
 from .files import write_comparison as write_comparison
 from .files import write_exr as write_exr
 from .files import write_png as write_png

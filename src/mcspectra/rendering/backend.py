@@ -20,16 +20,17 @@ import re
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, files, version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from mcspectra.core.cache import cache_folder
 from mcspectra.core.errors import MissingDependency
 
 __all__ = [
+    "LARGEST_SAMPLE",
     "LOCK",
     "SCALAR_VARIANT",
     "VARIANT",
@@ -45,6 +46,9 @@ VARIANT = "llvm_ad_rgb"
 
 SCALAR_VARIANT = "scalar_rgb"
 """The variant that needs no LLVM: whole images by Mitsuba's own integrators, one ray at a time."""
+
+LARGEST_SAMPLE = 1.0 - 2.0**-24
+"""The largest float32 below 1: rounding u up to 1 would leave the square."""
 
 LOCK = threading.RLock()
 """Hold this around all Dr.Jit work: its traces and the variant belong to the whole process."""
@@ -90,6 +94,7 @@ import mitsuba as mi
 mi.set_variant({SCALAR_VARIANT!r})
 print("works", mi.load_dict({{"type": "independent"}}).next_1d() < 1)
 """
+_Run: TypeAlias = "subprocess.CompletedProcess[str]"
 _loaded: list[Any] = []
 
 
@@ -169,23 +174,15 @@ def describe() -> dict[str, Any]:
     if found["mitsuba"] is None:
         return found | {"reason": _no_mitsuba()}
     best, refused = find_library(fresh=True)
-    scalar = [SCALAR_VARIANT] if _scalar_works() else []
+    try:
+        scalar = [SCALAR_VARIANT] if _worked(_tried(_SCALAR_PROBE)) else []
+    except (OSError, subprocess.TimeoutExpired):
+        scalar = []
     found |= {"variants": scalar, "refused": _reasons(refused) or None}
     if best is None:
         return found | {"reason": _no_library(refused)}
     found |= {"library": best.library, "llvm": best.version or None, "variant": VARIANT}
     return found | {"variants": [VARIANT, *scalar]}
-
-
-def _scalar_works() -> bool:
-    command = [sys.executable, "-c", _SCALAR_PROBE]
-    try:
-        run = subprocess.run(
-            command, capture_output=True, text=True, timeout=_PROBE_SECONDS, check=False
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return False
-    return run.returncode == 0 and "works True" in run.stdout
 
 
 def import_mitsuba() -> Any:
@@ -256,16 +253,12 @@ def _reasons(refused: list[Verdict]) -> str:
 def _candidates() -> Iterator[str]:
     """Yield paths of libraries in the order in which they are to be tried, each file once."""
     seen = set()
-    for path in (*_user_library(), *_wheel_library(), *_system_libraries()):
+    given = os.environ.get(_LIBRARY_VARIABLE)
+    for path in ([given] if given else []) + _wheel_library() + _system_libraries():
         real = os.path.realpath(path)
         if real not in seen:
             seen.add(real)
             yield real
-
-
-def _user_library() -> list[str]:
-    given = os.environ.get(_LIBRARY_VARIABLE)
-    return [given] if given else []
 
 
 def _wheel_library() -> list[str]:
@@ -299,7 +292,13 @@ def _verdict(library: str, fresh: bool) -> Verdict:
         return cached
     verdict, final = _probe(library)
     if final:
-        _write_verdict(file, verdict)
+        # A cache that cannot be written only costs the next start a probe.
+        draft = file.with_suffix(f".{os.getpid()}.tmp")
+        kept = {name: getattr(verdict, name) for name in ("works", "reason", "version")}
+        with contextlib.suppress(OSError):
+            file.parent.mkdir(parents=True, exist_ok=True)
+            draft.write_text(json.dumps(kept), encoding="utf-8")
+            draft.replace(file)
     return verdict
 
 
@@ -319,28 +318,34 @@ def _probe(library: str) -> tuple[Verdict, bool]:
     """Try `library` in a subprocess; the second value is whether the verdict is worth keeping."""
     if not Path(library).is_file():
         return Verdict(library, False, "there is no such file"), False
-    environment = {**os.environ, _LIBRARY_VARIABLE: library}
-    command = [sys.executable, "-c", _PROBE]
     try:
-        run = subprocess.run(
-            command,
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=_PROBE_SECONDS,
-            check=False,
-        )
+        run = _tried(_PROBE, {_LIBRARY_VARIABLE: library})
     except (OSError, subprocess.TimeoutExpired) as error:
         return Verdict(library, False, f"the trial did not finish: {error}"), False
-    if run.returncode == 0 and "works True" in run.stdout:
+    if _worked(run):
         return Verdict(library, True, "", run.stdout.partition("version ")[2].strip()), True
-    return Verdict(library, False, _last_words(run)), True
-
-
-def _last_words(run: subprocess.CompletedProcess[str]) -> str:
     lines = [line.strip() for line in run.stderr.splitlines() if line.strip()]
     ending = f"signal {-run.returncode}" if run.returncode < 0 else f"status {run.returncode}"
-    return f"the trial ended with {ending}" + (f" ({lines[-1][:160]})" if lines else "")
+    last = f" ({lines[-1][:160]})" if lines else ""
+    return Verdict(library, False, f"the trial ended with {ending}{last}"), True
+
+
+def _tried(program: str, variables: Mapping[str, str] | None = None) -> _Run:
+    """Run a program in a process of its own."""
+    command = [sys.executable, "-c", program]
+    environment = {**os.environ, **(variables or {})}
+    return subprocess.run(
+        command,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=_PROBE_SECONDS,
+        check=False,
+    )
+
+
+def _worked(run: _Run) -> bool:
+    return run.returncode == 0 and "works True" in run.stdout
 
 
 def _read_verdict(file: Path, library: str) -> Verdict | None:
@@ -349,16 +354,6 @@ def _read_verdict(file: Path, library: str) -> Verdict | None:
         return Verdict(library, bool(kept["works"]), str(kept["reason"]), str(kept["version"]))
     except (OSError, ValueError, KeyError, TypeError):
         return None
-
-
-def _write_verdict(file: Path, verdict: Verdict) -> None:
-    """Keep a verdict; a cache that cannot be written only costs the next start a probe."""
-    draft = file.with_suffix(f".{os.getpid()}.tmp")
-    text = json.dumps({name: getattr(verdict, name) for name in ("works", "reason", "version")})
-    with contextlib.suppress(OSError):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        draft.write_text(text, encoding="utf-8")
-        draft.replace(file)
 
 
 def _version(distribution: str) -> str | None:

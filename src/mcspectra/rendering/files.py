@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -129,8 +129,19 @@ def write_exr(path: str | PathLike[str], layers: Mapping[str, Array], *, comment
 
     file = check_image_path(path, (".exr",))
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    channels = _channels(layers)
-    _touch(file)
+    channels = {}
+    largest = float(np.finfo(np.float32).max)
+    for name, plane in _checked(layers).items():
+        finite = np.where(np.isfinite(plane), np.clip(plane, -largest, largest), plane)
+        for i, letter in enumerate("Y" if plane.ndim == 2 else "RGB"):
+            values = finite if plane.ndim == 2 else finite[..., i]
+            full = f"{name}.{letter}" if name else letter
+            channels[full] = np.ascontiguousarray(values, np.float32)
+    try:
+        with file.open("ab"):
+            pass  # OpenEXR does not say why it could not open a file
+    except OSError as error:
+        raise FileFormatError(f"{str(file)!r} cannot be written: {error.strerror}.") from None
     try:
         OpenEXR.File({**header, "comments": comment}, channels).write(str(file))
     except (OSError, RuntimeError) as error:
@@ -178,7 +189,11 @@ def encode_srgb(linear: Array) -> Array:
 def check_image_path(path: object, extensions: tuple[str, ...] = RENDER_EXTENSIONS) -> Path:
     """Return `path` if its extension is one of those, and its folder exists."""
     if not isinstance(path, str | PathLike) or not str(path):
-        given = repr(path) if isinstance(path, str | bytes | int | float) else f"A {_type(path)}"
+        given = (
+            repr(path)
+            if isinstance(path, str | bytes | int | float)
+            else f"A {type(path).__name__}"
+        )
         raise FileFormatError(f"{given} is not the path of an image; give a file name.")
     file = Path(path)
     if file.suffix.lower() not in extensions:
@@ -201,40 +216,9 @@ def _check_result(path: object, result: object) -> None:
         return
     swapped = "image" in getattr(path, "data_vars", ())
     raise ParameterError(
-        f"The result to write is a {_type(result)} without an image; give "
+        f"The result to write is a {type(result).__name__} without an image; give "
         + ("the path first, then the result." if swapped else "the result of render.")
     )
-
-
-def _type(value: object) -> str:
-    return type(value).__name__
-
-
-def _touch(file: Path) -> None:
-    """Open the file for writing, as OpenEXR does not say why it could not."""
-    try:
-        with file.open("ab"):
-            pass
-    except OSError as error:
-        raise FileFormatError(f"{str(file)!r} cannot be written: {error.strerror}.") from None
-
-
-def _channels(layers: Mapping[str, Array]) -> dict[str, Any]:
-    channels = {}
-    for name, plane in _checked(layers).items():
-        letters = "Y" if plane.ndim == 2 else "RGB"
-        for i, letter in enumerate(letters):
-            values = plane if plane.ndim == 2 else plane[..., i]
-            full = f"{name}.{letter}" if name else letter
-            channels[full] = _single(values)
-    return channels
-
-
-def _single(values: Array) -> Array:
-    """Return contiguous float32; what is finite stays so."""
-    largest = float(np.finfo(np.float32).max)
-    clipped = np.where(np.isfinite(values), np.clip(values, -largest, largest), values)
-    return np.ascontiguousarray(clipped, np.float32)
 
 
 def _checked(layers: Mapping[str, Array]) -> dict[str, Array]:

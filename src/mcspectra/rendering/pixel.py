@@ -24,33 +24,77 @@ into strips and adds discontinuities; a selecting coordinate takes that out. The
 
 With positions the integral is the mean over the pixel; it is 0 where a ray leaves the scene or sees
 a light.
+
+Densities of all techniques at one draw (`View.draws`): a technique is ``"light"``, ``"bsdf"`` or a
+`Sky`; a light and skies are not combined, as both would sample the environment. Where f is 0 only
+the technique that drew a direction is said to be able to: a path without light belongs to nobody
+else, which keeps every p_t integrate to 1 where rays that are blocked by a surface say nothing of
+the light behind it.
+
+The integral is the mean of independently scrambled Sobol' points: a pixel jumps along curves (edges
+of lights and of what occludes them) that no axis follows, so boxes of Gauss-Legendre nodes do not
+converge on it. Those points are unbiased whatever the integrand, and their spread is an error that
+can be trusted [Owen1997]_.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, final
+from typing import TYPE_CHECKING, Any, ClassVar, final
+
+import numpy as np
 
 from mcspectra.core.checks import Array, as_choice, as_integer
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.results import dataset
+from mcspectra.core.streams import Stream
 from mcspectra.densities import Density
 from mcspectra.integrands.base import Estimate, Integrand
-from mcspectra.rendering._pixel_integral import SOURCE, mean_of_points
-from mcspectra.rendering.backend import LOCK
-from mcspectra.rendering.draws import MOST_DIMS, Technique, View, check_channel
-from mcspectra.rendering.receivers import (
+from mcspectra.rendering.backend import LARGEST_SAMPLE, LOCK, load_mitsuba
+from mcspectra.rendering.scene_checks import check_lights
+from mcspectra.rendering.scenes import Scene, as_scene, find_emitter, load_scene, scene_name
+from mcspectra.rendering.skies import Sky, environment_of, sky_technique
+from mcspectra.rendering.techniques import (
+    POWERS,
+    Hit,
     check_film_receivers,
+    check_finite,
     check_pixel,
     check_receiver,
     check_single_lobe,
+    chosen_channel,
+    film_hits,
+    follow_bsdf,
+    heuristic_weight,
+    look_at_sky,
     primary_hit,
+    sample_bsdf,
+    sample_columns,
+    sample_light,
 )
-from mcspectra.rendering.scene_checks import check_lights
-from mcspectra.rendering.scenes import Scene, as_scene, load_scene
-from mcspectra.rendering.skies import environment_of, sky_technique
-from mcspectra.rendering.techniques import POWERS
+from mcspectra.samplers import as_sampler
 
-__all__ = ["ENVIRONMENT", "STRATEGIES", "Pixel", "check_view", "describe_pixel", "pixel_strategies"]
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "CHUNK",
+    "ENVIRONMENT",
+    "MOST_DIMS",
+    "SOURCE",
+    "STRATEGIES",
+    "Draws",
+    "Pixel",
+    "Technique",
+    "View",
+    "check_channel",
+    "check_view",
+    "describe_pixel",
+    "incident_light",
+    "mean_of_points",
+    "pixel_strategies",
+]
 
 STRATEGIES = ("light", "bsdf", "mis-light", "mis-bsdf")
 """Those of any scene."""
@@ -164,35 +208,15 @@ def pixel_strategies(
     dims: int = 2,
 ) -> dict[str, Integrand]:
     """Return all strategies of a pixel by name; parameters and errors as those of `Pixel`."""
-    return {
-        strategy: Pixel(
-            scene=scene,
-            x=x,
-            y=y,
-            strategy=strategy,
-            light=light,
-            heuristic=heuristic,
-            channel=channel,
-            dims=dims,
-        )
-        for strategy in STRATEGIES
-    }
+    same: dict[str, Any] = {"scene": scene, "x": x, "y": y, "light": light}
+    same |= {"heuristic": heuristic, "channel": channel, "dims": dims}
+    return {strategy: Pixel(strategy=strategy, **same) for strategy in STRATEGIES}
 
 
 def check_view(view: View, *, bsdf: bool) -> View:
-    """Return a pixel with its numbers as Python integers, if it can be sampled.
+    """Return a pixel with its numbers as Python integers; a ParameterError as for `Pixel`.
 
-    Parameters
-    ----------
-    view
-        The pixel.
-    bsdf
-        Whether its BSDF will be, which may need a dim more.
-
-    Raises
-    ------
-    ParameterError
-        It cannot be sampled, as for `Pixel`.
+    `bsdf` says whether its BSDF will be sampled, which may need a dim more.
     """
     channel = check_channel(view.channel)
     dims = as_integer("dims of a pixel", view.dims, least=2, most=MOST_DIMS)
@@ -233,10 +257,284 @@ def describe_pixel(scene: Scene, x: int, y: int) -> dict[str, Any]:
             "shape": hit.shape,
             "bsdf": hit.bsdf.class_name(),
             "light": hit.light,
-            "position": _triple(hit.interaction.p),
-            "normal": _triple(hit.interaction.n),
+            "position": tuple(hit.interaction.p.numpy().ravel().tolist()),
+            "normal": tuple(hit.interaction.n.numpy().ravel().tolist()),
         }
 
 
-def _triple(vector: Any) -> tuple[float, float, float]:
-    return float(vector.x[0]), float(vector.y[0]), float(vector.z[0])
+CHUNK = 2**20
+"""Samples in one kernel: some 100 MiB of Dr.Jit's memory, and no faster if larger."""
+
+MOST_DIMS = 5
+_WITH_FILM = 4
+
+Technique = str | Sky
+
+
+@dataclass(frozen=True)
+class Draws:
+    """f/p of M samples of one technique, (M,) or (M, 3), and densities per steradian of all, (T, M)."""
+
+    values: Array
+    pdfs: Array
+
+
+@final
+@dataclass(frozen=True)
+class View:
+    """A pixel of a scene, with the light that is used; attributes as those of `Pixel`."""
+
+    scene: Scene
+    x: int
+    y: int
+    light: int | str | None
+    channel: str | int
+    dims: int
+
+    @property
+    def channels(self) -> int:
+        """3 with ``channel="rgb"``, else 0."""
+        return 3 if self.channel == "rgb" else 0
+
+    @property
+    def on_film(self) -> bool:
+        """Whether the first two samples are a position in the pixel."""
+        return self.dims >= _WITH_FILM
+
+    def values(self, technique: Technique, u: Array, heuristic: str | None = None) -> Array:
+        """f/p at u (..., dims), times the weight of a heuristic of `POWERS`: (...) or (..., 3)."""
+        samples = u.reshape(-1, self.dims)
+        out = np.empty((len(samples), 3) if self.channels else len(samples))
+        for start in range(0, len(samples), CHUNK):
+            part = slice(start, start + CHUNK)
+            with LOCK:
+                out[part] = self._values(technique, samples[part], heuristic)
+        self._check_finite(out)
+        return out.reshape((*u.shape[:-1], *out.shape[1:]))
+
+    def draws(self, technique: Technique, u: Array, among: Sequence[Technique]) -> Draws:
+        """f/p and the densities of all techniques at u (M, dims)."""
+        found = []
+        for start in range(0, len(u), CHUNK):
+            with LOCK:
+                found.append(self._draws(technique, u[start : start + CHUNK], among))
+        if not found:
+            return Draws(np.empty((0, 3) if self.channels else 0), np.empty((len(among), 0)))
+        values = np.concatenate([d.values for d in found])
+        self._check_finite(values)
+        return Draws(values, np.concatenate([d.pdfs for d in found], axis=1))
+
+    def _values(self, technique: Technique, u: Array, heuristic: str | None) -> Array:
+        if isinstance(technique, Sky):
+            return self._look(technique, u)[0]
+        hit, emitter, samples, extra = self._inputs(u)
+        sample = sample_light if technique == "light" else sample_bsdf
+        value, own, other = sample(hit, emitter, samples, extra, hit.active)
+        if heuristic is not None:
+            value *= heuristic_weight(own, other, POWERS[heuristic])
+        return _numbers(value, self.channel, len(u))
+
+    def _draws(self, technique: Technique, u: Array, among: Sequence[Technique]) -> Draws:
+        if isinstance(technique, Sky):
+            values, own, bsdf, directions = self._look(technique, u)
+            pdfs: dict[Technique, Array] = {technique: own, "bsdf": bsdf}
+        else:
+            values, pdfs, directions = self._sample(technique, u, among)
+        lit = values != 0.0 if values.ndim == 1 else (values != 0.0).any(axis=1)
+        rows = np.zeros((len(among), len(u)))
+        for row, other in zip(rows, among, strict=True):
+            if isinstance(other, Sky) and other is not technique:
+                pdfs[other] = other.pdf(directions)
+            row[:] = pdfs[other] if other == technique else np.where(lit, pdfs[other], 0.0)
+        return Draws(values, rows)
+
+    def _sample(
+        self, technique: str, u: Array, among: Sequence[Technique]
+    ) -> tuple[Array, dict[Technique, Array], Array]:
+        """f/p, densities of light and BSDF, and directions (M, 3) if `among` has skies."""
+        import drjit
+
+        hit, emitter, samples, extra = self._inputs(u)
+        directions = np.empty((0, 3))
+        if technique == "light":
+            value, light, bsdf = sample_light(hit, emitter, samples, extra, hit.active)
+            drjit.eval(value, light, bsdf)  # one kernel, not one for each
+        else:
+            value, bsdf, light, towards = follow_bsdf(hit, emitter, samples, extra, hit.active)
+            drjit.eval(value, light, bsdf, towards)
+            if any(isinstance(t, Sky) for t in among):
+                directions = np.asarray(_spread(towards.numpy().T, (len(u), 3)), np.float64)
+        pdfs: dict[Technique, Array] = {
+            "light": _spread(light.numpy(), len(u)),
+            "bsdf": _spread(bsdf.numpy(), len(u)),
+        }
+        return np.asarray(_numbers(value, self.channel, len(u)), np.float64), pdfs, directions
+
+    def _look(self, sky: Sky, u: Array) -> tuple[Array, Array, Array, Array]:
+        """f/p, the density of a sky and of the BSDF, and directions (M, 3)."""
+        import drjit
+
+        mitsuba, hit = load_mitsuba(), self._hit(u)
+        emitter = load_scene(self.scene).environment()
+        where = u[:, self._first : self._first + 2]
+        directions, own = sky.sample(where)
+        towards = mitsuba.Vector3f(*(np.ascontiguousarray(c, np.float32) for c in directions.T))
+        value, bsdf = look_at_sky(hit, emitter, towards, hit.active)
+        drjit.eval(value, bsdf)
+        f = np.asarray(_numbers(value, self.channel, len(u)), np.float64)
+        scaled = own if f.ndim == 1 else own[:, None]
+        over = np.divide(f, scaled, out=np.zeros_like(f), where=scaled > 0)
+        return over, own, _spread(bsdf.numpy(), len(u)), directions
+
+    def _inputs(self, u: Array) -> tuple[Hit, Any, Any, Any]:
+        """What is hit, the light that counts, and the kernel's samples of u (M, dims)."""
+        hit, columns = self._hit(u), sample_columns(u[:, self._first :])
+        emitter = None if self.light is None else find_emitter(self.scene, self.light)
+        extra = columns[2] if len(columns) > 2 else None
+        return hit, emitter, load_mitsuba().Point2f(*columns[:2]), extra
+
+    def _hit(self, u: Array) -> Hit:
+        scene = load_scene(self.scene)
+        if self._first:
+            return film_hits(scene, self.x, self.y, np.minimum(u[:, :2], LARGEST_SAMPLE))
+        return primary_hit(scene, self.x, self.y)
+
+    @property
+    def _first(self) -> int:
+        """The column at which the direction's two samples start."""
+        return 2 if self.on_film else 0
+
+    def _check_finite(self, values: Array) -> None:
+        check_finite(values[None], self.scene, np.array([[self.x, self.y]]))
+
+
+def check_channel(channel: object, names: Sequence[str] = ("luminance", "rgb")) -> str | int:
+    """Return a channel, one of these names or 0, 1 or 2; anything else is a ParameterError."""
+    if isinstance(channel, str) and channel in names:
+        return str(channel)
+    try:
+        return as_integer("channel", channel, least=0, most=2)
+    except ParameterError:
+        allowed = ", ".join(map(repr, names))
+        raise ParameterError(f"channel is {channel!r}; give {allowed}, 0, 1 or 2.") from None
+
+
+def _numbers(color: Any, channel: str | int, count: int) -> Array:
+    """Copy a color to an array (count,) or (count, 3)."""
+    if channel == "rgb":
+        return _spread(color.numpy().T, (count, 3))
+    return _spread(chosen_channel(color, channel).numpy(), count)
+
+
+def _spread(found: Any, shape: int | tuple[int, ...]) -> Array:
+    """An array of a shape: Dr.Jit keeps constants at width 1."""
+    return np.broadcast_to(np.asarray(found), shape)
+
+
+def incident_light(
+    scene: Scene,
+    x: int,
+    y: int,
+    *,
+    light: int | str | None = None,
+    channel: str | int = "luminance",
+    resolution: int = 128,
+) -> xr.Dataset:
+    """Look from the point that a pixel's centre sees in all directions of the upper hemisphere.
+
+    Parameters
+    ----------
+    scene, x, y, light
+        As for `Pixel`.
+    channel
+        ``"luminance"``, 0, 1 or 2.
+    resolution
+        Rows of elevation, 4 to 1024; there are four times as many columns of azimuth.
+
+    Returns
+    -------
+    xarray.Dataset
+        On (elevation, azimuth), in degrees above the surface and around its shading normal, at the
+        centres of cells: ``incident_radiance``, L_e of the lights that count, where nothing is in
+        the way; ``reflected_radiance``, f_r L_e cos per steradian, whose integral over directions is
+        that of every strategy of `Pixel`. "Above" is the side of the camera.
+
+    Raises
+    ------
+    ParameterError
+        As for `Pixel`, or `resolution` is out of range, or the channel is ``"rgb"``.
+    """
+    request = as_scene(scene)
+    rows = as_integer("resolution", resolution, least=4, most=1024)
+    chosen = check_channel(channel)
+    if chosen == "rgb":
+        raise ParameterError("channel is 'rgb'; give 'luminance', 0, 1 or 2, one at a time.")
+    elevation = (np.arange(rows) + 0.5) * (90.0 / rows)
+    azimuth = (np.arange(4 * rows) + 0.5) * (90.0 / rows)
+    with LOCK:
+        x, y = check_pixel(request, x, y)
+        check_lights(request, light)
+        hit = check_receiver(request, x, y)
+        emitter = None if light is None else find_emitter(request, light)
+        seen = _look_around(hit, emitter, _directions(elevation, azimuth), chosen)
+    shape = (elevation.size, azimuth.size)
+    names = ("incident_radiance", "reflected_radiance")
+    dims = ("elevation", "azimuth")
+    return dataset(
+        {name: (dims, values.reshape(shape)) for name, values in zip(names, seen, strict=True)},
+        {"elevation": elevation, "azimuth": azimuth},
+        scene=scene_name(request),
+        x=x,
+        y=y,
+        light=light,
+        channel=chosen,
+    )
+
+
+def _directions(elevation: Array, azimuth: Array) -> Array:
+    """Unit vectors (3, rows · columns) in the frame of the surface."""
+    up, around = np.meshgrid(np.radians(elevation), np.radians(azimuth), indexing="ij")
+    level = np.cos(up)
+    vectors = np.stack([level * np.cos(around), level * np.sin(around), np.sin(up)])
+    return vectors.reshape(3, -1)
+
+
+def _look_around(
+    hit: Hit, emitter: Any, directions: Array, channel: str | int
+) -> tuple[Array, Array]:
+    """L and f_r L cos along each direction."""
+    import drjit
+
+    mitsuba, at = load_mitsuba(), hit.interaction
+    side = np.where(at.wi.z.numpy() < 0.0, -1.0, 1.0)
+    local = directions * np.array([1.0, 1.0, side.item()])[:, None]
+    towards = mitsuba.Vector3f(*(np.ascontiguousarray(c, np.float32) for c in local))
+    # UV: without texture coordinates textured lights come out wrong.
+    met = hit.scene.ray_intersect(at.spawn_ray(at.to_world(towards)), mitsuba.RayFlags.UV, False)
+    found = met.emitter(hit.scene)
+    counts = True if emitter is None else found == mitsuba.EmitterPtr(emitter)
+    radiance = drjit.select(counts, found.eval(met), 0.0)
+    reflected = radiance * hit.bsdf.eval(mitsuba.BSDFContext(), at, towards)
+    width = directions.shape[1]
+    values = (_numbers(color, channel, width) for color in (radiance, reflected))
+    radiances, reflections = (np.asarray(v, np.float64) for v in values)
+    return radiances, reflections
+
+
+SOURCE = "mean of 16 Owen-scrambled sets of 2^17 Sobol' points"
+"""What `integral_source` says."""
+
+_POINTS, _SETS = 2**17, 16
+_SEED = 20_170_623
+_SINGLE = float(np.finfo(np.float32).eps)  # of values, which a spread does not show
+
+
+def mean_of_points(integrand: Integrand) -> Estimate:
+    """∫ g, (C,) with 1 for a scalar, and its standard error, the largest of the channels."""
+    sampler, stream = as_sampler("sobol | owen", integrand.dims), Stream.from_rng(_SEED)
+    drawn = (sampler.draw_stream(_POINTS, stream, k, 1)[0] for k in range(_SETS))
+    means = np.stack([integrand(u).reshape(_POINTS, -1).mean(axis=0) for u in drawn])
+    value = means.mean(axis=0)
+    spread = means.std(axis=0, ddof=1) / _SETS**0.5
+    error = np.hypot(spread, _SINGLE * np.abs(value))
+    return Estimate(value, float(error.max()), SOURCE)

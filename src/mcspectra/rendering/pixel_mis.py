@@ -23,9 +23,16 @@ from mcspectra.estimators.importance import Estimator, scale
 from mcspectra.estimators.sets import check_sets
 from mcspectra.integrands import Integrand
 from mcspectra.integrands.base import Estimate
-from mcspectra.rendering._pixel_integral import SOURCE, mean_of_points
-from mcspectra.rendering.draws import Draws, Technique, View
-from mcspectra.rendering.pixel import ENVIRONMENT, Pixel, check_view
+from mcspectra.rendering.pixel import (
+    ENVIRONMENT,
+    SOURCE,
+    Draws,
+    Pixel,
+    Technique,
+    View,
+    check_view,
+    mean_of_points,
+)
 from mcspectra.rendering.scenes import Scene, as_scene, scene_name
 from mcspectra.rendering.skies import environment_of, sky_technique
 

@@ -2,6 +2,18 @@
 
 Mitsuba's own executable runs no Python and so cannot know the plugin: `render_file` and the verb
 ``mitsuba`` take its place.
+
+Method
+------
+Padding, as in pbrt: every request for two numbers (or one) takes a two-dimensional (or one-
+dimensional) set of its own, its points in a random order of its own, so that requests are
+independent of one another and each is as well distributed as the sampler makes it
+[KolligKeller2002]_.
+
+In vectorised variants lane i is sample i mod n of pixel ⌊i / n⌋. Scrambled nets are computed where
+they are asked for (`kernel_nets`); sets of other samplers are float32 tables in Dr.Jit's memory, from
+which requests are gathered as `Rounds` lays out. In scalar variants Mitsuba seeds the sampler for
+each pixel, whose sets are then drawn.
 """
 
 from __future__ import annotations
@@ -9,19 +21,34 @@ from __future__ import annotations
 import functools
 import importlib
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field, replace
+from math import gcd
+from typing import Any, final
 
 import numpy as np
 
-from mcspectra.core.checks import as_choice, as_integer
+from mcspectra.core.checks import Array, as_choice, as_integer
 from mcspectra.core.errors import MissingDependency, ParameterError
-from mcspectra.core.streams import Stream
+from mcspectra.core.jit import kernel
+from mcspectra.core.parallel import available_workers, map_in_order
+from mcspectra.core.streams import Stream, mix_bits
 from mcspectra.rendering.backend import LOCK, import_mitsuba, load_mitsuba
-from mcspectra.rendering.plugin_state import LaneState, PixelState, seed_lanes, seed_pixel
-from mcspectra.rendering.sample_tables import PaddedSets
+from mcspectra.rendering.kernel_nets import Net, Pads, net_of
+from mcspectra.samplers import Sampler, as_sampler
 
-__all__ = ["PLUGIN", "PLUGIN_VARIANTS", "register_samplers"]
+__all__ = [
+    "LARGEST_SAMPLE",
+    "MOST_SAMPLES",
+    "PLUGIN",
+    "PLUGIN_VARIANTS",
+    "LaneState",
+    "PaddedSets",
+    "PixelState",
+    "Rounds",
+    "register_samplers",
+    "seed_lanes",
+    "seed_pixel",
+]
 
 PLUGIN = "mcspectra"
 """Type of the sampler in a scene."""
@@ -216,3 +243,344 @@ def _seeded(state: LaneState | PixelState | None) -> LaneState | PixelState:
 def _as_int(seed: Any) -> int:
     """Return a seed of a vectorised variant, an array of one number, or of a scalar one."""
     return int(seed) if isinstance(seed, int) else int(seed.numpy()[0])
+
+
+_TAKEN = ("coordinate", "single_offset", "pair_offset")
+_REQUESTS = 4  # sets of each pixel that no other has: film, light, BSDF and one more
+_MOST_REQUESTS = 2**16  # of a pixel, in scalar variants
+
+
+def seed_pixel(_: Any, sets: PaddedSets, stream: Stream, *__: int) -> PixelState:
+    """State of a pixel that a scalar variant has seeded."""
+    return PixelState(sets, stream)
+
+
+class PixelState:
+    """State of one pixel of a scalar variant."""
+
+    def __init__(self, sets: PaddedSets, stream: Stream) -> None:
+        self._sets, self._stream = sets, stream
+        self._drawn: dict[tuple[int, int], Array] = {}
+        self._joint: Array | None = None
+        self._index = 0
+        self._restart()
+
+    def copy(self) -> PixelState:
+        """Return a state that goes on by itself; sets are drawn anew when it asks for them."""
+        twin = PixelState(self._sets, self._stream)
+        twin._index, twin._coordinate = self._index, self._coordinate
+        twin._requests = dict(self._requests)
+        return twin
+
+    def advance(self) -> None:
+        """Go on to the next sample, after the last one to the first."""
+        self._index = (self._index + 1) % self._sets.count
+        self._restart()
+
+    def schedule(self) -> None:
+        """Do nothing: there is nothing to evaluate."""
+
+    def single(self, _: object) -> float:
+        """Return one number."""
+        return float(self._numbers(1)[0])
+
+    def pair(self, _: object) -> tuple[float, float]:
+        """Return two numbers."""
+        x, y = self._numbers(2)
+        return float(x), float(y)
+
+    def _restart(self) -> None:
+        self._requests = {1: 0, 2: 0}
+        self._coordinate = 0
+
+    def _numbers(self, dims: int) -> Array:
+        start, self._coordinate = self._coordinate, self._coordinate + dims
+        if start + dims <= self._sets.joint:
+            if self._joint is None:
+                self._joint = self._sets.joints(self._stream, 0, 1)[0]
+            return self._joint[self._index, start : start + dims]
+        request = self._requests[dims] % _MOST_REQUESTS
+        self._requests[dims] += 1
+        block, place = divmod(request, _REQUESTS)
+        if (dims, block) not in self._drawn:
+            pads = self._sets.pads(dims, self._stream, block * _REQUESTS, _REQUESTS)
+            self._drawn[dims, block] = pads
+        numbers: Array = self._drawn[dims, block][place, self._index]
+        return numbers
+
+
+def seed_lanes(
+    module: Any, sets: PaddedSets, stream: Stream, wavefront_size: int, per_pass: int
+) -> LaneState | None:
+    """State of a wavefront, None if it is none: renderers let go of memory by a wavefront of 1."""
+    pixels, rest = divmod(wavefront_size, per_pass)
+    if rest:
+        return None
+    import drjit
+
+    lane = drjit.arange(module.UInt32, wavefront_size)
+    width = drjit.opaque(module.UInt32, per_pass)
+    nets = sets.nets
+    pads: _TablePads | Pads = (
+        _TablePads(module, sets, stream, pixels)
+        if nets is None
+        else Pads(module, nets, sets.count, stream)
+    )
+    return LaneState(
+        module=module,
+        count=sets.count,
+        per_pass=per_pass,
+        done=0,
+        pads=pads,
+        joint=_Joint(module, sets, stream, pixels) if sets.joint else None,
+        pixel=lane // width,
+        index=lane % width,
+        **{name: drjit.opaque(module.UInt32, 0) for name in _TAKEN},
+    )
+
+
+class _TablePads:
+    """Sets in Dr.Jit's memory; a request's offset is that of its set among those of its pixel.
+
+    No dataclass, nor are the others: Dr.Jit would make tables part of a loop's state.
+    """
+
+    def __init__(self, module: Any, sets: PaddedSets, stream: Stream, pixels: int) -> None:
+        import drjit
+
+        self._module = module
+        rounds = Rounds.of(pixels, _REQUESTS, 2 * sets.count)
+        self._count = drjit.opaque(module.UInt32, sets.count)
+        self._size = drjit.opaque(module.UInt32, rounds.size)
+        self._stride = drjit.opaque(module.UInt32, rounds.stride)
+        self._sets = {
+            dims: module.Float(sets.pads(dims, stream, 0, rounds.size).ravel()) for dims in (1, 2)
+        }
+
+    def following(self, offset: Any) -> Any:
+        """Offset of the next request."""
+        return self._wrapped(offset + self._stride)
+
+    def draw(self, dims: int, pixel: Any, offset: Any, index: Any, active: Any) -> list[Any]:
+        """Numbers of requests with this offset."""
+        row = self._wrapped(pixel % self._size + offset) * self._count + index
+        return _gathered(self._module, self._sets[dims], dims, row * dims, active)
+
+    def _wrapped(self, number: Any) -> Any:
+        import drjit
+
+        return drjit.select(number >= self._size, number - self._size, number)
+
+
+class _Joint:
+    """Joint sets in Dr.Jit's memory."""
+
+    def __init__(self, module: Any, sets: PaddedSets, stream: Stream, pixels: int) -> None:
+        import drjit
+
+        self._module, self.dims = module, sets.joint
+        own = min(pixels, Rounds.of(pixels, _REQUESTS, 2 * sets.count).size)
+        self._sets = module.Float(sets.joints(stream, 0, own).ravel())
+        self._count = drjit.opaque(module.UInt32, sets.count)
+        self._size = drjit.opaque(module.UInt32, own)
+
+    def draw(self, dims: int, pixel: Any, start: Any, index: Any, active: Any) -> list[Any]:
+        """Coordinates from `start` on of the pixel's set."""
+        row = (pixel % self._size) * self._count + index
+        return _gathered(self._module, self._sets, dims, row * self.dims + start, active)
+
+
+def _gathered(module: Any, table: Any, dims: int, first: Any, active: Any) -> list[Any]:
+    import drjit
+
+    return [drjit.gather(module.Float, table, first + k, active) for k in range(dims)]
+
+
+@dataclass
+class LaneState:
+    """State of a wavefront: a dataclass, so that Dr.Jit carries its arrays through loops.
+
+    Of each lane: its pixel, the index of its sample, and what that has taken so far, numbers and
+    where its next sets are. `done` counts the samples of passes before.
+    """
+
+    module: Any
+    count: int
+    per_pass: int
+    done: int
+    pads: _TablePads | Pads
+    joint: _Joint | None
+    pixel: Any
+    index: Any
+    coordinate: Any
+    single_offset: Any
+    pair_offset: Any
+
+    def copy(self) -> LaneState:
+        """Return a state that goes on by itself."""
+        kind = self.module.UInt32
+        names = ("pixel", "index", *_TAKEN)
+        return replace(self, **{name: kind(getattr(self, name)) for name in names})
+
+    def advance(self) -> None:
+        """Go on to the samples of the next pass."""
+        zero = self.module.UInt32(0)
+        self.done += self.per_pass
+        self.index = self.index + self.per_pass
+        self.coordinate, self.single_offset, self.pair_offset = zero, zero, zero
+
+    def schedule(self) -> None:
+        """Have the arrays evaluated with the next kernel."""
+        import drjit
+
+        drjit.schedule(self.index, self.coordinate, self.single_offset, self.pair_offset)
+
+    def single(self, active: Any) -> Any:
+        """Return one number for each lane."""
+        (value,), self.single_offset = self._numbers(1, self.single_offset, active)
+        return value
+
+    def pair(self, active: Any) -> list[Any]:
+        """Return two numbers for each lane."""
+        values, self.pair_offset = self._numbers(2, self.pair_offset, active)
+        return values
+
+    def _numbers(self, dims: int, offset: Any, active: Any) -> tuple[list[Any], Any]:
+        import drjit
+
+        self._check()
+        following = self.pads.following(offset)
+        if self.joint is None:
+            return self.pads.draw(dims, self.pixel, offset, self.index, active), following
+        start, self.coordinate = self.coordinate, self.coordinate + dims
+        inside = start + dims <= self.joint.dims
+        joint = self.joint.draw(dims, self.pixel, start, self.index, inside & active)
+        pads = self.pads.draw(dims, self.pixel, offset, self.index, ~inside & active)
+        values = [drjit.select(inside, a, b) for a, b in zip(joint, pads, strict=True)]
+        return values, drjit.select(inside, offset, following)
+
+    def _check(self) -> None:
+        if self.done + self.per_pass > self.count:
+            raise ParameterError(
+                f"All {self.count} samples of each pixel are used; an integrator that "
+                "renders in passes needs the sampler's integer samples_per_pass."
+            )
+
+
+LARGEST_SAMPLE = np.float32(1.0 - 2.0**-24)
+"""The largest float32 below 1."""
+
+MOST_SAMPLES = 2**16
+"""Most samples a pixel: with the fewest sets, a table is then as large as it may be."""
+
+_MOST_NUMBERS = 2**27  # of one table: 512 MiB
+_FEWEST_SETS = 509  # a prime: requests of one pixel beyond it meet their first sets again
+_BLOCK_NUMBERS = 2**19  # drawn at once: 4 MiB of float64
+_GOLDEN = (5**0.5 - 1) / 2
+
+
+@kernel
+def _shuffle(points: Array, keys: Array, largest: Any, out: Array) -> None:
+    # Fisher and Yates inside out; points (R, n, d) float64, keys (R, 2), out (R, n, d) float32.
+    for r in range(points.shape[0]):
+        for i in range(points.shape[1]):
+            j = int(mix_bits(keys[r, 0], keys[r, 1], i) % np.uint64(i + 1))
+            for k in range(points.shape[2]):
+                out[r, i, k] = out[r, j, k]
+                out[r, j, k] = min(np.float32(points[r, i, k]), largest)
+
+
+@final
+@dataclass(frozen=True)
+class Rounds:
+    """Which set each request of each pixel takes: set (pixel + request · stride) mod size.
+
+    The stride is relatively prime to the size, so that so many first requests of a pixel meet as many
+    sets.
+    """
+
+    size: int
+    stride: int
+
+    @staticmethod
+    def of(pixels: int, requests: int, numbers_each: int) -> Rounds:
+        """Lay out sets for the first `requests` of every pixel, as many as memory permits."""
+        size = max(_FEWEST_SETS, pixels * requests + 1)
+        size = min(size, _MOST_NUMBERS // numbers_each)
+        golden = int(size * _GOLDEN)
+        strides = (s for s in (pixels, *range(golden, size)) if s < size and gcd(s, size) == 1)
+        return Rounds(size, next(strides, 1))
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class PaddedSets:
+    """Sets of one sampler for requests of one and of two numbers, and joint sets in more dims.
+
+    A ParameterError if the spec, the count or the dims are not possible.
+    """
+
+    spec: str
+    count: int
+    joint: int = 0
+    _samplers: tuple[Sampler, Sampler, Sampler | None] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        count = as_integer("sample_count", self.count, least=1, most=MOST_SAMPLES)
+        pair = as_sampler(self.spec, 2)
+        pair.check_count(count)
+        joint = None
+        if self.joint:
+            joint = as_sampler(self.spec, as_integer("joint_dims", self.joint, least=2, most=64))
+            joint.check_count(count)
+        object.__setattr__(self, "_samplers", (_in_one_dim(self.spec, count, pair), pair, joint))
+
+    @property
+    def nets(self) -> tuple[Net, Net] | None:
+        """The nets in one dim and in two that are scrambled, if sets can be made in kernels."""
+        single, pair = (net_of(sampler) for sampler in self._samplers[:2])
+        if single is None or pair is None or self.count & (self.count - 1):
+            return None
+        return single, pair
+
+    def pads(self, dims: int, stream: Stream, first: int, sets: int) -> Array:
+        """Sets first … first+sets−1 in 1 or 2 dims, shuffled: float32 (sets, count, dims)."""
+        sampler = self._samplers[dims - 1]
+        assert sampler is not None
+        return self._filled(sampler, dims, stream.child(dims), first, sets, shuffled=True)
+
+    def joints(self, stream: Stream, first: int, sets: int) -> Array:
+        """Joint sets, in the sampler's own order: float32 (sets, count, joint)."""
+        sampler = self._samplers[2]
+        assert sampler is not None
+        return self._filled(sampler, self.joint, stream.child(3), first, sets, shuffled=False)
+
+    def _filled(
+        self, sampler: Sampler, dims: int, stream: Stream, first: int, sets: int, *, shuffled: bool
+    ) -> Array:
+        out = np.empty((sets, self.count, dims), np.float32)
+        points, order = stream.child(0), stream.child(1)
+        size = max(1, _BLOCK_NUMBERS // (self.count * sampler.dims))
+
+        def fill(start: int) -> None:
+            part = out[start : start + size]
+            drawn = sampler.draw_stream(self.count, points, first + start, len(part))[..., :dims]
+            if shuffled:
+                _shuffle(drawn, order.keys(first + start, len(part)), LARGEST_SAMPLE, part)
+            else:
+                np.minimum(drawn.astype(np.float32), LARGEST_SAMPLE, out=part)
+
+        workers = available_workers() if sets > size else 1
+        for _ in map_in_order(fill, range(0, sets, size), workers):
+            pass
+        return out
+
+
+def _in_one_dim(spec: str, count: int, pair: Sampler) -> Sampler:
+    """Return the sampler in one dim, or `pair`, of which the first coordinates then serve."""
+    try:
+        sampler = as_sampler(spec, 1)
+        sampler.check_count(count)
+    except ParameterError:
+        return pair
+    return sampler

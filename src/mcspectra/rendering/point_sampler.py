@@ -21,14 +21,13 @@ from mcspectra.core.checks import Array, as_choice
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
-from mcspectra.rendering.backend import LOCK, import_mitsuba
+from mcspectra.rendering.backend import LARGEST_SAMPLE, LOCK, import_mitsuba
 from mcspectra.samplers._primes import is_prime
 from mcspectra.samplers.base import Sampler, check_dims
 
 __all__ = ["MitsubaObject", "MitsubaSampler", "from_mitsuba"]
 
 _SEEDS = 2**32
-_LARGEST_SAMPLE = 1.0 - 2.0**-24  # the largest float32 below 1
 
 Counts = Callable[[int], tuple[int | None, int]]
 
@@ -95,7 +94,7 @@ class MitsubaSampler(Sampler):
         for r in range(count):
             source.seed((start + first + r) % _SEEDS)
             _draw(source, out[r])
-        return np.minimum(out, _LARGEST_SAMPLE, out=out)
+        return np.minimum(out, LARGEST_SAMPLE, out=out)
 
     def _source(self, n: int) -> Any:
         options = {} if self.jitter else {"jitter": False}
@@ -167,7 +166,7 @@ class MitsubaObject(Sampler):
                     source.set_samples_per_wavefront(n)
                     source.seed((start + first + r) % _SEEDS, n)
                     out[r] = _columns(source, self.dims)
-        return np.minimum(out, _LARGEST_SAMPLE, out=out)
+        return np.minimum(out, LARGEST_SAMPLE, out=out)
 
     def _fork(self, n: int) -> Any:
         source = self.source.fork()

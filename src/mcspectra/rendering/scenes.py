@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import gc
+import hashlib
 import math
 import re
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias, final
+from xml.etree import ElementTree as ET
 
 import numpy as np
 
@@ -16,14 +19,12 @@ from mcspectra.core.checks import as_integer, as_reals
 from mcspectra.core.errors import FileFormatError, ParameterError, close_match_hint
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import parse
-from mcspectra.rendering._scene_files import watched_state
-from mcspectra.rendering._scene_probe import what_fails
 from mcspectra.rendering.backend import LOCK, VARIANT, load_mitsuba
-from mcspectra.rendering.dict_scene import DictScene
 from mcspectra.rendering.plugin import register_samplers
 
 __all__ = [
     "SCENES",
+    "DictScene",
     "Scene",
     "as_scene",
     "emitter_name",
@@ -34,22 +35,25 @@ __all__ = [
     "mitsuba_reason",
     "named_pixels",
     "project",
+    "referenced_files",
     "scene_name",
     "sensor_of",
+    "watched_state",
+    "what_fails",
 ]
 
-Scene = str | Path | DictScene | Mapping[str, Any]
+Scene: TypeAlias = "str | Path | DictScene | Mapping[str, Any]"
 """What names a scene: a name in `SCENES`, an XML file, a Mitsuba dictionary."""
 
 SCENES = Registry(
     "scene",
     "mcspectra.scenes",
     {
-        "figure1": "mcspectra.rendering.builtin.figure1:figure1",
-        "penumbra": "mcspectra.rendering.builtin.penumbra:penumbra",
-        "sky": "mcspectra.rendering.builtin.sky:sky",
-        "smooth-light": "mcspectra.rendering.builtin.figure1:smooth_light",
-        "veach": "mcspectra.rendering.builtin.veach:veach",
+        "figure1": "mcspectra.rendering.builtin:figure1",
+        "penumbra": "mcspectra.rendering.builtin:penumbra",
+        "sky": "mcspectra.rendering.builtin:sky",
+        "smooth-light": "mcspectra.rendering.builtin:smooth_light",
+        "veach": "mcspectra.rendering.builtin:veach",
     },
     functions=True,
 )
@@ -126,10 +130,14 @@ def named_pixels(scene: Scene) -> dict[str, tuple[int, int]]:
     if isinstance(request, DictScene) or _as_file(request) is not None:
         return {}
     points = getattr(SCENES.load(parse(str(request)).name), "named_points", {})
+    found = {}
     with LOCK:
         load_scene(request)
-        found = {name: _pixel_of(request, point) for name, point in points.items()}
-    return {name: pixel for name, pixel in found.items() if pixel is not None}
+        for name, point in points.items():
+            with contextlib.suppress(ParameterError):
+                x, y = project(request, point)
+                found[name] = (math.floor(x), math.floor(y))
+    return found
 
 
 def sensor_of(scene: Scene) -> Any:
@@ -213,14 +221,6 @@ def emitter_names(scene: Scene) -> list[str]:
     return [emitter_name(emitter, loaded) for emitter in loaded.emitters()]
 
 
-def _pixel_of(scene: Scene, point: Sequence[float]) -> tuple[int, int] | None:
-    try:
-        x, y = project(scene, point)
-    except ParameterError:
-        return None
-    return math.floor(x), math.floor(y)
-
-
 @functools.lru_cache(maxsize=8)
 def _from_name(scene: str) -> Any:
     return _built(scene, load_mitsuba().load_dict, SCENES.build(parse(scene)))
@@ -278,3 +278,210 @@ def _as_file(request: str | Path) -> Path | None:
     looks = request.lower().endswith(".xml")
     looks = looks or (("/" in request or "\\" in request) and "(" not in request)
     return Path(request).expanduser() if looks else None
+
+
+_DEEPEST = 64  # nested dictionaries; a dictionary that holds itself goes deeper
+
+
+@final
+class DictScene:
+    """A Mitsuba scene dictionary as a key of caches: equal if the contents are.
+
+    Parameters
+    ----------
+    scene
+        A dictionary for `mitsuba.load_dict`. Its dictionaries, lists and arrays are copied: changing
+        them later changes nothing here. Transforms, bitmaps and arrays compare by their numbers,
+        objects that Mitsuba has already built by identity.
+
+    Raises
+    ------
+    ParameterError
+        The root's ``type`` is not ``"scene"``, a key is not a string, or the nesting is too deep.
+
+    Notes
+    -----
+    It prints as ``dict``. It can be pickled only if it holds no objects of Mitsuba's.
+    """
+
+    def __init__(self, scene: Mapping[str, Any]) -> None:
+        if scene.get("type") != "scene":
+            raise ParameterError(
+                f"The root of a scene dictionary has the type {scene.get('type')!r}; "
+                "it must be 'scene'."
+            )
+        self._copy: dict[str, Any] = _copied(scene)
+        self._key = _key(self._copy)
+
+    @property
+    def contents(self) -> dict[str, Any]:
+        """A copy of the dictionary."""
+        return dict(_copied(self._copy))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, DictScene) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __repr__(self) -> str:
+        return "dict"
+
+
+@final
+class _Identity:
+    """An object as a key by identity; holding it keeps its address from being used again."""
+
+    def __init__(self, target: object) -> None:
+        self._target = target
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Identity) and self._target is other._target
+
+    def __hash__(self) -> int:
+        return id(self._target)
+
+
+def _copied(value: Any, depth: int = 0) -> Any:
+    if depth > _DEEPEST:
+        raise ParameterError(
+            f"The scene dictionary is nested more than {_DEEPEST} deep; remove parts that contain themselves."
+        )
+    if isinstance(value, Mapping):
+        for name in value:
+            if not isinstance(name, str):
+                raise ParameterError(
+                    f"A key of the scene dictionary is {name!r}; it must be a string."
+                )
+        return {name: _copied(entry, depth + 1) for name, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_copied(entry, depth + 1) for entry in value]
+    return value.copy() if isinstance(value, np.ndarray) else value
+
+
+def _key(value: Any) -> Hashable:
+    # The order of entries is kept: it is that of the lights, which have numbers.
+    if isinstance(value, Mapping):
+        return "dict", tuple((name, _key(entry)) for name, entry in value.items())
+    if isinstance(value, list):
+        return "list", tuple(map(_key, value))
+    if isinstance(value, str | int | float | bool | None):
+        return type(value).__name__, value
+    numbers = _numbers(value)
+    if numbers is None:
+        return _Identity(value)
+    digest = hashlib.sha256(np.ascontiguousarray(numbers).tobytes()).hexdigest()
+    return type(value).__name__, numbers.shape, str(numbers.dtype), digest
+
+
+def _numbers(value: Any) -> np.ndarray[Any, Any] | None:
+    """Return the numbers of an array, a bitmap or a transform, None for anything else."""
+    holder = getattr(value, "matrix", value)
+    if not (hasattr(holder, "__array__") or hasattr(holder, "__array_interface__")):
+        return None
+    numbers = np.asarray(holder)
+    return None if numbers.dtype == object else numbers
+
+
+State: TypeAlias = "tuple[tuple[Path, int, int], ...]"
+"""Paths, sizes in bytes and times of change in nanoseconds."""
+
+_REFERENCE = re.compile(r"\$(\w+)")
+_watched: dict[Path, State] = {}
+
+
+def watched_state(scene: Path) -> State:
+    """Return the state of a scene's file and of all that it refers to, to be compared.
+
+    The XML is read again only if one of the files has changed since the last call: otherwise this
+    asks the file system for each, a few microseconds a file.
+    """
+    file = scene.resolve()
+    known = _watched.get(file, ())
+    if not known or _states(path for path, *_ in known) != known:
+        known = _watched[file] = _states((file, *sorted(referenced_files(file))))
+    return known
+
+
+def referenced_files(scene: Path) -> set[Path]:
+    """Return the files that exist among those that a scene's XML names, included XML too.
+
+    A name is looked for in the folders of the scene, of the file that names it, and of every
+    ``<path>``. A file that is no XML refers to nothing.
+    """
+    first = scene.resolve()
+    folders = [first.parent]
+    found: set[Path] = set()
+    waiting = [first]
+    while waiting:
+        file = waiting.pop()
+        for name in _names(file, folders):
+            places = {(folder / name).resolve() for folder in (*folders, file.parent)}
+            new = {place for place in places if place.is_file()} - found - {first}
+            found |= new
+            waiting += [place for place in new if place.suffix.lower() == ".xml"]
+    return found
+
+
+def _states(files: Iterable[Path]) -> State:
+    """States of those files that exist."""
+    found = []
+    for file in files:
+        with contextlib.suppress(OSError):
+            status = file.stat()
+            found.append((file, status.st_size, status.st_mtime_ns))
+    return tuple(found)
+
+
+def _names(file: Path, folders: list[Path]) -> Iterator[str]:
+    """Values of strings and includes of one file; the folders of its ``<path>`` are added."""
+    try:
+        elements = list(ET.parse(file).iter())
+    except (ET.ParseError, OSError):
+        return
+    defaults = {e.get("name", ""): e.get("value", "") for e in elements if e.tag == "default"}
+    for element in elements:
+        value = element.get("filename") or element.get("value") or ""
+        value = _REFERENCE.sub(lambda match: defaults.get(match[1], match[0]), value)
+        if element.tag == "path":
+            folders.append(file.parent / value)
+        elif value and element.tag in ("string", "include") and "\0" not in value:
+            yield value
+
+
+def what_fails(scene: Any) -> tuple[str, RuntimeError] | None:
+    """Return the first material or light that cannot be evaluated, and the error; None if all can.
+
+    A virtual call of Dr.Jit traces every BSDF that is alive in the process, whatever scene it
+    belongs to: one whose evaluation fails makes all other scenes fail with it. So each is called
+    once, by itself, before a scene is used; calls that are only traced take microseconds. Hold
+    `backend.LOCK` around the call.
+    """
+    import drjit
+
+    # A surface point in its own frame
+    mitsuba = load_mitsuba()
+    at = drjit.zeros(mitsuba.SurfaceInteraction3f)
+    at.n = at.wi = mitsuba.Normal3f(0.0, 0.0, 1.0)
+    at.sh_frame = mitsuba.Frame3f(at.n)
+    at.dp_du, at.dp_dv = mitsuba.Vector3f(1.0, 0.0, 0.0), mitsuba.Vector3f(0.0, 1.0, 0.0)
+    context, u = mitsuba.BSDFContext(), mitsuba.Point2f(0.5)
+
+    part = ""
+    seen: list[Any] = []
+    try:
+        for shape in scene.shapes():
+            bsdf = shape.bsdf()
+            if bsdf is None or any(bsdf is other for other in seen):
+                continue
+            seen.append(bsdf)
+            part = f"the BSDF ({bsdf.class_name()}) of the shape {shape.id()!r}"
+            bsdf.sample(context, at, mitsuba.Float(0.5), u)
+            bsdf.eval_pdf(context, at, mitsuba.Vector3f(0.0, 0.6, 0.8))
+        for light in scene.emitters():
+            part = f"the light {light.id()!r} ({light.class_name()})"
+            light.sample_direction(at, u)
+            light.eval(at)
+    except RuntimeError as error:
+        return part, error
+    return None

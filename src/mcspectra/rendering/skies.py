@@ -31,15 +31,7 @@ _SMALLEST_SINE = 1e-12  # at the poles, where a density per steradian has no bou
 @final
 @dataclass(frozen=True, eq=False)
 class Sky:
-    """A density of directions towards the environment of a scene.
-
-    Attributes
-    ----------
-    density
-        The density on [0,1)².
-    rotation
-        The emitter's own frame to the world's, (3, 3).
-    """
+    """A density on [0,1)², of directions towards an environment; `rotation` is its frame in the world."""
 
     density: Density
     rotation: Array
@@ -118,22 +110,10 @@ def sky_pixels(scene: Scene, rows: int = _ROWS) -> Array:
 
 
 def sky_technique(scene: Scene, density: Density | str | None, channel: str | int) -> Sky:
-    """Return a density bound to the environment of a scene.
+    """Return a density in two dims, or that of a spec, bound to the environment of a scene.
 
-    Parameters
-    ----------
-    scene
-        A scene, as for `load_scene`.
-    density
-        A density in two dims or its spec string. A spec of ``environment`` without a path means the
-        scene's own environment, `sky_pixels`; None is the same, bilinear, by `channel`.
-    channel
-        Channel that the default samples by: a number, or the luminance for ``"luminance"`` and ``"rgb"``.
-
-    Raises
-    ------
-    ParameterError
-        The density is not one of two dims, or takes further coordinates.
+    A spec of ``environment`` without a path means the scene's own environment, `sky_pixels`; None is
+    the same, bilinear, by `channel` (by luminance for ``"rgb"``).
     """
     if density is None:
         chosen = "luminance" if channel == "rgb" else channel

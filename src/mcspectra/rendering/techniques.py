@@ -1,30 +1,46 @@
-"""Techniques of direct illumination at surface points: light and BSDF sampling, and MIS weights.
+"""Surface points that pixels see, and the techniques of their direct illumination.
 
-Each makes a direction of u in [0,1)² at every point and returns f/p, its own density and that of
-the other technique, per solid angle [VeachGuibas1995]_. The points may be one for all samples or
-one a sample. Hold `backend.LOCK` around every call.
+A technique, light or BSDF sampling, makes a direction of u in [0,1)² at every point and returns
+f/p, its own density and that of the other technique, per solid angle [VeachGuibas1995]_. Points may
+be one for all samples or one a sample. Hold `backend.LOCK` around every call.
 """
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
-from mcspectra.rendering.backend import load_mitsuba
+import numpy as np
+
+from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.errors import ParameterError
+from mcspectra.rendering.backend import LARGEST_SAMPLE, load_mitsuba
+from mcspectra.rendering.scenes import Scene, emitter_name, film_size, load_scene, scene_name
 
 __all__ = [
-    "LARGEST_SAMPLE",
     "POWERS",
-    "Receiver",
+    "Hit",
     "Techniques",
+    "check_film_receivers",
+    "check_finite",
+    "check_pixel",
+    "check_receiver",
+    "check_single_lobe",
+    "chooses_lobe",
+    "chosen_channel",
+    "film_hits",
     "follow_bsdf",
+    "follow_camera",
     "heuristic_weight",
+    "hits_of",
     "look_at_sky",
+    "primary_hit",
     "sample_bsdf",
+    "sample_columns",
     "sample_light",
 ]
-
-LARGEST_SAMPLE = 1.0 - 2.0**-24
-"""The largest float32 below 1: rounding u up to 1 would leave the square."""
 
 POWERS = {"balance": 1, "power": 2}
 """Heuristics to their exponent β."""
@@ -32,40 +48,210 @@ POWERS = {"balance": 1, "power": 2}
 Techniques = tuple[Any, Any, Any]
 """Value f/p, own density, density of the other technique."""
 
+_SCENES, _PIXELS = 4, 256  # whose hits are kept; of each scene
+_PROBES = 16  # positions along each side of a pixel at which `check_film_receivers` looks
 
-class Receiver(Protocol):
-    """Surface points that are lit; `bsdf` is one BSDF, or a pointer for each point."""
 
-    @property
-    def scene(self) -> Any:
-        """The Mitsuba scene."""
+@dataclass(frozen=True)
+class Hit:
+    """Surface points met by rays: of one ray, or an array of many.
 
-    @property
-    def interaction(self) -> Any:
-        """The surface interactions."""
+    Attributes
+    ----------
+    scene, interaction
+        The Mitsuba scene, and the surface interactions.
+    bsdf
+        The BSDF, None if the ray meets nothing; of many rays, a pointer for each.
+    active
+        Whether there is a surface that does not shine: one bool, or a mask.
+    shape, light
+        Of one ray: id of the shape, and name of the light it meets or None.
+    """
 
-    @property
-    def bsdf(self) -> Any:
-        """The BSDF of each."""
+    scene: Any
+    interaction: Any
+    bsdf: Any
+    active: Any = True
+    shape: str = ""
+    light: str | None = None
+
+
+def primary_hit(scene: Any, x: int, y: int) -> Hit:
+    """Follow the ray through the centre of pixel, lens and shutter."""
+    return hits_of(scene)(x, y)
+
+
+@functools.lru_cache(maxsize=_SCENES)
+def hits_of(scene: Any) -> Callable[[int, int], Hit]:
+    """Return `primary_hit` of one scene, which remembers its last pixels.
+
+    Hits keep their scene alive, with its meshes and textures, and BSDFs that Dr.Jit then traces
+    for all scenes: so those of few scenes are remembered.
+    """
+    return functools.lru_cache(maxsize=_PIXELS)(functools.partial(_primary_hit, scene))
+
+
+def _primary_hit(scene: Any, x: int, y: int) -> Hit:
+    import drjit
+
+    # Opaque: position and point become data, so that all pixels share their compiled kernels.
+    position = load_mitsuba().Point2f(*_on_film(scene, x, y))
+    drjit.make_opaque(position)
+    interaction = follow_camera(scene, position)
+    drjit.make_opaque(interaction)
+    emitter = interaction.emitter(scene)[0]
+    light = emitter_name(emitter, scene) if emitter else None
+    if not interaction.is_valid()[0]:
+        return Hit(scene, interaction, None, active=False, light=light)
+    shape = str(interaction.shape[0].id())
+    return Hit(scene, interaction, interaction.bsdf()[0], light is None, shape, light)
+
+
+def film_hits(scene: Any, x: int, y: int, film: Array) -> Hit:
+    """Follow a ray through each position (M, 2) in [0,1)² of a pixel, and the centre of the lens.
+
+    A float32 tells positions apart that differ by 2⁻²⁴ of the whole film.
+    """
+    import drjit
+
+    mitsuba = load_mitsuba()
+    columns = [np.ascontiguousarray(c, np.float32) for c in _on_film(scene, x, y, *film.T)]
+    interaction = follow_camera(scene, mitsuba.Point2f(*columns))
+    shines = interaction.emitter(scene) != drjit.zeros(mitsuba.EmitterPtr)
+    return Hit(scene, interaction, interaction.bsdf(), interaction.is_valid() & ~shines)
+
+
+def follow_camera(scene: Any, position: Any) -> Any:
+    """First hits of rays through positions of the film in [0,1)², halfway through the shutter's time."""
+    sensor = scene.sensors()[0]
+    time = sensor.shutter_open() + 0.5 * sensor.shutter_open_time()
+    mitsuba = load_mitsuba()
+    ray, _ = sensor.sample_ray(time, 0.5, position, mitsuba.Point2f(0.5))
+    return scene.ray_intersect(ray, mitsuba.RayFlags.All, True)  # coherent: 10 % of an image's time
+
+
+def _on_film(scene: Any, x: int, y: int, dx: Any = 0.5, dy: Any = 0.5) -> tuple[Any, Any]:
+    """Coordinates in [0,1) of a position in a pixel on the film's crop window, in float64."""
+    width, height = scene.sensors()[0].film().crop_size()
+    return (x + dx) / int(width), (y + dy) / int(height)
+
+
+def check_pixel(scene: Scene, x: object, y: object) -> tuple[int, int]:
+    """Return x and y as Python integers; a pixel off the scene's film is a ParameterError."""
+    width, height = film_size(scene)
+    try:
+        column = as_integer("x", x, least=0, most=width - 1)
+        return column, as_integer("y", y, least=0, most=height - 1)
+    except ParameterError as error:
+        where = scene_name(scene)
+        raise ParameterError(f"The pixel is outside the film of {where}: {error}") from None
+
+
+def check_receiver(scene: Scene, x: int, y: int) -> Hit:
+    """Return the surface at the pixel's centre if its reflection can be sampled.
+
+    A ParameterError if it sees nothing, a light, or a BSDF that is a delta function.
+    """
+    hit = primary_hit(load_scene(scene), x, y)
+    where = f"Pixel ({x}, {y}) of {scene_name(scene)}"
+    if hit.light is not None:
+        raise ParameterError(
+            f"{where} sees the light {hit.light!r}; choose a pixel that sees a surface."
+        )
+    if not hit.bsdf:
+        raise ParameterError(f"{where} sees nothing; choose a pixel that sees a surface.")
+    _raise_delta(where, hit.bsdf, hit.shape)
+    return hit
+
+
+def check_film_receivers(scene: Scene, x: int, y: int, *, single_lobe: bool) -> None:
+    """Raise a ParameterError unless the surfaces on a grid of positions can be sampled.
+
+    Parts of the pixel may see a light or nothing, but not all. With `single_lobe` a BSDF must do
+    without a third random number.
+    """
+    middles = (np.arange(_PROBES) + 0.5) / _PROBES
+    film = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
+    loaded = load_scene(scene)
+    hits = film_hits(loaded, x, y, film)
+    where = f"Pixel ({x}, {y}) of {scene_name(scene)}"
+    seen = np.flatnonzero(np.broadcast_to(hits.active.numpy(), len(film)))
+    if not seen.size:
+        raise ParameterError(
+            f"{where} sees only lights or empty space; choose a pixel that sees a surface."
+        )
+    shapes, bsdfs = hits.interaction.shape, hits.bsdf
+    for k in {str(shapes[int(k)].id()): int(k) for k in seen}.values():
+        shape = str(shapes[k].id())
+        _raise_delta(where, bsdfs[k], shape)
+        if single_lobe:
+            position = load_mitsuba().Point2f(*map(float, _on_film(loaded, x, y, *film[k])))
+            one = follow_camera(loaded, position)
+            check_single_lobe(Hit(loaded, one, one.bsdf()[0], shape=shape), dims=4)
+
+
+def _raise_delta(where: str, bsdf: Any, shape: str) -> None:
+    if int(bsdf.flags()) & int(load_mitsuba().BSDFFlags.Delta):
+        raise ParameterError(
+            f"{where} sees the shape {shape!r}, whose BSDF ({bsdf.class_name()}) has a "
+            "perfectly specular part, a delta function; choose a rough or diffuse surface."
+        )
+
+
+def check_single_lobe(hit: Hit, dims: int) -> None:
+    """Refuse a BSDF that needs one random number more than `dims` has."""
+    mitsuba = load_mitsuba()
+    grid = (np.arange(8, dtype=np.float32) + 0.5) / 8
+    u = mitsuba.Point2f(*(mitsuba.Float(c.ravel()) for c in np.meshgrid(grid, grid)))
+    if chooses_lobe(hit, u):
+        raise ParameterError(
+            f"The BSDF of the shape {hit.shape!r} ({hit.bsdf.class_name()}) selects a lobe by "
+            f"an extra random number; give dims={dims + 1}, the last coordinate is that number."
+        )
+
+
+def chooses_lobe(hit: Hit, u: Any) -> bool:
+    """Whether directions of the BSDF at samples u depend on a third random number."""
+    mitsuba = load_mitsuba()
+    context, at = mitsuba.BSDFContext(), hit.interaction
+    low, high = (
+        hit.bsdf.sample(context, at, mitsuba.Float(lobe), u)[0].wo.numpy()
+        for lobe in (0.0, LARGEST_SAMPLE)
+    )
+    return not np.array_equal(low, high, equal_nan=True)
+
+
+def sample_columns(u: Array) -> list[Any]:
+    """Columns of samples u (M, dims) as `Float` in [0,1), never rounded up to 1."""
+    columns = np.minimum(np.array(u.T, np.float32, order="C"), np.float32(LARGEST_SAMPLE))
+    return [load_mitsuba().Float(c) for c in columns]
+
+
+def chosen_channel(color: Any, channel: str | int) -> Any:
+    """The luminance of a color, or a channel by its number."""
+    return load_mitsuba().luminance(color) if channel == "luminance" else color[channel]
+
+
+def check_finite(values: Array, scene: Scene, pixels: Array) -> None:
+    """Refuse NaN and infinity among values (P, …) at pixels (P, 2)."""
+    if np.isfinite(values.sum()):  # a fraction of the time of looking at each
+        return
+    bad = ~np.isfinite(values)
+    if bad.any():
+        x, y = pixels[np.argwhere(bad)[0, 0]]
+        raise ParameterError(
+            f"Mitsuba gave {np.count_nonzero(bad)} NaN or infinite values, first at pixel "
+            f"({x}, {y}) of {scene_name(scene)}; check the materials and lights that it sees."
+        )
 
 
 def sample_light(
-    hit: Receiver, emitter: Any, u: Any, extra: Any = None, active: Any = True
+    hit: Hit, emitter: Any, u: Any, extra: Any = None, active: Any = True
 ) -> Techniques:
-    """Sample a light.
+    """Sample the one light that counts, or with None one of all, by samples u, a `Point2f`.
 
-    Parameters
-    ----------
-    hit
-        Where the light arrives.
-    emitter
-        The one light that counts; None selects one of all.
-    u
-        Samples in [0,1)², a `Point2f`.
-    extra
-        A third number in [0,1), which selects the light; None takes it from the first of u.
-    active
-        Mask of points; elsewhere the value is 0.
+    A third number in [0,1), `extra`, selects the light; None takes it from the first of u. The value
+    is 0 where points are not `active`.
     """
     import drjit
 
@@ -82,7 +268,7 @@ def sample_light(
 
 
 def sample_bsdf(
-    hit: Receiver, emitter: Any, u: Any, extra: Any = None, active: Any = True
+    hit: Hit, emitter: Any, u: Any, extra: Any = None, active: Any = True
 ) -> Techniques:
     """Sample the BSDF; parameters as those of `sample_light`, `extra` selects the lobe."""
     value, own, other, _ = follow_bsdf(hit, emitter, u, extra, active)
@@ -90,7 +276,7 @@ def sample_bsdf(
 
 
 def follow_bsdf(
-    hit: Receiver, emitter: Any, u: Any, extra: Any = None, active: Any = True
+    hit: Hit, emitter: Any, u: Any, extra: Any = None, active: Any = True
 ) -> tuple[Any, Any, Any, Any]:
     """`sample_bsdf` with the direction in the world, a `Vector3f`."""
     import drjit
@@ -116,18 +302,8 @@ def follow_bsdf(
     return value, sample.pdf, drjit.select(rough, light_pdf, 0.0), ray.d
 
 
-def look_at_sky(hit: Receiver, emitter: Any, direction: Any, active: Any = True) -> tuple[Any, Any]:
-    """Evaluate f_r L V cos and the BSDF's density in given directions.
-
-    Parameters
-    ----------
-    hit, active
-        As for `sample_light`.
-    emitter
-        The environment.
-    direction
-        Unit vectors in the world, a `Vector3f`.
-    """
+def look_at_sky(hit: Hit, emitter: Any, direction: Any, active: Any = True) -> tuple[Any, Any]:
+    """Evaluate f_r L V cos and the BSDF's density in directions in the world to an environment."""
     import drjit
 
     mitsuba, at = load_mitsuba(), hit.interaction
@@ -147,9 +323,7 @@ def heuristic_weight(own: Any, other: Any, power: int) -> Any:
     return 1.0 / (1.0 + ratio**power)
 
 
-def _emitter_direction(
-    hit: Receiver, emitter: Any, u: Any, extra: Any, active: Any
-) -> tuple[Any, Any]:
+def _emitter_direction(hit: Hit, emitter: Any, u: Any, extra: Any, active: Any) -> tuple[Any, Any]:
     """Sample one light, or select one of all by the first or the extra coordinate."""
     at = hit.interaction
     if emitter is not None:

@@ -15,15 +15,15 @@ and then one for the BSDF.
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from mcspectra.core.checks import Array, as_choice, as_real_array
 from mcspectra.core.errors import DomainError, ParameterError
-from mcspectra.rendering.backend import LOCK, load_mitsuba
+from mcspectra.rendering.backend import LARGEST_SAMPLE, LOCK, load_mitsuba
+from mcspectra.rendering.kernel_nets import NetPoints
 from mcspectra.rendering.scene_checks import check_media
 from mcspectra.rendering.scenes import (
     Scene,
@@ -34,8 +34,10 @@ from mcspectra.rendering.scenes import (
     sensor_of,
 )
 from mcspectra.rendering.techniques import (
-    LARGEST_SAMPLE,
     POWERS,
+    Hit,
+    check_finite,
+    follow_camera,
     heuristic_weight,
     sample_bsdf,
     sample_light,
@@ -48,43 +50,40 @@ FILMS = ("center", "sampled")
 CHUNK_SAMPLES = 2**20
 """Samples in one kernel: some 200 MiB of Dr.Jit's memory, and no faster if larger."""
 
+_Columns: TypeAlias = Callable[[Any], list[Any]]
 _LOOP_SAMPLES = 16  # most samples that a lane runs over: more would leave too few lanes
 _MOST_VALUES = 2**26  # lanes whose values are returned one by one: 768 MiB of float32
 
 
-@dataclass(frozen=True)
-class _Hits:
-    """What the camera rays meet, one or many."""
-
-    scene: Any
-    interaction: Any
-    bsdf: Any
-
-
 class _Places:
-    """Which pixel and which rows of u each lane takes, `each` of them in succession."""
+    """Which pixel and which points each lane takes, `each` of them in succession."""
 
-    def __init__(self, pixels: Array, u: Array, each: int, lanes: int) -> None:
+    def __init__(self, pixels: Array, points: Array | NetPoints, each: int, lanes: int) -> None:
         import drjit
 
         mitsuba = load_mitsuba()
         self.pixels, self.corners = pixels, _corners(pixels)
-        self._table, self._dims = mitsuba.Float(u.ravel()), u.shape[-1]
         lane = drjit.arange(mitsuba.UInt32, lanes)
+        count = drjit.opaque(mitsuba.UInt32, points.shape[-2])
         # Opaque: a count written into the kernel would have it compiled anew for each.
         self.each = drjit.opaque(mitsuba.UInt32, each)
-        self.pixel = lane // drjit.opaque(mitsuba.UInt32, u.shape[-2] // each)
-        own = self.pixel * drjit.opaque(mitsuba.UInt32, u.shape[-2])
-        self._row = lane * self.each - (0 if u.ndim == 3 else own)
+        self.pixel = lane // drjit.opaque(mitsuba.UInt32, points.shape[-2] // each)
+        own = self.pixel * count
+        if isinstance(points, NetPoints):
+            first, net = lane * self.each - own, points.lanes(mitsuba, self.pixel)
+            self.columns: _Columns = lambda sample: net(first + sample)
+        else:
+            row = lane * self.each - (0 if points.ndim == 3 else own)
+            table, dims = mitsuba.Float(points.ravel()), points.shape[-1]
+            self.columns = lambda sample: _row(table, (row + sample) * dims, dims)
 
-    def columns(self, sample: Any) -> list[Any]:
-        """Columns of u in [0,1) at one sample of each lane."""
-        import drjit
 
-        mitsuba = load_mitsuba()
-        row = (self._row + sample) * self._dims
-        columns = (drjit.gather(mitsuba.Float, self._table, row + k) for k in range(self._dims))
-        return [drjit.minimum(column, LARGEST_SAMPLE) for column in columns]
+def _row(table: Any, first: Any, dims: int) -> list[Any]:
+    """Successive numbers of a table, in [0,1)."""
+    import drjit
+
+    columns = (drjit.gather(load_mitsuba().Float, table, first + k) for k in range(dims))
+    return [drjit.minimum(column, LARGEST_SAMPLE) for column in columns]
 
 
 class Wavefront:
@@ -129,7 +128,7 @@ class Wavefront:
         self.emission = bool(emission)
         with LOCK:
             sensor_of(scene)
-            self._scene = load_scene(scene)
+            self._request, self._scene = scene, load_scene(scene)
             check_media(scene)
             self.width, self.height = film_size(scene)
             self._size = _opaque_floats(self.width, self.height)
@@ -201,9 +200,13 @@ class Wavefront:
         count = u.shape[-2]
         out = np.zeros((len(pixels), 3))
         for rows, columns in _chunks(len(pixels), count):
-            out[rows] += self._sums(strategy, pixels[rows], _part(u, rows, columns))
+            out[rows] += self._sums(strategy, pixels[rows], _as_samples(_part(u, rows, columns)))
         out /= count
         return out
+
+    def net_means(self, strategy: str, pixels: Array, points: NetPoints) -> Array:
+        """`means` by points that the kernel computes, a set for each pixel; nothing is checked."""
+        return self._sums(strategy, pixels, points) / points.count
 
     def _checked(self, strategy: str, pixels: Any, u: Any) -> tuple[Array, Array]:
         allowed = (self.dims(strategy, select=False), self.dims(strategy, select=True))
@@ -235,10 +238,10 @@ class Wavefront:
         # Dr.Jit keeps constants at width 1.
         lanes = np.broadcast_to(lanes, (3, len(pixels) * count)).T
         lanes = lanes.reshape(len(pixels), count, 3)
-        _check_finite(lanes, pixels)
+        check_finite(lanes, self._request, pixels)
         return lanes
 
-    def _sums(self, strategy: str, pixels: Array, u: Array) -> Array:
+    def _sums(self, strategy: str, pixels: Array, points: Array | NetPoints) -> Array:
         """Sums over the samples of each pixel of one chunk: float64 (P, 3).
 
         A lane runs over some samples of its pixel in a recorded loop, so that one number a lane is
@@ -247,11 +250,11 @@ class Wavefront:
         import drjit
 
         mitsuba = load_mitsuba()
-        count = u.shape[-2]
+        count = points.shape[-2]
         each = max(k for k in range(1, _LOOP_SAMPLES + 1) if count % k == 0)
         lanes = len(pixels) * (count // each)
         with LOCK:
-            place = _Places(pixels, _as_samples(u), each, lanes)
+            place = _Places(pixels, points, each, lanes)
             center = self._center(place)
 
             def more(sample: Any, _: Any) -> Any:
@@ -264,11 +267,11 @@ class Wavefront:
             start = drjit.zeros(mitsuba.UInt32, lanes), drjit.zeros(mitsuba.Color3d, lanes)
             _, total = drjit.while_loop(start, more, add, mode="symbolic")
             parts: Array = total.numpy().T.reshape(len(pixels), -1, 3)
-        sums: Array = parts.sum(axis=1)
-        _check_finite(sums, pixels)
+        sums: Array = parts.sum(axis=1) if parts.shape[1] > 1 else parts[:, 0]
+        check_finite(sums, self._request, pixels)
         return sums
 
-    def _color(self, strategy: str, place: _Places, center: _Hits | None, sample: Any) -> Any:
+    def _color(self, strategy: str, place: _Places, center: Hit | None, sample: Any) -> Any:
         """Estimates of the lanes of a chunk, float32, each by one of its samples."""
         columns = place.columns(sample)
         hits = self._sampled(place, columns) if center is None else center
@@ -276,7 +279,7 @@ class Wavefront:
         color = self._direct(strategy, hits, blocks)
         return color + self._seen(hits.interaction) if self.emission else color
 
-    def _center(self, place: _Places) -> _Hits | None:
+    def _center(self, place: _Places) -> Hit | None:
         """What the lanes' rays through the centres of pixels meet; None if others are taken."""
         import drjit
 
@@ -284,15 +287,15 @@ class Wavefront:
             return None
         kept = self._center_hits(place.pixels.tobytes())
         at = drjit.gather(load_mitsuba().SurfaceInteraction3f, kept, place.pixel)
-        return _Hits(self._scene, at, at.bsdf())
+        return Hit(self._scene, at, at.bsdf())
 
-    def _sampled(self, place: _Places, columns: list[Any]) -> _Hits:
+    def _sampled(self, place: _Places, columns: list[Any]) -> Hit:
         """What rays through the points of the film that the first two columns choose meet."""
         import drjit
 
         corner = (drjit.gather(load_mitsuba().Float, c, place.pixel) for c in place.corners)
         at = self._trace(*(c + u for c, u in zip(corner, columns[:2], strict=True)))
-        return _Hits(self._scene, at, at.bsdf())
+        return Hit(self._scene, at, at.bsdf())
 
     def _trace_centers(self, pixels: bytes) -> Any:
         """First hits through the centres of pixels, given as the bytes of int64 (P, 2)."""
@@ -305,13 +308,10 @@ class Wavefront:
 
     def _trace(self, x: Any, y: Any) -> Any:
         """Follow rays through points of the film, in pixels."""
-        mitsuba, sensor = load_mitsuba(), self._scene.sensors()[0]
-        position = mitsuba.Point2f(x / self._size[0], y / self._size[1])
-        time = sensor.shutter_open() + 0.5 * sensor.shutter_open_time()
-        ray, _ = sensor.sample_ray(time, 0.5, position, mitsuba.Point2f(0.5))
-        return self._scene.ray_intersect(ray)
+        position = load_mitsuba().Point2f(x / self._size[0], y / self._size[1])
+        return follow_camera(self._scene, position)
 
-    def _direct(self, strategy: str, hits: _Hits, blocks: list[Any]) -> Any:
+    def _direct(self, strategy: str, hits: Hit, blocks: list[Any]) -> Any:
         """Reflected light by one technique, or by both, each with its own block of columns."""
         if strategy != "mis":
             return self._technique(strategy, hits, blocks)
@@ -320,7 +320,7 @@ class Wavefront:
             "mis-bsdf", hits, blocks[half:]
         )
 
-    def _technique(self, strategy: str, hits: _Hits, block: list[Any]) -> Any:
+    def _technique(self, strategy: str, hits: Hit, block: list[Any]) -> Any:
         mitsuba = load_mitsuba()
         sample = sample_light if strategy.endswith("light") else sample_bsdf
         extra = block[2] if len(block) == 3 else None
@@ -372,17 +372,6 @@ def _as_samples(u: Array) -> Array:
             "u has samples that are NaN or outside [0,1); give finite numbers in [0,1)."
         )
     return samples
-
-
-def _check_finite(found: Array, pixels: Array) -> None:
-    """Refuse NaN and infinity among (P, …) values."""
-    if np.isfinite(found).all():
-        return
-    x, y = pixels[np.argwhere(~np.isfinite(found))[0, 0]]
-    raise ParameterError(
-        f"Mitsuba gave NaN or infinite values at the pixel ({x}, {y}); check the materials "
-        "and lights that it sees."
-    )
 
 
 def _opaque_floats(*numbers: int) -> tuple[Any, ...]:

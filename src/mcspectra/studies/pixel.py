@@ -22,9 +22,7 @@ from mcspectra.core.progress import report
 from mcspectra.estimators import AbstractEstimator, Estimator
 from mcspectra.quality.jumps import curve_length
 from mcspectra.rendering.backend import LOCK
-from mcspectra.rendering.draws import View
-from mcspectra.rendering.hemisphere import incident_light
-from mcspectra.rendering.pixel import Pixel, check_view, describe_pixel
+from mcspectra.rendering.pixel import Pixel, View, check_view, describe_pixel, incident_light
 from mcspectra.rendering.pixel_mis import pixel_mis
 from mcspectra.rendering.scene_checks import camera_rays
 from mcspectra.rendering.scenes import (

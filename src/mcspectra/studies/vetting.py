@@ -209,7 +209,7 @@ class Vetting:
             )
         files[file] = ""
         if file.suffix.lower() == ".xml":
-            from mcspectra.rendering._scene_files import referenced_files
+            from mcspectra.rendering.scenes import referenced_files
 
             files.update(dict.fromkeys(referenced_files(file), ""))
         return file

@@ -39,17 +39,9 @@ _ULPS = 4.0  # of float32: below, variances are the rounding of Mitsuba's values
 class LineFits:
     """Lines log V = level + rate · (log n − centre), one for every strategy and pixel.
 
-    Attributes
-    ----------
-    rate, rate_se
-        Slopes and their standard errors; NaN where fewer than two variances could be fitted, or one
-        was left out at a smaller n than others: too few realisations for what is rare.
-    level, level_se
-        Log variance at the centre, which is independent of the slope.
-    centre
-        Weighted mean of log n.
-    chi2
-        Lack of fit, χ² per degree of freedom; NaN for two variances.
+    The centre is the weighted mean of log n, where level and rate are independent. A rate is NaN
+    where fewer than two variances could be fitted, or one was left out at a smaller n than others: too few
+    realisations for what is rare. chi2 is the lack of fit per degree of freedom, NaN for two variances.
     """
 
     rate: Array
@@ -72,18 +64,11 @@ class LineFits:
 def fit_lines(
     ns: Array, variance: Array, relative_se: Array, mean: Array, largest_se: float = 0.5
 ) -> LineFits:
-    """Fit all lines at once.
+    """Fit all lines at once to variances, their relative errors and the means, (S, N, …).
 
-    Parameters
-    ----------
-    ns
-        Counts (N,).
-    variance, relative_se, mean
-        Variances, their relative standard errors and the mean estimates, (S, N, …). Variances that
-        are rounding of float32 are left out.
-    largest_se
-        Variances of a larger relative standard error come of very few realisations that met what is
-        rare: most often they are far too small. They are left out like zeros.
+    Variances that are rounding of float32 are left out, and like zeros those of a relative standard
+    error above `largest_se`: they come of very few realisations that met what is rare, and most
+    often they are far too small.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         floor = (_ULPS * np.finfo(np.float32).eps * mean) ** 2
@@ -129,16 +114,9 @@ def _widening(degrees: Array, chi2: Array) -> Array:
 def smooth(rate: Array, rate_se: Array, window: int, independent: bool) -> tuple[Array, Array]:
     """Average rates (S, y, x) over window × window pixels, weighted by their precision.
 
-    Parameters
-    ----------
-    rate, rate_se
-        Rates and standard errors; pixels without a rate take no part and stay without.
-    window
-        Odd number of pixels; 1 changes nothing. At the border, the pixels that there are.
-    independent
-        Whether the pixels have points of their own, so that standard errors fall with the number of
-        pixels. Otherwise the mean standard error stands: right for errors that are the same
-        everywhere, too large for others.
+    Pixels without a rate take no part and stay without. With `independent` pixels, which have
+    points of their own, standard errors fall with their number. Otherwise the mean standard error
+    stands: right for errors that are the same everywhere, too large for others.
     """
     if window == 1:
         return rate, rate_se
@@ -189,13 +167,6 @@ def gain(single: LineFits, mis: LineFits, total: float) -> tuple[Array, Array]:
 
     Both are read off the fitted lines, MIS at half as many samples of each technique. The standard
     error takes them as independent: they share points, which makes it too large rather than small.
-
-    Parameters
-    ----------
-    single, mis
-        Lines of the single strategies (S, y, x) and of MIS (1, y, x).
-    total
-        Number of samples.
     """
     levels, errors = single.at(total)
     best = np.argmin(np.where(np.isnan(levels), np.inf, levels), axis=0)[None]

@@ -1,0 +1,395 @@
+"""The built-in scenes, each a function that makes a Mitsuba dictionary with named points."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_choice, as_integer, as_real
+from mcspectra.core.environments import synthetic_sky
+from mcspectra.core.errors import ParameterError
+from mcspectra.rendering.backend import load_mitsuba
+
+__all__ = ["P", "Q", "figure1", "penumbra", "sky", "smooth_light", "veach"]
+
+Point = tuple[float, float, float]
+
+_LARGEST_FILM = 65_536
+_Scene = TypeVar("_Scene", bound=Callable[..., dict[str, Any]])
+
+
+def named_points(**points: Point) -> Callable[[_Scene], _Scene]:
+    """Name points of the world that a scene's function makes; `named_pixels` finds their pixels."""
+
+    def keep(scene: _Scene) -> _Scene:
+        scene.named_points = points  # type: ignore[attr-defined]
+        return scene
+
+    return keep
+
+
+def perspective(
+    origin: Point, target: Point, fov: float, width: int, height: int
+) -> dict[str, Any]:
+    """Make a camera with +y up, a vertical field of view in degrees, and a film of box pixels.
+
+    Raises
+    ------
+    ParameterError
+        A film without pixels, or of more than 65536 along a side.
+    """
+    size = {
+        name: as_integer(name, value, least=1, most=_LARGEST_FILM)
+        for name, value in (("width", width), ("height", height))
+    }
+    transform = load_mitsuba().ScalarTransform4f()
+    view = transform.look_at(origin=list(origin), target=list(target), up=[0.0, 1.0, 0.0])
+    film = {"type": "hdrfilm", "filter": {"type": "box"}, **size}
+    lens = {"type": "perspective", "fov": fov, "fov_axis": "y"}
+    return {**lens, "to_world": view, "film": film}
+
+
+def rectangle(
+    center: Sequence[float], across: Sequence[float], along: Sequence[float]
+) -> dict[str, Any]:
+    """Make a parallelogram center ± across ± along that faces across × along.
+
+    `across` and `along` are half its sides, normal to each other.
+    """
+    normal = np.cross(across, along)
+    columns = [across, along, normal / np.linalg.norm(normal), center]
+    matrix = np.vstack([np.array(columns, dtype=float).T, [0.0, 0.0, 0.0, 1.0]])
+    transform = load_mitsuba().ScalarTransform4f(matrix.tolist())
+    return {"type": "rectangle", "to_world": transform}
+
+
+def diffuse(reflectance: float | Sequence[float], *, both_sides: bool = False) -> dict[str, Any]:
+    """Make a Lambertian BSDF, gray or of an RGB color; black from behind unless `both_sides`."""
+    value = reflectance if isinstance(reflectance, float) else list(reflectance)
+    bsdf: dict[str, Any] = {"type": "diffuse", "reflectance": {"type": "rgb", "value": value}}
+    return {"type": "twosided", "bsdf": bsdf} if both_sides else bsdf
+
+
+def area_light(radiance: float | dict[str, Any]) -> dict[str, Any]:
+    """Return the BSDF and emitter of a black shape that emits gray or textured radiance."""
+    color = {"type": "rgb", "value": radiance} if isinstance(radiance, float) else radiance
+    return {"bsdf": diffuse(0.0), "emitter": {"type": "area", "radiance": color}}
+
+
+P: Point = (-1.2, 0.0, 0.7)
+"""A point of the floor that sees all of the light."""
+Q: Point = (0.9, 0.0, 0.4)
+"""A point of the floor from which the occluder hides a part of the light."""
+
+_HEIGHT, _HALF_SIDE, _RADIANCE = 2.0, 1.0, 9.0
+_OCCLUDER: Point = (1.5, 1.0, 0.0)
+_OCCLUDER_HALF_SIDE, _OCCLUDER_DEGREES = 0.7, 25.0
+_FLOOR_HALF_SIDE, _REFLECTANCE = 6.0, 0.5
+_TEXELS = 256
+
+
+@named_points(P=P, Q=Q)
+def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[str, Any]:
+    """A square light over a floor, and an occluder that hides part of the light from one of two points.
+
+    Parameters
+    ----------
+    edge
+        Share of the light's half side, from its border inwards, on which radiance rises from 0 to
+        full as a smoothstep, 3t² − 2t³; 0 is a light of constant radiance.
+    width, height
+        Film size in pixels.
+
+    Returns
+    -------
+    dict
+        The scene for `mitsuba.load_dict`. Shapes: light, occluder, floor.
+
+    Raises
+    ------
+    ParameterError
+        `edge` is not within [0, 1], or a film without pixels.
+
+    Notes
+    -----
+    The arrangement is that of Figure 1 in [Singh2019]_, which gives no numbers; these are ours. The
+    floor is y = 0. The light is the square |x| ≤ 1, |z| ≤ 1 at y = 2 and faces down; the occluder
+    is a square of half side 0.7 at y = 1 around x = 1.5, z = 0, turned by 25° so that its shadow's
+    border is not parallel to strata. The named pixels P and Q see the points `P`, which sees all of
+    the light, and `Q`. Neither is below the light's centre, where the integrand would be the same
+    at opposite borders and a shifted set would lose nothing.
+
+    With an edge, radiance is a texture of 256² texels, interpolated bilinearly, and Mitsuba
+    samples such a light texel by texel in proportion to it. For BSDF sampling the light has then no
+    silhouette: at P, jittered, its rate goes from −1.5 to −1.9 with ``edge=1``.
+    """
+    radiance = _smooth_texture(edge) if as_real("edge", edge, least=0.0, most=1.0) else _RADIANCE
+    light = rectangle((0, _HEIGHT, 0), (_HALF_SIDE, 0, 0), (0, 0, _HALF_SIDE))
+    floor = rectangle((0, 0, 0), (_FLOOR_HALF_SIDE, 0, 0), (0, 0, -_FLOOR_HALF_SIDE))
+    return {
+        "type": "scene",
+        "sensor": perspective((0.0, 1.6, 7.0), (0.0, 0.9, 0.0), 28.0, width, height),
+        "light": {**light, **area_light(radiance)},
+        "occluder": {**_turned_square(), "bsdf": diffuse(0.2, both_sides=True)},
+        "floor": {**floor, "bsdf": diffuse(_REFLECTANCE)},
+    }
+
+
+@named_points(P=P, Q=Q)
+def smooth_light(*, edge: float = 0.5, width: int = 384, height: int = 256) -> dict[str, Any]:
+    """The scene figure1 with a light whose radiance falls smoothly to 0 at its border.
+
+    Parameters, errors and notes are those of `figure1`.
+    """
+    return figure1(edge=edge, width=width, height=height)
+
+
+def _turned_square() -> dict[str, Any]:
+    angle = np.deg2rad(_OCCLUDER_DEGREES)
+    across = _OCCLUDER_HALF_SIDE * np.array([np.cos(angle), 0.0, -np.sin(angle)])
+    along = _OCCLUDER_HALF_SIDE * np.array([-np.sin(angle), 0.0, -np.cos(angle)])
+    return rectangle(_OCCLUDER, across.tolist(), along.tolist())
+
+
+def _smooth_texture(edge: float) -> dict[str, Any]:
+    profile = _profile((np.arange(_TEXELS) + 0.5) / _TEXELS, edge)
+    values = _RADIANCE * np.outer(profile, profile).astype(np.float32)
+    bitmap = load_mitsuba().Bitmap(np.repeat(values[..., None], 3, axis=2))
+    # Raw: radiance is linear, no colour to be decoded; clamp: no wrapping at the borders.
+    return {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "clamp"}
+
+
+def _profile(u: Array, edge: float) -> Array:
+    """Rise from 0 at the ends of [0,1] to 1 at the distance `edge` / 2 as a smoothstep."""
+    t = np.minimum(2.0 * np.minimum(u, 1.0 - u), edge) / edge
+    return np.asarray(t * t * (3.0 - 2.0 * t))
+
+
+_LIGHT_Y, _LIGHT_HALF_SIDE, _PENUMBRA_RADIANCE = 3.0, 0.8, 16.0
+_BALL, _BALL_RADIUS = (-1.2, 1.0, 0.3), 0.4
+_ROD = ((-2.2, 0.7, 1.1), (0.2, 0.9, 1.3), 0.07)  # ends and radius
+_BLADES = (0.6, 1.15, 1.7)  # x of three parallel blades
+
+
+@named_points(
+    lit=(0.0, 0.0, 2.4),
+    ball=(-2.3, 0.0, 0.5),
+    both=(-1.5, 0.0, 1.28),
+    rod=(-0.6, 0.0, 1.6),
+    blades=(1.25, 0.0, 0.45),
+)
+def penumbra(*, width: int = 384, height: int = 256) -> dict[str, Any]:
+    """A square light over a floor, behind a ball, a rod and three blades.
+
+    Parameters
+    ----------
+    width, height
+        Film size in pixels.
+
+    Returns
+    -------
+    dict
+        The scene for `mitsuba.load_dict`. Shapes: light, ball, rod, blade-0 … blade-2, floor.
+
+    Raises
+    ------
+    ParameterError
+        A film without pixels.
+
+    Notes
+    -----
+    The named pixel ``lit`` sees all of the light; ``ball`` and ``rod`` lie in the penumbra of the
+    one, ``both`` in those of both, and ``blades`` in those of blade-0 and blade-1.
+    """
+    light = rectangle((0, _LIGHT_Y, 0), (_LIGHT_HALF_SIDE, 0, 0), (0, 0, _LIGHT_HALF_SIDE))
+    floor = rectangle((0, 0, 0), (6, 0, 0), (0, 0, -6))
+    gray = diffuse(0.5, both_sides=True)
+    start, end, radius = _ROD
+    scene = {
+        "type": "scene",
+        "sensor": perspective((0.0, 3.2, 7.5), (0.0, 0.7, 0.3), 28.0, width, height),
+        "light": {**light, **area_light(_PENUMBRA_RADIANCE)},
+        "ball": {"type": "sphere", "center": list(_BALL), "radius": _BALL_RADIUS, "bsdf": gray},
+        "rod": {"type": "cylinder", "p0": list(start), "p1": list(end), "radius": radius},
+        "floor": {**floor, "bsdf": diffuse(0.5)},
+    }
+    scene["rod"]["bsdf"] = gray  # type: ignore[index]
+    return scene | {f"blade-{i}": {**_blade(x), "bsdf": gray} for i, x in enumerate(_BLADES)}
+
+
+def _blade(x: float) -> dict[str, Any]:
+    """Make a blade at x, turned by 20° about y and leaning by 30°."""
+    turn, lean = math.radians(20.0), math.radians(30.0)
+    along = (0.6 * math.sin(turn), 0.0, 0.6 * math.cos(turn))
+    across = (
+        0.12 * math.cos(lean) * math.cos(turn),
+        0.12 * math.sin(lean),
+        -0.12 * math.cos(lean) * math.sin(turn),
+    )
+    return rectangle((x, 0.9, 0.3), across, along)
+
+
+_MAP_SIZE = (64, 128)
+_SKY_RADIUS = 0.8
+_MATERIALS: dict[str, tuple[float, dict[str, Any]]] = {
+    # name: x of the center, BSDF
+    "diffuse": (-1.9, diffuse((0.25, 0.2, 0.15))),
+    "plastic": (
+        0.0,
+        {
+            "type": "roughplastic",
+            "diffuse_reflectance": {"type": "rgb", "value": [0.1, 0.2, 0.5]},
+            "alpha": 0.15,
+        },
+    ),
+    "metal": (1.9, {"type": "roughconductor", "distribution": "ggx", "alpha": 0.15}),
+}
+_FRONT = 0.6 * _SKY_RADIUS  # of the named points, to the camera's side of a sphere and upwards
+_UP = _SKY_RADIUS + 0.8 * _SKY_RADIUS
+
+
+@named_points(
+    floor=(0.0, 0.0, 2.0),
+    contact=(-1.9, 0.0, 0.75),
+    diffuse=(-1.9, _UP, _FRONT),
+    plastic=(0.0, _UP, _FRONT),
+    metal=(1.9, _UP, _FRONT),
+)
+def sky(*, width: int = 384, height: int = 256) -> dict[str, Any]:
+    """Diffuse, plastic and metal spheres on a floor under a synthetic sky with a sun.
+
+    Parameters
+    ----------
+    width, height
+        Film size in pixels.
+
+    Returns
+    -------
+    dict
+        The scene for `mitsuba.load_dict`. Shapes: diffuse, plastic, metal, floor; emitter: sky.
+
+    Raises
+    ------
+    ParameterError
+        A film without pixels.
+
+    Notes
+    -----
+    The map is `mcspectra.integrands.synthetic_sky` with 64 × 128 pixels, its first row towards +y;
+    nothing is downloaded. Mitsuba places its columns at atan2(x, −z) = 2π (column + ½) / 128, its
+    rows at acos(y) = π row / 63, from pole to pole, and interpolates linearly.
+    The named pixels see the floor in the open and where the diffuse sphere touches it, and the
+    upper front of each sphere. The BSDF of plastic chooses between two lobes (``dims=3``).
+    """
+    pixels = synthetic_sky(*_MAP_SIZE).astype(np.float32)
+    scene = {
+        "type": "scene",
+        "sensor": perspective((0.0, 2.2, 8.0), (0.0, 0.75, 0.0), 28.0, width, height),
+        "sky": {"type": "envmap", "bitmap": load_mitsuba().Bitmap(pixels)},
+        "floor": {**rectangle((0, 0, 0), (8, 0, 0), (0, 0, -8)), "bsdf": diffuse(0.15)},
+    }
+    return scene | {name: _sphere(x, bsdf) for name, (x, bsdf) in _MATERIALS.items()}
+
+
+def _sphere(x: float, bsdf: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "sphere", "center": [x, _SKY_RADIUS, 0.0], "radius": _SKY_RADIUS, "bsdf": bsdf}
+
+
+_SPHERES: dict[str, tuple[Point, float, float]] = {
+    # name: center, radius, radiance
+    "light-0": ((-3.75, 0.0, 0.0), 0.03333, 901.803),
+    "light-1": ((-1.25, 0.0, 0.0), 0.1, 100.0),
+    "light-2": ((1.25, 0.0, 0.0), 0.3, 11.1111),
+    "light-3": ((3.75, 0.0, 0.0), 0.9, 1.23457),
+    "fill-light": ((10.0, 10.0, 4.0), 0.5, 800.0),
+}
+_PLATES: tuple[tuple[tuple[float, float], tuple[float, float], float], ...] = (
+    # (y, z) of the lower edge at the front, (y, z) of the edge at the back, GGX roughness
+    ((-2.70651, 0.25609), (-2.08375, -0.526323), 0.005),
+    ((-3.28825, 1.36972), (-2.83856, 0.476536), 0.02),
+    ((-3.73096, 2.70046), (-3.43378, 1.74564), 0.05),
+    ((-3.99615, 4.0667), (-3.82069, 3.08221), 0.1),
+)
+_PLATE_HALF_WIDTH = 4.0
+_FLOOR_Y, _WALL_Z = -4.14615, -2.0
+_HALF_WIDTH, _FRONT_Z, _WALL_TOP = 12.0, 15.0, 12.0  # ours: larger than what the camera sees
+_GRAY = 0.4  # ours too: reflectance of floor and wall
+
+
+def _on_plate(i: int, x: float) -> Point:
+    (y0, z0), (y1, z1), _ = _PLATES[i]
+    return x, (y0 + y1) / 2, (z0 + z1) / 2
+
+
+@named_points(
+    **{
+        "wall": (3.06, -0.73, _WALL_Z),
+        "floor": (0.0, _FLOOR_Y, 4.6),
+        # Where the mirror image of the widest light is seen in each plate.
+        **{f"plate-{i}": _on_plate(i, x) for i, x in enumerate((3.3, 3.2, 3.1, 3.0))},
+    }
+)
+def veach(
+    *, lights: Sequence[str] | None = None, width: int = 768, height: int = 512
+) -> dict[str, Any]:
+    """Four glossy plates under four spheres of equal power, from Veach's thesis.
+
+    Parameters
+    ----------
+    lights
+        Which lights to keep: names among light-0 (smallest) … light-3 (widest) and fill-light.
+        All by default.
+    width, height
+        Film size in pixels. The plates fill a 3:2 frame; a square one crops them.
+
+    Returns
+    -------
+    dict
+        The scene for `mitsuba.load_dict`. Shapes: plate-0 (smoothest) … plate-3, floor, wall.
+
+    Raises
+    ------
+    ParameterError
+        An unknown light, an empty list of lights, or a film without pixels.
+
+    Notes
+    -----
+    Positions, radii, radiances, roughness and camera as in [Veach1997]_ and the scene files that
+    several renderers publish. The plates are copper, floor and wall are gray: our choice.
+    """
+    kept = _check_lights(tuple(_SPHERES) if lights is None else lights)
+    sensor = perspective((0.0, 2.0, 15.0), (0.0, -2.0, 2.5), 28.0, width, height)
+    scene: dict[str, Any] = {"type": "scene", "sensor": sensor}
+    scene |= {name: _sphere_light(*_SPHERES[name]) for name in _SPHERES if name in kept}
+    scene |= {f"plate-{i}": _plate(*plate) for i, plate in enumerate(_PLATES)}
+    across = (_HALF_WIDTH, 0.0, 0.0)
+    depth, rise = (_FRONT_Z - _WALL_Z) / 2, (_WALL_TOP - _FLOOR_Y) / 2
+    floor = rectangle((0, _FLOOR_Y, (_FRONT_Z + _WALL_Z) / 2), across, (0, 0, -depth))
+    wall = rectangle((0, (_WALL_TOP + _FLOOR_Y) / 2, _WALL_Z), across, (0, rise, 0))
+    gray = diffuse(_GRAY)
+    return scene | {"floor": {**floor, "bsdf": gray}, "wall": {**wall, "bsdf": gray}}
+
+
+def _check_lights(lights: object) -> tuple[str, ...]:
+    allowed = tuple(_SPHERES)
+    given = (lights,) if isinstance(lights, str) else lights
+    if not isinstance(given, Sequence | set) or not given:
+        raise ParameterError(f"lights is {lights!r}; give one or more of {', '.join(allowed)}.")
+    return tuple(as_choice("a light", name, allowed) for name in given)
+
+
+def _sphere_light(center: Point, radius: float, radiance: float) -> dict[str, Any]:
+    sphere = {"type": "sphere", "center": list(center), "radius": radius}
+    return {**sphere, **area_light(radiance)}
+
+
+def _plate(front: tuple[float, float], back: tuple[float, float], alpha: float) -> dict[str, Any]:
+    (y0, z0), (y1, z1) = front, back
+    along = (0.0, (y1 - y0) / 2, (z1 - z0) / 2)
+    center = (0.0, (y0 + y1) / 2, (z0 + z1) / 2)
+    shape = rectangle(center, (_PLATE_HALF_WIDTH, 0.0, 0.0), along)
+    copper = {"type": "roughconductor", "distribution": "ggx", "material": "Cu", "alpha": alpha}
+    return {**shape, "bsdf": copper}

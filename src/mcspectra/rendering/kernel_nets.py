@@ -1,0 +1,212 @@
+"""Scrambled digital nets in base 2, computed inside Dr.Jit's kernels instead of drawn as tables.
+
+Method
+------
+Coordinate j of point i is the XOR of the columns of its generator matrix that the bits of i select,
+and its nested uniform scrambling is the hash of ``owen(method='hash')``: with the same keys, the
+same points as float32 numbers (`NetPoints`). Sets in a random order (`Pads`), as renderers take
+them for one or two numbers at a time, are scrambled by one round of that hash, with 63 random bits,
+and ordered at random.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol, final, runtime_checkable
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.streams import Stream
+from mcspectra.samplers import Sampler
+from mcspectra.samplers.base import Randomized
+from mcspectra.samplers.scrambles import Owen
+
+__all__ = ["Net", "NetPoints", "Pads", "net_of", "scramble_key"]
+
+_ORDER_NUMBERS = 2**16  # of the table of permutations: 256 KiB, if they are not too few
+_FEWEST_ORDERS = 16
+_FIRST_STEP = 1 << 16  # label of the stream of a sampler's first randomisation
+_M1, _M2, _M3 = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
+
+
+@runtime_checkable
+class Net(Protocol):
+    """A digital net or sequence in base 2."""
+
+    @property
+    def dims(self) -> int:
+        """Number of dims."""
+
+    def direction_numbers(self, n: int) -> Array:
+        """Columns of the generator matrices for n points: uint32 (dims, 32), 2^31 being ½."""
+
+
+def net_of(sampler: Sampler | None) -> Net | None:
+    """Return the net whose points `sampler` scrambles by owen and nothing else, None for others."""
+    if not isinstance(sampler, Randomized) or not isinstance(sampler.base, Net):
+        return None
+    first, *others = sampler.steps
+    if others or not isinstance(first, Owen) or not np.all(np.equal(first.base or 2, 2)):
+        return None
+    return sampler.base
+
+
+def scramble_key(stream: Stream) -> int:
+    """Key of the stream by which a sampler with one randomisation scrambles realisations."""
+    return stream.child(_FIRST_STEP).key
+
+
+def net_words(module: Any, net: Net, count: int, index: Any) -> list[Any]:
+    """Coordinates of points of a net of `count` points, UInt32, the lowest bit being ½."""
+    bits = max(1, (count - 1).bit_length())
+    chosen = [module.UInt32(0) - ((index >> k) & 1) for k in range(bits)]
+    words = []
+    for columns in net.direction_numbers(count):
+        if all(int(column) << k == 2**31 for k, column in enumerate(columns[:bits])):
+            words.append(index)  # van der Corput's points
+            continue
+        word = module.UInt32(0)
+        for mask, column in zip(chosen, columns[:bits], strict=True):
+            if column:
+                word ^= mask & int(f"{int(column):032b}"[::-1], 2)
+        words.append(word)
+    return words
+
+
+def mix_bits(module: Any, k0: Any, k1: Any, i: Any) -> Any:
+    """As `core.streams.mix_bits`, UInt64."""
+    x = (module.UInt64(i) ^ k0) * _M1
+    x ^= x >> 32
+    x = (x + k1) * _M2
+    x ^= x >> 29
+    x *= _M3
+    return x ^ (x >> 32)
+
+
+def _philox(module: Any, key: Any, number: Any) -> tuple[Any, Any]:
+    """As `core.streams.Stream.keys` for the realisation of a number below 2^32."""
+    wide, low = module.UInt64, 0xFFFFFFFF
+    a, b, c, d = wide(number), wide(0), wide(0), wide(0)
+    k0, k1 = key & low, key >> 32
+    for _ in range(10):
+        p, q = a * 0xD2511F53, c * 0xCD9E8D57
+        a, b, c, d = (q >> 32) ^ b ^ k0, q & low, (p >> 32) ^ d ^ k1, p & low
+        k0, k1 = (k0 + 0x9E3779B9) & low, (k1 + 0xBB67AE85) & low
+    return (a << 32) | b, (c << 32) | d
+
+
+def _halves(module: Any, bits: Any) -> tuple[Any, Any]:
+    """A random summand and an odd factor."""
+    return module.UInt32(bits >> 32), module.UInt32(bits) | 1
+
+
+def _unit(module: Any, word: Any) -> Any:
+    """The number in [0,1) of a word whose lowest bit is ½."""
+    import drjit
+
+    return module.Float(drjit.brev(word) >> 8) * 2.0**-24
+
+
+@final
+@dataclass(frozen=True)
+class NetPoints:
+    """Points 0 … count−1 of scrambled nets: for each stream the realisations with these numbers.
+
+    They are those of ``owen(method='hash')``, rounded down to float32. Streams are given by their
+    keys, uint64 (S,), numbers are uint32 (R,).
+    """
+
+    net: Net
+    count: int
+    streams: Array
+    numbers: Array
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Sets, points of each, and dims."""
+        return len(self.streams) * len(self.numbers), self.count, self.net.dims
+
+    def lanes(self, module: Any, row: Any) -> Callable[[Any], list[Any]]:
+        """Return a function of the index of a point that gives its coordinates, for lanes of sets."""
+        import drjit
+
+        stream = row // drjit.opaque(module.UInt32, len(self.numbers))
+        own = row - stream * drjit.opaque(module.UInt32, len(self.numbers))
+        number = drjit.gather(module.UInt32, module.UInt32(self.numbers), own)
+        key = drjit.gather(module.UInt64, module.UInt64(self.streams), stream)
+        k0, k1 = _philox(module, key, number)
+        keys = [
+            [_halves(module, mix_bits(module, k0, k1, 2 * j + part)) for part in (0, 1)]
+            for j in range(self.net.dims)
+        ]
+
+        def points(index: Any) -> list[Any]:
+            words = net_words(module, self.net, self.count, index)
+            return [_unit(module, _hashed_twice(w, *k)) for w, k in zip(words, keys, strict=True)]
+
+        return points
+
+
+def _hashed_twice(x: Any, first: tuple[Any, Any], second: tuple[Any, Any]) -> Any:
+    # Every bit hangs on those below it only: see `samplers.scrambles.Owen`.
+    x = x ^ (x * 0x3D20ADEA)
+    x = (x + first[0]) * first[1]
+    x ^= x * 0x05526C56
+    x = (x + second[0]) * second[1]
+    return x ^ (x * 0x53A22864)
+
+
+def _hashed(x: Any, key: tuple[Any, Any]) -> Any:
+    x = x ^ (x * 0x3D20ADEA)
+    x = (x + key[0]) * key[1]
+    x ^= x * 0x05526C56
+    return x ^ (x * 0x53A22864)
+
+
+class Pads:
+    """Sets of 2^m points of nets in one dim and in two, each in a random order, one point at a time.
+
+    An order is one of a table of random permutations, the same in every process, its argument
+    shifted and its values XORed by random numbers. Sets are scrambled independently, so that an
+    image is unbiased whatever their orders.
+    """
+
+    def __init__(self, module: Any, nets: tuple[Net, Net], count: int, stream: Stream) -> None:
+        import drjit
+
+        self._module, self._nets, self._count = module, nets, count
+        self._key = [drjit.opaque(module.UInt64, int(k)) for k in stream.keys(0, 1)[0]]
+        orders = _orders(count)
+        self._orders, self._last = module.UInt32(orders.ravel()), len(orders) - 1
+
+    def following(self, request: Any) -> Any:
+        """Number of the next request."""
+        return request + 1
+
+    def draw(self, dims: int, pixel: Any, request: Any, index: Any, _: Any = True) -> list[Any]:
+        """Point number `index` of the set in 1 or 2 dims that a pixel's request asks for."""
+        import drjit
+
+        module, (k0, k1) = self._module, self._key
+        wide, last, net = module.UInt64, self._count - 1, self._nets[dims - 1]
+        address = (wide(pixel) << 32) | wide((2 * request + dims - 1) << 2)
+        bits = mix_bits(module, k0, k1, address)
+        low, high = module.UInt32(bits), module.UInt32(bits >> 32)
+        row = (high & self._last) * self._count
+        place = drjit.gather(module.UInt32, self._orders, row + ((index + low) & last))
+        words = net_words(module, net, self._count, place ^ ((low >> 16) & last))
+        keys = (mix_bits(module, k0, k1, address + 1 + j) for j in range(len(words)))
+        halves = (_halves(module, key) for key in keys)
+        made = [_unit(module, _hashed(w, h)) for w, h in zip(words, halves, strict=True)]
+        return made[:dims]
+
+
+@functools.lru_cache(maxsize=4)
+def _orders(count: int) -> Array:
+    """Random permutations of `count` numbers, a power of two of them: uint32 (T, count)."""
+    sets = max(_FEWEST_ORDERS, _ORDER_NUMBERS // count)
+    numbers = np.broadcast_to(np.arange(count, dtype=np.uint32), (sets, count))
+    return np.asarray(Stream(0).generator(0).permuted(numbers, axis=1))

@@ -1,0 +1,558 @@
+"""Estimates of many pixels by many realisations: one Dr.Jit loop over the samples of each.
+
+A lane is one realisation of one pixel and runs over its samples in a recorded loop, which adds up
+float32 values in float64. So what is copied is one number a lane, memory does not grow with the
+number of samples, and a lane has the same bits whichever others run beside it. A technique's plain
+estimate and its weighted one, for multiple importance sampling, come from one evaluation. Measured
+against one lane a sample with a sum over blocks: 2 to 3 times as fast (two cores, Veach's scene).
+
+PREDICTION Variance predicted from values of the integrand alone, for many pixels by one table of samples.
+
+*Jittered* points: Var = n⁻² Σ_j Var_j(g) over the strata j, each Var_j = ∫g² − (∫g)² from pairs of
+independent samples in the cells of a grid in the stratum. The square of ∫g is the product of the two means, so
+that the prediction is unbiased; its standard error comes from two such predictions a stratum.
+
+*Random* points: Var = (∫g² − (∫g)²)/n on a midpoint grid.
+
+Other samplers of two dims: Var = Σ_{m≠0} |g_m|² ⟨|S_m|²⟩, the power term, with g_m from the FFT of
+a midpoint grid, onto whose frequencies those beyond are folded. It is exact up to the grid where
+the last step of the sampler is a shift; otherwise it lacks the cross term. Grids of half the
+resolution give the standard error of both, a power without a closed form adds its own.
+
+None of these sees a light that is so rare that no sample hits it. Where one technique saw more
+light than another (`surely`), the other's prediction takes what it missed as a part of its error
+(`unmet`).
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Final, Protocol, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.parallel import Block
+from mcspectra.core.records import Join
+from mcspectra.core.streams import Stream
+from mcspectra.estimators import Moments
+from mcspectra.estimators.moments import CONFIDENCE_Z
+from mcspectra.estimators.sets import draw_sets
+from mcspectra.rendering.backend import LOCK, load_mitsuba
+from mcspectra.rendering.scenes import Scene, find_emitter, load_scene, scene_name
+from mcspectra.rendering.techniques import (
+    POWERS,
+    Hit,
+    check_finite,
+    chooses_lobe,
+    chosen_channel,
+    follow_camera,
+    heuristic_weight,
+    sample_bsdf,
+    sample_columns,
+    sample_light,
+)
+from mcspectra.samplers import Jittered, Random, Sampler
+
+__all__ = [
+    "MAP_STRATEGIES",
+    "NOTHING",
+    "RECEIVER",
+    "SHINES",
+    "SPECULAR",
+    "TECHNIQUES",
+    "TILE_LANES",
+    "Lighting",
+    "Maps",
+    "Measurement",
+    "Prediction",
+    "Receivers",
+    "prediction_for",
+    "surely",
+    "unmet",
+]
+
+MAP_STRATEGIES: Final = ("light", "bsdf", "mis-light", "mis-bsdf", "mis")
+
+TILE_LANES = 2**19
+"""Pixels times realisations in one kernel; some 100 MiB with what is made of them."""
+
+_BLOCK_REALIZATIONS = 1024
+_TABLE_NUMBERS = 2**23  # of one table of points, 64 MiB
+_KEPT_NUMBERS = 2**24  # of all tables that are kept for the next tile
+_PREDICTED_VALUES = 2**21  # integrand values at once
+_PREDICTION = 0x9D1C7  # label of the stream of the prediction's samples
+
+
+_Pixels = Annotated[Array, Join(-1)]
+
+
+@final
+@dataclass(frozen=True)
+class Maps:
+    """Results at pixels P: status (P,), moments (strategies, counts, P), predictions (strategies, P).
+
+    The predicted variances are those at the largest count; NaN where there is nothing to estimate.
+    """
+
+    status: _Pixels
+    mean: _Pixels
+    variance: _Pixels
+    relative_se: _Pixels
+    predicted: _Pixels
+    predicted_se: _Pixels
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Measurement:
+    """The measurement made at every pixel; most attributes are those of `Map`.
+
+    Realisation r of n points is that of ``stream.child(n)``, as in `convergence`; with points of
+    their `own`, pixels have number (y·width + x)·realizations + r.
+    """
+
+    lighting: Lighting
+    strategies: tuple[str, ...]
+    sampler: Sampler
+    counts: tuple[int, ...]
+    realizations: int
+    stream: Stream
+    own: bool
+    predict_every: int
+    _tables: dict[tuple[int, Block], list[Array]] = field(default_factory=dict, repr=False)
+
+    @property
+    def techniques(self) -> list[str]:
+        """Techniques that the strategies need."""
+        single = {"light": "light", "mis-light": "light", "bsdf": "bsdf", "mis-bsdf": "bsdf"}
+        needed = {single.get(strategy, "both") for strategy in self.strategies}
+        return [t for t in TECHNIQUES if needed & {t, "both"}]
+
+    @property
+    def block(self) -> int:
+        """Realisations in one kernel, whatever the tile: sums over them keep their order."""
+        fitting = _TABLE_NUMBERS // (self.counts[-1] * self.sampler.dims)
+        return max(1, min(self.realizations, _BLOCK_REALIZATIONS, fitting))
+
+    @property
+    def tile_pixels(self) -> int:
+        """Pixels of a tile."""
+        lanes = TILE_LANES
+        if self.own:
+            lanes = min(lanes, _TABLE_NUMBERS // (self.counts[-1] * self.sampler.dims))
+        return max(1, lanes // self.block)
+
+    def prediction(self) -> Prediction | None:
+        """How variances at the largest count are predicted."""
+        if not self.predict_every:
+            return None
+        return prediction_for(self.sampler, self.counts[-1], self.stream.child(_PREDICTION))
+
+    def tile(self, pixels: Array, prediction: Prediction | None) -> Maps:
+        """Measure pixels (P, 2), x and y of each."""
+        receivers = Receivers(self.lighting, pixels)
+        shape = (len(self.strategies), len(self.counts), len(pixels))
+        mean, variance, relative_se = (np.full(shape, np.nan) for _ in range(3))
+        predicted, predicted_se = (np.full((shape[0], shape[2]), np.nan) for _ in range(2))
+        found = Maps(receivers.status, mean, variance, relative_se, predicted, predicted_se)
+        seen = np.flatnonzero(receivers.status == 0)
+        if not len(seen):
+            return found
+        if "bsdf" in self.techniques and self.sampler.dims == 2 and receivers.chooses_lobe():
+            raise ParameterError(
+                f"A visible BSDF of {scene_name(self.lighting.scene)} selects a lobe by an extra random "
+                "number; give dims=3, the third coordinate is that number."
+            )
+
+        # Moments over realisations of each strategy
+        for i, n in enumerate(self.counts):
+            total: list[Moments] = []
+            for first in range(0, self.realizations, self.block):
+                block = first, min(self.block, self.realizations - first)
+                drawn = zip(TECHNIQUES, self._points(receivers, n, block), strict=True)
+                both = {t: receivers.estimates(t, u) for t, u in drawn if t in self.techniques}
+                own = [Moments.of(combined(strategy, both)) for strategy in self.strategies]
+                total = [x.merge(y) for x, y in zip(total, own, strict=True)] if total else own
+            for s, moments in enumerate(total):
+                for name in ("mean", "variance", "relative_se"):
+                    getattr(found, name)[s, i, seen] = getattr(moments, name)[: len(seen)]
+
+        # Predictions at every so many pixels, a chunk at a time
+        if prediction is None:
+            return found
+        chosen = seen[(pixels[seen] % self.predict_every == 0).all(axis=1)]
+        step = max(1, _PREDICTED_VALUES // len(prediction.samples))
+        for start in range(0, len(chosen), step):
+            part = chosen[start : start + step]
+            receivers = Receivers(self.lighting, pixels[part])
+            each = {t: receivers.values(t, prediction.samples) for t in self.techniques}
+            for s, strategy in enumerate(self.strategies):
+                v, se = _predicted(prediction, strategy, each)
+                found.predicted[s, part] = v[: len(part)]
+                found.predicted_se[s, part] = se[: len(part)]
+        return found
+
+    def _points(self, receivers: Receivers, n: int, block: Block) -> list[Array]:
+        """Points of each technique, (R, n, d), or (R, P, n, d) where pixels have their own."""
+
+        def draw(own: Block) -> list[Array]:
+            return draw_sets("independent", (1, 1), self.sampler, n, self.stream.child(n), *own)
+
+        if self.own:
+            width = self.lighting.size[0]
+            numbers = (receivers.pixels @ [1, width]) * self.realizations + block[0]
+            drawn = [draw((int(first), block[1])) for first in numbers]
+            return [np.stack(each, axis=1) for each in zip(*drawn, strict=True)]
+        tables = self._tables.get((n, block)) or draw(block)
+        if sum(self.counts) * self.realizations * 2 * self.sampler.dims <= _KEPT_NUMBERS:
+            self._tables[n, block] = tables
+        return tables
+
+
+def combined(strategy: str, both: dict[str, tuple[Array, Array]]) -> Array:
+    """Estimate of a strategy, from the plain and weighted ones of the techniques."""
+    if strategy == "mis":
+        return both["light"][1] + both["bsdf"][1]
+    return both[strategy.removeprefix("mis-")][int(strategy.startswith("mis-"))]
+
+
+def _predicted(
+    prediction: Prediction, strategy: str, each: dict[str, tuple[Array, Array]]
+) -> tuple[Array, Array]:
+    """Variance of a strategy and its standard error; those of independent techniques add up.
+
+    The error has a part for the light that another technique sees and this strategy does not.
+    """
+    parts = ("mis-light", "mis-bsdf") if strategy == "mis" else (strategy,)
+    found = [prediction.variance(combined(part, each)) for part in parts]
+    there = np.max([surely(prediction, plain) for plain, _ in each.values()], axis=0)
+    whole = combined("mis" if strategy.startswith("mis") else strategy, each)
+    errors = [se for _, se in found] + [unmet(prediction, whole, there)]
+    variance: Array = np.sum([v for v, _ in found], axis=0)
+    return variance, np.sqrt(np.square(errors).sum(axis=0))
+
+
+TECHNIQUES = ("light", "bsdf")
+RECEIVER, NOTHING, SHINES, SPECULAR = range(4)
+"""What a pixel sees: a surface that is lit, nothing, a light, a perfectly specular surface."""
+
+_SAMPLE: Final = {"light": sample_light, "bsdf": sample_bsdf}
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Lighting:
+    """Which light is estimated, as for `Pixel`; `size` is that of the grid laid over the film."""
+
+    scene: Scene
+    light: int | str | None
+    heuristic: str
+    channel: str | int
+    size: tuple[int, int]
+
+
+class Receivers:
+    """The lit surface points that pixels (P, 2) of the grid see, and estimates of their light.
+
+    Attributes
+    ----------
+    status
+        What each pixel sees, int8 (P,): `RECEIVER` where there is something to estimate.
+    pixels
+        Those of the receivers, whose estimates are made; a single one stands twice.
+    """
+
+    def __init__(self, lighting: Lighting, pixels: Array) -> None:
+        self._lighting = lighting
+        with LOCK:
+            load_mitsuba()  # before anyone imports Dr.Jit: it picks the libLLVM that works
+            self.status = self._look(pixels)[0]
+            seen = pixels[self.status == RECEIVER]
+            # NumPy adds up a single column in another order than many: one pixel stands twice.
+            self.pixels = np.repeat(seen, 2, axis=0) if len(seen) == 1 else seen
+            # Traced again for these alone, so that no lane is spent on the others.
+            self._kept = self._look(self.pixels)[1] if len(self.pixels) else None
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    def estimates(self, technique: str, u: Array) -> tuple[Array, Array]:
+        """Return plain and weighted estimates: float64 (R, P) each, means over samples.
+
+        Samples u are (R, n, dims) for all pixels alike, or (R, P, n, dims); of 3 dims the third
+        selects a light or a lobe. Values that are not finite are a ParameterError.
+        """
+        with LOCK:
+            sums = self._sums(technique, u)
+        for each in sums:
+            check_finite(each.T, self._lighting.scene, self.pixels)
+        return sums[0] / u.shape[-2], sums[1] / u.shape[-2]
+
+    def values(self, technique: str, u: Array) -> tuple[Array, Array]:
+        """Return plain and weighted values at samples u (N, dims): float64 (N, P) each."""
+        return self.estimates(technique, u[:, None, :])
+
+    def chooses_lobe(self) -> bool:
+        """Whether a BSDF asks for a third random number, which two dims cannot give it."""
+        import drjit
+
+        tries = 8  # directions at every point
+        with LOCK:
+            mitsuba = load_mitsuba()
+            lane = drjit.arange(mitsuba.UInt32, len(self) * tries)
+            u = mitsuba.Point2f(*((mitsuba.Float(k * lane % tries) + 0.5) / tries for k in (1, 3)))
+            return chooses_lobe(self._gathered(lane // tries), u)
+
+    def _look(self, pixels: Array) -> tuple[Array, Any]:
+        """Status of pixels and their first hits, as data: kernels are shared by all pixels."""
+        import drjit
+
+        mitsuba, scene = load_mitsuba(), load_scene(self._lighting.scene)
+        position = ((pixels + 0.5) / self._lighting.size).astype(np.float32)
+        film = mitsuba.Point2f(*(mitsuba.Float(np.ascontiguousarray(c)) for c in position.T))
+        at = follow_camera(scene, film)
+        specular = mitsuba.has_flag(at.bsdf().flags(), mitsuba.BSDFFlags.Delta)
+        status = drjit.select(specular, mitsuba.Int32(SPECULAR), RECEIVER)
+        status[at.emitter(scene) != None] = SHINES  # `is not` would not compare lane by lane
+        status[~at.is_valid()] = NOTHING
+        drjit.make_opaque(at)
+        return np.broadcast_to(np.asarray(status.numpy()), len(pixels)).astype(np.int8), at
+
+    def _gathered(self, pixel: Any) -> Hit:
+        import drjit
+
+        at = drjit.gather(load_mitsuba().SurfaceInteraction3f, self._kept, pixel)
+        return Hit(load_scene(self._lighting.scene), at, at.bsdf())
+
+    def _sums(self, technique: str, u: Array) -> tuple[Array, Array]:
+        import drjit
+
+        mitsuba, lanes = load_mitsuba(), len(u) * len(self)
+        total: Any = drjit.float64_array_t(mitsuba.Float)
+        columns = sample_columns(u.reshape(-1, u.shape[-1]))
+        # Opaque: numbers written into the kernel would have it compiled anew for each.
+        count, width = (drjit.opaque(mitsuba.UInt32, k) for k in (u.shape[-2], len(self)))
+        lane = drjit.arange(mitsuba.UInt32, lanes)
+        realization = lane // width
+        hits = self._gathered(lane - realization * width)
+        first = (lane if u.ndim == 4 else realization) * count
+
+        def add(k: Any, plain: Any, weighted: Any) -> tuple[Any, Any, Any]:
+            sample = [drjit.gather(mitsuba.Float, c, first + k) for c in columns]
+            value, weight = self._value(technique, hits, sample)
+            return k + 1, plain + total(value), weighted + total(value * weight)
+
+        start = (mitsuba.UInt32(0), drjit.zeros(total, lanes), drjit.zeros(total, lanes))
+        sums: Any = drjit.while_loop(start, lambda k, *_: k < count, add)
+        plain, weighted = sums[1:]
+        drjit.eval(plain, weighted)
+        shape = (len(u), len(self))
+        return np.asarray(plain.numpy()).reshape(shape), np.asarray(weighted.numpy()).reshape(shape)
+
+    def _value(self, technique: str, hits: Hit, sample: list[Any]) -> tuple[Any, Any]:
+        """Value of one sample in the chosen channel, and its weight."""
+        mitsuba, own = load_mitsuba(), self._lighting
+        emitter = None if own.light is None else find_emitter(own.scene, own.light)
+        extra = sample[2] if len(sample) == 3 else None
+        u = mitsuba.Point2f(sample[0], sample[1])
+        color, density, other = _SAMPLE[technique](hits, emitter, u, extra)
+        chosen = chosen_channel(color, own.channel)
+        return chosen, heuristic_weight(density, other, POWERS[own.heuristic])
+
+
+_REPEATS = 2  # predictions a stratum, for their standard error
+_CELLS = 4096  # of all strata, about, to meet small lights; each has 2 or more along each axis
+_GRIDS = {2: 64, 3: 16}  # dims to midpoints along each axis, an even number
+_POWER_REALIZATIONS = 1024
+_SURE = 3.0  # standard errors
+
+
+class Prediction(Protocol):
+    """How the variance of `n` points of a sampler is predicted."""
+
+    @property
+    def method(self) -> str:
+        """Name: strata, random or spectrum."""
+
+    @property
+    def count(self) -> int:
+        """Number n of points of the sampler."""
+
+    @property
+    def samples(self) -> Array:
+        """Points at which the integrand is needed, (N, dims)."""
+
+    def variance(self, values: Array) -> tuple[Array, Array]:
+        """Variance and its standard error (P,) from values (N, P) at the samples."""
+
+    def mean(self, values: Array) -> tuple[Array, Array]:
+        """Integral and its standard error (P,) from values (N, P) at the samples."""
+
+
+def surely(prediction: Prediction, values: Array) -> Array:
+    """Lower bound (P,) of the integral of values (N, P): three standard errors below its estimate."""
+    mean, se = prediction.mean(values)
+    return mean - _SURE * se
+
+
+def unmet(prediction: Prediction, values: Array, there: Array) -> Array:
+    """Error (P,) of a variance predicted from values (N, P) whose integral is `there` at least.
+
+    A part M of the integral on a share q of the cube has the variance M²/(q n), however the n points
+    are stratified, as they meet it rarely; if none of N samples met it, q is about 1/N at most. Where
+    M is beyond what the values' own error explains, q may be anything: the error is infinite.
+    """
+    mean, se = prediction.mean(values)
+    missed = np.maximum(there - mean, 0.0)
+    error = len(prediction.samples) * missed**2 / prediction.count
+    return np.where(missed > _SURE * se, np.inf, error)
+
+
+def prediction_for(sampler: Sampler, n: int, stream: Stream) -> Prediction | None:
+    """Return how to predict the variance of `n` points; None where it is not known."""
+    if isinstance(sampler, Jittered):
+        return _Strata.of(sampler.sides(n), stream)
+    if isinstance(sampler, Random):
+        return _Grid(method="random", count=n, samples=_midpoints(sampler.dims))
+    if sampler.dims != 2:
+        return None
+    power, se = _grid_power(sampler, n, stream)
+    return _Grid(method="spectrum", count=n, samples=_midpoints(2), power=power, power_se=se)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class _Strata:
+    """Strata in the order of samples: (repeat, pair, stratum, cell)."""
+
+    count: int
+    samples: Array = field(repr=False)
+    method: str = "strata"
+
+    @staticmethod
+    def of(sides: tuple[int, ...], stream: Stream) -> _Strata:
+        dims, strata = len(sides), int(np.prod(sides))
+        cells = max(2, round((_CELLS / strata) ** (1.0 / dims)))
+        fine = tuple(cells * side for side in sides)
+        count = strata * cells**dims
+        sampler = Jittered(dims=dims, sides_=fine)
+        u = sampler.draw_stream(count, stream, 0, 2 * _REPEATS)
+        cell = np.floor(u[0] * fine).astype(np.int64) // cells
+        order = np.argsort(np.ravel_multi_index(tuple(cell.T), sides), kind="stable")
+        return _Strata(count=strata, samples=u[:, order].reshape(-1, dims))
+
+    def variance(self, values: Array) -> tuple[Array, Array]:
+        g = values.reshape(_REPEATS, 2, self.count, -1, values.shape[-1])
+        means = g.mean(axis=3)
+        own = (g**2).mean(axis=(1, 3)) - means[:, 0] * means[:, 1]
+        difference = own[0] - own[1]
+        predicted = own.mean(axis=0).sum(axis=0) / self.count**2
+        squares = difference**2
+        se = np.sqrt(squares.sum(axis=0)) / (2.0 * self.count**2)
+        return predicted, se * _student(squares)
+
+    def mean(self, values: Array) -> tuple[Array, Array]:
+        """Integral, and its error from the samples of each cell."""
+        cells = values.reshape(2 * _REPEATS, -1, values.shape[-1])
+        variance = cells.var(axis=0, ddof=1).sum(axis=0) / len(cells)
+        return values.mean(axis=0), np.sqrt(variance) / cells.shape[1]
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class _Grid:
+    """Values on a midpoint grid, and the power of the points there; None is random points."""
+
+    method: str
+    count: int
+    samples: Array = field(repr=False)
+    power: Array | None = field(repr=False, default=None)  # entry m is frequency m, also < 0
+    power_se: Array = field(repr=False, default_factory=lambda: np.zeros(()))
+
+    def variance(self, values: Array) -> tuple[Array, Array]:
+        """Variance, its error from the grids of half the resolution and from that of the power."""
+        dims = self.samples.shape[-1]
+        grid = values.reshape(*[_GRIDS[dims]] * dims, -1)
+        if self.power is None:
+            plain = [
+                part.reshape(-1, part.shape[-1]).var(axis=0) / self.count
+                for part in _coarse(grid, dims)
+            ]
+            whole: Array = values.var(axis=0) / self.count
+            return whole, _error_of_mean(plain)
+        energy = _energy(grid)
+        parts = [_sum(self.power, _energy(part)) for part in _coarse(grid, dims)]
+        # The powers of m and −m are one number: their errors add up, those of other pairs do not.
+        doubled = np.sqrt(2.0 * _sum(self.power_se**2, energy**2))
+        return _sum(self.power, energy), np.hypot(_error_of_mean(parts), doubled)
+
+    def mean(self, values: Array) -> tuple[Array, Array]:
+        """Integral, and its error from the grids of half the resolution."""
+        dims = self.samples.shape[-1]
+        grid = values.reshape(*[_GRIDS[dims]] * dims, -1)
+        parts = [part.reshape(-1, part.shape[-1]).mean(axis=0) for part in _coarse(grid, dims)]
+        return values.mean(axis=0), _error_of_mean(parts)
+
+
+def _coarse(grid: Array, dims: int) -> list[Array]:
+    """The grids of half the resolution, every other node along each axis."""
+    offsets = itertools.product((0, 1), repeat=dims)
+    return [grid[tuple(slice(k, None, 2) for k in each)] for each in offsets]
+
+
+def _student(squares: Array) -> Array:
+    """Quantile of Student's t over that of the normal, for the sum of squares (J, P) over strata.
+
+    Where one stratum has nearly all of the sum, its standard error has one degree of freedom.
+    """
+    from scipy.special import stdtrit
+
+    total, fourth = squares.sum(axis=0), (squares**2).sum(axis=0)
+    effective = np.divide(total**2, fourth, out=np.ones_like(total), where=fourth > 0.0)
+    return np.asarray(stdtrit(effective, 0.975) / CONFIDENCE_Z)
+
+
+def _error_of_mean(parts: list[Array]) -> Array:
+    return np.asarray(np.std(parts, axis=0, ddof=1) / np.sqrt(len(parts)))
+
+
+def _energy(grid: Array) -> Array:
+    """|g_m|² of values (side, side, P), 0 at m = 0."""
+    energy: Array = np.abs(np.fft.fft2(grid, axes=(0, 1)) / len(grid) ** 2) ** 2
+    energy[0, 0] = 0.0
+    return energy
+
+
+def _sum(power: Array, energy: Array) -> Array:
+    """Sum of energy times power over the frequencies of the energy, of its own or a finer grid."""
+    side = len(energy)
+    m = np.fft.fftfreq(side, 1.0 / side).astype(int)
+    return np.tensordot(power[np.ix_(m, m)], energy, axes=2)
+
+
+def _midpoints(dims: int) -> Array:
+    axis = (np.arange(_GRIDS[dims]) + 0.5) / _GRIDS[dims]
+    return np.stack(np.meshgrid(*[axis] * dims, indexing="ij"), axis=-1).reshape(-1, dims)
+
+
+def _grid_power(sampler: Sampler, n: int, stream: Stream) -> tuple[Array, Array]:
+    """Expected power at the frequencies of the grid's FFT, in its order, and its standard error."""
+    from mcspectra.spectra.closed_forms import closed_form_power
+    from mcspectra.spectra.power import power_spectrum
+
+    side = _GRIDS[2]
+    m = np.fft.fftfreq(side, 1.0 / side)
+    frequencies = np.stack(np.meshgrid(m, m, indexing="ij"), axis=-1)
+    try:
+        known = closed_form_power(sampler, n, frequencies)
+    except NoClosedForm:
+        seed, half = np.random.SeedSequence(stream.key), side // 2
+        options: dict[str, Any] = {"half_width": half, "realizations": _POWER_REALIZATIONS}
+        spectrum = power_spectrum(sampler, n, rng=seed, **options)
+        both = (spectrum[name].values[:-1, :-1] for name in ("power", "power_se"))
+        power, se = (np.fft.ifftshift(each) for each in both)
+        return power, se
+    return known, np.zeros_like(known)

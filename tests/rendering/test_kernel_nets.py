@@ -1,0 +1,159 @@
+"""Scrambled nets that kernels compute: the samplers' own points, and sets in random orders."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from mcspectra.core.checks import Array
+from mcspectra.core.streams import Stream
+from mcspectra.rendering import Wavefront, load_mitsuba, render
+from mcspectra.rendering.kernel_nets import NetPoints, Pads, net_of, scramble_key
+from mcspectra.samplers import as_sampler
+
+pytestmark = pytest.mark.render
+
+LEVEL = 1e-3
+SETS = 20_000
+
+
+def arrays(columns: list[Any], sets: int, count: int) -> Array:
+    return np.stack([c.numpy() for c in columns], axis=-1).reshape(sets, count, -1).astype(float)
+
+
+@pytest.mark.parametrize(
+    ("net", "dims", "count"),
+    [
+        ("sobol", 1, 1),
+        ("sobol", 8, 64),
+        ("sobol", 2, 5),
+        ("niederreiter", 5, 16),
+        ("larcher-pillichshammer", 2, 32),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::mcspectra.core.errors.NotPowerOfTwoWarning")
+def test_points_are_those_of_hashed_owen_scrambling(net: str, dims: int, count: int) -> None:
+    mitsuba, sampler = load_mitsuba(), as_sampler(f"{net} | owen(method='hash')", dims)
+    import drjit
+
+    streams = [Stream(5), Stream(2**63 + 6)]
+    keys = np.array([scramble_key(stream) for stream in streams], np.uint64)
+    scrambled = net_of(sampler)
+    assert scrambled is not None
+    points = NetPoints(scrambled, count, keys, np.arange(3, 10, dtype=np.uint32))
+    assert points.shape == (14, count, dims)
+    lane = drjit.arange(mitsuba.UInt32, 14 * count)
+    found = arrays(points.lanes(mitsuba, lane // count)(lane % count), 14, count)
+    drawn = np.concatenate([sampler.draw_stream(count, stream, 3, 7) for stream in streams])
+    below = drawn - found
+    assert below.min() >= 0.0  # rounded down to multiples of 2^-24
+    assert below.max() < 2.0**-24
+
+
+@pytest.mark.parametrize(
+    ("spec", "there"),
+    [
+        ("sobol | owen", True),
+        ("sobol | owen(method='hash')", True),
+        ("sobol | owen(base=2)", True),
+        ("sobol", False),
+        ("sobol | owen | shift", False),
+        ("sobol | digital-shift", False),
+        ("halton | owen", False),
+        ("faure | owen", False),
+        ("jittered | owen", False),
+    ],
+)
+def test_nets_are_found_where_owen_alone_scrambles_them(spec: str, there: bool) -> None:
+    assert (net_of(as_sampler(spec, 2)) is not None) == there
+
+
+@pytest.mark.parametrize("film", ["center", "sampled"])
+def test_images_have_the_samplers_points_in_each_pixel(film: str) -> None:
+    scene, spec, width = "veach(width=12, height=8)", "sobol | owen(method='hash')", 12
+    waves = Wavefront(scene, film=film, emission=True)
+    sampler = as_sampler(spec, waves.dims("mis"))
+    x, y = np.meshgrid(np.arange(3, 8), np.arange(2, 6))
+    pixels = np.stack([x.ravel(), y.ravel()], axis=-1)
+    images = []
+    for image in range(3):
+        stream = Stream.from_rng(7).child(image)
+        u = [sampler.draw_stream(16, stream, int(px + width * py), 1)[0] for px, py in pixels]
+        images.append(waves.means("mis", pixels, np.stack(u)).reshape(4, 5, 3))
+    found = render(scene, "mis", spec, 16, crop=(3, 2, 5, 4), film=film, realizations=3, rng=7)
+    # Points differ by 2^-24: a ray that passes an edge may now miss it.
+    close = np.isclose(found["image"], np.mean(images, axis=0), rtol=1e-4)
+    assert close.mean() > 0.95
+    assert np.isclose(found["variance"], np.var(images, axis=0, ddof=1), rtol=1e-3).mean() > 0.9
+    nested = render(scene, "mis", "sobol | owen", 16, crop=(3, 2, 5, 4), film=film, rng=7)
+    hashed = render(scene, "mis", spec, 16, crop=(3, 2, 5, 4), film=film, rng=7)
+    assert np.array_equal(nested["image"], hashed["image"])
+
+
+@pytest.fixture(scope="module")
+def pads() -> dict[str, Array]:
+    """Sets of 16 points that 20,000 pixels ask for: two pairs and a single number."""
+    mitsuba = load_mitsuba()
+    import drjit
+
+    single, pair = (net_of(as_sampler("sobol | owen", dims)) for dims in (1, 2))
+    assert single is not None
+    assert pair is not None
+    source = Pads(mitsuba, (single, pair), 16, Stream(9))
+    lane = drjit.arange(mitsuba.UInt32, 16 * SETS)
+
+    def drawn(dims: int, request: int) -> Array:
+        number = drjit.full(mitsuba.UInt32, request, 16 * SETS)
+        return arrays(source.draw(dims, lane // 16, number, lane % 16), SETS, 16)
+
+    return {"first": drawn(2, 0), "second": drawn(2, 1), "single": drawn(1, 0)}
+
+
+def test_pads_are_balanced_in_every_elementary_interval(pads: dict[str, Array]) -> None:
+    for name in ("first", "second"):
+        for columns in (1, 2, 4, 8, 16):
+            cells = np.floor(pads[name] * [columns, 16 // columns]) @ [16 // columns, 1]
+            assert (np.sort(cells, axis=1) == np.arange(16)).all()
+    assert (np.sort(np.floor(pads["single"][..., 0] * 16), axis=1) == np.arange(16)).all()
+
+
+def test_every_point_of_a_pad_is_uniform(pads: dict[str, Array]) -> None:
+    points = np.concatenate(list(pads.values()), axis=-1).reshape(SETS, -1)
+    assert points.max() < 1.0
+    p = min(stats.kstest(column, "uniform").pvalue for column in points.T)
+    assert -np.expm1(points.shape[1] * np.log1p(-p)) > LEVEL
+
+
+def test_pairs_of_a_scrambled_set_are_independent_below_their_first_different_digit(
+    pads: dict[str, Array],
+) -> None:
+    # Points of one half of the interval: their next two digits are those of all pairs of points
+    # that differ there, and the digits after the fourth are independent uniform ones.
+    x = np.sort(pads["first"][..., 0], axis=1)
+    digits = np.floor(x * 256).astype(int) % 16  # digits 5 to 8 of all 16 points
+    for i, j in ((0, 1), (0, 8), (3, 12), (6, 7)):
+        table = np.bincount(digits[:, i] * 16 + digits[:, j], minlength=256)
+        assert stats.chisquare(table).pvalue > LEVEL / 4
+
+
+@pytest.mark.parametrize(
+    ("one", "other"), [("first", "second"), ("first", "single"), ("second", "single")]
+)
+def test_orders_of_requests_are_independent(pads: dict[str, Array], one: str, other: str) -> None:
+    # Of 8 of 16 in one half against 8 of 16 in the other's: hypergeometric, mean 4.
+    halves = (pads[name][..., 0] < 0.5 for name in (one, other))
+    together = np.logical_and(*halves).sum(axis=1)
+    mass = stats.hypergeom(16, 8, 8).pmf(np.arange(1, 8))
+    found = np.bincount(together, minlength=9)[1:8]
+    assert stats.chisquare(found, found.sum() * mass / mass.sum()).pvalue > LEVEL
+
+
+def test_requests_and_neighbours_share_no_set(pads: dict[str, Array]) -> None:
+    numbers = np.concatenate([pads["first"][..., 0].ravel(), pads["second"][..., 0].ravel()])
+    expected = numbers.size**2 / 2.0**25  # equal pairs of independent numbers of 24 bits
+    _, times = np.unique(numbers, return_counts=True)
+    equal = (times * (times - 1) / 2).sum()
+    assert abs(equal - expected) < 5.0 * expected**0.5
