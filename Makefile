@@ -3,13 +3,18 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
+BROWSER := $(VENV)/.browser
+EXTRAS := render,qmcpy,parquet,vegas,docs,dev
 
-.PHONY: run test test-slow setup check bench docs clean help
+.PHONY: run test test-slow test-python test-lowest weekly setup check bench docs clean help
 
 help:
 	@echo "make run    set up, then measure, predict and explain the tour (report in out/tour)"
 	@echo "make test   set up, then run the tests"
 	@echo "make test-slow  set up, then run the tests that take minutes"
+	@echo "make test-python  install in new environments of $(PYTHONS), run the tour and some tests"
+	@echo "make test-lowest  run the tests with the lowest versions that pyproject.toml allows"
+	@echo "make weekly the last three"
 	@echo "make check  lint, types, import contract"
 	@echo "make bench  benchmarks: ratios against a reference in the same run"
 	@echo "make docs   check the documentation's examples, then build it: build/docs/index.html"
@@ -18,27 +23,43 @@ help:
 setup: $(STAMP)
 
 # uv where it is installed, else pip; bytecode is compiled so that the first start is fast too.
+# Debian packs ensurepip, without which venv cannot bring pip, apart from python3: as python3-venv.
 $(STAMP): pyproject.toml
 	@if command -v uv >/dev/null 2>&1; then \
 		uv venv --quiet --allow-existing --python $(PYTHON) $(VENV) && \
-		uv pip install --quiet --compile-bytecode --python $(BIN)/python -e '.[render,qmcpy,parquet,vegas,docs,dev]'; \
+		uv pip install --quiet --compile-bytecode --python $(BIN)/python -e '.[$(EXTRAS)]'; \
 	else \
-		{ [ -x $(BIN)/python ] || $(PYTHON) -m venv $(VENV); } && \
+		{ $(PYTHON) -c 'import ensurepip' 2>/dev/null || $(GET_VENV); } && \
+		$(PYTHON) -m venv $(VENV) && \
 		$(BIN)/python -m pip install --quiet --upgrade pip && \
-		$(BIN)/python -m pip install --quiet -e '.[render,qmcpy,parquet,vegas,docs,dev]'; \
+		$(BIN)/python -m pip install --quiet -e '.[$(EXTRAS)]'; \
 	fi
 	@$(BIN)/python -m compileall -q src
 	@touch $@
 
+VENV_PACKAGE = $(notdir $(PYTHON))-venv
+define GET_VENV
+{ [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null 2>&1 && \
+	echo "$(PYTHON) lacks ensurepip; installing the package $(VENV_PACKAGE)." && \
+	apt-get -qq update && apt-get -qq -y install $(VENV_PACKAGE) >/dev/null || \
+	{ echo "$(PYTHON) lacks ensurepip: install the package $(VENV_PACKAGE), or uv, and run make again." >&2; \
+	false; }; }
+endef
+
+# The tests of pages want a browser; they are skipped where there is none and none can be had.
+$(BROWSER): $(STAMP)
+	@$(BIN)/python -m tests.browser
+	@touch $@
+
 run: setup
 	@rm -rf out/tour
-	@$(BIN)/mcspectra run studies/tour.toml --out out/tour
+	@$(BIN)/mcspectra run tour --out out/tour
 
-test: setup
+test: $(BROWSER)
 	$(BIN)/python -m pytest -n auto $(PYTEST_ARGS)
 
 # Minutes: hundreds of kills, and what is marked slow anyway.
-test-slow: setup
+test-slow: $(BROWSER)
 	$(BIN)/python -m pytest -n auto -m "slow or endurance" $(PYTEST_ARGS)
 
 check: setup
