@@ -61,9 +61,10 @@ def pytest_runtest_makereport(item: pytest.Item):
     return report
 
 
-@pytest.hookimpl(trylast=True)
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Say loudly that pages were not tested."""
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter):
+    """Say loudly, below all else, that pages were not tested."""
+    yield
     skipped = terminalreporter.stats.get("skipped", [])
     count = sum("browser" in report.keywords for report in skipped)
     if count:
