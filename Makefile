@@ -4,7 +4,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
 BROWSER := $(VENV)/.browser
-EXTRAS := render,qmcpy,parquet,vegas,docs,dev
+
+# uv where it is installed, else pip.
+UV := $(shell command -v uv 2>/dev/null)
+PIP_INSTALL := $(if $(UV),$(UV) pip install --compile-bytecode --python $(BIN)/python,$(BIN)/python -m pip install) --quiet
 
 .PHONY: run test test-slow test-python test-lowest weekly setup check bench docs clean help
 
@@ -22,28 +25,30 @@ help:
 
 setup: $(STAMP)
 
-# uv where it is installed, else pip; bytecode is compiled so that the first start is fast too.
-# Debian packs ensurepip, without which venv cannot bring pip, apart from python3: as python3-venv.
+# Bytecode is compiled so that the first start is fast too. QMCPy is built from its source.
 $(STAMP): pyproject.toml
-	@if command -v uv >/dev/null 2>&1; then \
-		uv venv --quiet --allow-existing --python $(PYTHON) $(VENV) && \
-		uv pip install --quiet --compile-bytecode --python $(BIN)/python -e '.[$(EXTRAS)]'; \
-	else \
-		{ $(PYTHON) -c 'import ensurepip' 2>/dev/null || $(GET_VENV); } && \
-		$(PYTHON) -m venv $(VENV) && \
-		$(BIN)/python -m pip install --quiet --upgrade pip && \
-		$(BIN)/python -m pip install --quiet -e '.[$(EXTRAS)]'; \
-	fi
+ifdef UV
+	@$(UV) venv --quiet --allow-existing --python $(PYTHON) $(VENV)
+else
+	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || { $(GET_ENSUREPIP); }
+	@$(PYTHON) -m venv $(VENV)
+	@$(PIP_INSTALL) --upgrade pip
+endif
+	@$(PIP_INSTALL) -e '.[render,parquet,vegas,docs,dev]'
+	@$(PIP_INSTALL) -e '.[qmcpy]' >$(VENV)/qmcpy.log 2>&1 || \
+		echo "QMCPy cannot be built, for want of a C compiler or Python's headers; its tests will be skipped."
 	@$(BIN)/python -m compileall -q src
 	@touch $@
 
-VENV_PACKAGE = $(notdir $(PYTHON))-venv
-define GET_VENV
-{ [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null 2>&1 && \
-	echo "$(PYTHON) lacks ensurepip; installing the package $(VENV_PACKAGE)." && \
-	apt-get -qq update && apt-get -qq -y install $(VENV_PACKAGE) >/dev/null || \
-	{ echo "$(PYTHON) lacks ensurepip: install the package $(VENV_PACKAGE), or uv, and run make again." >&2; \
-	false; }; }
+# Debian packs ensurepip, without which venv cannot bring pip, apart from python3.
+define GET_ENSUREPIP
+if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null 2>&1; then \
+	echo "$(PYTHON) lacks ensurepip; installing the package $(notdir $(PYTHON))-venv."; \
+	apt-get -qq update && apt-get -qq -y install $(notdir $(PYTHON))-venv >/dev/null; \
+else \
+	echo "$(PYTHON) lacks ensurepip: install the package $(notdir $(PYTHON))-venv, or uv, and run make again." >&2; \
+	false; \
+fi
 endef
 
 # The tests of pages want a browser; they are skipped where there is none and none can be had.
@@ -69,11 +74,7 @@ check: setup
 	$(BIN)/lint-imports
 
 bench: setup
-	@if command -v uv >/dev/null 2>&1; then \
-		uv pip install --quiet --python $(BIN)/python -e '.[bench]'; \
-	else \
-		$(BIN)/python -m pip install --quiet -e '.[bench]'; \
-	fi
+	@$(PIP_INSTALL) -e '.[bench]'
 	$(BIN)/python -m benchmarks
 
 docs: setup

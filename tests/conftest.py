@@ -2,10 +2,18 @@
 
 import os
 import signal
+from collections import Counter
+from importlib.util import find_spec
 
 import pytest
 
 from tests.browser import chromium
+
+NO_BROWSER = (
+    "there is no browser; install Chromium, or name one in CHROMIUM, and run: "
+    "make test PYTEST_ARGS='-m browser'"
+)
+NO_QMCPY = "QMCPy is not installed; with a C compiler, pip install 'mcspectra[qmcpy]' builds it"
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -45,16 +53,19 @@ def browser():
         found.close()
 
 
-def pytest_runtest_setup(item: pytest.Item) -> None:
+def pytest_runtest_setup(item):
     """Skip tests of pages on a machine without a browser."""
     if item.get_closest_marker("browser") and chromium() is None:
-        pytest.skip("there is no browser")
+        pytest.skip(NO_BROWSER)
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(item: pytest.Item):
-    """With MCSPECTRA_REQUIRE_ALL, fail where a test would skip, unless it needs a GPU."""
+def pytest_runtest_makereport(item, call):
+    """Skip what asks for QMCPy where it could not be built; with MCSPECTRA_REQUIRE_ALL nothing may skip
+    but for want of a GPU."""
     report = yield
+    if report.failed and "mcspectra[qmcpy]" in report.longreprtext and not find_spec("qmcpy"):
+        report.outcome, report.longrepr = "skipped", (*item.location[:2], NO_QMCPY)
     if report.skipped and os.environ.get("MCSPECTRA_REQUIRE_ALL") and "gpu" not in item.keywords:
         report.outcome = "failed"
         report.longrepr = f"{item.nodeid}: {report.longrepr[2]}, and MCSPECTRA_REQUIRE_ALL is set"
@@ -62,14 +73,10 @@ def pytest_runtest_makereport(item: pytest.Item):
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter):
-    """Say loudly, below all else, that pages were not tested."""
+def pytest_terminal_summary(terminalreporter):
+    """Say loudly, below all else, what was not tested."""
     yield
-    skipped = terminalreporter.stats.get("skipped", [])
-    count = sum("browser" in report.keywords for report in skipped)
-    if count:
-        text = (
-            f"{count} TESTS OF PAGES WERE SKIPPED: there is no browser. Install Chromium, or name one in "
-            "CHROMIUM, then: make test PYTEST_ARGS='-m browser'"
-        )
-        terminalreporter.write_line(text, red=True, bold=True)
+    reports = terminalreporter.stats.get("skipped", [])
+    reasons = Counter(report.longrepr[2] for report in reports if "gpu" not in report.keywords)
+    for reason, count in reasons.items():
+        terminalreporter.write_line(f"{count} NOT TESTED: {reason}", red=True, bold=True)
