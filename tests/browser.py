@@ -6,12 +6,18 @@ import subprocess
 import sys
 from functools import lru_cache
 
+PLAYWRIGHT = (sys.executable, "-m", "playwright")
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 
 
 @lru_cache
 def chromium() -> str | None:
-    """Return a Chromium that starts: that of ``CHROMIUM``, else of PATH, else Playwright's own."""
+    """Return a Chromium that starts: that of ``CHROMIUM``, else of PATH, else Playwright's own.
+
+    None where there is none, or Playwright lacks a library of the system.
+    """
+    if not _succeeds(*PLAYWRIGHT, "--version"):
+        return None
     chosen = os.environ.get("CHROMIUM")
     if chosen:
         return chosen if _succeeds(chosen, "--version") else None
@@ -28,9 +34,10 @@ def chromium() -> str | None:
 
 def get() -> str | None:
     """Return a Chromium that starts; if there is none, have Playwright or Debian bring one."""
-    ways = [[(sys.executable, "-m", "playwright", "install", "chromium")]]
+    ways = [[(*PLAYWRIGHT, "install", "chromium")]]
     if shutil.which("apt-get") and os.geteuid() == 0:
-        ways.append([("apt-get", "-qq", "update"), ("apt-get", "-qq", "-y", "install", "chromium")])
+        packages = ("chromium", "libatomic1")  # the second for Playwright itself
+        ways.append([("apt-get", "-qq", "update"), ("apt-get", "-qq", "-y", "install", *packages)])
     for commands in ways:
         if chromium() or os.environ.get("CHROMIUM"):
             break

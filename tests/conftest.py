@@ -10,7 +10,7 @@ import pytest
 from tests.browser import chromium
 
 NO_BROWSER = (
-    "there is no browser; install Chromium, or name one in CHROMIUM, and run: "
+    "there is no browser that Playwright can drive; install Chromium, or name one in CHROMIUM, and run: "
     "make test PYTEST_ARGS='-m browser'"
 )
 NO_QMCPY = "QMCPy is not installed; with a C compiler, pip install 'mcspectra[qmcpy]' builds it"
@@ -77,6 +77,10 @@ def pytest_terminal_summary(terminalreporter):
     """Say loudly, below all else, what was not tested."""
     yield
     reports = terminalreporter.stats.get("skipped", [])
-    reasons = Counter(report.longrepr[2] for report in reports if "gpu" not in report.keywords)
+    reasons = Counter(
+        report.longrepr[2].removeprefix("Skipped: ")
+        for report in reports
+        if "gpu" not in report.keywords
+    )
     for reason, count in reasons.items():
         terminalreporter.write_line(f"{count} NOT TESTED: {reason}", red=True, bold=True)
