@@ -9,15 +9,17 @@ BROWSER := $(VENV)/.browser
 UV := $(shell command -v uv 2>/dev/null)
 PIP_INSTALL := $(if $(UV),$(UV) pip install --compile-bytecode --python $(BIN)/python,$(BIN)/python -m pip install) --quiet
 
+PYTHONS := 3.11 3.12 3.13 3.14
+
 .PHONY: run test test-slow test-python test-lowest weekly setup check bench docs clean help
 
 help:
 	@echo "make run    set up, then measure, predict and explain the tour (report in out/tour)"
 	@echo "make test   set up, then run the tests"
 	@echo "make test-slow  set up, then run the tests that take minutes"
-	@echo "make test-python  install in new environments of $(PYTHONS), run the tour and some tests"
+	@echo "make test-python  install the wheel for each of Python $(PYTHONS), then run the tour and some tests"
 	@echo "make test-lowest  run the tests with the lowest versions that pyproject.toml allows"
-	@echo "make weekly the last three"
+	@echo "make weekly the last three: for CI, once a week"
 	@echo "make check  lint, types, import contract"
 	@echo "make bench  benchmarks: ratios against a reference in the same run"
 	@echo "make docs   check the documentation's examples, then build it: build/docs/index.html"
@@ -66,6 +68,33 @@ test: $(BROWSER)
 # Minutes: hundreds of kills, and what is marked slow anyway.
 test-slow: $(BROWSER)
 	$(BIN)/python -m pytest -n auto -m "slow or endurance" $(PYTEST_ARGS)
+
+# The wheel without extras in a new environment of each Python: the tour from anywhere, then some tests.
+test-python: $(PYTHONS:%=test-python-%)
+
+test-python-%: setup
+	@$(PIP_INSTALL) uv
+	@rm -rf build/dist build/python-$*
+	@$(BIN)/uv build --quiet --wheel --out-dir build/dist
+	@$(BIN)/uv venv --quiet --python $* build/python-$*
+	@$(BIN)/uv pip install --quiet --python build/python-$* build/dist/*.whl
+	cd build/python-$* && bin/mcspectra run tour
+	@$(BIN)/uv pip install --quiet --python build/python-$* "$$(echo build/dist/*.whl)[parquet,testing]" pytest pytest-xdist
+	build/python-$*/bin/python -m pytest -n auto $(QUICK)
+
+QUICK := tests/test_start.py tests/core tests/estimators tests/integrands tests/quality tests/testing
+
+# The lowest versions that pyproject.toml allows, on the oldest Python.
+test-lowest: setup
+	@$(PIP_INSTALL) uv
+	@rm -rf build/lowest
+	@$(BIN)/uv venv --quiet --python 3.11 build/lowest
+	@$(BIN)/uv pip install --quiet --python build/lowest --resolution lowest-direct \
+		-e '.[render,qmcpy,parquet,vegas,dev]'
+	NUMBA_CACHE_DIR=build/lowest/numba build/lowest/bin/python -m pytest -n auto \
+		-m "not browser and not gpu and not endurance"
+
+weekly: test-slow test-python test-lowest
 
 check: setup
 	$(BIN)/ruff check .
