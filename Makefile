@@ -82,7 +82,7 @@ test-python-%: setup
 	@$(BIN)/uv pip install --quiet --python build/python-$* "$$(echo build/dist/*.whl)[parquet,testing]" pytest pytest-xdist
 	build/python-$*/bin/python -m pytest -n auto $(QUICK)
 
-QUICK := tests/test_start.py tests/core tests/estimators tests/integrands tests/quality tests/testing
+QUICK := tests/test_start.py tests/core tests/estimators tests/integrands tests/quality
 
 # The lowest versions that pyproject.toml allows, on the oldest Python; their own deprecations are not ours.
 test-lowest: setup

@@ -80,7 +80,7 @@ def pytest_terminal_summary(terminalreporter):
     reasons = Counter(
         report.longrepr[2].removeprefix("Skipped: ")
         for report in reports
-        if "gpu" not in report.keywords
+        if "gpu" not in getattr(report, "keywords", ())
     )
     for reason, count in reasons.items():
         terminalreporter.write_line(f"{count} NOT TESTED: {reason}", red=True, bold=True)
