@@ -3,13 +3,23 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
+BROWSER := $(VENV)/.browser
 
-.PHONY: run test test-slow setup check bench docs clean help
+# uv where it is installed, else pip.
+UV := $(shell command -v uv 2>/dev/null)
+PIP_INSTALL := $(if $(UV),$(UV) pip install --compile-bytecode --python $(BIN)/python,$(BIN)/python -m pip install) --quiet
+
+PYTHONS := 3.11 3.12 3.13 3.14
+
+.PHONY: run test test-slow test-python test-lowest weekly setup check bench docs clean help
 
 help:
 	@echo "make run    set up, then measure, predict and explain the tour (report in out/tour)"
 	@echo "make test   set up, then run the tests"
 	@echo "make test-slow  set up, then run the tests that take minutes"
+	@echo "make test-python  install the wheel for each of Python $(PYTHONS), then run the tour and some tests"
+	@echo "make test-lowest  run the tests with the lowest versions that pyproject.toml allows"
+	@echo "make weekly the last three: for CI, once a week"
 	@echo "make check  lint, types, import contract"
 	@echo "make bench  benchmarks: ratios against a reference in the same run"
 	@echo "make docs   check the documentation's examples, then build it: build/docs/index.html"
@@ -17,29 +27,74 @@ help:
 
 setup: $(STAMP)
 
-# uv where it is installed, else pip; bytecode is compiled so that the first start is fast too.
+# Bytecode is compiled so that the first start is fast too. QMCPy is built from its source.
 $(STAMP): pyproject.toml
-	@if command -v uv >/dev/null 2>&1; then \
-		uv venv --quiet --allow-existing --python $(PYTHON) $(VENV) && \
-		uv pip install --quiet --compile-bytecode --python $(BIN)/python -e '.[render,qmcpy,parquet,vegas,docs,dev]'; \
-	else \
-		{ [ -x $(BIN)/python ] || $(PYTHON) -m venv $(VENV); } && \
-		$(BIN)/python -m pip install --quiet --upgrade pip && \
-		$(BIN)/python -m pip install --quiet -e '.[render,qmcpy,parquet,vegas,docs,dev]'; \
-	fi
+ifdef UV
+	@$(UV) venv --quiet --allow-existing --python $(PYTHON) $(VENV)
+else
+	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || { $(GET_ENSUREPIP); }
+	@$(PYTHON) -m venv $(VENV)
+	@$(PIP_INSTALL) --upgrade pip
+endif
+	@$(PIP_INSTALL) -e '.[render,parquet,vegas,docs,dev]'
+	@$(PIP_INSTALL) -e '.[qmcpy]' >$(VENV)/qmcpy.log 2>&1 || \
+		echo "QMCPy cannot be built, for want of a C compiler or Python's headers; its tests will be skipped."
 	@$(BIN)/python -m compileall -q src
+	@touch $@
+
+# Debian packs ensurepip, without which venv cannot bring pip, apart from python3.
+define GET_ENSUREPIP
+if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null 2>&1; then \
+	echo "$(PYTHON) lacks ensurepip; installing the package $(notdir $(PYTHON))-venv."; \
+	apt-get -qq update && apt-get -qq -y install $(notdir $(PYTHON))-venv >/dev/null; \
+else \
+	echo "$(PYTHON) lacks ensurepip: install the package $(notdir $(PYTHON))-venv, or uv, and run make again." >&2; \
+	false; \
+fi
+endef
+
+# The tests of pages want a browser; they are skipped where there is none and none can be had.
+$(BROWSER): $(STAMP)
+	@$(BIN)/python -m tests.browser
 	@touch $@
 
 run: setup
 	@rm -rf out/tour
-	@$(BIN)/mcspectra run studies/tour.toml --out out/tour
+	@$(BIN)/mcspectra run tour --out out/tour
 
-test: setup
+test: $(BROWSER)
 	$(BIN)/python -m pytest -n auto $(PYTEST_ARGS)
 
 # Minutes: hundreds of kills, and what is marked slow anyway.
-test-slow: setup
+test-slow: $(BROWSER)
 	$(BIN)/python -m pytest -n auto -m "slow or endurance" $(PYTEST_ARGS)
+
+# The wheel without extras in a new environment of each Python: the tour from anywhere, then some tests.
+test-python: $(PYTHONS:%=test-python-%)
+
+test-python-%: setup
+	@$(PIP_INSTALL) uv
+	@rm -rf build/dist build/python-$*
+	@$(BIN)/uv build --quiet --wheel --out-dir build/dist
+	@$(BIN)/uv venv --quiet --python $* build/python-$*
+	@$(BIN)/uv pip install --quiet --python build/python-$* build/dist/*.whl
+	cd build/python-$* && bin/mcspectra run tour
+	@$(BIN)/uv pip install --quiet --python build/python-$* "$$(echo build/dist/*.whl)[parquet,testing]" pytest pytest-xdist
+	build/python-$*/bin/python -m pytest -n auto $(QUICK)
+
+QUICK := tests/test_start.py tests/core tests/estimators tests/integrands tests/quality
+
+# The lowest versions that pyproject.toml allows, on the oldest Python; their own deprecations are not ours.
+test-lowest: setup
+	@$(PIP_INSTALL) uv
+	@rm -rf build/lowest
+	@$(BIN)/uv venv --quiet --python 3.11 build/lowest
+	@$(BIN)/uv pip install --quiet --python build/lowest --resolution lowest-direct \
+		-e '.[render,qmcpy,parquet,vegas,dev]'
+	NUMBA_CACHE_DIR=build/lowest/numba build/lowest/bin/python -m pytest -n auto \
+		-m "not browser and not gpu and not endurance" -W default::DeprecationWarning
+
+weekly: test-slow test-python test-lowest
 
 check: setup
 	$(BIN)/ruff check .
@@ -48,11 +103,7 @@ check: setup
 	$(BIN)/lint-imports
 
 bench: setup
-	@if command -v uv >/dev/null 2>&1; then \
-		uv pip install --quiet --python $(BIN)/python -e '.[bench]'; \
-	else \
-		$(BIN)/python -m pip install --quiet -e '.[bench]'; \
-	fi
+	@$(PIP_INSTALL) -e '.[bench]'
 	$(BIN)/python -m benchmarks
 
 docs: setup

@@ -20,7 +20,6 @@ from typing import Any
 
 MOVES = 8
 MOST = 150.0  # milliseconds to the first figure
-CHROMIUM = "/usr/bin/chromium"
 _FIGURES = 7  # with data sources that change in each round
 _PATIENCE = 120_000  # milliseconds
 _WATCH = """() => {
@@ -37,10 +36,11 @@ _TIMES = "() => window.heard.map(([id, time]) => [id, time - window.pressed])"
 def main() -> None:
     """Print medians of the latency to the first figure and to all of them, and processor time."""
     from playwright.sync_api import sync_playwright
+    from tests.browser import chromium
 
     with _server() as (process, address), sync_playwright() as player:
         arguments = ["--headless", "--no-sandbox", "--disable-gpu"]
-        browser = player.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        browser = player.chromium.launch(executable_path=chromium(), args=arguments)
         page = browser.new_page(viewport={"width": 1300, "height": 900})
         page.set_default_timeout(_PATIENCE)
         page.goto(address)

@@ -1,15 +1,32 @@
 """What all tests share."""
 
+import os
 import signal
+from collections import Counter
+from importlib.util import find_spec
 
 import pytest
+
+from tests.browser import chromium
+
+NO_BROWSER = (
+    "there is no browser that Playwright can drive; install Chromium, or name one in CHROMIUM, and run: "
+    "make test PYTEST_ARGS='-m browser'"
+)
+NO_QMCPY = "QMCPy is not installed; with a C compiler, pip install 'mcspectra[qmcpy]' builds it"
 
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory):
-    """Keep the user's cache out of the tests, and the tests out of the user's cache."""
+    """Keep the user's cache out of the tests, and the tests out of the user's cache.
+
+    Workers share it: an optimised set is made once.
+    """
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("MCSPECTRA_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("MCSPECTRA_CACHE", str(folder / "mcspectra-cache"))
         yield
 
 
@@ -20,3 +37,50 @@ def hear_interrupts():
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A Chromium that asks nothing of a network; for tests marked `browser`."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        found = playwright.chromium.launch(
+            executable_path=chromium(),
+            args=["--no-sandbox", "--disable-gpu", "--disable-background-networking"],
+        )
+        yield found
+        found.close()
+
+
+def pytest_runtest_setup(item):
+    """Skip tests of pages on a machine without a browser."""
+    if item.get_closest_marker("browser") and chromium() is None:
+        pytest.skip(NO_BROWSER)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    """Skip what asks for QMCPy where it could not be built; with MCSPECTRA_REQUIRE_ALL nothing may skip
+    but for want of a GPU."""
+    report = yield
+    if report.failed and "mcspectra[qmcpy]" in report.longreprtext and not find_spec("qmcpy"):
+        report.outcome, report.longrepr = "skipped", (*item.location[:2], NO_QMCPY)
+    if report.skipped and os.environ.get("MCSPECTRA_REQUIRE_ALL") and "gpu" not in item.keywords:
+        report.outcome = "failed"
+        report.longrepr = f"{item.nodeid}: {report.longrepr[2]}, and MCSPECTRA_REQUIRE_ALL is set"
+    return report
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_terminal_summary(terminalreporter):
+    """Say loudly, below all else, what was not tested."""
+    yield
+    reports = terminalreporter.stats.get("skipped", [])
+    reasons = Counter(
+        report.longrepr[2].removeprefix("Skipped: ")
+        for report in reports
+        if "gpu" not in getattr(report, "keywords", ())
+    )
+    for reason, count in reasons.items():
+        terminalreporter.write_line(f"{count} NOT TESTED: {reason}", red=True, bold=True)

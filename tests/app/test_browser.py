@@ -18,12 +18,12 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Page, Route, expect, sync_playwright
+from playwright.sync_api import Browser, Page, Route, expect
 
 from mcspectra.app.state import State
 from mcspectra.plots.text import number
 
-_ARGUMENTS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking")
+pytestmark = pytest.mark.browser
 _PATIENCE = 90_000  # milliseconds: what is waited for comes within one on a quiet machine
 _SMALL = "half_width=4&realizations=16&n=16"
 
@@ -62,7 +62,7 @@ def seen() -> dict[str, list[str]]:
 
 
 @pytest.fixture(scope="module")
-def page(address: str, seen: dict[str, list[str]]) -> Iterator[Page]:
+def page(browser: Browser, address: str, seen: dict[str, list[str]]) -> Iterator[Page]:
     """A tab that can reach nothing but the explorer."""
 
     def only_here(route: Route) -> None:
@@ -72,21 +72,17 @@ def page(address: str, seen: dict[str, list[str]]) -> Iterator[Page]:
             seen["elsewhere"].append(route.request.url)
             route.abort()
 
-    with sync_playwright() as player:
-        browser = player.chromium.launch(executable_path="/usr/bin/chromium", args=_ARGUMENTS)
-        tab = browser.new_page(viewport={"width": 1300, "height": 900})
-        tab.set_default_timeout(_PATIENCE)
-        expect.set_options(timeout=_PATIENCE)
-        tab.route("**/*", only_here)
-        tab.on("pageerror", lambda error: seen["errors"].append(str(error)))
-        tab.on(
-            "console",
-            lambda message: (
-                seen["errors"].append(message.text) if message.type == "error" else None
-            ),
-        )
-        yield tab
-        browser.close()
+    tab = browser.new_page(viewport={"width": 1300, "height": 900})
+    tab.set_default_timeout(_PATIENCE)
+    expect.set_options(timeout=_PATIENCE)
+    tab.route("**/*", only_here)
+    tab.on("pageerror", lambda error: seen["errors"].append(str(error)))
+    tab.on(
+        "console",
+        lambda message: seen["errors"].append(message.text) if message.type == "error" else None,
+    )
+    yield tab
+    tab.close()
 
 
 def open_state(page: Page, address: str, query: str) -> None:

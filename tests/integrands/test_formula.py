@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import time
 
 import numpy as np
 import pytest
@@ -83,11 +82,9 @@ def test_values_are_numpys(text: str) -> None:
 
 
 @pytest.mark.parametrize("text", REFUSED, ids=lambda text: text[:24])
-def test_anything_else_gets_a_sentence_at_once(text: str) -> None:
-    start = time.process_time()
+def test_anything_else_gets_a_sentence(text: str) -> None:
     with pytest.raises(ParameterError, match=REFUSED[text]) as caught:
         Formula(expression=text, dims=3)
-    assert time.process_time() - start < 1.0
     assert len(str(caught.value)) < 400
 
 

@@ -2,33 +2,19 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, ConsoleMessage, Page, Route, sync_playwright
+from playwright.sync_api import Browser, ConsoleMessage, Page, Route
 
 from mcspectra.reproduction.gallery import load_exhibit, reproduce
 
+pytestmark = pytest.mark.browser
 NAMES = ["closed-forms", "strata-alignment", "bias"]
 EVIL = "</p><script>document.title = 'run'</script><img src=http://example.com/x.png>"
 SHOWN = """name => { const y = document.getElementById(name).getBoundingClientRect().y;
     return y > -1 && y < innerHeight; }"""  # scrolling stops at whole pixels
-ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
-
-
-@pytest.fixture(scope="module", name="browser")
-def _browser() -> Iterator[Browser]:
-    """Chromium of the system; a machine without it fails, it does not skip."""
-    path = os.environ.get("CHROMIUM") or shutil.which("chromium") or "/usr/bin/chromium"
-    assert Path(path).exists(), "Chromium is needed: apt-get install chromium, or set CHROMIUM."
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=ARGUMENTS)
-        yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="module", name="gallery")

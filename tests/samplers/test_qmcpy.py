@@ -4,7 +4,6 @@ import sys
 
 import numpy as np
 import pytest
-import qmcpy
 
 import mcspectra as mcs
 from mcspectra.core.errors import CountError, MissingDependency, ParameterError
@@ -12,6 +11,8 @@ from mcspectra.core.streams import Stream
 from mcspectra.samplers import Sampler, as_sampler, sampler
 from mcspectra.samplers.external import QmcpySampler
 from mcspectra.samplers.net_quality import net_t_value
+
+qmcpy = pytest.importorskip("qmcpy")
 
 
 def seed_of(rng, realization):

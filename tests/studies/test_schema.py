@@ -10,11 +10,16 @@ import pytest
 from mcspectra.core.errors import ConfigError
 from mcspectra.core.options import options_of
 from mcspectra.studies import make_plan, read_study, study_schema
-from mcspectra.studies.files import EstimatorConfig, StudyConfig, analysis_tables, decode_study
+from mcspectra.studies.files import (
+    BUILT_IN,
+    EstimatorConfig,
+    StudyConfig,
+    analysis_tables,
+    decode_study,
+)
 from mcspectra.studies.schema import SCHEMA_ID, key_tables
 
 ROOT = Path(__file__).parents[2]
-STUDIES = sorted((ROOT / "studies").glob("*.toml"))
 
 
 def _errors(schema, value, root, place="$"):
@@ -68,14 +73,14 @@ def _complaints(text):
     return list(_errors(schema, tomllib.loads(text), schema))
 
 
-@pytest.mark.parametrize("file", STUDIES, ids=lambda file: file.stem)
+@pytest.mark.parametrize("file", BUILT_IN.values(), ids=BUILT_IN)
 def test_ready_made_studies_are_valid(file):
     assert _complaints(file.read_text(encoding="utf-8")) == []
     assert make_plan(read_study(file), file.parent).cells
 
 
 def test_there_are_ready_made_studies():
-    assert {"tour", "widths", "remedies", "colour", "penumbra"} <= {file.stem for file in STUDIES}
+    assert {"tour", "veach", "widths", "remedies", "colour", "penumbra"} <= set(BUILT_IN)
 
 
 STUDY = """

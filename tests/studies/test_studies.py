@@ -5,7 +5,14 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import ConfigError, DamagedResultsWarning, StoreError
-from mcspectra.studies import make_plan, open_results, read_study, run_study, summarize
+from mcspectra.studies import (
+    make_plan,
+    open_results,
+    read_study,
+    run_study,
+    study_file,
+    summarize,
+)
 from mcspectra.studies.files import decode_study
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote
 from mcspectra.studies.run import CellFailed
@@ -245,10 +252,7 @@ def test_thousands_of_names_that_begin_alike_are_named_at_once():
 
 
 def test_the_tour_is_a_valid_study():
-    from pathlib import Path
-
-    file = Path(__file__).parents[2] / "studies" / "tour.toml"
-    plan = make_plan(read_study(file), file.parent)
+    plan = make_plan(read_study("tour"), study_file("tour").parent)
     kinds = {cell.analysis_name for cell in plan.cells}
     assert kinds == {"convergence", "terms", "spectrum", "points"}
 

@@ -35,7 +35,7 @@ _LISTED = 10  # paths of cells that are not done
 
 
 @verb(
-    option("study", "study file, .toml"),
+    option("study", "study file, .toml, or the name of a built-in study, such as tour"),
     option("--out DIR", "output folder (default: out/<name of the file>)"),
     option("--resume", "continue what is in the folder"),
     option("--retry", "continue, and try what failed again"),
@@ -100,12 +100,13 @@ def run_(options: argparse.Namespace) -> Answer:
         read_study,
         results,
         run_study,
+        study_file,
         summarize,
     )
     from mcspectra.studies.estimate import wall_time
     from mcspectra.studies.run import CellFailed
 
-    study = Path(options.study)
+    study = study_file(options.study)
     out = results.output_folder(options.out or Path("out") / study.stem)
     config = read_study(study, options.set)
     if options.seed is not None:

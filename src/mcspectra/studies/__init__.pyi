@@ -3,6 +3,7 @@ from .estimate import estimate_study as estimate_study
 from .files import StudyConfig as StudyConfig
 from .files import decode_study as decode_study
 from .files import read_study as read_study
+from .files import study_file as study_file
 from .pixel import analyse_pixel as analyse_pixel
 from .plan import make_plan as make_plan
 from .results import StudyStatus as StudyStatus
@@ -33,6 +34,7 @@ __all__ = [
     "result_paths",
     "result_scalars",
     "run_study",
+    "study_file",
     "study_schema",
     "study_status",
     "summarize",

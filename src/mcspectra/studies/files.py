@@ -32,6 +32,7 @@ from mcspectra.core.errors import ConfigError, McspectraError, MissingDependency
 from mcspectra.core.options import Positive, Text, options_of
 
 __all__ = [
+    "BUILT_IN",
     "MOST_ENTRIES",
     "RESERVED",
     "EstimatorConfig",
@@ -44,8 +45,12 @@ __all__ = [
     "expand_grids",
     "plain_study",
     "read_study",
+    "study_file",
     "study_of",
 ]
+
+BUILT_IN = {file.stem: file for file in sorted((Path(__file__).parent / "builtin").glob("*.toml"))}
+"""Studies that are part of the package: their names, to their files."""
 
 MOST_ENTRIES = 100_000
 """Most estimators, maps or samplers of one table that grids may make."""
@@ -232,13 +237,28 @@ def _scene_lists(table: Mapping[str, Any]) -> dict[str, str]:
     return found
 
 
+def study_file(name: str | Path) -> Path:
+    """Return the file of a built-in study, such as ``"tour"``; any other name is the path itself.
+
+    The paths in a study start at its folder.
+
+    Raises
+    ------
+    ConfigError
+        The name is no path.
+    """
+    if not is_path(name):
+        raise ConfigError(f"{name!r} is not the path of a study file; give that of a .toml file.")
+    return BUILT_IN.get(str(name), Path(name))
+
+
 def read_study(path: str | Path, overrides: Sequence[str] = ()) -> StudyConfig:
     """Read and check a study file.
 
     Parameters
     ----------
     path
-        The file.
+        The file, or the name of a built-in study: `study_file`.
     overrides
         Changes ``key=value``, as of ``mcspectra run --set``: `apply_overrides`.
 
@@ -247,9 +267,7 @@ def read_study(path: str | Path, overrides: Sequence[str] = ()) -> StudyConfig:
     ConfigError
         Missing or unreadable file, not TOML, or not a study; the message names the place.
     """
-    if not is_path(path):
-        raise ConfigError(f"{path!r} is not the path of a study file; give that of a .toml file.")
-    file = Path(path)
+    file = study_file(path)
     try:
         if file.exists() and not file.is_file():
             raise ConfigError(f"{str(file)!r} is not a file; give the path of a .toml file.")
@@ -258,7 +276,8 @@ def read_study(path: str | Path, overrides: Sequence[str] = ()) -> StudyConfig:
         text = file.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise ConfigError(
-            f"There is no study file {str(file)!r}; give the path of a .toml file."
+            f"There is no study file {str(file)!r}; give the path of a .toml file, or one of these "
+            f"names: {', '.join(BUILT_IN)}."
         ) from None
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"

@@ -1,7 +1,7 @@
 """Make the files that the tour reads: an image used as a density, and a point set.
 
-Run with ``python studies/data/make.py``; the files are checked in, so that the tour needs no step
-before it. `window.png` is a bright, soft-edged window and a lamp on a dim wall; `blue.dat` holds 256
+Run with ``python src/mcspectra/studies/builtin/data/make.py``; the files are checked in, so that the tour
+needs no step before it. `window.png` is a bright, soft-edged window and a lamp on a dim wall; `blue.dat` holds 256
 Poisson-disk points in UTK's text format.
 """
 
@@ -11,12 +11,13 @@ import numpy as np
 from PIL import Image
 
 import mcspectra as mcs
+from mcspectra.core.checks import Array
 from mcspectra.core.pointfiles import write_points
 
 HERE = Path(__file__).parent
 
 
-def window(width: int = 48, height: int = 32) -> np.ndarray:
+def window(width: int = 48, height: int = 32) -> Array:
     """Radiance of the picture, float64 (height, width, 3) in [0, 1]."""
     x = (np.arange(width) + 0.5)[None, :] / width
     y = (np.arange(height) + 0.5)[:, None] / height
@@ -27,7 +28,8 @@ def window(width: int = 48, height: int = 32) -> np.ndarray:
     lamp = 0.6 * np.exp(-((x - 0.78) ** 2 + 0.45 * (y - 0.68) ** 2) / (2 * 0.06**2))
     red = wall + 0.75 * pane + lamp
     blue = 1.4 * wall + 0.9 * pane + 0.35 * lamp
-    return np.clip(np.stack([red, 0.5 * (red + blue), blue], axis=-1), 0, 1)
+    picture: Array = np.clip(np.stack([red, 0.5 * (red + blue), blue], axis=-1), 0, 1)
+    return picture
 
 
 def main() -> None:
