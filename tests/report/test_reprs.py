@@ -42,14 +42,6 @@ def test_everything_registered_is_shown(component):
     assert rows["dims"].startswith(str(component.dims))
 
 
-@pytest.mark.parametrize("component", ALL, ids=lambda c: f"{type(c).__name__}")
-def test_to_look_takes_little_time(component):
-    component_html(component)  # loads and compiles what it needs
-    start = time.process_time()
-    component_html(component)
-    assert time.process_time() - start <= 0.3
-
-
 @pytest.mark.parametrize("dims", [1, 5])
 def test_what_is_registered_is_shown_in_other_dims(dims):
     made_so = [

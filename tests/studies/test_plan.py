@@ -9,7 +9,7 @@ import time
 import pytest
 
 from mcspectra.core.errors import ConfigError
-from mcspectra.studies import Trust, decode_study, estimate_study, make_plan, read_study
+from mcspectra.studies import Trust, decode_study, make_plan, read_study
 from mcspectra.studies import plan as plan_module
 from mcspectra.studies.files import apply_overrides, plain_study, study_of
 
@@ -163,17 +163,9 @@ def test_a_study_as_plain_values_is_the_same_study(tmp_path):
 @pytest.mark.parametrize(
     "call",
     [
-        lambda: read_study(None),
         lambda: read_study("a\0b.toml"),
-        lambda: decode_study(b"title = 't'"),
         lambda: decode_study("", overrides="seed=1"),
-        lambda: decode_study("", overrides=None),
         lambda: apply_overrides({}, [3]),
-        lambda: study_of([1]),
-        lambda: make_plan("study.toml", "."),
-        lambda: make_plan(decode_study(HEAD + POINTS + ESTIMATOR), ".", trust=["a:b"]),
-        lambda: make_plan(decode_study(HEAD + POINTS + ESTIMATOR), None),
-        lambda: estimate_study([]),
         lambda: Trust(code="os:getcwd"),
         lambda: Trust(code=3),
         lambda: Trust(code=(3,)),
