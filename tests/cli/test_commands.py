@@ -13,16 +13,6 @@ from mcspectra.report import sampler_gallery
 
 
 @pytest.mark.parametrize(
-    "verb", ["run", "list", "points", "spectrum", "variance", "anova", "doctor", "cite"]
-)
-def test_every_verb_has_help_and_the_common_options(run, verb):
-    code, out, _ = run(verb, "--help")
-    assert code == 0
-    for option in ("--json", "--seed", "--quiet"):
-        assert option in out
-
-
-@pytest.mark.parametrize(
     "kind", ["samplers", "randomizations", "densities", "integrands", "scenes"]
 )
 def test_list(run, run_json, kind):

@@ -92,7 +92,9 @@ def test_exposure_brightens_the_png(command, tmp_path):
     [
         (("missing.xml", "--width", 8), "for built-in scenes"),
         (("broken.xml",), "cannot read the scene"),
+        ((*SMALL, "--crop", "0,0,25,1"), "the film has 24 × 16 pixels"),
         ((*SMALL, "--crop", "0,0,25"), "give X,Y,W,H"),
+        ((*SMALL, "--light", "5"), "light is 5; give a whole number from 0 to 4"),
         ((*SMALL, "--crop", "0,0,a,1"), "--crop"),
         ((*SMALL, "--spp", "many"), "--spp"),
         ((*SMALL, "--spp", "0"), "--spp"),
