@@ -115,12 +115,12 @@ def test_workers_run_no_further_ahead_than_two_tasks_a_thread(engine_on, tmp_pat
 def test_nothing_is_kept_of_outcomes(engine_on, cluster, tmp_path):
     engine = engine_on(marking(tmp_path, 500_000))
     sizes = []
-    for index in range(300):
+    for index in range(100):
         engine.submit(task(index))
     for outcome in engine.outcomes():
         assert len(outcome.payload) == 500_000
         sizes.append(sum(state.nbytes for state in cluster.scheduler.workers.values()))
-    # 150 MB went through; at most two tasks a thread and those just released are held at once.
+    # 50 MB went through; at most two tasks a thread and those just released are held at once.
     assert max(sizes) <= 10 * 510_000
     deadline = time.monotonic() + 10
     while cluster.scheduler.tasks and time.monotonic() < deadline:

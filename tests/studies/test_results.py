@@ -290,7 +290,7 @@ def check_changes(store: Path, work: Path, number: int, seed: int) -> None:
 
 
 def test_every_change_of_a_store_is_noticed(folder: Path, tmp_path: Path) -> None:
-    check_changes(folder / "results.zarr", tmp_path / "x.zarr", 60, 3)
+    check_changes(folder / "results.zarr", tmp_path / "x.zarr", 30, 3)
 
 
 @pytest.mark.endurance
