@@ -1,68 +1,41 @@
 """The verbs exact, anova and modes, and the views of spectrum, against the functions behind them."""
 
 import io
-import json
 
 import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.cli.main import main
 
 
-def run(capsys, *arguments):
-    code = main([str(a) for a in arguments])
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
-
-
-def run_json(capsys, *arguments):
-    code, out, err = run(capsys, *arguments, "--json")
-    assert code == 0, err
-    return json.loads(out)
-
-
-@pytest.mark.parametrize("verb", ["pcf", "exact", "anova", "modes", "spectrum"])
-def test_help_has_the_common_options(capsys, verb):
-    code, out, _ = run(capsys, verb, "--help")
-    assert code == 0
-    assert all(option in out for option in ("--json", "--seed", "--quiet"))
-
-
-def test_exact_variance_of_a_line(capsys):
+def test_exact_variance_of_a_line(run, run_json):
     """Jittered and linear: 1/(12 n³), so that the local rate is −3."""
     arguments = ("exact", "linear", "-d", 1, "--sampler", "jittered", "-n", "4, 8")
-    data = run_json(capsys, *arguments)
+    data = run_json(*arguments)
     assert data["n"] == [4, 8]
     assert data["exact_variance"] == pytest.approx([1 / (12 * 4**3), 1 / (12 * 8**3)])
-    code, out, _ = run(capsys, *arguments)
+    code, out, _ = run(*arguments)
     assert code == 0
     rows = [line.split() for line in out.splitlines()[3:]]
     assert [row[-1] for row in rows] == ["–", "-3.0000"]
-    assert run(capsys, *arguments, "--quiet")[1] == ""
+    assert run(*arguments, "--quiet")[1] == ""
 
 
-def test_exact_variance_of_zero_has_no_rate(capsys):
-    code, out, _ = run(capsys, "exact", "linear", "-d", 1, "--sampler", "regular", "-n", "4,8,16")
+def test_exact_variance_of_zero_has_no_rate(run):
+    code, out, _ = run("exact", "linear", "-d", 1, "--sampler", "regular", "-n", "4,8,16")
     assert code == 0
     assert [line.split()[1:] for line in out.splitlines()[3:]] == [["0", "–"]] * 3
 
 
-def test_exact_variance_unknown_is_bad_input(capsys):
-    code, out, err = run(capsys, "exact", "gaussian", "--sampler", "poisson-disk", "-n", 16)
-    assert (code, out) == (2, "")
-    assert err.startswith("mcspectra: No exact variance is known for poisson-disk")
-
-
-def test_anova_is_that_of_the_function(capsys):
+def test_anova_is_that_of_the_function(run, run_json):
     arguments = ("anova", "gaussian", "-d", 3, "-m", 300, "--seed", 2)
-    data = run_json(capsys, *arguments)
+    data = run_json(*arguments)
     estimator = mcs.Estimator("gaussian", dims=3)
     expected = mcs.anova_variances(estimator, realizations=300, rng=2)
     assert data["subset"] == ["x0", "x1", "x2", "x0x1", "x0x2", "x1x2"]
     for name in ("anova_variance", "anova_variance_se", "anova_share", "total_variance"):
         assert data[name] == expected[name].values.tolist()
-    code, out, _ = run(capsys, *arguments)
+    code, out, _ = run(*arguments)
     assert code == 0
     lines = out.splitlines()
     shares = [float(line.split()[-1]) for line in lines if line.startswith(("x", "larger"))]
@@ -70,9 +43,8 @@ def test_anova_is_that_of_the_function(capsys):
     assert f"mean dimension: {float(expected['mean_dimension']):.6g}" in lines
 
 
-def test_anova_of_points_and_order(capsys):
+def test_anova_of_points_and_order(run_json):
     data = run_json(
-        capsys,
         *("anova", "linear", "-d", 2, "--sampler", "latin-hypercube", "-n", 8, "-m", 100),
         *("--order", 1, "--density", "uniform"),
     )
@@ -81,11 +53,11 @@ def test_anova_of_points_and_order(capsys):
     assert len(data["anova_variance"]) == 2
 
 
-def test_modes_are_those_of_the_function(capsys, tmp_path):
+def test_modes_are_those_of_the_function(run, run_json, tmp_path):
     file = tmp_path / "modes.npz"
     arguments = ("modes", "gaussian", "-d", 2, "--sampler", "jittered", "-n", 16, "-m", 60)
     options = ("--half-width", 4, "--modes", 3, "--bands", "anova", "--band", "x0")
-    data = run_json(capsys, *arguments, *options, "-o", file)
+    data = run_json(*arguments, *options, "-o", file)
     expected = mcs.covariance_modes(
         *(mcs.Estimator("gaussian", dims=2), "jittered", 16),
         half_width=4,
@@ -98,16 +70,16 @@ def test_modes_are_those_of_the_function(capsys, tmp_path):
         assert data[name] == expected[name].values.tolist()
     assert data["band_trace"] == float(expected["band_trace"])
     assert np.array_equal(np.load(file)["mode_vector"], expected["mode_vector"])
-    code, out, _ = run(capsys, *arguments, *options)
+    code, out, _ = run(*arguments, *options)
     assert code == 0
     assert f"{data['eigenvalue'][0]:.5g}" in out
     assert out.splitlines()[-1].startswith("sum of all eigenvalues: ")
 
 
-def test_modes_of_the_points_alone(capsys):
+def test_modes_of_the_points_alone(run_json):
     arguments = ("modes", "gaussian", "-d", 1, "--sampler", "random", "-n", 4, "-m", 50)
     options = ("--half-width", 2, "--modes", 1, "--points-only", "--basis", "cosine")
-    data = run_json(capsys, *arguments, *options)
+    data = run_json(*arguments, *options)
     expected = mcs.covariance_modes(
         *(mcs.Estimator("gaussian", dims=1), "random", 4),
         half_width=2,
@@ -120,22 +92,15 @@ def test_modes_of_the_points_alone(capsys):
     assert (data["weighted"], data["basis"]) == (0, "cosine")
 
 
-def test_modes_without_variance_say_so(capsys):
+def test_modes_without_variance_say_so(run):
     arguments = ("modes", "constant", "-d", 1, "--sampler", "jittered", "-n", 4, "-m", 20)
-    code, out, _ = run(capsys, *arguments, "--half-width", 2, "--modes", 2)
+    code, out, _ = run(*arguments, "--half-width", 2, "--modes", 2)
     assert code == 0
     assert out.splitlines()[-1] == "no mode: the coefficients do not vary"
     arguments = ("modes", "linear", "-d", 1, "--sampler", "regular | shift", "-n", 4, "-m", 50)
-    _, out, _ = run(capsys, *arguments, "--half-width", 4, "--modes", 4)
+    _, out, _ = run(*arguments, "--half-width", 4, "--modes", 4)
     assert "2 more of rounding size" in out  # S_4 has a phase: two modes
     assert "nan" not in out
-
-
-def test_modes_of_a_channel(capsys):
-    arguments = ("modes", "gaussian", "-d", 1, "--sampler", "random", "-n", 4, "-m", 50)
-    assert run(capsys, *arguments, "--half-width", 2, "--modes", 1, "--channel", 0)[0] == 0
-    code, _, err = run(capsys, *arguments, "--half-width", 2, "--modes", 1, "--channel", 1)
-    assert (code, "channel is 1" in err) == (2, True)
 
 
 SPECTRUM = ("spectrum", "jittered", "-n", 16, "--half-width", 5, "-m", 20)
@@ -155,15 +120,15 @@ def spectrum():
         ("exponent", mcs.low_frequency_exponent, ["low_frequency_exponent_ci"]),
     ],
 )
-def test_views_of_a_spectrum(capsys, spectrum, view, function, names):
-    data = run_json(capsys, *SPECTRUM, "--show", view)
+def test_views_of_a_spectrum(run, run_json, spectrum, view, function, names):
+    data = run_json(*SPECTRUM, "--show", view)
     expected = function(spectrum)
     assert data["n"] == 16
     for name in names:
         assert np.allclose(
             np.array(data[name], float), expected[name].values, rtol=1e-12, equal_nan=True
         )
-    code, out, _ = run(capsys, *SPECTRUM, "--show", view)
+    code, out, _ = run(*SPECTRUM, "--show", view)
     assert code == 0
     first = float(expected[names[-1]].values.ravel()[0])
     last_power = {
@@ -176,71 +141,65 @@ def test_views_of_a_spectrum(capsys, spectrum, view, function, names):
     assert "nan" not in out
 
 
-def test_a_spectrum_shows_radial_power_by_default(capsys):
-    assert run(capsys, *SPECTRUM)[1] == run(capsys, *SPECTRUM, "--show", "power")[1]
+def test_a_spectrum_shows_radial_power_by_default(run):
+    assert run(*SPECTRUM)[1] == run(*SPECTRUM, "--show", "power")[1]
 
 
-def test_no_exponent_has_its_reason(capsys):
+def test_no_exponent_has_its_reason(run, run_json):
     arguments = ("spectrum", "regular", "-n", 64, "--half-width", 6, "-m", 2, "--show", "exponent")
-    code, out, _ = run(capsys, *arguments)
+    code, out, _ = run(*arguments)
     assert code == 0
     assert out.startswith("no exponent: 3 of 3 lengths have no power")
-    assert run_json(capsys, *arguments)["low_frequency_exponent"] is None
+    assert run_json(*arguments)["low_frequency_exponent"] is None
 
 
-def test_exact_says_infinite(capsys):
+def test_exact_says_infinite(run):
     given = ("exact", "cosine", "-d", 1, "--density", "power", "--sampler", "random", "-n", "4,8")
-    code, out, _ = run(capsys, *given)
+    code, out, _ = run(*given)
     assert code == 0
     assert [line.split()[1:] for line in out.splitlines()[3:]] == [["infinite", "–"]] * 2
 
 
-def test_a_warning_is_shown_once(capsys):
+def test_a_warning_is_shown_once(run):
     given = ("exact", "linear", "-d", 1, "--sampler", "sobol | digital-shift", "-n", "16,60")
-    code, _, err = run(capsys, *given)
+    code, _, err = run(*given)
     assert code == 0
     assert err.count("60 Sobol' points are not balanced") == 1
 
 
 @pytest.mark.parametrize(("verb", "name"), [("spectrum", "power"), ("pcf", "pair_correlation")])
-def test_all_sets_given_are_used_by_default(capsys, monkeypatch, verb, name):
+def test_all_sets_given_are_used_by_default(run, run_json, monkeypatch, verb, name):
     del name
     for sets in (1, 3):
-        code, points, _ = run(capsys, "points", "jittered", "-n", 16, "-m", sets)
+        code, points, _ = run("points", "jittered", "-n", 16, "-m", sets)
         assert code == 0
         monkeypatch.setattr("sys.stdin", io.StringIO(points))
         options = ["--half-width", 3] if verb == "spectrum" else ["--bins", 4]
-        data = run_json(capsys, verb, "-", "-n", 16, *options)
+        data = run_json(verb, "-", "-n", 16, *options)
         assert data["realizations"] == sets
 
 
-def test_asking_for_more_sets_than_given(capsys, monkeypatch):
-    _, points, _ = run(capsys, "points", "jittered", "-n", 16)
+def test_asking_for_more_sets_than_given(run, monkeypatch):
+    _, points, _ = run("points", "jittered", "-n", 16)
     monkeypatch.setattr("sys.stdin", io.StringIO(points))
-    code, _, err = run(capsys, "spectrum", "-", "-n", 16, "-m", 5)
+    code, _, err = run("spectrum", "-", "-n", 16, "-m", 5)
     assert code == 2
     assert "holds 1 realisation, but" in err
 
 
-def test_effective_dimensions_beyond_the_order(capsys):
+def test_effective_dimensions_beyond_the_order(run):
     """Π(1 + 3(x − ½))-like in 3 dims: subsets of three axes have more than 1 %."""
-    code, out, _ = run(capsys, "anova", "polynomial(coefficients=[0, 1])", "-d", 3, "-m", 20_000)
+    code, out, _ = run("anova", "polynomial(coefficients=[0, 1])", "-d", 3, "-m", 20_000)
     assert code == 0
     assert "effective dimension superposition: more than 2" in out
-    code, out, _ = run(capsys, "anova", "constant", "-d", 2, "-m", 10)
+    code, out, _ = run("anova", "constant", "-d", 2, "-m", 10)
     assert code == 0
     assert out.count("undefined") == 4 + 3
     assert "nan" not in out
 
 
-def test_shares_of_rounding_are_0(capsys):
-    _, out, _ = run(capsys, "anova", "linear", "-d", 3, "-m", 200)
+def test_shares_of_rounding_are_0(run):
+    _, out, _ = run("anova", "linear", "-d", 3, "-m", 200)
     shares = {line.split()[0]: line.split()[-1] for line in out.splitlines()[3:9]}
     assert shares["x1"] == shares["x2"] == shares["x1x2"] == "0"
     assert shares["x0"] == "1"
-
-
-def test_no_half_width(capsys):
-    code, _, err = run(capsys, "spectrum", "jittered", "-n", 16, "--half-width", 0)
-    assert code == 2
-    assert "at least 1" in err

@@ -5,35 +5,29 @@ import re
 
 import pytest
 
-from mcspectra.cli.main import main
 from mcspectra.core.analysis import ANALYSES
 from mcspectra.studies import study_schema
 from mcspectra.studies.schema import template
 
 
-def run(capsys, *arguments):
-    code = main([str(a) for a in arguments])
-    out, err = capsys.readouterr()
-    return code, out, err
-
-
 @pytest.fixture
-def file(capsys, tmp_path):
+def file(run, tmp_path):
     path = tmp_path / "mine.toml"
-    assert run(capsys, "init", path)[0] == 0
+    assert run("init", path)[0] == 0
     return path
 
 
-def test_init_writes_a_study_that_runs(capsys, file, tmp_path):
+@pytest.mark.usefixtures("undrawn")
+def test_init_writes_a_study_that_runs(run, file, tmp_path):
     assert file.read_text(encoding="utf-8") == template()
     changes = ("convergence.realizations=20", "terms.realizations=20", 'samplers=["jittered"]')
     few = [part for change in changes for part in ("--set", change)]
-    code, out, err = run(capsys, "run", file, "--out", tmp_path / "o", "--json", *few)
+    code, out, err = run("run", file, "--out", tmp_path / "o", "--json", *few)
     assert (code, err) == (0, "")
     assert [row["sampler"] for row in json.loads(out)["rows"]] == ["jittered"] * 3
 
 
-def test_all_that_the_template_offers_in_comments_is_valid(capsys, file):
+def test_all_that_the_template_offers_in_comments_is_valid(run, file):
     """Every commented line of TOML that follows a table can be taken in."""
     offered = [
         line.removeprefix("# ") if line.startswith("# [") or " = " in line[:24] else line
@@ -42,17 +36,15 @@ def test_all_that_the_template_offers_in_comments_is_valid(capsys, file):
     text = "\n".join(offered).replace("one_sample = true", "# one_sample = true")
     text = re.sub(r"\[anova-spectrum\].*\nn = 64", "", text)  # not for weighted estimators
     file.write_text(text, encoding="utf-8")
-    code, out, err = run(
-        capsys, "run", file, "--dry-run", "--json", "--set", "terms.bands='radial'"
-    )
+    code, out, err = run("run", file, "--dry-run", "--json", "--set", "terms.bands='radial'")
     assert (code, err) == (0, "")
     analyses = {cell["analysis"] for cell in json.loads(out)["cells"]}
     assert analyses == {*ANALYSES} - {"anova-spectrum"}
 
 
-def test_init_refuses_to_overwrite(capsys, file):
+def test_init_refuses_to_overwrite(run, file):
     file.write_text("mine")
-    code, out, err = run(capsys, "init", file)
+    code, out, err = run("init", file)
     assert (code, out) == (2, "")
     assert "is there already; give another name" in err
     assert file.read_text() == "mine"
@@ -61,31 +53,31 @@ def test_init_refuses_to_overwrite(capsys, file):
 @pytest.mark.parametrize(
     ("name", "words"), [("no/folder/x.toml", "cannot be written"), ("x.txt", "must end in .toml")]
 )
-def test_init_where_no_file_can_be(capsys, tmp_path, name, words):
-    code, _, err = run(capsys, "init", tmp_path / name)
+def test_init_where_no_file_can_be(run, tmp_path, name, words):
+    code, _, err = run("init", tmp_path / name)
     assert code == 2
     assert words in err
 
 
-def test_init_says_what_it_wrote(capsys, tmp_path, monkeypatch):
+def test_init_says_what_it_wrote(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert json.loads(run(capsys, "init", "--json")[1]) == {"file": "study.toml"}
-    assert run(capsys, "init", "b.toml", "--quiet")[1] == ""
+    assert json.loads(run("init", "--json")[1]) == {"file": "study.toml"}
+    assert run("init", "b.toml", "--quiet")[1] == ""
 
 
-def test_schema_prints_the_schema(capsys):
-    assert json.loads(run(capsys, "schema")[1]) == study_schema()
-    assert "| `counts` |" in run(capsys, "schema", "--markdown")[1]
+def test_schema_prints_the_schema(run):
+    assert json.loads(run("schema")[1]) == study_schema()
+    assert "| `counts` |" in run("schema", "--markdown")[1]
 
 
-def test_dry_run_writes_nothing(capsys, file, tmp_path):
-    code, out, _ = run(capsys, "run", file, "--dry-run", "--out", tmp_path / "o", "--workers", 2)
+def test_dry_run_writes_nothing(run, file, tmp_path):
+    code, out, _ = run("run", file, "--dry-run", "--out", tmp_path / "o", "--workers", 2)
     assert code == 0
     assert not (tmp_path / "o").exists()
-    assert re.search(r"with 2 workers; (1[89]|2\d) tasks", out)  # 18, but of a slow machine
+    assert re.search(r"with 2 workers; \d\d tasks", out)  # 18, more on a slow machine
     rows = [line for line in out.splitlines() if " convergence " in line]
     assert [row.split()[0] for row in rows] == ["plain", "importance-sampled", "multiple"]
-    found = json.loads(run(capsys, "run", file, "--dry-run", "--json")[1])
+    found = json.loads(run("run", file, "--dry-run", "--json")[1])
     assert len(found["cells"]) == 18
     assert all(cell["seconds"] >= 0 and cell["memory"] > 0 for cell in found["cells"])
 
@@ -93,25 +85,23 @@ def test_dry_run_writes_nothing(capsys, file, tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--set", "convergance.realizations=3"), "Did you mean 'convergence'"),
         (("--set", "seed"), "has no '='"),
-        (("--set", "convergence.counts=[2000000000]"), "GB of memory, and this machine"),
         (("--set", "convergence.realizations=1000000000", "--set", "convergence.counts=[1000000]"),
          "--force"),
         (("--set", "estimators[0].integrand=\"python(function='os:getcwd')\""),
          "--allow-code os:getcwd"),
-        (("--set", "samplers=[\"points(path='/etc/passwd')\"]"), "outside the study's folder"),
         (("--allow-code", "os"), "module:function"),
     ],
 )  # fmt: skip
-def test_run_refuses_before_it_writes(capsys, file, tmp_path, options, words):
-    code, out, err = run(capsys, "run", file, "--out", tmp_path / "o", *options)
+def test_run_refuses_before_it_writes(run, file, tmp_path, options, words):
+    code, out, err = run("run", file, "--out", tmp_path / "o", *options)
     assert (code, out) == (2, "")
     assert words in err
     assert not (tmp_path / "o").exists()
 
 
-def test_allowed_functions_run(capsys, tmp_path, monkeypatch):
+@pytest.mark.usefixtures("undrawn")
+def test_allowed_functions_run(run, tmp_path, monkeypatch):
     (tmp_path / "allowed_functions.py").write_text("def first(x):\n    return x[..., 0]\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     file = tmp_path / "s.toml"
@@ -121,4 +111,4 @@ def test_allowed_functions_run(capsys, tmp_path, monkeypatch):
         "integrand = \"python(function='allowed_functions:first')\"\n"
     )
     allowed = ("--allow-code", "allowed_functions:first")
-    assert run(capsys, "run", file, "--out", tmp_path / "o", "--quiet", *allowed)[0] == 0
+    assert run("run", file, "--out", tmp_path / "o", "--quiet", *allowed)[0] == 0

@@ -11,19 +11,12 @@ import pytest
 import xarray as xr
 
 from mcspectra.cli.main import main
-from mcspectra.plots.backend_matplotlib import draw, encode
+from mcspectra.plots.backend_matplotlib import draw
 from mcspectra.plots.kinds import describe, kinds_of
-from mcspectra.report import page as module
 from mcspectra.report.map_page import map_layers, map_summary
 
 pytestmark = pytest.mark.render
 
-BLANK = {
-    **dict.fromkeys(("png", "words", "caption", "file", "live"), ""),
-    "width": 1,
-    "height": 1,
-    "wide": False,
-}
 SMALL = ("--size", "24,16", "--crop", "8,6,6,4", "--counts", "4,16", "-m", "8")
 
 
@@ -74,13 +67,11 @@ def test_pictures_and_page(made: tuple[Path, xr.Dataset]) -> None:
     assert not list(folder.glob(".*"))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_json_is_strict_and_complete(
-    made: tuple[Path, xr.Dataset],
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    made: tuple[Path, xr.Dataset], capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, result = made
-    monkeypatch.setattr(module, "_drawn", lambda *_: BLANK)  # they are drawn already
     stored = json.loads((folder / "map.json").read_text(), parse_constant=pytest.fail)
     rate = float(np.nanmedian(result["rate"].sel(strategy="mis")))
     assert stored["strategies"]["mis"]["rate"] == rate
@@ -94,6 +85,7 @@ def test_json_is_strict_and_complete(
     assert printed == stored
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_text_has_a_row_a_strategy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ("--strategies", "bsdf,light", "--predict-every", 0, "--out", tmp_path)
     code, out, _ = run(capsys, "veach", *SMALL, *options)
@@ -108,6 +100,7 @@ def test_text_has_a_row_a_strategy(tmp_path: Path, capsys: pytest.CaptureFixture
     assert last == f"map: {tmp_path / 'report.html'}"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_options_reach_the_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = (
         *("--strategies", "light, mis-bsdf", "--sampler", "random", "--light", "light-3"),
@@ -129,27 +122,14 @@ def test_options_reach_the_map(tmp_path: Path, capsys: pytest.CaptureFixture[str
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (("veech",), "veach"),
-        (("none.xml",), "no scene file"),
         (("veach", "--crop", "1,2,3"), "--crop has 3 values; give 4"),
-        (("veach", "--crop", "0,0,9999,1"), "reaches outside the grid"),
         (("veach", "--crop", "a,b,c,d"), "--crop is 'a'"),
-        (("veach", "--crop=-1,0,2,2"), "crop x0 is -1"),
         (("veach", "--size", "0,4"), "--size is 0; give a whole number from 1"),
-        (("veach", "--strategies", "path"), "must be one of bsdf, light"),
-        (("veach", "--strategies", ""), "must be one of bsdf, light"),
-        (("veach", "--counts", "4,5"), "cannot make 5 points"),
         (("veach", "--counts", "four"), "--counts is 'four'"),
         (("veach", "-m", "1"), "--realizations is 1; give a whole number from 2"),
         (("veach", "-m", "nan"), "--realizations is 'nan'"),
-        (("veach", "--sampler", "jit"), "jit"),
-        (("veach", "--light", "moon"), "no light 'moon'"),
         (("veach", "--light=-1"), "light is -1; give a whole number from 0 to 4"),
-        (("veach", "--heuristic", "best"), "balance, power"),
         (("veach", "--channel", "rgb"), "channel is 'rgb'"),
-        (("veach", "--dims", "7"), "from 2 to 3"),
-        (("veach", "--points", "all"), "own, shared"),
-        (("veach", "--smoothing", "4"), "odd"),
         (("veach", "--workers", "0"), "--workers is 0"),
         (("veach", "--seed", "-1"), "--seed"),
     ],
@@ -206,8 +186,7 @@ def test_maps_of_any_numbers_can_be_drawn(fill: float | None) -> None:
     kinds = kinds_of(result)
     assert "map-gain" in kinds
     for kind in kinds:
-        png, _ = encode(draw(describe(kind, result)))
-        assert png.startswith(b"\x89PNG")
+        draw(describe(kind, result)).canvas.draw()
 
 
 def test_summaries_count_intervals() -> None:

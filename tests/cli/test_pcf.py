@@ -8,20 +8,11 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.cli.main import main
 
 
-def run(capsys, *arguments):
-    code = main([str(a) for a in arguments])
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
-
-
-def test_json_is_what_the_function_returns(capsys):
+def test_json_is_what_the_function_returns(run):
     options = ("-n", 16, "--bins", 7, "-m", 5, "--seed", 3, "--boundary", "border")
-    code, out, err = run(
-        capsys, "pcf", "jittered", *options, "-d", 1, "--max-distance", 0.2, "--json"
-    )
+    code, out, err = run("pcf", "jittered", *options, "-d", 1, "--max-distance", 0.2, "--json")
     assert code == 0, err
     data = json.loads(out)
     expected = mcs.pair_correlation(
@@ -38,8 +29,8 @@ def test_json_is_what_the_function_returns(capsys):
     assert (data["boundary"], data["seed"]) == ("border", 3)
 
 
-def test_text_has_a_row_a_bin(capsys):
-    code, out, _ = run(capsys, "pcf", "jittered", "-n", 64, "--bins", 4, "-m", 2)
+def test_text_has_a_row_a_bin(run):
+    code, out, _ = run("pcf", "jittered", "-n", 64, "--bins", 4, "-m", 2)
     assert code == 0
     header, _, *rows = out.splitlines()
     assert header.split() == ["r", "r·n^(1/d)", "g(r)", "std.", "error"]
@@ -48,16 +39,16 @@ def test_text_has_a_row_a_bin(capsys):
     assert np.allclose(shown[:, 0], expected["r"], rtol=1e-4)
     assert np.allclose(shown[:, 1], 8 * expected["r"], atol=5e-4)
     assert np.allclose(shown[:, 2], expected["pair_correlation"], rtol=1e-4)
-    assert run(capsys, "pcf", "jittered", "-n", 64, "-m", 2, "--quiet")[1] == ""
+    assert run("pcf", "jittered", "-n", 64, "-m", 2, "--quiet")[1] == ""
 
 
 @pytest.mark.parametrize("piped", [True, False])
-def test_point_sets_are_taken_where_a_sampler_goes(capsys, monkeypatch, tmp_path, piped):
-    _, text, _ = run(capsys, "points", "jittered", "-n", 64, "--seed", 4)
+def test_point_sets_are_taken_where_a_sampler_goes(run, monkeypatch, tmp_path, piped):
+    _, text, _ = run("points", "jittered", "-n", 64, "--seed", 4)
     (tmp_path / "set.dat").write_text(text)
     monkeypatch.setattr(sys, "stdin", io.StringIO(text))
     given = "-" if piped else f"points(path={str(tmp_path / 'set.dat')!r})"
-    code, out, err = run(capsys, "pcf", given, "-n", 64, "-m", 1, "--json")
+    code, out, err = run("pcf", given, "-n", 64, "-m", 1, "--json")
     assert code == 0, err
     data = json.loads(out)
     expected = mcs.pair_correlation("jittered", 64, realizations=1, rng=4)

@@ -10,7 +10,6 @@ import pytest
 
 from mcspectra.cli.main import main
 from mcspectra.core.images import read_image
-from mcspectra.rendering import backend
 from mcspectra.rendering.image import reference, render
 
 pytestmark = pytest.mark.render
@@ -91,34 +90,21 @@ def test_exposure_brightens_the_png(command, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("vaech",), "Did you mean 'veach'"),
-        (("missing.xml",), "no scene file 'missing.xml'"),
         (("missing.xml", "--width", 8), "for built-in scenes"),
         (("broken.xml",), "cannot read the scene"),
         ((*SMALL, "--crop", "0,0,25,1"), "the film has 24 × 16 pixels"),
         ((*SMALL, "--crop", "0,0,25"), "give X,Y,W,H"),
+        ((*SMALL, "--light", "5"), "light is 5; give a whole number from 0 to 4"),
         ((*SMALL, "--crop", "0,0,a,1"), "--crop"),
-        ((*SMALL, "--strategy", "path"), "must be one of"),
-        ((*SMALL, "--sampler", "sobool"), "Did you mean"),
-        ((*SMALL, "--sampler", "jittered", "--spp", 5), "cannot make 5 points"),
         ((*SMALL, "--spp", "many"), "--spp"),
         ((*SMALL, "--spp", "0"), "--spp"),
-        ((*SMALL, "--spp", "9" * 30), "spp"),
         ((*SMALL, "-m", "0"), "--realizations"),
-        ((*SMALL, "--reference", "-m", "1"), "--realizations"),
-        ((*SMALL, "--reference", "--spp", "100"), "multiple of batches"),
-        ((*SMALL, "--light", "moon"), "no light 'moon'"),
-        ((*SMALL, "--light", "-1"), "light is -1; give a whole number from 0 to 4"),
-        ((*SMALL, "--light", "5"), "light is 5; give a whole number from 0 to 4"),
-        ((*SMALL, "--heuristic", "best"), "balance, power"),
-        ((*SMALL, "--film", "gaussian"), "center, sampled"),
         ((*SMALL, "--exposure", "nan"), "--exposure"),
         ((*SMALL, "--exposure", "bright"), "--exposure"),
         ((*SMALL, "-o", "image.jpg"), "must end in .exr or .png"),
         ((*SMALL, "-o", "nowhere/image.exr"), "folder that does not exist"),
         ((*SMALL, "--seed", "-1"), "--seed"),
         (("veach", "--width", "0"), "--width"),
-        (("veach", "--width", "99999999"), "width"),
         ((), "required"),
     ],
 )
@@ -142,15 +128,4 @@ def test_unwritable_output_is_one_sentence(command, tmp_path, monkeypatch):
     code, _, err = command(*SMALL, "--spp", 1, "--strategy", "light", "-o", tmp_path / "a.exr")
     assert code == 2
     assert "cannot be written: Permission denied" in err
-    assert len(err.splitlines()) == 1
-
-
-def test_no_llvm_is_one_sentence(command, monkeypatch):
-    monkeypatch.setattr(backend, "_loaded", [])
-    monkeypatch.setattr(backend, "_already_running", lambda: False)
-    monkeypatch.setattr(backend, "find_library", lambda: (None, []))
-    code, out, err = command(*SMALL)
-    assert (code, out) == (2, "")
-    assert "LLVM" in err
-    assert "install" in err
     assert len(err.splitlines()) == 1

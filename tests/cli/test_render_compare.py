@@ -83,16 +83,3 @@ def test_reference_samples_are_for_comparisons(capsys: pytest.CaptureFixture[str
     code, _, err = run(capsys, *[option for option in SMALL if option != "--compare"])
     assert code == 2
     assert "--reference-spp is for --compare" in err
-
-
-def test_unwritable_picture_is_one_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def refuse(*_: object) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(Path, "write_bytes", refuse)
-    code, _, err = run(capsys, *SMALL, "-o", tmp_path / "a.png")
-    assert code == 2
-    assert "cannot be written: Permission denied" in err
-    assert len(err.splitlines()) == 1

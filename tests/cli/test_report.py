@@ -21,12 +21,13 @@ realizations = 4
 """
 
 
-@pytest.fixture(name="folders")
-def _folders(tmp_path: Path) -> list[str]:
+@pytest.fixture(name="folders", scope="module")
+def _folders(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     """Two studies of one analysis."""
-    for name in "ab":
-        run_study(decode_study(STUDY), tmp_path / name)
-    return [str(tmp_path / name) for name in "ab"]
+    both = [tmp_path_factory.mktemp(name) for name in "ab"]
+    for folder in both:
+        run_study(decode_study(STUDY), folder)
+    return [str(folder) for folder in both]
 
 
 def test_page_again(folders: list[str], capsys: pytest.CaptureFixture[str]) -> None:
@@ -36,6 +37,7 @@ def test_page_again(folders: list[str], capsys: pytest.CaptureFixture[str]) -> N
     assert capsys.readouterr().out == f"report: {page}\n"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_comparison_elsewhere(
     folders: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -73,6 +75,7 @@ def test_no_page_is_written_into_a_store(folders, capsys):
     assert "give --out FILE.html" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_techniques_at_one_n_have_a_row(tmp_path):
     terms = "[estimators.terms]\nn = 4\nhalf_width = 2\n"
     study = STUDY.replace(terms, "[estimators.techniques]\ncounts = 4\nhalf_width = 2\n")

@@ -131,11 +131,6 @@ def test_status_names_who_did_not_end_in_good_order(
     assert "which has ended" in shown
 
 
-def test_no_results_is_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["status", str(tmp_path)]) == 2
-    assert capsys.readouterr().err == f"mcspectra: There are no results in {str(tmp_path)!r}.\n"
-
-
 def test_export(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "out.csv"
     assert main(["export", str(folder), "--to", str(file), "--select", "a/*", "--json"]) == 0
@@ -148,35 +143,10 @@ def test_export(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert capsys.readouterr().out.startswith(f"{tmp_path / 'out.zarr.zip'}: ")
     assert main(["export", str(folder), "--to", "x.txt"]) == 2
     assert "has none of the ends" in capsys.readouterr().err
-    assert main(["export", str(folder), "--to", str(tmp_path / "none" / "x.csv")]) == 2
-    assert "there is no such folder" in capsys.readouterr().err
-    assert main(["export", str(folder), "--to", str(folder / "results.zarr")]) == 2
-    assert "exists already" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("number", [2, 1, 0, None, "2"])
-def test_status_of_another_format_is_refused(
-    folder: Path, capsys: pytest.CaptureFixture[str], number: object
-) -> None:
-    (folder / LEDGER_NAME).unlink()
-    root = folder / "results.zarr" / "zarr.json"
-    document = json.loads(root.read_text())
-    document["attributes"]["format"] = number
-    root.write_text(json.dumps(document))
-    assert main(["status", str(folder)]) == 2
-    assert f"has store format {number!r}; this version reads 4" in capsys.readouterr().err
-
-
-def test_export_of_a_store_to_a_folder_and_to_a_url(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    target = folder / "x.zarr"
+    target, url = tmp_path / "x.zarr", "memory://status-test/x.zarr"
     assert main(["export", str(folder), "--to", str(target), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
     sizes = [path.stat().st_size for path in target.rglob("*") if path.is_file()]
-    assert found == {"file": str(target), "bytes": sum(sizes)}
-    url = "memory://status-test/x.zarr"
+    assert json.loads(capsys.readouterr().out) == {"file": str(target), "bytes": sum(sizes)}
     assert main(["export", str(target), "--to", url]) == 0
     assert capsys.readouterr().out == f"{url}\n"
-    assert main(["export", "memory://status-test/x.zarr", "--to", str(folder / "x.csv")]) == 0
     fsspec.filesystem("memory").rm("/status-test", recursive=True)

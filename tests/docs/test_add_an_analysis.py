@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
-import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -14,6 +12,7 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
+from mcspectra.cli.main import main
 from mcspectra.core.analysis import compute
 from mcspectra.estimators import as_subject
 from mcspectra.testing import BrokenContract, check_analysis
@@ -55,15 +54,14 @@ def quantiles(package):
         sys.modules.pop("quantiles")
 
 
-def mcspectra(package, *arguments, cwd=None):
-    return subprocess.run(
-        [sys.executable, "-m", "mcspectra", *arguments],
-        env={**os.environ, "PYTHONPATH": str(package)},
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        check=False,
-    )
+@pytest.fixture
+def mcspectra(quantiles, capsys):
+    """Run the command beside the package; return its exit code, output and errors."""
+
+    def call(*arguments):
+        return main(list(arguments)), *capsys.readouterr()
+
+    return call
 
 
 def test_the_page_is_short():
@@ -101,37 +99,36 @@ def test_an_undeclared_variable_is_a_broken_contract(quantiles):
         check_analysis(Undeclared(n=16), "gaussian", "jittered")
 
 
-def test_the_command_line_lists_runs_and_explains_it(package):
-    listed = mcspectra(package, "list", "analyses", "--json")
-    about = {each["name"]: each["summary"] for each in json.loads(listed.stdout)}
+def test_the_command_line_lists_runs_and_explains_it(mcspectra):
+    about = {
+        each["name"]: each["summary"]
+        for each in json.loads(mcspectra("list", "analyses", "--json")[1])
+    }
     assert about["quantiles"] == "Quantiles of the estimate over realisations."
-    usage = mcspectra(package, "quantiles", "--help").stdout
+    _, usage, _ = mcspectra("quantiles", "--help")
     assert "--realizations" in usage
     assert "points of each technique" in usage
-    done = mcspectra(
-        package, "quantiles", "gaussian", "--sampler", "jittered", "-n", "16", "--json"
-    )
-    assert done.returncode == 0, done.stderr
-    assert len(json.loads(done.stdout)["quantile"]) == 5
-    shown = mcspectra(package, "quantiles", "gaussian", "--sampler", "jittered", "-n", "16")
-    assert "0.95" in shown.stdout
-    bad = mcspectra(package, "quantiles", "gaussian", "--sampler", "jittered", "-n", "0")
-    assert (bad.returncode, bad.stderr.count("\n")) == (2, 1)
+    given = ("quantiles", "gaussian", "--sampler", "jittered", "-n")
+    code, out, err = mcspectra(*given, "16", "--json")
+    assert code == 0, err
+    assert len(json.loads(out)["quantile"]) == 5
+    assert "0.95" in mcspectra(*given, "16")[1]
+    code, _, err = mcspectra(*given, "0")
+    assert (code, err.count("\n")) == (2, 1)
 
 
-def test_a_study_runs_it_and_the_report_shows_it(package, tmp_path):
-    (tmp_path / "study.toml").write_text(STUDY)
-    schema = json.loads(mcspectra(package, "schema").stdout)
+def test_a_study_runs_it_and_the_report_shows_it(mcspectra, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("study.toml").write_text(STUDY)
+    schema = json.loads(mcspectra("schema")[1])
     assert "quantiles" in schema["$defs"]["StudyConfig"]["properties"]
-    run = mcspectra(package, "run", "study.toml", "--out", "out", "--quiet", cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
-    tree = mcs.studies.open_results(tmp_path / "out")
-    found = tree["bump/jittered/quantiles"]["quantile"]
-    assert found.sizes == {"level": 5}
-    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    code, _, err = mcspectra("run", "study.toml", "--out", "out", "--quiet")
+    assert code == 0, err
+    tree = mcs.studies.open_results("out")
+    assert tree["bump/jittered/quantiles"]["quantile"].sizes == {"level": 5}
+    page = Path("out/report.html").read_text(encoding="utf-8")
     assert "Quantiles of the estimate over realisations" in page
-    wrong = STUDY.replace("n = 16", "n = -1")
-    (tmp_path / "wrong.toml").write_text(wrong)
-    refused = mcspectra(package, "run", "wrong.toml", "--out", "no", cwd=tmp_path)
-    assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
-    assert "quantiles" in refused.stderr
+    Path("wrong.toml").write_text(STUDY.replace("n = 16", "n = -1"))
+    code, _, err = mcspectra("run", "wrong.toml", "--out", "no")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "quantiles" in err

@@ -16,7 +16,6 @@ FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)#]+)\)")
 # Decimals, signed and long numbers: what is measured. Small counts, dims and exponents are not.
 NUMBER = re.compile(r"(?<![\w.])(?:-\d+(?:\.\d+)?|\d+\.\d+|\d{4,})(?:e[-+]\d+)?(?![\w.]*\d)")
-SMOOTH = mcs.integrand("christensen-gaussian")
 
 
 def _text(name):
@@ -115,35 +114,6 @@ def test_larger_powers_are_lower_and_slow_down_later():
     assert min(late) > -2.5
 
 
-def test_importance_sampling_alone_removes_a_boundary_jump():
-    """p nearly proportional to f: g wraps around with a small jump, and a shift costs little."""
-    tilted = "product(parts=['linear(slope=-0.9)', 'linear(slope=-0.9)'])"
-    plain, sampled = mcs.Estimator(SMOOTH), mcs.Estimator(SMOOTH, tilted)
-    jumps = [
-        float(mcs.primary_picture(e)["primary_jump_height"].sel(kind="boundary"))
-        for e in (plain, sampled)
-    ]
-    assert jumps[1] < 0.1 * jumps[0]
-    curves = mcs.convergence([plain, sampled], "jittered | shift", [256], realizations=400, rng=1)
-    (low, _), (_, high) = curves["variance_ci"].values[:, 0]
-    assert high < 0.1 * low
-
-
-def test_interior_edges_keep_their_rate_under_every_mirroring():
-    """An oblique edge, 2-D: −1.5 within 4 σ of the fit, and −1 for coins."""
-    study = mcs.mirror_study(
-        "half-space(normal=[1, 0.618], offset=0.7)", "jittered", [256, 1024, 4096],
-        mirrorings=["original", "random", "uniform"], realizations=300, rng=3,
-    )  # fmt: skip
-    for name, rate in (("original", -1.5), ("random", -1.0), ("uniform", -1.5)):
-        for homogenized in (False, True):
-            cell = study.sel(mirroring=name, homogenized=homogenized)
-            sigma = float(cell["rate_ci"][1] - cell["rate_ci"][0]) / 3.92
-            # Coins leave n^-1 and a rest of n^-1.5: the fit lies between
-            slack = 0.05 if name == "random" else 0.0
-            assert abs(float(cell["rate"]) - rate) < 4 * sigma + slack
-
-
 def test_a_mixture_by_a_coordinate_costs_the_rate_and_a_split_keeps_it():
     """f = x², p = 2x with a tenth of uniform points, jittered; whole n · share: on a border."""
     f = mcs.integrand("polynomial(coefficients=[0, 0, 1])", dims=1)
@@ -155,42 +125,3 @@ def test_a_mixture_by_a_coordinate_costs_the_rate_and_a_split_keeps_it():
     assert mcs.exact_variance(split, "jittered", 25) < 0.05 * mcs.exact_variance(
         mixed, "jittered", 256
     )
-
-
-def test_random_points_do_not_see_the_warp():
-    """Four warps of one table: random variances are those of p alone."""
-    table = [[1, 2], [3, 1]]
-    f = mcs.integrand("gaussian(center=0.4)", dims=2)
-    curves = mcs.convergence(
-        [
-            mcs.Estimator(f, f"piecewise-constant(values={table}, warp={warp!r})")
-            for warp in ("marginal", "hierarchical", "hilbert", "alias")
-        ],
-        "random", [64], realizations=2000, rng=2,
-    )  # fmt: skip
-    p = mcs.density(f"piecewise-constant(values={table})", dims=2)
-    u = (np.arange(512) + 0.5) / 512
-    x = np.stack(np.meshgrid(u, u, indexing="ij"), axis=-1)
-    exact = (np.mean(f(x) ** 2 / p.pdf(x)) - np.mean(f(x)) ** 2) / 64
-    low, high = np.log(curves["variance_ci"].values[:, 0]).T
-    pull = np.log(curves["variance"].values[:, 0] / exact) / ((high - low) / 3.92)
-    assert np.abs(pull).max() < 4
-
-
-def test_polar_wraps_around_on_two_sides_and_concentric_on_none():
-    """What a shift meets: one pair of sides with a jump against two, and the larger variance."""
-    f = mcs.Integrand.from_function(
-        lambda x: np.where(((x - 0.5) ** 2).sum(-1) <= 0.25, np.exp(x @ [-3, -1]), 0.0), dims=2
-    )
-    curves = {}
-    for warp, sides in (("polar", 1), ("concentric", 2)):
-        e = mcs.Estimator(f, f"disk(warp={warp!r})")
-        jumps = mcs.primary_picture(e, resolution=32)["primary_jump_length"]
-        assert float(jumps.sel(kind="boundary")) == sides
-        assert float(jumps.sel(kind="interior")) == 0
-        curves[warp] = mcs.convergence(
-            e, ["jittered", "jittered | shift"], [256], realizations=400, rng=4
-        )["variance_ci"].values[:, 0]
-    (plain, shifted), (plain_c, shifted_c) = curves["polar"], curves["concentric"]
-    assert plain_c[1] < plain[0]
-    assert shifted[1] < shifted_c[0]

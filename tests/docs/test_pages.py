@@ -107,6 +107,7 @@ def test_the_reference_has_the_help_of_every_verb():
 def test_the_help_of_a_verb_can_be_had(verb):
     text = importlib.import_module("verbs").help_of(verb)
     assert text.startswith(f"usage: mcspectra {verb}")
+    assert all(option in text for option in ("--json", "--seed", "--quiet"))
     assert max(map(len, text.splitlines())) <= 200
 
 

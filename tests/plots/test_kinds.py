@@ -8,11 +8,12 @@ import math
 import numpy as np
 import pytest
 import xarray as xr
+from tests.plots.drawing import drawn_by_both, marks
 
 import mcspectra as mcs
 from mcspectra.core.analysis import ANALYSES, Subject, compute
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots import backend_bokeh, backend_matplotlib
+from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.description import Bars, Dots, Image, Line, Rule
 from mcspectra.plots.groups import labelled
 from mcspectra.plots.kinds import KINDS, describe, kinds_of
@@ -59,10 +60,6 @@ SMALL = {
 TERMS = ("terms", "captured", "contributions", "bands")
 
 
-def marks(plot, kind):
-    return [m for panel in plot.panels for m in panel.marks if isinstance(m, kind)]
-
-
 def said(plot):
     """All text of a plot in one string."""
     found = [plot.caption, plot.words, *plot.labels]
@@ -71,11 +68,6 @@ def said(plot):
         found += [t for axis in (panel.x, panel.y) for t in (axis.ticks or {}).values()]
         found += [text for mark in panel.marks for text in getattr(mark, "texts", ())]
     return "\n".join(found)
-
-
-def drawn_by_both(plot):
-    backend_matplotlib.draw(plot).canvas.draw()
-    backend_bokeh.packed(backend_bokeh.draw(plot).model)
 
 
 def test_every_analysis_is_tried():

@@ -5,23 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import xarray as xr
+from tests.plots.drawing import drawn_by_both, marks
 
 from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.core.streams import Stream
-from mcspectra.plots import backend_bokeh, backend_matplotlib
 from mcspectra.plots.description import Image, Pixels
 from mcspectra.plots.kinds import KINDS, describe, kinds_of
 from mcspectra.plots.maps import incident_maps, rms_error, strategy_images
 from mcspectra.rendering.files import encode_srgb
-
-
-def marks(plot, kind):
-    return [m for panel in plot.panels for m in panel.marks if isinstance(m, kind)]
-
-
-def drawn_by_both(plot):
-    backend_matplotlib.draw(plot).canvas.draw()
-    backend_bokeh.packed(backend_bokeh.draw(plot).model)
 
 
 def variance_map(**changes):

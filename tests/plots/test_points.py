@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from PIL import Image as Picture
+from tests.plots.drawing import marks
 
 import mcspectra as mcs
 from mcspectra.core.errors import DomainError, ParameterError
@@ -15,10 +16,6 @@ from mcspectra.plots.points import point_sets, sampler_card
 
 def random_sets(count, n, dims):
     return np.random.default_rng(0).random((count, n, dims))
-
-
-def marks(plot, kind):
-    return [m for panel in plot.panels for m in panel.marks if isinstance(m, kind)]
 
 
 def test_strips_have_their_names_and_the_borders_of_strata(make):

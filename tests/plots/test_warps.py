@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from tests.plots.drawing import drawn_by_both, marks
 
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots import backend_bokeh, backend_matplotlib
 from mcspectra.plots.description import Image, Line, Rule, Segments
 from mcspectra.plots.kinds import describe
 
@@ -20,15 +20,6 @@ def warp(spec, dims=2):
 
 def picture(integrand, density=None, dims=2):
     return mcs.primary_picture(mcs.Estimator(integrand, density, dims=dims), resolution=SIDE)
-
-
-def marks(plot, kind):
-    return [m for panel in plot.panels for m in panel.marks if isinstance(m, kind)]
-
-
-def drawn_by_both(plot):
-    backend_matplotlib.draw(plot).canvas.draw()
-    backend_bokeh.packed(backend_bokeh.draw(plot).model)
 
 
 def test_jumps_lie_where_they_are():

@@ -15,6 +15,8 @@ import xarray as xr
 from mcspectra.core.records import pack
 from mcspectra.core.results import dataset
 from mcspectra.plots.text import slug
+from mcspectra.report import page
+from mcspectra.report.page import Figure
 from mcspectra.studies import StudyConfig
 from mcspectra.studies.files import decode_study
 from mcspectra.studies.ledger import Ledger, StudyNote
@@ -255,6 +257,19 @@ def all_analyses(sampler: str, dims: int = 1, n: int | None = None) -> dict[str,
         "spectrum": make_spectrum(sampler, dims=dims, n=count, half_width=width),
         "points": make_points(sampler, dims=dims, n=count),
     }
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages whose figures are words alone: for tests of what else they say."""
+    blank = {**dict.fromkeys(("png", "file", "live"), ""), "width": 1, "height": 1}
+
+    def words(figure: Figure, *_: object) -> dict[str, Any]:
+        plot = figure.plot
+        said = {"words": plot.words, "caption": plot.caption}
+        return blank | said | {"wide": plot.wide, "abreast": False}
+
+    monkeypatch.setattr(page, "_drawn", words)
 
 
 @pytest.fixture(name="make", scope="session")

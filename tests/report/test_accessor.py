@@ -83,21 +83,6 @@ def test_a_figure_per_kind_takes_axes_too():
         assert all(axes.has_data() for axes in panels)
 
 
-@pytest.mark.parametrize("axes", ["here", 3, [], [1], np.zeros(1)])
-def test_what_are_no_axes_is_refused(axes):
-    data = RESULTS["convergence"]()
-    with pytest.raises(ParameterError, match="this result takes one matplotlib Axes"):
-        data.mcspectra.plot(axes=axes)
-
-
-def test_wrong_numbers_of_axes_and_of_figures_are_refused():
-    data = RESULTS["warp"]()
-    both = [Figure().subplots(), Figure().subplots()]
-    for axes in (both, both[0], Figure().subplots(1, 3)):
-        with pytest.raises(ParameterError, match="2 matplotlib Axes of one figure"):
-            data.mcspectra.plot(axes=axes)
-
-
 def test_ax_is_axes_of_one_panel():
     data = RESULTS["convergence"]()
     one = Figure().subplots()
@@ -196,12 +181,6 @@ def test_what_has_nothing_to_draw_is_refused_in_one_sentence():
     assert data.mcspectra.kinds == xr.Dataset().mcspectra.kinds == ()
 
 
-def test_results_of_strangers_are_drawn():
-    data = xr.Dataset({"a": ("x", [1.0, 2.0])})
-    assert data.mcspectra.kinds == ("anything",)
-    assert data.mcspectra.plot(axes=Figure().subplots()).get_ylabel() == "a"
-
-
 def test_pyplot_shows_and_writes_the_figure(tmp_path):
     data = RESULTS["convergence"]()
     assert not plt.get_fignums()
@@ -214,26 +193,6 @@ def test_pyplot_shows_and_writes_the_figure(tmp_path):
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     data.mcspectra.plot(axes=Figure().subplots())
     assert len(plt.get_fignums()) == 1
-
-
-def test_unknown_kinds_name_those_there_are():
-    with pytest.raises(ParameterError, match="it must be one of spectrum, radial"):
-        RESULTS["spectrum"]().mcspectra.plot("radail")
-
-
-def test_maps_have_their_own_figures():
-    pixels = ("y", "x")
-    values = np.random.default_rng(1).random((2, 4, 4)) + 0.5
-    data = xr.Dataset(
-        {
-            "variance": (("n", *pixels), values),
-            "mean": (("n", *pixels), values),
-            "rate": (pixels, -values[0]),
-            "rate_se": (pixels, 0.1 * values[0]),
-        },
-        {"n": [4, 16], "x": np.arange(4), "y": np.arange(4)},
-    )
-    assert set(data.mcspectra.figures()) >= {"map-mean", "map-variance", "map-rate"}
 
 
 def test_importing_the_module_registers_the_accessor():

@@ -102,6 +102,7 @@ def test_page(folders: list[Path]) -> None:
     assert write_comparison(*folders).read_text(encoding="utf-8") == text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_nothing_in_common(make: Make, tmp_path: Path) -> None:
     a, b = (
         make["study"](tmp_path / n, {(n, "random"): {"convergence": make["curve"]("random")}})
@@ -111,6 +112,7 @@ def test_nothing_in_common(make: Make, tmp_path: Path) -> None:
     assert "No estimator and sampler has a convergence in both." in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_command_quotes_folders(make: Make, tmp_path: Path) -> None:
     cells = {("e", "random"): {"points": make["points"](n=4)}}
     a, b = (make["study"](tmp_path / name, cells) for name in ("a b", "c;d"))

@@ -258,13 +258,3 @@ def test_command_lists_without_making(capsys: pytest.CaptureFixture[str]) -> Non
     assert capsys.readouterr().out == "good  good things\nbad   bad things\n"
     assert main(["reproduce", "--list", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)[1] == {"name": "bad", "summary": "bad things"}
-
-
-@pytest.mark.parametrize("seed", ["-1", "1.5", "x", "nan"])
-def test_command_refuses_odd_seeds(
-    seed: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out"
-    assert main(["reproduce", "good", "--seed", seed, "--out", str(out)]) == 2
-    assert "--seed" in capsys.readouterr().err
-    assert not out.exists()

@@ -2,27 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
 from mcspectra.plots.description import Text
 from mcspectra.reproduction import importance_terms as module
-from mcspectra.reproduction.claims import Exhibit, judge
-from mcspectra.reproduction.gallery import make_exhibit
+from mcspectra.reproduction.claims import judge
 from mcspectra.reproduction.panels import term_panel
 from mcspectra.variance.exact import exact_variance
-
-
-@pytest.fixture(scope="module")
-def made() -> Exhibit:
-    return make_exhibit("importance-terms", quick=True, seed=1)
-
-
-def test_all_findings_agree(made: Exhibit, sound: Callable[[Exhibit], None]) -> None:
-    sound(made)
 
 
 @pytest.mark.parametrize("case", [module.GOOD, module.BAD, module.FLAT], ids=lambda c: c.title)

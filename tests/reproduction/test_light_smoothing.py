@@ -2,26 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
 import mcspectra as mcs
 from mcspectra.reproduction import light_smoothing as smoothing
-from mcspectra.reproduction.claims import Exhibit, judge
-from mcspectra.reproduction.gallery import make_exhibit
+from mcspectra.reproduction.claims import judge
 
 pytestmark = pytest.mark.render
-
-
-@pytest.fixture(scope="module")
-def made() -> Exhibit:
-    return make_exhibit("light-smoothing", quick=True, seed=1)
-
-
-def test_all_findings_agree(made: Exhibit, sound: Callable[[Exhibit], None]) -> None:
-    sound(made)
 
 
 def test_a_ramp_of_another_width_disagrees(monkeypatch: pytest.MonkeyPatch) -> None:

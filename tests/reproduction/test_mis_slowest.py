@@ -2,26 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 import xarray as xr
 
 from mcspectra.reproduction import mis_slowest as slowest
-from mcspectra.reproduction.claims import Exhibit, judge
-from mcspectra.reproduction.gallery import make_exhibit
+from mcspectra.reproduction.claims import judge
 
 pytestmark = pytest.mark.render
-
-
-@pytest.fixture(scope="module")
-def made() -> Exhibit:
-    return make_exhibit("mis-slowest", quick=True, seed=1)
-
-
-def test_all_findings_agree(made: Exhibit, sound: Callable[[Exhibit], None]) -> None:
-    sound(made)
 
 
 def curves(rates: list[float], variances: list[float]) -> xr.Dataset:

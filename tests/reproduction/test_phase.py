@@ -2,25 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
 from mcspectra.integrands.registry import integrand
 from mcspectra.reproduction import phase as module
-from mcspectra.reproduction.claims import Exhibit, judge
-from mcspectra.reproduction.gallery import make_exhibit
+from mcspectra.reproduction.claims import judge
 from mcspectra.variance.exact import exact_variance
-
-
-@pytest.fixture(scope="module")
-def made() -> Exhibit:
-    return make_exhibit("phase", quick=True, seed=1)
-
-
-def test_all_findings_agree(made: Exhibit, sound: Callable[[Exhibit], None]) -> None:
-    sound(made)
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.125, 0.5])

@@ -46,8 +46,3 @@ def test_unknown_names_are_answered_with_close_ones() -> None:
         exhibit_names(["phase", "biass"])
     with pytest.raises(UnknownName):
         load_exhibit("")
-
-
-@pytest.mark.parametrize("name", _ORDER)
-def test_every_name_has_its_function(name: str) -> None:
-    assert callable(load_exhibit(name))

@@ -4,8 +4,11 @@ import textwrap
 
 import numpy as np
 import pytest
+from tests.report.conftest import undrawn
 
 from mcspectra.studies import open_results
+
+__all__ = ["undrawn"]
 
 MODULE = '''
 import asyncio
@@ -149,12 +152,12 @@ def misbehaving(tmp_path, monkeypatch):
 
 @pytest.fixture(scope="session")
 def stored_values():
-    """Every array of a store, by path."""
+    """Every array of a store, by path, as bytes."""
 
     def values(folder):
         tree = open_results(folder)
         return {
-            f"{node.path}/{name}": np.asarray(variable.values)
+            f"{node.path}/{name}": np.asarray(variable.values).tobytes()
             for node in tree.subtree
             for name, variable in node.to_dataset().variables.items()
         }

@@ -92,6 +92,7 @@ def test_no_closed_form_is_a_note_and_no_failure(finished):
     assert found.attrs["note"] == str(caught.value)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_report_has_their_tables(finished):
     text = write_report(finished).read_text(encoding="utf-8")
     tree = open_results(finished)

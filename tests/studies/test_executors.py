@@ -84,18 +84,6 @@ def test_cancelled_tasks_do_not_begin():
     assert len(begun) <= 1
 
 
-@pytest.mark.parametrize("raised", [KeyboardInterrupt, SystemExit, ValueError])
-def test_what_a_thread_raises_becomes_a_sentence(raised):
-    def compute():
-        raise raised("no")
-
-    executor = Threads(1)
-    for _ in range(2):
-        executor.submit(_task(), compute)
-    assert [each.error for each in executor.outcomes()] == [f"It raised {raised.__name__}: no."] * 2
-    executor.close(cancel=False)
-
-
 @pytest.mark.parametrize("value", [0, -1.0, float("nan"), float("inf"), "3", True, 1e10])
 def test_time_limits_that_are_none(value):
     with pytest.raises(ParameterError, match="time_limit"):

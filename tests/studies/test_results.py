@@ -290,7 +290,7 @@ def check_changes(store: Path, work: Path, number: int, seed: int) -> None:
 
 
 def test_every_change_of_a_store_is_noticed(folder: Path, tmp_path: Path) -> None:
-    check_changes(folder / "results.zarr", tmp_path / "x.zarr", 60, 3)
+    check_changes(folder / "results.zarr", tmp_path / "x.zarr", 30, 3)
 
 
 @pytest.mark.endurance
@@ -367,7 +367,7 @@ def test_arrays_that_results_never_hold_are_refused(
         open_results(stranger(tmp_path / "x.zarr", with_metadata(**changes)))
 
 
-@pytest.mark.parametrize("number", [0, 1, 2, 3, "4", None, [2]])
+@pytest.mark.parametrize("number", [3, "4", None, [2]])
 def test_other_formats_are_refused_and_earlier_ones_told_how_to_read(
     copy: Path, number: Any
 ) -> None:

@@ -161,15 +161,6 @@ def test_what_takes_too_long_is_left_behind():
     assert outcome.seconds >= 0.05
 
 
-@pytest.mark.parametrize("raised", [KeyboardInterrupt, SystemExit, ValueError])
-def test_what_raises_is_not_taken_for_what_takes_too_long(raised):
-    def raises(_, task):
-        raise raised(task.path)
-
-    with pytest.raises(raised, match=TASK.path):
-        compute_elsewhere(raises, TEXT, TASK, 60.0)
-
-
 def test_a_worker_of_another_version_computes_nothing():
     text = msgspec.structs.replace(TEXT, version="0.0.0.none")
     with pytest.raises(WorkerRefused, match=r"started with 0\.0\.0\.none; install the same"):

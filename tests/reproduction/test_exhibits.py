@@ -1,0 +1,31 @@
+"""Every claim of every exhibit holds, as quickly made; those whose tests look closer make their own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from mcspectra.reproduction.claims import Exhibit
+from mcspectra.reproduction.gallery import make_exhibit, slides
+
+ELSEWHERE = {
+    "direct-illumination",
+    "environment-channels",
+    "estimator",
+    "real-and-integer-frequencies",
+    "veach-pictures",
+}
+RENDERED = {"light-smoothing", "mis-slowest"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.render] if name in RENDERED else [])
+        for name in slides()
+        if name not in ELSEWHERE
+    ],
+)
+def test_all_findings_agree(name: str, sound: Callable[[Exhibit], None]) -> None:
+    sound(make_exhibit(name, quick=True, seed=1))
