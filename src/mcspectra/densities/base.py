@@ -24,6 +24,7 @@ from mcspectra.core.checks import (
     as_integer,
     as_real_array,
     as_reals,
+    in_unit_cube,
 )
 from mcspectra.core.errors import (
     DensityError,
@@ -477,7 +478,7 @@ def as_points(x: object, dims: int, name: str) -> Array:
     points = as_real_array(name, x)
     if points.ndim == 0 or points.shape[-1] != dims:
         raise DomainError(f"{name} has shape {points.shape}; give points of shape (..., {dims}).")
-    if points.size and not (points.min() >= 0.0 and points.max() <= 1.0):
+    if not in_unit_cube(points):
         if not np.isfinite(points).all():
             raise DomainError(f"{name} holds NaN or infinity; give finite points in [0,1).")
         raise DomainError(

@@ -28,6 +28,7 @@ from mcspectra.core.checks import (
     as_real,
     as_real_array,
     as_reals,
+    in_unit_cube,
 )
 from mcspectra.core.errors import DomainError, ParameterError, point_in_words
 from mcspectra.core.images import REC709
@@ -146,7 +147,7 @@ class Integrand(Component, ABC):
             raise DomainError(
                 f"{self.spec} takes points of shape (..., {self.dims}), not {points.shape}."
             )
-        if points.size and not (points.min() >= 0.0 and points.max() <= 1.0):
+        if not in_unit_cube(points):
             raise DomainError(
                 f"{self.spec} was given points that are not finite or lie outside [0,1]; give points "
                 "of the unit cube."
