@@ -27,6 +27,7 @@ from mcspectra.samplers._digital_kernels import BLOCK, block_words, low_words
 from mcspectra.samplers._kernels import _mix_below
 
 __all__ = [
+    "fill_flipped",
     "fill_hashed",
     "fill_mixed",
     "fill_permuted",
@@ -137,6 +138,25 @@ def scramble_nested(keys: Array, points: Array, out: Array) -> None:
                 for i in range(words.size):
                     words[i] = np.uint64(np.int64(points[r, start + i, j] * _TO_32))
                 _nest(keys[r, 0], keys[r, 1], j, dims, start, words, out[r, start:stop, j])
+
+
+@kernel
+def fill_flipped(keys: Array, directions: Array, out: Array) -> None:
+    """What `scramble_nested` makes of points 0 … n−1 of the sequence of uint32 (d, 32) columns."""
+    count, n, dims = out.shape
+    low = low_words(directions, n)
+    size = low.shape[1]
+    words, high = np.empty(size, np.uint64), np.empty(dims, np.uint32)
+    for r in range(count):
+        for start in range(0, n, size):
+            block_words(directions, start // BLOCK, high)
+            stop = min(n, start + size)
+            for j in range(dims):
+                base: Any = high[j]
+                for t in range(stop - start):
+                    words[t] = low[j, t] ^ base
+                column = out[r, start:stop, j]
+                _nest(keys[r, 0], keys[r, 1], j, dims, start, words[: stop - start], column)
 
 
 @kernel

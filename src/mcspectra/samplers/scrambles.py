@@ -263,9 +263,10 @@ class Owen(_OfDigits):
             kernels.scramble_nested(keys, points, out)
 
     def _fill(self, keys: Array, sampler: Sampler, n: int, out: Array) -> bool:
-        if self.method != "hash" or not isinstance(sampler, _HasDirections):
+        if not (self._binary and isinstance(sampler, _HasDirections)):
             return False
-        kernels.fill_hashed(keys, sampler.direction_numbers(n), out)
+        fill = kernels.fill_hashed if self.method == "hash" else kernels.fill_flipped
+        fill(keys, sampler.direction_numbers(n), out)
         return True
 
 
