@@ -49,6 +49,7 @@ def cluster():
     """Two worker processes with nannies; the scheduler gives up a task whose worker dies."""
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        dask.config.set({"distributed.deploy.lost-worker-timeout": 1e9}),  # nannies stay
         distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=60
         ) as cluster,

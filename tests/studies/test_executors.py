@@ -12,7 +12,15 @@ import msgspec
 import pytest
 
 from mcspectra.core.errors import NotPowerOfTwoWarning, ParameterError
-from mcspectra.studies.executors import Cluster, ClusterError, Dask, Threads, check_time_limit
+from mcspectra.studies import executors
+from mcspectra.studies.executors import (
+    Cluster,
+    ClusterError,
+    ClusterLost,
+    Dask,
+    Threads,
+    check_time_limit,
+)
 from mcspectra.studies.files import decode_study
 from mcspectra.studies.plan import make_plan
 from mcspectra.studies.tasks import StudyText, Task, attempt
@@ -38,6 +46,13 @@ def _task(estimator="a"):
 def _text(name):
     trust = Trust((f"misbehaving:{name}",))
     return StudyText.of(decode_study(STUDY.format(name=name)), Path(), trust)
+
+
+def _end_after(seconds, executor):
+    """Take the scheduler from an executor that hangs."""
+    timer = threading.Timer(seconds, executor._client.close)
+    timer.daemon = True
+    timer.start()
 
 
 @pytest.mark.parametrize("workers", [1, 3])
@@ -163,12 +178,15 @@ def test_a_process_that_is_stopped_or_dies_is_replaced(misbehaving):
     text = StudyText.of(study, Path(), Trust(tuple(f"misbehaving:{name}" for name in names)))
     (misbehaving / "hang").touch()
     tasks = {name: _task(name.replace("_", "-")) for name in names[1:]} | {"hangs": _task()}
-    with dask.config.set({"distributed.scheduler.allowed-failures": 1}):
+    # dask's own patience with a worker that starts is over at once, as under load
+    impatient = {"distributed.deploy.lost-worker-timeout": 0}
+    with dask.config.set({"distributed.scheduler.allowed-failures": 1} | impatient):
         executor = Dask(text, Cluster(workers=1, time_limit=5.0))
-    for name in names:
-        executor.submit(tasks[name])
-    found = {outcome.task: outcome for outcome in executor.outcomes()}
-    executor.close(cancel=False)
+        _end_after(200.0, executor)
+        for name in names:
+            executor.submit(tasks[name])
+        found = {outcome.task: outcome for outcome in executor.outcomes()}
+        executor.close(cancel=False)
     outcomes = {name: found.pop(task) for name, task in tasks.items()}
     assert not found
     assert outcomes["hangs"].error == "It took longer than the time limit of 5 s and was stopped."
@@ -177,6 +195,19 @@ def test_a_process_that_is_stopped_or_dies_is_replaced(misbehaving):
     # dies_once and good have the same values, hence the same moments.
     assert outcomes["dies_once"].error is outcomes["good"].error is None
     assert outcomes["good"].payload == attempt(text, tasks["good"]).payload
+
+
+def test_a_cluster_of_this_machine_that_loses_its_workers_is_lost(monkeypatch):
+    monkeypatch.setattr(executors, "_DESERTED", 1.0)
+    executor = Dask(_text("good"), Cluster(workers=1))
+    _end_after(60.0, executor)
+    executor._client.retire_workers()  # with its nanny, as when that cannot start a process
+    executor.submit(_task())
+    try:
+        with pytest.raises(ClusterLost, match="within 1 s.*--resume"):
+            next(executor.outcomes())
+    finally:
+        executor.close(cancel=True)
 
 
 def test_code_that_never_gives_python_back_fails_alone(misbehaving):

@@ -69,6 +69,7 @@ _AHEAD = 2  # tasks with the scheduler for each worker thread
 _RESUBMISSIONS = 5  # of a task that is lost with the connection
 _POLL = 0.5  # seconds between looks at the connection
 _FRESH = 2.0  # seconds for which the number of workers is believed
+_DESERTED = 300.0  # seconds to wait for a worker of this machine, or for a result to arrive
 _CLOSING = 5.0  # seconds to say goodbye
 
 
@@ -147,7 +148,7 @@ class ClusterError(McspectraError, RuntimeError):
 
 
 class ClusterLost(ClusterError):
-    """The scheduler went away while a study ran; what was finished is stored."""
+    """The scheduler or all workers went away while a study ran; what was finished is stored."""
 
 
 @final
@@ -261,6 +262,7 @@ class Dask:
         self._sent: dict[int, tuple[Any, _Pending]] = {}
         self._finished: queue.SimpleQueue[int] = queue.SimpleQueue()
         self._threads = (0, -_FRESH)
+        self._deserted = 0.0
         import distributed  # noqa: F401 - before its log is muted
 
         with contextlib.ExitStack() as opened:
@@ -291,7 +293,7 @@ class Dask:
         Raises
         ------
         ClusterLost
-            The scheduler has gone and did not come back in time.
+            The scheduler, or all workers on this machine, went away and did not come back in time.
         ClusterError
             A worker that joined later has another version of this package, or cannot build the study.
         """
@@ -350,6 +352,13 @@ class Dask:
                     f"The dask scheduler at {self.address} has gone and did not answer again within "
                     f"{self._options.patience:g} s; finished work is stored, and --resume continues."
                 ) from None
+            # Give up a cluster of this machine that cannot start workers; others may get some later
+            self._deserted = 0.0 if self._threads[0] else self._deserted + _POLL
+            if self._options.local and self._deserted >= _DESERTED:
+                raise ClusterLost(
+                    "All worker processes on this machine have died, and none could be started again "
+                    f"within {_DESERTED:g} s; finished work is stored, and --resume continues."
+                ) from None
             return None
         future, pending = self._sent.pop(serial)
         try:
@@ -366,7 +375,7 @@ class Dask:
 
         try:
             # May wait: if the worker has died since, the task is computed again.
-            outcome, occupied = future.result()
+            outcome, occupied = future.result(timeout=_DESERTED)
         except (concurrent.futures.CancelledError, asyncio.CancelledError):
             return self._resubmit(pending)
         except WorkerRefused as refusal:
@@ -462,8 +471,10 @@ def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
     from distributed import utils
 
     # As many threads of BLAS as in this process, whose number changes last digits; dask's own is 1.
+    # A worker that starts slowly is waited for; dask's own is to give its nanny up after 15 s.
     configuration: dict[str, Any] = {
-        "distributed.nanny.pre-spawn-environ": {"MALLOC_TRIM_THRESHOLD_": 65536}
+        "distributed.nanny.pre-spawn-environ": {"MALLOC_TRIM_THRESHOLD_": 65536},
+        "distributed.deploy.lost-worker-timeout": _LONGEST_LIMIT,
     }
     make: Any = distributed.LocalCluster
     if sys.platform == "linux":
