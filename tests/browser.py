@@ -57,4 +57,6 @@ def _succeeds(*command: str) -> bool:
 
 
 if __name__ == "__main__":
-    print(f"Browser of the tests: {get() or 'none to be had; they will be skipped'}")
+    found = get()
+    print(f"Browser of the tests: {found or 'none to be had; they will be skipped'}")
+    sys.exit(0 if found else 1)

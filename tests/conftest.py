@@ -72,6 +72,18 @@ def pytest_runtest_makereport(item, call):
     return report
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector):
+    """A file that skips itself fails likewise."""
+    report = yield
+    if report.skipped and os.environ.get("MCSPECTRA_REQUIRE_ALL"):
+        report.outcome = "failed"
+        report.longrepr = (
+            f"{collector.nodeid}: {report.longrepr[2]}, and MCSPECTRA_REQUIRE_ALL is set"
+        )
+    return report
+
+
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_terminal_summary(terminalreporter):
     """Say loudly, below all else, what was not tested."""

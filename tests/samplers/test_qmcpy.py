@@ -11,8 +11,9 @@ from mcspectra.core.streams import Stream
 from mcspectra.samplers import Sampler, as_sampler, sampler
 from mcspectra.samplers.external import QmcpySampler
 from mcspectra.samplers.net_quality import net_t_value
+from tests.conftest import NO_QMCPY
 
-qmcpy = pytest.importorskip("qmcpy")
+qmcpy = pytest.importorskip("qmcpy", reason=f"{NO_QMCPY}; all of tests/samplers/test_qmcpy.py")
 
 
 def seed_of(rng, realization):
