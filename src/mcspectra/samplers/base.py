@@ -19,9 +19,9 @@ import numpy as np
 from mcspectra import samplers
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import CountError, NotPowerOfTwoWarning, ParameterError, warn
+from mcspectra.core.fields import settle
 from mcspectra.core.spec import Component
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.samplers._fields import check_fields, settle
 
 __all__ = [
     "FIRST_STEP",
@@ -98,11 +98,7 @@ class Sampler(Component, ABC):
 
     def __post_init__(self) -> None:
         check_dims(self)
-        check_fields(self)
-        self._check()
-
-    def _check(self) -> None:
-        """Check what parameters, each checked by its field, mean together."""
+        super().__post_init__()
 
     @property
     def digit_bases(self) -> tuple[int, ...]:
@@ -276,13 +272,6 @@ class Randomization(Component, ABC):
     """Whether realisations are moved independently of one another."""
     fits: ClassVar[Mapping[Structure, Structure]] = {s: s for s in Structure}
     """The structures that survive, and what is left of each; samplers of others are refused."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        self._check()
-
-    def _check(self) -> None:
-        """Check what parameters, each checked by its field, mean together."""
 
     @abstractmethod
     def apply(self, points: Array, stream: Stream, first: int) -> Array:

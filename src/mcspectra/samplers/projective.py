@@ -21,10 +21,10 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_real
 from mcspectra.core.errors import CountError
+from mcspectra.core.fields import checked
 from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream, mix_uniform
-from mcspectra.samplers._fields import checked
 from mcspectra.samplers.base import Sampler, Structure
 from mcspectra.samplers.poisson import densest_distance
 
