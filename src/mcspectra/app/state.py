@@ -14,8 +14,9 @@ from typing import Any, final
 from urllib.parse import parse_qsl, urlencode
 
 from mcspectra.app.specs import check_spec
-from mcspectra.core.checks import as_choice, as_integer, as_real
+from mcspectra.core.checks import as_choice, as_integer
 from mcspectra.core.errors import ParameterError, close_match_hint
+from mcspectra.core.fields import check_fields, checked, choice, real, whole
 from mcspectra.core.options import options_of
 from mcspectra.spectra.power import Points, Spectrum
 from mcspectra.variance.convergence import Convergence
@@ -54,9 +55,16 @@ _MOST_SEED = 2**63
 _PREFIX = "b."
 
 
-def _default(name: str) -> Any:
-    """The default of an option; None where the explorer chooses, as it does counts of points."""
-    return None if _KNOWN[name].required else _KNOWN[name].default
+def _option(name: str) -> Any:
+    """Declare a field of an option; None where the explorer chooses, as it does counts of points."""
+    option = _KNOWN[name]
+    return checked(
+        lambda _, given: option.check(given), None if option.required else option.default
+    )
+
+
+def _as_half_width(name: str, given: object, dims: int) -> int:
+    return as_integer(name, given, least=1, most=MOST_HALF_WIDTH[dims])
 
 
 @final
@@ -95,58 +103,38 @@ class Setup:
     """
 
     sampler: str = "jittered"
-    n: int = 256
+    n: int = whole(256, least=1, most=MOST_POINTS)
     density: str = "uniform"
     integrand: str = "gaussian"
-    dims: int = 2
-    strata_shift: float = 0.0
-    mirror: str = "none"
-    channel: str = "luminance"
-    smoothing: float = 0.0
-    realizations: int = 1024
-    seed: int = 0
-    basis: str = _default("basis")
-    half_width: int = _default("half_width")
-    frequency_step: float = _default("frequency_step")
-    space: str | None = _default("space")
-    bands: str = _default("bands")
-    counts: tuple[int, ...] | None = _default("counts")
-    fit_last: int | str | None = _default("fit_last")
-    engine: str = _default("engine")
-    eps: float = _default("eps")
+    dims: int = whole(2, least=1, most=2)
+    strata_shift: float = real(0.0, least=0.0, below=1.0)
+    mirror: str = choice(*MIRRORS)
+    channel: str = choice(*CHANNELS)
+    smoothing: float = real(0.0, least=0.0, most=1.0)
+    realizations: int = whole(1024, least=2, most=_MOST_REALIZATIONS)
+    seed: int = whole(0, least=0, most=_MOST_SEED)
+    basis: str = _option("basis")
+    half_width: int = checked(_as_half_width, _KNOWN["half_width"].default, using="dims")
+    frequency_step: float = _option("frequency_step")
+    space: str | None = _option("space")
+    bands: str = _option("bands")
+    counts: tuple[int, ...] | None = _option("counts")
+    fit_last: int | str | None = _option("fit_last")
+    engine: str = _option("engine")
+    eps: float = _option("eps")
 
     def __post_init__(self) -> None:
         for name in ("sampler", "density", "integrand"):
             check_spec(name, getattr(self, name))
-        as_choice("mirror", self.mirror, MIRRORS)
-        as_choice("channel", self.channel, CHANNELS)
-        dims = as_integer("dims", self.dims, least=1, most=2)
-        most = MOST_HALF_WIDTH[dims]
-        clean: dict[str, Any] = {
-            "dims": dims,
-            "n": as_integer("n", self.n, least=1, most=MOST_POINTS),
-            "half_width": as_integer("half_width", self.half_width, least=1, most=most),
-            "realizations": as_integer(
-                "realizations", self.realizations, least=2, most=_MOST_REALIZATIONS
-            ),
-            "seed": as_integer("seed", self.seed, least=0, most=_MOST_SEED),
-            "strata_shift": as_real("strata_shift", self.strata_shift, least=0.0, below=1.0),
-            "smoothing": as_real("smoothing", self.smoothing, least=0.0, most=1.0),
-        }
-        for name, option in OPTIONS.items():
-            value = getattr(self, name)
-            if name not in clean and (value is not None or _default(name) is not None):
-                clean[name] = option.check(value)
-        if clean.get("counts") and max(clean["counts"]) > MOST_POINTS:
+        check_fields(self)
+        if self.counts and max(self.counts) > MOST_POINTS:
             raise ParameterError(
                 f"counts go up to {MOST_POINTS} in the explorer; give smaller ones."
             )
-        if not isinstance(clean["bands"], str):
+        if not isinstance(self.bands, str):
             raise ParameterError(
                 f"bands is {self.bands!r}; give {', '.join(_KNOWN['bands'].choices)}."
             )
-        for name, value in clean.items():
-            object.__setattr__(self, name, value)
 
     @property
     def displaced_sampler(self) -> str:

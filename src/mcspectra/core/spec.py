@@ -16,6 +16,7 @@ import numpy as np
 
 from mcspectra.core.display import html_of
 from mcspectra.core.errors import SpecError
+from mcspectra.core.fields import check_fields
 
 __all__ = ["Call", "Component", "format_call", "parse", "parse_chain"]
 
@@ -40,12 +41,20 @@ class Call:
 class Component:
     """What samplers, randomisations, densities and integrands share: a name and a spec string.
 
-    Subclasses are dataclasses; `spec` lists the fields that differ from their defaults.
+    Subclasses are dataclasses; `spec` lists the fields that differ from their defaults. Those declared
+    by `mcspectra.core.fields` are checked when an instance is made, then all of it by `_check`.
     """
 
     name: ClassVar[str] = ""
     costly: ClassVar[bool] = False
     """Whether a first look would take seconds, so that notebooks show no picture."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        self._check()
+
+    def _check(self) -> None:
+        """Check what parameters, each checked by its field, mean together."""
 
     def _repr_html_(self) -> str | None:
         """A picture and the main figures, for notebooks."""

@@ -7,16 +7,17 @@ that of truncated normals by logarithms of the normal cdf.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, NamedTuple, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_reals
+from mcspectra.core.checks import MAX_DIMS, Array, as_reals
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.fields import whole
 from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.densities.base import ANY_DIMS, Density, bounded_product, exponential, per_dim
+from mcspectra.densities.base import Density, bounded_product, exponential, per_dim
 
 __all__ = [
     "CosineWeighted",
@@ -41,7 +42,7 @@ _NO_RATE = 1e-16
 class _Separable(Density):
     """A product over any number of dims."""
 
-    dims: int = field(default=DEFAULT_DIMS, metadata=ANY_DIMS)
+    dims: int = whole(DEFAULT_DIMS, least=1, most=MAX_DIMS)
 
     def _each(self, parameter: str) -> Array:
         """Values (d,) of a parameter."""
@@ -88,7 +89,7 @@ class Linear(_Separable):
     """
 
     name: ClassVar[str] = "linear"
-    slope: float | tuple[float, ...] = field(default=1.0, metadata=per_dim(least=-2.0, most=2.0))
+    slope: float | tuple[float, ...] = per_dim(1.0, least=-2.0, most=2.0)
 
     @cached_property
     def _slopes(self) -> Array:
@@ -161,13 +162,10 @@ class TruncatedNormal(_Separable):
     """
 
     name: ClassVar[str] = "truncated-normal"
-    mean: float | tuple[float, ...] = field(default=0.5, metadata=per_dim())
-    sigma: float | tuple[float, ...] = field(
-        default=0.2, metadata=per_dim(above=0.0, most=_MAX_SIGMA)
-    )
+    mean: float | tuple[float, ...] = per_dim(0.5)
+    sigma: float | tuple[float, ...] = per_dim(0.2, above=0.0, most=_MAX_SIGMA)
 
-    def __post_init__(self) -> None:
-        self._convert()
+    def _check(self) -> None:
         for mean, sigma in zip(self._each("mean"), self._each("sigma"), strict=True):
             if max(-mean, mean - 1.0) > _MAX_SIGMAS * sigma:
                 raise ParameterError(
@@ -242,9 +240,7 @@ class Power(_Separable):
     """
 
     name: ClassVar[str] = "power"
-    exponent: float | tuple[float, ...] = field(
-        default=1.0, metadata=per_dim(least=_LEAST_EXPONENT, most=_MOST_EXPONENT)
-    )
+    exponent: float | tuple[float, ...] = per_dim(1.0, least=_LEAST_EXPONENT, most=_MOST_EXPONENT)
 
     @cached_property
     def _exponents(self) -> Array:
@@ -284,9 +280,7 @@ class Exponential(_Separable):
     """
 
     name: ClassVar[str] = "exponential"
-    rate: float | tuple[float, ...] = field(
-        default=1.0, metadata=per_dim(least=-_MOST_RATE, most=_MOST_RATE)
-    )
+    rate: float | tuple[float, ...] = per_dim(1.0, least=-_MOST_RATE, most=_MOST_RATE)
 
     @cached_property
     def _flat(self) -> Array:
@@ -365,7 +359,7 @@ class Tent(_Separable):
     """
 
     name: ClassVar[str] = "tent"
-    peak: float | tuple[float, ...] = field(default=0.5, metadata=per_dim(least=0.0, most=1.0))
+    peak: float | tuple[float, ...] = per_dim(0.5, least=0.0, most=1.0)
 
     @cached_property
     def _peaks(self) -> Array:

@@ -3,15 +3,14 @@
 A `Density` is a warp T from the unit cube (primary space, u) to itself (domain, x) together with
 its density: ``x = sample(u)``, ``u = invert(x)``, ``pdf(x) = |det dT/du|^-1``. The public methods
 check their points, once; implementations write `_pdf`, `_sample` and `_invert`, which trust plain
-arrays, and say in the metadata of a field (`whole`, `choice`, `flag`, `per_dim`, `converted`) how it
-is checked and stored. A `Wrapper` forwards to a density that it makes.
+arrays. A `Wrapper` forwards to a density that it makes.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, final
 
@@ -20,7 +19,6 @@ import numpy as np
 from mcspectra.core.checks import (
     MAX_DIMS,
     Array,
-    as_choice,
     as_integer,
     as_real_array,
     as_reals,
@@ -29,18 +27,17 @@ from mcspectra.core.checks import (
 from mcspectra.core.errors import (
     DensityError,
     DomainError,
-    ParameterError,
     UndefinedRatioWarning,
     point_in_words,
     warn,
 )
+from mcspectra.core.fields import checked, whole
 from mcspectra.core.spec import Component
 from mcspectra.densities.adaptive import mean_or_infinity
 from mcspectra.densities.consistency import LARGEST_BELOW_ONE, check_density
 from mcspectra.densities.numerical import NumericalWarp
 
 __all__ = [
-    "ANY_DIMS",
     "LARGEST_BELOW_ONE",
     "Density",
     "FunctionDensity",
@@ -49,62 +46,26 @@ __all__ = [
     "as_points",
     "bounded_product",
     "check_density",
-    "choice",
-    "converted",
     "divide_by_density",
     "exponential",
-    "flag",
     "per_dim",
     "plain",
     "reciprocal_integral",
-    "whole",
 ]
 
 _LARGEST_LOGARITHM = float(np.log(np.finfo(float).max))
 _PROBE = 5  # points of the first try; odd and small, so that no shape fits by accident
 _SAME = 1e-9
 
-Converter = Mapping[str, Callable[[str, Any, int], Any]]
 
+def per_dim(default: float, **limits: float) -> Any:
+    """Declare a field of one real number for all dims or one a dim, which stays as it was given."""
 
-def converted(convert: Callable[[str, Any], Any]) -> Converter:
-    """Metadata of a field that holds ``convert(name, value)``."""
-    return {"convert": lambda name, value, _: convert(name, value)}
+    def check(name: str, given: Any, dims: int) -> Any:
+        as_reals(name, given, dims, **limits)
+        return plain(given)
 
-
-def whole(*, least: int, most: int | None = None) -> Converter:
-    """Metadata of a field that holds an int: 2.0 is read as 2."""
-    return converted(lambda name, value: as_integer(name, value, least=least, most=most))
-
-
-def choice(allowed: Sequence[str]) -> Converter:
-    """Metadata of a field that holds one of `allowed`."""
-    return converted(lambda name, value: as_choice(name, value, allowed))
-
-
-def flag() -> Converter:
-    """Metadata of a field that holds True or False."""
-
-    def convert(name: str, value: Any) -> bool:
-        if not isinstance(value, bool):
-            raise ParameterError(f"{name} is {value!r}; give True or False.")
-        return value
-
-    return converted(convert)
-
-
-def per_dim(**limits: float) -> Converter:
-    """Metadata of a field that holds one real number for all dims or one a dim, as given."""
-
-    def convert(name: str, value: Any, dims: int) -> Any:
-        as_reals(name, value, dims, **limits)
-        return plain(value)
-
-    return {"convert": convert}
-
-
-ANY_DIMS = whole(least=1, most=MAX_DIMS)
-"""Metadata of the field ``dims`` where it is free."""
+    return checked(check, default, using="dims")
 
 
 class Density(Component, ABC):
@@ -125,24 +86,6 @@ class Density(Component, ABC):
     def primary_dims(self) -> int:
         """Number of dims of u: as many as x, or more if extra coordinates choose a part."""
         return self.dims
-
-    def __post_init__(self) -> None:
-        self._convert()
-
-    def _convert(self) -> None:
-        """Check and store the fields that have a converter, in their order."""
-        dims: Any = None
-        for each in fields(self):  # type: ignore[arg-type]
-            value = getattr(self, each.name)
-            if convert := each.metadata.get("convert"):
-                value = convert(each.name, value, dims)
-                self._store(**{each.name: value})
-            dims = value if each.name == "dims" else dims
-
-    def _store(self, **values: Any) -> None:
-        """Set fields while the density is made."""
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
 
     def pdf(self, x: object) -> Array:
         """Density at points x of shape (..., d): float64 (...), integral 1 over [0,1)^d."""
@@ -378,7 +321,7 @@ class FunctionDensity(_ByFunctions):
     float64 arrays of shape (..., d), with any number of axes in front.
     """
 
-    dims: int = field(metadata=ANY_DIMS)
+    dims: int = whole(least=1, most=MAX_DIMS)
     pdf_function: Callable[[Any], Any]
     sample_function: Callable[[Any], Any]
     invert_function: Callable[[Any], Any] | None = None
@@ -428,12 +371,11 @@ class NumericalDensity(_ByFunctions):
         are not axis-parallel, in 1-D with poles anywhere but at 0, next to which floats are dense.
     """
 
-    dims: int = field(default=1, metadata=whole(least=1, most=2))
+    dims: int = whole(1, least=1, most=2)
     pdf_function: Callable[[Any], Any]
     normalize: bool = False
 
-    def __post_init__(self) -> None:
-        self._convert()
+    def _check(self) -> None:
         self._raw(np.linspace(0.2, 0.8, _PROBE * self.dims).reshape(_PROBE, self.dims))
         if self.dims == 2:
             self._warp.check_rows()

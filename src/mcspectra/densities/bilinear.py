@@ -18,8 +18,9 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.fields import checked, choice, flag
 from mcspectra.core.jit import kernel
-from mcspectra.densities.base import LARGEST_BELOW_ONE, Density, choice, converted, flag
+from mcspectra.densities.base import LARGEST_BELOW_ONE, Density
 from mcspectra.densities.tabulated import as_table, below, flat, last_at_most, shown
 
 __all__ = ["Bilinear"]
@@ -65,12 +66,11 @@ class Bilinear(Density):
 
     name: ClassVar[str] = "bilinear"
     dims: int = field(default=2, init=False)
-    values: Any = field(metadata=converted(lambda _, values: shown(as_table(values))))
-    nodes: str = field(default="centers", metadata=choice(("centers", "corners")))
-    periodic: bool = field(default=False, metadata=flag())
+    values: Any = checked(lambda _, values: shown(as_table(values)))
+    nodes: str = choice("centers", "corners")
+    periodic: bool = flag(default=False)
 
-    def __post_init__(self) -> None:
-        self._convert()
+    def _check(self) -> None:
         shape = np.shape(self.values)
         least = 1 if self.nodes == "centers" else 2
         if len(shape) != 2 or min(shape) < least:

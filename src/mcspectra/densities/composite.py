@@ -19,7 +19,7 @@ import inspect
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, final
 
@@ -27,10 +27,11 @@ import numpy as np
 
 from mcspectra.core.checks import MAX_DIMS, Array, as_choice, as_integer, as_real, as_real_array
 from mcspectra.core.errors import DensityError, ParameterError
+from mcspectra.core.fields import checked, settle
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.spec import parse
 from mcspectra.densities.analytic import Uniform
-from mcspectra.densities.base import LARGEST_BELOW_ONE, Density, Wrapper, converted, plain
+from mcspectra.densities.base import LARGEST_BELOW_ONE, Density, Wrapper, plain
 from mcspectra.densities.registry import DENSITIES, as_density, density
 
 __all__ = ["Defensive", "Mixture", "Product"]
@@ -73,10 +74,9 @@ class Product(Density):
     """
 
     name: ClassVar[str] = "product"
-    parts: Any = field(metadata=converted(lambda _, given: _as_parts(given, 1)))
+    parts: Any = checked(lambda _, given: _as_parts(given, 1))
 
-    def __post_init__(self) -> None:
-        self._convert()
+    def _check(self) -> None:
         if self.dims > MAX_DIMS:
             raise ParameterError(
                 f"The parts of a product have more than {MAX_DIMS} dims in all; use fewer parts."
@@ -191,7 +191,7 @@ class Mixture(Density):
     selection: str = "coordinate"
     axis: int = 0
 
-    def __post_init__(self) -> None:
+    def _check(self) -> None:
         if self.selection == "split":
             raise ParameterError(
                 "A mixture by deterministic split is several techniques, not one density; use "
@@ -215,7 +215,7 @@ class Mixture(Density):
             )
         axis = as_integer("axis", self.axis, least=0, most=dims - 1)
         weights = None if self.weights is None else _as_weights(self.weights, len(parts))
-        self._store(parts=parts, weights=weights, dims=dims, axis=axis)
+        settle(self, parts=parts, weights=weights, dims=dims, axis=axis)
 
     @property
     def shares(self) -> Array:
@@ -328,11 +328,11 @@ class Defensive(Wrapper):
     selection: str = "coordinate"
     axis: int = 0
 
-    def __post_init__(self) -> None:
+    def _check(self) -> None:
         as_real("share", self.share, above=0.0, below=1.0)
         own = _as_part(self.density, _dims_of([self.density], self.dims))
-        self._store(density=own)
-        self._store(dims=own.dims, axis=self.mixture.axis)
+        settle(self, density=own)
+        settle(self, dims=own.dims, axis=self.mixture.axis)
 
     @cached_property
     def mixture(self) -> Mixture:

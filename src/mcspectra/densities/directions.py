@@ -18,9 +18,10 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_real, as_reals
+from mcspectra.core.checks import Array, as_reals
 from mcspectra.core.errors import ParameterError
-from mcspectra.densities.base import Density, choice, converted
+from mcspectra.core.fields import checked, choice, real
+from mcspectra.densities.base import Density
 
 __all__ = ["DiskDensity", "HemisphereDensity", "SphereDensity"]
 
@@ -123,10 +124,6 @@ class _TwoWarps(Density):
         return math.inf
 
 
-def _as_radius(name: str, value: Any) -> float:
-    return as_real(name, value, least=_LEAST_RADIUS, most=0.5)
-
-
 def _as_center(name: str, value: Any) -> float | tuple[float, ...]:
     center = as_reals(name, value, 2)
     return center[0] if center[0] == center[1] else center
@@ -153,12 +150,11 @@ class DiskDensity(_TwoWarps):
     """
 
     name: ClassVar[str] = "disk"
-    radius: float = field(default=0.5, metadata=converted(_as_radius))
-    center: float | tuple[float, float] = field(default=0.5, metadata=converted(_as_center))
-    warp: str = field(default="concentric", metadata=choice(_WARPS))
+    radius: float = real(0.5, least=_LEAST_RADIUS, most=0.5)
+    center: float | tuple[float, float] = checked(_as_center, 0.5)
+    warp: str = choice(*_WARPS, default="concentric")
 
-    def __post_init__(self) -> None:
-        self._convert()
+    def _check(self) -> None:
         center, radius = as_reals("center", self.center, 2), self.radius
         if min(center) < radius - _ROUNDING or max(center) > 1.0 - radius + _ROUNDING:
             raise ParameterError(
@@ -215,8 +211,8 @@ class HemisphereDensity(_TwoWarps):
     """
 
     name: ClassVar[str] = "hemisphere"
-    weighting: str = field(default="cosine", metadata=choice(("uniform", "cosine")))
-    warp: str = field(default="concentric", metadata=choice(_WARPS))
+    weighting: str = choice("uniform", "cosine", default="cosine")
+    warp: str = choice(*_WARPS, default="concentric")
 
     def _pdf(self, x: Array) -> Array:
         theta = x[..., 1]
@@ -251,7 +247,7 @@ class SphereDensity(_TwoWarps):
     """
 
     name: ClassVar[str] = "sphere"
-    warp: str = field(default="concentric", metadata=choice(_WARPS))
+    warp: str = choice(*_WARPS, default="concentric")
 
     def _pdf(self, x: Array) -> Array:
         theta = np.minimum(x[..., 1], 1.0 - x[..., 1])

@@ -24,8 +24,9 @@ import numpy as np
 from mcspectra.core.checks import Array, as_integer, as_real
 from mcspectra.core.environments import environment_pixels, row_solid_angles
 from mcspectra.core.errors import DensityError, ParameterError
+from mcspectra.core.fields import checked, choice, flag, settle
 from mcspectra.core.images import luminance, read_image
-from mcspectra.densities.base import Density, Wrapper, choice, converted, flag
+from mcspectra.densities.base import Density, Wrapper
 from mcspectra.densities.bilinear import Bilinear
 from mcspectra.densities.registry import as_density
 from mcspectra.densities.tabulated import WARPS, PiecewiseConstant, shown
@@ -75,14 +76,13 @@ class ImageDensity(Wrapper):
     dims: int = field(default=2, init=False)
     path: str | os.PathLike[str]
     channel: str | int = "luminance"
-    floor: float = field(default=0.0, metadata=converted(_as_floor))
-    linear: bool = field(default=False, metadata=flag())
+    floor: float = checked(_as_floor, 0.0)
+    linear: bool = flag(default=False)
     warp: str = "marginal"
 
-    def __post_init__(self) -> None:
-        self._convert()
+    def _check(self) -> None:
         self._inside  # noqa: B018 - refuses what is not a picture
-        self._store(path=os.fspath(self.path))
+        settle(self, path=os.fspath(self.path))
 
     @cached_property
     def _inside(self) -> PiecewiseConstant:
@@ -138,13 +138,12 @@ class EnvironmentDensity(Wrapper):
     path: str | os.PathLike[str] | None = None
     values: Any = None
     channel: str | int = "luminance"
-    interpolation: str = field(default="constant", metadata=choice(("constant", "bilinear")))
-    sin_theta: bool = field(default=True, metadata=flag())
+    interpolation: str = choice("constant", "bilinear")
+    sin_theta: bool = flag(default=True)
     compensation: bool | float = False
-    warp: str = field(default="marginal", metadata=choice(WARPS))
+    warp: str = choice(*WARPS)
 
-    def __post_init__(self) -> None:
-        self._convert()
+    def _check(self) -> None:
         if not isinstance(self.compensation, bool):
             as_real("compensation", self.compensation, least=0.0)
         if self.interpolation == "bilinear" and self.warp != "marginal":
@@ -153,9 +152,9 @@ class EnvironmentDensity(Wrapper):
             )
         self._inside  # noqa: B018 - refuses what is not a map
         if self.path is not None:
-            self._store(path=os.fspath(self.path))
+            settle(self, path=os.fspath(self.path))
         if self.values is not None:
-            self._store(values=shown(np.array(self.values, np.float64)))
+            settle(self, values=shown(np.array(self.values, np.float64)))
 
     @cached_property
     def _inside(self) -> Density:

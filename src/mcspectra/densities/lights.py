@@ -21,8 +21,9 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.fields import checked
 from mcspectra.core.geometry import as_vector, check_light, norm, triangle_angle
-from mcspectra.densities.base import Density, converted
+from mcspectra.densities.base import Density
 
 __all__ = ["SphericalRectangle", "SphericalTriangle"]
 
@@ -31,7 +32,6 @@ Vector = tuple[float, float, float]
 _PERPENDICULAR = 1e-9  # cosine
 _MOST = 120  # bisections alone need 53; with Newton's steps between them at most twice as many
 _EPS = float(np.finfo(float).eps)
-_VECTOR = converted(as_vector)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,13 +110,12 @@ class SphericalRectangle(_Light):
     """
 
     name: ClassVar[str] = "spherical-rectangle"
-    corner: Vector = field(default=(-0.5, -0.5, 1.0), metadata=_VECTOR)
-    edge0: Vector = field(default=(1.0, 0.0, 0.0), metadata=_VECTOR)
-    edge1: Vector = field(default=(0.0, 1.0, 0.0), metadata=_VECTOR)
-    origin: Vector = field(default=(0.0, 0.0, 0.0), metadata=_VECTOR)
+    corner: Vector = checked(as_vector, (-0.5, -0.5, 1.0))
+    edge0: Vector = checked(as_vector, (1.0, 0.0, 0.0))
+    edge1: Vector = checked(as_vector, (0.0, 1.0, 0.0))
+    origin: Vector = checked(as_vector, (0.0, 0.0, 0.0))
 
-    def __post_init__(self) -> None:
-        self._convert()
+    def _check(self) -> None:
         e0, e1 = np.array(self.edge0), np.array(self.edge1)
         self._height  # noqa: B018 - refuses degenerate lights
         if abs(e0 @ e1) > _PERPENDICULAR * norm(e0) * norm(e1):
@@ -191,13 +190,12 @@ class SphericalTriangle(_Light):
     """
 
     name: ClassVar[str] = "spherical-triangle"
-    a: Vector = field(default=(-0.5, -0.5, 1.0), metadata=_VECTOR)
-    b: Vector = field(default=(0.5, -0.5, 1.0), metadata=_VECTOR)
-    c: Vector = field(default=(-0.5, 0.5, 1.0), metadata=_VECTOR)
-    origin: Vector = field(default=(0.0, 0.0, 0.0), metadata=_VECTOR)
+    a: Vector = checked(as_vector, (-0.5, -0.5, 1.0))
+    b: Vector = checked(as_vector, (0.5, -0.5, 1.0))
+    c: Vector = checked(as_vector, (-0.5, 0.5, 1.0))
+    origin: Vector = checked(as_vector, (0.0, 0.0, 0.0))
 
-    def __post_init__(self) -> None:
-        self._convert()
+    def _check(self) -> None:
         self._volume  # noqa: B018 - refuses degenerate lights
 
     @cached_property

@@ -22,7 +22,8 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_integer, as_real, as_real_array
 from mcspectra.core.errors import ParameterError
-from mcspectra.densities.base import LARGEST_BELOW_ONE, Density, converted
+from mcspectra.core.fields import checked, settle
+from mcspectra.densities.base import LARGEST_BELOW_ONE, Density
 from mcspectra.densities.tabulated import check_masses, shown
 
 __all__ = ["MAX_BINS", "MAX_GRID_DIMS", "AlignedStrata", "GridDensity", "PiecewiseLinear"]
@@ -74,11 +75,10 @@ class AlignedStrata(Density):
     """
 
     name: ClassVar[str] = "aligned-strata"
-    edges: Any = field(metadata=converted(_as_edges))
+    edges: Any = checked(_as_edges)
     strata: int | Sequence[int] = 16
 
-    def __post_init__(self) -> None:
-        self._convert()
+    def _check(self) -> None:
         strata = self.strata
         several = isinstance(strata, Sequence | np.ndarray) and not isinstance(strata, str)
         sides: Any = tuple(strata) if several else (strata,) * self.dims  # type: ignore[arg-type]
@@ -86,9 +86,9 @@ class AlignedStrata(Density):
             raise ParameterError(
                 f"strata has {len(sides)} numbers; give one for each of {self.dims} dims."
             )
-        checked = tuple(as_integer("strata", s, least=1, most=_MOST_STRATA) for s in sides)
-        self._store(strata=checked if several else checked[0])
-        for s, axis in zip(checked, self._per_axis, strict=True):
+        numbers = tuple(as_integer("strata", s, least=1, most=_MOST_STRATA) for s in sides)
+        settle(self, strata=numbers if several else numbers[0])
+        for s, axis in zip(numbers, self._per_axis, strict=True):
             if len(axis) + 1 > s:
                 raise ParameterError(
                     f"{len(axis)} edges make {len(axis) + 1} pieces, but strata is {s}; give at "
@@ -214,7 +214,7 @@ class GridDensity(Density):
     """
 
     name: ClassVar[str] = "grid"
-    nodes: Any = field(metadata=converted(_as_lines))
+    nodes: Any = checked(_as_lines)
 
     @property
     def dims(self) -> int:  # type: ignore[override]
@@ -291,7 +291,7 @@ class PiecewiseLinear(Density):
 
     name: ClassVar[str] = "piecewise-linear"
     dims: int = field(default=1, init=False)
-    values: Any = field(metadata=converted(_as_nodes))
+    values: Any = checked(_as_nodes)
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:

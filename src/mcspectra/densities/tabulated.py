@@ -36,7 +36,7 @@ side: jittered sampling in 2-D then loses from n^-2 to n^-1.5 (see the environme
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, final
 
@@ -44,8 +44,9 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import DensityError, ParameterError
+from mcspectra.core.fields import checked, choice
 from mcspectra.core.jit import kernel
-from mcspectra.densities.base import LARGEST_BELOW_ONE, Density, choice, converted
+from mcspectra.densities.base import LARGEST_BELOW_ONE, Density
 
 __all__ = [
     "WARPS",
@@ -123,8 +124,8 @@ class PiecewiseConstant(Density):
 
     name: ClassVar[str] = "piecewise-constant"
     warps: ClassVar[tuple[str, ...]] = WARPS
-    values: Any = field(metadata=converted(lambda _, values: shown(as_table(values))))
-    warp: str = field(default="marginal", metadata=choice(WARPS))
+    values: Any = checked(lambda _, values: shown(as_table(values)))
+    warp: str = choice(*WARPS)
 
     @property
     def dims(self) -> int:  # type: ignore[override]

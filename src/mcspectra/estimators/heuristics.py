@@ -25,11 +25,12 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.fields import real
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import Component, parse
 from mcspectra.densities import Density
 from mcspectra.densities.adaptive import mean_or_infinity
-from mcspectra.integrands.base import Integrand, real, settle
+from mcspectra.integrands.base import Integrand
 
 __all__ = [
     "HEURISTICS",
@@ -67,9 +68,6 @@ _FEW_CELLS = 2**12  # whether an integral diverges shows long before its value i
 
 class Heuristic(Component, ABC):
     """A rule that combines techniques: `ratio` gives weights from q_t, `fit` from f and p_t."""
-
-    def __post_init__(self) -> None:
-        settle(self)
 
     @property
     def bounded(self) -> bool:

@@ -14,15 +14,15 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice, as_integer
+from mcspectra.core.checks import Array
+from mcspectra.core.fields import choice, whole
 from mcspectra.core.streams import Stream
 from mcspectra.densities import Density
 from mcspectra.estimators.heuristics import Balance, Combination, Heuristic, Pilot, density_breaks
-from mcspectra.integrands.base import Breaks, Derived, Integrand, checked
+from mcspectra.integrands.base import Breaks, Derived, Integrand
 
 __all__ = ["Optimal", "Residual", "VarianceAware"]
 
-_SOURCES = ("samples", "quadrature")
 _MOST_SAMPLES = 2**22
 _SINGULAR = 1e-10  # relative; densities that differ by less share one α
 _MOST_FACTOR = 1e8  # v_t = 1 + μ²/σ² of a technique whose samples are all alike, instead of ∞
@@ -32,11 +32,9 @@ _MOST_FACTOR = 1e8  # v_t = 1 + μ²/σ² of a technique whose samples are all a
 class _Piloted(Heuristic):
     """The balance heuristic with what `adapt` finds out from a pilot."""
 
-    pilot: str = checked("samples", lambda _, name, value: as_choice(name, value, _SOURCES))
-    samples: int = checked(
-        4096, lambda _, name, value: as_integer(name, value, least=2, most=_MOST_SAMPLES)
-    )
-    seed: int = checked(0, lambda _, name, value: as_integer(name, value, least=0))
+    pilot: str = choice("samples", "quadrature")
+    samples: int = whole(4096, least=2, most=_MOST_SAMPLES)
+    seed: int = whole(0, least=0)
 
     @property
     def pilot_evaluations(self) -> int:

@@ -73,7 +73,7 @@ class SymmetrizedIntegrand(Derived):
     text = "symmetrised {0.integrand.spec}"
     integrand: Integrand
 
-    def __post_init__(self) -> None:
+    def _check(self) -> None:
         if self.dims > _MOST_DIMS:
             raise ParameterError(
                 f"The average of {self.integrand.spec} over reflections takes 2^{self.dims} of its "

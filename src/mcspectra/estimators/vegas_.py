@@ -5,19 +5,18 @@ It stands here, not among the densities, because those know no integrands.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, final
 
+from mcspectra.core.fields import whole
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.densities import GridDensity, vegas_density
-from mcspectra.densities.base import Wrapper, whole
+from mcspectra.densities.base import Wrapper
 from mcspectra.densities.vegas_ import check_training
 from mcspectra.integrands import integrand as make_integrand
 
 __all__ = ["VegasDensity"]
-
-_COUNT = whole(least=0)  # 64.0 is 64 in the spec too
 
 
 @final
@@ -37,16 +36,16 @@ class VegasDensity(Wrapper):
 
     name: ClassVar[str] = "vegas"
     integrand: str
-    dims: int = field(default=DEFAULT_DIMS, metadata=whole(least=1))
-    increments: int = field(default=64, metadata=_COUNT)
-    iterations: int = field(default=10, metadata=_COUNT)
-    evaluations: int = field(default=4096, metadata=_COUNT)
+    dims: int = whole(DEFAULT_DIMS, least=1)
+    increments: int = whole(64, least=0)
+    iterations: int = whole(10, least=0)
+    evaluations: int = whole(4096, least=0)
     alpha: float = 0.5
-    seed: int = field(default=0, metadata=_COUNT)
+    seed: int = whole(0, least=0)
 
     def __post_init__(self) -> None:
         check_training(self.increments, self.iterations, self.evaluations, self.alpha, self.seed)
-        self._convert()
+        super().__post_init__()
         make_integrand(self.integrand, self.dims)
 
     @cached_property

@@ -13,8 +13,9 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_integer, as_reals
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.fields import checked, real
 from mcspectra.integrands._quadrature import gauss_rule
-from mcspectra.integrands.base import Integrand, any_dims, checked, per_axis, real
+from mcspectra.integrands.base import Integrand, any_dims, per_axis
 
 __all__ = ["Constant", "Cosine", "Gaussian", "Linear", "Polynomial", "squared_distance"]
 
@@ -23,7 +24,7 @@ _LOW_FREQUENCY = 4  # 2π·4 is more than the highest degree, 20
 _NARROW = 0.5  # below this width 8 Gauss nodes integrate exp(−t²) to 1e-19; above, erf differences
 
 
-def _as_coefficients(_: object, name: str, given: object) -> tuple[float, ...]:
+def _as_coefficients(name: str, given: object) -> tuple[float, ...]:
     listed = isinstance(given, Sequence | np.ndarray) and not isinstance(given, str)
     count = len(given) if listed else 0  # type: ignore[arg-type]
     if not 1 <= count <= _MAX_DEGREE + 1:
@@ -34,8 +35,8 @@ def _as_coefficients(_: object, name: str, given: object) -> tuple[float, ...]:
     return as_reals(name, given, count)
 
 
-def _as_cycles(f: Integrand, name: str, given: object) -> int | tuple[int, ...]:
-    cycles = as_reals(name, given, f.dims)
+def _as_cycles(name: str, given: object, dims: int) -> int | tuple[int, ...]:
+    cycles = as_reals(name, given, dims)
     if not isinstance(given, Sequence | np.ndarray):
         return as_integer(name, cycles[0], least=-(2**31), most=2**31)
     return tuple(
@@ -131,7 +132,7 @@ class Polynomial(Integrand):
     """
 
     name: ClassVar[str] = "polynomial"
-    coefficients: Sequence[float] = checked((0.0, 1.0), _as_coefficients)
+    coefficients: Sequence[float] = checked(_as_coefficients, (0.0, 1.0))
     dims: int = any_dims()
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
@@ -227,7 +228,7 @@ class Cosine(Integrand):
     """
 
     name: ClassVar[str] = "cosine"
-    frequency: int | Sequence[int] = checked(1, _as_cycles)
+    frequency: int | Sequence[int] = checked(_as_cycles, 1, using="dims")
     phase: float = real(0.0)
     dims: int = any_dims()
 

@@ -5,8 +5,6 @@ Conventions: f_m = ∫ f(x) exp(−2πi m·x) dx over [0,1)^d, integer m. Implem
 Gauss-Legendre quadrature (with an FFT for the coefficients) stands in and `integral_source` and
 `fourier_source` say so. Results of quadrature are kept in the integrand itself, the last few sets of
 frequencies each: an integrand must always give the same values.
-
-Parameters are fields made by `checked` or `real`: each names its check, which `settle` applies.
 """
 
 from __future__ import annotations
@@ -15,7 +13,7 @@ import contextlib
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import MISSING, dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -25,12 +23,12 @@ from mcspectra.core.checks import (
     Array,
     as_frequencies,
     as_integer,
-    as_real,
     as_real_array,
     as_reals,
     in_unit_cube,
 )
 from mcspectra.core.errors import DomainError, ParameterError, point_in_words
+from mcspectra.core.fields import checked
 from mcspectra.core.images import REC709
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.spec import Component
@@ -50,14 +48,11 @@ __all__ = [
     "Integrand",
     "any_dims",
     "axis_number",
-    "checked",
     "fourier_accuracy",
     "fourier_grid",
     "integral_accuracy",
     "numeric_integral",
     "per_axis",
-    "real",
-    "settle",
 ]
 
 Breaks = tuple[tuple[float, ...], ...]
@@ -70,49 +65,33 @@ _ADAPTIVE_DIMS = 5
 _PROBE = (4, 7)  # two axes, so that functions of one list of points are found out
 
 
-def checked(default: Any, check: Callable[[Any, str, Any], Any]) -> Any:
-    """A field with a default (or `MISSING`), whose value becomes ``check(component, name, value)``."""
-    return field(default=default, metadata={"check": check})
-
-
-def settle(component: Any) -> None:
-    """Apply the checks of the fields of a frozen dataclass, that of `dims` first."""
-    for each in sorted(fields(component), key=lambda each: each.name != "dims"):
-        if "check" in each.metadata:
-            value = each.metadata["check"](component, each.name, getattr(component, each.name))
-            object.__setattr__(component, each.name, value)
-
-
-def real(default: Any = MISSING, **limits: float) -> Any:
-    """A field of one finite number within `limits`, those of `mcspectra.core.checks.as_real`."""
-    return checked(default, lambda _, name, value: as_real(name, value, **limits))
-
-
 def any_dims() -> Any:
-    """The field `dims` of an integrand in any number of dims."""
+    """Declare the field `dims` of an integrand in any number of dims."""
 
-    def check(component: Any, name: str, value: Any) -> int:
+    def check(name: str, given: object, integrand: str) -> int:
         try:
-            return as_integer(name, value, least=1, most=MAX_DIMS)
+            return as_integer(name, given, least=1, most=MAX_DIMS)
         except ParameterError as error:
-            raise ParameterError(f"{component.name}: {error}") from None
+            raise ParameterError(f"{integrand}: {error}") from None
 
-    return checked(DEFAULT_DIMS, check)
+    return checked(check, DEFAULT_DIMS, using="name")
 
 
 def axis_number() -> Any:
-    """A field that chooses one of the axes."""
-    return checked(0, lambda f, name, value: as_integer(name, value, least=0, most=f.dims - 1))
+    """Declare a field that chooses one of the axes."""
+    return checked(
+        lambda name, given, dims: as_integer(name, given, least=0, most=dims - 1), 0, using="dims"
+    )
 
 
 def per_axis(default: float) -> Any:
-    """A field of one finite number, or one for each axis; it stays a single one if it was."""
+    """Declare a field of one finite number, or one for each axis; it stays a single one if it was."""
 
-    def check(component: Any, name: str, value: Any) -> float | tuple[float, ...]:
-        found = as_reals(name, value, component.dims)
-        return found if isinstance(value, Sequence | np.ndarray) else found[0]
+    def check(name: str, given: object, dims: int) -> float | tuple[float, ...]:
+        found = as_reals(name, given, dims)
+        return found if isinstance(given, Sequence | np.ndarray) else found[0]
 
-    return checked(default, check)
+    return checked(check, default, using="dims")
 
 
 class Integrand(Component, ABC):
@@ -128,9 +107,6 @@ class Integrand(Component, ABC):
 
     dims: int
     channels: int = 0
-
-    def __post_init__(self) -> None:
-        settle(self)
 
     def __call__(self, x: object) -> Array:
         """Values at points x of shape (..., d): float64 (...) or (..., channels).
@@ -357,6 +333,19 @@ class Derived(Integrand):
         return self.integrand._integral()
 
 
+def _as_channel(name: str, channel: object, f: Integrand) -> int | str:
+    if not f.channels:
+        raise ParameterError(f"{f.spec} is scalar: it has no channels to choose.")
+    if channel != "luminance":
+        return as_integer(name, channel, least=0, most=f.channels - 1)
+    if f.channels != len(REC709):
+        raise ParameterError(
+            f"{f.spec} has {f.channels} channels, luminance needs {len(REC709)}; give the number of "
+            "a channel."
+        )
+    return "luminance"
+
+
 @final
 @dataclass(frozen=True, kw_only=True)
 class Channel(Derived):
@@ -379,7 +368,7 @@ class Channel(Derived):
     text = "{0.integrand.spec}[{0.channel}]"
     channels = 0
     integrand: Integrand
-    channel: int | str = checked("luminance", lambda f, _, value: _as_channel(f.integrand, value))
+    channel: int | str = checked(_as_channel, "luminance", using="integrand")
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:
         """Means of f for a single channel; unknown for the luminance, which needs products."""
@@ -403,19 +392,6 @@ class Channel(Derived):
     def _fourier(self, m: Array) -> Array | None:
         exact = self.integrand._fourier(m)
         return None if exact is None else self._of(exact)
-
-
-def _as_channel(f: Integrand, channel: object) -> int | str:
-    if not f.channels:
-        raise ParameterError(f"{f.spec} is scalar: it has no channels to choose.")
-    if channel != "luminance":
-        return as_integer("channel", channel, least=0, most=f.channels - 1)
-    if f.channels != len(REC709):
-        raise ParameterError(
-            f"{f.spec} has {f.channels} channels, luminance needs {len(REC709)}; give the number of "
-            "a channel."
-        )
-    return "luminance"
 
 
 @final

@@ -20,7 +20,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError, close_match_hint, point_in_words
-from mcspectra.integrands.base import Breaks, Integrand, any_dims, settle
+from mcspectra.integrands.base import Breaks, Integrand, any_dims
 
 __all__ = ["Formula"]
 
@@ -88,8 +88,7 @@ class Formula(Integrand):
     expression: str
     dims: int = any_dims()
 
-    def __post_init__(self) -> None:
-        settle(self)
+    def _check(self) -> None:
         given: object = self.expression
         if not isinstance(given, str) or not given.strip():
             raise ParameterError(

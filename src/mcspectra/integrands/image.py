@@ -20,11 +20,12 @@ from typing import Any, ClassVar, final
 import numpy as np
 import numpy.typing as npt
 
-from mcspectra.core.checks import Array, as_choice, as_reals
+from mcspectra.core.checks import Array, as_reals
 from mcspectra.core.environments import directions, environment_pixels, synthetic_sky
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.fields import checked, choice
 from mcspectra.core.images import luminance, read_image
-from mcspectra.integrands.base import Breaks, Integrand, checked, settle
+from mcspectra.integrands.base import Breaks, Integrand
 
 __all__ = ["Environment", "Image", "synthetic_sky"]
 
@@ -37,8 +38,7 @@ class _Picture(Integrand):
 
     _pixels: Array
 
-    def __post_init__(self) -> None:
-        settle(self)
+    def _check(self) -> None:
         self._pixels  # noqa: B018 - reads the file, refuses bad pixels
 
     @property
@@ -65,7 +65,7 @@ class _Picture(Integrand):
 def _path() -> Any:
     """A field of the name of a file, or None."""
     return checked(
-        None, lambda _, __, value: os.fspath(value) if isinstance(value, os.PathLike) else value
+        lambda _, given: os.fspath(given) if isinstance(given, os.PathLike) else given, None
     )
 
 
@@ -208,14 +208,12 @@ class Environment(_Picture):
     path: str | os.PathLike[str] | None = _path()
     values: npt.ArrayLike | None = None
     channel: int | str | None = None
-    normal: Sequence[float] = checked((0.0, 0.0, 1.0), lambda _, name, v: as_reals(name, v, 3))
-    interpolation: str = checked(
-        "constant", lambda _, name, value: as_choice(name, value, ("constant", "bilinear"))
-    )
+    normal: Sequence[float] = checked(lambda name, v: as_reals(name, v, 3), (0.0, 0.0, 1.0))
+    interpolation: str = choice("constant", "bilinear")
     dims: int = field(default=2, init=False)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
+        super()._check()
         if not any(self.normal):
             raise ParameterError(f"normal is {self.normal!r}; give a direction, not all 0.")
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.fields import real
 from mcspectra.integrands._quadrature import gauss_rule
 from mcspectra.integrands.analytic import squared_distance
 from mcspectra.integrands.base import (
@@ -24,8 +25,6 @@ from mcspectra.integrands.base import (
     any_dims,
     axis_number,
     per_axis,
-    real,
-    settle,
 )
 
 __all__ = ["Disk", "HalfSpace", "SmoothedStep", "Step"]
@@ -253,8 +252,7 @@ class HalfSpace(_Indicator):
     offset: float = real(0.75)
     dims: int = any_dims()
 
-    def __post_init__(self) -> None:
-        settle(self)
+    def _check(self) -> None:
         if not self._normal.any():
             raise ParameterError(
                 f"normal is {self.normal!r}; one component at least must not be 0."

@@ -1,7 +1,5 @@
 """Irradiance from a rectangular light, over the light's area: a rendering integrand with a known answer."""
 
-# ruff: noqa: RUF009 - the fields are made by `checked`
-
 from __future__ import annotations
 
 from dataclasses import dataclass, field
@@ -12,8 +10,9 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.fields import checked, real
 from mcspectra.core.geometry import as_vector, check_light, norm
-from mcspectra.integrands.base import Integrand, checked, real, settle
+from mcspectra.integrands.base import Integrand
 
 __all__ = ["RectangleLight"]
 
@@ -23,13 +22,7 @@ _CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 _FLAT = 1e-12  # height of an occluder's plane over the origin, relative, that hides nothing
 
 
-def _vector(*default: float) -> Any:
-    return checked(default, lambda _, name, value: as_vector(name, value))
-
-
-def _as_occluder(_: object, __: str, value: Any) -> tuple[Vector, Vector, Vector] | None:
-    if value is None:
-        return None
+def _as_occluder(_: str, value: Any) -> tuple[Vector, Vector, Vector]:
     if not isinstance(value, list | tuple | np.ndarray) or len(value) != 3:
         raise ParameterError(
             f"occluder is {value!r:.80}; give None or [corner, edge0, edge1] of three numbers each."
@@ -74,16 +67,15 @@ class RectangleLight(Integrand):
 
     name: ClassVar[str] = "rectangle-light"
     dims: int = field(default=2, init=False)
-    corner: Vector = _vector(-0.5, -0.5, 1.0)
-    edge0: Vector = _vector(1.0, 0.0, 0.0)
-    edge1: Vector = _vector(0.0, 1.0, 0.0)
-    origin: Vector = _vector(0.0, 0.0, 0.0)
-    normal: Vector = _vector(0.0, 0.0, 1.0)
+    corner: Vector = checked(as_vector, (-0.5, -0.5, 1.0))
+    edge0: Vector = checked(as_vector, (1.0, 0.0, 0.0))
+    edge1: Vector = checked(as_vector, (0.0, 1.0, 0.0))
+    origin: Vector = checked(as_vector, (0.0, 0.0, 0.0))
+    normal: Vector = checked(as_vector, (0.0, 0.0, 1.0))
     radiance: float = real(1.0, least=0.0)
-    occluder: Any = checked(None, _as_occluder)
+    occluder: Any = checked(_as_occluder, None)
 
-    def __post_init__(self) -> None:
-        settle(self)
+    def _check(self) -> None:
         if not norm(np.array(self.normal)) > 0:
             raise ParameterError("The normal is (0, 0, 0); give the direction the receiver faces.")
         self._height  # noqa: B018 - refuses degenerate lights

@@ -16,10 +16,11 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice, as_integer, as_real
+from mcspectra.core.checks import Array, as_choice, as_real
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.fields import real, whole
 from mcspectra.integrands._quadrature import gauss_rule
-from mcspectra.integrands.base import Breaks, Derived, Integrand, checked, real, settle
+from mcspectra.integrands.base import Breaks, Derived, Integrand
 from mcspectra.integrands.christensen import NamedFunction
 from mcspectra.integrands.indicators import Disk, HalfSpace, SmoothedStep, Step
 from mcspectra.integrands.registry import as_integrand
@@ -106,8 +107,7 @@ class EdgeSmoothed(Integrand):
     edge: Disk | HalfSpace
     width: float = real(above=0.0)
 
-    def __post_init__(self) -> None:
-        settle(self)
+    def _check(self) -> None:
         if isinstance(self.edge, Disk) and self.width >= 2.0 * self.edge.radius:
             raise ParameterError(
                 f"width is {self.width:g}; the ramp of a disk of radius {self.edge.radius:g} must be "
@@ -198,10 +198,9 @@ class BoxSmoothed(Derived):
     text = "{0.integrand.spec} averaged over boxes of side {0.width:g}"
     integrand: Integrand
     width: float = real(above=0.0, most=1.0)
-    nodes: int = checked(16, lambda _, name, value: as_integer(name, value, least=1, most=64))
+    nodes: int = whole(16, least=1, most=64)
 
-    def __post_init__(self) -> None:
-        settle(self)
+    def _check(self) -> None:
         if not self._known and self.nodes**self.dims > _MOST_NODES:
             raise ParameterError(
                 f"One smoothed value of {self.integrand.spec} takes {self.nodes}^{self.dims} of its "

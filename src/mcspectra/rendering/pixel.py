@@ -45,8 +45,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice, as_integer
+from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.fields import checked, choice, settle
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
 from mcspectra.densities import Density
@@ -146,27 +147,24 @@ class Pixel(Integrand):
 
     name: ClassVar[str] = "pixel"
     costly: ClassVar[bool] = True
-    scene: Any = "veach"
+    scene: Any = checked(lambda _, given: as_scene(given), "veach")
     x: int
     y: int
-    strategy: str = "light"
+    strategy: str = choice(*STRATEGIES, ENVIRONMENT)
     light: int | str | None = None
-    heuristic: str = "balance"
+    heuristic: str = choice(*POWERS)
     channel: str | int = "luminance"
     dims: int = 2
     density: Density | str | None = None
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "scene", as_scene(self.scene))
-        as_choice("strategy", self.strategy, (*STRATEGIES, ENVIRONMENT))
-        as_choice("heuristic", self.heuristic, tuple(POWERS))
+    def _check(self) -> None:
         if self.density is not None and self.strategy != ENVIRONMENT:
             raise ParameterError(
                 f"density is for strategy='environment', not for {self.strategy!r}; leave it out."
             )
         view = check_view(self._view, bsdf=self.strategy.endswith("bsdf"))
-        for name in ("x", "y", "channel", "dims"):  # NumPy's integers become Python's
-            object.__setattr__(self, name, getattr(view, name))
+        # NumPy's integers become Python's
+        settle(self, x=view.x, y=view.y, channel=view.channel, dims=view.dims)
         self._technique()
 
     @property

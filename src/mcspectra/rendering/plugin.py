@@ -29,6 +29,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_choice, as_integer
 from mcspectra.core.errors import MissingDependency, ParameterError
+from mcspectra.core.fields import settle
 from mcspectra.core.jit import kernel
 from mcspectra.core.parallel import available_workers, map_in_order
 from mcspectra.core.streams import Stream, mix_bits
@@ -533,7 +534,7 @@ class PaddedSets:
         if self.joint:
             joint = as_sampler(self.spec, as_integer("joint_dims", self.joint, least=2, most=64))
             joint.check_count(count)
-        object.__setattr__(self, "_samplers", (_in_one_dim(self.spec, count, pair), pair, joint))
+        settle(self, _samplers=(_in_one_dim(self.spec, count, pair), pair, joint))
 
     @property
     def nets(self) -> tuple[Net, Net] | None:

@@ -23,7 +23,7 @@ from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
 from mcspectra.rendering.backend import LARGEST_SAMPLE, LOCK, import_mitsuba
 from mcspectra.samplers._primes import is_prime
-from mcspectra.samplers.base import Sampler, check_dims
+from mcspectra.samplers.base import Sampler
 
 __all__ = ["MitsubaObject", "MitsubaSampler", "from_mitsuba"]
 
@@ -73,8 +73,7 @@ class MitsubaSampler(Sampler):
     jitter: bool = True
     dims: int = DEFAULT_DIMS
 
-    def __post_init__(self) -> None:
-        check_dims(self)
+    def _check(self) -> None:
         as_choice("sampler", self.sampler, tuple(_COUNTS))
         given: object = self.jitter
         if not isinstance(given, bool) or not (given or self.sampler in _STRATA):
@@ -137,8 +136,7 @@ class MitsubaObject(Sampler):
     source: Any
     dims: int = DEFAULT_DIMS
 
-    def __post_init__(self) -> None:
-        check_dims(self)
+    def _check(self) -> None:
         needed = ("fork", "seed", "next_2d", "set_sample_count", "variant_name")
         if isinstance(self.source, type) or not all(hasattr(self.source, name) for name in needed):
             raise ParameterError(

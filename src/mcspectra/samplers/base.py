@@ -12,16 +12,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
 from os import PathLike
-from typing import Any, ClassVar, TypeAlias, final
+from typing import ClassVar, TypeAlias, final
 
 import numpy as np
 
 from mcspectra import samplers
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import CountError, NotPowerOfTwoWarning, ParameterError, warn
+from mcspectra.core.fields import settle
 from mcspectra.core.spec import Component
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.samplers._fields import check_fields, settle
 
 __all__ = [
     "FIRST_STEP",
@@ -31,7 +31,6 @@ __all__ = [
     "Randomized",
     "Sampler",
     "Structure",
-    "check_dims",
     "repeated",
 ]
 
@@ -97,12 +96,15 @@ class Sampler(Component, ABC):
     scrambles: ClassVar[int] = 0
 
     def __post_init__(self) -> None:
-        check_dims(self)
-        check_fields(self)
-        self._check()
-
-    def _check(self) -> None:
-        """Check what parameters, each checked by its field, mean together."""
+        least, most = self.min_dims, self.max_dims
+        try:
+            settle(self, dims=as_integer("dims", self.dims, least=least, most=most or 2**16))
+        except ParameterError as error:
+            found = str(error).rstrip(".")
+            only = f"dims is {self.dims!r}; it must be {least}" if least == most else found
+            advice = f", {self.other_dims}" if self.other_dims else ""
+            raise ParameterError(f"{self.name}: {only}{advice}.") from None
+        super().__post_init__()
 
     @property
     def digit_bases(self) -> tuple[int, ...]:
@@ -277,13 +279,6 @@ class Randomization(Component, ABC):
     fits: ClassVar[Mapping[Structure, Structure]] = {s: s for s in Structure}
     """The structures that survive, and what is left of each; samplers of others are refused."""
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-        self._check()
-
-    def _check(self) -> None:
-        """Check what parameters, each checked by its field, mean together."""
-
     @abstractmethod
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
         """Return new points (count, n, d) in [0,1) for realisations first … first+count−1."""
@@ -386,17 +381,6 @@ class Randomized(Sampler):
 
     def _count_warning(self, n: int) -> str | None:
         return self.steps[-1].count_warning(self._inner, n)
-
-
-def check_dims(sampler: Any) -> None:
-    """Make a sampler's `dims` an int from its class's `min_dims` to `max_dims`."""
-    least, most, given = sampler.min_dims, sampler.max_dims, sampler.dims
-    try:
-        settle(sampler, dims=as_integer("dims", given, least=least, most=most or 2**16))
-    except ParameterError as error:
-        only = f"dims is {given!r}; it must be {least}" if least == most else str(error).rstrip(".")
-        advice = f", {sampler.other_dims}" if sampler.other_dims else ""
-        raise ParameterError(f"{sampler.name}: {only}{advice}.") from None
 
 
 def repeated(points: Array, count: int) -> Array:

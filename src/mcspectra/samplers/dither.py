@@ -24,9 +24,9 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.fields import whole
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import mix_uniform
-from mcspectra.samplers._fields import whole
 from mcspectra.samplers._kernels import _mix_below, _shuffle
 from mcspectra.samplers.base import Structure
 from mcspectra.samplers.optimised import OptimisedSampler, Report, random_points

@@ -27,11 +27,11 @@ from mcspectra.core.errors import (
     ParameterError,
     close_match_hint,
 )
+from mcspectra.core.fields import flag, settle
 from mcspectra.core.pointfiles import read_points
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.spec import format_call
 from mcspectra.core.streams import Stream
-from mcspectra.samplers._fields import flag, settle
 from mcspectra.samplers.base import MAX_COUNT, Draw, Randomization, Sampler
 
 __all__ = [

@@ -19,10 +19,10 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.fields import real, whole
 from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream, mix_uniform
-from mcspectra.samplers._fields import real, whole
 from mcspectra.samplers._kernels import random_offsets
 from mcspectra.samplers.base import Sampler, Structure
 from mcspectra.samplers.optimised import OptimisedSampler, Report, minimize, random_points, wrap

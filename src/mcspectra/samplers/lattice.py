@@ -13,9 +13,9 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_integer, as_reals
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.fields import settle, whole
 from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.samplers._fields import settle, whole
 from mcspectra.samplers.base import MAX_COUNT, FixedSet, Structure
 
 __all__ = ["Fibonacci", "Korobov", "Kronecker", "Rank1Lattice", "golden_steps"]

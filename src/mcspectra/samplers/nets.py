@@ -19,9 +19,9 @@ import numpy as np
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.decoding import check_decoded_size, opened
 from mcspectra.core.errors import FileFormatError, ParameterError
+from mcspectra.core.fields import settle, whole
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.samplers import _digital_kernels
-from mcspectra.samplers._fields import settle, whole
 from mcspectra.samplers._primes import LARGEST_BASE, is_prime, power_from, prime_from
 from mcspectra.samplers.base import MAX_COUNT, FixedSet, Sampler, Structure
 

@@ -21,11 +21,11 @@ import numpy as np
 
 from mcspectra.core.cache import cached_array
 from mcspectra.core.checks import Array
+from mcspectra.core.fields import whole
 from mcspectra.core.jit import kernel
 from mcspectra.core.parallel import available_workers, map_in_order
 from mcspectra.core.progress import report
 from mcspectra.core.streams import Stream, mix_uniform
-from mcspectra.samplers._fields import whole
 from mcspectra.samplers._kernels import random_offsets
 from mcspectra.samplers.base import Sampler, Structure
 

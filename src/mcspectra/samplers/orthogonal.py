@@ -10,10 +10,10 @@ import numpy as np
 
 from mcspectra.core.checks import MAX_DIMS, Array
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.fields import choice, whole
 from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream, mix_uniform
-from mcspectra.samplers._fields import choice, whole
 from mcspectra.samplers._kernels import _shuffle, fill_latin
 from mcspectra.samplers._primes import is_prime, prime_from
 from mcspectra.samplers.base import MAX_COUNT, Sampler, Structure

@@ -29,10 +29,10 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import CountError, ParameterError
+from mcspectra.core.fields import choice, real, whole
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import _spacing_kernels as kernels
-from mcspectra.samplers._fields import choice, real, whole
 from mcspectra.samplers.base import Sampler, Structure
 from mcspectra.samplers.optimised import translated
 

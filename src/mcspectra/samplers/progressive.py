@@ -19,9 +19,9 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.fields import whole
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import Stream, mix_bits
-from mcspectra.samplers._fields import whole
 from mcspectra.samplers._kernels import _mix_below
 from mcspectra.samplers.base import Sampler, Structure
 

@@ -19,12 +19,12 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_real
+from mcspectra.core.checks import Array
 from mcspectra.core.errors import CountError
+from mcspectra.core.fields import real
 from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream, mix_uniform
-from mcspectra.samplers._fields import checked
 from mcspectra.samplers.base import Sampler, Structure
 from mcspectra.samplers.poisson import densest_distance
 
@@ -60,9 +60,7 @@ class ProjectiveBlueNoise(Sampler):
     max_dims: ClassVar[int | None] = 6
     max_count: ClassVar[int] = 2**12  # the time grows with n² and more
     dims: int = DEFAULT_DIMS
-    radius_: float | None = checked(
-        lambda name, given: as_real(name, given, least=_LEAST_RADIUS, most=1.0), None
-    )
+    radius_: float | None = real(None, least=_LEAST_RADIUS, most=1.0)
 
     def radii(self, n: int) -> tuple[float, ...]:
         """Return the minimum distances of n points in projections on 1 to d axes."""

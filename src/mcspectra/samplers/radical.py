@@ -9,10 +9,10 @@ from typing import ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.fields import choice, whole
 from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
-from mcspectra.samplers._fields import choice, whole
 from mcspectra.samplers._primes import LARGEST_BASE, power_from
 from mcspectra.samplers.base import FIRST_STEP, MAX_COUNT, FixedSet, Sampler, Structure
 

@@ -16,9 +16,9 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_real, as_reals
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.fields import checked, choice, settle, whole
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import Stream, mix_bits, mix_uniform
-from mcspectra.samplers._fields import checked, choice, settle, whole
 from mcspectra.samplers._kernels import random_offsets, translate
 from mcspectra.samplers.base import MAX_COUNT, Randomization, Sampler, Structure, repeated
 

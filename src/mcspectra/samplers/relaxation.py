@@ -21,9 +21,9 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_unit_points
 from mcspectra.core.errors import DomainError
+from mcspectra.core.fields import real, whole
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.samplers import _cell_kernels as kernels
-from mcspectra.samplers._fields import real, whole
 from mcspectra.samplers.optimised import OptimisedSampler, Report, minimize, random_points, wrap
 
 __all__ = [

@@ -15,9 +15,9 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.fields import checked, choice, flag
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import _scramble_kernels as kernels
-from mcspectra.samplers._fields import checked, choice, flag
 from mcspectra.samplers._primes import LARGEST_BASE, is_prime
 from mcspectra.samplers.base import MAX_COUNT, Randomization, Sampler, Structure
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import NotPowerOfTwoWarning, ParameterError
+from mcspectra.core.fields import choice, whole
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import Stream, mix_bits, mix_uniform
-from mcspectra.samplers._fields import choice, whole
 from mcspectra.samplers.base import MAX_COUNT, Randomization, Sampler, Structure
 
 __all__ = ["Shuffle", "Skip", "Subset"]

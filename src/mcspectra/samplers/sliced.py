@@ -9,7 +9,7 @@ from typing import ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.samplers._fields import whole
+from mcspectra.core.fields import whole
 from mcspectra.samplers.hyperuniform import fill_normals
 from mcspectra.samplers.optimised import OptimisedSampler, random_points
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_real_array, as_unit_points
 from mcspectra.core.errors import ParameterError
-from mcspectra.samplers._fields import real, settle, whole
+from mcspectra.core.fields import real, settle, whole
 from mcspectra.samplers.optimised import OptimisedSampler, Report, minimize, random_points, wrap
 
 __all__ = [

@@ -20,10 +20,10 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.fields import choice, real, settle
 from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream, mix_uniform
-from mcspectra.samplers._fields import choice, real, settle
 from mcspectra.samplers._kernels import _shuffle, fill_jittered
 from mcspectra.samplers.base import MAX_COUNT, FixedSet, Sampler, Structure
 

@@ -64,7 +64,7 @@ from mcspectra.spectra.bases import hadamard, parts_of
 from mcspectra.spectra.gain import gain_coefficients
 from mcspectra.variance.ordered import weighted_sum
 from mcspectra.variance.quadrature import (
-    DerivedIntegrand,
+    Pointwise,
     check_cells,
     grid_values,
     mean_square,
@@ -294,7 +294,7 @@ def _antithetic(g: Integrand, n: int, order: int) -> Array:
     breaks = tuple(
         tuple(sorted({*axis, *reflected(np.asarray(axis, float)).tolist()})) for axis in g.breaks
     )
-    mean = DerivedIntegrand(
+    mean = Pointwise(
         g, lambda x: 0.5 * (g(x) + g(reflected(x))), breaks, f"{g.spec}, symmetrised in cells"
     )
     spread = spread_within_strata(mean, (side,) * g.dims, np.zeros(g.dims), order)

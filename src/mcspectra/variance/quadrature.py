@@ -19,10 +19,10 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import NoClosedForm
 from mcspectra.densities.adaptive import positive_integral
 from mcspectra.integrands import Integrand
-from mcspectra.integrands.base import integral_accuracy, numeric_integral
+from mcspectra.integrands.base import Breaks, Derived, integral_accuracy, numeric_integral
 
 __all__ = [
-    "DerivedIntegrand",
+    "Pointwise",
     "check_cells",
     "grid_values",
     "mean_square",
@@ -50,37 +50,25 @@ _GRADED = {
 
 @final
 @dataclass(frozen=True, eq=False)
-class DerivedIntegrand(Integrand):
+class Pointwise(Derived):
     """What is made of an integrand point by point."""
 
-    name: ClassVar[str] = "derived"
+    name: ClassVar[str] = "pointwise"
+    text = "{0.label}"
     integrand: Integrand
     values: Callable[[Array], Array]  # of points
-    cuts: tuple[tuple[float, ...], ...]  # its breaks
-    text: str  # its spec, for messages
+    cuts: Breaks
+    label: str
 
     @property
-    def dims(self) -> int:  # type: ignore[override]
-        """Number of dims of the integrand."""
-        return self.integrand.dims
-
-    @property
-    def channels(self) -> int:  # type: ignore[override]
-        """Channels of the integrand."""
-        return self.integrand.channels
-
-    @property
-    def spec(self) -> str:
-        """Text for messages."""
-        return self.text
-
-    @property
-    def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Where it may jump, along each axis."""
+    def breaks(self) -> Breaks:
         return self.cuts
 
     def _evaluate(self, x: Array) -> Array:
         return np.asarray(self.values(x))
+
+    def _integral(self) -> None:
+        return None
 
 
 def orders_of(cells: int, dims: int) -> tuple[int, int]:
@@ -224,7 +212,7 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
         return by_levels, level_errors
 
     # By boxes
-    squared = DerivedIntegrand(g, square, g.breaks, f"square of {g.spec}")
+    squared = Pointwise(g, square, g.breaks, f"square of {g.spec}")
     value = np.atleast_1d(np.asarray(numeric_integral(squared), float))
     error = np.full(value.shape, integral_accuracy(squared)[1])
     better = (level_errors < error) | np.isinf(by_levels)

@@ -1,8 +1,8 @@
 """Fields of frozen dataclasses that check, and convert, what they are given.
 
 A class declares ``strength: int = whole(1, least=1, most=2)``; `check_fields`, called once when an
-instance is made, puts the checked value in place of the given one. None stays None where it is the
-default.
+instance is made, puts the checked value in place of the given one: `mcspectra.core.spec.Component`
+does so for samplers, densities, integrands and their like. None stays None where it is the default.
 """
 
 from __future__ import annotations
@@ -17,17 +17,24 @@ from mcspectra.core.errors import ParameterError
 __all__ = ["check_fields", "checked", "choice", "flag", "real", "settle", "whole"]
 
 
-def checked(check: Callable[[str, Any], object], default: object) -> Any:
-    """Declare a field that holds ``check(name, given)``."""
-    return dataclasses.field(default=default, metadata={"check": check})
+def checked(
+    check: Callable[..., object], default: object = dataclasses.MISSING, *, using: str | None = None
+) -> Any:
+    """Declare a field that holds ``check(name, given)``.
+
+    With `using`, the name of an attribute such as ``dims``, it holds ``check(name, given, dims)``.
+    """
+    return dataclasses.field(default=default, metadata={"check": check, "using": using})
 
 
-def whole(default: int | None, *, least: int, most: int | None = None) -> Any:
+def whole(
+    default: int | Any | None = dataclasses.MISSING, *, least: int, most: int | None = None
+) -> Any:
     """Declare a field of whole numbers from `least` to `most`."""
     return checked(lambda name, given: as_integer(name, given, least=least, most=most), default)
 
 
-def real(default: float | None, **limits: float) -> Any:
+def real(default: float | Any | None = dataclasses.MISSING, **limits: float) -> Any:
     """Declare a field of finite floats within the limits of `core.checks.as_real`."""
     return checked(lambda name, given: as_real(name, given, **limits), default)
 
@@ -49,14 +56,16 @@ def _as_flag(name: str, given: object) -> bool:
 
 
 def check_fields(component: Any) -> None:
-    """Check all fields of a component that were declared so."""
-    for field in dataclasses.fields(component):
+    """Check all fields of an instance that were declared so, `dims` first, on which others depend."""
+    for field in sorted(dataclasses.fields(component), key=lambda field: field.name != "dims"):
         check, given = field.metadata.get("check"), getattr(component, field.name)
         if check and not (given is None and field.default is None):
-            settle(component, **{field.name: check(field.name.rstrip("_"), given)})
+            using = field.metadata["using"]
+            more = [getattr(component, using)] if using else []
+            settle(component, **{field.name: check(field.name.rstrip("_"), given, *more)})
 
 
 def settle(component: object, **values: object) -> None:
-    """Set attributes of a frozen dataclass that follow from its fields; for `__post_init__`."""
+    """Set attributes of a frozen dataclass while it is made."""
     for name, value in values.items():
         object.__setattr__(component, name, value)
