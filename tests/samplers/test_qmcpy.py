@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 import pytest
+from tests.conftest import NO_QMCPY
 
 import mcspectra as mcs
 from mcspectra.core.errors import CountError, MissingDependency, ParameterError
@@ -11,7 +12,6 @@ from mcspectra.core.streams import Stream
 from mcspectra.samplers import Sampler, as_sampler, sampler
 from mcspectra.samplers.external import QmcpySampler
 from mcspectra.samplers.net_quality import net_t_value
-from tests.conftest import NO_QMCPY
 
 qmcpy = pytest.importorskip("qmcpy", reason=f"{NO_QMCPY}; all of tests/samplers/test_qmcpy.py")
 
