@@ -29,6 +29,7 @@ from mcspectra.samplers._kernels import _mix_below
 __all__ = [
     "fill_hashed",
     "fill_mixed",
+    "fill_nested",
     "fill_permuted",
     "mix_matrices",
     "mix_triangles",
@@ -48,6 +49,7 @@ _WORDS = 512  # words of a block: 4 kB
 _TABLE = 1024  # entries of a table of images of several digits: 8 kB
 _USED_UP = 2**32
 _LEAST, _FINEST = 2.0**32, 2.0**50
+_BELOW_ONE = 1.0 - 2.0**-53
 
 
 @kernel
@@ -312,10 +314,9 @@ def _quotient(v: int, inverse: float) -> Any:
 
 
 @kernel
-def _draw_permutation(k0: np.uint64, k1: np.uint64, number: int, order: Array) -> None:
-    for t in range(order.size):
-        order[t] = t
-    for t in range(order.size - 1):
+def _draw_digits(k0: np.uint64, k1: np.uint64, number: int, count: int, order: Array) -> None:
+    # Make order[:count] a uniform sample without replacement of `order`, some permutation before
+    for t in range(min(count, order.size - 1)):
         chosen = t + _mix_below(k0, k1, number + t, order.size - t)
         order[t], order[chosen] = order[chosen], order[t]
 
@@ -325,10 +326,11 @@ def _draw_images(k0: np.uint64, k1: np.uint64, number: int, shift: bool, out: Ar
     # out int64 (m, b): what becomes of each digit in each place, the lowest place first
     places, base = out.shape
     for k in range(places):
+        out[k] = np.arange(base)
         if shift:
-            out[k] = (np.arange(base) + _mix_below(k0, k1, number, base)) % base
+            out[k] = (out[k] + _mix_below(k0, k1, number, base)) % base
         else:
-            _draw_permutation(k0, k1, number, out[k])
+            _draw_digits(k0, k1, number, base, out[k])
         number += base
 
 
@@ -419,6 +421,41 @@ def fill_permuted(keys: Array, bases: Array, shift: bool, start: int, out: Array
                 for t in range(i, stop):
                     out[r, t, j] = _write(table[v + t - i] + high, tail, scale, unit)
                 i, v, block = stop, 0, block + 1
+
+
+@kernel
+def fill_nested(keys: Array, bases: Array, start: int, out: Array) -> None:
+    """Radical inverses of start, start + 1, … after Owen's nested uniform scrambling."""
+    n = out.shape[1]
+    sums = np.empty(n)  # scrambled digits above each node of a level, the index modulo `width`
+    for r in range(out.shape[0]):
+        k0, k1 = keys[r, 0], keys[r, 1]
+        number = 0
+        for j in range(out.shape[2]):
+            # Draw the levels that nodes of several points have, one permutation a node
+            base, width = bases[j], 1
+            order = np.arange(base)
+            sums[0] = 0.0
+            while width * base < n:
+                for v in range(width):
+                    _draw_digits(k0, k1, number, base, order)
+                    number += base
+                    above = sums[v] * base
+                    for digit in range(base):
+                        sums[v + digit * width] = above + order[digit]
+                width *= base
+
+            # One level more tells all points apart; what lies below is a uniform number for each
+            scale = float(width * base)
+            for v in range(width):
+                i = (v - start) % width  # the first point whose index leaves v modulo width
+                count = (n - i + width - 1) // width
+                _draw_digits(k0, k1, number, count, order)
+                number += base
+                for t in range(count):
+                    x = sums[v] * base + order[t] + mix_uniform(k0, k1, number)
+                    out[r, i + t * width, j] = min(x / scale, _BELOW_ONE)
+                    number += 1
 
 
 @kernel
