@@ -314,9 +314,10 @@ def _quotient(v: int, inverse: float) -> Any:
 
 
 @kernel
-def _draw_digits(k0: np.uint64, k1: np.uint64, number: int, count: int, order: Array) -> None:
-    # Make order[:count] a uniform sample without replacement of `order`, some permutation before
-    for t in range(min(count, order.size - 1)):
+def _draw_permutation(k0: np.uint64, k1: np.uint64, number: int, order: Array) -> None:
+    for t in range(order.size):
+        order[t] = t
+    for t in range(order.size - 1):
         chosen = t + _mix_below(k0, k1, number + t, order.size - t)
         order[t], order[chosen] = order[chosen], order[t]
 
@@ -326,11 +327,10 @@ def _draw_images(k0: np.uint64, k1: np.uint64, number: int, shift: bool, out: Ar
     # out int64 (m, b): what becomes of each digit in each place, the lowest place first
     places, base = out.shape
     for k in range(places):
-        out[k] = np.arange(base)
         if shift:
-            out[k] = (out[k] + _mix_below(k0, k1, number, base)) % base
+            out[k] = (np.arange(base) + _mix_below(k0, k1, number, base)) % base
         else:
-            _draw_digits(k0, k1, number, base, out[k])
+            _draw_permutation(k0, k1, number, out[k])
         number += base
 
 
@@ -424,38 +424,39 @@ def fill_permuted(keys: Array, bases: Array, shift: bool, start: int, out: Array
 
 
 @kernel
-def fill_nested(keys: Array, bases: Array, start: int, out: Array) -> None:
-    """Radical inverses of start, start + 1, … after Owen's nested uniform scrambling."""
-    n = out.shape[1]
-    sums = np.empty(n)  # scrambled digits above each node of a level, the index modulo `width`
+def fill_nested(keys: Array, bases: Array, out: Array) -> None:
+    """Radical inverses of 0, 1, … after Owen's nested uniform scrambling; so are those of any run.
+
+    Point v + c b^l, with v < b^l and 0 < c < b, shares l digits with point v, no two of these b
+    points the next, and is uniform below: the first points do not depend on how many there are.
+    """
+    n, dims = out.shape[1:]
     for r in range(out.shape[0]):
         k0, k1 = keys[r, 0], keys[r, 1]
-        number = 0
-        for j in range(out.shape[2]):
-            # Draw the levels that nodes of several points have, one permutation a node
-            base, width = bases[j], 1
-            order = np.arange(base)
-            sums[0] = 0.0
-            while width * base < n:
-                for v in range(width):
-                    _draw_digits(k0, k1, number, base, order)
-                    number += base
-                    above = sums[v] * base
-                    for digit in range(base):
-                        sums[v + digit * width] = above + order[digit]
-                width *= base
-
-            # One level more tells all points apart; what lies below is a uniform number for each
-            scale = float(width * base)
-            for v in range(width):
-                i = (v - start) % width  # the first point whose index leaves v modulo width
-                count = (n - i + width - 1) // width
-                _draw_digits(k0, k1, number, count, order)
-                number += base
-                for t in range(count):
-                    x = sums[v] * base + order[t] + mix_uniform(k0, k1, number)
-                    out[r, i + t * width, j] = min(x / scale, _BELOW_ONE)
-                    number += 1
+        for j in range(dims):
+            base = bases[j]
+            order, picks = np.arange(base), np.empty(base, np.int64)
+            places, scale, _, _ = _format(base)
+            row = out[r, :, j]
+            row[0] = mix_uniform(k0, k1, 2 * j) * scale
+            width, span = 1, base ** (places - 1)
+            while width < n:
+                for v in range(min(width, n - width)):
+                    prefix = np.int64(row[v]) // span
+                    digit = prefix % base
+                    count = min(base - 1, (n - 1 - v) // width)
+                    for c in range(1, count + 1):
+                        i = v + c * width
+                        number = 2 * (i * dims + j)
+                        picks[c] = c + _mix_below(k0, k1, number + 1, base - c)
+                        order[c], order[picks[c]] = order[picks[c]], order[c]
+                        other = prefix - digit + (digit + order[c]) % base
+                        row[i] = (other + mix_uniform(k0, k1, number)) * span
+                    for c in range(count, 0, -1):  # put the order back
+                        order[c], order[picks[c]] = order[picks[c]], order[c]
+                width, span = width * base, span // base
+            for i in range(n):
+                row[i] = min(row[i] / scale, _BELOW_ONE)
 
 
 @kernel

@@ -71,8 +71,7 @@ class Sampler(Component, ABC):
     structure
         The structure that randomisations of this sampler must keep: `Structure`.
     sequence
-        Whether the first k of n points are a set of k points, each run of them good: the same set
-        as n = k gives, except that after owen on radical inverses it is another of the same law.
+        Whether the first k of n points are those of a set of k points, each run of them good.
     antithetic
         Whether points come in pairs that mirror each other within a cell.
     independent

@@ -99,7 +99,7 @@ class Halton(_RadicalInverses):
 
     def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
         """Trees of digits, drawn from the top."""
-        return _nested(self.digit_bases, self.skip, n, stream.keys(first, count))
+        return _nested(self.digit_bases, n, stream.keys(first, count))
 
     def _set(self, n: int) -> Array:
         return _inverses(self.digit_bases, self.skip, n)
@@ -143,7 +143,7 @@ class VanDerCorput(_RadicalInverses):
 
     def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
         """Trees of digits, drawn from the top."""
-        return _nested(self.digit_bases, 0, n, stream.keys(first, count))
+        return _nested(self.digit_bases, n, stream.keys(first, count))
 
     def _set(self, n: int) -> Array:
         return _inverses((self.base,), 0, n)
@@ -197,8 +197,8 @@ class Hammersley(_RadicalInverses):
     def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
         """The n-ths, n = 2^m, are radical inverses in base 2 of the indices with their bits reversed."""
         reversed_ = (_inverses((2,), 0, n)[:, 0] * n).astype(np.int64)
-        nths = _nested((2,), 0, n, stream.child(0).keys(first, count))[:, reversed_]
-        rest = _nested(self.digit_bases[1:], 0, n, stream.keys(first, count))
+        nths = _nested((2,), n, stream.child(0).keys(first, count))[:, reversed_]
+        rest = _nested(self.digit_bases[1:], n, stream.keys(first, count))
         return np.concatenate([nths, rest], axis=2)
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
@@ -233,10 +233,10 @@ def _inverses(bases: tuple[int, ...], start: int, n: int) -> Array:
     return out
 
 
-def _nested(bases: tuple[int, ...], start: int, n: int, keys: Array) -> Array:
+def _nested(bases: tuple[int, ...], n: int, keys: Array) -> Array:
     """The same with nested scrambling, one realisation for each row of `keys`: float64 (R, n, d)."""
     out = np.empty((len(keys), n, len(bases)))
-    fill_nested(keys, np.array(bases, np.int64), start, out)
+    fill_nested(keys, np.array(bases, np.int64), out)
     return out
 
 

@@ -247,9 +247,8 @@ class Owen(_OfDigits):
     The hash is Laine and Karras's in the form and with the constants of Vegdahl (2021), its seed
     made longer: two rounds, each with a random summand and a random odd factor, 126 random bits.
 
-    Halton, hammersley and van-der-corput points are scrambled level by level down to where no two
-    points agree, and are uniform and independent below. The first k of n points have the law of k
-    points, but other values.
+    Halton, hammersley and van-der-corput points are drawn from the top of their trees of digits, each
+    from the earlier point with which it shares most digits [Helmer2021]_.
 
     References
     ----------
