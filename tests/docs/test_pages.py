@@ -12,6 +12,7 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.cli.main import _VERBS
+from mcspectra.core.references import works
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -35,10 +36,6 @@ def _extensions():
 
 def _text(page):
     return (DOCS / page).read_text(encoding="utf-8")
-
-
-def _keys():
-    return importlib.import_module("bibliography").entries(_text("references.bib"))
 
 
 def _anchors(page):
@@ -119,37 +116,7 @@ def test_help_that_fails_is_an_error():
 def test_pages_cite_works_that_exist():
     cited = {key for page in PAGES for key in _CITED.findall(_text(page))}
     assert len(cited) > 10
-    assert cited <= set(_keys())
-
-
-def test_docstrings_cite_works_that_exist():
-    sources = [path.read_text(encoding="utf-8") for path in (ROOT / "src").rglob("*.py")]
-    cited = {key for source in sources for key in re.findall(r"\[([A-Z]\w+\d{4}\w?)\]_", source)}
-    assert len(cited) > 30
-    assert cited <= set(_keys())
-
-
-def test_every_entry_of_the_bibliography_is_read():
-    source = _text("references.bib")
-    keys = re.findall(r"^@\w+\{([^,]+),", source, re.MULTILINE)
-    works = _keys()
-    assert sorted(works) == sorted(keys)
-    assert len(set(keys)) == len(keys)
-    for key, fields in works.items():
-        assert fields["title"], key
-        assert fields["author"], key
-        assert not re.search(r"[{}\\]", fields["title"] + fields["author"]), key
-
-
-def test_accents_of_the_bibliography_are_letters():
-    entries = importlib.import_module("bibliography").entries
-    source = r"""@article{A2000,
-  title = {{\"U}ber {PCM} -- two},
-  author = {Sk{\v r}ivan, Ond{\v{r}}ej and M{\o}ller, J{\'i}},
-}
-"""
-    plain = {"title": "Über PCM – two", "author": "Skřivan, Ondřej and Møller, Jí"}
-    assert entries(source) == {"A2000": plain}
+    assert cited <= set(works())
 
 
 _FORMULA = re.compile(r"\$\$(.+?)\$\$|(?<![$`])\$([^$]+)\$", re.DOTALL)

@@ -13,13 +13,23 @@ from mcspectra.samplers import SAMPLERS, Structure
 
 SEQUENCES = sorted(name for name in SAMPLERS if SAMPLERS.load(name).sequence)
 POINTWISE = ["", " | shift", " | mirror", " | decorrelate"]
+SCRAMBLED = ["halton | owen", "halton | permute", "faure | owen", "sobol | owen", "sobol | lms"]
 
 
 @pytest.mark.parametrize("name", SEQUENCES)
 @pytest.mark.parametrize("chain", POINTWISE)
 def test_the_first_points_do_not_depend_on_how_many_there_are(name, chain):
     dims = 1 if name == "van-der-corput" else 2
-    source = mcs.sampler(name + chain, dims=dims)
+    check_first_points(mcs.sampler(name + chain, dims=dims))
+
+
+@pytest.mark.filterwarnings("ignore::mcspectra.core.errors.NotPowerOfTwoWarning")
+@pytest.mark.parametrize("spec", SCRAMBLED)
+def test_nor_do_they_after_scrambling(spec):
+    check_first_points(mcs.sampler(spec, dims=2))
+
+
+def check_first_points(source):
     assert source.sequence
     long, short = (source.draw(n, realizations=3, rng=5) for n in (64, 16))
     np.testing.assert_array_equal(long[:, :16], short)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from mcspectra.cli.common import Answer, option, verb, whole
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.references import bibtex
 from mcspectra.version import __version__
 
 if TYPE_CHECKING:
@@ -22,41 +23,17 @@ __all__ = ["app_", "cite_", "doctor_", "reproduce_"]
 _OPTIONAL = {"qmcpy": "qmcpy", "pyarrow": "parquet", "vegas": "vegas"}
 """Packages that are not always there, with the extra that installs them."""
 
-_REFERENCES = {
-    "mcspectra": f"""@software{{mcspectra,
-  title   = {{mcspectra: a profiler for Monte Carlo noise}},
-  author  = {{{{The mcspectra authors}}}},
-  version = {{{__version__}}},
-  year    = {{2026}}
-}}""",
-    "the three terms under importance sampling": """@article{Singh2019,
-  title   = {Fourier Analysis of Correlated Monte Carlo Importance Sampling},
-  author  = {Singh, Gurprit and Subr, Kartic and Coeurjolly, David and Ostromoukhov, Victor and
-             Jarosz, Wojciech},
-  journal = {Computer Graphics Forum},
-  year    = {2019},
-  doi     = {10.1111/cgf.13613}
-}""",
-    "non-uniform FFT": """@article{Barnett2019,
-  title   = {A Parallel Nonuniform Fast Fourier Transform Library Based on an ``Exponential of
-             Semicircle'' Kernel},
-  author  = {Barnett, Alexander H. and Magland, Jeremy and af Klinteberg, Ludvig},
-  journal = {SIAM Journal on Scientific Computing},
-  volume  = {41},
-  number  = {5},
-  pages   = {C479--C504},
-  year    = {2019},
-  doi     = {10.1137/18M120885X}
-}""",
-    "multiple importance sampling": """@inproceedings{VeachGuibas1995,
-  title     = {Optimally Combining Sampling Techniques for {Monte Carlo} Rendering},
-  author    = {Veach, Eric and Guibas, Leonidas J.},
-  booktitle = {Proceedings of SIGGRAPH 95},
-  pages     = {419--428},
-  year      = {1995},
-  doi       = {10.1145/218380.218498}
-}""",
+_CITED = {
+    "the three terms under importance sampling": "Singh2019",
+    "non-uniform FFT": "Barnett2019",
+    "multiple importance sampling": "VeachGuibas1995",
 }
+_ITSELF = f"""@software{{mcspectra,
+  title = {{mcspectra: a profiler for Monte Carlo noise}},
+  author = {{{{The mcspectra authors}}}},
+  version = {{{__version__}}},
+  year = {{2026}}
+}}"""
 
 
 @verb(
@@ -206,5 +183,6 @@ def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
 @verb()
 def cite_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
     """How to cite the package, the paper it implements and the methods it uses (BibTeX)."""
-    listed = [{"for": what, "bibtex": entry} for what, entry in _REFERENCES.items()]
-    return Answer("\n\n".join(f"% {what}\n{entry}" for what, entry in _REFERENCES.items()), listed)
+    cited = {"mcspectra": _ITSELF, **{what: bibtex(key) for what, key in _CITED.items()}}
+    listed = [{"for": what, "bibtex": entry} for what, entry in cited.items()]
+    return Answer("\n\n".join(f"% {what}\n{entry}" for what, entry in cited.items()), listed)

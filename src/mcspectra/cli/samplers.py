@@ -58,7 +58,7 @@ def list_(options: argparse.Namespace) -> Answer:
                 from mcspectra.samplers.facts import sampler_facts
 
                 facts = sampler_facts(name)
-                row |= {"dims": facts.dims, "counts": facts.counts}
+                row |= {"dims": facts.dims, "counts": facts.counts, "sources": facts.sources}
             if kind == "analyses":
                 row |= {"verb": cls.verb, "function": cls.function, "about": cls.about}
         except Exception as error:  # noqa: BLE001 - components from elsewhere may raise anything
@@ -68,7 +68,7 @@ def list_(options: argparse.Namespace) -> Answer:
             row = {"name": name, "summary": f"not available: {reason}", "parameters": []}
         rows.append(row)
 
-    # Show the summary of each, its parameters, and its verb or the dims and counts it has
+    # Show the summary of each, its parameters, and its verb or its dims, counts and sources
     widest, lines = max(len(row["name"]) for row in rows), []
     for row in rows:
         lines.append(f"{row['name'].ljust(widest)}  {row['summary']}")
@@ -76,7 +76,7 @@ def list_(options: argparse.Namespace) -> Answer:
         if "verb" in row:
             more.append(f"mcspectra {row['verb']}" if row["verb"] else _NO_VERB)
         elif "dims" in row:
-            more.append(f"dims: {row['dims']}; n: {row['counts']}")
+            more += [f"dims: {row['dims']}; n: {row['counts']}", row["sources"]]
         lines += [f"{'':{widest}}    {line}" for line in more if line]
     return Answer("\n".join(lines), rows)
 

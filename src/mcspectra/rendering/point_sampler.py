@@ -59,10 +59,7 @@ class MitsubaSampler(Sampler):
 
     References
     ----------
-    Jakob et al. (2022), "Mitsuba 3 renderer", https://mitsuba-renderer.org. Kensler (2013),
-    "Correlated multi-jittered sampling", Pixar technical memo 13-01. Jarosz et al. (2019),
-    "Orthogonal array sampling for Monte Carlo rendering", doi 10.1111/cgf.13777. Kollig, Keller
-    (2002), "Efficient multidimensional sampling", doi 10.1111/1467-8659.00706.
+    [Jakob2022]_, [Kensler2013]_, [Jarosz2019]_, [KolligKeller2002]_
     """
 
     name: ClassVar[str] = "mitsuba"

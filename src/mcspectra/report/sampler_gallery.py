@@ -12,6 +12,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
+from markupsafe import Markup, escape
+
 from mcspectra.core.checks import Array, as_choice
 from mcspectra.core.errors import (
     McspectraError,
@@ -20,6 +22,7 @@ from mcspectra.core.errors import (
     StoreError,
 )
 from mcspectra.core.progress import report
+from mcspectra.core.references import ADDRESS
 from mcspectra.core.results import dataset
 from mcspectra.core.spec import parse_chain
 from mcspectra.core.streams import Stream
@@ -248,7 +251,8 @@ def write_gallery(
             png, _ = backend_matplotlib.encode(backend_matplotlib.draw(plot))
             (root / f"{name}.png").write_bytes(png)
             lines += [f"## `{card.name}`", "", summary, "", f"![{plot.words}]({name}.png)", ""]
-            lines += [f"* {name}: {value}" for name, value in _card_facts(card)] + [""]
+            facts = "\n".join(f"* {name}: {value}" for name, value in _card_facts(card))
+            lines += [ADDRESS.sub(r"<\g<0>>", facts), ""]
         page.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
     except OSError as error:
         raise StoreError(
@@ -406,10 +410,14 @@ def _page(cards: Sequence[Card], effort: Effort) -> Page:
     together += (Figures(figures=tuple(overlays)),)
     sections = [Section(title="Side by side", anchor="all", blocks=together)]
     for card, anchor in zip(cards, names, strict=True):
+        facts = []
+        for name, value in _card_facts(card):
+            text = ADDRESS.sub(r'<a href="\g<0>">\g<0></a>', str(escape(value)))
+            facts.append((name, Markup(text)))
         blocks = (
             Text(text=card.facts.summary if card.facts else ""),
             Figures(figures=(Figure(plot=_card_plot(card)),)),
-            Facts(rows=tuple(_card_facts(card))),
+            Facts(rows=tuple(facts)),
         )
         sections.append(Section(title=card.name, anchor=anchor, blocks=blocks, code=True))
     what = f"{len(cards)} point set{'' if len(cards) == 1 else 's'}, measured by mcspectra {__version__}."

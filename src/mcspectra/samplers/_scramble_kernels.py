@@ -30,6 +30,7 @@ __all__ = [
     "fill_flipped",
     "fill_hashed",
     "fill_mixed",
+    "fill_nested",
     "fill_permuted",
     "mix_matrices",
     "mix_triangles",
@@ -49,6 +50,7 @@ _WORDS = 512  # words of a block: 4 kB
 _TABLE = 1024  # entries of a table of images of several digits: 8 kB
 _USED_UP = 2**32
 _LEAST, _FINEST = 2.0**32, 2.0**50
+_BELOW_ONE = 1.0 - 2.0**-53
 
 
 @kernel
@@ -439,6 +441,42 @@ def fill_permuted(keys: Array, bases: Array, shift: bool, start: int, out: Array
                 for t in range(i, stop):
                     out[r, t, j] = _write(table[v + t - i] + high, tail, scale, unit)
                 i, v, block = stop, 0, block + 1
+
+
+@kernel
+def fill_nested(keys: Array, bases: Array, out: Array) -> None:
+    """Radical inverses of 0, 1, … after Owen's nested uniform scrambling; so are those of any run.
+
+    Point v + c b^l, with v < b^l and 0 < c < b, shares l digits with point v, no two of these b
+    points the next, and is uniform below: the first points do not depend on how many there are.
+    """
+    n, dims = out.shape[1:]
+    for r in range(out.shape[0]):
+        k0, k1 = keys[r, 0], keys[r, 1]
+        for j in range(dims):
+            base = bases[j]
+            order, picks = np.arange(base), np.empty(base, np.int64)
+            places, scale, _, _ = _format(base)
+            row = out[r, :, j]
+            row[0] = mix_uniform(k0, k1, 2 * j) * scale
+            width, span = 1, base ** (places - 1)
+            while width < n:
+                for v in range(min(width, n - width)):
+                    prefix = np.int64(row[v]) // span
+                    digit = prefix % base
+                    count = min(base - 1, (n - 1 - v) // width)
+                    for c in range(1, count + 1):
+                        i = v + c * width
+                        number = 2 * (i * dims + j)
+                        picks[c] = c + _mix_below(k0, k1, number + 1, base - c)
+                        order[c], order[picks[c]] = order[picks[c]], order[c]
+                        other = prefix - digit + (digit + order[c]) % base
+                        row[i] = (other + mix_uniform(k0, k1, number)) * span
+                    for c in range(count, 0, -1):  # put the order back
+                        order[c], order[picks[c]] = order[picks[c]], order[c]
+                width, span = width * base, span // base
+            for i in range(n):
+                row[i] = min(row[i] / scale, _BELOW_ONE)
 
 
 @kernel

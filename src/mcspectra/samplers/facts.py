@@ -7,6 +7,7 @@ import re
 from dataclasses import dataclass
 from typing import final
 
+from mcspectra.core.references import written_out
 from mcspectra.core.spec import Call
 from mcspectra.samplers.base import Sampler
 from mcspectra.samplers.registry import SAMPLERS
@@ -30,7 +31,7 @@ class Facts:
     counts
         For instance ``any`` or ``1, 4, 9, 16, 25, 36, …`` (in 2-D where it can do 2-D).
     sources
-        The references of its docstring, one line; [Keys] are those of ``docs/references.bib``.
+        The references of its docstring, one line: authors, year, title and address of each work.
     """
 
     name: str
@@ -102,4 +103,4 @@ def _sources(cls: type) -> str:
     match = re.search(
         r"^References\n-+\n(.*?)(?=^\w[^\n]*\n-+\n|\Z)", text, re.MULTILINE | re.DOTALL
     )
-    return " ".join(match.group(1).replace("]_", "]").split()) if match else ""
+    return written_out(match.group(1)).rstrip(".") if match else ""

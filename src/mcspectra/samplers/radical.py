@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import ClassVar, final
@@ -14,6 +15,7 @@ from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
 from mcspectra.samplers._primes import LARGEST_BASE, power_from
+from mcspectra.samplers._scramble_kernels import fill_nested
 from mcspectra.samplers.base import FIRST_STEP, MAX_COUNT, FixedSet, Sampler, Structure
 
 __all__ = ["Halton", "Hammersley", "VanDerCorput"]
@@ -42,6 +44,10 @@ class _RadicalInverses(FixedSet):
     def scrambles(self) -> int:  # type: ignore[override]
         """One randomisation inside, if any: those that follow have the streams after its own."""
         return int(self.scramble != "none")
+
+    @abstractmethod
+    def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        """Draw what `owen` makes of the plain points: float64 (count, n, dims)."""
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         if self.scramble == "none":
@@ -91,6 +97,10 @@ class Halton(_RadicalInverses):
         """Return the index of the first point; None if digits are scrambled."""
         return self.skip if self.scramble == "none" else None
 
+    def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        """Trees of digits, drawn from the top."""
+        return _nested(self.digit_bases, n, stream.keys(first, count))
+
     def _set(self, n: int) -> Array:
         return _inverses(self.digit_bases, self.skip, n)
 
@@ -130,6 +140,10 @@ class VanDerCorput(_RadicalInverses):
     def first_index(self) -> int | None:
         """Return the index of the first point; None if digits are scrambled."""
         return 0 if self.scramble == "none" else None
+
+    def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        """Trees of digits, drawn from the top."""
+        return _nested(self.digit_bases, n, stream.keys(first, count))
 
     def _set(self, n: int) -> Array:
         return _inverses((self.base,), 0, n)
@@ -180,6 +194,13 @@ class Hammersley(_RadicalInverses):
         out[:, 1:] = _inverses(self.digit_bases[1:], 0, n)
         return out
 
+    def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        """The n-ths, n = 2^m, are radical inverses in base 2 of the indices with their bits reversed."""
+        reversed_ = (_inverses((2,), 0, n)[:, 0] * n).astype(np.int64)
+        nths = _nested((2,), n, stream.child(0).keys(first, count))[:, reversed_]
+        rest = _nested(self.digit_bases[1:], n, stream.keys(first, count))
+        return np.concatenate([nths, rest], axis=2)
+
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         if self.scramble == "none" or n & (n - 1) == 0:
             return _RadicalInverses._points(self, n, stream, first, count)
@@ -209,6 +230,13 @@ def _inverses(bases: tuple[int, ...], start: int, n: int) -> Array:
     out = np.empty((n, len(bases)))
     digits = np.array([max(1, power_from(start + n, base)) for base in bases], np.int64)
     _fill_inverses(start, np.array(bases, np.int64), digits, out)
+    return out
+
+
+def _nested(bases: tuple[int, ...], n: int, keys: Array) -> Array:
+    """The same with nested scrambling, one realisation for each row of `keys`: float64 (R, n, d)."""
+    out = np.empty((len(keys), n, len(bases)))
+    fill_nested(keys, np.array(bases, np.int64), out)
     return out
 
 

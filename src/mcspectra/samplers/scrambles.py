@@ -139,6 +139,15 @@ class _HasIndices(Protocol):
 
 
 @runtime_checkable
+class _HasTrees(Protocol):
+    """Samplers of radical inverses, which nested scrambling makes as fast as their plain points."""
+
+    fixed: bool
+
+    def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array: ...
+
+
+@runtime_checkable
 class _HasDirections(Protocol):
     """Samplers of binary nets that give their generator matrices."""
 
@@ -238,6 +247,9 @@ class Owen(_OfDigits):
     The hash is Laine and Karras's in the form and with the constants of Vegdahl (2021), its seed
     made longer: two rounds, each with a random summand and a random odd factor, 126 random bits.
 
+    Halton, hammersley and van-der-corput points are drawn from the top of their trees of digits, each
+    from the earlier point with which it shares most digits [Helmer2021]_.
+
     References
     ----------
     [Owen1995]_, [Owen1997]_, [Burley2020]_, [Vegdahl2021]_
@@ -253,6 +265,14 @@ class Owen(_OfDigits):
             raise ParameterError(
                 f"owen(method='hash') is for digits in base 2, not {self.base}; use method='nested'."
             )
+
+    def draw(
+        self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
+    ) -> Array:
+        """Scramble plain radical inverses where they are made, by the `stream` that they leave unused."""
+        if self.method == "nested" and isinstance(sampler, _HasTrees) and sampler.fixed:
+            return sampler.draw_nested(n, stream, first, count)
+        return _OfDigits.draw(self, sampler, n, stream, own, first, count)
 
     def _scramble(self, keys: Array, bases: Array | None, points: Array, out: Array) -> None:
         if bases is not None:

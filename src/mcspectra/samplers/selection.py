@@ -117,7 +117,7 @@ class Skip(Randomization):
 
     References
     ----------
-    [Owen2020]_.
+    [Owen2022]_.
     """
 
     name: ClassVar[str] = "skip"

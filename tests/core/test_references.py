@@ -1,0 +1,68 @@
+"""Works cited: docstrings cite works that exist, entries are whole, and texts show them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+import mcspectra
+from mcspectra.core.references import ADDRESS, FILE, address, entries, works, written_out
+
+PLACES = {"journal", "booktitle", "publisher", "school", "note", "eprint", "url"}
+
+
+def test_docstrings_cite_works_that_exist():
+    files = Path(mcspectra.__file__).parent.rglob("*.py")
+    cited = {key for path in files for key in re.findall(r"\[(\w+)\]_", path.read_text("utf-8"))}
+    assert len(cited) > 100
+    assert cited <= set(works())
+
+
+def test_every_entry_is_read_whole():
+    source = FILE.read_text(encoding="utf-8")
+    keys = re.findall(r"^@\w+\{([^,]+),", source, re.MULTILINE)
+    assert sorted(works()) == sorted(keys)
+    assert len(set(keys)) == len(keys)
+    names = re.findall(r"^\s*(\w+) *=", source, re.MULTILINE)
+    assert sum(map(len, works().values())) == len(names)  # none lost, none twice in an entry
+
+
+@pytest.mark.parametrize("key", works())
+def test_entries_are_well_formed(key):
+    fields = works()[key]
+    assert fields["title"]
+    assert not re.search(r"[{}\\]", " ".join(fields.values()))
+    assert re.fullmatch(r"(1[89]|20)\d\d", fields["year"])
+    assert key.endswith(fields["year"])
+    assert all(re.fullmatch(r"[^,]+(, [^,]+)?", name) for name in fields["author"].split(" and "))
+    assert PLACES & set(fields)
+    assert re.fullmatch(r"10\.\d{4,}/[^\s,;]+[^\s.,:;]", fields.get("doi", "10.1000/none"))
+    assert not address(fields) or ADDRESS.fullmatch(address(fields))
+
+
+def test_dois_stand_once():
+    dois = [fields["doi"].lower() for fields in works().values() if "doi" in fields]
+    assert len(set(dois)) == len(dois)
+
+
+def test_accents_are_letters():
+    source = r"""@article{A2000,
+  title = {{\"U}ber {PCM} -- two},
+  author = {Sk{\v r}ivan, Ond{\v{r}}ej and M{\o}ller, J{\'i}},
+}
+"""
+    plain = {"title": "Über PCM – two", "author": "Skřivan, Ondřej and Møller, Jí"}
+    assert entries(source) == {"A2000": plain}
+
+
+def test_texts_show_works():
+    text = "[Haber1966]_, [Chiu1994]_,\n[Singh2019]_, section 4. [Nosuch1900]_"
+    assert written_out(text) == (
+        "Haber (1966), A Modified Monte-Carlo Quadrature, "
+        "https://doi.org/10.1090/S0025-5718-1966-0210285-0; "
+        "Chiu et al. (1994), Multi-Jittered Sampling; "
+        "Singh et al. (2019), Fourier Analysis of Correlated Monte Carlo Importance Sampling, "
+        "https://doi.org/10.1111/cgf.13613, section 4. [Nosuch1900]"
+    )
