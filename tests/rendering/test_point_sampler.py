@@ -9,10 +9,10 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import CountError, ParameterError
+from mcspectra.quality.nets import net_t_value
 from mcspectra.rendering.backend import import_mitsuba
 from mcspectra.rendering.point_sampler import MitsubaSampler
 from mcspectra.samplers import sampler
-from mcspectra.samplers.net_quality import net_t_value
 
 pytestmark = pytest.mark.render
 

@@ -16,6 +16,7 @@ from mcspectra.core.errors import (
     NotPowerOfTwoWarning,
     ParameterError,
 )
+from mcspectra.quality.nets import elementary_intervals, net_t_value
 from mcspectra.samplers import (
     DigitalNet,
     Faure,
@@ -25,7 +26,6 @@ from mcspectra.samplers import (
     Sobol,
     sampler,
 )
-from mcspectra.samplers.net_quality import elementary_intervals, net_t_value, t_value
 from mcspectra.samplers.nets import _irreducible, _sobol_directions
 
 
@@ -61,14 +61,13 @@ def random_matrices(base, dims, size, seed):
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize(("base", "dims", "size"), [(2, 2, 5), (2, 4, 4), (3, 3, 3), (5, 2, 2)])
 def test_points_and_quality_of_random_matrices(base, dims, size, seed):
-    """Matrices of random digits: all t occur. Points by hand, t by definition, count and rank."""
+    """Matrices of random digits: all t occur. Points by hand, t by definition and by count."""
     matrices = random_matrices(base, dims, size, seed)
     points = DigitalNet(matrices=matrices, base=base).draw(base**size)[0]
     np.testing.assert_array_equal(points, slow_net(matrices, base, base**size))
     # Multiples of 1/b^m are floats just below or at what they are: test their middles
     t = slow_t(points + 0.5 / base**size, base)
     assert net_t_value(points, base) == t
-    assert t_value(matrices, base) == t
     assert [elementary_intervals(points, base, q) for q in range(size + 1)] == [
         q >= t for q in range(size + 1)
     ]
@@ -89,7 +88,6 @@ def test_faure_sequences_have_quality_0(dims):
     base = faure.digit_bases[0]
     for m in range(1, 5):
         assert net_t_value(faure.draw(base**m)[0], base) == 0
-        assert t_value(faure.generator_matrices(m), base) == 0
 
 
 @pytest.mark.parametrize(("dims", "base"), [(3, 7), (2, 31), (6, 7)])
@@ -147,7 +145,7 @@ def test_rows_and_columns_say_the_same():
 def test_sobol_by_its_matrices():
     columns = (Sobol(dims=3).direction_numbers(1)[:, :10] >> np.uint32(22)).tolist()
     np.testing.assert_array_equal(DigitalNet(matrices=columns).draw(1024), Sobol(dims=3).draw(1024))
-    assert t_value(DigitalNet(matrices=columns).generator_matrices()) == 1
+    assert net_t_value(DigitalNet(matrices=columns).draw(1024)[0]) == 1
 
 
 def test_fewer_dims_and_points_than_there_are():
@@ -213,10 +211,6 @@ def test_quality_of_wrong_shapes_and_bases():
         elementary_intervals(np.zeros((12, 2)))
     with pytest.raises(ParameterError, match="t is 3"):
         elementary_intervals(np.zeros((4, 2)), t=3)
-    with pytest.raises(ParameterError, match="base is 4; give a prime"):
-        t_value(np.zeros((1, 2, 2), int), 4)
-    with pytest.raises(ParameterError, match=r"matrices have shape \(2, 2\)"):
-        t_value(np.zeros((2, 2), int))
 
 
 def test_quality_that_would_take_hours_is_refused_at_once():

@@ -9,9 +9,9 @@ from tests.conftest import NO_QMCPY
 import mcspectra as mcs
 from mcspectra.core.errors import CountError, MissingDependency, ParameterError
 from mcspectra.core.streams import Stream
+from mcspectra.quality.nets import net_t_value
 from mcspectra.samplers import Sampler, as_sampler, sampler
 from mcspectra.samplers.external import QmcpySampler
-from mcspectra.samplers.net_quality import net_t_value
 
 qmcpy = pytest.importorskip("qmcpy", reason=f"{NO_QMCPY}; all of tests/samplers/test_qmcpy.py")
 

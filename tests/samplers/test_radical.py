@@ -8,6 +8,7 @@ from scipy import stats
 from scipy.stats import qmc
 
 import mcspectra as mcs
+from mcspectra.core.errors import NoClosedForm
 from mcspectra.samplers import Halton, Hammersley, VanDerCorput
 
 LEVEL = 1 - (1 - 1e-6) ** (1 / 24)  # Šidák: 24 statistical tests in this file share 1e-6
@@ -161,3 +162,37 @@ def test_digit_bases():
     assert Hammersley(dims=4).digit_bases == (2, 2, 3, 5)
     assert Hammersley(dims=1).digit_bases == (2,)
     assert VanDerCorput(base=10).digit_bases == (10,)
+
+
+@pytest.mark.parametrize(
+    ("alias", "chain", "dims"),
+    [
+        ("halton(scramble='owen')", "halton | owen", 2),
+        ("hammersley(scramble='owen')", "hammersley | owen", 2),
+        ("van-der-corput(scramble='permute')", "van-der-corput | permute", 1),
+        ("halton(scramble='owen') | shift", "halton | owen | shift", 2),
+    ],
+)
+def test_what_is_known_of_the_chain_is_known_of_its_short_form(alias, chain, dims):
+    short, long = mcs.sampler(alias, dims), mcs.sampler(chain, dims)
+    assert short.as_chain(16) == long == long.as_chain(16)
+    assert np.array_equal(
+        short.draw(16, realizations=2, rng=3), long.draw(16, realizations=2, rng=3)
+    )
+    estimator = mcs.Estimator("gaussian", dims=dims)
+    for known in (
+        lambda s: mcs.exact_variance(estimator, s, 16),
+        lambda s: mcs.gain_coefficients(s, 16)["gain"].values.tolist(),
+    ):
+        try:
+            expected = known(long)
+        except NoClosedForm:
+            with pytest.raises(NoClosedForm):
+                known(short)
+        else:
+            assert known(short) == expected
+
+
+def test_hammersley_points_of_other_counts_stand_for_no_chain():
+    sampler = mcs.sampler("hammersley(scramble='owen')", 2)
+    assert sampler.as_chain(9) is sampler

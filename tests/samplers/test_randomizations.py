@@ -12,6 +12,7 @@ from scipy.spatial.distance import pdist
 import mcspectra as mcs
 from mcspectra.core.errors import CountError
 from mcspectra.core.streams import Stream
+from mcspectra.quality.nets import net_t_value
 from mcspectra.samplers import (
     Decorrelate,
     DigitalShift,
@@ -29,7 +30,6 @@ from mcspectra.samplers import (
     sampler,
 )
 from mcspectra.samplers.lattice import golden_steps
-from mcspectra.samplers.net_quality import net_t_value
 
 LEVEL = 1 - (1 - 1e-6) ** (1 / 22)  # Šidák: 22 statistical tests in this file share 1e-6
 SIGMAS = stats.norm.isf(LEVEL / 2)

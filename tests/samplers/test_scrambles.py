@@ -10,8 +10,8 @@ from scipy import stats
 
 from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.core.streams import Stream
+from mcspectra.quality.nets import elementary_intervals, net_t_value
 from mcspectra.samplers import DigitalShift, Lms, Owen, Permute, Random, _scramble_kernels, sampler
-from mcspectra.samplers.net_quality import elementary_intervals, net_t_value
 
 LEVEL = 1 - (1 - 1e-6) ** (1 / 120)  # Šidák: fewer than 120 statistical tests here share 1e-6
 SIGMAS = stats.norm.isf(LEVEL / 2)

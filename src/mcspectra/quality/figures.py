@@ -236,7 +236,7 @@ def _mean_nearest_distance(points: Array) -> float:
 def _t_value(points: Array, base: int) -> float | None:
     if not base:
         raise ParameterError("The digits of its coordinates are in different bases.")
-    from mcspectra.samplers.net_quality import net_t_value
+    from mcspectra.quality.nets import net_t_value
 
     return net_t_value(points, base)
 

@@ -160,6 +160,10 @@ class Sampler(Component, ABC):
         """Draw `count` realisations from `stream`, `n` already checked: for estimators' inner loops."""
         return self._points(n, stream, first, count)
 
+    def as_chain(self, n: int) -> Sampler:  # noqa: ARG002
+        """The sampler and randomisations that this one is short for at n points; itself if for none."""
+        return self
+
     def check_count(self, n: object) -> int:
         """Return `n` as an int if this sampler can make `n` points, else raise CountError."""
         try:
@@ -371,6 +375,13 @@ class Randomized(Sampler):
     def digit_strata(self, n: int, base: int) -> bool:
         """As for the sampler inside."""
         return self.base.digit_strata(n, base)
+
+    def as_chain(self, n: int) -> Sampler:
+        """As for the sampler inside, which the same steps follow."""
+        chain = self.base.as_chain(n)
+        for step in self.steps:
+            chain = chain.then(step)
+        return chain
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         own = stream.child(FIRST_STEP + self.base.scrambles + len(self.steps) - 1)

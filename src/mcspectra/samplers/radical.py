@@ -16,7 +16,7 @@ from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
 from mcspectra.samplers._primes import LARGEST_BASE, power_from
 from mcspectra.samplers._scramble_kernels import fill_nested
-from mcspectra.samplers.base import FIRST_STEP, MAX_COUNT, FixedSet, Sampler, Structure
+from mcspectra.samplers.base import MAX_COUNT, FixedSet, Sampler, Structure
 
 __all__ = ["Halton", "Hammersley", "VanDerCorput"]
 
@@ -49,16 +49,19 @@ class _RadicalInverses(FixedSet):
     def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
         """Draw what `owen` makes of the plain points: float64 (count, n, dims)."""
 
-    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+    def as_chain(self, n: int) -> Sampler:  # noqa: ARG002
+        """What ``scramble=`` is short for."""
         if self.scramble == "none":
-            return FixedSet._points(self, n, stream, first, count)
-
-        # Draw what ``scramble=`` is short for
+            return self
         from mcspectra.samplers.scrambles import Owen, Permute
 
         plain: Sampler = replace(self, scramble="none")  # type: ignore[type-var]
-        step = (Owen() if self.scramble == "owen" else Permute()).fit(plain)
-        return step.draw(plain, n, stream, stream.child(FIRST_STEP), first, count)
+        return plain.then(Owen() if self.scramble == "owen" else Permute())
+
+    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        if self.scramble == "none":
+            return FixedSet._points(self, n, stream, first, count)
+        return self.as_chain(n).draw_stream(n, stream, first, count)
 
 
 @final
@@ -200,6 +203,10 @@ class Hammersley(_RadicalInverses):
         nths = _nested((2,), n, stream.child(0).keys(first, count))[:, reversed_]
         rest = _nested(self.digit_bases[1:], n, stream.keys(first, count))
         return np.concatenate([nths, rest], axis=2)
+
+    def as_chain(self, n: int) -> Sampler:
+        """As for others for n = 2^m; otherwise there is none."""
+        return self if n & (n - 1) else _RadicalInverses.as_chain(self, n)
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         if self.scramble == "none" or n & (n - 1) == 0:

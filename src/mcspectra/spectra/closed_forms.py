@@ -96,6 +96,7 @@ def closed_form_power(
     """
     source, p, nu = points_at(sampler, frequencies, density)
     n = source.check_count(n)
+    source = source.as_chain(n)
     if p is None or isinstance(p, Uniform):
         return moments_of(source, n, nu).power(nu)
     reciprocal = p.reciprocal_integral()
@@ -145,6 +146,7 @@ def closed_form_covariance(
     """
     source, p, m = points_at(sampler, frequencies, density)
     n = source.check_count(n)
+    source = source.as_chain(n)
     other = as_frequencies(others, m.shape[-1])
     try:
         m, other = np.broadcast_arrays(m, other)

@@ -72,7 +72,7 @@ def gain_coefficients(
     """
     source = as_sampler(sampler, dims)
     n = source.check_count(n)
-    base = _net_inside(source)
+    base = _net_inside(source.as_chain(n))
     bases = base.digit_bases
     most = max(1, math.floor(52 / math.log2(max(bases))))
     digits = 1
@@ -147,6 +147,7 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
     """
     source, _, given = points_at(sampler, indices)
     n = source.check_count(n)
+    source = source.as_chain(n)
     if not np.array_equal(given, np.rint(given)) or given.min() < 0 or given.max() >= 2.0**_BITS:
         raise ParameterError(
             "Walsh indices are whole numbers from 0 to 2^32 − 1; those given are not."

@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, final
 
 import numpy as np
@@ -46,11 +46,9 @@ from mcspectra.estimators import AbstractEstimator, as_subject
 from mcspectra.estimators.reflected import FoldedIntegrand, SymmetrizedIntegrand
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import (
-    Halton,
     Jittered,
     LatinHypercube,
     Mirror,
-    Owen,
     Random,
     Randomized,
     Regular,
@@ -58,7 +56,6 @@ from mcspectra.samplers import (
     Shift,
     StrataShift,
     UniformJitter,
-    VanDerCorput,
 )
 from mcspectra.spectra.bases import hadamard, parts_of
 from mcspectra.spectra.gain import gain_coefficients
@@ -177,14 +174,11 @@ def exact_variance(
     n = subject.sampler.check_count(n)
     given.check_sampler(subject.sampler, n)
     given.check_independent()
-    # What a sequence does to its own digits, as the randomisation that does the same
     source = given.randomized(subject.sampler)
-    if isinstance(source, Halton | VanDerCorput) and source.scramble == "owen":
-        source = replace(source, scramble="none").then(Owen())
     total: Any = 0.0
     for technique, count in enumerate(given.counts):
         g = given.primary_integrand(technique)
-        total = total + _of_integrand(source, n * count, g)
+        total = total + _of_integrand(source.as_chain(n * count), n * count, g)
     return total if given.channels else float(np.squeeze(total))
 
 

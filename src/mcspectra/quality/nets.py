@@ -1,4 +1,4 @@
-"""The quality t of nets, by counting points and by the ranks of generator matrices.
+"""The quality t of nets, by counting points.
 
 A set of n = b^m points is a (t, m, d)-net in base b if every elementary interval of volume b^(t−m),
 a box of sides b^-k_j at multiples of them, holds b^t points.
@@ -16,9 +16,9 @@ import numpy as np
 from mcspectra.core.checks import Array, as_integer, as_unit_points
 from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.core.jit import kernel
-from mcspectra.samplers._primes import LARGEST_BASE, is_prime, power_from
+from mcspectra.samplers._primes import LARGEST_BASE, power_from
 
-__all__ = ["elementary_intervals", "net_t_value", "t_value"]
+__all__ = ["elementary_intervals", "net_t_value"]
 
 _MOST_WORK = 2**34  # points times shapes of intervals of one volume: about a minute
 
@@ -76,35 +76,6 @@ def elementary_intervals(points: object, base: int = 2, t: int = 0) -> bool:
     _check_work(len(x), x.shape[1], level)
     digits = _leading_digits(x, base, places)
     return bool(_all_balanced(digits, base, places, level))
-
-
-def t_value(matrices: object, base: int = 2) -> int:
-    """Return t of the digital net of generator matrices (d, m, m), from the ranks of their rows.
-
-    t = m − ρ, ρ the largest number for which any first k_1, …, k_d rows of the matrices, k_1 + … +
-    k_d = ρ, are linearly independent modulo the base, a prime.
-
-    Raises
-    ------
-    ParameterError
-        The matrices are not whole numbers of that shape, or the base is not a prime.
-    """
-    base = as_integer("base", base, least=2, most=LARGEST_BASE)
-    if not is_prime(base):
-        raise ParameterError(f"base is {base}; give a prime: ranks are taken modulo it.")
-    c = np.asarray(matrices)
-    if c.ndim != 3 or 0 in c.shape or c.shape[1] < c.shape[2] or c.dtype.kind not in "iu":
-        raise ParameterError(
-            f"matrices have shape {c.shape} and type {c.dtype}; give whole numbers of shape "
-            "(d, rows, m), with at least m rows."
-        )
-    c = c.astype(np.int64) % base
-    columns: int = c.shape[2]
-    for level in range(1, columns + 1):
-        _check_work(level**2 * columns, c.shape[0], level)
-        if not _all_independent(c, base, level):
-            return columns - level + 1
-    return 0
 
 
 def _as_net(points: object, base: int) -> tuple[Array, int, int]:
@@ -178,52 +149,6 @@ def _all_balanced(digits: Array, base: int, places: int, level: int) -> bool:
     cells = np.empty(digits.shape[1], np.int64)
     while True:
         if not _balanced(digits, base, places, parts, cells):
-            return False
-        if level == 0 or not _next_parts(parts):
-            return True
-
-
-@kernel
-def _independent(rows: Array, count: int, base: int) -> bool:
-    # Whether the first `count` rows are linearly independent modulo a prime; they are overwritten.
-    for i in range(count):
-        pivot = -1
-        for c in range(rows.shape[1]):
-            if rows[i, c]:
-                pivot = c
-                break
-        if pivot < 0:
-            return False
-        # 1/pivot modulo a prime, by Fermat
-        inverse, power, exponent = 1, rows[i, pivot] % base, base - 2
-        while exponent:
-            if exponent & 1:
-                inverse = inverse * power % base
-            power, exponent = power * power % base, exponent >> 1
-        for k in range(i + 1, count):
-            factor = rows[k, pivot] * inverse % base
-            if factor:
-                for c in range(pivot, rows.shape[1]):
-                    rows[k, c] = (rows[k, c] + (base - factor) * rows[i, c]) % base
-    return True
-
-
-@kernel
-def _all_independent(matrices: Array, base: int, level: int) -> bool:
-    """Whether the first k_j rows of all matrices together are independent for all k of `level`.
-
-    matrices int64 (d, rows ≥ level, columns), entries modulo the prime `base`.
-    """
-    parts = np.zeros(matrices.shape[0], np.int64)
-    parts[0] = level
-    rows = np.empty((max(level, 1), matrices.shape[2]), np.int64)
-    while True:
-        count = 0
-        for j in range(parts.size):
-            for r in range(parts[j]):
-                rows[count] = matrices[j, r]
-                count += 1
-        if not _independent(rows, count, base):
             return False
         if level == 0 or not _next_parts(parts):
             return True
