@@ -208,3 +208,11 @@ def test_gallery(run, run_json, tmp_path, monkeypatch):
     assert run_json(*arguments)["gallery"] == str(tmp_path / "g" / "index.html")
     assert run("gallery", "nothing", "--out", tmp_path / "h")[0] == 2
     assert not (tmp_path / "h").exists()
+
+
+def test_an_interrupted_command_exits_130_with_one_line(run, monkeypatch):
+    def interrupted(arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mcspectra.cli.main._dispatch", interrupted)
+    assert run("points", "random", "-n", 4) == (130, "", "mcspectra: Interrupted.\n")
