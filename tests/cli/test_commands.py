@@ -210,9 +210,18 @@ def test_gallery(run, run_json, tmp_path, monkeypatch):
     assert not (tmp_path / "h").exists()
 
 
-def test_an_interrupted_command_exits_130_with_one_line(run, monkeypatch):
-    def interrupted(arguments):
-        raise KeyboardInterrupt
+@pytest.mark.parametrize(
+    ("raised", "code", "words"),
+    [
+        (KeyboardInterrupt, 130, "Interrupted."),
+        (MemoryError, 2, "Not enough memory; ask for fewer"),
+    ],
+)
+def test_what_ends_a_command_is_a_code_and_a_line(run, monkeypatch, raised, code, words):
+    def ended(arguments):
+        raise raised
 
-    monkeypatch.setattr("mcspectra.cli.main._dispatch", interrupted)
-    assert run("points", "random", "-n", 4) == (130, "", "mcspectra: Interrupted.\n")
+    monkeypatch.setattr("mcspectra.cli.main._dispatch", ended)
+    found, out, err = run("points", "random", "-n", 4)
+    assert (found, out) == (code, "")
+    assert err.startswith(f"mcspectra: {words}") and err.count("\n") == 1
