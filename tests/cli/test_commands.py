@@ -224,4 +224,5 @@ def test_what_ends_a_command_is_a_code_and_a_line(run, monkeypatch, raised, code
     monkeypatch.setattr("mcspectra.cli.main._dispatch", ended)
     found, out, err = run("points", "random", "-n", 4)
     assert (found, out) == (code, "")
-    assert err.startswith(f"mcspectra: {words}") and err.count("\n") == 1
+    assert err.startswith(f"mcspectra: {words}")
+    assert err.count("\n") == 1
