@@ -4,6 +4,8 @@ import pytest
 
 from mcspectra.core.parallel import map_in_order, realization_blocks, slices
 
+SLICE_NUMBERS = 2**19
+
 
 def _members(blocks):
     return [r for first, count in blocks for r in range(first, first + count)]
@@ -13,7 +15,7 @@ def _members(blocks):
 def test_slices_cover_a_block(numbers):
     blocks = list(slices((7, 100), numbers))
     assert _members(blocks) == list(range(7, 107))
-    assert all(count == 1 or count * numbers <= 2**18 for _, count in blocks)
+    assert all(count == 1 or count * numbers <= SLICE_NUMBERS for _, count in blocks)
     assert len({count for _, count in blocks[:-1]}) <= 1
 
 
