@@ -29,8 +29,6 @@ __all__ = [
 
 Array = npt.NDArray[Any]
 
-_FEW = 4096  # coordinates for which NumPy is as fast as a kernel
-
 MAX_DIMS = 1024
 """Most dims of anything that does not say otherwise."""
 
@@ -137,12 +135,7 @@ def as_real_array(name: str, value: object) -> Array:
 
 def in_unit_cube(points: Array) -> bool:
     """Whether all coordinates lie in [0,1]: NaN does not."""
-    if points.size < _FEW or not points.flags.c_contiguous:
-        return not points.size or bool(points.min() >= 0.0 and points.max() <= 1.0)
-    # One pass that does not hold Python's lock, where numba is loaded anyway
-    from mcspectra.core.jit import all_in_unit
-
-    return bool(all_in_unit(points.reshape(-1)))
+    return not points.size or bool(points.min() >= 0.0 and points.max() <= 1.0)
 
 
 def as_unit_points(points: object, *, dims: int | None = None, name: str = "points") -> Array:

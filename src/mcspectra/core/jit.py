@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 import numba
 
-__all__ = ["all_in_unit", "kernel"]
+__all__ = ["kernel"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -23,12 +23,3 @@ def kernel(function: Function) -> Function:
     cache = os.environ.get("MCSPECTRA_NUMBA_CACHE", "1") != "0"
     compiled: Any = numba.njit(nogil=True, cache=cache)(function)
     return compiled  # type: ignore[no-any-return]
-
-
-@kernel
-def all_in_unit(values: Any) -> bool:
-    """Whether all of values (N,) lie in [0,1]."""
-    outside = 0
-    for i in range(values.size):  # counted without a branch: the loop is vectorised
-        outside += 1 - int((values[i] >= 0.0) & (values[i] <= 1.0))
-    return outside == 0

@@ -206,12 +206,14 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
         grid = self._grid(source, p)
         polar = _PolarMeans.of(grid, self.wedges)
         double = Transform(grid, self.n, engine=self.engine, eps=self.eps or _EPS)
-        single = Transform(grid, self.n, engine=self.engine, eps=_SINGLE_EPS, single=True)
 
         @functools.cache
         def chosen() -> tuple[Transform, float | None]:
             """The cheapest transform that is accurate enough, and its error over the statistical one."""
-            if self.eps is not None or not single.single or self.realizations < _TRIED_FROM:
+            if self.eps is not None or double.engine == "gpu" or self.realizations < _TRIED_FROM:
+                return double, None
+            single = Transform(grid, self.n, engine=double.engine, eps=_SINGLE_EPS, single=True)
+            if not single.single:
                 return double, None
             points, weights = weighted_points(source, p, self.n, stream, (0, 2))
             exact, rough = (
