@@ -82,7 +82,7 @@ test-python-%: wheel
 	@$(BIN)/uv venv --quiet --python $* build/python-$*
 	@$(BIN)/uv pip install --quiet --python build/python-$* build/dist/*.whl
 	cd build/python-$* && bin/mcspectra run tour
-	@$(BIN)/uv pip install --quiet --python build/python-$* "$$(echo build/dist/*.whl)[parquet,testing]" pytest pytest-xdist
+	@$(BIN)/uv pip install --quiet --python build/python-$* "$$(echo build/dist/*.whl)[parquet,testing]" pytest pytest-xdist pytest-timeout
 	build/python-$*/bin/python -m pytest -n auto $(QUICK)
 
 QUICK := tests/test_start.py tests/core tests/estimators tests/integrands tests/quality

@@ -53,6 +53,13 @@ def browser():
         found.close()
 
 
+def pytest_collection_modifyitems(items):
+    """Tests that take minutes have time for them."""
+    for item in items:
+        if item.get_closest_marker("endurance"):
+            item.add_marker(pytest.mark.timeout(3000))
+
+
 def pytest_runtest_setup(item):
     """Skip tests of pages on a machine without a browser."""
     if item.get_closest_marker("browser") and chromium() is None:

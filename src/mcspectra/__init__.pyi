@@ -57,10 +57,10 @@ from .variance.convergence import convergence as convergence
 from .variance.convergence import realizations_needed as realizations_needed
 from .variance.exact import exact_variance as exact_variance
 from .variance.modes import covariance_modes as covariance_modes
-from .variance.prediction import DecayFit as DecayFit
-from .variance.prediction import fitted_decay as fitted_decay
-from .variance.prediction import integrand_decay as integrand_decay
-from .variance.prediction import predicted_rate as predicted_rate
+from .variance.prediction.rates import DecayFit as DecayFit
+from .variance.prediction.rates import fitted_decay as fitted_decay
+from .variance.prediction.rates import integrand_decay as integrand_decay
+from .variance.prediction.rates import predicted_rate as predicted_rate
 from .variance.primary import primary_picture as primary_picture
 from .variance.remedies import remedies as remedies
 from .variance.routes import variance_from_pair_correlation as variance_from_pair_correlation

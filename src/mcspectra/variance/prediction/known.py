@@ -1,0 +1,69 @@
+"""What routes to a predicted variance share: what is known of an integrand, and what they lead to.
+
+A route is a function ``(sampler, n, known, stream) -> Predicted`` that raises `NoClosedForm` where it
+does not lead anywhere. It may evaluate g where it likes, but for the sampler's own points.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar, cast, final
+
+from mcspectra.core.checks import Array
+from mcspectra.integrands import Integrand
+from mcspectra.variance.quadrature import square_integral
+
+__all__ = ["Known", "Predicted"]
+
+Made = TypeVar("Made")
+
+
+@final
+@dataclass(frozen=True)
+class Predicted:
+    """The variance of the mean of g over n points, by one route; arrays are (channels or 1,).
+
+    Attributes
+    ----------
+    variance
+        Its value, positive.
+    error
+        Half of its 95 % interval: of quadrature, of sampled spectra, and what the tail may be off by.
+    share
+        Part of ∫g² that was counted term by term.
+    tail
+        Part of `variance` that stands for the rest, in the same units as `variance`.
+    route
+        A few words that name it.
+    """
+
+    variance: Array
+    error: Array
+    share: Array
+    tail: Array
+    route: str
+
+
+@final
+class Known:
+    """An integrand in primary space, and what routes found out about it, for all counts and samplers."""
+
+    def __init__(self, g: Integrand) -> None:
+        self.g = g
+        self._made: dict[Hashable, object] = {}
+        self._lock = threading.RLock()
+
+    @cached_property
+    def square(self) -> tuple[Array, Array]:
+        """∫g² and its absolute error, both (channels or 1,)."""
+        return square_integral(self.g)
+
+    def once(self, key: Hashable, make: Callable[[], Made]) -> Made:
+        """Return what `make` returns, made at the first call with this key."""
+        with self._lock:
+            if key not in self._made:
+                self._made[key] = make()
+            return cast(Made, self._made[key])
