@@ -34,6 +34,7 @@ __all__ = [
     "Estimate",
     "adaptive_integral",
     "gauss_rule",
+    "grid_coefficients",
     "lattice_integral",
     "refined_coefficients",
     "slabs",
@@ -152,9 +153,9 @@ def refined_coefficients(function: Integrand, m: Sequence[Array]) -> Estimate:
             "frequencies, or give exact coefficients (fourier=)."
         )
 
-    coarse = _coefficients(function, [c // 2 for c in counts], m)
+    coarse = grid_coefficients(function, [c // 2 for c in counts], m)
     while True:
-        fine = _coefficients(function, counts, m)
+        fine = grid_coefficients(function, counts, m)
         error = float(np.abs(fine - coarse).max())
         settled = error <= _FOURIER_TOLERANCE * float(np.abs(fine).max())
         if settled or math.prod(counts) * 2 ** len(counts) > _BUDGET:
@@ -163,7 +164,7 @@ def refined_coefficients(function: Integrand, m: Sequence[Array]) -> Estimate:
         coarse, counts = fine, [2 * c for c in counts]
 
 
-def _coefficients(function: Integrand, counts: Sequence[int], m: Sequence[Array]) -> Array:
+def grid_coefficients(function: Integrand, counts: Sequence[int], m: Sequence[Array]) -> Array:
     """One tensor grid, transformed slab by slab along all axes but the first, and then along that."""
     rules = [
         AxisRule.make(count, min(_ORDER, count), breaks)
