@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.records import JOIN
+from mcspectra.core.records import JOIN, student_t
 from mcspectra.estimators.moments import Moments, rounding_floor
 from mcspectra.variance._kernels import (
     accumulate,
@@ -270,10 +270,3 @@ def spread(deviation: Array, share: Array) -> Array:
         return np.full(deviation.shape[1:], np.nan)
     squares = weighted_sum(share**2, deviation**2)
     return np.asarray(np.sqrt(squares * blocks / (blocks - 1)))
-
-
-def student_t(batches: int) -> float:
-    """Half the 95 % interval in standard errors from this many batches; two at least."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(max(1, batches - 1), 0.975))
