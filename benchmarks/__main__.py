@@ -17,6 +17,7 @@ NAMES = (
     "bases",
     "pairs",
     "convergence",
+    "predictions",
     "contribution",
     "listed",
     "cost",

@@ -1,11 +1,9 @@
 """Tables: cells, dashes with their reasons."""
 
-from collections.abc import Callable
 from typing import Any
 
 import msgspec
 import numpy as np
-import pytest
 import xarray as xr
 
 from mcspectra.report import summary_table, terms_table
@@ -30,6 +28,8 @@ FULL = SummaryRow(
     measured_low=1.2e-6,
     measured_high=1.3e-6,
     captured=0.96,
+    ratio=0.96,
+    route="fourier",
     largest_term="power",
 )
 
@@ -78,6 +78,8 @@ def test_terms__have_half_their_intervals() -> None:
         cross_high=-7e-7,
         captured_low=0.94,
         captured_high=0.98,
+        ratio_low=0.94,
+        ratio_high=0.98,
     )
     assert texts(terms_table([row]))[2:5] == [
         "0",
@@ -143,13 +145,14 @@ def test_summary__other_counts_are_named() -> None:
     assert [row[3].text for row in table.rows] == ["1.23×10⁻⁶", "1.23×10⁻⁶", "1.23×10⁻⁶ (n = 256)"]
 
 
-def test_summary__an_exact_prediction_is_the_best(make: dict[str, Callable[..., Any]]) -> None:
-    curve = make["curve"]("random")
-    exact = xr.Dataset({"exact_variance": ("n", [0.04, 0.5])}, {"n": [16, 9999]})
-    table = summary_table([FULL], analyses=[{"exact": exact, "convergence": curve}])
-    ratio, (low, high) = 0.04 / (0.08 / 16), 0.04 / curve["variance_ci"].sel(n=16).values[::-1]
-    assert table.rows[0][4].text == f"{ratio:.2f} ± {(high - low) / 2:.2f} (exact)"
-    assert table.rows[0][4].order == pytest.approx(ratio)
+def test_summary__says_by_which_route_it_was_predicted() -> None:
+    row = msgspec.structs.replace(FULL, ratio=1.02, ratio_low=0.97, ratio_high=1.07, route="exact")
+    table = summary_table([row])
+    assert table.rows[0][4].text == "1.02 ± 0.050 (exact)"
+    assert table.rows[0][4].order == 1.02
+    assert table.rows[0][6].text == "Faster than random sampling; prediction agrees."
+    far = msgspec.structs.replace(row, ratio=2.0, ratio_low=1.5, ratio_high=2.7)
+    assert summary_table([far]).rows[0][6].text.endswith("predicted × 2.00.")
 
 
 def terms(power: list[float], **attrs: Any) -> xr.Dataset:

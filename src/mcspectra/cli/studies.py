@@ -235,16 +235,16 @@ def _summary_text(rows: list[SummaryRow]) -> str:
         rate = half = captured = "–"
         if row.rate is not None and row.rate_low is not None and row.rate_high is not None:
             rate, half = f"{row.rate:+.2f}", f"{(row.rate_high - row.rate_low) / 2:.2f}"
-        if row.captured is not None:
-            far = abs(row.captured - 1.0) > _FAR
-            any_far, captured = any_far or far, f"{row.captured:.3f}{'*' if far else ' '}"
+        if row.ratio is not None:
+            far = abs(row.ratio - 1.0) > _FAR
+            any_far, captured = any_far or far, f"{row.ratio:.3f}{'*' if far else ' '}"
         term = "infinite" if row.note else "–"
         if row.largest_term:
             term = f"{row.largest_term} {getattr(row, row.largest_term):+.2e}"
         cells.append([row.estimator, row.sampler, rate, half, captured, term])
     header = ["estimator", "sampler", "rate", "±", "predicted/measured", "largest term"]
     table = text_table(header, cells)
-    note = "* far from 1: the sum over frequencies has not converged at this half width (report)"
+    note = "* far from 1: the report says why"
     return f"{table}\n{note}" if any_far else table
 
 

@@ -98,7 +98,7 @@ diaphony | f | 1 | any | diaphony, spectrum weighted by 1/Π max(1, m²)
 effective_dimension_superposition | f | 1 | | least size of subsets with 99 % of the variance
 effective_dimension_truncation | f | 1 | | least number of first axes with 99 % of the variance
 elementary_intervals | f | 1 | any | whether all elementary intervals hold their share (1: yes)
-energy_share | f | 1 | route | part of ∫f² within the half width
+energy_share | f | 1 | any | part of ∫f² that was counted, within the half width where there is one
 exact_variance | f | f² | n | exact variance
 exponent_fit_chi2 | f | 1 | | lack of fit of the exponent, χ² per degree of freedom
 fit_chi2 | f | 1 | strategy? y? x? | lack of fit of the rate, χ² per degree of freedom
@@ -146,6 +146,7 @@ smoothing_bias | f | f | any | integral of the smoothed integrand minus the orig
 star_discrepancy | f | 1 | any | star discrepancy
 strata_offset | f | 1 | any | offset of strata in sides of a stratum
 t_value | f | 1 | any | quality parameter t of the (t, m, d)-net
+tail_term | f | f² | | variance of what is beyond the half width, if points are random to it
 technique_covariance | f | f² | n? technique technique_other | \
 covariance of the parts of the estimate of two techniques
 technique_cross_term | f | f² | n? technique technique_other | cross term of two techniques

@@ -61,7 +61,11 @@ def headline(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
     if row.note:
         return f"{row.note[:1].upper()}{row.note[1:]}."
     parts = [_verdict(row)]
-    if terms is not None and row.captured is not None and row.predicted is not None:
+    if row.ratio is not None and row.ratio != row.captured:
+        low, high = row.ratio_low or 0.0, row.ratio_high or math.inf
+        agrees = abs(row.ratio - 1.0) <= _CLOSE or low <= 1.0 <= high
+        parts.append("prediction agrees" if agrees else f"predicted × {number(row.ratio)}")
+    elif terms is not None and row.captured is not None and row.predicted is not None:
         width, found = terms.sizes.get("half_width", 1) - 1, _agreement(row, terms)
         basis = basis_name(row.basis)
         if found == "more":

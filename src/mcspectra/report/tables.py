@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["analysis_table", "first_channel", "summary_of", "summary_table", "terms_table"]
 
 _NO_CURVE = "convergence was not analysed"
-_NO_TERMS = "neither the terms nor an exact variance were analysed"
+_NO_TERMS = "nothing that predicts was analysed"
 _NO_RATE = "fewer than two counts have a variance above rounding noise"
 _NO_NUMBER = "there is no finite number"
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
@@ -54,8 +54,7 @@ def summary_table(
     rows
         What is known of each pair.
     analyses
-        Results of each row's pair by analysis, of its channel: they tell the bottleneck, and a prediction
-        that is exact takes the place of a truncated sum.
+        Results of each row's pair by analysis, of its channel: they tell the bottleneck.
     links
         Where the name of each row's estimator leads; nowhere by default.
     """
@@ -68,8 +67,8 @@ def summary_table(
         no_number = _NO_CURVE if row.n is None else _NO_NUMBER
         variance = number(row.variance)
         at = f" (n = {row.n})" if row.n not in (None, usual) and variance != MISSING else ""
-        ratio, low, high, route = _prediction(row, found)
-        predicted = with_error(number(ratio), _half(low, high))
+        route = basis_name(row.route) if row.route else ""
+        predicted = with_error(number(row.ratio), _half(row.ratio_low, row.ratio_high))
         techniques = found.get("techniques")
         slow = "" if techniques is None else str(techniques.attrs.get("bottleneck") or "")
         limit = bottleneck(row, terms, slow)
@@ -83,15 +82,15 @@ def summary_table(
                     row.rate,
                 ),
                 _cell(variance + at, no_number, row.variance),
-                _cell(f"{predicted} ({route})" if route else predicted, no_term, ratio),
+                _cell(f"{predicted} ({route})" if route else predicted, no_term, row.ratio),
                 Cell(text=limit or MISSING, why="" if limit else no_term, numeric=False),
                 Cell(text=headline(row, terms), numeric=False),
             )
         )
     return Table(
         caption="Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval. "
-        "Predicted / measured ± half its 95 % interval says in brackets how the variance was predicted: "
-        "exact, or by the sum over the frequencies of a basis, cut at a half width. The bottleneck is the "
+        "Predicted / measured ± half its 95 % interval says in brackets how the variance was predicted, "
+        "a basis where by its sum over frequencies, cut at a half width. The bottleneck is the "
         "technique with the slowest rate (undecided: their intervals overlap), else what adds most: with "
         "|m| ≤ k or ≥ k, half of the power term lies below or above the frequency k.",
         columns=(
@@ -190,24 +189,6 @@ def summary_of(analysis: str) -> str:
 def first_channel(data: xr.Dataset) -> xr.Dataset:
     """Return the first of several channels."""
     return data.isel(channel=0) if "channel" in data.dims else data
-
-
-def _prediction(
-    row: SummaryRow, found: Analyses
-) -> tuple[float | None, float | None, float | None, str]:
-    """Predicted over measured variance by the best route there is, its interval, and the route."""
-    exact, curve = found.get("exact"), found.get("convergence")
-    if exact is not None and curve is not None:
-        shared = [n for n in exact["n"].values.tolist() if n in curve["n"].values]
-        known = [n for n in shared if np.isfinite(exact["exact_variance"].sel(n=n)).all()]
-        if known and float(curve["variance"].sel(n=known[-1])) > 0:
-            value = float(exact["exact_variance"].sel(n=known[-1]))
-            measured = float(curve["variance"].sel(n=known[-1]))
-            low, high = (float(end) for end in curve["variance_ci"].sel(n=known[-1]).values)
-            return value / measured, value / high, value / low, "exact"
-    if row.captured is None:
-        return None, None, None, ""
-    return row.captured, row.captured_low, row.captured_high, basis_name(row.basis)
 
 
 def _remedies(sampler: str, data: xr.Dataset) -> Rows:

@@ -16,11 +16,15 @@ if TYPE_CHECKING:
 __all__ = ["SummaryRow", "summarize"]
 
 TERMS = ("dc", "power", "cross")
-_READ = ("convergence", "terms")
+_READ = ("convergence", "terms", "exact", "predict")
 
 
 class SummaryRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One estimator with one sampler; what was not analysed is None."""
+    """One estimator with one sampler; what was not analysed is None.
+
+    ``ratio`` is predicted over measured variance by the best route there is, which ``route`` names:
+    ``predict``, ``exact``, or the sum over the basis of ``terms``, which ``captured`` is in any case.
+    """
 
     estimator: str
     sampler: str
@@ -42,6 +46,10 @@ class SummaryRow(msgspec.Struct, frozen=True, kw_only=True):
     captured: float | None = None
     captured_low: float | None = None
     captured_high: float | None = None
+    ratio: float | None = None
+    ratio_low: float | None = None
+    ratio_high: float | None = None
+    route: str | None = None
     dc_low: float | None = None
     dc_high: float | None = None
     power_low: float | None = None
@@ -116,8 +124,51 @@ def summarize(tree: xr.DataTree) -> list[SummaryRow]:
                     "largest_term": max(sizes, key=sizes.__getitem__) if known else None,
                     "note": terms.attrs.get("note"),
                 }
-            rows.append(SummaryRow(**values))
+            rows.append(SummaryRow(**values, **_ratio(of, values)))
     return rows
+
+
+def _ratio(found: dict[str, xr.Dataset], row: dict[str, Any]) -> dict[str, Any]:
+    """Predicted over measured variance by the best route, at the most points that both know."""
+    curve = found.get("convergence")
+    for name, variable in (("predict", "predicted_variance"), ("exact", "exact_variance")):
+        if curve is None or name not in found:
+            continue
+        known = found[name].reindex(n=[n for n in found[name]["n"].values if n in curve["n"]])
+        value = known[variable].dropna("n")
+        value = value[value > 0]
+        if not value.sizes["n"]:
+            continue
+        n = value["n"].values[-1]
+        measured = float(curve["variance"].sel(n=n))
+        if measured <= 0:
+            continue
+        ratio = float(value[-1]) / measured
+
+        # Ends of the ratio's interval: both relative errors together, on the scale of logarithms
+        def half(low: float, middle: float, high: float) -> tuple[float, float]:
+            return (math.log(middle / low) if low > 0 else math.inf), math.log(high / middle)
+
+        below, above = half(*_ends(curve["variance_ci"].sel(n=n), measured))
+        own = (0.0, 0.0)
+        if f"{variable}_ci" in known:
+            own = half(*_ends(known[f"{variable}_ci"].sel(n=n), float(value[-1])))
+        return {
+            "ratio": ratio,
+            "ratio_low": _number(ratio * math.exp(-math.hypot(above, own[0]))),
+            "ratio_high": _number(ratio * math.exp(math.hypot(below, own[1]))),
+            "route": str(known["route"].sel(n=n).values) if "route" in known.coords else name,
+        }
+    if row.get("captured") is None:
+        return {}
+    ends = {f"ratio{end}": row[f"captured{end}"] for end in ("", "_low", "_high")}
+    return {**ends, "route": row["basis"] or "fourier"}
+
+
+def _ends(interval: xr.DataArray, middle: float) -> tuple[float, float, float]:
+    """Low end, middle and high end, the middle within."""
+    low, high = map(float, interval.values)
+    return min(low, middle), middle, max(high, middle)
 
 
 def _with_bounds(data: xr.Dataset, **variables: str) -> dict[str, Any]:

@@ -53,11 +53,18 @@ class Terms(Analysis, frozen=True, kw_only=True):
         *(f"{name}{part}" for name in ("predicted_variance", "measured_variance", "captured")
           for part in ("", "_ci")),
         *("mean", "mean_se", "power_contribution", "truncated_variance", "captured_by_half_width"),
+        *("energy_share", "tail_term"),
     )  # fmt: skip
     provenance = ("estimator", "sampler", "n", "realizations", "eps", "stream_key")
 
     n: Annotated[int, options.COUNT]
-    half_width: Annotated[int, options.HALF_WIDTH] = 64
+    half_width: Annotated[
+        Annotated[int, options.HALF_WIDTH] | None,
+        Meta(
+            description="Frequencies run from −half_width to half_width along every axis; by default "
+            "as many as n and the integrand ask for.",
+        ),
+    ] = None
     realizations: Annotated[int, options.REALIZATIONS] = 1000
     space: Annotated[Literal["domain", "primary"] | None, options.SPACE] = None
     basis: Annotated[str, options.BASIS] = "fourier"
@@ -72,7 +79,7 @@ class Terms(Analysis, frozen=True, kw_only=True):
         """The spectra fit, and there are such bands."""
         estimator = subject.estimator
         estimator.check_sampler(subject.sampler, self.n)
-        frequencies = Frequencies.of(subject, self)
+        frequencies = Frequencies.of(subject, self, self.n)
         check_bands(self.bands, frequencies.basis)
         size, evaluations = frequencies.size, sum(estimator.counts)
         if self.cross_matrix and size > MAX_MATRIX:
@@ -89,7 +96,7 @@ class Terms(Analysis, frozen=True, kw_only=True):
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[TermSums]:
         """Sums over all realisations; a block is a batch too."""
         estimator, n = subject.estimator, self.n
-        frequencies = Frequencies.of(subject, self)
+        frequencies = Frequencies.of(subject, self, self.n)
         view = frequencies.view(n, self)
         bands = make_bands(self.bands, view.basis)
         partition = view.partition(bands.of, self.cross_matrix)
@@ -104,11 +111,15 @@ class Terms(Analysis, frozen=True, kw_only=True):
 
         def result(total: TermSums) -> xr.Dataset:
             variables = _variables(total, view, partition)
+            share, tail = view.energy(n)
+            variables |= {"energy_share": (("channel",), share), "tail_term": (("channel",), tail)}
             notes = [unsampled_note(estimator, n * self.realizations)]
             if frequencies.diverge:
                 notes.insert(0, "spectral terms are infinite: ∫1/p diverges")
                 variables = frequencies.undefined(
-                    variables, ("measured_variance", "mean"), ("dc_term", "power_term")
+                    variables,
+                    ("measured_variance", "mean", "energy_share"),
+                    ("dc_term", "power_term", "tail_term"),
                 )
             techniques, basis = len(view.transforms), view.basis
 
@@ -129,7 +140,7 @@ class Terms(Analysis, frozen=True, kw_only=True):
             # Labels as an attribute: arrays of strings have no place in zarr's specification yet.
             about = {"long_name": bands.meaning, "units": "1", "labels": ", ".join(bands.labels)}
             numbers = np.arange(len(bands.labels))
-            widths = np.arange(self.half_width + 1)
+            widths = np.arange(basis.half_width + 1)
             return dataset(
                 variables,
                 {
@@ -166,7 +177,7 @@ def variance_terms(
     sampler: Sampler | str,
     n: int,
     *,
-    half_width: int = 64,
+    half_width: int | None = None,
     realizations: int = 1000,
     rng: RngLike = 0,
     basis: str = "fourier",
@@ -184,7 +195,8 @@ def variance_terms(
     estimator, sampler, n
         What is analysed; `n` counts each technique's points in units of its ``counts``.
     half_width
-        Frequencies m run over {−half_width … half_width}^d.
+        Frequencies m run over {−half_width … half_width}^d. By default 64, or twice n^(1/d) as a power
+        of two where that is more; fewer where f has none beyond, or there would be more than 2^17.
     realizations
         Independent realisations, at least 2.
     rng
@@ -211,7 +223,8 @@ def variance_terms(
     xarray.Dataset
         ``dc_term``, ``power_term``, ``cross_term``, ``predicted_variance`` (their sum) with ``_ci``,
         ``measured_variance`` with ``_ci``, ``captured`` with ``_ci`` (predicted/measured, NaN where the
-        measured variance is rounding noise), ``contribution`` and ``power_contribution`` on m0, m1,
+        measured variance is rounding noise), ``energy_share``, the part of ∫f² within the half width, and
+        ``tail_term``, the variance of the rest if points were random to it, ``contribution`` and ``power_contribution`` on m0, m1,
         …, ``band_covariance(band, band_other)``, ``truncated_variance(half_width)`` and
         ``captured_by_half_width(half_width)``; a dim channel where f has several, a dim technique on
         maps of a primary space with several. With `cross_matrix`, ``coefficient_covariance(m, l)``
@@ -234,7 +247,8 @@ def variance_terms(
     Notes
     -----
     O(R (n + M log M)) time and O(M + bands²) memory. 95 % intervals follow from the kurtosis of the
-    estimates. A truncated spectrum predicts part of the variance: see ``captured``.
+    estimates. A truncated spectrum predicts part of the variance: see ``captured``; `mcspectra.predict`
+    predicts all of it.
 
     Examples
     --------

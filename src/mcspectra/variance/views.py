@@ -15,13 +15,25 @@ import numpy as np
 
 from mcspectra.core.analysis import Subject
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError, warn
+from mcspectra.core.errors import (
+    InfiniteWeightVarianceWarning,
+    NoClosedForm,
+    ParameterError,
+    warn,
+)
+from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator, Mirrored
+from mcspectra.samplers import Random
 from mcspectra.samplers.randomizations import Mirror
 from mcspectra.spectra.bases import Basis, Coefficients, fitting_basis, make_basis
+from mcspectra.variance.quadrature import mean_square
 from mcspectra.variance.sums import Partition, Variables
 
 __all__ = ["Frequencies", "View"]
+
+_LEAST_WIDTH = 64
+_MOST_FREQUENCIES = 2**17  # of a half width that nobody chose
+_PROBES = 2**12  # points that the mean square of weights is taken at
 
 
 @final
@@ -34,8 +46,8 @@ class Frequencies:
     basis: Basis
 
     @staticmethod
-    def of(subject: Subject, asked: Any) -> Frequencies:
-        """Choose the space and the basis that an analysis leaves open.
+    def of(subject: Subject, asked: Any, n: int = 1) -> Frequencies:
+        """Choose the space, the half width for n points and the basis that an analysis leaves open.
 
         The basis ``"auto"`` is the one that fits the points that an estimator makes. A mirrored
         integrand has folded points in the domain, in primary space those of the sampler.
@@ -48,14 +60,15 @@ class Frequencies:
                 "unit cubes; use space='primary'."
             )
         chosen = space or ("primary" if domain is None else "domain")
+        dims = estimator.dims if chosen == "primary" else estimator.domain_dims
+        width = _half_width(estimator, dims, n) if asked.half_width is None else asked.half_width
         if basis == "auto":
             source = estimator.randomized(subject.sampler)
             mirrored = isinstance(estimator, Mirrored) and estimator.mode == "integrand"
             if chosen == "domain" and mirrored:
                 source = source.then(Mirror(mode="fold"))
-            basis = fitting_basis(source, asked.half_width)
-        dims = estimator.dims if chosen == "primary" else estimator.domain_dims
-        return Frequencies(estimator, chosen, make_basis(basis, dims, asked.half_width))
+            basis = fitting_basis(source, width)
+        return Frequencies(estimator, chosen, make_basis(basis, dims, width))
 
     @property
     def size(self) -> int:
@@ -108,6 +121,24 @@ class Frequencies:
         }
 
 
+def _half_width(estimator: AbstractEstimator, dims: int, n: int) -> int:
+    """Twice the frequency n^(1/d) at which points of n strata begin to look random, and at least 64;
+    fewer where a grid would have more than 2^17 frequencies, or where f has none beyond."""
+    width: int = max(_LEAST_WIDTH, 2 ** math.ceil(math.log2(2.0 * n ** (1.0 / dims)) - 1e-9))
+    while width > 1 and (2 * width + 1) ** dims > _MOST_FREQUENCIES:
+        width //= 2
+    f = estimator.domain_integrand
+    if f is not None and f.fourier_source == "exact" and dims <= 2:
+        # A half beyond which there is nothing but rounding
+        power = np.abs(f.fourier_grid(width)).reshape(*(2 * width + 1,) * dims, -1) ** 2
+        while width > 1:
+            inner = (slice(width // 2, -(width // 2)),) * dims
+            if power[inner].sum() < (1.0 - 1e-15) * power.sum():
+                break
+            power, width = power[inner], width // 2
+    return width
+
+
 @dataclass(frozen=True)
 class View:
     """Domain or primary view: which integrand coefficients meet which point spectra."""
@@ -138,6 +169,32 @@ class View:
         """Spectra of a block, those of the techniques side by side: (R, T·H)."""
         parts = self.spectra(points)
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+
+    def energy(self, n: int) -> tuple[Array, Array]:
+        """Part of ∫f² that the basis functions hold, and the variance of the rest where the points of
+        high frequencies are as at random: both (channels or 1,), NaN where ∫f² is not known.
+
+        Their power is then (1/n) times the mean square of the weights.
+        """
+        estimator, basis = self.estimator, self.basis
+        f = np.abs(self.integrand_coefficients) ** 2 * basis.double
+        integrands = [estimator.primary_integrand(t) for t in range(len(estimator.counts))]
+        if self.space == "domain" and estimator.domain_integrand is not None:
+            integrands = [estimator.domain_integrand]
+        try:
+            whole = np.stack([mean_square(g) for g in integrands], axis=1)  # (C, T)
+        except (ParameterError, NoClosedForm):
+            return np.full(len(f), math.nan), np.full(len(f), math.nan)
+        held = f[:, : len(integrands)].sum(axis=2)
+        rest = np.maximum(whole - held, 0.0)
+        if self.space == "primary":
+            level = 1.0 / np.array(estimator.counts, float)
+        else:
+            probes = estimator.draw(Random(dims=estimator.dims), _PROBES, Stream.from_rng(0), 0, 1)
+            _, weights = estimator.weighted_points(probes)
+            level = np.array([_PROBES * np.square(weights).sum()])
+        share = np.divide(held.sum(1), whole.sum(1), out=np.ones(len(f)), where=whole.sum(1) > 0)
+        return np.minimum(share, 1.0), (rest * level).sum(axis=1) / n
 
     def partition(self, band: Array, matrix: bool) -> Partition:
         """Coefficients and labels, repeated for each technique."""

@@ -1,0 +1,75 @@
+"""The row of a pair: predicted over measured by the best route that was computed."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from mcspectra.studies import summarize
+
+COUNTS = np.array([4, 16, 64])
+CURVE = xr.Dataset(
+    {
+        "variance": ("n", [1.0, 0.1, 0.01]),
+        "variance_ci": (("n", "bound"), [[0.9, 1.1], [0.09, 0.12], [0.008, 0.0125]]),
+        "rate": -1.66,
+        "rate_ci": ("bound", [-1.8, -1.5]),
+    },
+    {"n": COUNTS},
+)
+TERMS = xr.Dataset(
+    {
+        **{
+            f"{name}_term": value for name, value in (("dc", 0.0), ("power", 0.1), ("cross", -0.02))
+        },
+        "predicted_variance": 0.08,
+        "measured_variance": 0.1,
+        "captured": 0.8,
+        "captured_ci": ("bound", [0.7, 0.9]),
+    },
+    attrs={"n": 16, "basis": "walsh"},
+)
+EXACT = xr.Dataset({"exact_variance": ("n", [1.0, 0.11, np.nan])}, {"n": COUNTS})
+PREDICTED = xr.Dataset(
+    {
+        "predicted_variance": ("n", [0.2, 0.012]),
+        "predicted_variance_ci": (("n", "bound"), [[0.1, 0.3], [0.010, 0.015]]),
+    },
+    {"n": [16, 64], "route": ("n", ["exact", "torus"])},
+)
+
+
+def row(**found):
+    named = {"estimator_name": "e", "sampler_spec": "s"}
+    tree = {f"/e/s/{name}": data.assign_attrs(named) for name, data in found.items()}
+    (only,) = summarize(xr.DataTree.from_dict(tree))
+    return only
+
+
+def test_a_basis_where_nothing_better_is_known():
+    found = row(convergence=CURVE, terms=TERMS)
+    assert (found.ratio, found.ratio_low, found.ratio_high) == (0.8, 0.7, 0.9)
+    assert found.route == "walsh"
+
+
+def test_exact_variances_at_the_last_count_that_has_one():
+    found = row(convergence=CURVE, terms=TERMS, exact=EXACT)
+    assert found.ratio == pytest.approx(1.1)
+    assert (found.ratio_low, found.ratio_high) == pytest.approx((0.11 / 0.12, 0.11 / 0.09))
+    assert found.route == "exact"
+    assert found.captured == 0.8
+
+
+def test_predictions_before_all_with_both_errors():
+    found = row(convergence=CURVE, terms=TERMS, exact=EXACT, predict=PREDICTED)
+    assert found.ratio == pytest.approx(1.2)
+    low = np.hypot(np.log(12.5 / 10), np.log(12 / 10))
+    high = np.hypot(np.log(10 / 8), np.log(15 / 12))
+    assert found.ratio_low == pytest.approx(1.2 * np.exp(-low))
+    assert found.ratio_high == pytest.approx(1.2 * np.exp(high))
+    assert found.route == "torus"
+
+
+def test_nothing_measured_is_divided_by():
+    silent = CURVE.assign(variance=0.0 * CURVE["variance"])
+    assert row(convergence=silent, predict=PREDICTED).ratio is None
+    assert row(predict=PREDICTED, exact=EXACT).ratio is None
