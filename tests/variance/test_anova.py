@@ -197,10 +197,8 @@ def test_intervals_of_shares_and_dimensions_cover_them():
     for seed in range(100):
         found = mcs.anova_variances(mcs.Estimator(f), realizations=300, rng=seed)
         for name, value in truth.items():
-            low, high = np.moveaxis(found[f"{name}_ci"].values, -1, 0)
-            inside[name].append(
-                (low[..., : np.size(value)] <= value) & (value <= high[..., : np.size(value)])
-            )
+            low, high = found[f"{name}_ci"].values.reshape(-1, 2)[: np.size(value)].T
+            inside[name].append((low <= value) & (value <= high))
     for name, hits in inside.items():
         # numbers of one run are correlated: 4 binomial sigma of 100
         assert np.mean(hits) > 0.95 - 4 * np.sqrt(0.05 * 0.95 / 100), name

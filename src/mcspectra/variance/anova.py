@@ -488,5 +488,5 @@ def _least(shares: Array) -> Array:
 def _least_ci(ends: Array) -> Array:
     """Interval of it from those of the shares, (s, channels, 2) → (channels, 2)."""
     least = _least(ends)[..., ::-1]
-    unknown = np.isnan(ends).any(axis=(0, 2))[:, None]
+    unknown = np.asarray(np.isnan(ends).any(axis=(0, 2)))[:, None]
     return np.where(unknown, np.nan, np.nan_to_num(least, nan=np.inf))
