@@ -38,9 +38,14 @@ def test_anova_is_that_of_the_function(run, run_json):
     code, out, _ = run(*arguments)
     assert code == 0
     lines = out.splitlines()
-    shares = [float(line.split()[-1]) for line in lines if line.startswith(("x", "larger"))]
-    assert sum(shares) == pytest.approx(1.0, abs=1e-3)
-    assert f"mean dimension: {float(expected['mean_dimension']):.6g}" in lines
+    rows = [line.replace("larger subsets", "larger").split() for line in lines]
+    rows = [row for row in rows if row[0].startswith(("x", "larger"))]
+    assert sum(float(row[3]) for row in rows) == pytest.approx(1.0, abs=1e-3)
+    low, high = expected["anova_share_ci"].values[0]
+    assert rows[0][4:] == [f"{low:.4g}", "…", f"{high:.4g}"]
+    low, high = expected["mean_dimension_ci"].values
+    dimension = f"{float(expected['mean_dimension']):.6g}"
+    assert f"mean dimension: {dimension}, 95 % interval {low:.4g} … {high:.4g}" in lines
 
 
 def test_anova_of_points_and_order(run_json):
@@ -200,6 +205,6 @@ def test_effective_dimensions_beyond_the_order(run):
 
 def test_shares_of_rounding_are_0(run):
     _, out, _ = run("anova", "linear", "-d", 3, "-m", 200)
-    shares = {line.split()[0]: line.split()[-1] for line in out.splitlines()[3:9]}
+    shares = {line.split()[0]: line.split()[3] for line in out.splitlines()[3:9]}
     assert shares["x1"] == shares["x2"] == shares["x1x2"] == "0"
     assert shares["x0"] == "1"

@@ -412,7 +412,10 @@ def test_unknown_kinds_name_those_there_are(make):
 
 def correlation(values=(0.0, 0.5, 1.0)):
     return xr.Dataset(
-        {"pair_correlation": ("r", list(values)), "pair_correlation_se": ("r", [0.1] * 3)},
+        {
+            "pair_correlation": ("r", list(values)),
+            "pair_correlation_ci": (("r", "bound"), np.add.outer(values, [-0.1, 0.3])),
+        },
         {"r": [0.1, 0.2, 0.3]},
     )
 

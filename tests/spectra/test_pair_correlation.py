@@ -154,3 +154,14 @@ def test_cost_grows_with_the_pairs():
     random = Subject(None, mcs.sampler("random", dims=2))
     costs = [PairCorrelation(n=n, realizations=3).need(random).cost for n in (10, 1000)]
     assert costs == [3 * (10 + 0.1 * 10**2), 3 * (1000 + 0.1 * 1000**2)]
+
+
+def test_intervals_hold_the_level_of_random_points():
+    """From 4 realisations, with 3 degrees of freedom: of 60 · 20 bins 95 % (bins are independent)."""
+    inside = []
+    for seed in range(60):
+        d = mcs.pair_correlation("random", 256, bins=20, realizations=4, rng=seed)
+        low, high = d["pair_correlation_ci"].values.T
+        inside.append((low <= 1) & (high >= 1))
+    # counts of the first bins are few and skew; 4 binomial sigma below 93 %
+    assert 0.93 - 4 * np.sqrt(0.07 / 1200) < np.mean(inside) < 0.99

@@ -180,3 +180,33 @@ def test_no_variance_has_no_shares():
     found = mcs.anova_variances(mcs.Estimator("constant", dims=3), realizations=10)
     assert np.isnan(found["anova_share"]).all()
     assert np.isnan(float(found["effective_dimension_truncation"]))
+
+
+def test_intervals_of_shares_and_dimensions_cover_them():
+    """100 runs of 300 pairs: shares and the mean dimension within their intervals 95 times of 100."""
+    f, part = _product([1.0, 0.5, 0.2])
+    variance = np.prod(1 + part) - 1
+    truth = {
+        "anova_share": np.array([*part, *(part[[0, 0, 1]] * part[[1, 2, 2]])]) / variance,
+        "higher_order_share": part.prod() / variance,
+        "mean_dimension": (part / (1 + part)).sum() * (1 + variance) / variance,
+        "truncation_share": (np.cumprod(1 + part) - 1)[:2] / variance,
+        "effective_dimension_truncation": 3.0,
+    }
+    inside = {name: [] for name in truth}
+    for seed in range(100):
+        found = mcs.anova_variances(mcs.Estimator(f), realizations=300, rng=seed)
+        for name, value in truth.items():
+            low, high = found[f"{name}_ci"].values.reshape(-1, 2)[: np.size(value)].T
+            inside[name].append((low <= value) & (value <= high))
+    for name, hits in inside.items():
+        # numbers of one run are correlated: 4 binomial sigma of 100
+        assert np.mean(hits) > 0.95 - 4 * np.sqrt(0.05 * 0.95 / 100), name
+
+
+def test_effective_dimensions_beyond_the_order_have_no_upper_end():
+    f, _ = _product([6.0] * 5)
+    found = mcs.anova_variances(mcs.Estimator(f), realizations=2000, rng=1)
+    low, high = found["effective_dimension_superposition_ci"].values
+    assert np.isinf(high)
+    assert low == 2 or np.isinf(low)

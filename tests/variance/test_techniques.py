@@ -222,6 +222,16 @@ def test_standard_errors_are_the_spread_over_runs():
         assert (ratio < np.sqrt(8 / 7) * (1 + 4.5 * 0.113)).all()
 
 
+def test_the_interval_of_captured_is_that_of_the_terms():
+    """The same blocks of one technique give the same factors."""
+    options = {"half_width": 4, "realizations": 80, "rng": 3}
+    e = mcs.Estimator(CUBIC, PAIR[0], dims=1)
+    d = mcs.technique_terms(e, "jittered", 4, **options)
+    whole = mcs.variance_terms(e, "jittered", 4, **options)
+    assert float(d["captured_ci"][0]) < float(d["captured"]) < float(d["captured_ci"][1])
+    np.testing.assert_allclose(d["captured_ci"], whole["captured_ci"], rtol=1e-6)
+
+
 def test_infinite_weights_are_said():
     f = mcs.integrand("polynomial(coefficients=[0, 0, 1])", dims=1)
     e = mcs.MultipleImportance(f, ["linear(slope=2)"])

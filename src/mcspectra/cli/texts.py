@@ -265,7 +265,10 @@ def pcf(result: xr.Dataset) -> Answer:
 
 @_view("anova")
 def anova(result: xr.Dataset) -> Answer:
-    """Prints the parts of subsets of the axes, what larger subsets have, and effective dimensions."""
+    """Prints the parts of subsets of the axes, what larger subsets have, and effective dimensions.
+
+    Shares and dimensions stand with their 95 % intervals, which may go beyond what is possible.
+    """
     lines = [_title(result)]
     labels, order = list(map(str, result["subset_label"].values)), result.attrs["order"]
 
@@ -282,17 +285,29 @@ def anova(result: xr.Dataset) -> Answer:
         lines += [f"channel {channel}"] if "channel" in result.dims else []
         floor = _ROUNDING * float(one["variance"])
         columns = _columns(one, "anova_variance", "anova_variance_se", "anova_share")
-        rows = [[u, "", *part(v, floor)] for u, v in zip(labels, columns, strict=True)]
-        larger = [float(one[f"higher_order_variance{end}"]) for end in ("", "_se")]
-        rest = part([*larger, 1.0 - float(np.sum(one["anova_share"].values))], floor)
-        rows.append(["larger subsets", "", *rest])
-        lines.append(text_table(["axes", "", "variance", "std. error", "share"], rows))
+        rows = [
+            [
+                u,
+                "",
+                *part(v, floor),
+                _error(one, "anova_share", (k,)) if abs(v[2]) > _ROUNDING else "",
+            ]
+            for k, (u, v) in enumerate(zip(labels, columns, strict=True))
+        ]
+        larger = ("higher_order_variance", "higher_order_variance_se", "higher_order_share")
+        rest = [float(one[name]) for name in larger]
+        ends = _error(one, "higher_order_share", ()) if abs(rest[2]) > _ROUNDING else ""
+        rows.append(["larger subsets", "", *part(rest, floor), ends])
+        header = ["axes", "", "variance", "std. error", "share", "95 % interval"]
+        lines.append(text_table(header, rows))
         varies = np.isfinite(float(one["mean_dimension"]))
         for name in ("variance", "mean_dimension", "effective_dimension_truncation",
                      "effective_dimension_superposition"):  # fmt: skip
             beyond = varies and name.endswith("superposition")
             missing = f"more than {order}" if beyond else "undefined"
-            lines.append(f"{name.replace('_', ' ')}: {_number(float(one[name]), 6, missing)}")
+            ends = _error(one, name, ())
+            ends = f", 95 % interval {ends}" if ends else ""
+            lines.append(f"{name.replace('_', ' ')}: {_number(float(one[name]), 6, missing)}{ends}")
     return _shown(*lines, subset=labels)
 
 

@@ -105,6 +105,7 @@ fit_chi2 | f | 1 | strategy? y? x? | lack of fit of the rate, χ² per degree of
 fit_first_n | f | 1 | | smallest number of points of the fit
 gain | f | 1 | any | gain coefficient Γ of nested scrambling, random points: 1
 generalized_l2_discrepancy | f | 1 | any | generalised L2 discrepancy, over all projections
+higher_order_share | f | 1 | | share of the variance of all larger subsets
 higher_order_variance | f | f² | | part of the variance of all larger subsets
 image | f | W/(m² sr) | any | mean radiance of each pixel
 improvement | f | 1 | any | variance less than as given (1), more (−1), undecided (0)

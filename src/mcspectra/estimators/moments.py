@@ -18,6 +18,8 @@ CONFIDENCE_Z = 1.959963984540054
 """Half width of a two-sided 95 % interval in standard errors."""
 
 _PRIOR = 20  # values' worth of the belief that the estimates are normal
+_LEAST = 10  # values that can show a tail at all
+_MOST_ERROR = 2.0  # squared: fewer than one degree of freedom, an upper end above 100 s²
 
 
 @dataclass(frozen=True)
@@ -89,8 +91,43 @@ class Moments:
 
     @property
     def variance_ci(self) -> Array:
-        """95 % interval of the variance, shape (..., 2)."""
-        return variance_interval(self.variance, self.relative_se)
+        """95 % interval of the variance, (..., 2); the upper end is inf where it is not `resolved`.
+
+        On a logarithmic scale from the kurtosis, as that of [Bonett2006]_; about a centre that the
+        skewness moves, as his trimmed mean is, and wider upwards, since values without a tail make
+        s² and its error too small together. The constants are chosen for 93 to 97 % from 20 values
+        on and kurtoses up to 10, whether skew, heavy, flat or two-peaked (``python -m benchmarks
+        coverage``); what they add vanishes as R grows.
+        """
+        low, high = self._log_errors()
+        down = -CONFIDENCE_Z * low * np.maximum(1.0 - low / 4, 0.5)
+        up = np.where(self.resolved, CONFIDENCE_Z * high * (1.0 + high / 2), np.inf)
+        variance = self.variance
+        return np.stack([variance * np.exp(down), variance * np.exp(up)], axis=-1)
+
+    @property
+    def resolved(self) -> Array:
+        """Whether the values bound their variance from above: not if one or two make up most of it."""
+        return np.asarray((self.count < _LEAST) | (self._log_errors()[1] ** 2 <= _MOST_ERROR))
+
+    def _log_errors(self) -> tuple[Array, Array]:
+        """Standard errors of log s² for the lower and the upper end."""
+        n = self.count
+        if n < 2:
+            return np.full_like(self.m2, np.nan), np.full_like(self.m2, np.nan)
+        normal = (n - 3) / (n - 1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            kurtosis = np.where(self.m2 > 0, n * self.m4 / self.m2**2, 3.0)
+            skewness = np.where(self.m2 > 0, np.sqrt(n) * self.m3 / self.m2**1.5, 0.0)
+        # Fourth moment about the mean moved against the skewness, and what so few cannot show of it
+        shift = 0.4 * n**-0.25 * skewness
+        kurtosis = kurtosis + 4 * shift * skewness + 6 * shift**2 + shift**4
+        unseen = 37.0 * n ** (-2 / 3) * np.sqrt(np.maximum(kurtosis - 2.0, 0.0))
+        low, high = (
+            np.sqrt((np.maximum(each, 1.0 + n ** (-2 / 3)) - normal) / (n - 1))
+            for each in (kurtosis, kurtosis + unseen)
+        )
+        return low, high
 
     @property
     def mean_se(self) -> Array:

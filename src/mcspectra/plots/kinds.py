@@ -60,7 +60,7 @@ KINDS: Mapping[str, Kind] = {
     "spectrum": Kind(spectra.spectrum, ("power",), 2),
     "lines": Kind(spectra.lines, ("power",), 1),
     "radial": Kind(spectra.radial, ("power", "radial_power")),
-    "pair-correlation": Kind(spectra.pair_correlation, ("pair_correlation", "pair_correlation_se")),
+    "pair-correlation": Kind(spectra.pair_correlation, ("pair_correlation", "pair_correlation_ci")),
     "points": Kind(points.points, ("points", "axis")),
     "remedies": Kind(variance.remedies, ("remedy", "error_ratio", "error_ratio_ci", "verdict")),
     "techniques": Kind(variance.techniques, ("technique_covariance", "technique_variance_ci")),

@@ -93,7 +93,8 @@ def lines(group: Group, styles: Styles) -> Plot:
     hover = {}
     for name, each in group.items():
         half = each["power_se"].values if "power_se" in each else np.zeros(each.sizes["m0"])
-        half = CONFIDENCE_Z * half * int(each.attrs["n"]) / _random_level(each)
+        half = each.attrs.get("student_t", CONFIDENCE_Z) * half
+        half *= int(each.attrs["n"]) / _random_level(each)
         power = curves[name][1]
         hover[name] = [
             number(float(p), 4) + (f" ± {number(float(h), 2)}" if h > 0 else "")
@@ -131,11 +132,11 @@ def radial(group: Group, styles: Styles) -> Plot:
 
 
 def pair_correlation(group: Group, styles: Styles) -> Plot:
-    """Pair correlation g(r) with a band of two standard errors, and the level of random points."""
+    """Pair correlation g(r) with its 95 % interval, and the level of random points."""
     curves = {}
     for name, each in group.items():
-        g, spread = each["pair_correlation"].values, 2.0 * each["pair_correlation_se"].values
-        curves[name] = (each["r"].values, g, g - spread, g + spread)
+        g, ends = (each[f"pair_correlation{part}"].values for part in ("", "_ci"))
+        curves[name] = (each["r"].values, g, *ends.T)
     found: list[Mark] = [Rule(at=1.0), *lines_of(curves, styles, ("r", "g"))]
     axis = Axis(label="pair correlation g(r)", low=0.0)
     panel = Panel(marks=tuple(found), x=Axis(label="distance r"), y=axis, grid=True)
@@ -143,7 +144,7 @@ def pair_correlation(group: Group, styles: Styles) -> Plot:
         kind="pair-correlation",
         panels=(panel,),
         caption="Pair correlation g(r) of the points before any warp: density of points at distance r "
-        "from another one, over that of random points, ± two standard errors.",
+        "from another one, over that of random points, with 95 % intervals.",
         words="Pair correlation against the distance. " + for_each(group, _pair_words),
         height=0.52,
     )

@@ -13,7 +13,7 @@ from mcspectra.core.checks import Array, as_integer, as_real_array
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNT, SETS
-from mcspectra.core.records import MeanSums
+from mcspectra.core.records import MeanSums, mean_interval
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.samplers import Sampler, as_sampler
@@ -66,7 +66,9 @@ def pair_correlation(
     Returns
     -------
     xarray.Dataset
-        ``pair_correlation``, ``pair_correlation_se`` on dim r (bin centres).
+        ``pair_correlation``, ``pair_correlation_se`` on dim r (bin centres), and
+        ``pair_correlation_ci``, the 95 % interval by Student's t of the logarithm; 0 to 0 where no
+        pair was seen.
 
     Notes
     -----
@@ -86,7 +88,7 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
     function = "pair_correlation"
     verb = "pcf"
     about = "sampler"
-    variables = ("pair_correlation", "pair_correlation_se")
+    variables = ("pair_correlation", "pair_correlation_se", "pair_correlation_ci")
     provenance = ("sampler", "n", "boundary", "realizations", "stream_key")
 
     n: Annotated[int, COUNT, Meta(description="Points in a set, at least 2.")]
@@ -134,8 +136,18 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
             mean, se = total.mean_and_error()
             center = 0.5 * (edges[1:] + edges[:-1])
             return dataset(
-                {"pair_correlation": (("r",), mean), "pair_correlation_se": (("r",), se)},
-                {"r": ("r", center, {"long_name": f"{self.boundary} distance", "units": "1"})},
+                {
+                    "pair_correlation": (("r",), mean),
+                    "pair_correlation_se": (("r",), se),
+                    "pair_correlation_ci": (
+                        ("r", "bound"),
+                        mean_interval(mean, se, self.realizations),
+                    ),
+                },
+                {
+                    "r": ("r", center, {"long_name": f"{self.boundary} distance", "units": "1"}),
+                    "bound": ["low", "high"],
+                },
                 dims=source.dims,
             )
 

@@ -20,7 +20,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNT, ENGINE, EPS, HALF_WIDTH, SETS
 from mcspectra.core.parallel import Block, realization_blocks
-from mcspectra.core.records import SUM, MeanSums, standard_error
+from mcspectra.core.records import SUM, MeanSums, mean_interval, standard_error, student_t
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.densities import Density, as_warp
@@ -107,9 +107,11 @@ def power_spectrum(
         ⟨S_0²⟩; with a density random is ∫1/p / n, the attribute ``random_level`` over n);
         ``radial_power``, ``radial_power_se`` on dim radius (|m|, cycles per unit, rings of one
         frequency step, without m = 0), the error from the ring means of each realisation, since
-        the frequencies of one set are not independent; in two dims ``wedge_power`` and
-        ``wedge_power_se`` likewise, see `wedge_means`; with `mean`, ``mean_coefficient`` (complex)
-        and ``mean_coefficient_se`` on dims m0, m1, …
+        the frequencies of one set are not independent, and ``radial_power_ci``, the 95 % interval:
+        Student's t of the logarithm, power · exp(±t se/power), with t of realizations − 1 degrees
+        of freedom, the attribute ``student_t`` (it serves ``power_se`` too); in two dims
+        ``wedge_power`` with ``_se`` and ``_ci`` likewise, see `wedge_means`; with `mean`,
+        ``mean_coefficient`` (complex) and ``mean_coefficient_se`` on dims m0, m1, …
 
     Raises
     ------
@@ -181,7 +183,8 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
     verb = "spectrum"
     companions = ("points",)
     variables = (
-        "power", "power_se", "radial_power", "radial_power_se", "wedge_power", "wedge_power_se",
+        "power", "power_se", "radial_power", "radial_power_se", "radial_power_ci",
+        "wedge_power", "wedge_power_se", "wedge_power_ci",
         "mean_coefficient", "mean_coefficient_se",
     )  # fmt: skip
 
@@ -251,18 +254,21 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 "power_se": (grid.names, grid.full(power_se)),
             }
             # Means over rings, then over wedges
-            means, rings = total.polar.mean_and_error(), grid.half_width
+            rings, count = grid.half_width, self.realizations
             labels = {"long_name": "|m|", "units": "cycles per unit"}
             coords: dict[str, Any] = {
                 **grid.coords,
                 "radius": ("radius", polar.radius * grid.step, labels),
+                "bound": ["low", "high"],
             }
-            for name, values in zip(("radial_power", "radial_power_se"), means, strict=True):
-                found[name] = ("radius",), values[:rings]
+            parts = [("radial_power", "radius", slice(rings))]
             if grid.dims == 2:
-                for name, values in zip(("wedge_power", "wedge_power_se"), means, strict=True):
-                    found[name] = ("angle",), values[rings:]
+                parts.append(("wedge_power", "angle", slice(rings, None)))
                 coords["angle"] = wedge_angles(self.wedges)
+            for name, dim, part in parts:
+                mean, se = (values[part] for values in total.polar.mean_and_error())
+                found[name], found[f"{name}_se"] = ((dim,), mean), ((dim,), se)
+                found[f"{name}_ci"] = (dim, "bound"), mean_interval(mean, se, count)
             if self.mean:
                 mean, mean_se = total.frequencies.coefficient()
                 found["mean_coefficient"] = grid.names, grid.full(mean, conjugate=True)
@@ -350,6 +356,7 @@ def spectrum_attributes(
         "density": None if density is None else density.spec,
         "n": n,
         "realizations": realizations,
+        "student_t": student_t(realizations),
         "stream_key": f"{stream.key:#x}",
         "random_level": 1.0 if density is None else density.reciprocal_integral(),
         "convention": "power = <|S_m|^2>; random points: random_level/n, random_level = ∫1/p",

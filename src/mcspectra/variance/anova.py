@@ -26,7 +26,7 @@ from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNT, REALIZATIONS
 from mcspectra.core.parallel import realization_blocks
-from mcspectra.core.records import JOIN, Join
+from mcspectra.core.records import JOIN, Join, student_t
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Estimator, Moments
@@ -61,12 +61,13 @@ class Anova(Analysis, frozen=True, kw_only=True):
     function = "anova_variances"
     verb = "anova"
     variables = (
-        *("anova_variance", "anova_variance_se", "anova_share"),
-        *("total_variance", "total_variance_se"),
-        *("higher_order_variance", "higher_order_variance_se", "truncation_share"),
-        *("effective_dimension_truncation", "effective_dimension_superposition", "mean_dimension"),
-        *("variance", "variance_ci"),
-    )
+        *("anova_variance", "anova_variance_se", "total_variance", "total_variance_se"),
+        *("higher_order_variance", "higher_order_variance_se"),
+        *(f"{name}{end}" for end in ("", "_ci") for name in (
+            "anova_share", "higher_order_share", "truncation_share", "mean_dimension",
+            "effective_dimension_truncation", "effective_dimension_superposition", "variance",
+        )),
+    )  # fmt: skip
     provenance = ("estimator", "sampler", "n", "realizations", "order", "stream_key")
 
     n: Annotated[int, COUNT] = 1
@@ -157,30 +158,56 @@ class Anova(Analysis, frozen=True, kw_only=True):
             below(*u) - sum((below(a) for a in u if len(u) > 1), np.zeros(len(frozen)))
             for u in listed
         ]
-        own, own_se = combined(parts)
-        total, total_se = combined([below(*axes) - below(*axes[:i], *axes[i + 1 :]) for i in axes])
-        rest, rest_se = combined([below(*axes) - np.sum(parts, axis=0)])
-        first, _ = combined([below(*axes[: s + 1]) for s in axes])
-
+        # The variance by the same pairs, and each realisation's part of it
         varies = moments.variance > rounding_floor(moments.mean)
-        whole = np.where(varies, first[-1], np.nan)  # the variance, by the same pairs
+        every = weighted_sum(below(*axes), products)
+        whole = np.where(varies, every.mean(axis=0), np.nan)
+
+        def ratios(weights: list[Array]) -> tuple[Array, Array]:
+            """Combinations as shares of the variance, (U, channels), and their 95 % intervals."""
+            each = [weighted_sum(row, products) for row in weights]
+            share = np.stack([q.mean(axis=0) for q in each]) / whole
+            off = [(q - s * every).std(axis=0, ddof=1) for q, s in zip(each, share, strict=True)]
+            half = student_t(count) * np.stack(off) / np.abs(whole) / np.sqrt(count)
+            return share, np.stack([share - half, share + half], axis=-1)
+
         sizes = np.array([len(u) for u in listed])
-        by_size = np.stack([own[sizes <= s].sum(axis=0) for s in range(1, sizes.max() + 1)])
         labels = ["".join(f"x{i}" for i in u) for u in listed]
+        larger = [below(*axes) - np.sum(parts, axis=0)]
+        totals = [below(*axes) - below(*axes[:i], *axes[i + 1 :]) for i in axes]
+        up_to = [
+            np.sum([part for part, size in zip(parts, sizes, strict=True) if size <= s], axis=0)
+            for s in range(1, sizes.max() + 1)
+        ]
+        own, own_se = combined(parts)
+        total, total_se = combined(totals)
+        rest, rest_se = combined(larger)
+        share, share_ci = ratios(parts)
+        rest_share, rest_share_ci = ratios(larger)
+        first, first_ci = ratios([below(*axes[: s + 1]) for s in axes])
+        by_size, by_size_ci = ratios(up_to)
+        mean_size, mean_size_ci = ratios([np.sum(totals, axis=0)])
         alone = ("channel",)
         return dataset(
             {
                 "anova_variance": (("subset", "channel"), own),
                 "anova_variance_se": (("subset", "channel"), own_se),
-                "anova_share": (("subset", "channel"), own / whole),
+                "anova_share": (("subset", "channel"), share),
+                "anova_share_ci": (("subset", "channel", "bound"), share_ci),
                 "total_variance": (("axis", "channel"), total),
                 "total_variance_se": (("axis", "channel"), total_se),
                 "higher_order_variance": (alone, rest[0]),
                 "higher_order_variance_se": (alone, rest_se[0]),
-                "truncation_share": (("axes", "channel"), first / whole),
-                "effective_dimension_truncation": (alone, _least(first / whole)),
-                "effective_dimension_superposition": (alone, _least(by_size / whole)),
-                "mean_dimension": (alone, total.sum(axis=0) / whole),
+                "higher_order_share": (alone, rest_share[0]),
+                "higher_order_share_ci": ((*alone, "bound"), rest_share_ci[0]),
+                "truncation_share": (("axes", "channel"), first),
+                "truncation_share_ci": (("axes", "channel", "bound"), first_ci),
+                "effective_dimension_truncation": (alone, _least(first)),
+                "effective_dimension_truncation_ci": ((*alone, "bound"), _least_ci(first_ci)),
+                "effective_dimension_superposition": (alone, _least(by_size)),
+                "effective_dimension_superposition_ci": ((*alone, "bound"), _least_ci(by_size_ci)),
+                "mean_dimension": (alone, mean_size[0]),
+                "mean_dimension_ci": ((*alone, "bound"), mean_size_ci[0]),
                 "variance": (alone, moments.variance),
                 "variance_ci": (("channel", "bound"), moments.variance_ci),
             },
@@ -337,10 +364,13 @@ def anova_variances(
         ``anova_variance(subset)`` c_u, with ``_se``, and ``anova_share(subset)`` of the variance (as the
         same pairs give it, so that all shares sum to 1);
         ``total_variance(axis)``, the sum of c_u of all u that hold the axis, with ``_se``;
-        ``higher_order_variance``, what subsets beyond `order` have, with ``_se``;
-        ``truncation_share(axes)`` of the first so many axes; ``effective_dimension_truncation``,
-        ``effective_dimension_superposition`` (NaN beyond `order`) and ``mean_dimension``, the mean
-        of |u| weighted by c_u; ``variance`` and ``variance_ci``. A dim channel where f has several.
+        ``higher_order_variance``, what subsets beyond `order` have, with ``_se``, and
+        ``higher_order_share``; ``truncation_share(axes)`` of the first so many axes;
+        ``effective_dimension_truncation``, ``effective_dimension_superposition`` (NaN beyond `order`)
+        and ``mean_dimension``, the mean of |u| weighted by c_u; ``variance``. Shares and dimensions
+        have 95 % intervals ``_ci``, not cut at 0 and 1: of ratios of means (delta method, Student's
+        t); of effective dimensions, where the ends of the shares cross 99 %, inf where the lower
+        one does not. A dim channel where f has several.
 
     Raises
     ------
@@ -450,6 +480,13 @@ def _frozen(dims: int, order: int) -> list[tuple[int, ...]]:
 
 
 def _least(shares: Array) -> Array:
-    """Least number, from 1, whose share (s, channels) is enough; NaN where none is."""
+    """Least number, from 1, whose share (s, ...) is enough; NaN where none is."""
     enough = shares >= EFFECTIVE_SHARE
     return np.where(enough.any(axis=0), enough.argmax(axis=0) + 1.0, np.nan)
+
+
+def _least_ci(ends: Array) -> Array:
+    """Interval of it from those of the shares, (s, channels, 2) → (channels, 2)."""
+    least = _least(ends)[..., ::-1]
+    unknown = np.asarray(np.isnan(ends).any(axis=(0, 2)))[:, None]
+    return np.where(unknown, np.nan, np.nan_to_num(least, nan=np.inf))

@@ -15,8 +15,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.records import JOIN
-from mcspectra.estimators.moments import Moments, rounding_floor
+from mcspectra.core.records import JOIN, student_t
+from mcspectra.estimators.moments import Moments
 from mcspectra.variance._kernels import (
     accumulate,
     band_estimates,
@@ -34,6 +34,7 @@ __all__ = [
     "SpectralSums",
     "TermSums",
     "Variables",
+    "ratio_factors",
     "spread",
     "student_t",
 ]
@@ -246,16 +247,9 @@ class Batches:
         terms, share = self.values[:, :3], self.share
         return spread(terms - weighted_sum(share, terms), share)
 
-    def captured_half(self) -> Array:
-        """Half the 95 % interval of predicted over measured variance: (C,)."""
-        values, share = self.values, self.share
-        mean = weighted_sum(share, values)
-        predicted, measured = mean[:3].sum(axis=0), mean[3]
-        real = measured > rounding_floor(self.means.mean(axis=0))
-        ratio = np.divide(predicted, measured, out=np.full_like(predicted, np.nan), where=real)
-        residual = values[:, :3].sum(axis=1) - ratio * values[:, 3]
-        half = spread(residual, share) / np.where(real, measured, np.nan)
-        return np.asarray(half * student_t(self.count))
+    def captured_factors(self) -> Array:
+        """Ends of the 95 % interval of predicted over measured variance, over that ratio: (C, 2)."""
+        return ratio_factors(self.values[:, :3].sum(axis=1), self.values[:, 3], self.share)
 
 
 def _real(values: Array) -> Array:
@@ -272,8 +266,27 @@ def spread(deviation: Array, share: Array) -> Array:
     return np.asarray(np.sqrt(squares * blocks / (blocks - 1)))
 
 
-def student_t(batches: int) -> float:
-    """Half the 95 % interval in standard errors from this many batches; two at least."""
-    from scipy.special import stdtrit
+def ratio_factors(above: Array, below: Array, share: Array) -> Array:
+    """Ends of the 95 % interval of a ratio of means of positive block values (B, ...), over it: (..., 2).
 
-    return float(stdtrit(max(1, batches - 1), 0.975))
+    Of the logarithm, whose error is the jackknife's with Student's t [Miller1974]_. Where few blocks hold
+    most of the error the others have not seen the tail: it is wider, 1 + √(excess kurtosis / B) times,
+    and by the skewness more towards where that tail lies (``python -m benchmarks coverage``).
+    """
+    blocks = len(share)
+    if blocks < 2:
+        return np.full((*above.shape[1:], 2), np.nan)
+    weight = share.reshape(-1, *[1] * (above.ndim - 1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # Blocks of which nothing is captured but rounding have no spread
+        above = np.maximum(above, np.finfo(float).eps ** 2 * below)
+        a, b = ((weighted_sum(share, v) - weight * v) / (1.0 - weight) for v in (above, below))
+        influence = (1.0 - 1.0 / weight) * np.log(a / b)
+        influence = influence - weighted_sum(share, influence)
+        error = student_t(blocks) * spread(influence, share)
+        scale = np.sqrt((influence**2).mean(axis=0))
+        unit = np.divide(influence, scale, out=np.zeros_like(influence), where=scale > 0)
+    skewness, kurtosis = (unit**3).mean(axis=0), (unit**4).mean(axis=0)
+    wider = 1.0 + np.sqrt(np.maximum(kurtosis - 3.0, 0.0) / blocks)
+    low, high = (error * (wider + np.maximum(sign * skewness, 0.0)) for sign in (-1, 1))
+    return np.asarray(np.exp(np.stack([-low, high], axis=-1)))

@@ -34,7 +34,7 @@ from mcspectra.variance.convergence import count_stream
 from mcspectra.variance.doors import answer, counted
 from mcspectra.variance.fit import check_window, fit_rates
 from mcspectra.variance.ordered import product, weighted_sum
-from mcspectra.variance.sums import BATCHES, Variables, spread
+from mcspectra.variance.sums import BATCHES, Variables, ratio_factors, spread
 from mcspectra.variance.views import Frequencies, View
 
 if TYPE_CHECKING:
@@ -64,7 +64,15 @@ class Techniques(Analysis, frozen=True, kw_only=True):
     variables = (
         *_PARTS,
         *(f"{name}_se" for name in _PARTS),
-        *("dc_term", "power_term", "cross_term", "predicted_variance", "captured", "mean"),
+        *(
+            "dc_term",
+            "power_term",
+            "cross_term",
+            "predicted_variance",
+            "captured",
+            "captured_ci",
+            "mean",
+        ),
         *("measured_variance", "measured_variance_ci"),
         *("technique_variance", "technique_variance_ci"),
         *("technique_rate", "technique_rate_ci", "rate", "rate_ci", "bottleneck"),
@@ -221,7 +229,7 @@ def technique_terms(
         means: from 4 realisations on). ``dc_term``, ``power_term``, ``cross_term`` of `variance_terms`:
         in the domain the sums over pairs; in primary space, where each technique has frequencies
         of its own, dc and power are those of the diagonal and cross is the rest. On technique: ``technique_variance`` with
-        ``_ci``, the diagonal. ``captured``. With a list of n: ``technique_rate`` and
+        ``_ci``, the diagonal. ``captured`` with ``_ci``. With a list of n: ``technique_rate`` and
         ``rate`` with ``_ci``, and ``bottleneck``: the technique whose rate is slower than
         all others' by intervals that do not overlap, −1 for undecided; the attribute ``bottleneck`` has
         it in words. Techniques without variance take no part. Several channels add a dim channel.
@@ -267,6 +275,9 @@ def _variables(total: _Total, view: View) -> Variables:
     share = total.weights / total.weights.sum()
     errors = spread(total.values - weighted_sum(share, total.values), share)
     predicted = found[:3].sum(axis=(0, 2, 3))
+    # Of each block: predicted and measured variance of the whole estimate, (B, 2, C)
+    whole = total.values.sum(axis=(-2, -1))
+    sides = np.stack([whole[:, :3].sum(axis=1), whole[:, 3]], axis=1)
     # As `variance_terms` has it: in primary space each technique has frequencies of its own.
     dc, power = (np.einsum("cts->c" if view.space == "domain" else "ctt->c", c) for c in found[:2])
     measured, mean = moments.variance[:, -1], moments.mean[:, -1]
@@ -282,6 +293,10 @@ def _variables(total: _Total, view: View) -> Variables:
         "measured_variance": (("channel",), measured),
         "measured_variance_ci": (("channel", "bound"), moments.variance_ci[:, -1]),
         "captured": (("channel",), predicted / real),
+        "captured_ci": (
+            ("channel", "bound"),
+            (predicted / real)[:, None] * ratio_factors(sides[:, 0], sides[:, 1], share),
+        ),
         "mean": (("channel",), mean),
         "technique_variance": (each, moments.variance[:, :-1]),
         "technique_variance_ci": ((*each, "bound"), moments.variance_ci[:, :-1]),

@@ -231,7 +231,8 @@ def variance_terms(
         and ``cross_matrix(m, l)``. Standard errors ``_se`` of the terms, ``contribution``,
         ``band_covariance`` and both matrices, and ``_ci`` of the terms, by batch means (from 4
         realisations on): their number is the attribute ``batches``, and 95 % is Student's t with one
-        degree of freedom less.
+        degree of freedom less; that of ``captured`` is of its logarithm, wider where few batches
+        hold most of the error.
 
     Raises
     ------
@@ -292,7 +293,10 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
     real = np.where(measured.variance > rounding_floor(measured.mean), measured.variance, np.nan)
     variables |= {
         "captured": (("channel",), predicted / real),
-        "captured_ci": interval(predicted / real, batches.captured_half()),
+        "captured_ci": (
+            ("channel", "bound"),
+            (predicted / real)[:, None] * batches.captured_factors(),
+        ),
         "truncated_variance": (by_width, sums.truncated.variance),
         "captured_by_half_width": (by_width, sums.truncated.variance / real[:, None]),
     }
