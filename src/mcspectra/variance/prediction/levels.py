@@ -135,12 +135,14 @@ class _Table:
     """Parts of g over cells, by a coarse and a fine rule (Q = 2) or exactly (Q = 1).
 
     `parts` are σ²_l, (Q, levels + 1 of each axis, channels), that of level 0 the square of the mean;
-    `within` is the mean variance within cells, (Q, channels); `walsh` the squares ĝ_m², (Q, cells of
-    each axis, channels), m in the order of the butterflies, if they were asked for.
+    `within` is the mean variance within cells, (Q, channels), `error` twice its standard error; `walsh`
+    the squares ĝ_m², (Q, cells of each axis, channels), m in the order of the butterflies, if they
+    were asked for.
     """
 
     parts: Array
     within: Array
+    error: Array
     walsh: Array | None
 
 
@@ -171,8 +173,10 @@ def _scrambled(net: Sampler, n: int, known: Known, *, shifted: bool = False) -> 
     plain: Any = 0.0
     for cells in held:
         table = known.once(
-            ("levels", bases, cells, shifted),
-            lambda cells=cells: _table(known.g, bases, cells, walsh=shifted),  # type: ignore[misc]
+            ("levels", bases, cells, shifted, cells is held[0]),
+            lambda cells=cells: _table(  # type: ignore[misc]
+                known.g, bases, cells, walsh=shifted, whole=cells is held[0]
+            ),
         )
         at = tuple(np.indices([level + 1 for level in cells]))
         if cells is held[0]:
@@ -181,7 +185,7 @@ def _scrambled(net: Sampler, n: int, known: Known, *, shifted: bool = False) -> 
             ).sum(axis=1)
             plain = np.zeros((len(total), *counted.shape, total.shape[1]))
             weighed = np.zeros(plain.shape)
-            square = total[-1]
+            square, sampled = total[-1], table.error
             total = total - table.parts[(slice(None), *origin)]
         new: Any = (slice(None), *(axis[~counted[at]] for axis in at))
         plain[new] = table.parts[new]
@@ -214,7 +218,9 @@ def _scrambled(net: Sampler, n: int, known: Known, *, shifted: bool = False) -> 
             doubt = doubt + np.abs(gains[missing] - 1.0).max()
     route = "Walsh functions of the dual net" if shifted else "gains by level"
     value = weighed.sum(axis=axes) + weight * rest
-    return _predicted(value, n, square, route, rest=weight * rest[-1], doubt=doubt * rest[-1])
+    return _predicted(
+        value, n, square, route, rest=weight * rest[-1], doubt=sampled + doubt * rest[-1]
+    )
 
 
 def _without_border(counted: Array) -> Array:
@@ -265,32 +271,36 @@ def _tables(wanted: Array, bases: Sequence[int], most: int) -> Iterator[Levels]:
         yield found[-1]
 
 
-def _table(g: Integrand, bases: Sequence[int], levels: Levels, *, walsh: bool) -> _Table:
+def _table(
+    g: Integrand, bases: Sequence[int], levels: Levels, *, walsh: bool, whole: bool
+) -> _Table:
     sides = tuple(map(pow, bases, levels))
     means, squares = _cell_moments(g, sides, np.zeros(g.dims))
-    spread = _spread(means, squares)
 
-    # Products of the coarse and the fine rule: what both are off by at jumps is hardly correlated,
-    # and does not add up to power as it does in squares
-    pairs = [(means[-1], means[-1]), (means[0], means[-1])][: len(means)]
-    parts = np.stack(
-        [
-            level_variances(0.5 * (a + b), tuple(bases))
-            - level_variances(0.5 * (a - b), tuple(bases))
-            for a, b in pairs
-        ]
-    )
-    if not walsh:
-        return _Table(parts, spread, None)
-    found = _hadamard(means, g.dims) / math.prod(sides)
-    products = np.stack([found[-1] ** 2, found[0] * found[-1]][: len(means)])
-    return _Table(parts, spread, products)
+    # Squares of means and the variance within the cells are both off by what the rules err at jumps,
+    # in all by nothing. In long cells without these products are right: errors of two rules are
+    # hardly correlated
+    coarse, fine = means[0], means[-1]
+    pairs = [(coarse, coarse), (fine, fine)] if whole else [(fine, fine), (coarse, fine)]
+    halves = [(0.5 * (a + b), 0.5 * (a - b)) for a, b in pairs[: len(means)]]
+    parts = [np.subtract(*(level_variances(h, tuple(bases)) for h in half)) for half in halves]
+    products = None
+    if walsh:
+        found = _hadamard(means, g.dims) / math.prod(sides)
+        coarse, fine = found[0], found[-1]
+        pairs = [(coarse, coarse), (fine, fine)] if whole else [(fine, fine), (coarse, fine)]
+        products = np.stack([a * b for a, b in pairs[: len(means)]])
+    return _Table(np.stack(parts), *_spread(means, squares), products)
 
 
-def _spread(means: Array, squares: Array) -> Array:
-    """Mean over cells of the variance within, (Q, channels), of moments (Q, …, channels)."""
-    within = np.maximum(squares - means**2, 0.0)
-    return np.asarray(within.reshape(len(means), -1, means.shape[-1]).mean(axis=1))
+def _spread(means: Array, squares: Array) -> tuple[Array, Array]:
+    """Mean over cells of the variance within, (Q, channels), and twice its standard error.
+
+    Of moments (Q, …, channels); rules err in each cell by itself, and may agree by chance in the mean.
+    """
+    within = np.maximum(squares - means**2, 0.0).reshape(len(means), -1, means.shape[-1])
+    error = 2.0 * np.sqrt(((within[-1] - within[0]) ** 2).sum(axis=0)) / within.shape[1]
+    return within.mean(axis=1), error
 
 
 def _dual_parts(table: _Table, points: Array) -> Array:
@@ -373,7 +383,8 @@ def _strata(sides: tuple[int, ...], offset: Array, n: int, known: Known, route: 
         ("moments", grid, *offset), lambda: _cell_moments(known.g, grid, offset)
     )
     square = squares[-1].reshape(-1, squares.shape[-1]).mean(axis=0)
-    return _predicted(_spread(_merged(means, sides), _merged(squares, sides)), n, square, route)
+    value, error = _spread(_merged(means, sides), _merged(squares, sides))
+    return _predicted(value, n, square, route, doubt=error)
 
 
 def _refined(sides: tuple[int, ...], most: int) -> tuple[int, ...]:
@@ -434,7 +445,8 @@ def _latin(n: int, known: Known) -> Predicted:
     if n == 1:
         gains = np.minimum(varying, 1)
     weighed = (gains[..., None] * parts).reshape(len(parts), -1, parts.shape[-1])
-    value = _spread(means, squares) + weighed.sum(axis=1)
+    within, error = _spread(means, squares)
+    value = within + weighed.sum(axis=1)
 
     # Less that between the strata of each axis
     for axis in range(dims):
@@ -444,7 +456,7 @@ def _latin(n: int, known: Known) -> Predicted:
         along = along.reshape(len(along), n, -1)
         value = value - along.var(axis=1)
     # Interactions within the strata, which have weight 1
-    doubt = value[-1] / max(n - 1, 1)
+    doubt = error + value[-1] / max(n - 1, 1)
     return _predicted(value, n, square, "parts of a Latin hypercube", doubt=doubt)
 
 
