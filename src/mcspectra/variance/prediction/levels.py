@@ -1,0 +1,516 @@
+"""Variances of scrambled nets and of strata from means of g over cells.
+
+Nested uniform scrambling weighs the part σ²_l of g that varies with l_j digits of coordinate j by the
+gain Γ_l of the net (docs/theory.md, "Gains of scrambled nets"). Gains are 1 but for finitely many
+levels, about those of at most n cells: of Σ l_j near log n, not of all l_j near log n. So
+
+    n Var = Σ_{l ≤ T} Γ_l σ²_l + ω²_T − Σ_{l ≰ T} (1 − Γ_l) σ²_l
+
+with ω²_T the mean variance within the cells of one table T and σ²_l from some tables of as many cells
+that are longer along some axes. A digital shift has weights that depend on g, n Σ_m ĝ_m² ŝ_m² over
+the Walsh functions of a level; of the levels that no table holds they are 1 in the mean.
+
+Cells are integrated in closed form where g knows its moments over boxes, else by Gauss-Legendre, cut
+at the breaks of g, and once more by a composite rule where g varies most from cell to cell: there
+curves of jumps are. Both are done twice, by a fine and a coarse rule; the error is their difference.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.streams import Stream
+from mcspectra.estimators.reflected import FoldedIntegrand, SymmetrizedIntegrand
+from mcspectra.integrands import Integrand
+from mcspectra.samplers import (
+    Jittered,
+    Mirror,
+    Random,
+    Randomized,
+    Regular,
+    Sampler,
+    StrataShift,
+    UniformJitter,
+)
+from mcspectra.spectra.bases import hadamard, parts_of
+from mcspectra.spectra.gain import gain_coefficients
+from mcspectra.variance.exact import level_variances
+from mcspectra.variance.prediction.known import Known, Predicted
+from mcspectra.variance.quadrature import Pointwise, stratum_moments
+
+__all__ = ["of_levels"]
+
+Levels = tuple[int, ...]
+
+_MOST_DIMS = 3
+_EXACT_CELLS = 2**18  # of a table
+_SHIFTED_CELLS = {1: 4, 2: 4, 3: 1}  # times as many, for a shift of digits
+_CELLS = {1: 2**16, 2: 2**18, 3: 2**18}  # where g is integrated by quadrature
+_FINER = {1: 3, 2: 3, 3: 1}  # levels counted beyond those where gains are not 1
+_ORDERS = {1: (6, 10), 2: (2, 3), 3: (2, 3)}  # coarse and fine
+_PARTS = {1: 16, 2: 4, 3: 2}  # per axis, of a cell with a jump
+_MOST_ROUGH = {1: 2**8, 2: 2**14, 3: 2**15}
+_ROUGH = 3.0  # variation of g, relative to that of the mean cell, from which on there may be a jump
+_BLOCK = 2**20  # evaluations at a time
+_OFFSETS, _MOST_EVALUATIONS = 2**13, 2**24  # of a grid that is moved as a whole
+_ROUNDING = 4e-15  # of ∫g², absolute
+_KEEP_LAW = frozenset({"digital-shift", "permute"})
+_LATIN = ("latin-hypercube", "n-rooks")
+
+
+def of_levels(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
+    """Predict the variance of scrambled nets and of strata from means of g over cells.
+
+    Parameters
+    ----------
+    sampler, n
+        In 1 to 3 dims: fixed sets with owen or lms; in base 2 also with digital-shift; jittered,
+        antithetic-jittered, latin-hypercube and random, unshifted; grids with one random offset; each with mirror.
+    known
+        g, and the tables made for other counts and samplers.
+    stream
+        Not used: nothing is random.
+
+    Raises
+    ------
+    NoClosedForm
+        Another sampler, more dims, g not finite at a node, or a set without any randomness.
+
+    References
+    ----------
+    [Owen1997]_, [Stein1987]_, [Haber1967]_, [DickPillichshammer2010]_
+    """
+    chain = sampler.as_chain(n)
+    if chain.fixed:
+        raise NoClosedForm(
+            f"{sampler.spec} has no variance: its points are the same every time; add owen or "
+            "shift, or look at the bias."
+        )
+    if known.g.dims > _MOST_DIMS:
+        raise NoClosedForm(
+            f"Tables of cells are for at most {_MOST_DIMS} dims; {known.g.spec} has {known.g.dims}."
+        )
+    base, steps = parts_of(chain)
+    names = {step.name for step in steps}
+    if steps and isinstance(steps[-1], Mirror):
+        inner = Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
+        return _mirrored(steps[-1].mode, inner, n, known, stream)
+    if base.fixed and steps:
+        nested = "owen" in names or ("lms" in names and any(s.debiases for s in steps))
+        if nested and names <= _KEEP_LAW | {"owen", "lms"}:
+            return _scrambled(base, n, known)
+        if names <= _KEEP_LAW and set(base.digit_bases) == {2}:
+            return _scrambled(base, n, known, shifted=True)
+        if isinstance(base, Regular) and names <= {"shift", "strata-shift"} and "shift" in names:
+            return _moved_grid(base.sides(n), n, known)
+    if isinstance(base, UniformJitter) and names <= {"shift", "strata-shift"}:
+        return _moved_grid(base.sides(n), n, known)
+    if base.name == "antithetic-jittered" and not steps:
+        return _antithetic(n, known)
+    if base.name in _LATIN and getattr(base, "strength", 1) == 1 and names <= {"shuffle"}:
+        if known.g.dims > 1:
+            return _latin(n, known)
+        return _strata((n,), np.zeros(1), n, known, "strata")
+    if isinstance(base, Random) and names <= {"shift", "strata-shift"}:
+        return _strata((1,) * known.g.dims, np.zeros(known.g.dims), n, known, "independent points")
+    if isinstance(base, Jittered) and all(isinstance(step, StrataShift) for step in steps):
+        offset: Any = np.zeros(known.g.dims)
+        for step in steps:
+            offset = offset + np.asarray(getattr(step, "offset", 0.0), float)
+        offset = offset % 1.0 * n ** (-1.0 / known.g.dims)
+        return _strata(base.sides(n), offset, n, known, "strata")
+    raise NoClosedForm(f"No gains by level and no strata are known for {sampler.spec}.")
+
+
+@dataclass(frozen=True)
+class _Table:
+    """Parts of g over cells, by a coarse and a fine rule (Q = 2) or exactly (Q = 1).
+
+    `parts` are σ²_l, (Q, levels + 1 of each axis, channels), that of level 0 the square of the mean;
+    `within` is the mean variance within cells, (Q, channels), `error` twice its standard error; `walsh`
+    the squares ĝ_m², (Q, cells of each axis, channels), m in the order of the butterflies, if they
+    were asked for.
+    """
+
+    parts: Array
+    within: Array
+    error: Array
+    walsh: Array | None
+
+
+def _scrambled(net: Sampler, n: int, known: Known, *, shifted: bool = False) -> Predicted:
+    """Nested scrambling of a fixed set, or a digital shift of one in base 2."""
+    points = net.draw_stream(n, Stream.from_rng(0), 0, 1)[0]
+    bases, dims = net.digit_bases, net.dims
+    origin: Any = (0,) * dims
+
+    # Gains, up to where all coordinates differ or a few digits more than n has
+    differ = _digits_that_differ(points, bases) + 1
+    levels = math.ceil(math.log(max(n, 2), min(bases)) - 1e-9) + 3
+    levels = levels if shifted else min(differ, levels)
+    try:
+        gains = gain_coefficients(net, n, levels=levels)["gain"].to_numpy()
+    except ParameterError as error:
+        raise NoClosedForm(f"{error} Or use convergence or variance_terms.") from None
+    wanted = np.abs(gains - 1.0) > 1e-9
+    if shifted:  # weights are not 1 at once beyond them
+        digits = np.indices(gains.shape).sum(axis=0)
+        wanted |= digits <= digits[wanted].max() + _FINER[dims]
+    wanted[origin] = False
+
+    # Σ Γ_l σ²_l and Σ σ²_l over the levels of the tables
+    most = _EXACT_CELLS if _in_closed_form(known.g) else _CELLS[dims]
+    held = list(_tables(wanted, bases, most * (_SHIFTED_CELLS[dims] if shifted else 1)))
+    counted = np.zeros(np.max(held, axis=0) + 1, bool)
+    plain: Any = 0.0
+    for cells in held:
+        table = known.once(
+            ("levels", bases, cells, shifted, cells is held[0]),
+            lambda cells=cells: _table(  # type: ignore[misc]
+                known.g, bases, cells, walsh=shifted, whole=cells is held[0]
+            ),
+        )
+        at = tuple(np.indices([level + 1 for level in cells]))
+        if cells is held[0]:
+            total = table.within + table.parts.reshape(
+                len(table.within), -1, table.within.shape[1]
+            ).sum(axis=1)
+            plain = np.zeros((len(total), *counted.shape, total.shape[1]))
+            weighed = np.zeros(plain.shape)
+            square, sampled = total[-1], table.error
+            total = total - table.parts[(slice(None), *origin)]
+        new: Any = (slice(None), *(axis[~counted[at]] for axis in at))
+        plain[new] = table.parts[new]
+        if shifted:
+            weighed[new] = n * _dual_parts(table, points)[new]
+        else:
+            ends = tuple(np.minimum(axis, gains.shape[i] - 1) for i, axis in enumerate(at))
+            weighed[new] = (gains[ends][..., None] * table.parts)[new]
+        counted[at] = True
+    plain[(slice(None), *origin)] = weighed[(slice(None), *origin)] = 0.0
+
+    # The rest has weight 1 where no level is missing, else one as the finest levels show
+    axes = tuple(range(1, dims + 1))
+    rest = np.maximum(total - plain.sum(axis=axes), 0.0)
+    weight, doubt = np.ones(rest.shape[1]), np.zeros(rest.shape[1])
+    if shifted:
+        inner = _without_border(counted)
+        rings = [counted & ~inner, inner & ~_without_border(inner)]
+        shown = [
+            weighed[-1][r].sum(axis=0) / np.maximum(plain[-1][r].sum(axis=0), 1e-300) for r in rings
+        ]
+        weight, doubt = shown[0], np.abs(shown[0] - shown[1])
+    else:
+        missing = wanted.copy()
+        inside = tuple(map(slice, counted.shape))
+        missing[inside] &= ~counted[tuple(map(slice, wanted.shape))]
+        if levels < differ:
+            missing |= np.indices(wanted.shape).max(axis=0) == levels
+        if missing.any():
+            doubt = doubt + np.abs(gains[missing] - 1.0).max()
+    route = "Walsh functions of the dual net" if shifted else "gains by level"
+    value = weighed.sum(axis=axes) + weight * rest
+    return _predicted(
+        value, n, square, route, rest=weight * rest[-1], doubt=sampled + doubt * rest[-1]
+    )
+
+
+def _without_border(counted: Array) -> Array:
+    """Levels of which the next along every axis are counted, too."""
+    wide = np.pad(counted, [(0, 1)] * counted.ndim)
+    inner = counted.copy()
+    for axis in range(counted.ndim):
+        ahead = np.moveaxis(wide, axis, 0)[1:]
+        inner &= np.moveaxis(ahead, 0, axis)[tuple(slice(size) for size in counted.shape)]
+    return inner
+
+
+def _digits_that_differ(points: Array, bases: Sequence[int]) -> int:
+    """Number of digits in which all coordinates of each axis differ; 52 bits where they do not."""
+    level = 0
+    for axis, base in enumerate(bases):
+        # As in spectra.gain: coordinates rounded down to below a digit count as that digit
+        x = points[:, axis] + (0.0 if base & (base - 1) == 0 else 2.0**-50)
+        most = math.floor(52 / math.log2(max(bases)))
+        while level < most and len(np.unique(np.floor(x * base**level))) < len(points):
+            level += 1
+    return level
+
+
+def _in_closed_form(g: Integrand) -> bool:
+    return g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims))) is not None
+
+
+def _tables(wanted: Array, bases: Sequence[int], most: int) -> Iterator[Levels]:
+    """Levels of tables of up to `most` cells: one of about cubes, then until all wanted are held."""
+
+    def grown(levels: Levels) -> Levels:
+        while True:
+            sides = [b**level for b, level in zip(bases, levels, strict=True)]
+            axis = int(np.argmin(sides))
+            if math.prod(sides) * bases[axis] > most:
+                return levels
+            levels = tuple(level + (i == axis) for i, level in enumerate(levels))
+
+    first = grown((0,) * len(bases))
+    yield first
+    left = [tuple(map(int, level)) for level in np.argwhere(wanted)]
+    left = [levels for levels in left if math.prod(map(pow, bases, levels)) <= most]
+    found = [first]
+    while left := [v for v in left if any(map(int.__gt__, v, found[-1]))]:
+        # The longest first, and of these the one of most cells
+        found.append(grown(max(left, key=lambda v: (max(v), sum(v)))))
+        yield found[-1]
+
+
+def _table(
+    g: Integrand, bases: Sequence[int], levels: Levels, *, walsh: bool, whole: bool
+) -> _Table:
+    sides = tuple(map(pow, bases, levels))
+    means, squares = _cell_moments(g, sides, np.zeros(g.dims))
+
+    # Squares of means and the variance within the cells are both off by what the rules err at jumps,
+    # in all by nothing. In long cells without these products are right: errors of two rules are
+    # hardly correlated
+    coarse, fine = means[0], means[-1]
+    pairs = [(coarse, coarse), (fine, fine)] if whole else [(fine, fine), (coarse, fine)]
+    halves = [(0.5 * (a + b), 0.5 * (a - b)) for a, b in pairs[: len(means)]]
+    parts = [np.subtract(*(level_variances(h, tuple(bases)) for h in half)) for half in halves]
+    products = None
+    if walsh:
+        found = _hadamard(means, g.dims) / math.prod(sides)
+        coarse, fine = found[0], found[-1]
+        pairs = [(coarse, coarse), (fine, fine)] if whole else [(fine, fine), (coarse, fine)]
+        products = np.stack([a * b for a, b in pairs[: len(means)]])
+    return _Table(np.stack(parts), *_spread(means, squares), products)
+
+
+def _spread(means: Array, squares: Array) -> tuple[Array, Array]:
+    """Mean over cells of the variance within, (Q, channels), and twice its standard error.
+
+    Of moments (Q, …, channels); rules err in each cell by itself, and may agree by chance in the mean.
+    """
+    within = np.maximum(squares - means**2, 0.0).reshape(len(means), -1, means.shape[-1])
+    error = 2.0 * np.sqrt(((within[-1] - within[0]) ** 2).sum(axis=0)) / within.shape[1]
+    return within.mean(axis=1), error
+
+
+def _dual_parts(table: _Table, points: Array) -> Array:
+    """Σ_m ĝ_m² ŝ_m² over the Walsh functions of each level, shaped like `parts` of a table."""
+    found: Any = table.walsh
+    sides = found.shape[1:-1]
+    counts = np.zeros((1, *sides, 1))
+    np.add.at(counts, (0, *np.floor(points * sides).astype(np.int64).T, 0), 1.0 / len(points))
+    found = found * _hadamard(counts, len(sides)) ** 2
+    for axis, side in enumerate(sides, start=1):
+        # In the order of the butterflies the lowest bit of a function's number tells its level
+        lowest = [side >> k for k in range(1, side.bit_length())]
+        starts = [slice(0, 1), *(slice(low, None, 2 * low) for low in lowest)]
+        along = np.moveaxis(found, axis, 0)
+        found = np.stack([along[some].sum(axis=0) for some in starts], axis=axis)
+    return np.asarray(found)
+
+
+def _hadamard(values: Array, dims: int) -> Array:
+    """`hadamard` along axes 1 to `dims`."""
+    for axis in range(1, dims + 1):
+        values = np.moveaxis(hadamard(np.moveaxis(values, axis, -1)), -1, axis)
+    return values
+
+
+def _cell_moments(g: Integrand, sides: tuple[int, ...], offset: Array) -> tuple[Array, Array]:
+    """Means of g and of g² over cells, displaced by `offset`, both (Q, *sides, channels)."""
+    dims = g.dims
+    if _in_closed_form(g):
+        mean, square = stratum_moments(g, sides, offset, 1)
+        return mean.reshape(1, *sides, -1), square.reshape(1, *sides, -1)
+    by_order = [stratum_moments(g, sides, offset, order) for order in _ORDERS[dims]]
+    means = np.stack([m for m, _ in by_order]).reshape(2, *sides, -1)
+    squares = np.stack([s for _, s in by_order]).reshape(2, *sides, -1)
+    if not (np.isfinite(means).all() and np.isfinite(squares).all()):
+        raise NoClosedForm(f"{g.spec} is not finite everywhere; use convergence or variance_terms.")
+
+    # Find where g varies most, within a cell and to its neighbours, but for cells that breaks cut
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    size = (3,) * dims + (1,)
+    fine = means[-1]
+    varies = maximum_filter(fine, size, mode="nearest") - minimum_filter(fine, size, mode="nearest")
+    varies = varies + np.sqrt(np.maximum(squares[-1] - fine**2, 0.0))
+    rough = (varies / np.maximum(varies.max(axis=tuple(range(dims))), 1e-300)).sum(axis=-1)
+    limit = _ROUGH * rough.mean()
+    edges = (0.0, *((1e-9, 1.0 - 1e-9) if dims <= 2 else ()))  # warps have their poles there
+    for axis, breaks in enumerate(g.breaks):
+        place = (np.array([*edges, *breaks]) - offset[axis]) % 1.0 * sides[axis]
+        cut = place[np.abs(place - np.rint(place)) > 1e-12]
+        rough[(slice(None),) * axis + (np.minimum(cut, sides[axis] - 1).astype(np.int64),)] = 0.0
+    most = min(_MOST_ROUGH[dims], rough.size)
+    chosen = np.argpartition(rough.ravel(), rough.size - most)[rough.size - most :]
+    chosen = np.sort(chosen[rough.ravel()[chosen] > limit])
+
+    # Integrate over parts of these
+    channels = means.shape[-1]
+    for q, order in enumerate(_ORDERS[dims]):
+        node, weight = np.polynomial.legendre.leggauss(order)
+        part = np.arange(_PARTS[dims])[:, None]
+        nodes = ((part + 0.5 * (node + 1.0)) / _PARTS[dims]).ravel()
+        weights = np.tile(0.5 * weight / _PARTS[dims], _PARTS[dims])
+        inside = np.array(list(itertools.product(nodes, repeat=dims)))
+        shares = np.array([math.prod(w) for w in itertools.product(weights, repeat=dims)])
+        step = max(1, _BLOCK // len(shares))
+        for start in range(0, len(chosen), step):
+            some = chosen[start : start + step]
+            corner = np.stack(np.unravel_index(some, sides), axis=-1)
+            x = ((corner[:, None] + inside) / sides + offset) % 1.0
+            values = g(x).reshape(len(some), len(shares), channels)
+            means[q].reshape(-1, channels)[some] = np.einsum("kqc,q->kc", values, shares)
+            squares[q].reshape(-1, channels)[some] = np.einsum("kqc,q->kc", values**2, shares)
+    return means, squares
+
+
+def _strata(sides: tuple[int, ...], offset: Array, n: int, known: Known, route: str) -> Predicted:
+    """An independent value of g in each of n equal strata, or n values in one."""
+    grid = sides if _in_closed_form(known.g) else _refined(sides, _CELLS[known.g.dims])
+    means, squares = known.once(
+        ("moments", grid, *offset), lambda: _cell_moments(known.g, grid, offset)
+    )
+    square = squares[-1].reshape(-1, squares.shape[-1]).mean(axis=0)
+    value, error = _spread(_merged(means, sides), _merged(squares, sides))
+    return _predicted(value, n, square, route, doubt=error)
+
+
+def _refined(sides: tuple[int, ...], most: int) -> tuple[int, ...]:
+    """Multiples of the sides, of up to `most` cells or as many as there are."""
+    cells = list(sides)
+    while True:
+        axis = int(np.argmin(cells))
+        if math.prod(cells) // cells[axis] * (cells[axis] + sides[axis]) > most:
+            return tuple(cells)
+        cells[axis] += sides[axis]
+
+
+def _merged(moment: Array, sides: tuple[int, ...]) -> Array:
+    """Means over coarser cells of moments (Q, cells of each axis, channels)."""
+    for axis, side in enumerate(sides, start=1):
+        shape = (*moment.shape[:axis], side, -1, *moment.shape[axis + 1 :])
+        moment = moment.reshape(shape).mean(axis=axis + 1)
+    return np.asarray(moment)
+
+
+def _antithetic(n: int, known: Known) -> Predicted:
+    """One jittered point in each of n/2 cells, with the mean of g at it and at its reflection."""
+    g, side = known.g, round((n // 2) ** (1.0 / known.g.dims))
+
+    def reflected(x: Array) -> Array:
+        cell = np.minimum(np.floor(x * side), side - 1.0)
+        return np.asarray(np.clip((2.0 * cell + 1.0) / side - x, 0.0, 1.0))
+
+    breaks = tuple(
+        tuple(sorted({*axis, *reflected(np.asarray(axis, float)).tolist()})) for axis in g.breaks
+    )
+    mean = Pointwise(
+        g, lambda x: 0.5 * (g(x) + g(reflected(x))), breaks, f"{g.spec}, symmetrised in cells"
+    )
+    offset = np.zeros(g.dims)
+    return _strata((side,) * g.dims, offset, n // 2, Known(mean), "strata, pairs of points")
+
+
+def _latin(n: int, known: Known) -> Predicted:
+    """Without what varies along single axes from stratum to stratum, and with the weights of Stein."""
+    dims = known.g.dims
+    most = _EXACT_CELLS if _in_closed_form(known.g) else _CELLS[dims]
+
+    def moments(sides: tuple[int, ...]) -> tuple[Array, Array]:
+        return known.once(
+            ("moments", sides, *(0.0,) * dims),
+            lambda: _cell_moments(known.g, sides, np.zeros(dims)),
+        )
+
+    # All variance, in parts of the axes that it varies with
+    sides = _refined((1,) * dims, most)
+    means, squares = moments(sides)
+    parts = np.stack([level_variances(m, sides) for m in means])  # one digit for each axis
+    square = squares[-1].reshape(-1, squares.shape[-1]).mean(axis=0)
+    varying = np.indices((2,) * dims).sum(axis=0)
+    others = max(n - 1.0, 1e-300)
+    gains = np.where(varying < 2, varying, 1.0 + others * (-1.0 / others) ** varying)
+    if n == 1:
+        gains = np.minimum(varying, 1)
+    weighed = (gains[..., None] * parts).reshape(len(parts), -1, parts.shape[-1])
+    within, error = _spread(means, squares)
+    value = within + weighed.sum(axis=1)
+
+    # Less that between the strata of each axis
+    for axis in range(dims):
+        thin = _refined(tuple(n if i == axis else 1 for i in range(dims)), max(most, n))
+        means, _ = moments(thin)
+        along = _merged(means, tuple(n if i == axis else 1 for i in range(dims)))
+        along = along.reshape(len(along), n, -1)
+        value = value - along.var(axis=1)
+    # Interactions within the strata, which have weight 1
+    doubt = error + value[-1] / max(n - 1, 1)
+    return _predicted(value, n, square, "parts of a Latin hypercube", doubt=doubt)
+
+
+def _moved_grid(sides: tuple[int, ...], n: int, known: Known) -> Predicted:
+    """The variance of the mean over a grid with one offset, at offsets of a Kronecker sequence."""
+    g, dims = known.g, known.g.dims
+    count = min(_OFFSETS, _MOST_EVALUATIONS // n)
+    if count < 2**6:
+        raise NoClosedForm(f"{n} points are too many to move a grid over {g.spec}.")
+    root = float(np.roots([1.0, *[0.0] * (dims - 1), -1.0, -1.0]).real.max())
+    offsets = (0.5 + np.arange(count)[:, None] * root ** -np.arange(1.0, dims + 1)) % 1.0
+    corners = np.indices(sides).reshape(dims, -1).T
+    step = max(1, _BLOCK // n)
+    found, squares = [], []
+    for start in range(0, count, step):
+        x = (corners + offsets[start : start + step, None]) / sides
+        values = g(np.minimum(x, 1.0)).reshape(len(x), n, -1)
+        found.append(values.mean(axis=1))
+        squares.append((values**2).mean(axis=1))
+    means = np.concatenate(found)
+    spreads = np.stack([part.var(axis=0, ddof=1) for part in np.array_split(means, 4)])
+    value, doubt = n * means.var(axis=0), n * spreads.std(axis=0, ddof=1)
+    square = np.concatenate(squares).mean(axis=0)
+    return _predicted(value[None], n, square, "offsets of a grid", doubt=doubt)
+
+
+def _mirrored(mode: str, inner: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
+    """The variance of the sampler inside with another integrand."""
+    if mode == "fold":
+        folded = known.once("folded", lambda: Known(FoldedIntegrand(known.g)))
+        return of_levels(inner, n, folded, stream)
+    average = known.once("symmetrised", lambda: Known(SymmetrizedIntegrand(known.g)))
+    if mode == "uniform":
+        return of_levels(inner, n >> known.g.dims, average, stream)
+    if not inner.unbiased:
+        raise NoClosedForm(
+            f"No variance is known for random reflections of {inner.spec}, whose points are not "
+            "uniform; use convergence or variance_terms."
+        )
+    one = Random(dims=known.g.dims)
+    all_, even = (of_levels(one, 1, k, stream) for k in (known, average))
+    found = of_levels(inner, n, average, stream)
+    coins = np.maximum(all_.variance - even.variance, 0.0) / n
+    error = found.error + (all_.error + even.error) / n
+    return Predicted(found.variance + coins, error, found.share, found.tail, found.route)
+
+
+def _predicted(
+    scaled: Array, n: int, square: Array, route: str, *, rest: Any = 0.0, doubt: Any = 0.0
+) -> Predicted:
+    """Of n times the variance by each rule, (Q, channels), and ∫g²; the rest is not term by term."""
+    rounding = _ROUNDING * square
+    value = np.maximum(scaled[-1], 0.0)
+    error = np.abs(scaled[-1] - scaled[0]) + doubt + rounding + 1e-9 * value
+    rest = np.broadcast_to(np.asarray(rest, float), value.shape)
+    share = 1.0 - rest / np.maximum(square, 1e-300)
+    return Predicted(value / n, error / n, share, np.minimum(rest, value) / n, route)
