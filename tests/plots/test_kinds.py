@@ -41,6 +41,7 @@ SMALL = {
     "pcf": ({"n": 16, "bins": 8, "realizations": 9}, None, "jittered", ["pair-correlation"]),
     "anova": ({"n": 9, **MANY}, "gaussian", "jittered", ["anova"]),
     "anova-spectrum": ({"n": 8, "frequencies": 32}, "gaussian", "random", ["anova"]),
+    "predict": ({"counts": (4, 16)}, "gaussian", "jittered", ["prediction"]),
     "exact": ({"counts": (4, 16)}, "gaussian", "jittered", ["exact"]),
     "remedies": (
         {"budget": 64, "realizations": 100, "kinds": ("sampler",)},

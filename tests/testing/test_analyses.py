@@ -28,6 +28,7 @@ QUICK = {
     "pcf": ({"n": 16, "bins": 8, "realizations": 9}, None, "jittered"),
     "anova": ({"n": 9, **MANY}, "gaussian", "jittered"),
     "anova-spectrum": ({"n": 8, "frequencies": 32}, "gaussian", "random"),
+    "predict": ({"counts": (4, 16)}, "gaussian", "jittered"),
     "exact": ({"counts": (4, 16)}, "gaussian", "jittered"),
     "remedies": (
         {"budget": 64, "realizations": 100, "kinds": ("sampler",)},

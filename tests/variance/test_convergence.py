@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
+from mcspectra import integrands
 from mcspectra.variance.fit import fit_rate
 
 COUNTS = [16, 64, 256, 1024]
@@ -155,3 +156,89 @@ def test_window_is_reported():
     last = mcs.convergence(f, "jittered | shift", [4, 16, 64, 256], realizations=50, fit_last=2)
     assert (int(last["fit_first_n"]), last.attrs["fit_last"]) == (64, 2)
     assert np.isnan(float(last["fit_chi2"]))
+
+
+def _function(f, **known):
+    return mcs.Estimator(mcs.Integrand.from_function(f, dims=1, **known))
+
+
+def _spike(x):
+    """1 with a spike of width 2e-5 and height 1e4, which few samples meet: its integral is 1.2."""
+    return np.where(np.abs(x[..., 0] - 0.3) < 1e-5, 1e4, 1.0)
+
+
+def _hot_pixel():
+    """Noise of variance 0.1 with one pixel of 65536 that adds 10 to it: met once in 16 runs."""
+    values = 1 + np.random.default_rng(1).uniform(-0.5, 0.5, (256, 256)) * np.sqrt(1.2)
+    values[100, 37] = np.sqrt(65536)
+    return mcs.Estimator(integrands.Image(values=values))
+
+
+@pytest.mark.parametrize(
+    ("estimator", "sampler", "n", "words"),
+    [
+        # A hit in 3e5 samples; and one in 8800, of which 1000 estimates have 16 000: 1.8 hits
+        ("disk(center=0.4, radius=0.001)", "random", 4, "none of the estimates varies"),
+        ("disk(center=0.4, radius=0.006)", "random | shift", 16, "a single estimate makes"),
+        (
+            _function(lambda x: _spike(x) + np.sin(7 * x[..., 0]), integral=1.2 + (1 - np.cos(7)) / 7),
+            "jittered", 4, "standard errors off the integral at n = 4",
+        ),
+        (_hot_pixel(), "random", 4, "times the measured one at n = 4"),
+        (_function(lambda x: x[..., 0] ** -0.6), "jittered", 16, "∫g² diverges, the variance is infinite"),
+        (_function(lambda x: 1 / (x[..., 0] - 0.5), integral=0.0), "random", 16, "∫g² diverges"),
+    ],
+)  # fmt: skip
+def test_what_was_not_met_has_no_upper_bound(estimator, sampler, n, words):
+    d = mcs.convergence(estimator, ["uniform-jitter", sampler], [n, 4 * n, 16 * n], rng=1)
+    found = d.sel(sampler=sampler, n=n)
+    assert words in d.attrs["note"]
+    assert "none of these variances has a finite upper bound" in d.attrs["note"]
+    assert found["variance_ci"][1] == np.inf
+    assert found["variance_ci"][0] <= found["variance"]
+    # A rate that rests on it has no interval
+    assert not np.isfinite(found["rate_ci"]).any()
+
+
+def test_what_can_be_seen_keeps_its_bounds():
+    """Small samples have large squares by chance, constants no variance, biased sets a bias."""
+    for estimator in ("constant", GAUSSIAN, "linear"):
+        for sampler in ("random", "jittered", "sobol | owen"):
+            for realizations in (3, 5, 20, 100):
+                d = mcs.convergence(
+                    mcs.Estimator(estimator, dims=2), sampler, [4, 16], realizations=realizations
+                )
+                assert "note" not in d.attrs, d.attrs["note"]
+                assert np.isfinite(d["variance_ci"]).all()
+
+
+def test_a_share_is_that_of_normal_estimates_at_few_realisations():
+    """Of 1000 samples of 12 normal values, one in a thousand has a larger square: 1 ± 3."""
+    from mcspectra.variance.convergence import Seen, _large_share
+
+    values = np.random.default_rng(3).normal(size=(12, 20_000))
+    assert 2 <= (Seen.of(values).largest_share > _large_share(np.array(12))).sum() <= 40
+    assert _large_share(np.array(1000)) == 0.2
+    assert _large_share(np.array(2)) == 1.0
+
+
+@pytest.mark.parametrize("sampler", ["sobol", "halton", "regular"])
+def test_sets_that_are_always_the_same_have_no_variance(sampler):
+    """Today the rounding noise of their means, 1e-34, with a rate."""
+    d = mcs.convergence(
+        _function(lambda x: np.exp(x[..., 0])), [sampler], [16, 64], realizations=999
+    )
+    assert (d["variance"] == 0.0).all()
+    assert (d["variance_ci"] == 0.0).all()
+    assert np.isnan(d["rate"]).all()
+    assert d.attrs["note"] == f"{sampler} has no variance: add owen or shift, or look at |bias|"
+
+
+def test_what_was_not_met_is_the_same_for_any_workers():
+    options = {"realizations": 3000, "rng": 5}
+    one, four = (
+        mcs.convergence("disk(center=0.4, radius=0.005)", "random", [4, 256], workers=w, **options)
+        for w in (1, 4)
+    )
+    assert "note" in one.attrs
+    assert one.identical(four)

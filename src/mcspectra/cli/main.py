@@ -45,6 +45,7 @@ _MODULES = {
         "techniques": "variance, terms and rate of each technique by itself, and the bottleneck",
         "remedies": "what would lower the noise at a budget, measured, ranked and explained",
         "exact": "exact variance, where there is a closed form",
+        "predict": "variance and rate at every n, predicted without samples of f",
         "anova": "which axes the variance comes from, effective dimension",
         "modes": "which patterns of frequencies vary together",
         "routes": "variance by every route that is known, side by side",

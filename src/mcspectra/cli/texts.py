@@ -329,6 +329,28 @@ def exact(result: xr.Dataset) -> Answer:
     return _shown(f"exact variance of {_title(result)}", table, _note(result))
 
 
+@_view("predict")
+def prediction(result: xr.Dataset) -> Answer:
+    """Prints the predicted variance at each n with its interval, its local rate and its route."""
+    counts, rows = result["n"].values, []
+    names = ("predicted_variance", "local_rate", "energy_share")
+    value, rate, share = (result[name].values.reshape(len(counts), -1) for name in names)
+    ends = result["predicted_variance_ci"].values.reshape(*value.shape, 2)
+    if np.isnan(value).all():
+        raise NoClosedForm(f"{_note(result)[:1].upper()}{_note(result)[1:]}.")
+    for k, n in enumerate(counts):
+        for channel in range(value.shape[1]):
+            interval = "{:.4g} … {:.4g}".format(*ends[k, channel])
+            numbers = f"{value[k, channel]:.4g}", interval, f"{rate[k, channel]:+.2f}"
+            label = f"[{channel}]" if value.shape[1] > 1 else ""
+            route = str(result["route"].values[k])
+            rows.append([str(n), label, *numbers, f"{share[k, channel]:.4f}", route])
+    header = ["n", "", "variance", "95 %", "local rate", "share", "route"]
+    rates = ", ".join(f"{float(r):+.3f}" for r in result["predicted_rate"].values.reshape(-1))
+    title = f"predicted variance of {_title(result)}"
+    return _shown(title, text_table(header, rows), f"rate: {rates}", _note(result))
+
+
 @_view("remedies")
 def remedies(result: xr.Dataset) -> Answer:
     """Prints a table in the order of the errors, then what to do and why."""

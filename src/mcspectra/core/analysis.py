@@ -221,6 +221,7 @@ ANALYSES = Registry(
         "anova": "mcspectra.variance.anova:Anova",
         "anova-spectrum": "mcspectra.variance.anova:AnovaSpectrum",
         "exact": "mcspectra.variance.exact:Exact",
+        "predict": "mcspectra.variance.prediction.predict:Prediction",
         "remedies": "mcspectra.variance.remedies:Remedies",
         "modes": "mcspectra.variance.modes:Modes",
         "routes": "mcspectra.variance.routes:Routes",

@@ -98,7 +98,7 @@ diaphony | f | 1 | any | diaphony, spectrum weighted by 1/Π max(1, m²)
 effective_dimension_superposition | f | 1 | | least size of subsets with 99 % of the variance
 effective_dimension_truncation | f | 1 | | least number of first axes with 99 % of the variance
 elementary_intervals | f | 1 | any | whether all elementary intervals hold their share (1: yes)
-energy_share | f | 1 | any | part of ∫f² that was counted, within the half width where there is one
+energy_share | f | 1 | route? n? | part of ∫f² that is counted term by term
 exact_variance | f | f² | n | exact variance
 exponent_fit_chi2 | f | 1 | | lack of fit of the exponent, χ² per degree of freedom
 fit_chi2 | f | 1 | strategy? y? x? | lack of fit of the rate, χ² per degree of freedom
@@ -112,6 +112,7 @@ improvement | f | 1 | any | variance less than as given (1), more (−1), undeci
 incident_radiance | f | W/(m² sr) | any | radiance of the lights that count, from each direction
 kurtosis | f | 1 | | kurtosis of the estimates; normal: 3
 l2_star_discrepancy | f | 1 | any | L2 star discrepancy
+local_rate | f | 1 | n | exponent of the predicted variance between neighbouring n
 low_frequency_exponent | f | 1 | | b of power ∝ |m|^b at low frequencies
 mean | f | f | strategy? n? y? x? | mean estimate
 mean_dimension | f | 1 | | mean size of subsets, weighted by c_u
@@ -133,6 +134,7 @@ points | f | 1 | point axis | points of one realisation
 power | f | 1 | m frequency? | expected power ⟨|S_m|²⟩; random points: ∫1/p / n
 power_contribution | f | f² | technique? m | |f_m|² C_mm, the diagonal part of the contribution
 power_term | f | f² | n? | power term Σ_{m≠0} |f_m|² C_mm
+predicted_rate | f | 1 | | exponent of the predicted variance in n; random sampling: −1
 predicted_variance | f | f² | n? | predicted variance, dc + power + cross
 radial_power | f | 1 | radius | expected power, mean over directions
 rate | f | 1 | remedy? strategy? y? x? | fitted exponent of variance in n; random sampling: −1
@@ -147,6 +149,7 @@ star_discrepancy | f | 1 | any | star discrepancy
 strata_offset | f | 1 | any | offset of strata in sides of a stratum
 t_value | f | 1 | any | quality parameter t of the (t, m, d)-net
 tail_term | f | f² | | variance of what is beyond the half width, if points are random to it
+tail_variance | f | f² | n | part of the predicted variance beyond the terms that are counted
 technique_covariance | f | f² | n? technique technique_other | \
 covariance of the parts of the estimate of two techniques
 technique_cross_term | f | f² | n? technique technique_other | cross term of two techniques

@@ -49,6 +49,7 @@ __all__ = [
     "captured",
     "convergence",
     "exact",
+    "prediction",
     "remedies",
     "routes",
     "strategy_curves",
@@ -65,6 +66,7 @@ _TERMS = {
     "predicted_variance": "sum: predicted",
     "measured_variance": "measured",
 }
+_LEAST_SHOWN = 1e-3  # of a variance, as the lower end of its interval
 _LINEAR_TOP = 4.0  # captured shares up to here are shown on a linear axis
 _VERDICTS = {"better": "#009E73", "worse": ACCENT, "given": INK}
 _CURVE = ("variance", "variance_ci", "rate", "rate_ci")
@@ -130,36 +132,50 @@ def strategy_curves(curves: xr.Dataset, names: Mapping[str, str], styles: Styles
 
 def exact(group: Group, styles: Styles) -> Plot:
     """Exact variances against n."""
-    curves = {}
+    caption = "Exact variance against the number of points, by closed form or quadrature."
+    return _known_curves(group, styles, "exact", "exact variance", caption)
+
+
+def prediction(group: Group, styles: Styles) -> Plot:
+    """Predicted variances against n, with their 95 % intervals."""
+    caption = "Predicted variance against the number of points, with 95 % intervals."
+    return _known_curves(group, styles, "prediction", "predicted variance", caption)
+
+
+def _known_curves(group: Group, styles: Styles, kind: str, what: str, caption: str) -> Plot:
+    """Variances that were not measured, against n."""
+    variable = what.replace(" ", "_")
+    curves, bands = {}, {}
     for name, each in group.items():
-        there = each["exact_variance"].values > 0
-        n, variance = each["n"].values.astype(float), each["exact_variance"].values
+        n, variance = each["n"].values.astype(float), each[variable].values
+        there = (variance > 0) & np.isfinite(variance)
         curves[name] = (n[there], variance[there])
-    notes = {name: "" if n.size else ": no closed form" for name, (n, _) in curves.items()}
+        if f"{variable}_ci" in each:
+            low, high = each[f"{variable}_ci"].transpose("n", "bound").values[there].T
+            least = variance[there] * _LEAST_SHOWN
+            bands[name] = {"low": np.maximum(low, least), "high": np.maximum(high, least)}
+    notes = {name: "" if n.size else f": no {what}" for name, (n, _) in curves.items()}
     marks: list[Mark] = []
-    for name, line in zip(
-        curves, lines_of(curves, styles, ("n", "exact variance"), notes=notes), strict=True
-    ):
+    for name, line in zip(curves, lines_of(curves, styles, ("n", what), notes=notes), strict=True):
         marker = styles[name].marker
         dots = Dots(x=line.x, y=line.y, color=line.color, marker=marker, label=line.label)
-        marks += [line, dots]
-    values = np.concatenate([each["exact_variance"].values for each in group.values()])
+        marks += [replace(line, **bands.get(name, {})), dots]
+    values = np.concatenate([variance for _, variance in curves.values()])
     counts = [int(n) for each in group.values() for n in each["n"].values]
-    found = values[values > 0]
     return Plot(
-        kind="exact",
+        kind=kind,
         panels=(
             Panel(
                 marks=tuple(marks),
                 x=count_axis("number of points n", counts),
-                y=log_axis("exact variance", *_ends(found)),
+                y=log_axis(what, *_ends(values)),
                 grid=True,
-                note="" if found.size else "no closed form is known",
+                note="" if values.size else f"no {what} is known",
             ),
         ),
-        caption="Exact variance against the number of points, by closed form or quadrature.",
-        words="Logarithmic plot of exact variance against n. "
-        + for_each(group, lambda each: ", ".join(numbers(each["exact_variance"].values))),
+        caption=caption,
+        words=f"Logarithmic plot of {what} against n. "
+        + for_each(group, lambda each: ", ".join(numbers(each[variable].values))),
     )
 
 

@@ -91,7 +91,7 @@ def summarize(tree: xr.DataTree) -> list[SummaryRow]:
     pairs = [pair for estimator in tree.children.values() for pair in estimator.children.values()]
     for pair in sorted(pairs, key=place):
         found = {name: pair[name].to_dataset() for name in _READ if name in pair.children}
-        first = next(iter(found.values()), None)
+        first = found.get("convergence", found.get("terms"))
         if first is None:
             continue
         channels = first.sizes.get("channel", 0)

@@ -6,6 +6,9 @@ for any number of workers. What has not been seen cannot be counted: a stop is b
 next stage, at least a quarter longer, confirms it, because the first stop of a skewed sample tends to
 be a moment at which its kurtosis is underestimated; and estimates that have shown no spread at all
 are no evidence of none: 10 000 are tried, then the error is NaN, and the goal not reached.
+
+Where the estimates show that they missed what makes the variance, its interval has no finite upper
+end, the rate none at all, and the attribute ``note`` says why (`_blindness`).
 """
 
 from __future__ import annotations
@@ -29,7 +32,7 @@ from mcspectra.core.analysis import (
     in_step,
 )
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNT, COUNTS, FIT_LAST, REALIZATIONS, Counts, Window
 from mcspectra.core.parallel import (
@@ -44,9 +47,10 @@ from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Moments
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.tails import unsampled_note
-from mcspectra.samplers import Sampler
+from mcspectra.samplers import Random, Sampler
 from mcspectra.variance.doors import answer, counted
 from mcspectra.variance.fit import check_window, fit_rates
+from mcspectra.variance.quadrature import square_integral
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -67,6 +71,10 @@ _LEAST = 100  # realisations of the first stage: κ of fewer says little
 _STEP = 1.25  # a stage makes the sample longer by a quarter at least,
 _LEAP = 4.0  # and at most fourfold: κ is known better then
 _BLANK = 10_000  # realisations without spread after which the search is given up
+_LARGE_SHARE = 0.2  # of Σ (estimate − mean)², in one square: the tail is not resolved
+_RARELY = 1e-3  # normal estimates have a larger square this often; of few, one is always large
+_PEAKED = 9.0  # κ − 1 of estimates whose variance may be infinite: it is worth a quadrature
+_FAR = 5.0  # standard errors from the integral that are no chance
 _PARTS = 2  # a block is half the usual: a thousand realisations of a thousand points are two
 
 _DIMS = {
@@ -151,21 +159,42 @@ class Convergence(Analysis, frozen=True, kw_only=True):
             return np.moveaxis(array.reshape(*shape[1:], shape[0], *array.shape[1:]), 2, 0)
 
         variance, relative, mean, mean_se, interval, count = (
-            of_all([getattr(moments, name) for moments, _ in flat])
+            of_all([getattr(seen.moments, name) for seen, _ in flat])
             for name in ("variance", "relative_se", "mean", "mean_se", "variance_ci", "count")
         )
         integral = np.stack([np.atleast_1d(e.integral) for e in estimators])[:, None, None]
         known = np.array([e.integral_error for e in estimators])[:, None, None, None]
         floor = rounding_floor(np.maximum(np.abs(mean), np.abs(integral)))
+
+        # A set that is the same every time has no variance, but rounding noise
+        fixed = np.array([[_is_fixed(e, s) for s in samplers] for e in estimators])
+        variance[fixed], interval[fixed], mean_se[fixed] = 0.0, 0.0, 0.0
         v, r, f = (np.moveaxis(a, 2, 0) for a in (variance, relative, floor))
         fits = fit_rates(np.array(self.counts), v, r, f, self.fit_last)
+
+        # No upper end where something was missed, and no interval of a rate that rests on it
+        measured = {
+            "realizations": np.broadcast_to(count[..., None], variance.shape),
+            "variance": variance,
+            "relative_se": relative,
+            "share": of_all([seen.largest_share for seen, _ in flat]),
+            "bias": mean - integral,
+            "bias_se": np.hypot(mean_se, known),
+            "floor": floor,
+        }
+        ns = np.array(self.counts)
+        blind, notes = _blindness(estimators, samplers, ns, self.realizations, measured)
+        interval[blind, 1] = np.inf
+        fitted = (ns >= fits["first_n"][..., None]) & np.moveaxis(variance > floor, 2, -1)
+        unknown = (fitted & np.moveaxis(blind, 2, -1)).any(axis=-1)
+        fits["interval"][unknown] = -np.inf, np.inf
         values = {
             "variance": variance,
             "variance_ci": interval,
             "mean": mean,
             "mean_se": mean_se,
-            "bias": mean - integral,
-            "bias_se": np.hypot(mean_se, known),
+            "bias": measured["bias"],
+            "bias_se": measured["bias_se"],
             "mse": (mean - integral) ** 2 + variance * ((count - 1) / count)[..., None],
             "realizations_used": count,
             **(
@@ -190,8 +219,6 @@ class Convergence(Analysis, frozen=True, kw_only=True):
             "sampler": [s.spec for s in samplers],
         }
         fitted = fits["first_n"][np.isfinite(fits["first_n"])]
-        samples = self.counts[-1] * self.realizations
-        notes = [f"{e.spec}: {note}" for e in estimators if (note := unsampled_note(e, samples))]
         return dataset(
             {name: (("estimator", "sampler", *_DIMS[name]), v) for name, v in values.items()},
             {
@@ -265,7 +292,8 @@ class RealizationsNeeded(Analysis, frozen=True, kw_only=True):
         """The next realisations."""
         cell = MomentsCell((subject.estimator,), subject.sampler, self.n, stream)
         search = cell.until_precise(0, self.relative_error, self.max_realizations)
-        (((moments, reached),),) = yield from in_step([search])
+        (((seen, reached),),) = yield from in_step([search])
+        moments = seen.moments
         varies = moments.variance > rounding_floor(moments.mean)
         second = np.where(varies, moments.m2, np.nan)
         values = {
@@ -335,8 +363,12 @@ def convergence(
         which has the integral's own error in it, ``realizations_used(n)``, with `relative_error`
         ``reached(n)`` (1: yes; 0: `realizations` came first, or there was no spread), ``rate``,
         ``rate_ci(bound)``, ``fit_first_n`` (the smallest count of the fit) and ``fit_chi2`` (its lack of
-        fit per degree of freedom). The attribute ``note`` says where the largest simulation cannot
-        see most of a variance (`mcspectra.estimators.tails`). Lists add the dims estimator and sampler, several channels the dim
+        fit per degree of freedom). A set that is the same every time has the variance 0 and no
+        rate. The attribute ``note`` says so, and where the estimates missed what makes their variance:
+        none varies, a fifth or more of it is one square, the mean is five standard errors off the
+        integral, ∫g² diverges or is more than random points met, or most of it lies where no
+        sample falls (`mcspectra.estimators.tails`). The upper end of ``variance_ci`` is then infinite, and
+        both ends of ``rate_ci``. Lists add the dims estimator and sampler, several channels the dim
         channel. Counts whose variance is rounding noise are left out of the fit; the rate of fewer
         than two others is NaN.
 
@@ -409,23 +441,53 @@ def realizations_needed(
     return answer(RealizationsNeeded, locals())
 
 
-_Found: TypeAlias = tuple[Moments, bool]  # and whether the wanted precision was reached
+@final
+@dataclass(frozen=True)
+class Seen:
+    """Moments of estimates, with the least and the largest of each column."""
 
-_Search: TypeAlias = "Generator[Reduction[list[Moments]], list[Moments], list[_Found]]"
+    moments: Moments
+    least: Array
+    largest: Array
+
+    @staticmethod
+    def of(values: Array) -> Seen:
+        """What is seen of estimates (R, channels)."""
+        return Seen(Moments.of(values), values.min(axis=0), values.max(axis=0))
+
+    def merge(self, other: Seen) -> Seen:
+        """What is seen of both sets of estimates together."""
+        return Seen(
+            self.moments.merge(other.moments),
+            np.minimum(self.least, other.least),
+            np.maximum(self.largest, other.largest),
+        )
+
+    @property
+    def largest_share(self) -> Array:
+        """Share of the largest square in Σ (estimate − mean)²; 0 without spread."""
+        mean, m2 = self.moments.mean, self.moments.m2
+        square = np.maximum(self.largest - mean, mean - self.least) ** 2
+        return np.asarray(np.divide(square, m2, out=np.zeros_like(m2), where=m2 > 0))
+
+
+_Found: TypeAlias = tuple[Seen, bool]  # and whether the wanted precision was reached
+
+_Search: TypeAlias = "Generator[Reduction[list[Seen]], list[Seen], list[_Found]]"
 
 
 @final
 @dataclass(frozen=True)
 class MomentsCell:
-    """Estimators that draw the same sets of n points of a sampler: moments of their estimates."""
+    """Estimators that draw the same sets of n points of a sampler: what is seen of their estimates."""
 
     estimators: tuple[AbstractEstimator, ...]
     sampler: Sampler
     n: int
     stream: Stream
 
-    def run(self, part: int, first: int, realizations: int) -> Reduction[list[Moments]]:
-        """The moments of so many realisations from the first, of each estimator."""
+    def run(self, part: int, first: int, realizations: int) -> Reduction[list[Seen]]:
+        """What is seen of so many realisations from the first, of each estimator."""
         evaluations = self.n * sum(self.estimators[0].counts)
         numbers = evaluations * self.estimators[0].dims  # of a realisation
         blocks = realization_blocks(realizations, _PARTS * numbers, first=first)
@@ -434,13 +496,13 @@ class MomentsCell:
             points = self.estimators[0].draw(self.sampler, self.n, self.stream, *block)
             return [e.estimate(points).reshape(block[1], -1) for e in self.estimators]
 
-        def moments(index: int) -> list[Moments]:
+        def seen(index: int) -> list[Seen]:
             parts = zip(*map(estimates, slices(blocks[index], numbers)), strict=True)
-            return [Moments.of(np.concatenate(part)) for part in parts]
+            return [Seen.of(np.concatenate(part)) for part in parts]
 
         return Reduction(
-            kind=list[Moments],
-            block=moments,
+            kind=list[Seen],
+            block=seen,
             blocks=len(blocks),
             cost=float(realizations * evaluations * len(self.estimators)),
             key=f"{part}-{first}-{realizations}",
@@ -448,7 +510,7 @@ class MomentsCell:
 
     def all_of(self, part: int, realizations: int) -> _Search:
         """A given number of realisations."""
-        return [(moments, True) for moments in (yield self.run(part, 0, realizations))]
+        return [(seen, True) for seen in (yield self.run(part, 0, realizations))]
 
     def until_precise(self, part: int, relative_error: float, most: int) -> _Search:
         """Go on until the error is reached and confirmed, for one estimator."""
@@ -456,16 +518,17 @@ class MomentsCell:
         before = False
         while True:
             # Largest error among the channels that vary; NaN if none does
-            varies = total.variance > rounding_floor(total.mean)
-            error = float(total.relative_se[varies].max()) if varies.any() else math.nan
+            moments = total.moments
+            varies = moments.variance > rounding_floor(moments.mean)
+            error = float(moments.relative_se[varies].max()) if varies.any() else math.nan
             now, blank = error <= relative_error, math.isnan(error)
-            if (now and before) or total.count >= (min(most, _BLANK) if blank else most):
+            if (now and before) or moments.count >= (min(most, _BLANK) if blank else most):
                 return [(total, now and before)]
             before = now
             # The next stage ends where the error should be reached, within a quarter to fourfold
             excess = math.inf if blank else error / relative_error
-            stop = min(most, math.ceil(total.count * min(max(excess**2, _STEP), _LEAP)))
-            (more,) = yield self.run(part, total.count, stop - total.count)
+            stop = min(most, math.ceil(moments.count * min(max(excess**2, _STEP), _LEAP)))
+            (more,) = yield self.run(part, moments.count, stop - moments.count)
             total = total.merge(more)
 
 
@@ -485,12 +548,134 @@ def count_moments(
 ) -> Moments:
     """Moments of the estimates of realisations first … first + realizations − 1, channels last."""
     run = MomentsCell((estimator,), sampler, n, stream).run(0, first, realizations)
-    tree: MergeTree[list[Moments]] = MergeTree()
+    tree: MergeTree[list[Seen]] = MergeTree()
     for state in map_in_order(run.block, range(run.blocks), workers):
         tree.add(state)
-    return tree.total()[0]
+    return tree.total()[0].moments
 
 
 def _several(given: Any) -> list[Any]:
     """A list of what may be one."""
     return list(given) if isinstance(given, list | tuple) else [given]
+
+
+def _is_fixed(estimator: AbstractEstimator, sampler: Sampler) -> bool:
+    """Whether all estimates are of the same points."""
+    dealt = estimator.sets == "joint" and len(estimator.counts) > 1 and not sampler.sequence
+    return estimator.randomized(sampler).fixed and not dealt
+
+
+def _random_variance(estimator: AbstractEstimator, *, by_quadrature: bool) -> Array:
+    """n times the variance of random points, Σ_t (∫g_t² − (∫g_t)²)/counts[t]: (channels or 1,).
+
+    NaN where no closed form is known; `by_quadrature` tries further, which tells whether it is infinite.
+    """
+    total = np.zeros(max(1, estimator.channels))
+    for t, count in enumerate(estimator.counts):
+        g = estimator.primary_integrand(t)
+        found = g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims)))
+        if found is not None:
+            mean, square = (np.asarray(each, float).reshape(-1) for each in found)
+        elif by_quadrature and g.dims <= 2:
+            mean = np.full(total.shape, np.nan)
+            try:
+                square = square_integral(g)[0]
+                mean = np.where(np.isinf(square), 0.0, np.atleast_1d(g.integral))
+            except McspectraError:
+                square = mean
+        else:
+            return np.full(total.shape, np.nan)
+        total += (square - mean**2) / count
+    return total
+
+
+def _large_share(realizations: Array) -> Array:
+    """Share of the variance in one square, above which the tail of the estimates is not resolved.
+
+    A fifth; of few realisations more, which normal ones exceed once in a thousand times [Grubbs 1950].
+    """
+    from scipy.special import stdtrit
+
+    r = np.maximum(realizations, 3)
+    t2 = stdtrit(r - 2, _RARELY / (2 * r)) ** 2
+    normal = (r - 1) / r * t2 / (r - 2 + t2)
+    return np.where(realizations > 2, np.maximum(normal, _LARGE_SHARE), 1.0)
+
+
+def _blindness(
+    estimators: Sequence[AbstractEstimator],
+    samplers: Sequence[Sampler],
+    counts: Array,
+    realizations: int,
+    measured: dict[str, Array],
+) -> tuple[Array, list[str]]:
+    """Where estimates missed what makes their variance, and sentences that say why.
+
+    Parameters
+    ----------
+    measured
+        By name, each (estimator, sampler, n, channel): ``realizations``, ``variance``, its
+        ``relative_se``, the ``share`` of the largest square in it, ``bias``, ``bias_se`` and the ``floor``
+        of rounding.
+
+    Returns
+    -------
+    tuple
+        Which variances have no finite upper end, in the shape of ``variance``; the sentences.
+    """
+    from scipy.special import gammainc, ndtr, stdtrit
+
+    r = measured["realizations"]
+    heavy = measured["share"] > _large_share(r)
+    suspect = heavy | (r * measured["relative_se"] ** 2 > _PEAKED)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pull = measured["bias"] / measured["bias_se"]
+    noise = 4 * np.sqrt(measured["floor"])
+    missed = np.abs(measured["bias"]) > noise + _FAR * measured["bias_se"]
+    rare = float(ndtr(-_FAR))
+    far = missed & (np.abs(pull) > -stdtrit(r - 1, rare))
+    varies = measured["variance"] > measured["floor"]
+
+    blind, notes = np.zeros(varies.shape, bool), dict[str, None]()
+    for i, e in enumerate(estimators):
+        unsampled = unsampled_note(e, int(counts[-1]) * realizations)
+        if unsampled is not None:
+            notes[f"{e.spec}: {unsampled}"] = None
+        of_random = _random_variance(e, by_quadrature=bool((suspect & varies)[i].any()))
+        for j, sampler in enumerate(samplers):
+            source, at = e.randomized(sampler), (i, j)
+            if _is_fixed(e, sampler):
+                said = "has no variance: add owen or shift, or look at |bias|"
+                notes[f"{sampler.spec} {said}"] = None
+                continue
+            of = {name: values[at] for name, values in measured.items()}
+            known = isinstance(source, Random) & np.isfinite(of_random) & (of_random > 0)
+            true = np.where(known, of_random, 1.0) / counts[:, None]
+            half = of["relative_se"] ** -2.0
+            low = gammainc(half, half * of["variance"] / true) < rare
+            agrees = ~missed[at] & (varies[at].any(axis=0) | (e.integral_source == "exact"))
+            excess = true / np.where(varies[at], of["variance"], np.nan)
+
+            # A count has the first of these that holds, and the sentence its worst value
+            everywhere = np.ones_like(low)
+            for text, where, size in (
+                ("∫g² diverges, the variance is infinite", everywhere & np.isinf(of_random), excess),
+                ("none of the estimates varies{at}: what makes their variance was not met",
+                 ~varies[at] & ~agrees, of["share"]),
+                ("∫g² makes the variance {worst:.3g} times the measured one{at}: what is rare was not met",
+                 varies[at] & known & low, excess),
+                ("the mean is {worst:+.3g} standard errors off the integral{at}: what is rare was not met",
+                 far[at] & source.unbiased, pull[at]),
+                ("a single estimate makes {worst:.3g} % of the variance{at}: its tail is not resolved",
+                 heavy[at] & varies[at], 100 * of["share"]),
+            ):  # fmt: skip
+                new = where & ~blind[at]
+                blind[at] |= new
+                if new.any():
+                    place = f" at n = {', '.join(map(str, counts[new.any(axis=1)]))}"
+                    said = text.format(at=place, worst=max(size[new].tolist(), key=abs))
+                    notes[f"{e.spec} with {sampler.spec}: {said}"] = None
+            blind[at] |= unsampled is not None
+    if blind.any():
+        notes["none of these variances has a finite upper bound"] = None
+    return blind, list(notes)

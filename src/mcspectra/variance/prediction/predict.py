@@ -1,0 +1,404 @@
+"""Predictions: the variance at every n without samples of f, by the route that is trusted most.
+
+Everything happens in primary space: each technique has its own integrand on the unit cube, and
+independent techniques add up. `ROUTES` are tried in their order; what comes last measures small sets of
+the sampler and goes on from there, and is named so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, final
+
+import numpy as np
+
+from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import CountError, NoClosedForm, ParameterError
+from mcspectra.core.memory import memory_of
+from mcspectra.core.options import COUNTS, Counts
+from mcspectra.core.records import JOIN
+from mcspectra.core.results import dataset
+from mcspectra.core.streams import RngLike, Stream
+from mcspectra.estimators import AbstractEstimator, Estimator, as_subject
+from mcspectra.estimators.moments import rounding_floor
+from mcspectra.estimators.reflected import FoldedIntegrand, SymmetrizedIntegrand
+from mcspectra.samplers import Mirror, Randomized, Sampler
+from mcspectra.spectra.bases import parts_of
+from mcspectra.variance.convergence import count_moments, count_stream
+from mcspectra.variance.doors import counted
+from mcspectra.variance.exact import exact_variance
+from mcspectra.variance.prediction.known import Known, Predicted
+from mcspectra.variance.prediction.torus import of_torus
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["ROUTES", "Prediction", "predict"]
+
+_EXACT_ERROR = 1e-6  # relative, of quadratures that agree
+_OCTAVES = 3.0  # at the end of the counts, that the rate is fitted to
+_MEMORY = 2**29  # bytes: coefficients and transforms of all regions
+
+# Measured extrapolation
+_SMALL = tuple(2**k for k in range(3, 9))
+_FITTED = 4
+_REALIZATIONS = 2000
+_MOST_FACTOR = 30.0  # by which an extrapolation may be off at most
+
+
+def of_quadrature(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
+    """The exact variance."""
+    variance = np.atleast_1d(np.asarray(exact_variance(known.g, sampler, n), float))
+    ones = np.ones(len(variance))
+    return Predicted(variance, _EXACT_ERROR * variance, ones, 0.0 * ones, "exact")
+
+
+def of_measurements(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
+    """Extrapolate the variances of the sampler's small sets."""
+    return _extrapolated(Estimator(known.g), sampler, n, known, stream)
+
+
+Route: TypeAlias = Callable[[Sampler, int, Known, Stream], Predicted]
+
+ROUTES: tuple[Route, ...] = (of_quadrature, of_torus, of_measurements)
+"""In the order of trust."""
+
+
+@final
+class Prediction(Analysis, frozen=True, kw_only=True):
+    """Variance and rate at every n, predicted without samples of f."""
+
+    function = "predict"
+    verb = "predict"
+    variables = (
+        *("predicted_variance", "predicted_variance_ci", "energy_share", "tail_variance"),
+        *("local_rate", "predicted_rate"),
+    )
+
+    counts: Annotated[Counts, COUNTS]
+
+    def need(self, subject: Subject) -> Need:
+        """Every sampler can do every count."""
+        estimator, samplers = subject.estimator, _several(subject.sampler)
+        if not isinstance(estimator, AbstractEstimator):
+            raise ParameterError("predict takes one estimator at a time; give samplers as a list.")
+        names = [s.spec for s in samplers]
+        for name in names:
+            if names.count(name) > 1:
+                raise ParameterError(f"The sampler {name} is listed twice; list each once.")
+        for sampler in samplers:
+            for n in self.counts:
+                estimator.check_sampler(sampler, n)
+        evaluations = sum(estimator.counts)
+        memory = _MEMORY + memory_of(self.counts[-1], estimator.dims, evaluations)
+        return Need(cost=1e6 * len(samplers) * len(self.counts) * evaluations, memory=memory)
+
+    def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Cells]:
+        """One sampler after the other, one count after the other."""
+        estimator, samplers = subject.estimator, _several(subject.sampler)
+        known = [Known(estimator.primary_integrand(t)) for t in range(len(estimator.counts))]
+        places = [(s, n) for s in samplers for n in _with_neighbour(s, self.counts)]
+
+        def of_place(index: int) -> _Cells:
+            sampler, n = places[index]
+            return _cell(estimator, sampler, n, known, stream)
+
+        def result(found: _Cells) -> xr.Dataset:
+            return self._result(subject, samplers, found)
+
+        return Reduction(
+            kind=_Cells,
+            block=of_place,
+            blocks=len(places),
+            cost=self.need(subject).cost,
+            result=result,
+        )
+
+    def _result(self, subject: Subject, samplers: list[Sampler], found: _Cells) -> xr.Dataset:
+        estimator, counts = subject.estimator, np.array(self.counts)
+        shape = (len(samplers), -1, found.variance.shape[1])
+        variance, error, share, tail = (
+            values.reshape(shape)
+            for values in (found.variance, found.error, found.share, found.tail)
+        )
+        # Rates between all counts; a single one has a neighbour, which is left out of the rest
+        local, rate = np.empty(variance.shape), np.empty((len(samplers), shape[2]))
+        for place, sampler in enumerate(samplers):
+            x = np.log(_with_neighbour(sampler, self.counts))
+            with np.errstate(divide="ignore", invalid="ignore"):
+                y = np.log(variance[place])
+                slope = np.diff(y, axis=0) / np.diff(x)[:, None]
+            local[place] = np.concatenate([slope[:1], slope]) if len(slope) else np.nan
+            rate[place] = _slope(x, y)
+        keep = slice(-len(counts), None)
+        variance, error, share, tail, local = (
+            values[:, keep] for values in (variance, error, share, tail, local)
+        )
+        low, high = np.maximum(variance - error, 0.0), variance + error
+        low = np.where(np.isinf(variance), np.inf, low)
+        routes = found.routes.reshape(shape[:2])[:, keep]
+        notes = found.notes.reshape(shape[:2])[:, keep]
+        alone = subject.sampler is samplers[0]
+        said = [
+            note if alone else f"{s.spec}: {note}"
+            for s, each in zip(samplers, notes, strict=True)
+            for note in dict.fromkeys(filter(None, map(str, each)))
+        ]
+        each = ("sampler", "n", "channel")
+        values = {
+            "predicted_variance": (each, variance),
+            "predicted_variance_ci": ((*each, "bound"), np.stack([low, high], axis=-1)),
+            "energy_share": (each, share),
+            "tail_variance": (each, tail),
+            "local_rate": (each, local),
+            "predicted_rate": (("sampler", "channel"), rate),
+        }
+        about = {"long_name": "how the variance was predicted"}
+        by = ("n",) if alone else ("sampler", "n")
+        return dataset(
+            values,
+            {
+                "n": counted("n", list(self.counts), "number of points"),
+                "bound": ["low", "high"],
+                "route": (by, routes[0] if alone else routes, about),
+                **({} if alone else {"sampler": [s.spec for s in samplers]}),
+            },
+            drop=[
+                *(["sampler"] if alone else []),
+                *([] if estimator.channels else ["channel"]),
+            ],
+            estimator=estimator.spec,
+            sampler=samplers[0].spec if alone else None,
+            note="; ".join(said) or None,
+        )
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """Of samplers and counts, (N, channels or 1), with the route and what is to be said, (N,)."""
+
+    variance: JOIN
+    error: JOIN
+    share: JOIN
+    tail: JOIN
+    routes: JOIN
+    notes: JOIN
+
+
+def predict(
+    estimator: Any,
+    samplers: Any,
+    counts: Sequence[int],
+    *,
+    rng: RngLike = 0,
+    workers: int | None = None,
+) -> xr.Dataset:
+    """Predict the variance and its rate from what is known of f and of the samplers.
+
+    Parameters
+    ----------
+    estimator
+        An estimator, or an integrand or its spec string, for plain sampling.
+    samplers
+        One or a list, no sampler twice.
+    counts
+        Numbers of points n, ascending; each must be one that every sampler can do.
+    rng
+        Seed (SPEC 7), of routes that draw sets.
+    workers
+        Threads; all processors by default. Results do not depend on it.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``predicted_variance(n)`` with its 95 % interval ``predicted_variance_ci(n, bound)``;
+        ``energy_share(n)``, the part of ∫g² that was counted term by term; ``tail_variance(n)``, the part
+        of the variance that stands for the rest; ``local_rate(n)``, the slope from the count before (at
+        the first, to the next); ``predicted_rate``, the slope over the last three octaves. The
+        coordinate ``route`` names how each n was predicted: `ROUTES` in their order. A list adds the dim
+        sampler, several channels the dim channel. Where there is no variance, or no more than rounding,
+        it is NaN, and the attribute ``note`` says so.
+
+    Raises
+    ------
+    CountError, ParameterError
+        A sampler cannot do a count, dims disagree, counts are not ascending.
+
+    Notes
+    -----
+    f is never evaluated at the points of the samplers, but for the last route, *extrapolated from
+    measurements*: 2,000 realisations each of small counts other than n.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> found = mcs.predict("disk", ["random", "jittered | shift"], [64, 256])
+    >>> [round(float(rate), 1) for rate in found["predicted_rate"]]
+    [-1.0, -1.5]
+    """
+    if isinstance(estimator, list | tuple):
+        raise ParameterError("predict takes one estimator at a time; give samplers as a list.")
+    subject = as_subject(estimator, samplers, lists=True)
+    return compute(Prediction(counts=counts), subject, rng, workers)  # type: ignore[arg-type]
+
+
+def _cell(
+    estimator: AbstractEstimator, sampler: Sampler, n: int, known: list[Known], stream: Stream
+) -> _Cells:
+    """The prediction of one count: the sum over the techniques."""
+    source, width = estimator.randomized(sampler), max(1, estimator.channels)
+    unknown = np.full(width, math.nan)
+    note, route = "", "none"
+    variance = error = share = tail = unknown
+    try:
+        if source.as_chain(n).fixed:
+            raise NoClosedForm(
+                "a deterministic sampler has no variance: add owen or shift, or look at |bias|"
+            )
+        parts, squares = _parts(estimator, source, n, known, stream)
+        route = "; ".join(dict.fromkeys(part.route for part in parts))
+        variance = sum((p.variance for p in parts), np.zeros(width))
+        tail = sum((p.tail for p in parts), np.zeros(width))
+        error = np.sqrt(sum((p.error**2 for p in parts), np.zeros(width)))
+        weights = [square / len(parts) + np.where(square > 0.0, 0.0, 1.0) for square in squares]
+        with np.errstate(invalid="ignore"):
+            share = sum(
+                (w * p.share for w, p in zip(weights, parts, strict=True)), np.zeros(width)
+            ) / sum(weights, np.zeros(width))
+        if np.isinf(variance).any():
+            note = "∫g² diverges: the variance is infinite"
+    except NoClosedForm as reason:
+        note = str(reason).rstrip(".")
+
+    # A variance of rounding size is none
+    size = np.atleast_1d(np.asarray(estimator.integral, float))
+    vanishes = variance <= rounding_floor(size)
+    if vanishes.any():
+        note = "the variance vanishes to rounding"
+        variance, error, tail = (np.where(vanishes, np.nan, v) for v in (variance, error, tail))
+    variance, error, share, tail = (np.reshape(v, (1, -1)) for v in (variance, error, share, tail))
+    return _Cells(variance, error, share, tail, np.array([route]), np.array([note]))
+
+
+def _parts(
+    estimator: AbstractEstimator, source: Sampler, n: int, known: list[Known], stream: Stream
+) -> tuple[list[Predicted], list[Array]]:
+    """The predictions of all techniques, and what their shares weigh; together where they depend."""
+    try:
+        estimator.check_independent()
+    except NoClosedForm:
+        joint = _extrapolated(estimator, source, n, known[0], stream)
+        return [joint], [np.ones(len(joint.variance))]
+    parts = [
+        _by_routes(source.as_chain(n * count), n * count, each, stream.child(technique))
+        for technique, (count, each) in enumerate(zip(estimator.counts, known, strict=True))
+    ]
+    if len(parts) == 1:
+        return parts, [np.ones(len(parts[0].variance))]
+    return parts, [each.square[0] for each in known]
+
+
+def _by_routes(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
+    """The first route that leads somewhere; points that are mirrored last see another integrand."""
+    base, steps = parts_of(sampler)
+    for route in ROUTES:
+        try:
+            return route(sampler, n, known, stream)
+        except NoClosedForm as error:
+            reason = error
+        if route is of_quadrature:
+            if sampler.unbiased and np.isinf(known.square[0]).any():
+                infinite = np.where(np.isinf(known.square[0]), math.inf, math.nan)
+                return Predicted(infinite, infinite, 0.0 * known.square[1], infinite, "∫g² = ∞")
+            if steps and isinstance(steps[-1], Mirror) and (steps[:-1] or not base.fixed):
+                inner = Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
+                return _mirrored(steps[-1].mode, inner, n, known, stream)
+    raise reason
+
+
+def _mirrored(mode: str, inner: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
+    """The prediction of the sampler inside with another integrand (`mcspectra.variance.exact`)."""
+    g = known.g
+    if mode == "fold":
+        return _by_routes(inner, n, known.once("folded", lambda: Known(FoldedIntegrand(g))), stream)
+    average = known.once("symmetrized", lambda: Known(SymmetrizedIntegrand(g)))
+    if mode == "uniform":
+        return _by_routes(inner, n >> g.dims, average, stream)
+    found = _by_routes(inner, n, average, stream)
+    coins = np.maximum(known.square[0] - average.square[0], 0.0) / n
+    error = np.hypot(found.error, (known.square[1] + average.square[1]) / n)
+    return Predicted(found.variance + coins, error, found.share, found.tail, found.route)
+
+
+def _extrapolated(
+    estimator: AbstractEstimator, sampler: Sampler, n: int, known: Known, stream: Stream
+) -> Predicted:
+    """A line through the logarithms of variances measured at small counts other than n."""
+    from scipy.special import stdtrit
+
+    counts, variances, errors = [], [], []
+    for count in sorted({sampler.nearest_count(c) for c in _SMALL}):
+        try:
+            estimator.check_sampler(sampler, count)
+        except CountError:
+            continue
+        moments = known.once(
+            ("measured", sampler.spec, count),
+            lambda c=count: count_moments(  # type: ignore[misc]
+                estimator, sampler, c, _REALIZATIONS, count_stream(stream, c)
+            ),
+        )
+        if count != n and (moments.variance > rounding_floor(moments.mean)).all():
+            counts.append(count)
+            variances.append(moments.variance)
+            errors.append(moments.relative_se)
+    if len(counts) < _FITTED - 1:
+        raise NoClosedForm(
+            f"No route predicts {sampler.spec}, and its small sets do not vary or are too few."
+        )
+
+    # Fit the counts next to n; the scatter about the line is at least that of the measurements
+    nearest = np.argsort(np.abs(np.log(np.array(counts) / n)), kind="stable")[:_FITTED]
+    x = np.log(np.array(counts, float))[nearest]
+    y, noise = np.log(np.array(variances))[nearest], np.array(errors)[nearest]
+    middle, spread = x.mean(), ((x - x.mean()) ** 2).sum()
+    slope = ((x - middle)[:, None] * y).sum(axis=0) / spread
+    left = y - y.mean(axis=0) - slope * (x - middle)[:, None]
+    degrees = len(x) - 2
+    scatter = np.sqrt((left**2).sum(axis=0) / degrees)
+    size = np.maximum(scatter, np.sqrt((noise**2).mean(axis=0)))
+    away = math.log(n) - middle
+    half = stdtrit(degrees, 0.975) * size * math.sqrt(1.0 + 1.0 / len(x) + away**2 / spread)
+    variance = np.exp(y.mean(axis=0) + slope * away)
+    error = variance * np.expm1(np.minimum(half, math.log(_MOST_FACTOR)))
+    listed = ", ".join(str(counts[k]) for k in sorted(nearest))
+    route = f"extrapolated from measurements at {listed}"
+    return Predicted(variance, error, np.zeros(len(variance)), variance.copy(), route)
+
+
+def _slope(x: Array, y: Array) -> Array:
+    """Least squares over the last octaves of finite values: (N,), (N, C) to (C,)."""
+    found = np.full(y.shape[1], np.nan)
+    late = x >= x[-1] - _OCTAVES * math.log(2.0) - 1e-9
+    late[-2:] = True
+    for c, values in enumerate(y.T):
+        there = late & np.isfinite(values)
+        if there.sum() >= 2:
+            found[c] = np.polyfit(x[there], values[there], 1)[0]
+    return found
+
+
+def _with_neighbour(sampler: Sampler, counts: Sequence[int]) -> list[int]:
+    """The counts; a single one after a count about half as large, if there is one."""
+    if len(counts) > 1:
+        return list(counts)
+    half = sampler.nearest_count(max(1, counts[0] // 2))
+    return [half, *counts] if half < counts[0] else list(counts)
+
+
+def _several(given: Any) -> list[Any]:
+    """A list of what may be one."""
+    return list(given) if isinstance(given, list | tuple) else [given]

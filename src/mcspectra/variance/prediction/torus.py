@@ -1,0 +1,391 @@
+"""Variances of sets that are statistically the same after any translation of the torus.
+
+C_ml of such sets is diagonal, so that with P(m) = ⟨|S_m|²⟩
+
+    Var = Σ_{m≠0} |g_m|² P(m) = Σ_{m in C} |g_m|² P(m) + (∫g² − I² − Σ_{m in C} |g_m|²) / n + …,
+
+C the frequencies that are counted: a box, strips along the axes, where functions that are not periodic
+have their energy, and integer diagonals, where jumps along these have theirs. Beyond, P tends to
+1/n. By how much the border of the box departs from that, weighted by |g_m|², is the error of the tail.
+
+P is known in closed form; or from one transform of a set that is shifted at random as a whole; or
+it is the mean over sets that are drawn. Of homogeneous sets, whose law has the symmetries of the
+cube, |g_m|² is averaged over these, which is the same as to average P. Sets that are dear to make are
+drawn at fewer points: P(m) = h(m/n^(1/d))/n.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import NoClosedForm
+from mcspectra.core.streams import Stream
+from mcspectra.integrands import Integrand
+from mcspectra.integrands._quadrature import grid_coefficients
+from mcspectra.samplers import Randomized, Sampler
+from mcspectra.samplers.base import Structure
+from mcspectra.spectra.bases import parts_of
+from mcspectra.spectra.closed_forms import closed_form_power
+from mcspectra.variance.prediction.known import Known, Predicted
+
+__all__ = ["Energies", "of_torus"]
+
+
+@dataclass(frozen=True)
+class _Reach:
+    """How far coefficients are counted in some number of dims.
+
+    The half width of the box; the ends of strips and their half widths up to there: sets that are
+    drawn count the first ones alone; the end of diagonals.
+    """
+
+    box: int
+    strips: tuple[tuple[int, int], ...]
+    diagonal: int = 0
+
+
+_EXACT = {
+    1: _Reach(2**12, ((2**16, 0),)),
+    2: _Reach(256, ((2**12, 12), (2**16, 2)), 2**14),
+    3: _Reach(32, ((512, 2), (2**12, 0)), 2**10),
+}
+_TABLE = {
+    1: _Reach(2**12, ()),
+    2: _Reach(128, ((2**10, 4),)),
+    3: _Reach(16, ((128, 1),)),
+}
+_NODES = {1: 8, 2: 8, 3: 8}  # of the finer table for a wave of the highest frequency
+_LEAST_NODES = {1: 256, 2: 256, 3: 64}
+_DIAGONALS = {
+    1: (),
+    2: ((1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1)),
+    3: ((1, 1, 0), (1, -1, 0), (1, 0, 1), (1, 0, -1), (0, 1, 1), (0, 1, -1)),
+}
+_BLOCK = 2**18  # frequencies of which a closed form is asked at once
+_EPS = 1e-9
+
+_SHELLS = 6  # of the box, each √2 wide, whose power says how white the tail is
+_NORMAL = 1.96
+_ROUNDING = 4e-15  # of ∫g², in sums over frequencies
+
+_LEAST_SETS = 16
+_MOST_SETS = 1024
+_SET_POINTS = 2**18
+_DEAR = 2**16  # the max_count of samplers that are optimised, and its like
+_DEAR_POINTS = 2**15
+_PRECISION = 0.006
+_LOW = 32  # half width up to which all sets are transformed
+_LEAST_BOX, _BOX = 32, 6.0  # half width of the box of a homogeneous set, and in units of n^(1/d)
+
+
+@final
+@dataclass(frozen=True)
+class Region:
+    """Frequencies m = Σ_i k_i vectors_i, k on a grid, with what they weigh.
+
+    Attributes
+    ----------
+    vectors, low, high
+        int64 (q, d), and the range of k along each of its q axes, both ends included.
+    energy
+        |g_m|², doubled where −m is not in the region: (channels or 1, *grid).
+    table
+        The same by a coarser table; None where coefficients are exact.
+    near
+        Whether sets that are drawn count it.
+    """
+
+    vectors: Array
+    low: tuple[int, ...]
+    high: tuple[int, ...]
+    energy: Array
+    table: Array | None = None
+    near: bool = True
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Numbers of k along the axes."""
+        return tuple(h - l + 1 for l, h in zip(self.low, self.high, strict=True))
+
+    def frequencies(self) -> Array:
+        """Every m: int64 (F, d) in C order."""
+        return _listed(self.vectors, self.low, self.high)
+
+    def power_of(self, points: Array) -> Array:
+        """|S_m|² of one set (n, d), on the grid."""
+        import finufft
+
+        y = np.remainder(points @ self.vectors.T.astype(float), 1.0)
+        middle = np.array([l + size // 2 for l, size in zip(self.low, self.shape, strict=True)])
+        weights = np.exp(-2j * np.pi * np.remainder(y @ middle, 1.0)) / len(points)
+        transform = getattr(finufft, f"nufft{len(self.low)}d1")
+        axes = [np.ascontiguousarray(2.0 * np.pi * axis) for axis in y.T]
+        found = transform(
+            *axes, weights, self.shape, eps=_EPS, isign=-1, nthreads=1, upsampfac=1.25
+        )
+        return np.asarray(np.abs(found) ** 2)
+
+    def power(self, sampler: Sampler, n: int) -> Array:
+        """The closed form of P, on the grid."""
+        m = self.frequencies()
+        blocks = [
+            closed_form_power(sampler, n, m[start : start + _BLOCK])
+            for start in range(0, len(m), _BLOCK)
+        ]
+        return np.concatenate(blocks).reshape(self.shape)
+
+
+@final
+@dataclass(frozen=True)
+class Energies:
+    """|g_m|² over all regions that are counted, the box first; those of m = 0 are 0."""
+
+    regions: tuple[Region, ...]
+
+    @staticmethod
+    def of(g: Integrand) -> Energies:
+        """Coefficients where they are known exactly, else from two tables of g."""
+        exact, d = g.fourier_source == "exact", g.dims
+        reach = (_EXACT if exact else _TABLE)[d]
+
+        def region(vectors: Array, low: list[int], high: list[int], *, near: bool = True) -> Region:
+            if exact:
+                found = [_energy(g.fourier(_listed(vectors, low, high)), low, high, g.channels)]
+            else:
+                found = _tables(g, vectors, low, high)
+            for energy in found:
+                if low[0] > 0:
+                    energy *= 2.0
+                else:  # the box has both m and −m where k_0 = 0
+                    energy[:, 1:] *= 2.0
+                    energy[:, 0].reshape(len(energy), -1)[
+                        :, math.prod(-2 * l + 1 for l in low[1:]) // 2
+                    ] = 0.0
+            table = None if exact else found[1]
+            return Region(vectors, tuple(low), tuple(high), found[0], table, near)
+
+        one = np.eye(d, dtype=np.int64)
+        regions = [region(one, [0] + [-reach.box] * (d - 1), [reach.box] * d)]
+        for axis in range(d):
+            vectors, start = np.roll(one, -axis, axis=0), reach.box
+            for stop, width in reach.strips:
+                low, high = [start + 1] + [-width] * (d - 1), [stop] + [width] * (d - 1)
+                regions.append(region(vectors, low, high, near=start == reach.box))
+                start = stop
+        for direction in _DIAGONALS[d] if reach.diagonal else ():
+            most = max(map(abs, direction))
+            low, high = [reach.box // most + 1], [reach.diagonal // most]
+            regions.append(region(np.array([direction]), low, high))
+        return Energies(tuple(regions))
+
+    def symmetrized(self) -> Energies:
+        """The box alone, averaged over the symmetries of the cube."""
+
+        def mean(half: Array) -> Array:
+            axes = range(1, half.ndim)
+            beyond = 0.5 * half[:, 1:]
+            whole = np.concatenate([np.flip(beyond, tuple(axes)), half[:, :1], beyond], axis=1)
+            for axis in axes:
+                whole = 0.5 * (whole + np.flip(whole, axis))
+            turned = [whole.transpose(0, *order) for order in itertools.permutations(axes)]
+            found = np.asarray(sum(turned) / len(turned))[:, half.shape[1] - 1 :].copy()
+            found[:, 1:] *= 2.0
+            return found
+
+        box = self.regions[0]
+        table = None if box.table is None else mean(box.table)
+        return Energies((replace(box, energy=mean(box.energy), table=table),))
+
+
+def of_torus(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
+    """Predict the variance with a set that is the same after any translation, in 1 to 3 dims.
+
+    Raises
+    ------
+    NoClosedForm
+        The set is another, or has more dims, or ∫g² diverges.
+    """
+    inner = _before_shift(sampler)
+    if inner is None or (sampler.dims > 3 and inner.name != "random"):
+        raise NoClosedForm(
+            f"{sampler.spec} is not known to be the same after any translation, or has over 3 dims."
+        )
+    square, square_error = known.square
+    mean = np.atleast_1d(np.asarray(known.g.integral, float))
+    spread = square - mean**2
+    spread = np.where(spread > _ROUNDING * square, spread, 0.0)
+    if not np.isfinite(square).all():
+        raise NoClosedForm(f"∫g² of {known.g.spec} diverges.")
+    if inner.name == "random":
+        error = square_error / n + _ROUNDING * square / n
+        return Predicted(spread / n, error, np.ones(len(spread)), np.zeros(len(spread)), "∫g²")
+
+    energies = known.once("torus", lambda: Energies.of(known.g))
+    if inner.fixed:
+        points = inner.draw_stream(n, Stream.from_rng(0), 0, 1)[0]
+        regions, powers = energies.regions, [r.power_of(points) for r in energies.regions]
+        sampling, how = np.zeros(len(spread)), "one transform"
+    else:
+        try:
+            regions = energies.regions
+            powers = [r.power(sampler, n) for r in regions]
+            sampling, how = np.zeros(len(spread)), "closed form"
+        except NoClosedForm:
+            if inner is sampler:
+                box = known.once("torus, symmetrised", energies.symmetrized)
+                width = max(_LEAST_BOX, math.ceil(_BOX * n ** (1.0 / sampler.dims)))
+                regions = (_cropped(box.regions[0], width),)
+            else:
+                regions = tuple(r for r in energies.regions if r.near)
+            powers, sampling, count = _drawn(inner, n, regions, stream)
+            how = f"{count} sets"
+
+    # Add the tail, and what it may be off by
+    counted = sum(r.energy.reshape(len(spread), -1).sum(axis=1) for r in regions)
+    variance = _total(regions, powers)
+    rest = np.where(np.abs(spread - counted) > _ROUNDING * square, spread - counted, 0.0)
+    tail, excess = np.maximum(rest, 0.0) / n, np.maximum(-rest, 0.0) / n
+    errors = [sampling, _NORMAL * _departure(regions[0], powers[0], n) * tail, square_error / n]
+    errors.append(excess)
+    if regions[0].table is not None:
+        coarse = tuple(replace(r, energy=r.table) for r in regions if r.table is not None)
+        rest = spread - sum(r.energy.reshape(len(spread), -1).sum(axis=1) for r in coarse)
+        errors.append(np.abs(_total(coarse, powers) + np.maximum(rest, 0.0) / n - variance - tail))
+    error = np.sqrt(sum(e**2 for e in errors)) + _ROUNDING * square / n
+    share = np.clip((counted + mean**2) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
+    return Predicted(variance + tail, error, share, tail, f"torus ({how})")
+
+
+def _before_shift(sampler: Sampler) -> Sampler | None:
+    """The sampler whose sets have the power of this one's, itself where it is homogeneous; else None."""
+    base, steps = parts_of(sampler)
+    still = {"strata-shift", "shuffle"}
+    while steps and steps[-1].name in still:
+        steps = steps[:-1]
+    if not steps:
+        homogeneous = base.structure is Structure.TORUS and base.unbiased and not base.fixed
+        return sampler if homogeneous or base.name == "random" else None
+    if not steps[-1].stationary:
+        return None
+    return Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
+
+
+def _drawn(
+    inner: Sampler, n: int, regions: tuple[Region, ...], stream: Stream
+) -> tuple[list[Array], Array, int]:
+    """Mean power over sets, half the 95 % interval of Σ |g_m|² P(m), and the number of sets.
+
+    The first sets give all frequencies, more the low ones alone, which few coefficients of smooth
+    functions hold: until the error is small beside the variance, or for some number of points.
+    """
+    from scipy.special import stdtrit
+
+    points = _DEAR_POINTS if inner.max_count <= _DEAR else _SET_POINTS
+    most = min(max(points // n, _LEAST_SETS), _MOST_SETS)
+    box = regions[0]
+    low = _cropped(box, _LOW)
+    part = tuple(
+        slice(l - k, h - k + 1) for l, h, k in zip(low.low, low.high, box.low, strict=True)
+    )
+    sums = [np.zeros(r.shape) for r in regions]
+    low_sum = np.zeros(low.shape)
+    low_values: list[Array] = []
+    high_values: list[Array] = []
+    while True:
+        for x in inner.draw_stream(n, stream, len(low_values), min(_LEAST_SETS, most)):
+            if len(low_values) < _LEAST_SETS:
+                powers = [r.power_of(x) for r in regions]
+                of_low = powers[0][part]
+                low_values.append(_total((low,), [of_low]))
+                high_values.append(_total(regions, powers) - low_values[-1])
+                for total, power in zip(sums, powers, strict=True):
+                    total += power
+            else:
+                of_low = low.power_of(x)
+                low_values.append(_total((low,), [of_low]))
+            low_sum += of_low
+        count = len(low_values)
+        error = np.hypot(_standard_error(low_values), _standard_error(high_values))
+        value = np.mean(low_values, axis=0) + np.mean(high_values, axis=0)
+        if (error <= _PRECISION * value).all() or count + _LEAST_SETS > most:
+            break
+    powers = [total / _LEAST_SETS for total in sums]
+    powers[0][part] = low_sum / count
+    return powers, float(stdtrit(_LEAST_SETS - 1, 0.975)) * error, count
+
+
+def _standard_error(values: list[Array]) -> Array:
+    return np.asarray(np.std(values, axis=0, ddof=1) / math.sqrt(len(values)))
+
+
+def _cropped(box: Region, width: int) -> Region:
+    """The part of a box of at most this half width."""
+    k = min(width, box.high[0])
+    low, high = tuple(max(l, -k) for l in box.low), tuple(min(h, k) for h in box.high)
+    starts = zip(low, high, box.low, strict=True)
+    part = (slice(None), *(slice(l - first, h - first + 1) for l, h, first in starts))
+    table = None if box.table is None else box.table[part]
+    return replace(box, low=low, high=high, energy=box.energy[part], table=table)
+
+
+def _total(regions: tuple[Region, ...], powers: list[Array]) -> Array:
+    """Σ |g_m|² P(m) over all regions, (channels or 1,)."""
+    parts = [
+        r.energy.reshape(len(r.energy), -1) @ p.reshape(-1)
+        for r, p in zip(regions, powers, strict=True)
+    ]
+    return np.asarray(sum(parts))
+
+
+def _departure(box: Region, power: Array, n: int) -> Array:
+    """Root mean square over the outer shells of n P(m), weighted by |g_m|², minus 1; (channels or 1,)."""
+    width = box.high[0]
+    axes = [np.abs(np.arange(l, h + 1)) for l, h in zip(box.low, box.high, strict=True)]
+    edges = width * 0.5 ** (0.5 * np.arange(_SHELLS, -1, -1))
+    place = np.searchsorted(
+        edges, np.max(np.meshgrid(*axes, indexing="ij"), axis=0), side="left"
+    ).reshape(-1)
+    found = []
+    for energy in box.energy.reshape(len(box.energy), -1):
+        weight = np.bincount(place, energy, _SHELLS + 2)[1:-1]
+        excess = np.bincount(place, energy * (n * power.reshape(-1) - 1.0), _SHELLS + 2)[1:-1]
+        ratio = excess[weight > 0.0] / weight[weight > 0.0]
+        found.append(math.sqrt(float(np.mean(ratio**2))) if ratio.size else 1.0)
+    return np.array(found)
+
+
+def _listed(vectors: Array, low: Sequence[int], high: Sequence[int]) -> Array:
+    """All m of a region: int64 (F, d)."""
+    axes = [np.arange(l, h + 1) for l, h in zip(low, high, strict=True)]
+    k = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+    return np.asarray(k @ vectors)
+
+
+def _energy(coefficients: Array, low: list[int], high: list[int], channels: int) -> Array:
+    """|g_m|² of listed frequencies on their grid: (channels or 1, *grid)."""
+    shape = [h - l + 1 for l, h in zip(low, high, strict=True)]
+    square = np.abs(coefficients.reshape(*shape, max(1, channels))) ** 2
+    return np.ascontiguousarray(np.moveaxis(square, -1, 0))
+
+
+def _tables(g: Integrand, vectors: Array, low: list[int], high: list[int]) -> list[Array]:
+    """|g_m|² from a table of g and from a coarser one, of a region along permuted axes."""
+    order = vectors.argmax(axis=1)
+    m = [np.arange(low[i], high[i] + 1, dtype=float) for i in np.argsort(order)]
+    found = []
+    for nodes in (_NODES[g.dims], _NODES[g.dims] // 2):
+        counts = [
+            1 << (max(_LEAST_NODES[g.dims], nodes * int(np.abs(axis).max())) - 1).bit_length()
+            for axis in m
+        ]
+        value = grid_coefficients(g, counts, m)
+        value = value if g.channels else value[..., None]
+        found.append(np.ascontiguousarray(np.abs(value.transpose(g.dims, *order)) ** 2))
+    return found

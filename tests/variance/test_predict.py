@@ -1,0 +1,157 @@
+"""Predictions against precise measurements and closed forms; f is never sampled by the sampler."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import CountError, ParameterError
+
+DISK = "disk(center=(0.4,0.55),radius=0.3)"
+
+
+def _measured(f, sampler, n, realizations):
+    found = mcs.convergence(f, sampler, [n], realizations=realizations, rng=99)
+    value = float(found["variance"][0])
+    return value, float(np.diff(found["variance_ci"][0])[0]) / 3.92
+
+
+@pytest.mark.parametrize(
+    ("f", "sampler", "n"),
+    [
+        (DISK, "jittered | shift", 64),
+        (DISK, "halton | shift", 256),
+        (DISK, "rank1-lattice | shift", 256),
+        ("christensen-triangle", "rank1-lattice | shift", 64),
+        ("christensen-gaussian", "halton | shift", 256),
+        ("half-space(normal=(1.0,0.37),offset=0.6)", "jittered | shift", 256),
+        (DISK, "poisson-disk", 64),
+        ("christensen-gaussian", "poisson-disk", 256),
+    ],
+)
+def test_torus_invariant_sets_are_predicted_within_their_interval(f, sampler, n):
+    f = mcs.integrand(f, dims=2)
+    found = mcs.predict(f, sampler, [n])
+    value, low, high = (
+        float(found["predicted_variance"][0]),
+        *found["predicted_variance_ci"].values[0],
+    )
+    measured, error = _measured(f, sampler, n, 20_000)
+    assert str(found["route"].values[0]).startswith("torus")
+    # four standard errors of the reference, beyond the interval of the prediction
+    assert low - 4 * error < measured < high + 4 * error
+    assert abs(value - measured) < max(0.05 * measured, 4 * error)
+    assert 0.9 < float(found["energy_share"][0]) <= 1.0
+    assert 0.0 <= float(found["tail_variance"][0]) < 0.3 * value
+
+
+def test_wave_under_a_shifted_lattice_is_its_dual_lattice():
+    # f_m = ½ at ±(1, −a): n points of a lattice see all of it or nothing
+    n = 64
+    points = mcs.sampler("fibonacci | shift", dims=2)
+    n = points.nearest_count(n)
+    x = mcs.sampler("fibonacci", dims=2).draw(n)[0]
+    m = next(
+        (i, j)
+        for i in range(1, n)
+        for j in range(1, n)
+        if abs(np.exp(2j * np.pi * (x @ (i, j))).mean()) > 0.5
+    )
+    wave = mcs.integrand(f"cosine(frequency={m})", dims=2)
+    found = mcs.predict(wave, points, [n])
+    assert float(found["predicted_variance"][0]) == pytest.approx(0.5, rel=1e-9)
+
+
+def test_random_points_have_the_variance_of_f_over_n():
+    found = mcs.predict(DISK, "random", [16, 64, 1024])
+    area = math.pi * 0.3**2
+    expected = area * (1 - area) / found["n"]
+    np.testing.assert_allclose(found["predicted_variance"], expected, rtol=1e-5)
+    assert float(found["predicted_rate"]) == pytest.approx(-1.0, abs=1e-6)
+    np.testing.assert_allclose(found["local_rate"], -1.0, atol=1e-6)
+
+
+def test_rate_of_jumps_and_of_one_count():
+    found = mcs.predict(DISK, "jittered | shift", [64, 256, 1024])
+    assert float(found["predicted_rate"]) == pytest.approx(-1.5, abs=0.03)
+    one = mcs.predict(DISK, "jittered | shift", [1024])
+    assert float(one["predicted_rate"]) == pytest.approx(-1.5, abs=0.05)
+    assert one["predicted_variance"].values == found["predicted_variance"].values[-1]
+
+
+def test_a_list_of_samplers_and_channels():
+    f = mcs.Integrand.from_function(
+        lambda x: np.stack([np.cos(2 * np.pi * x[..., 0]), 1.0 + 0 * x[..., 0]], axis=-1), dims=2
+    )
+    found = mcs.predict(f, ["random", "halton | shift"], [16])
+    assert found["predicted_variance"].dims == ("sampler", "n", "channel")
+    first = found["predicted_variance"].sel(sampler="random").values[0]
+    assert first[0] == pytest.approx(0.5 / 16, rel=1e-6)
+    assert np.isnan(first[1])  # of a constant
+    assert "vanishes" in found.attrs["note"]
+
+
+@pytest.mark.parametrize("sampler", ["sobol", "halton", "regular"])
+def test_deterministic_sets_have_no_variance_and_say_so(sampler):
+    found = mcs.predict("gaussian", sampler, [16])
+    assert np.isnan(found["predicted_variance"]).all()
+    assert "add owen or shift" in found.attrs["note"]
+
+
+def test_nothing_is_predicted_as_zero():
+    found = mcs.predict("constant", "jittered | shift", [16])
+    assert np.isnan(found["predicted_variance"]).all()
+    assert "vanishes to rounding" in found.attrs["note"]
+
+
+def test_mirrored_points_see_another_integrand():
+    f = mcs.integrand(DISK, dims=2)
+    found = mcs.predict(f, "halton | shift | mirror(mode='fold')", [256])
+    measured, error = _measured(f, "halton | shift | mirror(mode='fold')", 256, 20_000)
+    assert "torus" in str(found["route"].values[0])
+    value, half = float(found["predicted_variance"][0]), found["predicted_variance_ci"].values[0]
+    assert abs(value - measured) < 4 * error + 0.5 * float(np.diff(half)[0])
+
+
+def test_techniques_add_up_and_dependent_ones_are_measured():
+    f = mcs.integrand("gaussian", dims=1)
+    mis = mcs.MultipleImportance(f, ["linear(slope=1)", "linear(slope=-1)"])
+    found = mcs.predict(mis, "random", [64])
+    exact = mcs.exact_variance(mis, "random", 64)
+    assert float(found["predicted_variance"][0]) == pytest.approx(exact, rel=1e-6)
+
+
+def test_what_no_theory_predicts_is_extrapolated_and_named():
+    def strata(n, generator):
+        return np.stack([(np.arange(n) + generator.random(n)) / n, generator.random(n)], axis=-1)
+
+    sampler = mcs.Sampler.from_function(strata, dims=2)
+    found = mcs.predict(DISK, sampler, [512])
+    assert str(found["route"].values[0]) == "extrapolated from measurements at 32, 64, 128, 256"
+    measured, error = _measured(DISK, sampler, 512, 4000)
+    low, high = found["predicted_variance_ci"].values[0]
+    assert low - 4 * error < measured < high + 4 * error
+    assert float(found["energy_share"][0]) == 0.0
+
+
+def test_same_seed_same_bits_whatever_the_threads():
+    one, two = (mcs.predict(DISK, "poisson-disk", [16, 32], workers=w) for w in (1, 2))
+    np.testing.assert_array_equal(one["predicted_variance_ci"], two["predicted_variance_ci"])
+
+
+@pytest.mark.parametrize(
+    ("call", "error"),
+    [
+        (lambda: mcs.predict("gaussian", "jittered", [7]), CountError),
+        (lambda: mcs.predict("gaussian", ["random", "random"], [4]), ParameterError),
+        (lambda: mcs.predict(["gaussian"], "random", [4]), ParameterError),
+        (lambda: mcs.predict("gaussian", [], [4]), ParameterError),
+        (lambda: mcs.predict("gaussian", "random", []), ParameterError),
+    ],
+)
+def test_refusals(call, error):
+    with pytest.raises(error):
+        call()
