@@ -17,6 +17,7 @@ NAMES = (
     "bases",
     "pairs",
     "convergence",
+    "coverage",
     "predictions",
     "contribution",
     "listed",

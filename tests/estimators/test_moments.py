@@ -67,3 +67,40 @@ def test_constant_values_have_zero_variance():
     m = Moments.of(np.full((10, 1), 0.1))
     assert m.variance[0] == 0
     assert (m.variance_ci == 0).all()
+
+
+def test_extremes_merge_to_those_of_all_values():
+    values = np.random.default_rng(5).standard_normal((1000, 2))
+    whole = Moments.of(values, tails=True)
+    merged = Moments.of(values[:1], tails=True)
+    for start, stop in ((1, 150), (150, 900), (900, 1000)):
+        merged = Moments.of(values[start:stop], tails=True).merge(merged)
+    np.testing.assert_array_equal(merged.extremes, whole.extremes)
+    ordered = np.sort(values, axis=0)
+    np.testing.assert_array_equal(whole.extremes, ordered[[*range(64), *range(-64, 0)]])
+
+
+@pytest.mark.parametrize(
+    ("law", "index"), [("exponential", 0.0), ("pareto", 0.4), ("bounded", -0.5)]
+)
+def test_tail_index_is_that_of_the_law(law, index):
+    """Mean of 300 fits to 63 of 20 000 values; of a Pareto law of exponent 2.5 k = 0.4."""
+    rng, shape = np.random.default_rng(6), (20_000, 300)
+    values = {
+        "exponential": lambda: rng.exponential(size=shape),
+        "pareto": lambda: rng.pareto(2.5, shape),
+        # Density 2x: 0 is farther from the mean than 1, and 1/k = −2 since the density vanishes there
+        "bounded": lambda: rng.random(shape) ** 0.5,
+    }[law]()
+    found = Moments.of(values, tails=True).tail_index
+    # the fit's own bias is O(1/63), and the law of |x − mean| is Pareto but for (mean/x)²
+    assert abs(found.mean() - index) < 0.06 + 4 * found.std() / np.sqrt(300)
+
+
+def test_infinite_variance_is_not_resolved():
+    """Student's t with 2 degrees: 1000 values, two of three samples say so; of 5 degrees, 1 in 15."""
+    rng = np.random.default_rng(7)
+    heavy, light = (Moments.of(rng.standard_t(df, (1000, 500)), tails=True) for df in (2, 5))
+    assert 0.6 < (~heavy.resolved).mean() < 0.85
+    assert (~light.resolved).mean() < 0.12
+    assert np.isinf(heavy.variance_ci[~heavy.resolved, 1]).all()

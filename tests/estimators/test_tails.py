@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.estimators.tails import unsampled_note, unsampled_share
+from mcspectra.estimators import Moments
+from mcspectra.estimators.tails import tail_note, unsampled_note, unsampled_share
 
 POINTS = 2**12  # at least
 
@@ -71,3 +72,12 @@ def test_results_carry_the_note():
     assert curves.attrs["note"].startswith(f"{bad.spec}: 100 % of ∫f²/p")
     assert good.spec not in curves.attrs["note"]
     assert math.isfinite(float(curves["variance"][0, 0]))
+
+
+def test_tails_that_are_not_resolved_are_said():
+    values = np.random.default_rng(1).standard_t(1.2, (1000, 2))
+    assert "tail index k̂ = " in tail_note(Moments.of(values, tails=True))
+    one = np.zeros(20)
+    one[3] = 1.0
+    assert tail_note(Moments.of(one)).startswith("tails not resolved (one or a few of 20 estimates")
+    assert tail_note(Moments.of(values[:, 0] > 0, tails=True)) is None

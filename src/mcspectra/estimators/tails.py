@@ -11,9 +11,10 @@ import numpy as np
 
 from mcspectra.estimators.base import AbstractEstimator
 from mcspectra.estimators.importance import Estimator
+from mcspectra.estimators.moments import Moments
 from mcspectra.estimators.support import probe_points
 
-__all__ = ["unsampled_note", "unsampled_share"]
+__all__ = ["tail_note", "unsampled_note", "unsampled_share"]
 
 _LEAST, _POINTS = 2**12, 2**16
 _LARGE = 0.1  # of the second moment; what a note is worth
@@ -65,4 +66,18 @@ def unsampled_note(estimator: AbstractEstimator, samples: int) -> str | None:
         f"{100 * share:.3g} % of ∫f²/p lies where less than one of the {samples} samples is expected: "
         "the true variance may be far above the measured one and its interval; choose a density "
         "with heavier tails, such as defensive(density=…)"
+    )
+
+
+def tail_note(moments: Moments) -> str | None:
+    """Return a sentence if the tails of the estimates are not resolved: of the channel that is worst."""
+    unresolved = ~np.atleast_1d(moments.resolved)
+    if not unresolved.any():
+        return None
+    index = np.atleast_1d(moments.tail_index)[unresolved]
+    found = "" if np.isnan(index).all() else f", tail index k̂ = {np.nanmax(index):.2f}"
+    return (
+        f"tails not resolved (one or a few of {moments.count} estimates make the variance{found}): it "
+        "may be far above the measured one and has no upper bound; more points or a density with "
+        "heavier tails help, more realisations show it"
     )

@@ -31,6 +31,7 @@ from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Estimator, Moments
 from mcspectra.estimators.moments import rounding_floor
+from mcspectra.estimators.tails import tail_note
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra.bases import fitting_basis
@@ -136,7 +137,7 @@ class Anova(Analysis, frozen=True, kw_only=True):
 
     def _labelled(self, estimates: Array, subject: Subject) -> xr.Dataset:
         """Linear combinations of the covariances of all subsets with the first, as a dataset."""
-        moments, count = Moments.of(estimates[0]), estimates.shape[1]
+        moments, count = Moments.of(estimates[0], tails=True), estimates.shape[1]
         # Products of deviations, whose means over realisations are covariances: (S, R, channels)
         deviation = estimates - estimates.mean(axis=1, keepdims=True)
         products = deviation * (deviation[0] * (count / (count - 1)))
@@ -221,6 +222,7 @@ class Anova(Analysis, frozen=True, kw_only=True):
             },
             drop=() if subject.estimator.channels else alone,
             effective_share=EFFECTIVE_SHARE,
+            note=tail_note(moments),
         )
 
 

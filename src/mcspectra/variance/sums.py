@@ -57,7 +57,7 @@ class TermSums:
     @staticmethod
     def of(spectra: Array, estimates: Array, partition: Partition) -> TermSums:
         """Sums of a block: spectra (R, H), real or complex like the coefficients, estimates (R, C)."""
-        sums, measured = SpectralSums.of(spectra, partition), Moments.of(estimates)
+        sums, measured = SpectralSums.of(spectra, partition), Moments.of(estimates, tails=True)
         return TermSums(sums, measured, Batches.of(sums, measured, partition))
 
 

@@ -333,7 +333,7 @@ class TechniqueSums:
             products=np.einsum("rth,rsh->tsh", deviation, deviation.conj()),
             values_mean=values_mean,
             values_products=np.einsum("rkct,rkcs->kcts", off, off),
-            moments=Moments.of(full),
+            moments=Moments.of(full, tails=True),
         )
 
     def merge(self, other: TechniqueSums) -> TechniqueSums:

@@ -21,7 +21,7 @@ from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator
 from mcspectra.estimators.moments import rounding_floor
-from mcspectra.estimators.tails import unsampled_note
+from mcspectra.estimators.tails import tail_note, unsampled_note
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler
 from mcspectra.variance.bands import check_bands, make_bands
@@ -113,7 +113,7 @@ class Terms(Analysis, frozen=True, kw_only=True):
             variables = _variables(total, view, partition)
             share, tail = view.energy(n)
             variables |= {"energy_share": (("channel",), share), "tail_term": (("channel",), tail)}
-            notes = [unsampled_note(estimator, n * self.realizations)]
+            notes = [unsampled_note(estimator, n * self.realizations), tail_note(total.measured)]
             if frequencies.diverge:
                 notes.insert(0, "spectral terms are infinite: ∫1/p diverges")
                 variables = frequencies.undefined(

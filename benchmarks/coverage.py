@@ -1,0 +1,159 @@
+"""How many 95 % intervals hold the truth: of variances, captured parts, spectra and ANOVA shares."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+import mcspectra as mcs
+from mcspectra.estimators import Moments
+from mcspectra.variance.sums import BATCHES, ratio_factors
+
+REPETITIONS = 2_000
+COUNTS = (20, 100, 1000)
+_RUNS = 400  # of analyses, each of several numbers
+
+# Laws of estimates: how they are drawn, variance and kurtosis
+LAWS: dict[str, tuple[Callable[..., np.ndarray], float, float]] = {
+    "normal": (lambda rng, s: rng.standard_normal(s), 1.0, 3.0),
+    "uniform": (lambda rng, s: rng.random(s), 1 / 12, 1.8),
+    "exponential": (lambda rng, s: rng.exponential(size=s), 1.0, 9.0),
+    "lognormal(1)": (lambda rng, s: np.exp(rng.standard_normal(s)), np.e * (np.e - 1), 113.9),
+    "t(5)": (lambda rng, s: rng.standard_t(5, s), 5 / 3, 9.0),
+    "bernoulli(0.1)": (lambda rng, s: 1.0 * (rng.random(s) < 0.1), 0.09, 8.1),
+    "bimodal": (lambda rng, s: rng.standard_normal(s) + 4.0 * (rng.random(s) < 0.5), 5.0, 1.7),
+    "gumbel": (lambda rng, s: rng.gumbel(size=s), np.pi**2 / 6, 5.4),
+    "t(3)": (lambda rng, s: rng.standard_t(3, s), 3.0, np.inf),
+    "lognormal(1.5)": (
+        lambda rng, s: np.exp(1.5 * rng.standard_normal(s)),
+        np.exp(2.25) * (np.exp(2.25) - 1),
+        10_078.0,
+    ),
+}
+
+# Exponents a of p ∝ x^a, integrands, and half widths at which they are cut
+RATIOS: dict[str, tuple[float, Callable[[np.ndarray], np.ndarray], int]] = {
+    "p = 1, step": (0.0, lambda x: 1.0 * (x < 0.3), 8),
+    "p = 1, exp(−3x)": (0.0, lambda x: np.exp(-3 * x), 2),
+    "p ∝ x^0.25, exp(−x)": (0.25, lambda x: np.exp(-x), 2),
+    "p ∝ x^0.5, exp(−x)": (0.5, lambda x: np.exp(-x), 2),
+    "p ∝ x^0.5, step": (0.5, lambda x: 1.0 * (x < 0.3), 8),
+}
+
+
+def _of_variances() -> Iterator[tuple[str, ...]]:
+    """Coverage of `Moments.variance_ci`; values that are all equal say nothing and are counted apart."""
+    for count in COUNTS:
+        for name, (draw, variance, kurtosis) in LAWS.items():
+            found = Moments.of(draw(np.random.default_rng(count), (count, REPETITIONS)), tails=True)
+            varies = found.m2 > 0
+            low, high = found.variance_ci[varies].T
+            covered = (low <= variance) & (variance <= high)
+            yield (
+                str(count), name, f"{kurtosis:.4g}", f"{100 * covered.mean():.1f}",
+                f"{100 * (high < variance).mean():.1f}", f"{100 * (low > variance).mean():.1f}",
+                f"{100 * (~found.resolved[varies]).mean():.0f}", f"{100 * (~varies).mean():.0f}",
+                f"{np.median(high[np.isfinite(high)] / found.variance[varies][np.isfinite(high)]):.2f}",
+            )  # fmt: skip
+
+
+def _weighted(x: np.ndarray, f: Any, power: float, m: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Integrand cut to the frequencies m and in full, over p ∝ x^power: (2, ...)."""
+    cut = sum((each * np.exp(2j * np.pi * k * x)).real for k, each in zip(m, c, strict=True))
+    return np.stack([cut, f(x)]) / ((1 + power) * x**power)
+
+
+def _of_captured() -> Iterator[tuple[str, ...]]:
+    """Coverage of ``captured_ci`` of `variance_terms`: means of 8 random points, p ∝ x^a."""
+    for count in (100, 1000):
+        for name, (power, f, half_width) in RATIOS.items():
+            m = np.arange(-half_width, half_width + 1)
+            grid = (np.arange(2**14) + 0.5) / 2**14
+            c = (f(grid) * np.exp(-2j * np.pi * m[:, None] * grid)).mean(axis=1)
+
+            # Variances by quadrature in x = y⁴
+            y = (np.arange(2**16) + 0.5) / 2**16
+            density = (1 + power) * y ** (4 * power + 3) * 4
+            first, second = (
+                (_weighted(y**4, f, power, m, c) ** k * density).mean(axis=1) for k in (1, 2)
+            )
+            truth = np.divide(*(second - first**2))
+
+            rng, inside, widths = np.random.default_rng(count), [], []
+            for _ in range(REPETITIONS):
+                x = rng.random((count, 8)) ** (1 / (1 + power))
+                estimates = _weighted(x, f, power, m, c).mean(axis=-1)
+                blocks = estimates.reshape(2, BATCHES, -1).var(axis=-1, ddof=1)
+                factors = ratio_factors(*blocks, np.full(BATCHES, 1 / BATCHES))
+                low, high = np.divide(*estimates.var(axis=-1, ddof=1)) * factors
+                inside.append(low <= truth <= high)
+                widths.append(high / low)
+            yield str(count), name, f"{100 * np.mean(inside):.1f}", f"{np.median(widths):.2f}"
+
+
+def _of_spectra() -> Iterator[tuple[str, ...]]:
+    """Coverage of single frequencies, rings, wedges and pair correlations of random points."""
+    for count in (4, 10):
+        hits: dict[str, list[np.ndarray]] = {}
+        for seed in range(_RUNS):
+            options = {"realizations": count, "rng": seed}
+            d = mcs.power_spectrum("random", 64, half_width=4, wedges=6, **options)
+            power, se = 64 * d["power"].values[5:].ravel(), 64 * d["power_se"].values[5:].ravel()
+            factor = np.exp(d.attrs["student_t"] * se / power)
+            ends = {"frequencies": np.stack([power / factor, power * factor], axis=-1)}
+            ends["rings"] = 64 * d["radial_power_ci"].values
+            ends["wedges"] = 64 * d["wedge_power_ci"].values
+            g = mcs.pair_correlation("random", 256, bins=10, **options)
+            ends["pair correlation"] = g["pair_correlation_ci"].values
+            for name, each in ends.items():
+                hits.setdefault(name, []).append((each[:, 0] <= 1) & (each[:, 1] >= 1))
+        for name, own in hits.items():
+            yield str(count), name, f"{100 * np.mean(own):.1f}"
+
+
+def _of_anova() -> Iterator[tuple[str, ...]]:
+    """Coverage of shares and dimensions of Π (1 + (x_i − ½) √(12 a_i)), a = 1, ½, ⅕."""
+    part = np.array([1.0, 0.5, 0.2])
+    variance = np.prod(1 + part) - 1
+    truth = {
+        "anova_share": np.array([*part, *(part[[0, 0, 1]] * part[[1, 2, 2]])]) / variance,
+        "higher_order_share": part.prod() / variance,
+        "truncation_share": (np.cumprod(1 + part) - 1)[:2] / variance,
+        "mean_dimension": (part / (1 + part)).sum() * (1 + variance) / variance,
+        "effective_dimension_truncation": 3.0,
+    }
+    f = mcs.Integrand.from_function(
+        lambda x: np.prod(1 + (x - 0.5) * np.sqrt(12 * part), axis=-1), dims=3
+    )
+    for count in (100, 1000):
+        hits: dict[str, list[np.ndarray]] = {name: [] for name in truth}
+        for seed in range(_RUNS):
+            found = mcs.anova_variances(mcs.Estimator(f), realizations=count, rng=seed)
+            for name, value in truth.items():
+                low, high = found[f"{name}_ci"].values.reshape(-1, 2)[: np.size(value)].T
+                hits[name].append((low <= value) & (value <= high))
+        for name, own in hits.items():
+            yield str(count), name, f"{100 * np.mean(own):.1f}"
+
+
+def _print(header: str, rows: Iterator[tuple[str, ...]]) -> None:
+    names = header.split(" | ")
+    print(f"| {header} |\n|{'---|' * len(names)}")
+    for row in rows:
+        print(f"| {' | '.join(row)} |", flush=True)
+    print()
+
+
+def main() -> None:
+    """Print the coverage of each kind of interval in percent."""
+    columns = "values | law | kurtosis | covered | truth above | below"
+    _print(f"{columns} | no upper end | all equal | upper end / s² (median)", _of_variances())
+    _print("realisations | captured | covered | ends' ratio (median)", _of_captured())
+    _print("realisations | interval | covered", _of_spectra())
+    _print("pairs | interval | covered", _of_anova())
+
+
+if __name__ == "__main__":
+    main()
