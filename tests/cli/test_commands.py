@@ -190,6 +190,33 @@ def test_converge_stops_at_a_precision_and_chooses_its_window(run, run_json):
     assert out.splitlines()[-1].split()[-2:] == shown
 
 
+def test_converge_finds_no_rate_in_noise_or_in_rounding(run, run_json):
+    """-1.03 ± 1.34 of five realisations, and a rate of 1e-34."""
+    arguments = (
+        "converge",
+        "gaussian",
+        "--sampler",
+        "random",
+        "--sampler",
+        "sobol",
+        "--counts",
+        "16,64",
+    )
+    code, out, _ = run(*arguments, "-m", 5)
+    assert code == 0
+    row = next(line.split() for line in out.splitlines() if line.startswith("random"))
+    assert row[3] == "unresolved"
+    assert float(row[4]) > 0.5
+    assert "the rate is not resolved: use more realisations or larger counts" in out
+    assert "sobol has no variance: add owen or shift, or look at |bias|" in out
+    assert [line.split()[1:4] for line in out.splitlines() if line.startswith("sobol  ")] == [
+        ["0", "0", "–"]
+    ]
+    curve = run_json(*arguments, "-m", 5)["curves"][0]
+    assert curve["rate_ci"][1] - curve["rate_ci"][0] == pytest.approx(2 * float(row[4]), rel=1e-2)
+    assert "resolved" not in run(*arguments, "-m", 500)[1]
+
+
 def test_converge_says_which_counts_missed_the_precision(run, run_json):
     arguments = ("converge", "gaussian", "--sampler", "random", "--counts", "4,16", "-m", 20)
     code, out, _ = run(*arguments, "--relative-error", 0.01)

@@ -65,7 +65,12 @@ def curve(rate: float | None, half: float = 0.03, **more: Any) -> SummaryRow:
         (curve(-0.5), "−0.50 ± 0.03 is slower than"),
         (curve(-1.52, fit_first_n=64), "−1.52 ± 0.03, fitted over n = 64 … 1024, is faster than"),
         (curve(-1.01), "lies within three standard errors of"),
-        (curve(-1.52, half=0.6), "lies within three standard errors of"),
+        (curve(-1.52, half=0.5), "lies within three standard errors of"),
+        (
+            curve(-1.7, half=2.68),
+            "The rate is not resolved: use more realisations or larger counts.",
+        ),
+        (curve(-1.7, half=float("inf")), "The rate is not resolved"),
         (curve(None, variance=0.0), "is zero"),
         (curve(None, variance=1.0), "needs two counts"),
         (SummaryRow(estimator="e", sampler="s"), ""),

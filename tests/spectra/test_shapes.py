@@ -157,13 +157,42 @@ def test_exponent_interval_has_its_level():
     assert inside / 400 > 0.95 - 6 * np.sqrt(0.95 * 0.05 / 400)
 
 
-def test_misfit_widens_the_interval():
-    bent = _made(lambda nu: 1 + np.abs(nu[..., 0]) ** 3, 1, 20, se=1e-4)
-    found = mcs.low_frequency_exponent(bent, up_to=20)
+def test_misfit_widens_the_interval_and_a_large_one_refuses():
+    def power(nu):
+        return 1 + np.abs(nu[..., 0]) ** 3
+
+    bent, more = (
+        mcs.low_frequency_exponent(_made(power, 1, 20, se=se), up_to=20) for se in (0.05, 0.07)
+    )
+    assert 1 < float(more["exponent_fit_chi2"]) < float(bent["exponent_fit_chi2"]) < 10
+    # The scatter about the line makes the interval, not the errors
+    assert np.allclose(bent["low_frequency_exponent_ci"], more["low_frequency_exponent_ci"])
+    found = mcs.low_frequency_exponent(_made(power, 1, 20, se=1e-4), up_to=20)
     assert float(found["exponent_fit_chi2"]) > 100
     assert "no power law" in found.attrs["reason"]
-    low, high = found["low_frequency_exponent_ci"].values
-    assert high - low > 0.1
+    assert np.isnan(float(found["low_frequency_exponent"]))
+
+
+@pytest.mark.parametrize(
+    ("spec", "realizations", "reason"),
+    [
+        ("halton", 10, "The power is the same in all realisations"),
+        ("kronecker | shift", 10, "The power is the same in all realisations"),
+        ("sobol | owen", 100, "there is no power law"),
+        ("sobol | owen", 4, "is wider than ±0.5: it is not resolved"),
+        ("halton | owen", 100, "is wider than ±0.5: it is not resolved"),
+        ("jittered", 100, None),
+    ],
+)
+def test_no_exponent_of_one_set_or_of_peaks(spec, realizations, reason):
+    """Intervals from -205 to 206 were printed as findings."""
+    spectrum = mcs.power_spectrum(
+        mcs.sampler(spec, dims=2), 256, half_width=12, realizations=realizations
+    )
+    found = mcs.low_frequency_exponent(spectrum)
+    assert (reason is None) == ("reason" not in found.attrs)
+    assert reason is None or reason in found.attrs["reason"]
+    assert found.attrs.get("reason", "").count(". ") == 0
 
 
 def _exponent(spec, dims, n, *, half_width, up_to, axis=None, realizations=1000):

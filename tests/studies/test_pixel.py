@@ -170,9 +170,12 @@ def test_the_bottleneck_in_words(tree: xr.DataTree, slow: int, words: str) -> No
     changed["techniques"]["bottleneck"] = slow
     text = bottleneck_sentence(changed)
     assert re.search(words, text)
-    rates = changed["techniques"]["technique_rate"].values
-    for value in rates:
-        assert f"{value:.2f}"[:5].replace("-", "−") in text
+    found = changed["techniques"]
+    for value, (low, high) in zip(
+        found["technique_rate"].values, found["technique_rate_ci"].values, strict=True
+    ):
+        shown = f"{value:.2f}"[:5].replace("-", "−")
+        assert (shown if high - low <= 1 else "a rate that more realisations would resolve") in text
 
 
 @pytest.mark.parametrize(("part", "words"), [(0.04, "it has 4 % of the variance"), (0.5, "")])
@@ -202,9 +205,23 @@ def test_sentences_name_jumps_bottleneck_and_remedy(tree: xr.DataTree) -> None:
     assert "the shift carries that jump into the strata" in said["light"]
     assert said["bottleneck"] == bottleneck_sentence(tree)
     assert said["remedies"] == tree["remedies"].attrs["recommendation"]
-    rates = {(r.estimator, r.sampler): r.rate for r in pixel_rows(tree)}
-    best = min(rates, key=lambda pair: rates[pair] or 0.0)
+    resolved = [r for r in pixel_rows(tree) if r.rate and r.rate_high - r.rate_low <= 1]
+    rates = {(r.estimator, r.sampler): r.rate for r in resolved}
+    best = min(rates, key=lambda pair: rates[pair])
     assert f": {best[0]} with {best[1]}. The least variance" in said["fastest"]
+
+
+def test_a_steepest_rate_that_is_not_resolved_is_no_finding(tree: xr.DataTree) -> None:
+    """The page said: the steepest rate is −1.70 ± 2.68."""
+    wide = tree.copy()
+    curves = tree["convergence"].to_dataset()
+    ends = curves["rate"] + xr.DataArray([-2.68, 2.68], dims="bound")
+    wide["convergence"] = xr.DataTree(curves.assign(rate_ci=ends.transpose(..., "bound")))
+    said = dict(pixel_sentences(wide))["fastest"]
+    assert said.startswith(
+        "No rate is known: each is not resolved: use more realisations or larger"
+    )
+    assert "±" not in said
 
 
 def test_the_page_stands_alone(tree: xr.DataTree, tmp_path: Path) -> None:

@@ -312,3 +312,34 @@ def test_a_budget_too_small_for_two_counts_gets_a_sentence():
         mcs.remedies(
             SMOOTH, mcs.Sampler.from_points(np.full((100, 8, 2), 0.5)), 16, realizations=100
         )
+
+
+@pytest.mark.parametrize(
+    ("integrand", "share", "words"),
+    [
+        # x + y: all of it is odd about the centre, though its sides differ as well
+        ("linear(gradient=[1, 1])", 1.0, "g is odd about the centre (100 % of the variance of g)"),
+        # A disk about the centre is its own reflection
+        ("disk(center=0.5)", 0.0, None),
+    ],
+)
+def test_mirroring_names_central_symmetry_as_its_cause(integrand, share, words):
+    estimator = mcs.Estimator(integrand, dims=2)
+    sampler = mcs.sampler("jittered | shift", dims=2)
+    found = diagnose(estimator, sampler, [16, 64], Stream.from_rng(0))
+    assert found.odd == pytest.approx(share, abs=0.02)
+    if words:
+        mirrored = mcs.remedies(estimator, sampler, 256, realizations=100, kinds=["mirrored"])
+        assert words in str(mirrored.sel(remedy="mirrored: uniform")["reason"].values)
+
+
+def test_a_variance_is_not_called_an_error(shifted):
+    """Its ratio goes with that of the RMSE, the square root."""
+    ratio, (low, high) = (shifted[name].values[0] for name in ("error_ratio", "error_ratio_ci"))
+    text = shifted.attrs["recommendation"]
+    assert (
+        f"variance × {ratio:.3g} (RMSE × {np.sqrt(ratio):.2g}; 95 %: {low:.3g} to {high:.3g})"
+        in text
+    )
+    assert "error" not in text
+    assert not any("error" in str(reason) for reason in shifted["reason"].values)

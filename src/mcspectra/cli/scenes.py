@@ -287,7 +287,7 @@ def _pixel_text(tree: xr.DataTree) -> str:
             bounds = interval(*one["error_ratio_ci"].values.tolist())
             ratio = number(float(one["error_ratio"]))
             ratios.append([str(name), str(one["verdict"].item()), ratio, bounds])
-        tables.append(text_table(["remedy", "", "error / given", "95 %"], ratios))
+        tables.append(text_table(["remedy", "", "variance / given", "95 %"], ratios))
     parts = [head, *([table] for table in tables), said]
     return "\n\n".join("\n".join(part) for part in parts)
 

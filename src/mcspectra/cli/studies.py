@@ -21,6 +21,7 @@ from mcspectra.cli.common import (
 )
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.progress import report
+from mcspectra.variance.fit import UNRESOLVED, is_resolved
 
 if TYPE_CHECKING:
     from mcspectra.studies import CellEstimate, SummaryRow
@@ -230,11 +231,13 @@ def estimate_text(estimates: Sequence[CellEstimate], wall: float, workers: int) 
 
 def _summary_text(rows: list[SummaryRow]) -> str:
     """The table that a person reads: rate, predicted/measured, largest term."""
-    cells, any_far = [], False
+    cells, any_far, any_open = [], False, False
     for row in rows:
         rate = half = captured = "–"
         if row.rate is not None and row.rate_low is not None and row.rate_high is not None:
             rate, half = f"{row.rate:+.2f}", f"{(row.rate_high - row.rate_low) / 2:.2f}"
+            if not is_resolved(row.rate_low, row.rate_high):
+                any_open, rate = True, "unresolved"
         if row.ratio is not None:
             far = abs(row.ratio - 1.0) > _FAR
             any_far, captured = any_far or far, f"{row.ratio:.3f}{'*' if far else ' '}"
@@ -245,7 +248,8 @@ def _summary_text(rows: list[SummaryRow]) -> str:
     header = ["estimator", "sampler", "rate", "±", "predicted/measured", "largest term"]
     table = text_table(header, cells)
     note = "* far from 1: the report says why"
-    return f"{table}\n{note}" if any_far else table
+    rates = f"unresolved: the rate is {UNRESOLVED}"
+    return "\n".join([table, *[note] * any_far, *[rates] * any_open])
 
 
 @verb(

@@ -16,6 +16,7 @@ import numpy as np
 
 from mcspectra.cli.common import Answer, text_table
 from mcspectra.core.errors import NoClosedForm
+from mcspectra.variance.fit import UNRESOLVED, is_resolved
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -129,7 +130,7 @@ def _error(result: xr.Dataset, name: str, place: tuple[int, ...]) -> str:
 def convergence(result: xr.Dataset) -> Answer:
     """Prints the variance at each n, the rate ± half its interval, and how well a line fits."""
     header = ["sampler", "", *(f"n = {n}" for n in result["n"].values), "rate", "±"]
-    rows, curves, notes = [], [], []
+    rows, curves, notes, unresolved = [], [], [], ""
     for sampler in result["sampler"].values:
         picked = result.sel(sampler=sampler)
         channels = picked.sizes.get("channel", 0)
@@ -141,6 +142,11 @@ def convergence(result: xr.Dataset) -> Answer:
                 low, high = curve["rate_ci"].values
                 fit = [f"{rate:+.3f}", f"{(high - low) / 2:.3f}", f"{float(curve['fit_first_n']):.0f}",
                        _number(float(curve["fit_chi2"]), 3)]  # fmt: skip
+                if not is_resolved(low, high):
+                    fit[:2], unresolved = (
+                        ["unresolved", _number((high - low) / 2, 3)],
+                        f"unresolved: the rate is {UNRESOLVED}",
+                    )
             rows.append(
                 [str(sampler), label, *(f"{v:.4g}" for v in curve["variance"].values), *fit]
             )
@@ -155,7 +161,7 @@ def convergence(result: xr.Dataset) -> Answer:
         curves.append({"sampler": str(sampler), "n": result["n"].values, **values})
     table = text_table([*header, "fit from n", "χ²/dof"], rows)
     title = f"variance of {result.attrs['estimator']}"
-    return _shown(title, table, *notes, _note(result), curves=curves)
+    return _shown(title, table, *notes, unresolved, _note(result), curves=curves)
 
 
 @_view("terms")
@@ -240,7 +246,7 @@ def exponent(result: xr.Dataset) -> Answer:
     found = low_frequency_exponent(result)
     known = found.attrs
     b, chi2 = (float(found[n]) for n in ("low_frequency_exponent", "exponent_fit_chi2"))
-    if math.isnan(b):
+    if known.get("reason"):
         return _shown(f"no exponent: {known['reason']}", **data_of(found))
     where = "" if known["directions"] == "all" else f", directions {known['directions']}"
     text = (
@@ -248,7 +254,7 @@ def exponent(result: xr.Dataset) -> Answer:
         f"b = {b:.4g}, 95 % interval {_interval(found['low_frequency_exponent_ci'].values)}, "
         f"χ² per degree of freedom {chi2:.3g}"
     )
-    return _shown(text, known.get("reason", ""), **data_of(found))
+    return _shown(text, **data_of(found))
 
 
 @_view("pcf")
@@ -358,6 +364,7 @@ def remedies(result: xr.Dataset) -> Answer:
     for name in result["remedy"].values:
         one = result.sel(remedy=name)
         listed.append({str(key): v.values for key, v in one.variables.items()})
+        resolved = np.isnan(one["rate"]) or is_resolved(*one["rate_ci"].values)
         rows.append(
             [
                 str(name),
@@ -365,11 +372,11 @@ def remedies(result: xr.Dataset) -> Answer:
                 f"{float(one['error']):.4g}",
                 f"{float(one['error_ratio']):.3g}",
                 "{:.3g} … {:.3g}".format(*one["error_ratio_ci"].values),
-                f"{float(one['rate']):.2f}",
+                f"{float(one['rate']):.2f}" if resolved else "unresolved",
                 "{:.2f} … {:.2f}".format(*one["rate_ci"].values),
             ]
         )
-    table = text_table(["remedy", "", "error", "ratio", "95 %", "rate", "95 %"], rows)
+    table = text_table(["remedy", "", "variance", "ratio", "95 %", "rate", "95 %"], rows)
     title = f"{_title(result)},  {known['budget']} evaluations"
     said = [textwrap.fill(known[name], _WIDTH) for name in ("diagnosis", "recommendation")]
     left_out = [

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import re
 
+from mcspectra.variance.fit import is_resolved
+
 __all__ = [
     "MISSING",
     "NEGLIGIBLE",
@@ -78,11 +80,13 @@ def interval(low: float | None, high: float | None, digits: int = 3) -> str:
 
 
 def rate(value: float | None, low: float | None, high: float | None) -> str:
-    """Return ``−1.52 ± 0.03``: a rate and half the width of its interval."""
+    """Return ``−1.52 ± 0.03``: a rate and half the width of its interval; ``unresolved`` beyond ±0.5."""
     if value is None or math.isnan(value):
         return MISSING
-    if low is None or high is None or not math.isfinite(high - low):
+    if low is None or high is None or math.isnan(high - low):
         return f"{value:.2f}".replace("-", "−")
+    if not is_resolved(low, high):
+        return "unresolved"
     half = (high - low) / 2
     # As many decimals as the interval has meaning, two to four.
     decimals = 4 if half <= 0 else min(max(-math.floor(math.log10(half)), 2), 4)

@@ -595,13 +595,14 @@ def _reference(group: Group) -> list[Mark]:
 
 def _rate_text(data: xr.Dataset) -> str:
     text, notes = rate(float(data["rate"]), *map(float, data["rate_ci"].values)), ""
+    text = {MISSING: "(no rate)", "unresolved": "(rate unresolved)"}.get(text, text)
     used, finite = usable_counts(data), np.isfinite(data["variance"].values)
     for words, count in (
         ("not finite", int((~finite).sum())),
         ("at rounding level", int((finite & ~used).sum())),
     ):
         notes += f"; {count} of {used.size} {words}" if count else ""
-    return (text if text != MISSING else "(no rate)") + notes
+    return text + notes
 
 
 def _above_rounding(values: Array) -> Array:

@@ -32,6 +32,7 @@ from mcspectra.report.page import (
 from mcspectra.report.sentences import basis_name, explain
 from mcspectra.report.tables import analysis_table, summary_table, terms_table
 from mcspectra.studies import SummaryRow, summarize
+from mcspectra.variance.fit import UNRESOLVED, is_resolved
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -72,7 +73,7 @@ _REMEDY = (
 _PINHOLE = "pinhole"
 _MOST_LIGHTS = 8  # named one by one
 _ABOUT_RATES = (
-    "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval. MIS takes "
+    "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval, unresolved beyond 0.5. MIS takes "
     "n samples of each technique."
 )
 _ABOUT_TERMS = (
@@ -222,7 +223,9 @@ def bottleneck_sentence(tree: xr.DataTree) -> str:
     """Say which technique's share of MIS has the slower rate, where the intervals tell."""
     found = tree["techniques"].to_dataset()
     rates = [
-        rate(float(value), *map(float, ends))
+        f"the rate {text}"
+        if "±" in (text := rate(float(value), *map(float, ends)))
+        else "a rate that more realisations would resolve"
         for value, ends in zip(
             found["technique_rate"].values, found["technique_rate_ci"].values, strict=True
         )
@@ -231,7 +234,7 @@ def bottleneck_sentence(tree: xr.DataTree) -> str:
     if slow < 0:
         return (
             "The bottleneck of MIS (balance heuristic) is undecided: the shares of light and BSDF "
-            f"sampling converge with the rates {rates[0]} and {rates[1]}, whose difference may be 0."
+            f"sampling converge with {rates[0]} and {rates[1]}, whose difference may be 0."
         )
     # Say so where the slower technique's part of the variance is the smaller one up to now
     last = found["technique_variance"].isel(n=-1).values
@@ -242,7 +245,7 @@ def bottleneck_sentence(tree: xr.DataTree) -> str:
         )
     name = names[slow][0].upper() + names[slow][1:]
     return (
-        f"{name} is the bottleneck of MIS (balance heuristic): its share converges with the rate "
+        f"{name} is the bottleneck of MIS (balance heuristic): its share converges with "
         f"{rates[slow]}, that of {names[1 - slow]} with {rates[1 - slow]}, and the slower rate becomes "
         f"that of the sum{later}."
     )
@@ -250,14 +253,19 @@ def bottleneck_sentence(tree: xr.DataTree) -> str:
 
 def _fastest(rows: list[SummaryRow]) -> str:
     """The steepest rate, and the least variance at the largest n, of all pairs."""
-    fitted = [row for row in rows if row.rate is not None]
+    fitted = [
+        row
+        for row in rows
+        if None not in (row.rate, row.rate_low, row.rate_high)
+        and is_resolved(row.rate_low or 0.0, row.rate_high or 0.0)
+    ]
     least = min(rows, key=lambda row: math.inf if row.variance is None else row.variance)
     text = (
         f"The least variance at n = {least.n} of each technique is {number(least.variance)}: "
         f"{least.estimator} with {least.sampler}."
     )
     if not fitted:
-        return text
+        return f"No rate is known: each is {UNRESOLVED}. {text}"
     best = min(fitted, key=lambda row: row.rate or 0.0)
     shown = rate(best.rate, best.rate_low, best.rate_high)
     return f"The steepest rate is {shown}: {best.estimator} with {best.sampler}. {text}"

@@ -441,7 +441,7 @@ def _table(cards: Sequence[Card], names: Sequence[str]) -> Table:
         cells.append(_cell(number(card.speed, 2), card.speed, ""))
         rows.append(tuple(cells))
     return Table(
-        caption="Rates are exponents of variance in n with half their 95 % intervals, figures of quality "
+        caption="Rates are exponents of variance in n with half their 95 % intervals, unresolved beyond 0.5, figures of quality "
         "means, whose standard errors stand with each sampler: minimum distance by that of the densest packing, mean squared distance "
         "of moving uniform mass to the points, t of the (t, m, d)-net.",
         columns=(

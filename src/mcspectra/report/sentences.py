@@ -10,6 +10,7 @@ import numpy as np
 
 from mcspectra.plots.text import NEGLIGIBLE, number, percent, rate
 from mcspectra.studies import SummaryRow
+from mcspectra.variance.fit import UNRESOLVED, is_resolved
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -123,6 +124,8 @@ def _verdict(row: SummaryRow) -> str:
     """Beside random sampling, in a few words; empty without a rate."""
     if row.rate is None or row.rate_low is None or row.rate_high is None:
         return "" if row.variance != 0 else "no variance"
+    if not is_resolved(row.rate_low, row.rate_high):
+        return f"rate {UNRESOLVED}"
     half = 0.5 * _RATE_MARGIN * (row.rate_high - row.rate_low)
     if row.rate + half < -1.0:
         return "faster than random sampling"
@@ -140,6 +143,8 @@ def _rate_sentence(row: SummaryRow) -> str:
         return "There is no rate: a fit needs two counts with a variance above rounding noise."
     if row.rate_low is None or row.rate_high is None:
         return f"The variance falls like n to the {number(row.rate)}, interval unknown."
+    if not is_resolved(row.rate_low, row.rate_high):
+        return f"The rate is {UNRESOLVED}."
     fitted = rate(row.rate, row.rate_low, row.rate_high)
     if row.fit_first_n is not None:
         fitted += f", fitted over n = {row.fit_first_n} … {row.n},"

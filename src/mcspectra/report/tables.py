@@ -88,7 +88,8 @@ def summary_table(
             )
         )
     return Table(
-        caption="Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval. "
+        caption="Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval, "
+        "unresolved where that is more than 0.5. "
         "Predicted / measured ± half its 95 % interval says in brackets how the variance was predicted, "
         "a basis where by its sum over frequencies, cut at a half width. The bottleneck is the "
         "technique with the slowest rate (undecided: their intervals overlap), else what adds most: with "
@@ -251,7 +252,7 @@ def _map(sampler: str, data: xr.Dataset) -> Rows:
         yield (
             *text_cells(sampler, strategy),
             Cell(text=number(variance)),
-            Cell(text=with_error(rate(slope, None, None), 2.0 * error)),
+            Cell(text=rate(slope, slope - 2.0 * error, slope + 2.0 * error)),
             *text_cells(where),
         )
 
@@ -277,10 +278,19 @@ _TABLES: Mapping[str, tuple[str, str, tuple[str, ...], Callable[[str, Any], Rows
     "remedies": (
         "Remedies",
         (
-            "Changes at equal cost in the order of their errors. Ratios are to the set-up as given; their "
-            "intervals hold together at 95 %."
+            "Changes at equal cost in the order of their variances; of what is biased, of mean squared "
+            "errors. Ratios are to the set-up as given; their intervals hold together at 95 %."
         ),
-        ("Sampler", "Remedy", "Error", "Ratio", "95 % interval", "Rate", "Verdict", "What to do"),
+        (
+            "Sampler",
+            "Remedy",
+            "Variance",
+            "Ratio",
+            "95 % interval",
+            "Rate",
+            "Verdict",
+            "What to do",
+        ),
         _remedies,
     ),
     "techniques": (

@@ -47,6 +47,8 @@ _LEVEL = 0.95
 _ISOTROPIC = 0.1  # excess of (spread over direction / mean)² over noise; jittered points: 0.001
 _CLASS_WEDGES = 8
 _SUSPECT = 3.0  # χ² per degree of freedom, beyond which directions are looked at
+_SAME = 1e-7  # standard errors of powers, relative to the largest, that are rounding
+_UNRESOLVED = 0.5  # half an interval of the exponent that is no finding
 _MISFIT = 10.0  # χ² per degree of freedom, beyond which there is no power law
 
 
@@ -259,8 +261,9 @@ def low_frequency_exponent(
         ``low_frequency_exponent``, its 95 % interval on dim bound, and ``exponent_fit_chi2``, the
         lack of fit, χ² per degree of freedom: an interval is widened by its root where it is above 1.
         Attributes ``up_to``, ``lengths`` and ``directions``, those of the fit. The attribute ``reason``
-        says why all are NaN, where lengths have no power, as those of a lattice; or that there is
-        no power law, where χ² per degree of freedom is above 10.
+        says why the exponent is NaN: lengths have no power, as those of a lattice; the power is the
+        same in all realisations; or χ² per degree of freedom is above 10. Or that the exponent is no
+        finding, because its interval is wider than ±0.5.
 
     Raises
     ------
@@ -334,8 +337,21 @@ def low_frequency_exponent(
         fit = _Fit(math.nan, 0.0, (math.nan, math.nan), math.nan, len(lengths), "all")
     else:
         fit = _over_directions(half, label, lengths)
-        if fit.chi2 > _MISFIT:
+        low, high = fit.interval
+        if se.max() <= _SAME * power.max():
+            reason = (
+                "The power is the same in all realisations, that of one set with its peaks: there is "
+                "no power law; randomise the set further, as with owen."
+            )
+        elif fit.chi2 > _MISFIT:
             reason = f"χ² per degree of freedom is {fit.chi2:.3g}: there is no power law."
+        if reason:
+            fit = replace(fit, slope=math.nan, interval=(math.nan, math.nan))
+        elif not high - low <= 2 * _UNRESOLVED:
+            reason = (
+                f"The 95 % interval of the exponent, {low:.3g} … {high:.3g}, is wider than ±0.5: it is "
+                "not resolved; use more realisations or a larger half_width."
+            )
     return dataset(
         {
             "low_frequency_exponent": ((), fit.slope),

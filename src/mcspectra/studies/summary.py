@@ -106,6 +106,12 @@ def summarize(tree: xr.DataTree) -> list[SummaryRow]:
                 fit_first = _number(curve.get("fit_first_n", math.nan))
                 values |= {
                     **_with_bounds(curve, rate="rate"),
+                    # No interval of a rate is one of infinite width
+                    **(
+                        {}
+                        if np.isfinite(curve["rate_ci"]).any()
+                        else {"rate_low": -math.inf, "rate_high": math.inf}
+                    ),
                     "n": int(curve["n"].values[-1]),
                     "variance": _number(curve["variance"].values[-1]),
                     "fit_first_n": None if fit_first is None else int(fit_first),

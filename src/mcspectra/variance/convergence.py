@@ -636,7 +636,7 @@ def _blindness(
     far = missed & (np.abs(pull) > -stdtrit(r - 1, rare))
     varies = measured["variance"] > measured["floor"]
 
-    blind, notes = np.zeros(varies.shape, bool), dict[str, None]()
+    blind, notes, fixed = np.zeros(varies.shape, bool), dict[str, None](), dict[str, None]()
     for i, e in enumerate(estimators):
         unsampled = unsampled_note(e, int(counts[-1]) * realizations)
         if unsampled is not None:
@@ -646,7 +646,7 @@ def _blindness(
             source, at = e.randomized(sampler), (i, j)
             if _is_fixed(e, sampler):
                 said = "has no variance: add owen or shift, or look at |bias|"
-                notes[f"{sampler.spec} {said}"] = None
+                fixed[f"{sampler.spec} {said}"] = None
                 continue
             of = {name: values[at] for name, values in measured.items()}
             known = isinstance(source, Random) & np.isfinite(of_random) & (of_random > 0)
@@ -678,4 +678,4 @@ def _blindness(
             blind[at] |= unsampled is not None
     if blind.any():
         notes["none of these variances has a finite upper bound"] = None
-    return blind, list(notes)
+    return blind, [*notes, *fixed]

@@ -1,7 +1,7 @@
 """Why a set-up is as noisy as it is, and why a change to it helps: from what was looked at only.
 
-Looked for are weights 1/p without bound, a technique of the slowest rate, and jumps of the
-primary-space integrand g, inside and between opposite faces of the cube, which samplers that wrap
+Looked for are weights 1/p without bound, a technique of the slowest rate, what of the primary-space
+integrand g is odd about the centre of the cube, and jumps of g, inside and between opposite faces of the cube, which samplers that wrap
 around see. What was not looked at, as jumps in more than two dims, is not said to be absent.
 """
 
@@ -17,8 +17,11 @@ from mcspectra.core.errors import McspectraError
 from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator, Mirrored, Moments
+from mcspectra.estimators.reflected import SymmetrizedIntegrand
+from mcspectra.estimators.support import probe_points
 from mcspectra.samplers import Sampler, Shift
 from mcspectra.spectra.bases import parts_of
+from mcspectra.variance.fit import UNRESOLVED, is_resolved
 from mcspectra.variance.primary import primary_picture
 from mcspectra.variance.techniques import UNDECIDED, technique_estimates, technique_rates
 
@@ -26,6 +29,8 @@ __all__ = ["Diagnosis", "Jumps", "diagnose", "jumps_of"]
 
 _RESOLUTION = 128
 _REALIZATIONS = 500
+_MOSTLY, _FEW = 0.9, 0.1  # shares of the variance that are the reason, or one of several
+_ODD_DIMS, _ODD_POINTS = 4, 2**12
 _FEWER = 0.9  # of the length of jumps: less is a reason
 
 
@@ -63,6 +68,8 @@ class Diagnosis:
     # Jumps of g, of all techniques together; None where they were not looked for
     boundary: Jumps | None
     inside: Jumps | None
+    # Share of the variance of g that its mean over all reflections lacks; None where not looked for
+    odd: float | None = None
 
     @property
     def text(self) -> str:
@@ -101,18 +108,22 @@ class Diagnosis:
         if column["verdict"] == "undecided":
             return "Its interval does not tell it from the set-up as given."
         if column["verdict"] == "worse":
-            return "Its error is larger."
+            return f"Its {'mean squared error' if column['biased'] else 'variance'} is larger."
 
         # What a kind of change mends that was found; which property of a sampler it is, is not known
         name, wrapped = str(column["name"]), self._wrapped_jump
         inside: Jumps | None = column["inside"]
+        odd = f"{100 * (self.odd or 0.0):.0f} % of the variance of g"
+        uniform = name.endswith("uniform")
         match column["kind"]:
+            case "mirrored" if uniform and (self.odd or 0.0) >= _MOSTLY:
+                return f"g is odd about the centre ({odd}): the images of a sample cancel it."
             case "unshifted" if wrapped:
                 return "Without the shift no stratum holds the jump between opposite sides."
             case "mirrored" if wrapped:
                 return "Reflected, g is continuous across the sides, and wrap-around meets no jump."
-            case "mirrored" if name.endswith("uniform"):
-                return "The images of a sample are antithetic: what is odd in g cancels."
+            case "mirrored" if uniform and (self.odd or 0.0) >= _FEW:
+                return f"The images of a sample cancel what is odd about the centre, {odd}."
             case "aligned" if self.inside:
                 return "Borders of strata lie where g jumps, so that fewer strata hold a jump."
             case "aligned" if wrapped:
@@ -121,7 +132,7 @@ class Diagnosis:
                     "sides."
                 )
             case "smoothed" if self.inside and column["biased"]:
-                return "The jump inside becomes a ramp, for a bias that the error contains."
+                return "The jump inside becomes a ramp, for a bias that the mean squared error contains."
             case "smoothed" if self.inside:
                 return "The jump inside becomes a ramp; means over boxes keep the integral."
             case "warp" if self.unbounded and not column["unbounded"]:
@@ -142,6 +153,8 @@ class Diagnosis:
                 return "Each channel is divided by a density of its own shape."
         if math.isnan(column["rate"]):
             return ""
+        if not is_resolved(*column["rate_ci"]):
+            return f"Its rate is {UNRESOLVED}."
         if column["rate_verdict"] == "better":
             return f"Its rate is better, {column['rate']:.2f}."
         return "By how much its rate differs, the intervals leave open."
@@ -180,7 +193,26 @@ def diagnose(
         slow_name="" if slow is None or named is None else named[slow].spec,
         boundary=boundary,
         inside=inside,
+        odd=_odd_share(estimator),
     )
+
+
+def _odd_share(estimator: AbstractEstimator) -> float | None:
+    """Share of the variance of g that cancels in its mean over all 2^d reflections about the centre.
+
+    From means over fixed points; None in more than four dims, or where g is constant or has no values.
+    """
+    if estimator.dims > _ODD_DIMS:
+        return None
+    u, whole, even = probe_points(estimator.dims, _ODD_POINTS), 0.0, 0.0
+    try:
+        for t, count in enumerate(estimator.counts):
+            g = estimator.primary_integrand(t)
+            whole += float(g(u).var(axis=0).sum()) / count
+            even += float(SymmetrizedIntegrand(g)(u).var(axis=0).sum()) / count
+    except McspectraError:
+        return None
+    return max(1.0 - even / whole, 0.0) if whole > 0 else None
 
 
 def jumps_of(estimator: AbstractEstimator) -> tuple[Jumps | None, Jumps | None]:

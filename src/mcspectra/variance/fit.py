@@ -33,10 +33,12 @@ from mcspectra.estimators.moments import CONFIDENCE_Z
 __all__ = [
     "CURVATURE",
     "LACK_OF_FIT",
+    "UNRESOLVED",
     "RateFit",
     "check_window",
     "fit_rate",
     "fit_rates",
+    "is_resolved",
     "widening",
 ]
 
@@ -46,6 +48,10 @@ LACK_OF_FIT = 0.05
 CURVATURE = 0.1
 """Significance of a quadratic term in log n below which a window of counts is taken to be bent."""
 
+UNRESOLVED = "not resolved: use more realisations or larger counts"
+"""What texts say of a rate that is no finding; results keep its number."""
+
+_WIDEST = 0.5  # half an interval of a rate that is a finding: −1 and −2 can be told apart
 _LEAST = 3  # counts that can show lack of fit
 
 
@@ -67,6 +73,11 @@ class RateFit:
     interval: tuple[float, float] = (math.nan, math.nan)
     first_n: float = math.nan
     chi2: float = math.nan
+
+
+def is_resolved(low: float, high: float) -> bool:
+    """Whether a rate with this 95 % interval is a finding: known to ±0.5 or better."""
+    return bool(high - low <= 2 * _WIDEST)
 
 
 def check_window(fit_last: int | str | None, counts: int) -> None:

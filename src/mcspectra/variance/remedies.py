@@ -40,7 +40,7 @@ from mcspectra.variance.counterfactuals import (
 )
 from mcspectra.variance.diagnosis import Diagnosis, Jumps, diagnose, jumps_of
 from mcspectra.variance.doors import answer
-from mcspectra.variance.fit import RateFit, fit_rate, widening
+from mcspectra.variance.fit import RateFit, fit_rate, is_resolved, widening
 from mcspectra.variance.ordered import weighted_sum
 
 if TYPE_CHECKING:
@@ -411,8 +411,11 @@ def _recommendation(columns: list[dict[str, Any]], budget: int, reasons: list[st
     if best["error_ratio"] == 0.0:
         return f"{text}no variance is left. {best['reason']}"
     low, high = best["error_ratio_ci"]
-    text += f"the error is {best['error_ratio']:.3g} of that given ({low:.3g} to {high:.3g})"
-    if best["rate_verdict"] == "better":
+    what = "mean squared error" if best["biased"] else "variance"
+    rmse = f"RMSE × {math.sqrt(best['error_ratio']):.2g}"
+    text += f"{what} × {best['error_ratio']:.3g} ({rmse}; 95 %: {low:.3g} to {high:.3g})"
+    rates = best["rate_ci"], _given(columns)["rate_ci"]
+    if best["rate_verdict"] == "better" and all(is_resolved(*ends) for ends in rates):
         text += f", and its rate {_rate(best['rate'])} instead of {_rate(_given(columns)['rate'])}"
     reason = "" if best["reason"].startswith("Its rate") else f" {best['reason']}"
     return f"{text}.{reason}{_later(columns, best)}"
@@ -420,7 +423,11 @@ def _recommendation(columns: list[dict[str, Any]], budget: int, reasons: list[st
 
 def _later(columns: list[dict[str, Any]], best: dict[str, Any] | None) -> str:
     """What pays at larger budgets: the best rate, where it is better and not that of the best."""
-    found = [c for c in columns if c["rate_verdict"] == "better" and c is not best]
+    found = [
+        c
+        for c in columns
+        if c["rate_verdict"] == "better" and c is not best and is_resolved(*c["rate_ci"])
+    ]
     if not found:
         return ""
     steepest = min(found, key=lambda c: float(c["rate_difference_ci"][1]))
