@@ -31,6 +31,7 @@ from mcspectra.variance.convergence import count_moments, count_stream
 from mcspectra.variance.doors import counted
 from mcspectra.variance.exact import exact_variance
 from mcspectra.variance.prediction.known import Known, Predicted
+from mcspectra.variance.prediction.levels import of_levels
 from mcspectra.variance.prediction.subsets import of_subsets
 from mcspectra.variance.prediction.torus import of_torus
 
@@ -64,7 +65,7 @@ def of_measurements(sampler: Sampler, n: int, known: Known, stream: Stream) -> P
 
 Route: TypeAlias = Callable[[Sampler, int, Known, Stream], Predicted]
 
-ROUTES: tuple[Route, ...] = (of_quadrature, of_torus, of_subsets, of_measurements)
+ROUTES: tuple[Route, ...] = (of_quadrature, of_torus, of_levels, of_subsets, of_measurements)
 """In the order of trust."""
 
 
