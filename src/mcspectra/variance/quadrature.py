@@ -19,10 +19,12 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import NoClosedForm
 from mcspectra.densities.adaptive import positive_integral
 from mcspectra.integrands import Integrand
+from mcspectra.integrands._quadrature import probe
 from mcspectra.integrands.base import Breaks, Derived, integral_accuracy, numeric_integral
 
 __all__ = [
     "Pointwise",
+    "blindness",
     "check_cells",
     "grid_values",
     "mean_square",
@@ -39,6 +41,9 @@ _ORDERS = ((12, 20), (6, 10), (4, 6))
 _MANY = 400  # nets in 2-D have n² cells: 10² nodes in each of more are too many
 _LEAST_PANELS = 32  # of the whole axis, where offsets of few strata are integrated over
 _FEW_CELLS = 2**13  # of a level: enough for curves of jumps, and an eighth of the time
+_SAME = 1e-9  # of √∫g²: a mean this near to an integral in closed form has seen all of g
+_RESOLVED = 1e-10  # relative error of ∫g² above which g has jumps that boxes could not follow
+_CENTER = 2**10  # points whose mean is subtracted before g is squared
 _SUSPECT = 0.01  # relative error, beyond which there may be a pole, and all levels are worth it
 
 # √u near 0 is integrated to 1e-6 with panels down to 2^-20; in 2-D every panel costs a row of them.
@@ -71,6 +76,67 @@ class Pointwise(Derived):
         return None
 
 
+@final
+@dataclass(frozen=True, eq=False)
+class _Moments(Derived):
+    """g − a and (g − a)², channel by channel."""
+
+    name: ClassVar[str] = "moments"
+    text = "moments of {0.integrand.spec}"
+    integrand: Integrand
+    middle: Array
+
+    @property
+    def channels(self) -> int:  # type: ignore[override]
+        return 2 * len(self.middle)
+
+    def _evaluate(self, x: Array) -> Array:
+        centered = self.integrand(x).reshape(*x.shape[:-1], -1) - self.middle
+        with np.errstate(over="ignore"):  # next to a pole
+            return np.concatenate([centered, centered**2], axis=-1)
+
+    def _integral(self) -> None:
+        return None
+
+
+def blindness(g: Integrand, means: Array, squares: Array) -> Array:
+    """How far a rule's ∫g and ∫g² are off, as a variance: (channels,).
+
+    Parameters
+    ----------
+    g
+        The integrand.
+    means, squares
+        Means of g and g² over equal parts of the cube by that rule, (parts, channels).
+
+    Returns
+    -------
+    ndarray
+        0 where the sums agree with integrals by a rule that looks for what nodes miss
+        (`mcspectra.integrands._quadrature.adaptive_integral`), and it resolves g; or, where ∫g is
+        known in closed form, with that. Else the difference, and the error of the integrals.
+    """
+    mean, square = means.mean(axis=0), squares.mean(axis=0)
+    exact = g._integral()
+    if g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims))) is not None:
+        return np.zeros(mean.shape)
+    if exact is not None and (np.abs(mean - exact) <= _SAME * np.sqrt(square)).all():
+        return np.zeros(mean.shape)
+    if "_moments" not in g.__dict__:
+        middle = g(probe(g.dims)[:_CENTER]).reshape(_CENTER, -1).mean(axis=0)
+        both = _Moments(g, middle)
+        known = np.split(numeric_integral(both), 2)
+        g.__dict__["_moments"] = middle, known, integral_accuracy(both)[1]
+    middle, (first, second), error = g.__dict__["_moments"]
+    rounding = 1e-14 * (square + middle**2)
+    off = np.abs(mean - middle - first) - error - rounding
+    square_off = np.abs(square - 2.0 * middle * mean + middle**2 - second) - error - rounding
+    largest = np.abs(means - middle).max(axis=0)
+    missed = np.maximum(square_off, 0.0) + 2.0 * largest * np.maximum(off, 0.0)
+    # Integrals that are not resolved can hide as much as their error
+    return np.asarray(missed + np.where(error > _RESOLVED * second, error, 0.0))
+
+
 def orders_of(cells: int, dims: int) -> tuple[int, int]:
     """Orders of two rules to compare; in 2-D and up lower, and for many cells lower still."""
     return _ORDERS[0] if dims == 1 else _ORDERS[1] if cells < _MANY else _ORDERS[2]
@@ -90,12 +156,18 @@ def mesh(*axes: Array) -> Array:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
-def spread_within_strata(g: Integrand, sides: tuple[int, ...], offset: Array, order: int) -> Array:
-    """Mean over strata, displaced by `offset` on the torus, of the variance within one: (channels,)."""
+def spread_within_strata(
+    g: Integrand, sides: tuple[int, ...], offset: Array, order: int
+) -> tuple[Array, Array]:
+    """Mean over strata, displaced by `offset` on the torus, of the variance within one: (channels,).
+
+    And its `blindness`.
+    """
     check_cells(f"The quadrature of the strata of {g.spec}", float(math.prod(sides)), "evaluations")
     means, squares = stratum_moments(g, sides, offset, order)
     # Second pass about the stratum means would cost a second evaluation; clip what cancels.
-    return np.asarray(np.maximum(squares - means * means, 0.0).mean(axis=0))
+    spread = np.maximum(squares - means * means, 0.0).mean(axis=0)
+    return np.asarray(spread), blindness(g, means, squares)
 
 
 def stratum_moments(
@@ -215,5 +287,6 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     squared = Pointwise(g, square, g.breaks, f"square of {g.spec}")
     value = np.atleast_1d(np.asarray(numeric_integral(squared), float))
     error = np.full(value.shape, integral_accuracy(squared)[1])
-    better = (level_errors < error) | np.isinf(by_levels)
+    full = by_levels >= value - level_errors - error  # levels miss slabs, boxes the ends of poles
+    better = (level_errors < error) & full | np.isinf(by_levels)
     return np.where(better, by_levels, value), np.where(better, level_errors, error)
