@@ -57,6 +57,7 @@ from .variance.convergence import convergence as convergence
 from .variance.convergence import realizations_needed as realizations_needed
 from .variance.exact import exact_variance as exact_variance
 from .variance.modes import covariance_modes as covariance_modes
+from .variance.prediction.plan import plan as plan
 from .variance.prediction.predict import predict as predict
 from .variance.prediction.rates import DecayFit as DecayFit
 from .variance.prediction.rates import fitted_decay as fitted_decay
@@ -113,6 +114,7 @@ __all__ = [
     "mirror_study",
     "nested_variances",
     "pair_correlation",
+    "plan",
     "plane_frequencies",
     "power_at",
     "power_spectrum",

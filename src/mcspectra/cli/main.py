@@ -46,6 +46,7 @@ _MODULES = {
         "remedies": "what would lower the noise at a budget, measured, ranked and explained",
         "exact": "exact variance, where there is a closed form",
         "predict": "variance and rate at every n, predicted without samples of f",
+        "plan": "the least number of points for an error, predicted",
         "anova": "which axes the variance comes from, effective dimension",
         "modes": "which patterns of frequencies vary together",
         "routes": "variance by every route that is known, side by side",

@@ -335,6 +335,27 @@ def exact(result: xr.Dataset) -> Answer:
     return _shown(f"exact variance of {_title(result)}", table, _note(result))
 
 
+@_view("plan")
+def planned(result: xr.Dataset) -> Answer:
+    """Prints the least n for the error, and the predicted errors at other n."""
+    variance = (
+        result["predicted_variance"].max("channel")
+        if "channel" in result.dims
+        else result["predicted_variance"]
+    )
+    rows = [
+        [f"{int(n)}", f"{float(v) ** 0.5:.4e}"]
+        for n, v in zip(result["n"].values, variance.values, strict=True)
+        if np.isfinite(v)
+    ]
+    return _shown(
+        f"RMSE {result.attrs['target_error']:g}"
+        f"{' of the integral' if result.attrs['relative'] else ''} of {_title(result)}: "
+        f"{result.attrs['recommendation']}",
+        text_table(["n", "predicted RMSE"], rows),
+    )
+
+
 @_view("predict")
 def prediction(result: xr.Dataset) -> Answer:
     """Prints the predicted variance at each n with its interval, its local rate and its route."""

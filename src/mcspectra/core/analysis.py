@@ -222,6 +222,7 @@ ANALYSES = Registry(
         "anova-spectrum": "mcspectra.variance.anova:AnovaSpectrum",
         "exact": "mcspectra.variance.exact:Exact",
         "predict": "mcspectra.variance.prediction.predict:Prediction",
+        "plan": "mcspectra.variance.prediction.plan:Plan",
         "remedies": "mcspectra.variance.remedies:Remedies",
         "modes": "mcspectra.variance.modes:Modes",
         "routes": "mcspectra.variance.routes:Routes",

@@ -129,13 +129,15 @@ mode_contribution | f | f² | mode | part of the variance of the estimate along 
 mode_vector | fc | 1 | mode technique? m | pattern of the mode over the frequencies, of norm 1
 mse | f | f² | n | mean squared error against the integral
 noise_edge | f | f² | | largest sample eigenvalue of a flat spectrum of the same trace
+planned_error | f | f | | predicted root mean square error at the planned count
+planned_n | f | 1 | | least number of points for which the error is predicted to be reached
 pair_correlation | f | 1 | r | pair correlation g(r), 1 for random points
 points | f | 1 | point axis | points of one realisation
 power | f | 1 | m frequency? | expected power ⟨|S_m|²⟩; random points: ∫1/p / n
 power_contribution | f | f² | technique? m | |f_m|² C_mm, the diagonal part of the contribution
 power_term | f | f² | n? | power term Σ_{m≠0} |f_m|² C_mm
 predicted_rate | f | 1 | | exponent of the predicted variance in n; random sampling: −1
-predicted_variance | f | f² | n? | predicted variance, dc + power + cross
+predicted_variance | f | f² | n? | predicted variance
 radial_power | f | 1 | radius | expected power, mean over directions
 rate | f | 1 | remedy? strategy? y? x? | fitted exponent of variance in n; random sampling: −1
 reached | i | 1 | n? | whether the wanted precision was reached (1: yes)

@@ -67,7 +67,7 @@ KINDS: Mapping[str, Kind] = {
     "technique-rates": Kind(variance.technique_rates, ("n", "technique_variance", "technique_rate", "rate_ci")),
     "anova": Kind(variance.anova, ("anova_variance", "anova_variance_se", "subset_label")),
     "exact": Kind(variance.exact, ("n", "exact_variance")),
-    "prediction": Kind(variance.prediction, ("n", "predicted_variance", "predicted_variance_ci", "predicted_rate")),
+    "prediction": Kind(variance.prediction, ("n", "predicted_variance", "predicted_variance_ci")),
     "routes": Kind(variance.routes, ("route_variance", "route_variance_ci", "energy_share")),
     "modes": Kind(spectra.modes, ("eigenvalue", "eigenvalue_se", "eigenvalue_share", "mode_vector")),
     "warp": Kind(warps.warp, ("warped", "stretch", "jump")),

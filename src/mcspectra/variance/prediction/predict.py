@@ -29,7 +29,7 @@ from mcspectra.samplers import Mirror, Randomized, Sampler
 from mcspectra.spectra.bases import parts_of
 from mcspectra.variance.convergence import count_moments, count_stream
 from mcspectra.variance.doors import counted
-from mcspectra.variance.exact import exact_variance
+from mcspectra.variance.exact import of_integrand
 from mcspectra.variance.prediction.known import Known, Predicted
 from mcspectra.variance.prediction.levels import of_levels
 from mcspectra.variance.prediction.subsets import of_subsets
@@ -38,9 +38,9 @@ from mcspectra.variance.prediction.torus import of_torus
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["ROUTES", "Prediction", "predict"]
+__all__ = ["ROUTES", "Cells", "Prediction", "Predictor", "predict"]
 
-_EXACT_ERROR = 1e-6  # relative, of quadratures that agree
+_TOLERANCE = 0.01  # relative error of a quadrature that is taken before all other routes
 _OCTAVES = 3.0  # at the end of the counts, that the rate is fitted to
 _MEMORY = 2**29  # bytes: coefficients and transforms of all regions
 
@@ -52,10 +52,10 @@ _MOST_FACTOR = 30.0  # by which an extrapolation may be off at most
 
 
 def of_quadrature(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
-    """The exact variance."""
-    variance = np.atleast_1d(np.asarray(exact_variance(known.g, sampler, n), float))
+    """The exact variance, to the error of its quadrature."""
+    variance, error = of_integrand(sampler, n, known.g, _TOLERANCE)
     ones = np.ones(len(variance))
-    return Predicted(variance, _EXACT_ERROR * variance, ones, 0.0 * ones, "exact")
+    return Predicted(variance, error, ones, 0.0 * ones, "exact")
 
 
 def of_measurements(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
@@ -98,33 +98,31 @@ class Prediction(Analysis, frozen=True, kw_only=True):
         memory = _MEMORY + memory_of(self.counts[-1], estimator.dims, evaluations)
         return Need(cost=1e6 * len(samplers) * len(self.counts) * evaluations, memory=memory)
 
-    def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Cells]:
+    def reduction(self, subject: Subject, stream: Stream) -> Reduction[Cells]:
         """One sampler after the other, one count after the other."""
         estimator, samplers = subject.estimator, _several(subject.sampler)
-        known = [Known(estimator.primary_integrand(t)) for t in range(len(estimator.counts))]
+        predictor = Predictor(estimator, stream)
         places = [(s, n) for s in samplers for n in _with_neighbour(s, self.counts)]
 
-        def of_place(index: int) -> _Cells:
-            sampler, n = places[index]
-            return _cell(estimator, sampler, n, known, stream)
+        def of_place(index: int) -> Cells:
+            return predictor.at(*places[index])
 
-        def result(found: _Cells) -> xr.Dataset:
+        def result(found: Cells) -> xr.Dataset:
             return self._result(subject, samplers, found)
 
         return Reduction(
-            kind=_Cells,
+            kind=Cells,
             block=of_place,
             blocks=len(places),
             cost=self.need(subject).cost,
             result=result,
         )
 
-    def _result(self, subject: Subject, samplers: list[Sampler], found: _Cells) -> xr.Dataset:
+    def _result(self, subject: Subject, samplers: list[Sampler], found: Cells) -> xr.Dataset:
         estimator, counts = subject.estimator, np.array(self.counts)
         shape = (len(samplers), -1, found.variance.shape[1])
-        variance, error, share, tail = (
-            values.reshape(shape)
-            for values in (found.variance, found.error, found.share, found.tail)
+        variance, share, tail = (
+            values.reshape(shape) for values in (found.variance, found.share, found.tail)
         )
         # Rates between all counts; a single one has a neighbour, which is left out of the rest
         local, rate = np.empty(variance.shape), np.empty((len(samplers), shape[2]))
@@ -136,11 +134,10 @@ class Prediction(Analysis, frozen=True, kw_only=True):
             local[place] = np.concatenate([slope[:1], slope]) if len(slope) else np.nan
             rate[place] = _slope(x, y)
         keep = slice(-len(counts), None)
-        variance, error, share, tail, local = (
-            values[:, keep] for values in (variance, error, share, tail, local)
+        variance, share, tail, local = (
+            values[:, keep] for values in (variance, share, tail, local)
         )
-        low, high = np.maximum(variance - error, 0.0), variance + error
-        low = np.where(np.isinf(variance), np.inf, low)
+        low, high = (end.reshape(shape)[:, keep] for end in found.ends())
         routes = found.routes.reshape(shape[:2])[:, keep]
         notes = found.notes.reshape(shape[:2])[:, keep]
         alone = subject.sampler is samplers[0]
@@ -178,8 +175,9 @@ class Prediction(Analysis, frozen=True, kw_only=True):
         )
 
 
+@final
 @dataclass(frozen=True)
-class _Cells:
+class Cells:
     """Of samplers and counts, (N, channels or 1), with the route and what is to be said, (N,)."""
 
     variance: JOIN
@@ -188,6 +186,11 @@ class _Cells:
     tail: JOIN
     routes: JOIN
     notes: JOIN
+
+    def ends(self) -> tuple[Array, Array]:
+        """Ends of the 95 % intervals."""
+        low = np.maximum(self.variance - self.error, 0.0)
+        return np.where(np.isinf(self.variance), np.inf, low), self.variance + self.error
 
 
 def predict(
@@ -247,60 +250,68 @@ def predict(
     return compute(Prediction(counts=counts), subject, rng, workers)  # type: ignore[arg-type]
 
 
-def _cell(
-    estimator: AbstractEstimator, sampler: Sampler, n: int, known: list[Known], stream: Stream
-) -> _Cells:
-    """The prediction of one count: the sum over the techniques."""
-    source, width = estimator.randomized(sampler), max(1, estimator.channels)
-    unknown = np.full(width, math.nan)
-    note, route = "", "none"
-    variance = error = share = tail = unknown
-    try:
-        if source.as_chain(n).fixed:
-            raise NoClosedForm(
-                "a deterministic sampler has no variance: add owen or shift, or look at |bias|"
-            )
-        parts, squares = _parts(estimator, source, n, known, stream)
-        route = "; ".join(dict.fromkeys(part.route for part in parts))
-        variance = sum((p.variance for p in parts), np.zeros(width))
-        tail = sum((p.tail for p in parts), np.zeros(width))
-        error = np.sqrt(sum((p.error**2 for p in parts), np.zeros(width)))
-        weights = [square / len(parts) + np.where(square > 0.0, 0.0, 1.0) for square in squares]
-        with np.errstate(invalid="ignore"):
-            share = sum(
-                (w * p.share for w, p in zip(weights, parts, strict=True)), np.zeros(width)
-            ) / sum(weights, np.zeros(width))
-        if np.isinf(variance).any():
-            note = "∫g² diverges: the variance is infinite"
-    except NoClosedForm as reason:
-        note = str(reason).rstrip(".")
+@final
+class Predictor:
+    """Predicts one estimator at many counts; what is known of its integrands is found once."""
 
-    # A variance of rounding size is none
-    size = np.atleast_1d(np.asarray(estimator.integral, float))
-    vanishes = variance <= rounding_floor(size)
-    if vanishes.any():
-        note = "the variance vanishes to rounding"
-        variance, error, tail = (np.where(vanishes, np.nan, v) for v in (variance, error, tail))
-    variance, error, share, tail = (np.reshape(v, (1, -1)) for v in (variance, error, share, tail))
-    return _Cells(variance, error, share, tail, np.array([route]), np.array([note]))
+    def __init__(self, estimator: AbstractEstimator, stream: Stream) -> None:
+        self.estimator = estimator
+        self._known = [Known(estimator.primary_integrand(t)) for t in range(len(estimator.counts))]
+        self._stream = stream
 
+    def at(self, sampler: Sampler, n: int) -> Cells:
+        """The prediction of one count: the sum over the techniques."""
+        estimator = self.estimator
+        source, width = estimator.randomized(sampler), max(1, estimator.channels)
+        unknown = np.full(width, math.nan)
+        note, route = "", "none"
+        variance = error = share = tail = unknown
+        try:
+            if source.as_chain(n).fixed:
+                raise NoClosedForm(
+                    "a deterministic sampler has no variance: add owen or shift, or look at |bias|"
+                )
+            parts, squares = self._parts(source, n)
+            route = "; ".join(dict.fromkeys(part.route for part in parts))
+            variance = sum((p.variance for p in parts), np.zeros(width))
+            tail = sum((p.tail for p in parts), np.zeros(width))
+            error = np.sqrt(sum((p.error**2 for p in parts), np.zeros(width)))
+            weights = [square / len(parts) + np.where(square > 0.0, 0.0, 1.0) for square in squares]
+            with np.errstate(invalid="ignore"):
+                share = sum(
+                    (w * p.share for w, p in zip(weights, parts, strict=True)), np.zeros(width)
+                ) / sum(weights, np.zeros(width))
+            if np.isinf(variance).any():
+                note = "∫g² diverges: the variance is infinite"
+        except NoClosedForm as reason:
+            note = str(reason).rstrip(".")
 
-def _parts(
-    estimator: AbstractEstimator, source: Sampler, n: int, known: list[Known], stream: Stream
-) -> tuple[list[Predicted], list[Array]]:
-    """The predictions of all techniques, and what their shares weigh; together where they depend."""
-    try:
-        estimator.check_independent()
-    except NoClosedForm:
-        joint = _extrapolated(estimator, source, n, known[0], stream)
-        return [joint], [np.ones(len(joint.variance))]
-    parts = [
-        _by_routes(source.as_chain(n * count), n * count, each, stream.child(technique))
-        for technique, (count, each) in enumerate(zip(estimator.counts, known, strict=True))
-    ]
-    if len(parts) == 1:
-        return parts, [np.ones(len(parts[0].variance))]
-    return parts, [each.square[0] for each in known]
+        # A variance of rounding size is none
+        size = np.atleast_1d(np.asarray(estimator.integral, float))
+        vanishes = variance <= rounding_floor(size)
+        if vanishes.any():
+            note = "the variance vanishes to rounding"
+            variance, error, tail = (np.where(vanishes, np.nan, v) for v in (variance, error, tail))
+        variance, error, share, tail = (
+            np.reshape(v, (1, -1)) for v in (variance, error, share, tail)
+        )
+        return Cells(variance, error, share, tail, np.array([route]), np.array([note]))
+
+    def _parts(self, source: Sampler, n: int) -> tuple[list[Predicted], list[Array]]:
+        """The predictions of all techniques, and what their shares weigh; together where they depend."""
+        estimator, known, stream = self.estimator, self._known, self._stream
+        try:
+            estimator.check_independent()
+        except NoClosedForm:
+            joint = _extrapolated(estimator, source, n, known[0], stream)
+            return [joint], [np.ones(len(joint.variance))]
+        parts = [
+            _by_routes(source.as_chain(n * count), n * count, each, stream.child(technique))
+            for technique, (count, each) in enumerate(zip(estimator.counts, known, strict=True))
+        ]
+        if len(parts) == 1:
+            return parts, [np.ones(len(parts[0].variance))]
+        return parts, [each.square[0] for each in known]
 
 
 def _by_routes(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:

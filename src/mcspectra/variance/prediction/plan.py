@@ -1,0 +1,263 @@
+"""Planning: the least number of points that reaches an error, from predicted variances."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Annotated, Any, final
+
+import numpy as np
+from msgspec import Meta
+
+from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute, whole
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import CountError, ParameterError
+from mcspectra.core.results import dataset
+from mcspectra.core.streams import RngLike, Stream
+from mcspectra.estimators import AbstractEstimator, as_subject
+from mcspectra.samplers import Sampler
+from mcspectra.spectra.bases import parts_of
+from mcspectra.variance.prediction.predict import Cells, Prediction, Predictor
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Plan", "plan"]
+
+_CURVE = tuple(2**k for k in range(4, 17))
+"""Counts that variances are predicted at; beyond the last one the curve goes on with its rate."""
+
+_MARGIN = 4.0  # by which the curve goes below the wanted variance
+
+_MOST = 2**62  # points, that a plan still names
+_STEPS = 4  # of the search between two counts
+
+
+@final
+class Plan(Analysis, frozen=True, kw_only=True):
+    """Least number of points for an error, predicted without samples of f."""
+
+    function = "plan"
+    verb = "plan"
+    variables = ("planned_n", "planned_error", "predicted_variance", "predicted_variance_ci")
+
+    target_error: Annotated[
+        float,
+        Meta(gt=0.0, description="Wanted root mean square error of the estimate."),
+    ]
+    relative: Annotated[bool, Meta(description="The error is a share of the integral.")] = False
+
+    def need(self, subject: Subject) -> Need:
+        """What the predictions of one count need; an integral that errors can be relative to."""
+        estimator, samplers = subject.estimator, subject.sampler
+        several = samplers if isinstance(samplers, list | tuple) else [samplers]
+        for sampler in several:
+            least = sampler.nearest_count(_CURVE[0])
+            need = Prediction(counts=(least,)).need(Subject(estimator, sampler))
+        if self.relative and not np.all(np.abs(estimator.integral) > 0):
+            raise ParameterError(
+                f"The integral of {estimator.spec} is {estimator.integral}, so that no error is a "
+                "share of it; give target_error without relative."
+            )
+        return Need(cost=need.cost * len(_CURVE) * len(several), memory=need.memory)
+
+    def reduction(self, subject: Subject, stream: Stream) -> Reduction[xr.Dataset]:
+        """One sampler after the other; where the search goes depends on what it finds."""
+        return whole(lambda: self._planned(subject, stream), self.need(subject).cost)
+
+    def _planned(self, subject: Subject, stream: Stream) -> xr.Dataset:
+        estimator, given = subject.estimator, subject.sampler
+        samplers = list(given) if isinstance(given, list | tuple) else [given]
+        integral = np.atleast_1d(np.abs(np.asarray(estimator.integral, float)))
+        scale = integral if self.relative else np.ones(len(integral))
+        target = np.asarray(self.target_error * scale) ** 2
+        predictor = Predictor(estimator, stream)
+        planned, errors, routes, notes = [], [], [], []
+        curves = np.full((len(samplers), len(_CURVE), max(1, estimator.channels)), np.nan)
+        bounds = np.full((*curves.shape, 2), np.nan)
+        for place, sampler in enumerate(samplers):
+            counts, found = [], []
+            for step, n in enumerate(_CURVE):
+                nearest = sampler.nearest_count(n)
+                if nearest in counts or not _can(estimator, sampler, nearest):
+                    continue
+                each = predictor.at(sampler, nearest)
+                counts.append(nearest)
+                found.append(each)
+                if nearest == n:
+                    curves[place, step] = each.variance[0]
+                    bounds[place, step] = np.stack(each.ends(), axis=-1)[0]
+                if (each.variance[0] <= target / _MARGIN).all():
+                    break
+            n, variance, how = self._least(predictor, sampler, counts, found, target)
+            planned.append(n)
+            errors.append(np.sqrt(variance))
+            routes.append(how)
+            notes += [f"{sampler.spec}: {e.notes[0]}" for e in found[:1] if e.notes[0]]
+
+        # In words: the sampler that takes the fewest points, and the others beside it
+        evaluations = sum(estimator.counts)
+        reached = [(n, s.spec) for n, s in zip(planned, samplers, strict=True) if np.isfinite(n)]
+        sizes = [f"{n:,.0f} with {name}" for n, name in sorted(reached)]
+        told = (
+            f"n = {' or '.join(sizes)}" if sizes else "no sampler is predicted to reach the error"
+        )
+        if evaluations > 1 and sizes:
+            told += f"; each is {evaluations} evaluations"
+        alone = given is samplers[0]
+        about = {"long_name": "how the variance was predicted"}
+        return dataset(
+            {
+                "planned_n": (("sampler",), np.array(planned, float)),
+                "planned_error": (("sampler", "channel"), np.array(errors)),
+                "predicted_variance": (("sampler", "n", "channel"), curves),
+                "predicted_variance_ci": (("sampler", "n", "channel", "bound"), bounds),
+            },
+            {
+                "n": ("n", list(_CURVE), {"long_name": "number of points", "units": "1"}),
+                "bound": ["low", "high"],
+                **(
+                    {}
+                    if alone
+                    else {
+                        "sampler": [s.spec for s in samplers],
+                        "route": ("sampler", routes, about),
+                    }
+                ),
+            },
+            drop=[
+                *(["sampler"] if alone else []),
+                *([] if estimator.channels else ["channel"]),
+            ],
+            estimator=estimator.spec,
+            sampler=samplers[0].spec if alone else None,
+            route=routes[0] if alone else None,
+            target_error=self.target_error,
+            relative=self.relative,
+            recommendation=told,
+            note="; ".join(notes) or None,
+        )
+
+    def _least(
+        self,
+        predictor: Predictor,
+        sampler: Sampler,
+        counts: list[int],
+        found: list[Cells],
+        target: Array,
+    ) -> tuple[float, Array, str]:
+        """The least count at which all channels reach the target, its variance, and how it is known."""
+        variances = [each.variance[0] for each in found]
+        known = [k for k, v in enumerate(variances) if np.isfinite(v).all()]
+        unknown = np.full(len(target), math.nan)
+        if not known:
+            return math.nan, unknown, str(found[-1].routes[0]) if found else "none"
+        first = next((k for k in known if (variances[k] <= target).all()), None)
+        if first is None:
+            return self._beyond(sampler, counts, found, known, target)
+        best = counts[first], variances[first], str(found[first].routes[0])
+        if first == 0:
+            return float(best[0]), best[1], best[2]
+
+        # Between the last count that misses the target and the first that reaches it: along the line
+        # through both; sequences in base 2 are balanced at powers of two alone
+        base, _ = parts_of(sampler)
+        balanced = base.fixed and set(sampler.digit_bases) == {2}
+        low, high = (counts[first - 1], variances[first - 1]), (counts[first], variances[first])
+        for _ in range(0 if balanced else _STEPS):
+            slope = np.log(high[1] / low[1]) / math.log(high[0] / low[0])
+            line = np.log(target / low[1]) / np.where(slope < 0.0, slope, -math.inf)
+            between = sampler.nearest_count(math.ceil(low[0] * math.exp(float(line.max()))))
+            if not low[0] < between < high[0] or not _can(predictor.estimator, sampler, between):
+                break
+            each = predictor.at(sampler, between)
+            if (each.variance[0] <= target).all():
+                high = between, each.variance[0]
+                best = between, each.variance[0], str(each.routes[0])
+            else:
+                low = between, each.variance[0]
+        return float(best[0]), best[1], best[2]
+
+    def _beyond(
+        self,
+        sampler: Sampler,
+        counts: list[int],
+        found: list[Cells],
+        known: list[int],
+        target: Array,
+    ) -> tuple[float, Array, str]:
+        """The count by the slope of the last predictions, rounded to one that the sampler can do."""
+        last, earlier = known[-1], known[max(0, len(known) - 4)]
+        unknown = np.full(len(target), math.nan)
+        if last == earlier:
+            return math.nan, unknown, "out of reach"
+        ends = found[last].variance[0], found[earlier].variance[0]
+        rate = np.log(ends[0] / ends[1]) / math.log(counts[last] / counts[earlier])
+        if (rate >= 0.0).any():
+            return math.nan, unknown, "out of reach"
+        wanted = counts[last] * float(np.exp(np.max(np.log(target / ends[0]) / rate)))
+        if not wanted < min(_MOST, sampler.max_count):
+            return math.nan, unknown, "out of reach"
+        n = sampler.nearest_count(math.ceil(wanted))
+        variance = ends[0] * (n / counts[last]) ** rate
+        if (variance > target * (1.0 + 1e-9)).any():  # the nearest is below
+            more = sampler.nearest_count(2 * n)
+            n, variance = more, ends[0] * (more / counts[last]) ** rate
+        return float(n), variance, f"extrapolated from n = {counts[last]}"
+
+
+def _can(estimator: AbstractEstimator, sampler: Sampler, n: int) -> bool:
+    """Whether the sampler can do so many points for each technique."""
+    try:
+        estimator.check_sampler(sampler, n)
+    except CountError:
+        return False
+    return True
+
+
+def plan(
+    estimator: Any,
+    samplers: Any,
+    *,
+    target_error: float,
+    relative: bool = False,
+    rng: RngLike = 0,
+    workers: int | None = None,
+) -> xr.Dataset:
+    """Plan the least number of points for which an error is reached, for each sampler.
+
+    Parameters
+    ----------
+    estimator, samplers
+        As in `predict`: an estimator, one sampler or a list.
+    target_error
+        Wanted root mean square error; of several channels of each.
+    relative
+        Whether it is a share of the integral.
+    rng, workers
+        As in `predict`.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``planned_n``, the least count with a predicted RMSE of at most the target, found to 1 % or to the
+        counts that the sampler can do, NaN where none is known; ``planned_error``, the RMSE there; the
+        curve ``predicted_variance(n)`` with ``predicted_variance_ci(n, bound)`` at powers of two that the
+        sampler can do, to a quarter of the wanted variance or 2^16. Beyond them n follows from the last slope, and ``route`` says so. A
+        list adds the dim sampler. The attribute ``recommendation`` says it in words.
+
+    Raises
+    ------
+    ParameterError
+        The target is not positive, or relative to an integral of 0.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> found = mcs.plan("gaussian", ["sobol | owen", "random"], target_error=1e-3)
+    >>> found.attrs["recommendation"]
+    'n = 256 with sobol | owen or 66,514 with random'
+    """
+    if isinstance(estimator, list | tuple):
+        raise ParameterError("plan takes one estimator at a time; give samplers as a list.")
+    subject = as_subject(estimator, samplers, lists=True)
+    return compute(Plan(target_error=target_error, relative=relative), subject, rng, workers)
