@@ -55,6 +55,8 @@ _EXACT_CELLS = 2**18  # of a table
 _SHIFTED_CELLS = {1: 4, 2: 4, 3: 1}  # times as many, for a shift of digits
 _CELLS = {1: 2**16, 2: 2**18, 3: 2**18}  # where g is integrated by quadrature
 _FINER = {1: 3, 2: 3, 3: 1}  # levels counted beyond those where gains are not 1
+_MORE = 3
+_RINGS = 4  # of finest levels, that show which weights finer ones may have
 _ORDERS = {1: (6, 10), 2: (2, 3), 3: (2, 3)}  # coarse and fine
 _PARTS = {1: 16, 2: 4, 3: 2}  # per axis, of a cell with a jump
 _MOST_ROUGH = {1: 2**8, 2: 2**14, 3: 2**15}
@@ -62,6 +64,7 @@ _ROUGH = 3.0  # variation of g, relative to that of the mean cell, from which on
 _BLOCK = 2**20  # evaluations at a time
 _OFFSETS, _MOST_EVALUATIONS = 2**13, 2**24  # of a grid that is moved as a whole
 _ROUNDING = 4e-15  # of ∫g², absolute
+_MOST_ERROR, _NOISE = 0.2, 1e-12  # of the variance, from where on it is refused, and of ∫g²
 _KEEP_LAW = frozenset({"digital-shift", "permute"})
 _LATIN = ("latin-hypercube", "n-rooks")
 
@@ -82,7 +85,8 @@ def of_levels(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predict
     Raises
     ------
     NoClosedForm
-        Another sampler, more dims, g not finite at a node, or a set without any randomness.
+        Another sampler, more dims, g not finite at a node, a set without any randomness, or a result
+        that may be off by more than a fifth.
 
     References
     ----------
@@ -152,10 +156,8 @@ def _scrambled(net: Sampler, n: int, known: Known, *, shifted: bool = False) -> 
     bases, dims = net.digit_bases, net.dims
     origin: Any = (0,) * dims
 
-    # Gains, up to where all coordinates differ or a few digits more than n has
-    differ = _digits_that_differ(points, bases) + 1
-    levels = math.ceil(math.log(max(n, 2), min(bases)) - 1e-9) + 3
-    levels = levels if shifted else min(differ, levels)
+    # Gains, a few digits further than n has: as a rule all coordinates differ there
+    levels = math.ceil(math.log(max(n, 2), min(bases)) - 1e-9) + _MORE
     try:
         gains = gain_coefficients(net, n, levels=levels)["gain"].to_numpy()
     except ParameterError as error:
@@ -202,18 +204,19 @@ def _scrambled(net: Sampler, n: int, known: Known, *, shifted: bool = False) -> 
     rest = np.maximum(total - plain.sum(axis=axes), 0.0)
     weight, doubt = np.ones(rest.shape[1]), np.zeros(rest.shape[1])
     if shifted:
-        inner = _without_border(counted)
-        rings = [counted & ~inner, inner & ~_without_border(inner)]
-        shown = [
-            weighed[-1][r].sum(axis=0) / np.maximum(plain[-1][r].sum(axis=0), 1e-300) for r in rings
-        ]
-        weight, doubt = shown[0], np.abs(shown[0] - shown[1])
+        shown, left = [], counted
+        for _ in range(_RINGS):
+            inner = _eroded(left)
+            ring = left & ~inner
+            power, parts = weighed[-1][ring].sum(axis=0), plain[-1][ring].sum(axis=0)
+            shown.append(power / np.maximum(parts, 1e-300))
+            left = inner
+        weight, doubt = shown[0], np.ptp(shown, axis=0)
     else:
         missing = wanted.copy()
         inside = tuple(map(slice, counted.shape))
         missing[inside] &= ~counted[tuple(map(slice, wanted.shape))]
-        if levels < differ:
-            missing |= np.indices(wanted.shape).max(axis=0) == levels
+        missing |= wanted & (np.indices(wanted.shape).max(axis=0) == levels)
         if missing.any():
             doubt = doubt + np.abs(gains[missing] - 1.0).max()
     route = "Walsh functions of the dual net" if shifted else "gains by level"
@@ -223,26 +226,12 @@ def _scrambled(net: Sampler, n: int, known: Known, *, shifted: bool = False) -> 
     )
 
 
-def _without_border(counted: Array) -> Array:
-    """Levels of which the next along every axis are counted, too."""
-    wide = np.pad(counted, [(0, 1)] * counted.ndim)
-    inner = counted.copy()
-    for axis in range(counted.ndim):
-        ahead = np.moveaxis(wide, axis, 0)[1:]
-        inner &= np.moveaxis(ahead, 0, axis)[tuple(slice(size) for size in counted.shape)]
-    return inner
+def _eroded(counted: Array) -> Array:
+    """Levels of which the next along every axis are counted, too; those before them always are."""
+    from scipy.ndimage import binary_erosion
 
-
-def _digits_that_differ(points: Array, bases: Sequence[int]) -> int:
-    """Number of digits in which all coordinates of each axis differ; 52 bits where they do not."""
-    level = 0
-    for axis, base in enumerate(bases):
-        # As in spectra.gain: coordinates rounded down to below a digit count as that digit
-        x = points[:, axis] + (0.0 if base & (base - 1) == 0 else 2.0**-50)
-        most = math.floor(52 / math.log2(max(bases)))
-        while level < most and len(np.unique(np.floor(x * base**level))) < len(points):
-            level += 1
-    return level
+    wide = np.pad(counted, [(1, 0)] * counted.ndim, mode="edge")
+    return np.asarray(binary_erosion(wide)[(slice(1, None),) * counted.ndim])
 
 
 def _in_closed_form(g: Integrand) -> bool:
@@ -280,17 +269,16 @@ def _table(
     # Squares of means and the variance within the cells are both off by what the rules err at jumps,
     # in all by nothing. In long cells without these products are right: errors of two rules are
     # hardly correlated
-    coarse, fine = means[0], means[-1]
-    pairs = [(coarse, coarse), (fine, fine)] if whole else [(fine, fine), (coarse, fine)]
-    halves = [(0.5 * (a + b), 0.5 * (a - b)) for a, b in pairs[: len(means)]]
-    parts = [np.subtract(*(level_variances(h, tuple(bases)) for h in half)) for half in halves]
+    pairs = ([(0, 0), (-1, -1)] if whole else [(-1, -1), (0, -1)])[: len(means)]
+    halves = [0.5 * (means[a] + sign * means[b]) for a, b in pairs for sign in (1.0, -1.0)]
+    sums, differences = (
+        np.stack([level_variances(h, tuple(bases)) for h in halves[k::2]]) for k in (0, 1)
+    )
     products = None
     if walsh:
         found = _hadamard(means, g.dims) / math.prod(sides)
-        coarse, fine = found[0], found[-1]
-        pairs = [(coarse, coarse), (fine, fine)] if whole else [(fine, fine), (coarse, fine)]
-        products = np.stack([a * b for a, b in pairs[: len(means)]])
-    return _Table(np.stack(parts), *_spread(means, squares), products)
+        products = np.stack([found[a] * found[b] for a, b in pairs])
+    return _Table(sums - differences, *_spread(means, squares), products)
 
 
 def _spread(means: Array, squares: Array) -> tuple[Array, Array]:
@@ -511,6 +499,11 @@ def _predicted(
     rounding = _ROUNDING * square
     value = np.maximum(scaled[-1], 0.0)
     error = np.abs(scaled[-1] - scaled[0]) + doubt + rounding + 1e-9 * value
+    if ((error > _MOST_ERROR * value) & (error > _NOISE * square)).any():
+        raise NoClosedForm(
+            f"Cells do not resolve the variance: {np.max(value) / n:.3g} may be off by "
+            f"{np.max(error) / n:.2g}; use convergence."
+        )
     rest = np.broadcast_to(np.asarray(rest, float), value.shape)
     share = 1.0 - rest / np.maximum(square, 1e-300)
     return Predicted(value / n, error / n, share, np.minimum(rest, value) / n, route)
