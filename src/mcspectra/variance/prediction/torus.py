@@ -20,6 +20,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import final
 
 import numpy as np
@@ -80,7 +81,11 @@ _MOST_SETS = 1024
 _SET_POINTS = 2**18
 _DEAR = 2**16  # the max_count of samplers that are optimised, and its like
 _DEAR_POINTS = 2**15
-_PRECISION = 0.006
+_PRECISION = 0.015  # of half the interval, relative to the variance
+_LAW_LENGTH = 0.35  # |m| n^(-1/d) up to which power follows a law of the length
+_LEAST_LENGTHS = 10
+_AGREES = 2.0  # standard errors
+_STEPS = 12
 _LOW = 32  # half width up to which all sets are transformed
 _LEAST_BOX, _BOX = 32, 6.0  # half width of the box of a homogeneous set, and in units of n^(1/d)
 
@@ -108,6 +113,11 @@ class Region:
     energy: Array
     table: Array | None = None
     near: bool = True
+
+    @property
+    def dims(self) -> int:
+        """Number of dims d."""
+        return int(self.vectors.shape[1])
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -244,7 +254,7 @@ def of_torus(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicte
                 regions = (_cropped(box.regions[0], width),)
             else:
                 regions = tuple(r for r in energies.regions if r.near)
-            powers, sampling, count = _drawn(inner, n, regions, stream)
+            powers, sampling, count = _drawn(inner, n, regions, stream, isotropic=inner is sampler)
             how = f"{count} sets"
 
     # Add the tail, and what it may be off by
@@ -278,47 +288,94 @@ def _before_shift(sampler: Sampler) -> Sampler | None:
 
 
 def _drawn(
-    inner: Sampler, n: int, regions: tuple[Region, ...], stream: Stream
+    inner: Sampler, n: int, regions: tuple[Region, ...], stream: Stream, *, isotropic: bool
 ) -> tuple[list[Array], Array, int]:
     """Mean power over sets, half the 95 % interval of Σ |g_m|² P(m), and the number of sets.
 
     The first sets give all frequencies, more the low ones alone, which few coefficients of smooth
-    functions hold: until the error is small beside the variance, or for some number of points.
+    functions hold: until the error is small beside the variance, or for some number of points. Where
+    power depends on the length of m alone, and fits the measured one, a smooth law takes its place.
     """
     from scipy.special import stdtrit
 
-    points = _DEAR_POINTS if inner.max_count <= _DEAR else _SET_POINTS
-    most = min(max(points // n, _LEAST_SETS), _MOST_SETS)
+    dear = inner.max_count <= _DEAR
+    points, first = (_DEAR_POINTS, _LEAST_SETS // 2) if dear else (_SET_POINTS, _LEAST_SETS)
+    most = min(max(points // n, first), _MOST_SETS)
     box = regions[0]
     low = _cropped(box, _LOW)
     part = tuple(
         slice(l - k, h - k + 1) for l, h, k in zip(low.low, low.high, box.low, strict=True)
     )
-    sums = [np.zeros(r.shape) for r in regions]
-    low_sum = np.zeros(low.shape)
-    low_values: list[Array] = []
-    high_values: list[Array] = []
+    length = np.linalg.norm(low.frequencies(), axis=1).reshape(low.shape) / n ** (1.0 / box.dims)
+    inside = (length > 0.0) & (length <= _LAW_LENGTH)
+    lawful = isotropic and len(np.unique(np.rint(length[inside] ** 2 * n))) >= _LEAST_LENGTHS
+    core = replace(low, energy=np.where(inside, low.energy, 0.0) if lawful else 0.0 * low.energy)
+    sums, low_sum, count = [np.zeros(r.shape) for r in regions], np.zeros(low.shape), 0
+    values: tuple[list[Array], ...] = ([], [], [])  # of the core, the other low ones, all others
     while True:
-        for x in inner.draw_stream(n, stream, len(low_values), min(_LEAST_SETS, most)):
-            if len(low_values) < _LEAST_SETS:
+        for x in (
+            _sets(inner, n, stream, count, min(first, most))
+            if dear
+            else inner.draw_stream(n, stream, count, min(first, most))
+        ):
+            if count < first:
                 powers = [r.power_of(x) for r in regions]
                 of_low = powers[0][part]
-                low_values.append(_total((low,), [of_low]))
-                high_values.append(_total(regions, powers) - low_values[-1])
                 for total, power in zip(sums, powers, strict=True):
                     total += power
+                values[2].append(_total(regions, powers) - _total((low,), [of_low]))
             else:
                 of_low = low.power_of(x)
-                low_values.append(_total((low,), [of_low]))
+            values[0].append(_total((core,), [of_low]))
+            values[1].append(_total((low,), [of_low]) - values[0][-1])
             low_sum += of_low
-        count = len(low_values)
-        error = np.hypot(_standard_error(low_values), _standard_error(high_values))
-        value = np.mean(low_values, axis=0) + np.mean(high_values, axis=0)
-        if (error <= _PRECISION * value).all() or count + _LEAST_SETS > most:
+            count += 1
+        errors = [_standard_error(part_values) for part_values in values]
+        mean = low_sum / count
+        if lawful:
+            law, error = _power_law(mean, length, inside, core.energy, count)
+            away = np.abs(_total((core,), [law]) - np.mean(values[0], axis=0))
+            if (away <= _AGREES * errors[0]).all():
+                mean, errors[0] = np.where(inside, law, mean), np.minimum(error, errors[0])
+        half = float(stdtrit(first - 1, 0.975)) * np.sqrt(sum(e**2 for e in errors))
+        value = sum(np.mean(part_values, axis=0) for part_values in values)
+        if (half <= _PRECISION * value).all() or count + first > most:
             break
-    powers = [total / _LEAST_SETS for total in sums]
-    powers[0][part] = low_sum / count
-    return powers, float(stdtrit(_LEAST_SETS - 1, 0.975)) * error, count
+    powers = [total / first for total in sums]
+    powers[0][part] = mean
+    return powers, half, count
+
+
+@lru_cache(maxsize=32)
+def _sets(sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> Array:
+    """Sets that are dear to make, kept for other integrands."""
+    return sampler.draw_stream(n, stream, first, count)
+
+
+def _power_law(
+    mean: Array, length: Array, inside: Array, energy: Array, count: int
+) -> tuple[Array, Array]:
+    """log P = a + b log |m| + c |m|² of low frequencies, and the standard error of Σ |g_m|² P(m).
+
+    |S_m|² of one set are exponentially distributed, independent but for ±m: maximum likelihood.
+    """
+    x = np.stack([np.ones(inside.sum()), np.log(length[inside]), length[inside] ** 2], axis=1)
+    measured = mean[inside]
+    weight = np.ones(inside.shape)
+    weight[0] = 0.5
+    weight = count * weight[inside]
+    beta = np.zeros(3)
+    beta[0] = math.log(measured.mean())
+    for _ in range(_STEPS):
+        law = np.exp(x @ beta)
+        information = (x * weight[:, None]).T @ x
+        beta = beta + np.linalg.solve(information, x.T @ (weight * (measured / law - 1.0)))
+    law = np.exp(x @ beta)
+    found = np.zeros(inside.shape)
+    found[inside] = law
+    slopes = energy[:, inside] * law @ x
+    variance = np.einsum("ci,ij,cj->c", slopes, np.linalg.inv(information), slopes)
+    return found, np.sqrt(variance)
 
 
 def _standard_error(values: list[Array]) -> Array:
