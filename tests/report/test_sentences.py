@@ -243,6 +243,10 @@ def test_one_sentence_without_terms() -> None:
             "No exact variance at every n: No form.",
         ),
         ({"exact": xr.Dataset()}, ""),
+        (
+            {"convergence": xr.Dataset(attrs={"note": "sobol has no variance"})},
+            "Sobol has no variance.",
+        ),
     ],
 )
 def test_further_sentences(analyses: dict[str, xr.Dataset], text: str) -> None:

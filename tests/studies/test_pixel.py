@@ -211,6 +211,16 @@ def test_sentences_name_jumps_bottleneck_and_remedy(tree: xr.DataTree) -> None:
     assert f": {best[0]} with {best[1]}. The least variance" in said["fastest"]
 
 
+def test_what_a_strategy_did_not_meet_is_said(tree: xr.DataTree) -> None:
+    changed = tree.copy()
+    curves = tree["convergence"].to_dataset()
+    spec = str(curves["spec"].sel(strategy="bsdf").values)
+    note = f"{spec} with random: none of the estimates varies at n = 4"
+    changed["convergence"] = xr.DataTree(curves.assign_attrs(note=note))
+    said = dict(pixel_sentences(changed))
+    assert said["not met"] == "bsdf with random: none of the estimates varies at n = 4"
+
+
 def test_a_steepest_rate_that_is_not_resolved_is_no_finding(tree: xr.DataTree) -> None:
     """The page said: the steepest rate is −1.70 ± 2.68."""
     wide = tree.copy()

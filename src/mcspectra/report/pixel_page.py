@@ -214,6 +214,14 @@ def pixel_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
         text = f"{explain(row, terms)} {known[f'diagnosis_{strategy}']}"
         said.append((STRATEGY_NAMES[strategy], text.strip()))
     said += [("bottleneck", bottleneck_sentence(tree)), ("fastest", _fastest(every))]
+    # What was not met is said once, with the strategies' names in place of their specs
+    note = str(tree["convergence"].attrs.get("note", ""))
+    for name, spec in zip(
+        *(tree["convergence"][v].values for v in ("strategy", "spec")), strict=True
+    ):
+        note = note.replace(f"{spec} with ", f"{name} with ").replace(f"{spec}: ", f"{name}: ")
+    if note:
+        said.append(("not met", note))
     if "remedies" in tree.children:
         said.append(("remedies", str(tree["remedies"].attrs["recommendation"])))
     return said

@@ -107,9 +107,11 @@ def bottleneck(row: SummaryRow, terms: xr.Dataset | None = None, technique: str 
 
 
 def further_sentences(analyses: Mapping[str, xr.Dataset]) -> str:
-    """Say what other analyses of a pair found in words: the best remedy, why nothing is exact."""
-    remedies, exact = analyses.get("remedies"), analyses.get("exact")
-    found = [] if remedies is None else [remedies.attrs.get(k) for k in _REMEDY_WORDS]
+    """Say what analyses of a pair found in words: what was not met, the best remedy, why nothing is exact."""
+    curve, remedies, exact = (analyses.get(k) for k in ("convergence", "remedies", "exact"))
+    note = "" if curve is None else str(curve.attrs.get("note", ""))
+    found: list[str | None] = [f"{note[:1].upper()}{note[1:]}." if note else None]
+    found += [] if remedies is None else [remedies.attrs.get(k) for k in _REMEDY_WORDS]
     if exact is not None and exact.attrs.get("note"):
         found.append(f"No exact variance at every n: {exact.attrs['note']}")
     return " ".join(str(sentence) for sentence in found if sentence)
