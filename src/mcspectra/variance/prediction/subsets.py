@@ -1,22 +1,25 @@
-"""Variances predicted in many dims: parts of g by subsets of the axes, and one law for all pairs of points.
+"""Variances predicted in many dims: single axes, sums of products, and one law for all pairs of points.
 
 Method
 ------
 With g = Σ_v g_v, the ANOVA of g [Owen1997]_, the variance of the mean of g over a set that is
-randomised the same way along every axis is (1/n²) Σ over pairs (a, b) of points of
+randomised independently along the axes is a mean over pairs (a, b) of points,
 
-    Σ_i s_i k_i(a_i, b_i)  +  c Σ_{|v| ≥ 2} Π_{i∈v} t_i κ_i(a_i, b_i),
+    Var = (1/n²) Σ_{a,b} Σ_v C_v(a, b),    C_v = Cov(g_v(a), g_v(b)) over the randomisation.
 
-where k_i and κ_i are correlations of the two values that the randomisation leaves on axis i. For nested
-scrambling they depend on how many digits of a_i and b_i agree, for a digital shift on their digits'
-difference, for a shift on their difference on the torus. The first sum, of single axes, is exact.
-In the second, energies σ²_v = c Π t_i take the place of those of all subsets of two and more axes: for
-products of functions of one axis they are right. Others have the same total energy, and the same energy
-of all subsets with axis i.
+It depends on each axis only on one thing: for nested scrambling how many digits of a_i and b_i agree, for
+a digital shift the difference of their digits, for a shift that on the torus. Subsets v of one axis
+are exact. For the others g is fitted by a sum of products Σ_r Π_i h_ri(x_i), for which
 
-From g alone, at points of our own: profiles g(·, z) along each axis for many z. Their mean is g_i; the
-spread about it is what the axis does together with others, and the digits' or Fourier energies of it
-are κ_i. ∫g² is a mean over scrambled nets with Student's t.
+    Σ_v C_v = Σ_{r,s} Π_i (μ_ri μ_si + k_i^rs(a_i, b_i)) − I²
+
+holds all subsets at once: μ are the means of the h, k the covariances that the randomisation leaves
+between them. What the fit misses is taken as white, /n, and may be off by all of itself.
+
+All is found from g at points of our own: profiles g(·, z) along each axis for many z, whose leading
+singular vectors are the basis of h_ri; least squares over scrambled nets, one axis after the other;
+the residual on another net; ∫g² with Student's t. g_i is that of the fit and the mean of what profiles
+have beside it.
 
 Strata of a grid need no model: with x and x' in the same stratum, Var = E (g(x) − g(x'))² / 2n.
 Latin hypercubes have one law for all pairs: different ones of n strata on each axis [Stein1987]_.
@@ -47,23 +50,28 @@ __all__ = ["of_subsets"]
 _LEAST_DIMS = 2
 _OWN = Stream.from_rng(0x5B5E75)  # of our own points, which no sampler shares
 _REPLICATES, _REPLICATE = 16, 1 << 13  # scrambled nets for ∫g², and their points
-_MIXED = 1 << 13  # mixed differences of each group
 _STRATA = 1 << 13  # pairs within strata, of each replicate
-_PROFILE_WORK = 1 << 19  # evaluations along all axes together
-_NODES = 64  # along an axis
+_PROFILE_WORK = 5 << 17  # evaluations along all axes together
+_NODES = 128  # along an axis
 _GROUPS = 4  # of profiles, independent of each other: their spread is the error
-_SHAPES = 1 << 23  # numbers of all axes that correlations are measured on
+_FITTED = 2  # of the replicates, for the fit; one more tests it
+_BASIS, _NEGLIGIBLE = 8, 1e-8  # functions of an axis at most, and energy that is left out
+_RANK, _SWEEPS, _SETTLED = 6, 30, 0.98  # products at most; sweeps of a fit, and when it has settled
+_RIDGE = 1e-8
+_GOOD = 1e-7  # residual energy that is good enough
 _STANDS_OUT, _HALVINGS = 4.0, 40  # a jump: a change so many times those beside it
+_GRADED = 0.25 ** np.arange(6.0, 0.0, -1.0)  # of the first step
+_BENT = 0.1  # a kink: a change of the slope of so much of the largest
 _CELLS = 1 << 12  # along an axis, for correlations
 _FINE = 1 << 16  # and for single axes
 _TORUS = 1 << 15  # differences on the torus
+_START = 0.3  # spread of what a new product begins with
+_RESOLVED = 0.01  # relative error of curves between their nodes
+
 _MOST_WORK = 2.0**34  # pairs of points times axes times groups
 _DRAWS = 8  # of a set that is random before its shift or scramble
 _KEEP_LAW = frozenset({"owen", "digital-shift", "permute"})  # of nested scrambling
 _DIGITS = 1 << 13  # cells of an axis that digits tell apart, or more where there are more points
-_SWEEPS, _SCALES, _LARGEST = 60, 28.0, 1e6  # of the fit of products
-_MODEL = 0.1
-_SCALE = 4  # 2^-k at most, that mixed differences are measured at
 
 
 def of_subsets(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
@@ -103,87 +111,76 @@ def of_subsets(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predic
         variance, half = np.array([[p.variance, p.half] for p in parts]).T / n
         return Predicted(variance, half, np.ones(len(parts)), np.zeros(len(parts)), "energy of g")
     law, codes, rows = _law_of(source, n, stream)
-    if float(len(rows)) * codes[..., 0].size * (1 + _GROUPS) > _MOST_WORK:
+    work = float(len(rows)) * codes[..., 0].size * _RANK**2
+    if work > _MOST_WORK:
         raise NoClosedForm(
             f"The pairs of {n} points of {source.spec} in {g.dims} dims are too many; use convergence."
         )
     found = []
     for c, p in enumerate(parts):
-        first, rest = known.once(f"subsets: {c} {law}", functools.partial(_tables, law, p))
-        scale, t = p.products
-        weighted = rest * t.T[:, None]
+        first, rest, means, weights = known.once(
+            f"subsets: {c} {law}", functools.partial(_tables, law, p)
+        )
         mode = ("digits", "xor", "torus").index(law.kind)
-        sums = [pair_sums(x, rows, mode, law.bases[0], first, weighted) for x in codes]
-        by_set = np.array(sums).mean(axis=1) / n  # (sets, 2, 1 + groups)
-        ones, more = by_set[:, 0].mean(axis=0), by_set[:, 1].mean(axis=0) * scale
-        # Several axes: their energy is known; of nets their share in fine differences, too
-        if law.latin:
-            whole, most = np.sum(first[:, -1, 0]), p.joint[0].sum()
-            energy = np.clip(p.variance - whole, most / g.dims, 0.5 * most)
-            more = np.full(more.shape, energy * (1.0 + 1.0 / max(n - 1.0, 1.0)) / n)
-            model = min(p.half, energy) / n
-        else:
-            spread = 0.0 if law.kind == "torus" else p.fine_pairs(n)
-            model = float(np.hypot(_MODEL, spread)) * more[0]
-        value = ones[0] + more[0]
-        drawn = _half(by_set[:, 0, 0] + scale[0] * by_set[:, 1, 0]) if len(codes) > 1 else 0.0
-        error = float(np.sqrt(_half((ones + more)[1:]) ** 2 + model**2 + drawn**2))
-        found.append((value, error, ones[0] / value, more[0]))
-    return Predicted(*np.array(found).T, "subsets of axes")
+        sums = [pair_sums(x, rows, mode, law.bases[0], first, rest, means, weights) for x in codes]
+        by_set = np.array(sums).mean(axis=1) / n  # (sets, 1 + groups + 1)
+        sets, ones, more = (
+            by_set[:, 0] + by_set[:, -1],
+            by_set.mean(axis=0)[:-1],
+            by_set[:, -1].mean(),
+        )
+        tail = half = p.residual / n
+        if law.latin and p.half < p.residual:  # the energy of several axes is all that counts
+            joint = p.variance - float(np.sum(first[:, -1, 0]))
+            tail, half = max(joint, 0.0) / max(n - 1.0, 1.0) - more, p.half / n
+        value = ones[0] + more + tail
+        drawn = _half(sets) if len(sets) > 1 else 0.0
+        error = math.hypot(float(_half(ones[1:])), half, drawn, _RESOLVED * value)
+        share = max(0.0, 1.0 - p.residual / p.variance) if p.variance > 0.0 else 0.0
+        found.append((value, error, share, tail))
+    variance, error, share, tail = np.array(found).T
+    return Predicted(variance, error, share, tail, "subsets of axes")
+
+
+@final
+@dataclass(frozen=True)
+class _Curves:
+    """How an axis is cut: ends of its smooth pieces, and nodes between them."""
+
+    knots: Array
+    nodes: Array
+
+    def at(self, values: Array, x: Array) -> Array:
+        """Values (…, nodes) interpolated piece by piece at x: (…, len(x))."""
+        from scipy.interpolate import PchipInterpolator
+
+        out = np.empty((*values.shape[:-1], len(x)))
+        for low, high in itertools.pairwise(self.knots):
+            own, there = (self.nodes > low) & (self.nodes < high), (x >= low) & (x <= high)
+            if own.sum() > 1:
+                line = PchipInterpolator(self.nodes[own], values[..., own], -1)
+                out[..., there] = line(x[there])
+            elif there.any():
+                nearest = int(np.abs(self.nodes - 0.5 * (low + high)).argmin())
+                out[..., there] = values[..., nearest, None]
+        return out
+
+    def cells(self, values: Array, count: int) -> Array:
+        """Values at the centres of equal cells."""
+        return self.at(values, (np.arange(count) + 0.5) / count)
 
 
 @final
 @dataclass(frozen=True)
 class _Parts:
-    """Energies and profiles of one channel of g."""
+    """What is known of one channel of g; arrays of the axes at their nodes."""
 
     variance: float
     half: float  # of its 95 % interval
-    knots: list[Array]  # of each axis: ends of its smooth pieces
-    nodes: list[Array]  # of each axis
-    profiles: list[Array]  # of each axis, (groups, profiles, nodes)
-    joint: Array  # energy of axis i with others, of all groups and of each: (1 + groups, d)
-    pairs: Array  # and Σ_v |v| (|v| − 1)/2 σ²_v: (1 + groups,)
-    fine: Array  # mixed differences within 2^-k and 2^-l, by what products would have: (k, l)
-
-    def fine_pairs(self, n: int) -> float:
-        """How far energies of n cells of two axes are from those of products, relatively."""
-        levels = np.arange(max(1, n.bit_length() - 1))
-        found = self.fine[tuple(np.minimum(k, _SCALE) for k in (levels, levels[::-1]))]
-        return float(np.sqrt(((found - 1.0) ** 2).mean()))
-
-    def main(self, axis: int, count: int) -> Array:
-        """g_i at the centres of equal cells, of all groups and of each: (1 + groups, count)."""
-        own = self.profiles[axis].mean(axis=1)
-        return self._along(axis, np.concatenate([own.mean(axis=0)[None], own]), count)
-
-    def rest(self, axis: int, count: int) -> Array:
-        """What some of the profiles have beside g_i: (groups, profiles, count)."""
-        given = self.profiles[axis]
-        step = max(1, len(self.profiles) * _GROUPS * given.shape[1] * count // _SHAPES)
-        return self._along(axis, (given - given.mean(axis=1, keepdims=True))[:, ::step], count)
-
-    @functools.cached_property
-    def products(self) -> tuple[Array, Array]:
-        """c and t of the energies c Π t_i of the subsets v of two and more axes: (1 + groups[, d])."""
-        each = [_product_law(u, e) for u, e in zip(self.joint, self.pairs, strict=True)]
-        return np.array([c for c, _ in each]), np.stack([t for _, t in each])
-
-    def _along(self, axis: int, values: Array, count: int) -> Array:
-        """Values (…, nodes) at the centres of equal cells, interpolated piece by piece."""
-        from scipy.interpolate import PchipInterpolator
-
-        x = (np.arange(count) + 0.5) / count
-        out = np.empty((*values.shape[:-1], count))
-        nodes, ends = self.nodes[axis], self.knots[axis]
-        for low, high in itertools.pairwise(ends):
-            own, there = (nodes > low) & (nodes < high), (x >= low) & (x <= high)
-            if own.sum() > 1:
-                out[..., there] = PchipInterpolator(nodes[own], values[..., own], -1)(x[there])
-            elif there.any():
-                nearest = int(np.abs(nodes - 0.5 * (low + high)).argmin())
-                out[..., there] = values[..., nearest, None]
-        return out - out.mean(axis=-1, keepdims=True)
+    axes: list[_Curves]
+    main: list[Array]  # g_i, of all groups and of each: (1 + groups, nodes)
+    factors: list[Array]  # h_ri: (products, nodes)
+    residual: float  # energy that the products miss
 
 
 @final
@@ -200,66 +197,66 @@ class _Law:
     levels: tuple[int, ...]
     latin: bool = False  # all points differ in the first digit
 
-    def table(self, axis: int, parts: _Parts) -> tuple[Array, Array]:
-        """Covariances of g_i (1 + groups, differences), and of the rest of profiles (groups, …)."""
-        base = self.bases[axis]
-        if self.kind != "digits":
-            covariance = _by_xor if self.kind == "xor" else _on_torus
-            k = max(4, _FINE // base)
-            main = covariance(parts.main(axis, base * k))[..., ::k]
-            k = 1 if base == _TORUS else max(4, _CELLS // base)
-            rest = parts.rest(axis, _CELLS if base == _TORUS else base * k)
-            tables = np.stack([covariance(x).mean(axis=0)[::k] for x in rest])
-            if base == _TORUS:
-                x, known = np.arange(base) / base, np.arange(_CELLS + 1) / _CELLS
-                tables = np.stack([np.interp(x, known, np.append(t, t[0])) for t in tables])
-            return main, tables
-        levels = self.levels[axis]
-        fewer = min(levels, max(1, math.floor(math.log(_CELLS, base) + 1e-9)))
-        cells, coarse = base**levels, base**fewer
-        fine = _FINE if len(parts.knots[axis]) == 2 else 4 * _FINE  # a jump is where it is
-        fine, medium = max(1, fine // cells), max(1, _CELLS // coarse)
-        rest = _by_digits(parts.rest(axis, coarse * medium), base, fewer).mean(axis=1)
-        return _by_digits(parts.main(axis, cells * fine), base, levels), rest
+    def table(self, axis: int, parts: _Parts) -> tuple[Array, Array, Array]:
+        """Covariances of g_i (1 + groups, differences), of pairs of h_ri, and the means of h_ri."""
+        base, curves = self.bases[axis], parts.axes[axis]
+        fine = _FINE if len(curves.knots) == 2 else 4 * _FINE  # a jump is where it is
+        cells = base ** self.levels[axis]
+        k = 1 if base == _TORUS else max(4, fine // cells)
+        values = curves.cells(np.concatenate([parts.main[axis], parts.factors[axis]]), cells * k)
+        mean = values.mean(axis=-1, keepdims=True)
+        own = len(parts.main[axis])
+        left, right = np.triu_indices(len(values) - own)
+        left, right = (np.concatenate([np.arange(own), own + side]) for side in (left, right))
+        if self.kind == "digits":
+            tables = _by_digits(values - mean, left, right, base, self.levels[axis])
+        elif self.kind == "xor":
+            spectra = hadamard(values - mean) / (cells * k)
+            tables = hadamard(spectra[left] * spectra[right])[:, ::k]
+        else:
+            spectra = np.fft.rfft(values - mean)
+            tables = np.fft.irfft(spectra[left] * spectra[right].conj(), cells * k) / (cells * k)
+            tables = tables[:, ::k]
+        return tables[:own], tables[own:], mean[own:, 0]
 
 
-def _by_digits(values: Array, base: int, levels: int) -> Array:
-    """Covariance under nested scrambling by how many digits agree: (…, levels + 2), the last none differ."""
-    means = values.reshape(*values.shape[:-1], base**levels, -1).mean(axis=-1)
-    energy = [(values**2).mean(axis=-1)]
+def _by_digits(values: Array, left: Array, right: Array, base: int, levels: int) -> Array:
+    """Covariances under nested scrambling by how many digits agree: (…, levels + 2), the last for all."""
+    means = values.reshape(len(values), base**levels, -1).mean(axis=-1)
+    energy = [(values[left] * values[right]).mean(axis=-1)]
     while means.shape[-1] > 1:
-        energy.append((means**2).mean(axis=-1))
-        means = means.reshape(*means.shape[:-1], -1, base).mean(axis=-1)
-    within = np.stack([np.zeros(means.shape[:-1]), *reversed(energy)], axis=-1)
-    apart = within[..., :-1] - np.diff(within, axis=-1) / (base - 1)
-    return np.concatenate([apart, within[..., -1:]], axis=-1)
-
-
-def _by_xor(values: Array) -> Array:
-    """Covariance under a digital shift in base 2 by the difference of the digits: (…, cells)."""
-    return np.asarray(hadamard((hadamard(values) / values.shape[-1]) ** 2))
-
-
-def _on_torus(values: Array) -> Array:
-    """Covariance under a shift by the difference on the torus: (…, cells)."""
-    cells = values.shape[-1]
-    return np.fft.irfft(np.abs(np.fft.rfft(values)) ** 2, cells) / cells
+        energy.append((means[left] * means[right]).mean(axis=-1))
+        means = means.reshape(len(means), -1, base).mean(axis=-1)
+    within = np.stack([np.zeros(len(left)), *reversed(energy)], axis=-1)
+    apart = within[:, :-1] - np.diff(within, axis=-1) / (base - 1)
+    return np.concatenate([apart, within[:, -1:]], axis=-1)
 
 
 @kernel
-def pair_sums(codes: Array, rows: Array, mode: int, cells: int, first: Array, rest: Array) -> Array:
-    """Sums over all points b of covariances with the points a listed as rows: (rows, 2, variants).
+def pair_sums(
+    codes: Array,
+    rows: Array,
+    mode: int,
+    cells: int,
+    first: Array,
+    rest: Array,
+    means: Array,
+    weights: Array,
+) -> Array:
+    """Sums over all points b of covariances with the points a listed as rows: (rows, variants + 1).
 
-    codes (n, d, digits), rows (rows,), first and rest (d, differences, variants): Σ_i first_i, and
-    Σ_{|v| ≥ 2} Π_{i∈v} rest_i. mode 0: digits that agree; 1: bits that differ; 2: the torus of `cells`.
+    codes (n, d, digits), rows (rows,), first (d, differences, variants): Σ_i first_i; last, of rest
+    (d, differences, q), means (d, q), weights (q,): Σ_q weight Σ_{|v| ≥ 2} Π_{i∈v} rest_i Π_{i∉v} mean_i.
+    mode 0: digits that agree; 1: bits that differ; 2: the torus of `cells`.
     """
-    out = np.zeros((rows.size, 2, first.shape[2]))
-    one, more, total = np.zeros(first.shape[2]), np.zeros(first.shape[2]), np.zeros(first.shape[2])
+    variants, q = first.shape[2], rest.shape[2]
+    out = np.zeros((rows.size, variants + 1))
+    none, one, more = np.empty(q), np.empty(q), np.empty(q)  # products over no, one, more axes of v
     for r in range(rows.size):
         a = codes[rows[r]]
         for k in range(codes.shape[0]):
             b = codes[k]
-            one[:], more[:], total[:] = 0.0, 0.0, 0.0
+            none[:], one[:], more[:] = 1.0, 0.0, 0.0
             for i in range(codes.shape[1]):
                 if mode == 0:
                     place = 0
@@ -273,14 +270,15 @@ def pair_sums(codes: Array, rows: Array, mode: int, cells: int, first: Array, re
                     place = a[i, 0] - b[i, 0]
                     if place < 0:
                         place += cells
-                for v in range(one.size):
-                    x = rest[i, place, v]
-                    more[v] += x * (more[v] + total[v])
-                    total[v] += x
-                    one[v] += first[i, place, v]
-            for v in range(one.size):
-                out[r, 0, v] += one[v]
-                out[r, 1, v] += more[v]
+                for v in range(variants):
+                    out[r, v] += first[i, place, v]
+                for j in range(q):
+                    x, m = rest[i, place, j], means[i, j]
+                    more[j] = more[j] * (m + x) + one[j] * x
+                    one[j] = one[j] * m + none[j] * x
+                    none[j] *= m
+            for j in range(q):
+                out[r, variants] += weights[j] * more[j]
     return out
 
 
@@ -314,22 +312,25 @@ def _all_parts(g: Integrand) -> list[_Parts]:
         points[..., axis] = at
         return _values(g, points)
 
-    knots, nodes, found = [], [], []
+    axes, found = [], []
     for axis in range(d):
+        # Equal steps within each piece, and finer ones towards 0 and 1, where warps end
         ends = np.unique([0.0, 1.0, *(b for b in g.breaks[axis] if 0.0 < b < 1.0)])
-        pieces = np.maximum(4, np.ceil(_NODES * np.diff(ends))).astype(int)
-        at = np.concatenate(
-            [
-                low + (np.arange(k) + 0.5) / k * (high - low)
-                for low, high, k in zip(ends[:-1], ends[1:], pieces, strict=True)
-            ]
-        )
+        middles = [
+            low + (np.arange(k) + 0.5) * ((high - low) / k)
+            for low, high in itertools.pairwise(ends.tolist())
+            for k in [max(4, math.ceil(_NODES * (high - low)))]
+        ]
+        at = np.concatenate(middles)
+        at = np.concatenate([at[0] * _GRADED, at, 1.0 - (1.0 - at[-1]) * _GRADED[::-1]])
         along = profiles(axis, at)
+        even = np.append(np.abs(np.diff(at, 2)) < 1e-9, False)  # the next step is as long
         # Bisect jumps of the mean that nothing declares: changes that stand out between two nodes
         change = np.abs(np.diff(along.mean(axis=(0, 1)), axis=0)).max(axis=-1)
         beside = np.maximum(np.append(change[1:], 0.0), np.append(0.0, change[:-1]))
         jumps = []
-        for k in np.flatnonzero((change > _STANDS_OUT * beside) & (change > 1e-9 * change.sum())):
+        stands_out = (change > _STANDS_OUT * beside) & (change > 1e-9 * change.sum())
+        for k in np.flatnonzero(stands_out & even & np.append(False, even[:-1])).tolist():
             low, high = at[k], at[k + 1]
             if any(low < b < high for b in ends):
                 continue
@@ -342,86 +343,151 @@ def _all_parts(g: Integrand) -> list[_Parts]:
                 nearer = abs(value - left)[channel] < abs(value - right)[channel]
                 low, high = (middle, high) if nearer else (low, middle)
             jumps.append(0.5 * (low + high))
-        knots.append(np.unique([*ends, *jumps]))
-        nodes.append(at)
+        # Kinks: changes of the slope that stand out; where the lines from both sides meet
+        mean = along.mean(axis=(0, 1))
+        slopes = np.diff(mean, axis=0)
+        bend = np.abs(np.diff(slopes, axis=0)).max(axis=-1)
+        both = bend[1:-2] + bend[2:-1]  # of the four nodes about each interval
+        sharp = both > _STANDS_OUT * np.maximum(bend[:-3], bend[3:])
+        for k in np.flatnonzero(sharp & (both > _BENT * np.abs(slopes).max())).tolist():
+            near = at[k : k + 6]
+            if not even[k : k + 4].all() or any(
+                near[0] <= b <= near[-1] for b in (*ends[1:-1], *jumps)
+            ):
+                continue
+            channel = int(np.abs(slopes[k + 3] - slopes[k + 1]).argmax())
+            before, after = slopes[[k + 1, k + 3], channel]
+            gap = mean[k + 3, channel] - mean[k + 2, channel] - after
+            if before == after:
+                continue
+            place = min(max(float(gap / (before - after)), 1e-6), 1.0 - 1e-6)
+            jumps.append(float(at[k + 2] + place * (at[k + 3] - at[k + 2])))
+        axes.append(_Curves(np.unique([*ends, *jumps]), at))
         found.append(along)
-    # Energy of each axis with others: of what profiles have beside their mean
-    joint = np.empty((1 + _GROUPS, d, values.shape[-1]))
-    within = np.ones((d, _SCALE + 1, values.shape[-1]))
-    for axis, (given, at) in enumerate(zip(found, nodes, strict=True)):
-        cuts = np.concatenate([[0.0], 0.5 * (at[1:] + at[:-1]), [1.0]])
-        for b in knots[axis][1:-1]:  # a node stands for its own side of a break
-            cuts[np.searchsorted(at, b)] = b
-        weight = np.diff(cuts)[:, None]
-        rest = given - given.mean(axis=1, keepdims=True)
-        rest = rest - (rest * weight).sum(axis=2, keepdims=True)
-        joint[1:, axis] = (rest**2 * weight).sum(axis=(1, 2)) / (given.shape[1] - 1)
-        # Part of it that is within cells of 2^-k
-        for k in range(1, _SCALE + 1):
-            cell = np.floor(at * 2.0**k)[:, None] == np.arange(2**k)
-            share = cell * weight / np.maximum((cell * weight).sum(axis=0), 1e-300)
-            means = np.einsum("gjnc,nk->gjkc", rest, share)
-            coarse = (means**2 * (cell * weight).sum(axis=0)[:, None]).sum(axis=(0, 1, 2))
-            fully = (rest**2 * weight).sum(axis=(0, 1, 2))
-            within[axis, k] = 1.0 - np.divide(
-                coarse, fully, out=np.zeros(len(fully)), where=fully > 0.0
-            )
-    joint[0] = joint[1:].mean(axis=0)
-    pairs, fine = _of_pairs(g, joint[0], within)
     return [
-        _Parts(
+        _fitted(
             float(squares[:, c].mean()),
             float(_half(squares)[c]),
-            knots,
-            nodes,
+            axes,
             [along[..., c] for along in found],
-            joint[..., c],
-            pairs[:, c],
-            fine[..., c],
+            through,
+            x[: _FITTED + 1],
+            values[: _FITTED + 1, :, c],
         )
         for c in range(values.shape[-1])
     ]
 
 
-def _of_pairs(g: Integrand, joint: Array, within: Array) -> tuple[Array, Array]:
-    """Σ_v |v| (|v| − 1)/2 σ²_v from mixed differences of pairs of axes, and how they shrink.
+def _fitted(
+    variance: float,
+    half: float,
+    axes: list[_Curves],
+    profiles: list[Array],
+    through: Array,
+    x: Array,
+    values: Array,
+) -> _Parts:
+    """Fit a sum of products to values (replicates, n) at x, by least squares along one axis in turn."""
+    # Functions of each axis: 1 and the leading singular vectors of its profiles
+    bases = []
+    for given in profiles:
+        flat = given.reshape(-1, given.shape[-1])
+        _, size, vectors = np.linalg.svd(
+            flat - flat.mean(axis=1, keepdims=True), full_matrices=False
+        )
+        keep = int((size[:_BASIS] ** 2 > _NEGLIGIBLE * (size**2).sum()).sum())
+        one = np.ones((1, flat.shape[1]))
+        bases.append(np.concatenate([one, vectors[:keep] * math.sqrt(flat.shape[1])]))
+    known = [
+        axis.at(basis, x[..., i].ravel()).reshape(len(basis), len(x), -1)
+        for i, (axis, basis) in enumerate(zip(axes, bases, strict=True))
+    ]
+    train = [basis[:, :-1].reshape(len(basis), -1) for basis in known]
+    scale = float(np.abs(values).max()) or 1.0
+    target = values[:-1].ravel() / scale
 
-    (1 + groups, channels), and (k, l, channels): the energy of differences within 2^-k and 2^-l along
-    two axes, by that of products of curves of which a part `within` (d, k, channels) is finer.
+    # One product more after the other, with and without sums of functions of one axis
+    rng = np.random.default_rng(_OWN.child(4).key)
+    best, residual = [np.zeros((1, len(basis))) for basis in bases], variance
+    fits = {False: best, True: best}
+    for rank, additive in itertools.product(range(_RANK + 1), (False, True)):
+        if residual <= _GOOD * variance or not (rank or additive):
+            continue
+        weights = fits[additive]
+        if rank:
+            new = [_START * rng.standard_normal((1, len(basis))) for basis in bases]
+            for w in new:
+                w[0, 0] = 1.0
+            weights = [np.concatenate([w, v]) for w, v in zip(weights, new, strict=True)]
+        fits[additive] = weights = _least_squares(train, target, weights, additive=additive)
+        tested = [w @ b[:, -1] for w, b in zip(weights, known, strict=True)]
+        sums = np.sum([t[0] for t in tested], axis=0) + np.prod(
+            [t[1:] for t in tested], axis=0
+        ).sum(0)
+        missed = scale**2 * float(((values[-1] / scale - sums) ** 2).mean())
+        if missed < residual:
+            best, residual = weights, missed
+
+    # Single axes: of the fit, and what profiles have beside it
+    curves = [w @ b for w, b in zip(best, bases, strict=True)]
+    sums, factors = [scale * f[0] for f in curves], [f[1:] for f in curves]
+    factors[0] = scale * factors[0]
+    means = np.stack(
+        [axis.cells(f, _CELLS).mean(-1) for axis, f in zip(axes, factors, strict=True)]
+    )
+    flat = through.reshape(-1, len(axes))
+    at = np.stack(
+        [axis.at(f, flat[:, i]) for i, (axis, f) in enumerate(zip(axes, factors, strict=True))]
+    )
+    main = []
+    for i, given in enumerate(profiles):
+        others = np.prod(np.delete(at, i, axis=0), axis=0).reshape(-1, *given.shape[:2])
+        # Sums along other axes only move a profile, and all are taken without their means
+        beside = given - np.einsum("rgj,rk->gjk", others, factors[i])
+        beside = (beside - beside.mean(axis=-1, keepdims=True)).mean(axis=1) - sums[i]
+        own = np.prod(np.delete(means, i, axis=0), axis=0) @ factors[i] + sums[i]
+        main.append(own + np.concatenate([beside.mean(axis=0)[None], beside]))
+    return _Parts(variance, half, axes, main, factors, residual)
+
+
+def _least_squares(
+    bases: list[Array], target: Array, weights: list[Array], *, additive: bool
+) -> list[Array]:
+    """Σ_i f_i(x_i), if `additive`, and Σ_r Π_i h_ri(x_i) nearest to `target` (n,), one axis in turn.
+
+    bases of each axis (functions, n); weights (1 + products, functions), those of f_i first.
     """
-    d, few = g.dims, _SCALE + 1
-    relative = np.divide(joint, joint.sum(axis=0), out=np.zeros(joint.shape), where=joint > 0.0)
-    chance = np.triu(np.outer(relative.max(axis=1), relative.max(axis=1)), 1).ravel()
-    fine = np.ones((few, few, joint.shape[1]))
-    if not chance.any():
-        return np.zeros((1 + _GROUPS, joint.shape[1])), fine
-    cumulative = np.cumsum(chance / chance.sum())
-
-    def energy(k: int, l: int, count: int, label: int) -> Array:
-        """Of each group, by the part that is as fine: (groups, channels)."""
-        u = _net(2 * d + 2, count, _GROUPS, label)
-        x, other = u[..., :d], u[..., d : 2 * d]
-        pair = np.minimum(np.searchsorted(cumulative, u[..., -1]), np.flatnonzero(chance)[-1])
-        i, j = np.where(u[..., -2] < 0.5, np.divmod(pair, d), np.divmod(pair, d)[::-1])
-        first, second = (np.arange(d) == axis[..., None] for axis in (i, j))
-        scale = np.where(first, 2.0**k, np.where(second, 2.0**l, 1.0))
-        other = np.minimum((np.floor(x * scale) + other) / scale, np.nextafter(1.0, 0.0))
-        change = _values(g, x) - _values(g, np.where(first, other, x))
-        change = change - _values(g, np.where(second, other, x))
-        change = change + _values(g, np.where(first | second, other, x))
-        part = within[i, k] * within[j, l] * (chance[pair] / chance.sum())[..., None]
-        squares = np.divide(0.25 * change**2, part, out=np.zeros(part.shape), where=part > 0.0)
-        return np.asarray(squares.mean(axis=1))
-
-    found = energy(0, 0, _MIXED, 3)
-    for k, l in itertools.combinations_with_replacement(range(few), 2):
-        if l > 0:
-            ratio = energy(k, l, _MIXED // 8, 4 + few * k + l).mean(axis=0)
-            ratio = np.divide(
-                ratio, found.mean(axis=0), out=np.ones(ratio.shape), where=ratio > 0.0
-            )
-            fine[k, l] = fine[l, k] = ratio
-    return np.concatenate([found.mean(axis=0)[None], found]), fine
+    weights = [w.copy() for w in weights]
+    curves = [w @ b for w, b in zip(weights, bases, strict=True)]  # (1 + products, n)
+    last = math.inf
+    for _ in range(_SWEEPS):
+        # Products over the axes after each, and as the sweep goes on over those before it
+        after = [np.ones((len(weights[0]) - 1, len(target)))]
+        for c in curves[:0:-1]:
+            after.append(after[-1] * c[1:])
+        before = np.ones(after[0].shape)
+        sums = np.sum([c[0] for c in curves], axis=0)
+        for i, basis in enumerate(bases):
+            others = before * after[len(bases) - 1 - i]
+            if additive:
+                others = np.concatenate([np.ones((1, len(target))), others])
+            sums = sums - curves[i][0]
+            design = (others[:, None] * basis).reshape(-1, len(target))
+            gram = design @ design.T
+            gram[np.diag_indices(len(gram))] += _RIDGE * np.trace(gram) / len(gram)
+            solved = np.linalg.solve(gram, design @ (target - sums)).reshape(len(others), -1)
+            weights[i] = solved if additive else np.concatenate([0.0 * weights[i][:1], solved])
+            if i < len(bases) - 1:
+                size = np.sqrt(((weights[i][1:] @ basis) ** 2).mean(axis=1, keepdims=True))
+                weights[i][1:] /= size + 1e-300
+            curves[i] = weights[i] @ basis
+            before = before * curves[i][1:]
+            sums = sums + curves[i][0]
+        left = float(((target - sums - before.sum(axis=0)) ** 2).mean())
+        if left > _SETTLED * last:
+            break
+        last = left
+    return weights
 
 
 def _law_of(source: Sampler, n: int, stream: Stream) -> tuple[_Law, Array, Array]:
@@ -476,49 +542,21 @@ def _is_group(x: Array, n: int) -> bool:
     )
 
 
-def _tables(law: _Law, parts: _Parts) -> tuple[Array, Array]:
-    """Covariances of g_i by the difference of two points, and correlations of the rest.
-
-    Both (d, differences, 1 + groups).
-    """
-    of_axes = [law.table(axis, parts) for axis in range(len(parts.nodes))]
-    width = max(first.shape[-1] for first, _ in of_axes)
+def _tables(law: _Law, parts: _Parts) -> tuple[Array, Array, Array, Array]:
+    """What `pair_sums` takes: covariances of g_i and of products, their means and weights."""
+    of_axes = [law.table(axis, parts) for axis in range(len(parts.axes))]
+    width = max(first.shape[-1] for first, _, _ in of_axes)
 
     def stacked(tables: list[Array]) -> Array:
         # Where fewer digits are known, more that agree are no difference
         wide = [np.pad(t, ((0, 0), (0, width - t.shape[-1])), "edge") for t in tables]
         return np.ascontiguousarray(np.stack(wide).transpose(0, 2, 1))
 
-    none = -1 if law.kind == "digits" else 0  # index of no difference
-    first, rest = (stacked(list(tables)) for tables in zip(*of_axes, strict=True))
-    rest = np.concatenate([rest.mean(axis=-1, keepdims=True), rest], axis=-1)
-    whole = rest[:, none, None, :]
-    return first, np.divide(rest, whole, out=np.zeros(rest.shape), where=whole > 0.0)
-
-
-def _product_law(joint: Array, pairs: float) -> tuple[float, Array]:
-    """c and t (d,) with Σ_{v ∋ i, |v| ≥ 2} c Π t = joint_i, and Σ_v |v| (|v| − 1)/2 c Π t = pairs."""
-    whole = float(joint.sum())
-    if not whole > 0.0:
-        return 0.0, np.zeros(joint.shape)
-
-    def of_scale(log_scale: float) -> tuple[float, float, Array]:
-        """Pairs, c and t."""
-        scale = whole * math.exp(log_scale)
-        t = np.sqrt(joint / scale / len(joint))
-        for _ in range(_SWEEPS):
-            found = scale * t * np.expm1(np.log1p(t).sum() - np.log1p(t))
-            t = t * np.sqrt(np.divide(joint, found, out=np.ones(t.shape), where=found > 0.0))
-            t = np.minimum(t, _LARGEST)
-        r = t / (1.0 + t)
-        many = scale * math.exp(np.log1p(t).sum()) * 0.5 * (r.sum() ** 2 - (r**2).sum())
-        return many, scale, t
-
-    low, high = -_SCALES, _SCALES
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if of_scale(middle)[0] > pairs else (low, middle)
-    return of_scale(high)[1:]
+    means = np.stack([mean for _, _, mean in of_axes])
+    left, right = np.triu_indices(means.shape[1])
+    weights = np.where(left == right, 1.0, 2.0)
+    first, rest = (stacked([tables[k] for tables in of_axes]) for k in (0, 1))
+    return first, rest, means[:, left] * means[:, right], weights
 
 
 def _net(dims: int, n: int, replicates: int, label: int) -> Array:

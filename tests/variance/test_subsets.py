@@ -1,0 +1,189 @@
+"""Predictions in many dims: exact cases, references drawn once, and what is refused."""
+
+import math
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import NoClosedForm
+from mcspectra.core.streams import Stream
+from mcspectra.variance.prediction.known import Known
+from mcspectra.variance.prediction.subsets import of_subsets
+
+RESOLVED = 0.01  # relative error of curves between nodes that the route itself allows for
+STREAM = Stream.from_rng(3)
+
+
+def known_of(function, dims):
+    """An integrand of a function of points (…, d), and what is found out about it."""
+    return Known(mcs.Integrand.from_function(function, dims=dims, integral=0.0))
+
+
+def predicted(known, spec, n):
+    return of_subsets(mcs.sampler(spec, dims=known.g.dims), n, known, STREAM)
+
+
+def additive(x):
+    return (np.exp(x) * (1.0 + np.arange(x.shape[-1]))).sum(axis=-1)
+
+
+def product(x):
+    return np.prod(1.0 + (x - 0.5) / (1.0 + np.arange(x.shape[-1])), axis=-1)
+
+
+def oscillating(x):
+    return np.cos(0.6 + 2.0 * (x / (1.0 + np.arange(x.shape[-1]))).sum(axis=-1))
+
+
+def peaked(x):
+    return np.exp(-3.0 * np.abs(x - 0.37).sum(axis=-1))
+
+
+@pytest.fixture(scope="module")
+def sums():
+    return known_of(additive, 5)
+
+
+class TestExact:
+    @pytest.mark.parametrize(
+        ("spec", "of_axis"),
+        [
+            ("random", lambda i: "random"),
+            ("latin-hypercube", lambda i: "jittered"),
+            ("sobol | owen", lambda i: "jittered"),
+            ("halton | owen", lambda i: f"van-der-corput(base={(2, 3, 5, 7, 11)[i]}) | owen"),
+            ("sobol | digital-shift", lambda i: "sobol | digital-shift"),
+            ("rank1-lattice | shift", lambda i: "regular | shift"),
+        ],
+    )
+    @pytest.mark.parametrize("n", [64, 1024])
+    def test_sums_over_axes(self, sums, spec, of_axis, n):
+        """The variance is the sum of those of the axes, which are exact in 1-D."""
+        exact = 0.0
+        for i in range(5):
+            line = mcs.Integrand.from_function(lambda x: np.exp(x[..., 0]), dims=1, integral=0.0)
+            exact += (i + 1) ** 2 * mcs.exact_variance(line, mcs.sampler(of_axis(i), dims=1), n)
+        found = predicted(sums, spec, n)
+        assert found.variance[0] == pytest.approx(exact, rel=RESOLVED)
+        assert abs(found.variance[0] - exact) <= max(found.error[0], 1e-3 * exact)
+
+    @pytest.mark.parametrize("function", [product, oscillating])
+    @pytest.mark.parametrize("spec", ["sobol | owen", "halton | owen", "sobol | digital-shift"])
+    def test_nets_in_three_dims(self, function, spec):
+        """Where gains and Walsh spectra of all cells can still be summed."""
+        known = known_of(function, 3)
+        exact = mcs.exact_variance(known.g, mcs.sampler(spec, dims=3), 16)
+        found = predicted(known, spec, 16)
+        assert abs(found.variance[0] - exact) <= found.error[0]
+        assert found.error[0] < 0.03 * exact
+
+    def test_latin_hypercubes(self):
+        """Every subset v of the axes by itself: those of products are known."""
+        known, n, d = known_of(product, 3), 16, 3
+        exact = mcs.exact_variance(known.g, mcs.sampler("latin-hypercube", dims=d), n)
+        found = predicted(known, "latin-hypercube", n)
+        assert abs(found.variance[0] - exact) <= found.error[0] < 0.03 * exact
+
+    def test_random_points(self):
+        a = 1.0 / (1.0 + np.arange(5.0))
+        exact = (np.prod(1.0 + a**2 / 12.0) - 1.0) / 64
+        found = predicted(known_of(product, 5), "random", 64)
+        assert abs(found.variance[0] - exact) <= found.error[0] < 0.01 * exact
+
+    def test_strata(self):
+        known = known_of(oscillating, 4)
+        exact = mcs.exact_variance(known.g, mcs.sampler("jittered", dims=4), 81)
+        found = predicted(known, "jittered", 81)
+        assert abs(found.variance[0] - exact) <= found.error[0] < 0.03 * exact
+
+    def test_jumps_that_nobody_declares(self):
+        """A jump within a cell of n adds p(1 − p) n⁻² of its square: where it is has to be known."""
+        places = np.array([0.2, 0.45, 0.71, 0.93])
+        known, n = known_of(lambda x: (x > places).sum(axis=-1), 4), 1024
+        inside = places * n % 1.0
+        exact = float((inside * (1.0 - inside)).sum()) / n**2
+        found = predicted(known, "sobol | owen", n)
+        assert found.variance[0] == pytest.approx(exact, rel=0.05)  # 1/64 of a cell, four times
+
+
+class TestReferences:
+    @pytest.mark.parametrize("spec", ["sobol | owen", "rank1-lattice | shift", "halton | shift"])
+    def test_ten_dims(self, spec):
+        known, n, sets = known_of(peaked, 10), 256, 1000
+        x = mcs.sampler(spec, dims=10).draw(n, realizations=sets, rng=5)
+        means = peaked(x).mean(axis=1)
+        fourth = ((means - means.mean()) ** 4).mean() / means.var() ** 2
+        spread = means.var(ddof=1) * math.sqrt((fourth - 1.0) / sets)
+        found = predicted(known, spec, n)
+        assert abs(found.variance[0] - means.var(ddof=1)) <= found.error[0] + 3.5 * spread
+
+    def test_what_products_miss(self):
+        """A ball has no short sum of products: the rest is a tail, and the interval knows."""
+        known = known_of(lambda x: ((x - 0.5) ** 2).sum(axis=-1) < 0.4, 5)
+        found = predicted(known, "sobol | owen", 64)
+        x = mcs.sampler("sobol | owen", dims=5).draw(64, realizations=1000, rng=5)
+        measured = known.g(x).mean(axis=1).var(ddof=1)
+        assert found.tail[0] > 0.05 * found.variance[0]
+        assert found.share[0] < 0.99
+        spread = measured * math.sqrt(2.0 / 1000)
+        assert abs(found.variance[0] - measured) <= found.error[0] + 3.5 * spread
+
+
+class TestCost:
+    def test_own_points_once(self):
+        """About 2^20 evaluations for all counts and samplers."""
+        calls = 0
+
+        def counted(x):
+            nonlocal calls
+            calls += x[..., 0].size
+            return additive(x)
+
+        known = known_of(counted, 6)
+        first = predicted(known, "sobol | owen", 64)
+        before = calls
+        assert before <= 1.1 * 2**20
+        predicted(known, "latin-hypercube", 100)
+        again = predicted(known, "sobol | owen", 64)
+        assert calls == before
+        assert again.variance == first.variance
+
+    def test_same_bits(self):
+        one, other = (
+            of_subsets(mcs.sampler("halton | owen", dims=4), 50, known_of(peaked, 4), Stream(s))
+            for s in (1, 2)
+        )
+        assert one.variance == other.variance
+        assert one.error == other.error
+
+
+class TestRefusals:
+    @pytest.mark.parametrize(
+        "spec", ["sobol", "halton", "orthogonal-array", "sobol | owen | mirror"]
+    )
+    def test_unknown_laws(self, sums, spec):
+        sampler = mcs.sampler(spec, dims=5)
+        with pytest.raises(NoClosedForm, match="No law of pairs"):
+            of_subsets(sampler, sampler.nearest_count(128), sums, STREAM)
+
+    def test_one_dim(self):
+        with pytest.raises(NoClosedForm, match="two dims"):
+            predicted(known_of(additive, 1), "random", 4)
+
+    def test_too_many_pairs(self, sums):
+        with pytest.raises(NoClosedForm, match="too many"):
+            predicted(sums, "halton | owen", 2**17)
+
+
+def test_channels():
+    """Each channel is predicted by itself."""
+
+    def both(x):
+        return np.stack([additive(x), peaked(x)], axis=-1)
+
+    known = Known(mcs.Integrand.from_function(both, dims=4, integral=np.zeros(2)))
+    found = predicted(known, "sobol | owen", 64)
+    each = [predicted(known_of(f, 4), "sobol | owen", 64) for f in (additive, peaked)]
+    for c, alone in enumerate(each):
+        assert abs(found.variance[c] - alone.variance[0]) <= alone.error[0]
