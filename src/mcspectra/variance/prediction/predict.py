@@ -55,7 +55,11 @@ def of_quadrature(sampler: Sampler, n: int, known: Known, stream: Stream) -> Pre
     """The exact variance, to the error of its quadrature; shifted strata are cheaper on the torus."""
     g, (_, steps) = known.g, parts_of(sampler)
     box = np.zeros((1, g.dims))
-    if g.dims > 1 and any(isinstance(s, Shift) for s in steps) and g.box_moments(box, box + 1) is None:
+    if (
+        g.dims > 1
+        and any(isinstance(s, Shift) for s in steps)
+        and g.box_moments(box, box + 1) is None
+    ):
         raise NoClosedForm("A quadrature for every offset of the strata would take long.")
     variance, error = of_integrand(sampler, n, known.g, _TOLERANCE)
     ones = np.ones(len(variance))
