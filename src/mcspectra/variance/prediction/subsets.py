@@ -14,7 +14,8 @@ are exact. For the others g is fitted by a sum of products Σ_r Π_i h_ri(x_i), 
     Σ_v C_v = Σ_{r,s} Π_i (μ_ri μ_si + k_i^rs(a_i, b_i)) − I²
 
 holds all subsets at once: μ are the means of the h, k the covariances that the randomisation leaves
-between them. What the fit misses is taken as white, /n, and may be off by all of itself.
+between them. What the fit misses is taken as white, /n; the interval allows for none and for twice as
+much of it, and for a correlation of a half with the fit.
 
 All is found from g at points of our own: profiles g(·, z) along each axis for many z, whose leading
 singular vectors are the basis of h_ri; least squares over scrambled nets, one axis after the other;
@@ -63,11 +64,10 @@ _STANDS_OUT, _HALVINGS = 4.0, 40  # a jump: a change so many times those beside 
 _GRADED = 0.25 ** np.arange(6.0, 0.0, -1.0)  # of the first step
 _BENT = 0.1  # a kink: a change of the slope of so much of the largest
 _CELLS = 1 << 12  # along an axis, for correlations
-_FINE = 1 << 16  # and for single axes
+_FINE, _FINEST = 1 << 14, 1 << 18  # and for single axes, where smooth and with jumps
 _TORUS = 1 << 15  # differences on the torus
 _START = 0.3  # spread of what a new product begins with
 _RESOLVED = 0.01  # relative error of curves between their nodes
-
 _MOST_WORK = 2.0**34  # pairs of points times axes times groups
 _DRAWS = 8  # of a set that is random before its shift or scramble
 _KEEP_LAW = frozenset({"owen", "digital-shift", "permute"})  # of nested scrambling
@@ -75,7 +75,7 @@ _DIGITS = 1 << 13  # cells of an axis that digits tell apart, or more where ther
 
 
 def of_subsets(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
-    """Predict the variance from parts by subsets of the axes and the law of pairs of points.
+    """Predict the variance from single axes, sums of products and the law of pairs of points.
 
     Parameters
     ----------
@@ -90,8 +90,7 @@ def of_subsets(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predic
     Returns
     -------
     Predicted
-        `share` is that of single axes and of pairs within strata; what several axes do together,
-        by the law of products, is `tail`.
+        `share` is that of single axes and of the products, `tail` what they miss.
 
     Raises
     ------
@@ -129,13 +128,16 @@ def of_subsets(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predic
             by_set.mean(axis=0)[:-1],
             by_set[:, -1].mean(),
         )
-        tail = half = p.residual / n
+        # What the fit misses: white to 100 %, and correlated with the fit by a half either way
+        tail = p.residual / n
+        half = tail + math.sqrt(max(ones[0] + more, 0.0) * tail)
         if law.latin and p.half < p.residual:  # the energy of several axes is all that counts
             joint = p.variance - float(np.sum(first[:, -1, 0]))
             tail, half = max(joint, 0.0) / max(n - 1.0, 1.0) - more, p.half / n
         value = ones[0] + more + tail
         drawn = _half(sets) if len(sets) > 1 else 0.0
-        error = math.hypot(float(_half(ones[1:])), half, drawn, _RESOLVED * value)
+        seen = p.half / p.variance if p.variance > 0.0 else 0.0  # of peaks, that few points meet
+        error = math.hypot(float(_half(ones[1:])), half, drawn, _RESOLVED * value, seen * value)
         share = max(0.0, 1.0 - p.residual / p.variance) if p.variance > 0.0 else 0.0
         found.append((value, error, share, tail))
     variance, error, share, tail = np.array(found).T
@@ -200,9 +202,10 @@ class _Law:
     def table(self, axis: int, parts: _Parts) -> tuple[Array, Array, Array]:
         """Covariances of g_i (1 + groups, differences), of pairs of h_ri, and the means of h_ri."""
         base, curves = self.bases[axis], parts.axes[axis]
-        fine = _FINE if len(curves.knots) == 2 else 4 * _FINE  # a jump is where it is
         cells = base ** self.levels[axis]
-        k = 1 if base == _TORUS else max(4, fine // cells)
+        jumps = len(curves.knots) > 2  # what is within a cell depends on where they are
+        k = max(8, min(64 * jumps, _FINEST // cells), _FINE // cells)
+        k = 1 if base == _TORUS else k
         values = curves.cells(np.concatenate([parts.main[axis], parts.factors[axis]]), cells * k)
         mean = values.mean(axis=-1, keepdims=True)
         own = len(parts.main[axis])
