@@ -17,23 +17,22 @@ from mcspectra.core.analysis import Subject
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import (
     InfiniteWeightVarianceWarning,
-    NoClosedForm,
     ParameterError,
     warn,
 )
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator, Mirrored
-from mcspectra.samplers import Random
+from mcspectra.integrands import Integrand
+from mcspectra.samplers import Random, sampler
 from mcspectra.samplers.randomizations import Mirror
 from mcspectra.spectra.bases import Basis, Coefficients, fitting_basis, make_basis
-from mcspectra.variance.quadrature import mean_square
 from mcspectra.variance.sums import Partition, Variables
 
 __all__ = ["Frequencies", "View"]
 
 _LEAST_WIDTH = 64
 _MOST_FREQUENCIES = 2**17  # of a half width that nobody chose
-_PROBES = 2**12  # points that the mean square of weights is taken at
+_PROBES = 2**14  # points that mean squares of weights, and of functions, are taken at
 
 
 @final
@@ -139,6 +138,15 @@ def _half_width(estimator: AbstractEstimator, dims: int, n: int) -> int:
     return width
 
 
+def _mean_square(g: Integrand) -> Array:
+    """∫g², (channels or 1,): in closed form, or the mean at a few points of our own."""
+    found = g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims)))
+    if found is not None:
+        return np.asarray(found[1], float).reshape(-1)
+    points = sampler("sobol | owen", g.dims).draw(_PROBES, rng=0)[0]
+    return np.asarray((np.asarray(g(points)).reshape(_PROBES, -1) ** 2).mean(axis=0))
+
+
 @dataclass(frozen=True)
 class View:
     """Domain or primary view: which integrand coefficients meet which point spectra."""
@@ -181,10 +189,7 @@ class View:
         integrands = [estimator.primary_integrand(t) for t in range(len(estimator.counts))]
         if self.space == "domain" and estimator.domain_integrand is not None:
             integrands = [estimator.domain_integrand]
-        try:
-            whole = np.stack([mean_square(g) for g in integrands], axis=1)  # (C, T)
-        except (ParameterError, NoClosedForm):
-            return np.full(len(f), math.nan), np.full(len(f), math.nan)
+        whole = np.stack([_mean_square(g) for g in integrands], axis=1)  # (C, T)
         held = f[:, : len(integrands)].sum(axis=2)
         rest = np.maximum(whole - held, 0.0)
         if self.space == "primary":
