@@ -69,7 +69,7 @@ def heuristics() -> dict[str, Curve]:
     curves = {}
     for heuristic in ("balance", "power(beta=2)", "power(beta=4)", "maximum"):
         e = mcs.MultipleImportance(f, [light, "uniform"], heuristic=heuristic)
-        values = np.array([mcs.exact_variance(e, "jittered", n) for n in LONG])
+        values = np.array([mcs.exact_variance(e, "jittered", n, tolerance=1e-2) for n in LONG])
         curves[heuristic] = Curve(np.array(LONG), values)
         rates = ", ".join(f"{s:.2f}" for s in slopes(LONG, values))
         print(f"{heuristic}: exact rates between n = 4, 16, …, 4096: {rates}")
@@ -158,7 +158,9 @@ def defensive(f: Any, p: Any) -> dict[str, Curve]:
     for name, e in ways.items():
         cost = sum(e.counts)
         counts = np.array([16, 64, 256, 1024] if cost == 1 else [2, 7, 26, 102])
-        values = np.array([mcs.exact_variance(e, "jittered", int(n)) for n in counts])
+        values = np.array(
+            [mcs.exact_variance(e, "jittered", int(n), tolerance=1e-2) for n in counts]
+        )
         curves[name] = Curve(cost * counts, values)
         print(f"{name}: exact variance {values[-1]:.2e} at {cost * counts[-1]} evaluations, "
               f"rate {slopes(counts, values)[-1]:.2f} before")  # fmt: skip

@@ -78,7 +78,7 @@ def test_intervals_hold_their_estimates():
 
 
 def _rate(estimator, sampler, low, high):
-    a, b = (mcs.exact_variance(estimator, sampler, n) for n in (low, high))
+    a, b = (mcs.exact_variance(estimator, sampler, n, tolerance=1e-2) for n in (low, high))
     return np.log(b / a) / np.log(high / low)
 
 
@@ -99,8 +99,8 @@ def test_the_power_heuristic_only_delays_the_slow_technique(beta):
     cuts = np.array([0.3, 0.5]) * n % 1
     jumps = np.array([1.3, 1.5]) / (1 + 5.0**beta)
     expected = float((cuts * (1 - cuts) * jumps**2).sum()) / n**2
-    variance = mcs.exact_variance(e, "jittered", n)
-    rest = mcs.exact_variance(_light_edge("maximum"), "jittered", n)
+    variance = mcs.exact_variance(e, "jittered", n, tolerance=1e-2)
+    rest = mcs.exact_variance(_light_edge("maximum"), "jittered", n, tolerance=1e-2)
     assert variance == pytest.approx(expected + rest, rel=0.05)
     assert _rate(e, "jittered", 4, 16) > (-2.5 if beta < 4 else -3.1)
     assert _rate(_light_edge("maximum"), "jittered", 4, 16) == pytest.approx(-3.0, abs=1e-6)

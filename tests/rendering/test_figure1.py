@@ -14,7 +14,7 @@ from mcspectra.rendering import named_pixels, pixel_strategies
 pytestmark = [pytest.mark.render, pytest.mark.slow]
 
 COUNTS = tuple(side**2 for side in (8, 11, 16, 23, 32, 45, 64))
-REALIZATIONS = 250
+REALIZATIONS = 400
 CURVES = [(name, strategy) for name in "PQ" for strategy in ("light", "bsdf")]
 SAMPLERS = ["jittered", "jittered | shift"]
 # Šidák: all eight hold together with a probability of 99 %.

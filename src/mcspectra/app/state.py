@@ -114,7 +114,7 @@ class Setup:
     realizations: int = whole(1024, least=2, most=_MOST_REALIZATIONS)
     seed: int = whole(0, least=0, most=_MOST_SEED)
     basis: str = _option("basis")
-    half_width: int = checked(_as_half_width, _KNOWN["half_width"].default, using="dims")
+    half_width: int = checked(_as_half_width, 64, using="dims")
     frequency_step: float = _option("frequency_step")
     space: str | None = _option("space")
     bands: str = _option("bands")

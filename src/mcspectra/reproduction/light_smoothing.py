@@ -29,7 +29,7 @@ BUDGETS = (64, 256, 1024)
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Measure a pixel under a light with a sharp and a smooth edge, a ramp, and a smoothed disk."""
     pixels = {name: _pixel(edge) for name, edge in _EDGES.items()}
-    options: dict[str, Any] = {"realizations": 80 if quick else 800, "rng": seed}
+    options: dict[str, Any] = {"realizations": 240 if quick else 800, "rng": seed}
     found = mcs.convergence(list(pixels.values()), "jittered", _COUNTS, **options)
     curves = {name: found.isel(estimator=i) for i, name in enumerate(pixels)}
     options["realizations"] = 300 if quick else 3000

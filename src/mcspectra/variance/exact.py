@@ -78,6 +78,7 @@ if TYPE_CHECKING:
 __all__ = ["Exact", "estimated_variance", "exact_variance", "level_variances", "of_integrand"]
 
 _TOLERANCE = 1e-6
+_NEGLIGIBLE = 1e-9  # of ∫g²/n: an error that no use of the variance is worse for
 _SAFETY = 3.0  # times the difference of two orders: more than the error of the better one
 _KEEP_LAW = frozenset({"digital-shift", "permute"})  # of nested scrambling, too
 _LATIN = ("latin-hypercube", "n-rooks")
@@ -231,6 +232,7 @@ def of_integrand(sampler: Sampler, n: int, g: Integrand, tolerance: float) -> tu
     if agree.all():
         return high, error
     square = mean_square(g)
+    agree |= error <= _NEGLIGIBLE * np.max(square) / n
     if sampler.unbiased:  # one point next to the pole outweighs all others
         high = np.where(np.isinf(square), np.inf, high)
     # Σ (mean g² − (mean g)²)/n is rounded by some 1e-15 of ∫g²/n: all there is if it vanishes.
@@ -242,7 +244,7 @@ def of_integrand(sampler: Sampler, n: int, g: Integrand, tolerance: float) -> tu
             f"{np.max(high):.6g}, error {np.max(error):.2g}); use convergence or variance_terms, or "
             "a larger tolerance."
         )
-    vanishes = ~agree & np.isfinite(high) & (np.maximum(low, high) <= rounding)
+    vanishes = np.isfinite(high) & (np.maximum(low, high) <= rounding)
     return np.where(vanishes, 0.0, high), np.where(np.isinf(high), 0.0, error)
 
 

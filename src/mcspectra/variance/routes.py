@@ -71,6 +71,7 @@ _PAIRS = 2**16  # at once
 _GRID = {1: 2**15, 2: 2**10}  # points of an axis where the autocorrelation is sampled
 _MOST_POINTS = 2**17
 _TOLERANCE = 1e-6
+_AGREE = 1e-5  # relative error of exact variances in the table
 _ROUNDING = 4e-15
 _MOVES = frozenset({"shift", "strata-shift", "shuffle"})  # keep the differences of points
 _SAMPLED = "power from realisations"
@@ -126,7 +127,7 @@ class Routes(Analysis, frozen=True, kw_only=True):
             try:
                 match _APART[index]:
                     case "exact":
-                        value = exact_variance(estimator, subject.sampler, n)
+                        value = exact_variance(estimator, subject.sampler, n, tolerance=_AGREE)
                         return row(value, 0.0, 1.0, "quadrature over strata or levels")
                     case "pairs":
                         found = variance_from_pair_correlation(
