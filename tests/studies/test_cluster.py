@@ -13,6 +13,7 @@ import dask
 import distributed
 import psutil
 import pytest
+from tests.studies.local_cluster import local_cluster
 
 from mcspectra.core.errors import ParameterError
 from mcspectra.studies.executors import Cluster, ClusterError, ClusterLost, Dask
@@ -50,9 +51,7 @@ def cluster():
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 0}),
         dask.config.set({"distributed.deploy.lost-worker-timeout": 1e9}),  # nannies stay
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=60
-        ) as cluster,
+        local_cluster(2) as cluster,
     ):
         yield cluster
 

@@ -8,8 +8,8 @@ import subprocess
 import sys
 import time
 
-import distributed
 import pytest
+from tests.studies.local_cluster import local_cluster
 
 from mcspectra.cli.main import main
 from mcspectra.core.errors import StoreError
@@ -47,9 +47,7 @@ def expected(tmp_path_factory, stored_values):
 
 @pytest.fixture(scope="module")
 def cluster():
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=60
-    ) as cluster:
+    with local_cluster(1) as cluster:
         yield cluster
 
 

@@ -141,7 +141,7 @@ def test_thousands_of_names_that_begin_alike_are_named_at_once():
 def test_the_tour_is_a_valid_study():
     plan = make_plan(read_study("tour"), study_file("tour").parent)
     kinds = {cell.analysis_name for cell in plan.cells}
-    assert kinds == {"convergence", "terms", "spectrum", "points"}
+    assert kinds == {"convergence", "terms", "predict", "spectrum", "points"}
 
 
 def test_unreadable_study_files(tmp_path):
