@@ -64,6 +64,9 @@ from .variance.prediction.rates import fitted_decay as fitted_decay
 from .variance.prediction.rates import integrand_decay as integrand_decay
 from .variance.prediction.rates import predicted_rate as predicted_rate
 from .variance.primary import primary_picture as primary_picture
+from .variance.profiling.causes import Cause as Cause
+from .variance.profiling.profile import Profile as Profile
+from .variance.profiling.profile import profile as profile
 from .variance.remedies import remedies as remedies
 from .variance.routes import variance_from_pair_correlation as variance_from_pair_correlation
 from .variance.routes import variance_routes as variance_routes
@@ -74,6 +77,7 @@ from .variance.variants import smoothing_scan as smoothing_scan
 from .version import __version__ as __version__
 
 __all__ = [
+    "Cause",
     "ChannelSampling",
     "DecayFit",
     "Density",
@@ -84,6 +88,7 @@ __all__ = [
     "MultipleImportance",
     "NoClosedForm",
     "OneSampleMIS",
+    "Profile",
     "Randomization",
     "Sampler",
     "TechniqueSum",
@@ -121,6 +126,7 @@ __all__ = [
     "predict",
     "predicted_rate",
     "primary_picture",
+    "profile",
     "progress_bars",
     "quality",
     "quality_figures",

@@ -43,6 +43,7 @@ SMALL = {
     "anova-spectrum": ({"n": 8, "frequencies": 32}, "gaussian", "random", ["anova"]),
     "predict": ({"counts": (4, 16)}, "gaussian", "jittered", ["prediction"]),
     "plan": ({"target_error": 0.02}, "gaussian", "jittered", ["prediction"]),
+    "profile": ({"budget": 1024}, "gaussian", "random", ["profile"]),
     "exact": ({"counts": (4, 16)}, "gaussian", "jittered", ["exact"]),
     "remedies": (
         {"budget": 64, "realizations": 100, "kinds": ("sampler",)},

@@ -30,6 +30,7 @@ QUICK = {
     "anova-spectrum": ({"n": 8, "frequencies": 32}, "gaussian", "random"),
     "predict": ({"counts": (4, 16)}, "gaussian", "jittered"),
     "plan": ({"target_error": 0.02}, "gaussian", "jittered"),
+    "profile": ({"budget": 1024}, "gaussian", "random"),
     "exact": ({"counts": (4, 16)}, "gaussian", "jittered"),
     "remedies": (
         {"budget": 64, "realizations": 100, "kinds": ("sampler",)},

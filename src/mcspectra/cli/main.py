@@ -47,6 +47,7 @@ _MODULES = {
         "exact": "exact variance, where there is a closed form",
         "predict": "variance and rate at every n, predicted without samples of f",
         "plan": "the least number of points for an error, predicted",
+        "profile": "what the noise is, why, and what to do, within a budget",
         "anova": "which axes the variance comes from, effective dimension",
         "modes": "which patterns of frequencies vary together",
         "routes": "variance by every route that is known, side by side",

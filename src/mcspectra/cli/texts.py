@@ -335,6 +335,12 @@ def exact(result: xr.Dataset) -> Answer:
     return _shown(f"exact variance of {_title(result)}", table, _note(result))
 
 
+@_view("profile")
+def profiled(result: xr.Dataset) -> Answer:
+    """Prints what to do, the causes with their evidence, and what each sampler would leave."""
+    return Answer(result.attrs["text"], {"causes": json.loads(result.attrs["causes"])})
+
+
 @_view("plan")
 def planned(result: xr.Dataset) -> Answer:
     """Prints the least n for the error, and the predicted errors at other n."""

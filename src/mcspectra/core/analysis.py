@@ -223,6 +223,7 @@ ANALYSES = Registry(
         "exact": "mcspectra.variance.exact:Exact",
         "predict": "mcspectra.variance.prediction.predict:Prediction",
         "plan": "mcspectra.variance.prediction.plan:Plan",
+        "profile": "mcspectra.variance.profiling.profile:Profiling",
         "remedies": "mcspectra.variance.remedies:Remedies",
         "modes": "mcspectra.variance.modes:Modes",
         "routes": "mcspectra.variance.routes:Routes",

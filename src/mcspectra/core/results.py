@@ -139,6 +139,8 @@ power_term | f | f² | n? | power term Σ_{m≠0} |f_m|² C_mm
 predicted_rate | f | 1 | | exponent of the predicted variance in n; random sampling: −1
 predicted_variance | f | f² | n? | predicted variance
 radial_power | f | 1 | radius | expected power, mean over directions
+calls | i | 1 | | evaluations of the integrand that were made
+integral | f | f | | estimate of the integral
 rate | f | 1 | remedy? strategy? y? x? | fitted exponent of variance in n; random sampling: −1
 reached | i | 1 | n? | whether the wanted precision was reached (1: yes)
 realizations_used | i | 1 | n? | realisations used

@@ -66,6 +66,7 @@ KINDS: Mapping[str, Kind] = {
     "techniques": Kind(variance.techniques, ("technique_covariance", "technique_variance_ci")),
     "technique-rates": Kind(variance.technique_rates, ("n", "technique_variance", "technique_rate", "rate_ci")),
     "anova": Kind(variance.anova, ("anova_variance", "anova_variance_se", "subset_label")),
+    "profile": Kind(variance.profile, ("n", "variance", "variance_ci", "integral")),
     "exact": Kind(variance.exact, ("n", "exact_variance")),
     "prediction": Kind(variance.prediction, ("n", "predicted_variance", "predicted_variance_ci")),
     "routes": Kind(variance.routes, ("route_variance", "route_variance_ci", "energy_share")),

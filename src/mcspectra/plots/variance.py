@@ -142,6 +142,12 @@ def prediction(group: Group, styles: Styles) -> Plot:
     return _known_curves(group, styles, "prediction", "predicted variance", caption)
 
 
+def profile(group: Group, styles: Styles) -> Plot:
+    """Variances of all samplers that a profile looked at, with their 95 % intervals."""
+    caption = "Variance against the number of points, with 95 % intervals."
+    return _known_curves(group, styles, "profile", "variance", caption)
+
+
 def _known_curves(group: Group, styles: Styles, kind: str, what: str, caption: str) -> Plot:
     """Variances that were not measured, against n."""
     variable = what.replace(" ", "_")

@@ -1,0 +1,1 @@
+"""One call for what is wrong with an estimator, why, and what to do: `profile.py` tells how."""

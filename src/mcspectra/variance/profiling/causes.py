@@ -1,0 +1,367 @@
+"""What can be wrong with an estimator: each cause has a detector, evidence in numbers and a sentence.
+
+Detectors look at what was evaluated (`Evidence`), evaluate nothing, and return a `Cause` or None.
+`CAUSES` has them in the order of what hurts most; what is found is listed in that order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import DensityError
+from mcspectra.estimators import AbstractEstimator, Moments
+from mcspectra.samplers import Sampler, Shift
+from mcspectra.spectra.bases import parts_of
+from mcspectra.variance.profiling.lines import Lines
+from mcspectra.variance.profiling.samples import NETS, Curve, Sets
+
+__all__ = ["CAUSES", "Cause", "Evidence", "Name", "causes_of"]
+
+Name: TypeAlias = Literal[
+    "wrong-pdf",
+    "infinite-variance",
+    "heavy-tail",
+    "deterministic-set",
+    "few-realizations",
+    "slow-technique",
+    "interior-jump",
+    "axis-parallel-jump",
+    "border-jump",
+    "border-growth",
+    "high-dimension",
+    "kink",
+    "float-drift",
+    "correlated-replicates",
+    "stuck-chain",
+    "none",
+]
+
+_HALF = 0.5  # exponent of a pole, and tail index, from which on the variance is infinite
+_GROWS = 0.08  # exponent at the border
+_HEAVY = 30.0  # kurtosis
+_LARGE = 0.2  # of all squares, by one value
+_FEW = 0.05  # of the values, that make nine tenths of the variance
+_ALIKE = 0.05  # of all evaluations, as different values: a function in steps
+_SAME = 2e-3  # along lines, of places that are the same
+_MOST_DIMENSION = 1.8
+_LITTLE_GAIN = 8.0  # by nets, over random points
+_OPPOSITE = 1e-3  # of the variance, by what g differs between faces
+
+
+@final
+@dataclass(frozen=True)
+class Cause:
+    """What was found.
+
+    Attributes
+    ----------
+    name
+        One of `Name`.
+    sentence
+        What it is and what it does, with its numbers.
+    evidence
+        The numbers, by name.
+    kinds
+        Kinds of remedies that answer it (`mcspectra.variance.counterfactuals.KINDS`).
+    """
+
+    name: Name
+    sentence: str
+    evidence: Mapping[str, float] = field(default_factory=dict)
+    kinds: tuple[str, ...] = ()
+
+
+@final
+@dataclass(frozen=True)
+class Evidence:
+    """What was looked at.
+
+    Attributes
+    ----------
+    estimator, sampler
+        What was given.
+    sets
+        Evaluations at scrambled nets.
+    curves
+        Variances of samplers.
+    lines
+        Of each technique.
+    mean_dimension
+        Of g, NaN where it was not looked for.
+    """
+
+    estimator: AbstractEstimator
+    sampler: Sampler
+    sets: Sets
+    curves: Mapping[str, Curve]
+    lines: tuple[Lines, ...]
+    mean_dimension: float = math.nan
+
+    @property
+    def scale(self) -> float:
+        """Spread of g."""
+        return math.sqrt(float(self.sets.pooled.var()))
+
+    @property
+    def wraps(self) -> bool:
+        """Whether the sampler shifts points around the torus."""
+        return any(isinstance(step, Shift) for step in parts_of(self.sampler)[1])
+
+    def each(self, name: str) -> Array:
+        """An attribute of all lines."""
+        return np.concatenate([getattr(lines, name) for lines in self.lines])
+
+
+def _wrong_pdf(seen: Evidence) -> Cause | None:
+    for density in getattr(seen.estimator, "densities", None) or [
+        getattr(seen.estimator, "density", None)
+    ]:
+        try:
+            if density is not None:
+                density.check()
+        except DensityError as error:
+            return Cause("wrong-pdf", f"{error} Every estimate is biased by it.")
+    return None
+
+
+def _infinite_variance(seen: Evidence) -> Cause | None:
+    growth = seen.each("growth")
+    border = float(np.nanmax(growth, initial=0.0))
+    if border >= _HALF - 0.02:
+        return Cause(
+            "infinite-variance",
+            f"g grows as t^−{border:.2f} at the border, and from t^−½ on ∫g² is infinite: errors fall "
+            "more slowly than n^−½ and no interval holds.",
+            {"exponent": border},
+            ("fitted", "warp"),
+        )
+    exponent = seen.each("exponent")
+    poles = np.concatenate([lines.poles() for lines in seen.lines])
+    order = -float(np.median(exponent[poles])) if poles.any() else 0.0
+    if order >= _HALF - 0.08:
+        return Cause(
+            "infinite-variance",
+            f"g has a pole of order {order:.2f} inside, and from ½ on ∫g² is infinite: errors fall more "
+            "slowly than n^−½ and no interval holds.",
+            {"exponent": order},
+            ("fitted", "warp"),
+        )
+    if seen.estimator.infinite_weights and _tail(seen)[1] > _HALF:
+        return Cause(
+            "infinite-variance",
+            f"1/p has no bound, and the tail index of the estimates is {_tail(seen)[1]:.2f}: from ½ on "
+            "the variance is infinite.",
+            {"tail_index": _tail(seen)[1]},
+            ("warp", "fitted"),
+        )
+    return None
+
+
+def _tail(seen: Evidence) -> tuple[float, float, float]:
+    """Share of the largest square, tail index and kurtosis of the values of g."""
+    values = seen.sets.pooled
+    squares = (values - values.mean()) ** 2
+    total = float(squares.sum())
+    if total == 0.0:
+        return 0.0, 0.0, 3.0
+    index = float(Moments.of(values, tails=True).tail_index)
+    return float(squares.max()) / total, index, float((squares**2).mean() / squares.mean() ** 2)
+
+
+def _heavy_tail(seen: Evidence) -> Cause | None:
+    share, index, kurtosis = _tail(seen)
+    poles = np.concatenate([lines.poles() for lines in seen.lines])
+    few = _sorted_share(seen.sets.pooled)
+    if not (share > _LARGE or (kurtosis > _HEAVY and few < _FEW) or poles.any()):
+        return None
+    pole = "g has a pole inside. " if poles.any() else ""
+    return Cause(
+        "heavy-tail",
+        f"{pole}Few evaluations make the variance: {100 * few:.2g} % of them hold nine tenths of it (kurtosis "
+        f"{kurtosis:.3g}, tail index {index:.2f}), so that most sets miss what matters.",
+        {"largest_share": share, "tail_index": index, "kurtosis": kurtosis, "nine_tenths": few},
+        ("fitted", "warp"),
+    )
+
+
+def _sorted_share(values: Array) -> float:
+    """Share of the values that make nine tenths of the variance."""
+    squares = np.sort((values - values.mean()) ** 2)[::-1].cumsum()
+    return float(np.searchsorted(squares, 0.9 * squares[-1]) + 1) / len(values)
+
+
+def _deterministic(seen: Evidence) -> Cause | None:
+    sampler = seen.sampler
+    if not seen.estimator.randomized(sampler).fixed:
+        return None
+    return Cause(
+        "deterministic-set",
+        f"{sampler.spec} is the same set every time: its error is a bias that no spread shows. Add owen "
+        "or shift.",
+        {},
+        ("sampler",),
+    )
+
+
+def _slow_technique(seen: Evidence) -> Cause | None:
+    curves = seen.sets.technique_curves()
+    if len(curves) < 2:
+        return None
+    n = seen.sets.n
+    parts = np.array([curve.at(n)[0] for curve in curves])
+    worst = int(np.argmax(parts))
+    share = float(parts[worst] / parts.sum()) if parts.sum() > 0 else 0.0
+    others = [curve for t, curve in enumerate(curves) if t != worst]
+    slower = all(
+        curves[worst].rate - c.rate > 2 * math.hypot(curves[worst].rate_se, c.rate_se)
+        for c in others
+    )
+    if share < 0.8 and not (slower and share > 0.5):
+        return None
+    name = getattr(seen.estimator, "technique_name", lambda t: f"technique {t}")(worst)
+    return Cause(
+        "slow-technique",
+        f"{name} makes {100 * share:.0f} % of the variance at n = {n} with {NETS}, and its rate is "
+        f"{curves[worst].rate:.2f}.",
+        {"share": share, "technique": float(worst), "rate": curves[worst].rate},
+        ("heuristic", "techniques", "warp"),
+    )
+
+
+def _jumps(seen: Evidence) -> Cause | None:
+    meets = np.concatenate([lines.jumps(seen.scale) for lines in seen.lines])
+    axis, place, height = (seen.each(name) for name in ("axis", "place", "height"))
+    alike = len(np.unique(seen.sets.pooled))
+    if not meets.any():
+        if not 1 < alike <= _ALIKE * seen.sets.pooled.size:
+            return None
+        return Cause(
+            "interior-jump",
+            f"g takes {alike} values only, so that it jumps, though no line that was looked at met it.",
+            {"values": float(alike)},
+            ("preintegrated", "smoothed"),
+        )
+    size = float(np.median(height[meets])) / max(seen.scale, 1e-300)
+    share = float(meets.mean())
+    straight = []
+    for i in range(seen.sets.dims):
+        own = meets & (axis == i)
+        if own.any():
+            straight.append(own.sum() > 1 and _clustered(place[own]))
+    evidence = {"met_by": share, "height": size}
+    met = f"{100 * share:.0f} % of all lines through the cube meet a jump of g, by {size:.2g} of its spread"
+    if straight and all(straight):
+        return Cause(
+            "axis-parallel-jump",
+            f"{met}, always across planes normal to an axis: a border of strata there takes it away.",
+            evidence,
+            ("aligned", "smoothed", "preintegrated"),
+        )
+    return Cause(
+        "interior-jump",
+        f"{met}: strata that it crosses keep their noise, and the rate of stratified points goes no "
+        "further than n^−(1+1/d).",
+        evidence,
+        ("preintegrated", "smoothed", "aligned"),
+    )
+
+
+def _clustered(places: Array) -> bool:
+    """Whether most places along parallel lines are shared by several lines."""
+    near = np.abs(places[:, None] - places) < _SAME
+    return bool((near.sum(axis=1) > 1).mean() > 0.7)
+
+
+def _border_jump(seen: Evidence) -> Cause | None:
+    if not seen.wraps:
+        return None
+    ends = seen.each("ends")
+    ends = ends[np.isfinite(ends)]
+    size = float(np.mean(ends**2)) / max(seen.scale, 1e-300) ** 2 if ends.size else 0.0
+    if not size > _OPPOSITE:
+        return None
+    return Cause(
+        "border-jump",
+        f"g differs between opposite faces by {math.sqrt(size):.2g} of its spread, and "
+        f"{seen.sampler.spec} wraps around: to it g jumps there.",
+        {"difference": math.sqrt(size)},
+        ("unshifted", "mirrored", "sampler"),
+    )
+
+
+def _border_growth(seen: Evidence) -> Cause | None:
+    border = float(np.nanmax(seen.each("growth"), initial=0.0))
+    if not _GROWS < border < _HALF - 0.02:
+        return None
+    return Cause(
+        "border-growth",
+        f"g grows without bound at the border, about as t^−{border:.2f}: the outermost strata keep noise "
+        "that no refinement inside removes.",
+        {"exponent": border},
+        ("fitted", "warp"),
+    )
+
+
+def _high_dimension(seen: Evidence) -> Cause | None:
+    d = seen.sets.dims
+    if d < 4:
+        return None
+    n = seen.sets.n
+    nets, random = seen.curves[NETS], seen.curves["random"]
+    mean = seen.mean_dimension
+    gain = random.at(n)[0] / max(nets.at(n)[0], 1e-300)
+    if gain > _LITTLE_GAIN or not mean > _MOST_DIMENSION:
+        return None
+    return Cause(
+        "high-dimension",
+        f"g varies with about {mean:.1f} of its {d} dims at once, which {n} points cannot fill: the best "
+        f"sets have {gain:.2g} times less variance than random points.",
+        {"mean_dimension": mean, "gain": gain},
+        ("order", "preintegrated", "regression"),
+    )
+
+
+def _kink(seen: Evidence) -> Cause | None:
+    kinks = np.concatenate([lines.kinks() for lines in seen.lines])
+    if not kinks.any():
+        return None
+    return Cause(
+        "kink",
+        f"{100 * kinks.mean():.0f} % of all lines through the cube meet a kink of g: it is continuous, but "
+        "sets gain less from smoothness than they could.",
+        {"met_by": float(kinks.mean())},
+        ("smoothed", "preintegrated"),
+    )
+
+
+CAUSES: tuple[Callable[[Evidence], Cause | None], ...] = (
+    _wrong_pdf,
+    _infinite_variance,
+    _deterministic,
+    _slow_technique,
+    _heavy_tail,
+    _jumps,
+    _border_jump,
+    _border_growth,
+    _high_dimension,
+    _kink,
+)
+"""All detectors."""
+
+
+def causes_of(seen: Evidence) -> list[Cause]:
+    """All causes that are found, at least one: `none` where nothing is."""
+    found = [cause for detect in CAUSES if (cause := detect(seen)) is not None]
+    names = {cause.name for cause in found}
+    # What is left of a tail is said by its cause
+    if names & {"infinite-variance", "border-growth"}:
+        found = [c for c in found if c.name != "heavy-tail"]
+    return found or [
+        Cause("none", "Nothing was found that costs precision: g is smooth, and its sets show it.")
+    ]

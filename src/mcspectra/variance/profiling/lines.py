@@ -1,0 +1,183 @@
+"""What is rough about a function: along lines, zoomed in on where it bends most.
+
+A line is looked at in equal steps. Where the second difference is largest the steps are halved, two
+evaluations each time: it shrinks with the square of the step where the function is smooth, with the
+step at a kink, not at all at a jump, and grows at a pole. Towards the ends of lines along the axes steps
+shrink faster: the slope of log |g| there is how fast g grows at the border.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+
+__all__ = ["Lines", "lines_of", "mean_dimension"]
+
+STEPS = 16  # of a line, before it is zoomed
+HALVINGS = 12
+_LATE = 6  # halvings that an exponent is fitted to
+_POLE, _JUMP, _KINK = -0.15, 0.4, 1.6  # exponents below which there is one
+_NEGLIGIBLE = 1e-9  # of the spread of g: rounding
+_ENDS = 2.0 ** -np.array([4.0, 12.0, 20.0, 30.0, 40.0])
+
+LINE = STEPS + 2 * HALVINGS + 2 * len(_ENDS)
+"""Evaluations of a line along an axis."""
+
+CHORD = STEPS + 2 * HALVINGS
+"""Evaluations of any other line."""
+
+Function = Callable[[Array], Array]
+
+
+@final
+@dataclass(frozen=True)
+class Lines:
+    """What was seen on K lines.
+
+    Attributes
+    ----------
+    axis
+        Which axis each runs along, −1 for chords: (K,).
+    exponent
+        Of the step, in the second difference about the roughest place: (K,).
+    place
+        Where that is, (K,), from 0 to 1 along the line.
+    height
+        Change of g there: (K,).
+    growth
+        Exponents a of g ~ t^−a at both ends of lines along axes, 0 where it does not grow: (K, 2); NaN of
+        chords.
+    ends
+        Difference of g between both ends: (K,); NaN of chords.
+    """
+
+    axis: Array
+    exponent: Array
+    place: Array
+    height: Array
+    growth: Array
+    ends: Array
+
+    def jumps(self, scale: float) -> Array:
+        """Which lines meet a jump that matters beside this spread of g, and nothing worse."""
+        between = (self.exponent >= _POLE) & (self.exponent < _JUMP)
+        return np.asarray(between & (self.height > 1e-4 * scale))
+
+    def poles(self) -> Array:
+        """Which lines meet a pole."""
+        return np.asarray(self.exponent < _POLE)
+
+    def kinks(self) -> Array:
+        """Which lines have nothing rougher than a kink, and have one."""
+        return np.asarray((self.exponent >= _JUMP) & (self.exponent < _KINK))
+
+
+def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator) -> Lines:
+    """Look at lines along axes in turn and, in several dims, as many chords.
+
+    Parameters
+    ----------
+    g
+        Points (k, d) to values (k,).
+    dims
+        d.
+    evaluations
+        At most.
+    """
+    pairs = evaluations // (LINE + (CHORD if dims > 1 else 0))
+    if not pairs:
+        none = np.empty(0)
+        return Lines(none.astype(int), none, none, none, np.empty((0, 2)), none)
+    order = np.concatenate([rng.permutation(dims) for _ in range(pairs // dims + 1)])[:pairs]
+    axis = np.concatenate([order, np.full(pairs if dims > 1 else 0, -1)]).astype(int)
+    start, way = rng.random((len(axis), dims)), np.zeros((len(axis), dims))
+    for k, i in enumerate(axis):
+        if i >= 0:
+            start[k, i], way[k, i] = 0.0, 1.0
+        else:  # through a point, in any direction, from face to face
+            direction = rng.standard_normal(dims)
+            with np.errstate(divide="ignore"):
+                near, far = np.sort([-start[k] / direction, (1 - start[k]) / direction], axis=0)
+            start[k], way[k] = (
+                start[k] + near.max() * direction,
+                (far.min() - near.max()) * direction,
+            )
+
+    def at(t: Array) -> Array:
+        """Values at places (K, m) along the lines."""
+        x = np.clip(start[:, None] + t[..., None] * way[:, None], 0.0, np.nextafter(1.0, 0.0))
+        return g(x.reshape(-1, dims)).reshape(t.shape)
+
+    # Equal steps, at an offset of the line's own
+    t = (np.arange(STEPS) + rng.uniform(0.2, 0.8, (len(axis), 1))) / STEPS
+    y = at(t)
+    spread = y.var(axis=1)
+    rows = np.arange(len(axis))
+
+    # Halve the steps about the largest second difference
+    step = 1.0 / STEPS
+    middle = 1 + np.argmax(np.abs(np.diff(y, 2, axis=1)), axis=1)
+    window, values = (a[rows[:, None], middle[:, None] + (-1, 0, 1)] for a in (t, y))
+    sizes = [np.abs(np.diff(values, 2, axis=1))[:, 0]]
+    for _ in range(HALVINGS):
+        between = 0.5 * (window[:, 1:] + window[:, :-1])
+        new = at(between)
+        five = np.stack([window[:, 0], between[:, 0], window[:, 1], between[:, 1], window[:, 2]], 1)
+        y5 = np.stack([values[:, 0], new[:, 0], values[:, 1], new[:, 1], values[:, 2]], 1)
+        second = np.abs(np.diff(y5, 2, axis=1))
+        chosen = np.argmax(second, axis=1)
+        sizes.append(second[rows, chosen])
+        pick = chosen[:, None] + np.arange(3)
+        window, values = five[rows[:, None], pick], y5[rows[:, None], pick]
+        step *= 0.5
+    size = np.array(sizes)[-_LATE - 1 :]
+    scale = max(float(np.sqrt(spread.mean())), 1e-300)
+    rough = size[-1] > _NEGLIGIBLE * scale
+    slope = -np.polyfit(np.arange(_LATE + 1), np.log2(np.maximum(size, 1e-300)), 1)[0]
+    exponent = np.where(rough, slope, 2.0)
+
+    # The ends of lines along the axes; what grows there grows all the way, and beyond what is usual
+    usual = np.abs(y).max()
+    growth, ends = np.full((len(axis), 2), np.nan), np.full(len(axis), np.nan)
+    straight = axis >= 0
+    if straight.any():
+        keep = start, way
+        start, way = start[straight], way[straight]
+        near = np.broadcast_to(_ENDS, (len(start), len(_ENDS)))
+        low, high = at(near), at(1.0 - near)
+        start, way = keep
+        for side, found in enumerate((low, high)):
+            size = np.maximum(np.abs(found), 1e-300)
+            slope = np.log(size[:, -1] / size[:, -2]) / math.log(_ENDS[-2] / _ENDS[-1])
+            grows = (np.diff(size, axis=1) > 0).all(axis=1) & (size[:, -1] > usual)
+            growth[straight, side] = np.where(grows, slope, 0.0)
+        ends[straight] = high[:, 0] - low[:, 0]
+    return Lines(
+        axis=axis,
+        exponent=exponent,
+        place=window[:, 1],
+        height=np.abs(np.diff(values, axis=1)).max(axis=1),
+        growth=growth,
+        ends=ends,
+    )
+
+
+def mean_dimension(g: Function, points: Array, values: Array, rng: np.random.Generator) -> float:
+    """Mean dimension Σ_i T_i/Var g: half the mean squared change where one coordinate is drawn again.
+
+    Evaluates g at d places beside each of the points (k, d), at which it has these values (k,).
+    """
+    k, d = points.shape
+    total = 0.0
+    for i in range(d):
+        moved = points.copy()
+        moved[:, i] = rng.random(k)
+        total += 0.5 * float(((g(moved) - values) ** 2).mean())
+    variance = float(values.var(ddof=1))
+    return total / variance if variance > 0.0 else math.nan

@@ -1,0 +1,501 @@
+"""One call: what an estimator's noise is, why, and what to do, within a budget of evaluations.
+
+Half of the budget or more goes to scrambled nets, which tell the variance of several samplers at once
+(`samples`), a quarter to lines that show what is rough (`lines`), the rest to the sampler that is
+given, where the nets do not tell of it. From these the causes are read (`causes`).
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Annotated, Any, final
+
+import numpy as np
+from msgspec import Meta
+
+from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, whole
+from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.errors import CountError, McspectraError, NoClosedForm, ParameterError
+from mcspectra.core.images import REC709
+from mcspectra.core.memory import memory_of
+from mcspectra.core.results import dataset, strict_json
+from mcspectra.core.streams import RngLike, Stream
+from mcspectra.estimators import AbstractEstimator, Estimator, Moments, as_estimator
+from mcspectra.estimators.moments import variance_interval
+from mcspectra.integrands.base import FunctionIntegrand
+from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.variance.counterfactuals import Setup, affordable_count
+from mcspectra.variance.doors import counted
+from mcspectra.variance.profiling.causes import Cause, Evidence, causes_of
+from mcspectra.variance.profiling.lines import Lines, lines_of, mean_dimension
+from mcspectra.variance.profiling.samples import NETS, Curve, Sets, curve_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Change", "Profile", "Profiling", "profile"]
+
+_LEAST = 256  # evaluations
+_NETS = 20  # at least; fewer tell little of errors
+_LINES, _GIVEN = 0.25, 0.25  # of the budget
+_GIVEN_COUNTS = 5
+_MANY = 4  # dims, from which on it matters how many g varies with at once
+_SIGMA = 1.959963984540054
+
+
+@final
+class Profiling(Analysis, frozen=True, kw_only=True):
+    """What an estimator's noise is, why, and what to do."""
+
+    function = "profile"
+    verb = "profile"
+    variables = ("variance", "variance_ci", "rate", "rate_ci", "integral", "integral_ci", "calls")
+    provenance = ("estimator", "stream_key")
+
+    budget: Annotated[
+        int,
+        Meta(
+            ge=_LEAST,
+            le=2**30,
+            description="Evaluations of the integrand, at most and in all.",
+            extra={"metavar": "B"},
+        ),
+    ] = 4096
+
+    def need(self, subject: Subject) -> Need:
+        """The budget is enough for a few points of several nets; techniques have sets of their own."""
+        estimator = subject.estimator
+        if not isinstance(estimator, AbstractEstimator):
+            raise ParameterError("profile takes one estimator at a time.")
+        try:
+            estimator.check_independent()
+        except NoClosedForm as error:
+            raise ParameterError(
+                f"profile needs techniques with sets of their own: {error}"
+            ) from None
+        _shares(estimator, self.budget, apart=_is_apart(subject.sampler))
+        memory = memory_of(self.budget, estimator.dims, sum(estimator.counts))
+        return Need(cost=float(self.budget), memory=memory)
+
+    def reduction(self, subject: Subject, stream: Stream) -> Reduction[xr.Dataset]:
+        """In one block: what is tried depends on what is found."""
+        return whole(lambda: _profiled(subject, self.budget, stream).dataset, self.budget)
+
+
+@final
+@dataclass(frozen=True)
+class Change:
+    """What to do, and what it is expected to bring.
+
+    Attributes
+    ----------
+    name, change
+        A short label, and an imperative.
+    rmse, rmse_given
+        Root mean square error at the budget after the change, and as given.
+    gain, gain_ci
+        Variance as given over that after the change, and its 95 % interval.
+    samples_saved
+        Evaluations that the set-up as given takes for the same error, less the budget.
+    """
+
+    name: str
+    change: str
+    rmse: float
+    rmse_given: float
+    gain: float
+    gain_ci: tuple[float, float]
+    samples_saved: float
+
+
+@final
+@dataclass(frozen=True)
+class Profile:
+    """What was found; `text` says it.
+
+    Attributes
+    ----------
+    integral, interval
+        The mean of all nets, and its 95 % interval by Student's t; infinite where the variance is, or where
+        a few evaluations make it.
+    calls, budget
+        Evaluations of f that were made, and that were allowed.
+    variance, rate, rate_ci
+        Of an estimate of `budget` evaluations with the sampler that is given, else with the best one; and
+        the slope of its variance.
+    causes
+        Most important first.
+    best
+        What to do; None where nothing is better than what is given.
+    samplers
+        Curves of variance by sampler.
+    tried, not_tried
+        What was compared, and what could not be and why.
+    """
+
+    subject: str
+    given: str
+    integral: float
+    interval: tuple[float, float]
+    calls: int
+    budget: int
+    variance: float
+    rate: float
+    rate_ci: tuple[float, float]
+    causes: list[Cause]
+    best: Change | None
+    samplers: Mapping[str, Curve]
+    tried: list[str]
+    not_tried: list[str]
+
+    @property
+    def answer(self) -> str:
+        """What to do and why, in two or three sentences."""
+        cause = self.causes[0]
+        why = "" if cause.name == "none" else f" Cause: {cause.name}. {cause.sentence}"
+        if self.best is None:
+            return f"Keep {self.given}: nothing that was tried is better.{why}"
+        best = self.best
+        text = (
+            f"{best.change[0].upper()}{best.change[1:]}: RMSE {best.rmse:.2g} instead of "
+            f"{best.rmse_given:.2g} at {self.budget:,} evaluations"
+        )
+        if math.isfinite(best.samples_saved) and best.samples_saved > 0:
+            text += f", which would take {best.samples_saved + self.budget:,.3g} with {self.given}"
+        return f"{text}.{why}"
+
+    @property
+    def text(self) -> str:
+        """All of it, as lines of text."""
+        low, high = self.interval
+        found = [
+            self.answer,
+            "",
+            f"integral   {self.integral:.8g}  (95 %: {low:.6g} to {high:.6g})",
+        ]
+        found.append(f"calls      {self.calls:,} of {self.budget:,}")
+        found.append("causes")
+        found += [f"  {cause.name}: {cause.sentence}" for cause in self.causes]
+        found.append(f"samplers   RMSE at {self.budget:,} evaluations, rate of the variance")
+        for name, rmse, rate in self._rows():
+            found.append(f"  {name:<20} {rmse:>10}   {rate}")
+        found += [f"not tried  {reason}" for reason in self.not_tried]
+        return "\n".join(found)
+
+    def _rows(self) -> list[tuple[str, str, str]]:
+        rows = []
+        for name, curve in sorted(self.samplers.items(), key=lambda c: c[1].at(self.budget)[0]):
+            low, high = curve.rate_ci
+            known = curve.rate_se == 0.0
+            rate = f"{curve.rate:.2f}" + ("" if known else f" ({low:.2f} to {high:.2f})")
+            rows.append(
+                (name, f"{math.sqrt(curve.at(self.budget)[0]):.3g}", rate.replace("-", "−"))
+            )
+        return rows
+
+    def __str__(self) -> str:
+        return self.text
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>"
+            for row in self._rows()
+        )
+        causes = "".join(
+            f"<li><b>{cause.name}</b>: {html.escape(cause.sentence)}</li>" for cause in self.causes
+        )
+        return (
+            f"<p><b>{html.escape(self.answer)}</b></p><ul>{causes}</ul>"
+            f"<table><tr><th>sampler</th><th>RMSE at {self.budget:,}</th><th>rate</th></tr>{rows}</table>"
+        )
+
+    @property
+    def dataset(self) -> xr.Dataset:
+        """The curves on (sampler, n), NaN where a sampler was not looked at, and the answer as attributes."""
+        ns = sorted({int(n) for curve in self.samplers.values() for n in curve.counts})
+        place = {n: k for k, n in enumerate(ns)}
+        shape = (len(self.samplers), len(ns))
+        variance, ends = np.full(shape, np.nan), np.full((*shape, 2), np.nan)
+        for row, curve in enumerate(self.samplers.values()):
+            at = [place[int(n)] for n in curve.counts]
+            variance[row, at] = curve.variance
+            ends[row, at] = variance_interval(curve.variance, np.maximum(curve.relative_se, 1e-9))
+        curves = self.samplers.values()
+        plain = self.to_dict()
+        return dataset(
+            {
+                "variance": (("sampler", "n"), variance),
+                "variance_ci": (("sampler", "n", "bound"), ends),
+                "rate": (("sampler",), np.array([curve.rate for curve in curves])),
+                "rate_ci": (("sampler", "bound"), np.array([curve.rate_ci for curve in curves])),
+                "integral": ((), np.float64(self.integral)),
+                "integral_ci": (("bound",), np.array(self.interval)),
+                "calls": ((), np.int64(self.calls)),
+            },
+            {
+                "n": counted("n", ns, "number of points"),
+                "sampler": list(self.samplers),
+                "bound": ["low", "high"],
+            },
+            budget=self.budget,
+            given=self.given,
+            answer=self.answer,
+            text=self.text,
+            **{name: json.dumps(strict_json(plain[name])) for name in ("causes", "best")},
+            not_tried="; ".join(self.not_tried) or None,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, texts and lists."""
+        found = {
+            name: getattr(self, name)
+            for name in (
+                *("subject", "given", "integral", "calls", "budget", "variance", "rate"),
+                *("tried", "not_tried", "answer"),
+            )
+        }
+        found["interval"], found["rate_ci"] = list(self.interval), list(self.rate_ci)
+        found["causes"] = [
+            {**asdict(cause), "evidence": dict(cause.evidence), "kinds": list(cause.kinds)}
+            for cause in self.causes
+        ]
+        found["best"] = None if self.best is None else asdict(self.best)
+        found["samplers"] = {
+            name: {
+                "counts": curve.counts.tolist(),
+                "variance": curve.variance.tolist(),
+                "relative_se": curve.relative_se.tolist(),
+                "rate": curve.rate,
+                "rate_ci": list(curve.rate_ci),
+            }
+            for name, curve in self.samplers.items()
+        }
+        return found
+
+
+def profile(
+    f: Any,
+    *,
+    sampler: Any = "random",
+    dims: int | None = None,
+    budget: int = 4096,
+    rng: RngLike = 0,
+) -> Profile:
+    """Find what an estimator's noise is, why, and what to do.
+
+    Parameters
+    ----------
+    f
+        A vectorised function of points (k, d) to values (k,), an integrand, an estimator, or a spec.
+    sampler
+        What is used today.
+    dims
+        Number of dims, of functions and specs.
+    budget
+        Evaluations of f, at most and in all, from 256.
+    rng
+        Seed (SPEC 7).
+
+    Returns
+    -------
+    Profile
+        ``print`` it; `Profile.to_dict` has all numbers, `Profile.dataset` the curves.
+
+    Raises
+    ------
+    ParameterError
+        No function, or the budget is too small for it.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> found = mcs.profile(lambda x: (x.sum(axis=-1) < 0.8) * 1.0, dims=2)
+    >>> found.causes[0].name, found.best.name
+    ('interior-jump', 'sobol | owen')
+    """
+    estimator = _as_estimator(f, dims)
+    subject = Subject(estimator, as_sampler(sampler, estimator.dims))
+    options = Profiling(budget=as_integer("budget", budget, least=_LEAST, most=2**30))
+    options.need(subject)
+    return _profiled(subject, options.budget, Stream.from_rng(rng))
+
+
+def _is_apart(sampler: Sampler) -> bool:
+    """Whether nets do not tell of a sampler."""
+    return sampler.spec not in {NETS, "random", "jittered", "latin-hypercube"}
+
+
+def _shares(estimator: AbstractEstimator, budget: int, *, apart: bool) -> tuple[int, int, int]:
+    """Evaluations of a point, points of a net, and number of nets."""
+    each = sum(estimator.counts) * estimator.evaluations_per_point
+    share = 1.0 - _LINES - (_GIVEN if apart else 0.0)
+    n = int(share * budget) // (_NETS * each)
+    if n < 4:
+        raise ParameterError(
+            f"A budget of {budget} evaluations is too small where each point takes {each}; give at least "
+            f"{math.ceil(4 * _NETS * each / share)}."
+        )
+    n = 1 << (n.bit_length() - 1)
+    return each, n, min(int(share * budget) // (n * each), 2 * _NETS)
+
+
+def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
+    estimator, given = subject.estimator, subject.sampler
+    apart = _is_apart(given)
+    each, n, nets = _shares(estimator, budget, apart=apart)
+
+    # Nets
+    source = estimator.randomized(as_sampler(NETS, estimator.dims))
+    points = estimator.draw(source, n, stream.child(0), 0, nets)
+    sets = Sets(
+        [np.asarray(p) for p in points],
+        [_scalar(estimator, estimator.primary_values(t, u)) for t, u in enumerate(points)],
+        estimator.counts,
+    )
+    calls = nets * n * each
+    curves = sets.curves()
+
+    # Lines of each technique, and the mean dimension of a single one
+    lines: list[Lines] = []
+    mean = math.nan
+    allowed = int(_LINES * budget) // len(estimator.counts) // estimator.evaluations_per_point
+    for t in range(len(estimator.counts)):
+        made = 0
+
+        def g(u: Array, t: int = t) -> Array:
+            nonlocal made
+            made += len(u)
+            return np.asarray(_scalar(estimator, estimator.primary_values(t, u[None]))[0])
+
+        own, beside = stream.child(1 + t).generator(0), allowed // 4 // estimator.dims
+        if estimator.dims >= _MANY and len(estimator.counts) == 1 and beside > 1:
+            step = max(1, nets * n // beside)
+            some = sets.points[0].reshape(-1, estimator.dims)[::step][:beside]
+            mean = mean_dimension(g, some, sets.values[0].ravel()[::step][:beside], own)
+        lines.append(lines_of(g, estimator.dims, allowed - made, own))
+        calls += made * estimator.evaluations_per_point
+
+    # The sampler as given
+    not_tried = []
+    if apart:
+        try:
+            curve, cost = _measured(estimator, given, budget - calls, stream.child(99))
+            curves[given.spec] = curve
+            calls += cost
+        except McspectraError as error:
+            not_tried.append(f"{given.spec}: {error}")
+
+    causes = causes_of(Evidence(estimator, given, sets, curves, tuple(lines), mean))
+    fixed = any(cause.name == "deterministic-set" for cause in causes)
+    best = _best(curves, given.spec, budget // each, fixed=fixed)
+    curve = curves.get(given.spec, curves[NETS])
+    infinite = any(cause.name == "infinite-variance" for cause in causes)
+    return Profile(
+        subject=estimator.spec,
+        given=given.spec,
+        integral=float(sets.estimates.mean()),
+        interval=_interval(sets, infinite),
+        calls=calls,
+        budget=budget,
+        variance=math.inf if infinite else curve.at(budget // each)[0],
+        rate=curve.rate,
+        rate_ci=curve.rate_ci,
+        causes=causes,
+        best=best,
+        samplers=curves,
+        tried=list(curves),
+        not_tried=not_tried,
+    )
+
+
+def _as_estimator(f: Any, dims: int | None) -> AbstractEstimator:
+    """A plain estimator of a function, which is not called yet."""
+    if isinstance(f, AbstractEstimator | str) or hasattr(f, "fourier"):
+        return as_estimator(f, dims)
+    if not callable(f):
+        raise ParameterError(
+            f"{f!r:.80} cannot be profiled; give a function, an integrand, an estimator or a spec."
+        )
+    if dims is None:
+        raise ParameterError("dims is missing; give the number of dims of the function's points.")
+    count = as_integer("dims", dims, least=1)
+    return Estimator(FunctionIntegrand(function=f, dims=count))
+
+
+def _scalar(estimator: AbstractEstimator, values: Array) -> Array:
+    """Values of one channel: the luminance of three, the mean of others."""
+    if not estimator.channels:
+        return np.asarray(values, float)
+    weights = (
+        REC709
+        if estimator.channels == len(REC709)
+        else np.full(estimator.channels, 1.0 / estimator.channels)
+    )
+    return np.asarray(values @ weights)
+
+
+def _measured(
+    estimator: AbstractEstimator, sampler: Sampler, evaluations: int, stream: Stream
+) -> tuple[Curve, int]:
+    """The curve of a sampler by sets of its own, within so many evaluations, and how many it took."""
+    each = sum(estimator.counts) * estimator.evaluations_per_point
+    setup, counts = Setup(estimator, sampler), list[int]()
+    for k in range(_GIVEN_COUNTS):
+        n = affordable_count(setup, evaluations // (_NETS << k + 1))
+        if n is not None and n not in counts:
+            counts.append(n)
+    if not counts:
+        raise CountError(
+            f"{sampler.spec} has no count of points that fits into {evaluations} evaluations."
+        )
+    counts.sort()
+    estimates = []
+    for n in counts:
+        points = estimator.draw(sampler, n, stream.child(n), 0, _NETS)
+        values = [_scalar(estimator, estimator.primary_values(t, u)) for t, u in enumerate(points)]
+        estimates.append(np.asarray(sum(v.mean(axis=1) for v in values)))
+    return curve_of(counts, estimates), sum(counts) * _NETS * each
+
+
+def _best(curves: Mapping[str, Curve], given: str, n: int, *, fixed: bool) -> Change | None:
+    """The sampler of least variance at n, if its interval leaves the one that is given out."""
+    name = min(curves, key=lambda c: curves[c].at(n)[0] if c != given or not fixed else math.inf)
+    if name == given or given not in curves:
+        return None
+    value, error = curves[name].at(n)
+    other, other_error = curves[given].at(n)
+    if fixed:
+        other, other_error = curves["random"].at(n)
+    gain = other / value if value > 0.0 else math.inf
+    half = _SIGMA * math.hypot(error, other_error)
+    low, high = gain * math.exp(-half), gain * math.exp(half)
+    if not low > 1.0:
+        return None
+    rate = curves[given].rate if math.isfinite(curves[given].rate) else -1.0
+    needed = n * gain ** (-1.0 / rate) if rate < 0.0 and math.isfinite(gain) else math.inf
+    return Change(
+        name=name,
+        change=f"use {name}",
+        rmse=math.sqrt(value),
+        rmse_given=math.sqrt(other),
+        gain=gain,
+        gain_ci=(low, high),
+        samples_saved=needed - n,
+    )
+
+
+def _interval(sets: Sets, infinite: bool) -> tuple[float, float]:
+    """95 % interval of the mean over all nets; infinite where values say nothing of what they missed."""
+    from scipy.special import stdtrit
+
+    values = sets.estimates
+    pooled = Moments.of(sets.pooled, tails=True)
+    if infinite or not pooled.resolved:
+        return -math.inf, math.inf
+    half = float(stdtrit(len(values) - 1, 0.975)) * math.sqrt(values.var(ddof=1) / len(values))
+    middle = float(values.mean())
+    return middle - half, middle + half

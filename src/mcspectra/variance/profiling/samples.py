@@ -1,0 +1,254 @@
+"""Variances of several samplers at all counts, from one array of evaluations.
+
+R scrambled nets of N points are evaluated once. Each run of 2^k of their points that starts at a
+multiple of 2^k is a scrambled net, so that means over runs have the variance of nets of all
+sizes; the variance between evaluations of different nets in one cell is what jittering leaves; that
+between nets in one slab of an axis what Latin hypercubes leave; that of all what random points leave.
+Products of values of one net are left out where it would make them unlike independent ones.
+
+Errors are jackknifed over the nets: the estimates at all counts move together, and the rate knows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import final
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.estimators.moments import rounding_floor
+
+__all__ = ["NETS", "Curve", "Sets", "curve_of"]
+
+NETS = "sobol | owen"
+_SLABS = 32  # along an axis, of Latin hypercubes
+_JITTERED_DIMS = 3
+_OCTAVES = 3  # at the end, that a rate is fitted to,
+_MOST_OCTAVES = 8  # and as many as lie on a line with these
+_AGREES = 1.5  # standard errors of the difference
+
+
+@final
+@dataclass(frozen=True)
+class Curve:
+    """Variance against the number of points.
+
+    Attributes
+    ----------
+    counts, variance, relative_se
+        (N,); the standard error is that of log variance.
+    rate, rate_se
+        Slope over the last octaves and its standard error; NaN where there is none.
+    degrees
+        Degrees of freedom of the errors.
+    """
+
+    counts: Array
+    variance: Array
+    relative_se: Array
+    rate: float
+    rate_se: float
+    degrees: int
+
+    def at(self, n: float) -> tuple[float, float]:
+        """The variance at n and the standard error of its logarithm; beyond the counts along the rate."""
+        if not len(self.counts):
+            return 0.0, 0.0
+        if n <= self.counts[-1]:
+            x, y = np.log(self.counts), np.log(self.variance)
+            return (
+                math.exp(float(np.interp(math.log(n), x, y))),
+                float(np.interp(math.log(n), x, self.relative_se)),
+            )
+        slope = self.rate if math.isfinite(self.rate) else -1.0
+        away = math.log(n / self.counts[-1])
+        value = float(self.variance[-1]) * math.exp(slope * away)
+        return value, math.hypot(float(self.relative_se[-1]), away * (self.rate_se or 0.0))
+
+    @property
+    def rate_ci(self) -> tuple[float, float]:
+        """95 % interval of the rate, by Student's t."""
+        from scipy.special import stdtrit
+
+        half = float(stdtrit(max(self.degrees, 1), 0.975)) * self.rate_se
+        return self.rate - half, self.rate + half
+
+
+@final
+@dataclass(frozen=True)
+class _Part:
+    """Evaluations of one technique at R nets: points (R, N·c, d) and values (R, N·c)."""
+
+    points: Array
+    values: Array
+
+    def without(self, r: int) -> _Part:
+        """All nets but one."""
+        keep = np.arange(len(self.values)) != r
+        return _Part(self.points[keep], self.values[keep])
+
+    def between(self, cell: Array, cells: int) -> float:
+        """Mean over cells of the square of their means, without products within a net."""
+        r = len(self.values)
+        place = (np.arange(r)[:, None] * cells + cell).ravel()
+        sums = np.bincount(place, self.values.ravel(), r * cells).reshape(r, cells)
+        numbers = np.bincount(place, minlength=r * cells).reshape(r, cells)
+        pairs = numbers.sum(axis=0) ** 2 - (numbers**2).sum(axis=0)
+        products = sums.sum(axis=0) ** 2 - (sums**2).sum(axis=0)
+        return float((products[pairs > 0] / pairs[pairs > 0]).mean())
+
+
+_Estimate = Callable[[_Part, int], float]
+
+
+@final
+@dataclass(frozen=True)
+class Sets:
+    """Evaluations of an estimator at R scrambled nets.
+
+    Attributes
+    ----------
+    points, values
+        Of each technique t: (R, N·c_t, d) and (R, N·c_t), N a power of two.
+    counts
+        c_t.
+    """
+
+    points: Sequence[Array]
+    values: Sequence[Array]
+    counts: tuple[int, ...]
+
+    @property
+    def dims(self) -> int:
+        """Number of dims d."""
+        return int(self.points[0].shape[2])
+
+    @property
+    def n(self) -> int:
+        """Points of each net, for each of a technique's count."""
+        return int(self.values[0].shape[1]) // self.counts[0]
+
+    @cached_property
+    def estimates(self) -> Array:
+        """The estimate of each net, (R,)."""
+        return np.asarray(sum(v.mean(axis=1) for v in self.values))
+
+    @cached_property
+    def pooled(self) -> Array:
+        """All values of g, those of the technique that varies most."""
+        return np.asarray(max(self.values, key=lambda v: float(v.var()))).ravel()
+
+    def curves(self) -> dict[str, Curve]:
+        """The variance of each sampler that the evaluations tell of."""
+        counts = 2 ** np.arange(self.n.bit_length())
+        found = {
+            NETS: self._curve(_of_nets, counts),
+            "random": self._curve(_of_random, counts, -1.0),
+        }
+        if set(self.counts) == {1} and 1 < self.dims <= _JITTERED_DIMS:
+            sides = 2 ** np.arange((self.n.bit_length() - 1) // self.dims + 1)
+            found["jittered"] = self._curve(_of_strata, sides**self.dims)
+        if self.dims > 1 and self.n >= _SLABS:
+            found["latin-hypercube"] = self._curve(_of_slabs, counts[counts >= _SLABS], -1.0)
+        return found
+
+    def technique_curves(self) -> list[Curve]:
+        """The variance of each technique with scrambled nets, by the points of all techniques."""
+        counts = 2 ** np.arange(self.n.bit_length())
+        parts = zip(self.points, self.values, self.counts, strict=True)
+        return [Sets((p,), (v,), (c,))._curve(_of_nets, counts) for p, v, c in parts]
+
+    def _curve(self, estimate: _Estimate, counts: Array, rate: float | None = None) -> Curve:
+        """Values of an estimate and its jackknife."""
+        parts = [_Part(p, v) for p, v in zip(self.points, self.values, strict=True)]
+
+        def of(parts: list[_Part], n: int) -> float:
+            return sum(estimate(p, n * c) for p, c in zip(parts, self.counts, strict=True))
+
+        found = np.array([of(parts, int(n)) for n in counts])
+        left = np.array([
+            [of([p.without(r) for p in parts], int(n)) for n in counts]
+            for r in range(len(parts[0].values))
+        ])  # fmt: skip
+        return _fitted(counts, found, left, float(self.estimates.mean()), rate)
+
+
+def curve_of(counts: Sequence[int], estimates: Sequence[Array]) -> Curve:
+    """The curve of independent estimates at several counts, (R,) each."""
+    found = np.array([e.var(ddof=1) for e in estimates])
+    left = np.stack([
+        [np.delete(e, r).var(ddof=1) for e in estimates] for r in range(len(estimates[0]))
+    ])  # fmt: skip
+    return _fitted(np.array(counts), found, left, float(estimates[-1].mean()), None)
+
+
+def _fitted(counts: Array, found: Array, left: Array, size: float, rate: float | None) -> Curve:
+    """Errors from what is `left` without each realisation, (R, N), and a rate, unless it is known."""
+    degrees = len(left) - 1
+    floor = rounding_floor(np.array(size))
+    used = found > floor
+    counts, found, left = counts[used], found[used], left[:, used]
+    if not len(counts):
+        return Curve(counts, found, found, math.nan, math.nan, degrees)
+    pseudo = np.log(np.maximum(left, floor)) - np.log(found)
+    covariance = degrees * np.cov(pseudo.T, ddof=0).reshape(len(counts), -1)
+    error = np.sqrt(np.diag(covariance))
+    if rate is not None:
+        return Curve(counts, found, error, rate, 0.0, degrees)
+    octaves = np.log2(counts[-1] / counts)
+    y, slope = np.log(found), np.zeros(len(counts))
+    for width in range(_OCTAVES, _MOST_OCTAVES + 1):
+        late = octaves < width + 0.5
+        if late.sum() < 2:
+            continue
+        own = np.zeros(len(counts))
+        x, weight = np.log(counts[late]), 1.0 / np.maximum(error[late], 1e-3) ** 2
+        own[late] = weight * (x - np.average(x, weights=weight))
+        own[late] /= own[late] @ x
+        if not slope.any():
+            slope = first = own
+        elif abs((own - first) @ y) <= _AGREES * math.sqrt(
+            (own - first) @ covariance @ (own - first)
+        ):
+            slope = own
+        else:
+            break
+    if not slope.any():
+        return Curve(counts, found, error, math.nan, math.nan, degrees)
+    rate_se = math.sqrt(max(slope @ covariance @ slope, 0.0))
+    return Curve(counts, found, error, float(slope @ y), rate_se, degrees)
+
+
+def _of_nets(part: _Part, n: int) -> float:
+    """Variance of the mean over n points of a scrambled net."""
+    r = len(part.values)
+    runs = part.values.reshape(r, -1, n).mean(axis=2)
+    own = part.values.mean(axis=1)
+    return float(((runs - own.mean()) ** 2).mean() + own.var(ddof=1) / r)
+
+
+def _of_random(part: _Part, n: int) -> float:
+    """Variance of the mean over n random points."""
+    return _of_nets(part, 1) / n
+
+
+def _of_strata(part: _Part, n: int) -> float:
+    """Variance of the mean over n jittered points."""
+    side = round(n ** (1.0 / part.points.shape[2]))
+    index = np.floor(part.points * side).astype(np.int64)
+    cell = index @ side ** np.arange(part.points.shape[2])
+    return max(float((part.values**2).mean()) - part.between(cell, n), 0.0) / n
+
+
+def _of_slabs(part: _Part, n: int) -> float:
+    """Variance of the mean over a Latin hypercube of n points, many more than slabs."""
+    whole = _of_nets(part, 1)
+    mean = part.between(np.zeros(part.values.shape, np.int64), 1)
+    for axis in range(part.points.shape[2]):
+        slab = np.floor(part.points[..., axis] * _SLABS).astype(np.int64)
+        whole -= max(part.between(slab, _SLABS) - mean, 0.0)
+    return max(whole, 0.0) / n

@@ -1,0 +1,147 @@
+"""`mcspectra.profile`: its curves are unbiased, its causes right, its calls within the budget."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy.special import ndtri
+
+import mcspectra as mcs
+from mcspectra.core.errors import ParameterError
+from mcspectra.variance.profiling.lines import lines_of
+from mcspectra.variance.profiling.samples import Sets
+
+
+def inner(x):
+    return np.clip(x, 1e-300, 1.0 - 1e-16)
+
+
+FUNCTIONS = {
+    "smooth": (2, lambda x: np.exp(x.sum(axis=-1)), {"none"}),
+    "waves": (1, lambda x: np.cos(80 * np.pi * x[..., 0]), {"none"}),
+    "disk": (2, lambda x: ((x**2).sum(axis=-1) < 0.6) * 1.0, {"interior-jump"}),
+    "step": (2, lambda x: (x[..., 0] > 0.377) + x[..., 1], {"axis-parallel-jump"}),
+    "sum over 8 dims": (8, lambda x: (x.sum(axis=-1) > 4.3) * 1.0, {"interior-jump"}),
+    "kink": (1, lambda x: np.abs(x[..., 0] - 0.3), {"kink"}),
+    "call of 5 dims": (5, lambda x: np.maximum(x.sum(axis=-1) - 2.5, 0.0), {"kink"}),
+    "product of 10": (
+        10,
+        lambda x: np.prod(3 * x - 0.5, axis=-1),
+        {"high-dimension", "heavy-tail"},
+    ),
+    "pole": (1, lambda x: 1.0 / (x[..., 0] - 0.5), {"infinite-variance"}),
+    "edge": (2, lambda x: inner(x[..., 0]) ** -0.3, {"border-growth"}),
+    "steep edge": (2, lambda x: inner(x[..., 0]) ** -0.6, {"infinite-variance"}),
+    "lognormal": (1, lambda x: np.exp(1.5 * ndtri(inner(x[..., 0]))), {"border-growth"}),
+    "peak": (3, lambda x: np.exp(-((x - 0.4) ** 2).sum(axis=-1) / 8e-4), {"heavy-tail"}),
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_the_first_cause_is_right_for_every_seed_and_budget(name):
+    dims, function, causes = FUNCTIONS[name]
+    for seed in range(5):
+        for budget in (2048, 8192):
+            found = mcs.profile(function, dims=dims, budget=budget, rng=seed)
+            assert found.causes[0].name in causes, (seed, budget, found.text)
+
+
+@pytest.mark.parametrize("budget", [256, 1000, 4096, 10_000])
+@pytest.mark.parametrize(
+    "sampler", ["random", "jittered | shift", "rank1-lattice | shift", "sobol"]
+)
+@pytest.mark.parametrize("dims", [1, 2, 5, 20])
+def test_calls_are_counted_and_never_above_the_budget(budget, sampler, dims):
+    made = 0
+
+    def function(x):
+        nonlocal made
+        made += x.size // dims
+        return np.prod(1.0 + 0.5 * x, axis=-1)
+
+    try:
+        found = mcs.profile(function, sampler=sampler, dims=dims, budget=budget)
+    except mcs.McspectraError:
+        assert made == 0
+        return
+    assert made == found.calls <= budget
+
+
+@pytest.mark.parametrize(
+    ("dims", "name"), [(1, "sobol | owen"), (2, "sobol | owen"), (2, "jittered")]
+)
+def test_one_array_of_nets_tells_variances_of_all_samplers(dims, name):
+    f = mcs.integrand("gaussian(width=0.3, center=0.4)", dims=dims)
+    source, nets, repeats = mcs.sampler("sobol | owen", dims=dims), 16, 60
+    points = source.draw(64, realizations=nets * repeats, rng=5)
+    values = f(points)
+    curves = [
+        Sets([points[k::repeats]], [values[k::repeats]], (1,)).curves()[name]
+        for k in range(repeats)
+    ]
+    counts = curves[0].counts
+    found = np.array([c.variance for c in curves])
+    reference = mcs.convergence(
+        f, name, [int(n) for n in counts if n > 1], realizations=20_000, rng=7
+    )
+    mean, error = found.mean(axis=0), found.std(axis=0, ddof=1) / math.sqrt(repeats)
+    for n, ours, se in zip(counts, mean, error, strict=True):
+        if n > 1:
+            low, high = reference["variance_ci"].sel(n=n).values
+            truth = float(reference["variance"].sel(n=n))
+            assert abs(ours - truth) < 4 * math.hypot(se, (high - low) / 3.92)
+    # The jackknife says what the scatter is
+    scatter = np.log(found).std(axis=0, ddof=1)[1:]
+    said = np.mean([c.relative_se for c in curves], axis=0)[1:]
+    assert (np.abs(np.log(said / scatter)) < 0.5).all()
+
+
+def test_intervals_of_the_integral_cover():
+    hits = 0
+    for seed in range(200):
+        found = mcs.profile(lambda x: np.exp(x.sum(axis=-1)), dims=2, budget=512, rng=seed)
+        low, high = found.interval
+        hits += low < (math.e - 1.0) ** 2 < high
+    assert 190 - 3 * math.sqrt(200 * 0.05 * 0.95) <= hits <= 200
+
+
+def test_what_is_infinite_or_rests_on_few_values_has_no_finite_interval():
+    for name in ("pole", "steep edge", "peak"):
+        dims, function, _ = FUNCTIONS[name]
+        found = mcs.profile(function, dims=dims, budget=2048)
+        assert not np.isfinite(found.interval).any(), name
+
+
+def test_the_given_sampler_is_measured_and_its_wrapping_seen():
+    found = mcs.profile("linear", sampler="jittered | shift", dims=1, budget=8192)
+    assert found.causes[0].name == "border-jump"
+    assert found.rate == pytest.approx(-2.0, abs=0.4)
+    assert found.best.name == "sobol | owen"
+    assert mcs.profile("linear", sampler="sobol", dims=1).causes[0].name == "deterministic-set"
+
+
+def test_the_answer_as_text_and_as_data():
+    found = mcs.profile("christensen-disk")
+    assert "Use sobol | owen" in found.answer
+    assert "interior-jump" in found.text
+    assert json.loads(json.dumps(found.to_dict()))["causes"][0]["name"] == "interior-jump"
+    assert "<table>" in found._repr_html_()
+    data = found.dataset
+    assert set(data["sampler"].values) == {"random", "jittered", "latin-hypercube", "sobol | owen"}
+    assert json.loads(data.attrs["best"])["name"] == "sobol | owen"
+
+
+def test_bad_input():
+    with pytest.raises(ParameterError, match="dims is missing"):
+        mcs.profile(lambda x: x[..., 0])
+    with pytest.raises(ParameterError, match="cannot be profiled"):
+        mcs.profile(3.0, dims=1)
+    with pytest.raises(ParameterError, match="budget"):
+        mcs.profile("linear", budget=10)
+
+
+def test_lines_find_where_and_how_rough_a_function_is():
+    found = lines_of(lambda x: np.abs(x[:, 0] - 0.3) ** -0.3, 1, 1000, np.random.default_rng(0))
+    assert np.median(found.exponent) == pytest.approx(-0.3, abs=0.1)
+    assert found.place == pytest.approx(0.3, abs=1e-3)
