@@ -19,6 +19,7 @@ NAMES = (
     "convergence",
     "coverage",
     "predictions",
+    "battery",
     "contribution",
     "listed",
     "cost",

@@ -1,0 +1,339 @@
+"""Profiles of estimators whose trouble is known: is the cause named, is the advice good?
+
+Each case has a function or estimator with the sampler that is used, its integral, and the causes that
+may be named first. A profile is taken with a budget of 8,192 evaluations. Its interval should hold the
+integral; its first cause should be one of those; its rate should be that of 1,000 realisations at the
+last counts of its curve, to 0.1 or within its interval; the change that it advises should lower the variance
+when both set-ups are measured afresh at the same counts.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+import mcspectra as mcs
+from mcspectra.core.checks import Array
+
+BUDGET = 8192
+REALIZATIONS = 1000
+WITHIN = 0.1
+
+
+@dataclass(frozen=True)
+class Case:
+    """An estimator whose trouble is known."""
+
+    name: str
+    f: Any
+    dims: int
+    integral: float
+    causes: tuple[str, ...]
+    sampler: str = "random"
+
+
+def _inner(x: Array) -> Array:
+    """Points away from the faces, where normal quantiles are infinite."""
+    return np.clip(x, 1e-300, 1.0 - 2.0**-53)
+
+
+def _normal(x: Array) -> Array:
+    return np.asarray(ndtri(_inner(x)))
+
+
+def _simplex(d: int, t: float) -> float:
+    """P(x_1 + … + x_d < t), by Irwin and Hall."""
+    return sum(
+        (-1) ** k * math.comb(d, k) * (t - k) ** d for k in range(math.floor(t) + 1)
+    ) / math.factorial(d)
+
+
+def _call(spots: Array, strike: float) -> Array:
+    return np.maximum(spots - strike, 0.0)
+
+
+def _black_scholes(sigma: float, strike: float) -> float:
+    d1 = (-math.log(strike) + 0.5 * sigma**2) / sigma
+    return float(ndtr(d1) - strike * ndtr(d1 - sigma))
+
+
+def cases() -> Iterator[Case]:
+    """All cases, smooth ones first."""
+    e = math.e - 1.0
+
+    # Nothing wrong
+    def none(name: str, f: Callable[[Array], Array], dims: int, integral: float) -> Case:
+        return Case(name, f, dims, integral, ("none",))
+
+    yield none("exp, 1-D", lambda x: np.exp(x[:, 0]), 1, e)
+    yield none("exp, 3-D", lambda x: np.exp(x.sum(axis=1)), 3, e**3)
+    yield none("wave", lambda x: 1.0 + np.cos(6 * np.pi * x[:, 0]), 1, 1.0)
+    yield none(
+        "Genz product peak",
+        lambda x: 1.0 / (0.25 + (x - 0.4) ** 2).prod(axis=1),
+        2,
+        (2.0 * (math.atan(1.2) + math.atan(0.8))) ** 2,
+    )
+    yield none(
+        "weights that fall",
+        lambda x: (1.0 + (x - 0.5) / np.arange(1, 11) ** 2).prod(axis=1),
+        10,
+        1.0,
+    )
+    yield none("bilinear", lambda x: x[:, 0] * x[:, 1], 2, 0.25)
+
+    # Jumps inside
+    inside = ("interior-jump",)
+    yield Case("quarter disk", lambda x: ((x**2).sum(axis=1) < 1.0) * 1.0, 2, math.pi / 4, inside)
+    yield Case("half-space", lambda x: (x @ (0.6, 0.8) < 0.7) * 1.0, 2, 0.5, inside)
+    yield Case("ball", lambda x: ((x**2).sum(axis=1) < 1.0) * np.exp(x[:, 0]), 3, math.nan, inside)
+    yield Case("simplex in 5-D", lambda x: (x.sum(axis=1) < 2.0) * 1.0, 5, _simplex(5, 2.0), inside)
+    yield Case(
+        "digital option in 16-D",
+        lambda x: (_normal(x).sum(axis=1) > 1.0) * 1.0,
+        16,
+        float(ndtr(-0.25)),
+        (*inside, "high-dimension"),
+    )
+    yield Case(
+        "diagonal edge on a slope",
+        lambda x: np.where(x[:, 0] < x[:, 1], 1.0, 3.0) + x[:, 0],
+        2,
+        2.5,
+        inside,
+        "jittered",
+    )
+
+    # Jumps along axes
+    straight = ("axis-parallel-jump",)
+    yield Case("step", lambda x: (x[:, 0] < 0.377) * 1.0, 1, 0.377, straight)
+    yield Case("step in 2-D", lambda x: (x[:, 0] < 0.377) * x[:, 1], 2, 0.377 / 2, straight)
+    yield Case(
+        "box in 3-D",
+        lambda x: ((x < 0.7).all(axis=1)) * 1.0,
+        3,
+        0.343,
+        straight,
+        "latin-hypercube",
+    )
+    yield Case(
+        "Genz discontinuous",
+        lambda x: np.where((x < (0.31, 0.62)).all(axis=1), np.exp(x.sum(axis=1)), 0.0),
+        2,
+        (math.exp(0.31) - 1) * (math.exp(0.62) - 1),
+        straight,
+    )
+
+    # Kinks
+    kink = ("kink",)
+    yield Case("absolute value", lambda x: np.abs(x[:, 0] - 0.3), 1, 0.29, kink)
+    yield Case(
+        "Genz continuous",
+        lambda x: np.exp(-2 * np.abs(x - 0.4).sum(axis=1)),
+        2,
+        ((2 - math.exp(-0.8) - math.exp(-1.2)) / 2) ** 2,
+        kink,
+    )
+    yield Case(
+        "roof", lambda x: np.maximum(x.sum(axis=1) - 1.0, 0.0), 2, 1.0 / 6.0, kink, "jittered"
+    )
+    yield Case("hinge in 4-D", lambda x: np.maximum(x @ (1, -1, 0.5, 0.2), 0.0), 4, math.nan, kink)
+
+    # Faces that differ, for sets that wrap around
+    faces = ("border-jump",)
+    yield Case("ramp, shifted", lambda x: x[:, 0], 1, 0.5, faces, "jittered | shift")
+    yield Case("ramps, lattice", lambda x: x @ (1.0, 2.0), 2, 1.5, faces, "rank1-lattice | shift")
+    yield Case(
+        "exp, Halton shifted", lambda x: np.exp(x.sum(axis=1)), 2, e**2, faces, "halton | shift"
+    )
+
+    # Growth at the border
+    grows = ("border-growth",)
+    yield Case("root", lambda x: _inner(x[:, 0]) ** -0.3, 1, 1 / 0.7, grows)
+    yield Case("root in 2-D", lambda x: _inner(x[:, 1]) ** -0.25 * x[:, 0], 2, 2 / 3, grows)
+    yield Case("lognormal", lambda x: np.exp(_normal(x[:, 0])), 1, math.exp(0.5), grows)
+    yield Case(
+        "lognormal in 2-D", lambda x: np.exp(_normal(x) @ (0.9, 0.4)), 2, math.exp(0.485), grows
+    )
+
+    # Infinite variance
+    infinite = ("infinite-variance",)
+    yield Case("pole", lambda x: 1.0 / (x[:, 0] - 0.5 + 1e-300), 1, math.nan, infinite)
+    yield Case("steep edge", lambda x: _inner(x[:, 0]) ** -0.6, 1, 2.5, infinite)
+    yield Case("steep edge in 3-D", lambda x: _inner(x[:, 2]) ** -0.7, 3, 1 / 0.3, infinite)
+    yield Case(
+        "pole inside",
+        lambda x: np.abs(x[:, 0] - 0.3) ** -0.7,
+        1,
+        (0.3**0.3 + 0.7**0.3) / 0.3,
+        infinite,
+    )
+
+    # Few values that matter
+    heavy = ("heavy-tail",)
+    yield Case(
+        "peak",
+        lambda x: np.exp(-((x - 0.4) ** 2).sum(axis=1) / 8e-4),
+        3,
+        (2 * math.pi * 4e-4) ** 1.5,
+        heavy,
+    )
+    yield Case(
+        "ridge of vegas",
+        lambda x: np.exp(-100 * ((x - 0.5) ** 2).sum(axis=1)),
+        4,
+        (math.pi / 100) ** 2 * math.erf(5) ** 4,
+        heavy,
+    )
+    yield Case(
+        "peaks of a detector",
+        lambda x: 1e-3 / (1e-6 + (x[:, 0] - 0.31) ** 2),
+        1,
+        math.atan(310.0) + math.atan(690.0),
+        heavy,
+    )
+
+    # Many dims at once
+    many = ("high-dimension",)
+    yield Case(
+        "product of 10", lambda x: (3 * x - 0.5).prod(axis=1), 10, 1.0, (*many, "heavy-tail")
+    )
+    yield Case(
+        "waves of 8 dims",
+        lambda x: (1 + 0.9 * np.cos(2 * np.pi * x)).prod(axis=1),
+        8,
+        1.0,
+        many,
+    )
+
+    # Sets and techniques
+    yield Case("the same set", lambda x: np.exp(x[:, 0]), 1, e, ("deterministic-set",), "regular")
+    yield Case(
+        "the same set in 2-D",
+        lambda x: np.exp(x.sum(axis=1)),
+        2,
+        e**2,
+        ("deterministic-set",),
+        "sobol",
+    )
+    yield Case(
+        "a technique that does not see the peak",
+        mcs.MultipleImportance(
+            mcs.integrand("gaussian(width=0.05)", dims=2),
+            ["truncated-normal(sigma=0.05)", "uniform"],
+            counts=(1, 1),
+        ),
+        2,
+        float(mcs.integrand("gaussian(width=0.05)", dims=2).integral),
+        ("slow-technique", "none"),
+    )
+    yield Case(
+        "call option",
+        lambda x: _call(np.exp(0.2 * _normal(x[:, 0]) - 0.02), 1.0),
+        1,
+        _black_scholes(0.2, 1.0),
+        kink,
+    )
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a case; None where there was nothing to judge."""
+
+    case: Case
+    found: mcs.Profile
+    seconds: float
+    covers: bool | None
+    rate: float
+    ratio: float
+
+    @property
+    def names_cause(self) -> bool:
+        """Whether the first cause is right."""
+        return self.found.causes[0].name in self.case.causes
+
+    @property
+    def right_rate(self) -> bool | None:
+        """Whether the rate is."""
+        if math.isnan(self.rate):
+            return None
+        low, high = self.found.rate_ci
+        return abs(self.found.rate - self.rate) <= WITHIN or low <= self.rate <= high
+
+
+def judge(case: Case, seed: int = 0) -> Outcome:
+    """Take the profile of a case and hold it against measurements."""
+    dims = None if isinstance(case.f, mcs.estimators.AbstractEstimator) else case.dims
+    start = time.perf_counter()
+    found = mcs.profile(case.f, sampler=case.sampler, dims=dims, budget=BUDGET, rng=seed)
+    seconds = time.perf_counter() - start
+    low, high = found.interval
+    covers = None if math.isnan(case.integral) or math.isinf(low) else low <= case.integral <= high
+    estimator = (
+        case.f
+        if dims is None
+        else mcs.Estimator(
+            mcs.Integrand.from_function(
+                case.f, dims=dims, integral=0.0 if math.isnan(case.integral) else case.integral
+            )
+        )
+    )
+    rate = ratio = math.nan
+    curve = found.samplers.get(found.given)
+    if curve is not None and len(curve.counts) > 3 and curve.rate_se > 0.0:
+        counts = [int(n) for n in curve.counts[-4:]]
+        measured = mcs.convergence(
+            estimator, found.given, counts, realizations=REALIZATIONS, rng=seed + 1
+        )
+        rate = float(measured["rate"])
+    if found.best is not None and found.best.name in found.samplers:
+        n = int(found.samplers[found.best.name].counts[-1])
+        pair = [
+            mcs.convergence(
+                estimator,
+                name,
+                [mcs.sampler(name, dims=estimator.dims).nearest_count(n)],
+                realizations=REALIZATIONS,
+                rng=seed + 2,
+            )
+            for name in (found.best.name, found.given)
+        ]
+        # A set that is the same every time has a bias in place of its variance
+        first, second = (float(one["variance"][0]) for one in pair)
+        second = second or float(pair[1]["mse"][0])
+        ratio = first / max(second, 1e-300)
+    return Outcome(case, found, seconds, covers, rate, ratio)
+
+
+def main() -> None:
+    """Print a line for each case, and the shares that are right."""
+    outcomes = []
+    for case in cases():
+        found = judge(case)
+        outcomes.append(found)
+        first = found.found.causes[0].name
+        best = "-" if found.found.best is None else found.found.best.name
+        print(
+            f"{case.name:40} {first:20} {'' if found.names_cause else 'WRONG':6}"
+            f"rate {found.found.rate:6.2f} ({found.rate:5.2f}) {best:16} × {found.ratio:8.3g} "
+            f"{found.seconds:.2f} s",
+            flush=True,
+        )
+
+    def share(name: str, values: list[bool]) -> None:
+        print(f"{name}: {sum(values)} of {len(values)}")
+
+    share("cause", [o.names_cause for o in outcomes])
+    share("interval", [o.covers for o in outcomes if o.covers is not None])
+    share("rate", [o.right_rate for o in outcomes if o.right_rate is not None])
+    share(
+        "advice lowers the variance", [o.ratio < 1.0 for o in outcomes if not math.isnan(o.ratio)]
+    )
+    fine = [o for o in outcomes if o.found.causes[0].name == "none"]
+    share("no fine said of a broken one", ["none" in o.case.causes for o in fine])
