@@ -164,7 +164,9 @@ def _known_curves(group: Group, styles: Styles, kind: str, what: str, caption: s
             slope, limit, bend = (
                 float(each[v]) for v in ("predicted_rate", "limit_rate", "bend_n")
             )
-            notes[name] = f": {slope:.2f}" + (f" → {limit:.2f}" if np.isfinite(limit) else "")
+            notes[name] = f": {number(slope)}" + (
+                f" → {number(limit)}" if np.isfinite(limit) else ""
+            )
             if np.isfinite(bend):
                 marks.append(Rule(at=bend, axis="x", color=styles[name].color, dashes="--"))
     for name, line in zip(curves, lines_of(curves, styles, ("n", what), notes=notes), strict=True):
