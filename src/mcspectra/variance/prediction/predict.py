@@ -148,17 +148,16 @@ class Prediction(Analysis, frozen=True, kw_only=True):
     def _result(self, subject: Subject, samplers: list[Sampler], found: Cells) -> xr.Dataset:
         estimator = subject.estimator
         shape = (len(samplers), -1, found.variance.shape[1])
-        variance = found.variance.reshape(shape)
         n = np.array([_places(s, self.counts) for s in samplers], float)
 
-        # Rates from the count before, of the first one to the next
-        least = found.ends()[0].reshape(shape)
+        # Rates from the count before, of the first one to the next; not of intervals that reach 0
+        known = np.where(found.ends()[0] > 0.0, found.variance, np.nan).reshape(shape)
         with np.errstate(divide="ignore", invalid="ignore"):
-            slope = np.diff(np.log(variance), axis=1) / np.diff(np.log(n), axis=1)[..., None]
+            slope = np.diff(np.log(known), axis=1) / np.diff(np.log(n), axis=1)[..., None]
         slope[:, 0] = np.where(n[:, :1] > 0.0, slope[:, 0], slope[:, 1])
         asked = slice(1, 1 + len(self.counts))
         rates = [
-            rates_of(n[s], np.where(least, variance, np.nan)[s, :, c], asked.stop, estimator.dims)
+            rates_of(n[s], known[s, :, c], asked.stop, estimator.dims)
             for s, c in np.ndindex(shape[0], shape[2])
         ]
         rate, limit, bend = np.array(rates).reshape(shape[0], shape[2], 3).transpose(2, 0, 1)
@@ -257,7 +256,8 @@ def predict(
         of the variance that stands for the rest; ``local_rate(n)``, the slope from the count before (at
         the first, to the next); ``predicted_rate``, the slope over all counts, as `convergence` fits
         it; ``limit_rate``, the exponent that rates tend to, and ``bend_n``, where a line of this slope
-        meets that of smaller n, if the two differ by more than 0.3: both NaN where they are not known. The
+        meets that of smaller n, if the two differ by more than 0.3: both NaN where they are not known.
+        Counts whose interval reaches 0 have no rates. The
         coordinate ``route`` names how each n was predicted: `ROUTES` in their order. A list adds the dim
         sampler, several channels the dim channel. Where there is no variance, or no more than rounding,
         it is NaN, and the attribute ``note`` says so.
