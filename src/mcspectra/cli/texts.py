@@ -392,9 +392,17 @@ def prediction(result: xr.Dataset) -> Answer:
             route = str(result["route"].values[k])
             rows.append([str(n), label, *numbers, f"{share[k, channel]:.4f}", route])
     header = ["n", "", "variance", "95 %", "local rate", "share", "route"]
-    rates = ", ".join(f"{float(r):+.3f}" for r in result["predicted_rate"].values.reshape(-1))
+    rates = "; ".join(
+        f"rate: {rate:+.3f}"
+        + (f", tends to {limit:+.3f}" if np.isfinite(limit) else "")
+        + (f", bends at n = {bend:.3g}" if np.isfinite(bend) else "")
+        for rate, limit, bend in zip(
+            *(result[v].values.reshape(-1) for v in ("predicted_rate", "limit_rate", "bend_n")),
+            strict=True,
+        )
+    )
     title = f"predicted variance of {_title(result)}"
-    return _shown(title, text_table(header, rows), f"rate: {rates}", _note(result))
+    return _shown(title, text_table(header, rows), rates, _note(result))
 
 
 @_view("remedies")

@@ -69,6 +69,7 @@ anisotropy_db | f | dB | radius | variance of power over direction / (mean power
 anisotropy_noise_db | f | dB | radius | anisotropy that noise alone makes
 band_covariance | f | f² | band band_other | covariance of band-limited estimates
 band_trace | f | f² | | sum of all eigenvalues of the covariance within the band
+bend_n | f | 1 | | number of points at which the predicted rate changes to its limit; NaN: none known
 best_width | f | 1 | any | width of smoothed edges with the least mean squared error
 best_width_range | f | 1 | any | widths that may have the least mean squared error
 bias_squared | f | f² | any | (integral of the smoothed integrand minus the original)²
@@ -112,6 +113,7 @@ improvement | f | 1 | any | variance less than as given (1), more (−1), undeci
 incident_radiance | f | W/(m² sr) | any | radiance of the lights that count, from each direction
 kurtosis | f | 1 | | kurtosis of the estimates; normal: 3
 l2_star_discrepancy | f | 1 | any | L2 star discrepancy
+limit_rate | f | 1 | | exponent that the predicted variance tends to at large n; NaN: not known
 local_rate | f | 1 | n | exponent of the predicted variance between neighbouring n
 low_frequency_exponent | f | 1 | | b of power ∝ |m|^b at low frequencies
 mean | f | f | strategy? n? y? x? | mean estimate
