@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mcspectra.plots.description import Axis, Bars, Dots, Line, Mark, Panel, Plot
+from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot
 from mcspectra.plots.groups import Group, Styles, for_each, intervals, numbers
-from mcspectra.plots.scales import log_axis, name_axis
+from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import labels, sampler_styles
-from mcspectra.plots.text import MISSING, number, percent
+from mcspectra.plots.text import number
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -38,77 +38,53 @@ def chains(group: Group, styles: Styles) -> Plot:
     worst = sorted(single, key=lambda name: float(single[name]["ess"].fillna(-1.0)))[:_MOST]
     shown = {name: each for name, each in single.items() if name in worst}
     styles = styles if shown.keys() <= styles.keys() else sampler_styles(list(shown))
-    names, periods = labels(list(shown), 40), dict[str, None]()
-    for each in sorted(shown.values(), key=lambda each: -each.sizes["band"]):
-        periods |= dict.fromkeys(map(str, each["band"].values))
-    places = {period: k for k, period in enumerate(periods)}
-
+    names, levels = labels(list(shown), 40), [np.empty(0)]
     spectra: list[Mark] = []
     shares: list[Mark] = []
-    levels = []
-    width = 0.8 / len(shown)
-    for row, (name, each) in enumerate(shown.items()):
+    for name, each in shown.items():
         low, high = each["band_low"].values, each["band_high"].values
-        # Bands on a logarithmic axis, the lowest, from 0, as if it were an octave
-        x = np.sqrt(np.maximum(low, high / 2) * high)
-        color, ends = styles[name].color, each["chain_spectrum_ci"].values
-        measured, fitted = (each[f"{kind}_spectrum"].values for kind in ("chain", "fitted"))
+        x = np.sqrt(np.maximum(low, high / 2) * high)  # the lowest band, from 0, as if an octave
+        error, draw, measured, fitted = (
+            each[key].values
+            for key in ("error_share", "draw_share", "chain_spectrum", "fitted_spectrum")
+        )
+        ends, color, label = each["chain_spectrum_ci"].values, styles[name].color, names[name]
         levels += [measured[measured > 0], fitted[fitted > 0]]
-        bands = list(map(str, each["band"].values))
-        hover = {"chain": [name] * x.size, "period in draws": bands}
-        spectra += [
-            Line(x=x, y=fitted, color=color, dashes=styles[name].dashes, label=names[name]),
-            Dots(
-                x=x,
-                y=np.where(measured > 0, measured, np.nan),
-                color=color,
-                marker=styles[name].marker,
-                low=ends[:, 0],
-                high=ends[:, 1],
-                label=names[name],
-                hover={**hover, "spectrum": numbers(measured), "95 %": intervals(ends)},
-            ),
-        ]
-        at = np.array([places[band] for band in bands]) + (row + 0.5) * width - 0.4
-        for kind, opacity, part in (("draw", 0.35, width), ("error", 1.0, width / 2)):
-            value = each[f"{kind}_share"].values
-            texts = [percent(share) if np.isfinite(share) else MISSING for share in value.tolist()]
-            title = (
-                "share of the error" if kind == "error" else "share of the variance of the draws"
-            )
-            bars = Bars(at=at, value=value, color=color, thickness=0.9 * part, opacity=opacity)
-            shares.append(replace(bars, hover={**hover, title: texts}))
+        hover = {
+            "chain": [name] * x.size,
+            "period in draws": list(map(str, each["band"].values)),
+            "spectrum": numbers(measured),
+            "95 %": intervals(ends),
+            "share of the error": numbers(error, 3),
+            "share of the draws": numbers(draw, 3),
+        }
+        dots = Dots(x=x, y=measured, color=color, marker=styles[name].marker, hover=hover)
+        spectra.append(Line(x=x, y=fitted, color=color, label=label))
+        spectra.append(replace(dots, low=ends[:, 0], high=ends[:, 1], label=label))
+        shares.append(Line(x=x, y=draw, color=color, dashes=":", label=""))
+        shares += [Line(x=x, y=error, color=color, label=label), replace(dots, y=error)]
     every = np.concatenate(levels)
     least, most = (float(every.min()), float(every.max())) if every.size else (1.0, 1.0)
     bottom = min(float(each["band_high"].values[0]) for each in shown.values()) / 2
-    more = ""
-    if len(single) > _MOST:
-        more = f" Shown are the {_MOST} of {len(single)} quantities of the fewest effective draws."
+    axis, hidden = log_axis("frequency in cycles per draw", bottom, 0.5), len(single) - len(shown)
+    density = log_axis("spectral density S", least / 3, 3 * most)
+    still = "" if every.size else "the chains do not move"
     return Plot(
         kind="chains",
         panels=(
+            Panel(marks=tuple(spectra), x=axis, y=density, grid=True, note=still),
             Panel(
-                marks=tuple(spectra),
-                x=log_axis("frequency in cycles per draw", bottom, 0.5),
-                y=log_axis("spectral density S", least / 3, 3 * most),
-                grid=True,
-                note="" if every.size else "the chains do not move",
-            ),
-            Panel(
-                marks=tuple(shares),
-                x=name_axis(list(periods), "period in draws", flipped=False),
-                y=Axis(label="share", low=0.0, high=1.05),
-                grid=True,
+                marks=tuple(shares), x=axis, y=Axis(label="share", low=0.0, high=1.05), grid=True
             ),
         ),
-        columns=1,
-        caption="Spectrum of the chains in time, measured with 95 % intervals, and its fit (lines); by "
-        "period, shares of the squared error of the mean (narrow bars) and of the variance of the "
-        "draws (wide ones)." + more,
-        words="Spectra of chains in time and shares of the error by period. "
+        caption="Spectrum of the chains in time, measured in octaves with 95 % intervals, and its fit; "
+        "below, the share of each octave of the squared error of the mean, and, dotted, of the "
+        "variance of the draws."
+        + (f" {hidden} quantities of more effective draws are left out." if hidden else ""),
+        words="Spectra of chains in time and shares of the error by frequency. "
         + for_each(
-            shown,
-            lambda each: f"effective draws {number(float(each['ess']))}, {each['cause'].item()}",
+            shown, lambda d: f"effective draws {number(float(d['ess']))}, {d['cause'].item()}"
         ),
         height=0.5,
+        share="x",
     )

@@ -16,7 +16,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["chain_error"]
 
 _LEAST_DRAWS = 10
+_SCORE = 5.0  # standard errors from what independent chains have
 _ALARM = 1e-4  # probability that a test names a cause where there is none
 _FORGOTTEN = 8.0  # autocorrelation times; a random walk seems to have fewer in 95 % of cases
 _RUN = 0.1  # share of the draws that repeat one value, in a chain of more than _VALUES values
@@ -39,6 +40,14 @@ _SWITCHES = 20
 _HEAVY = 0.6  # tail index, known to ±0.1 from 2000 draws; beyond ½ the variance is infinite
 _LEAST_TAIL = 20  # draws in a tail that is looked at
 _FEW_DEGREES = 6.0  # the error is known to ±30 %
+
+_VARIABLES: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("mean", "mcse", "ess", "spectrum_at_zero"), ()),
+    **dict.fromkeys(("mean_ci", "mcse_ci", "ess_ci"), ("bound",)),
+    **dict.fromkeys(("error_share", "draw_share", "chain_spectrum", "fitted_spectrum"), ("band",)),
+    "chain_spectrum_ci": ("band", "bound"),
+}
+"""Variables of the result and their dims, besides quantity."""
 
 
 def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
@@ -91,7 +100,7 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
     chains, n = values.shape[1:]
     w = np.ones((chains, n))
     if weights is not None:
-        w = as_real_array("weights", _in_order(weights))
+        w = as_real_array("weights", weights)
         if w.shape not in {(chains, n), (n,)} or (w.ndim == 1 and chains > 1):
             raise ParameterError(
                 f"weights have shape {w.shape}; give one for each draw, shape {(chains, n)}."
@@ -112,45 +121,29 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
         note = (
             f"{chains} chains of {n} draws: the first axis is that of the chains; transpose if not."
         )
+    dims = ("quantity",) if names else ()
+    gathered = {
+        k: np.array([each[k] for each in found])[slice(None) if names else 0] for k in found[0]
+    }
     edges = _edges(n)
-    variables: dict[str, tuple[tuple[str, ...], Any]] = {
-        name: (("quantity", *dims), np.array([each[name] for each in found]))
-        for name, dims in {
-            "mean": (), "mean_ci": ("bound",), "mcse": (), "mcse_ci": ("bound",), "ess": (),
-            "ess_ci": ("bound",), "spectrum_at_zero": (), "error_share": ("band",),
-            "draw_share": ("band",), "chain_spectrum": ("band",),
-            "chain_spectrum_ci": ("band", "bound"), "fitted_spectrum": ("band",),
-        }.items()
-    }  # fmt: skip
-    texts = {key: np.array([each[key] for each in found]) for key in ("cause", "evidence")}
-    single = not names
     periods = [f"above {1 / edges[1]:.0f}"]
     periods += [f"{1 / b:.0f} to {1 / a:.0f}" for a, b in itertools.pairwise(edges[1:])]
     return dataset(
-        variables,
+        {name: ((*dims, *own), gathered[name]) for name, own in _VARIABLES.items()},
         {
             "bound": ["low", "high"],
             "band": periods,
             "band_low": ("band", edges[:-1]),
             "band_high": ("band", edges[1:]),
-            **({} if single else {"quantity": names}),
-            **{k: ((), t[0]) if single else ("quantity", t) for k, t in texts.items()},
+            **({"quantity": names} if names else {}),
+            **{name: (dims, gathered[name]) for name in ("cause", "evidence")},
         },
-        drop={"quantity"} if single else (),
         analysis="chains",
         chains=chains,
         draws=n,
         weighted=int(weights is not None),
         note=note or None,
     )
-
-
-def _in_order(array: Any) -> Any:
-    """An array of xarray with its chains and draws first; others as they are."""
-    if not hasattr(array, "dims"):
-        return array
-    named = [dim for dim in ("chain", "draw") if dim in array.dims]
-    return array.transpose(*named, ...).values
 
 
 def _quantities(draws: Any) -> tuple[list[str], Array]:
@@ -161,23 +154,22 @@ def _quantities(draws: Any) -> tuple[list[str], Array]:
     given = getattr(draws, "posterior", draws)
     if isinstance(given, xr.DataTree):
         given = given.to_dataset()
-    parts: dict[str, Any] = {"": given}
+    parts = {"": given}
     if isinstance(given, xr.Dataset):
         parts = {str(name): each for name, each in given.data_vars.items()}
-        if not parts:
-            raise ParameterError("draws hold no variables; give some with the dims chain and draw.")
     names, found = [], []
     for name, part in parts.items():
         what = f"draws of {name!r}" if name else "draws"
-        if hasattr(part, "dims") and "draw" not in part.dims:
-            raise ParameterError(
-                f"{what} have the dims {', '.join(map(str, part.dims)) or 'none'}; name the axis of "
-                "time draw, and that of several chains chain."
-            )
-        x = as_real_array(what, _in_order(part))
-        shape = x.shape
-        if x.ndim == 1 or (hasattr(part, "dims") and "chain" not in part.dims):
-            x = x[None]
+        if isinstance(part, xr.DataArray):
+            if "draw" not in part.dims:
+                raise ParameterError(
+                    f"{what} have the dims {', '.join(map(str, part.dims)) or 'none'}; name the axis "
+                    "of time draw, and that of several chains chain."
+                )
+            part = part if "chain" in part.dims else part.expand_dims("chain")
+            part = part.transpose("chain", "draw", ...).values
+        x = as_real_array(what, part)
+        shape, x = x.shape, x[None] if x.ndim == 1 else x
         if x.ndim < 2 or (x.ndim > 3 and not name) or not x.size or x.shape[1] < _LEAST_DRAWS:
             raise ParameterError(
                 f"{what} have shape {shape}; give {_LEAST_DRAWS} draws or more, of shape (n,), "
@@ -188,10 +180,11 @@ def _quantities(draws: Any) -> tuple[list[str], Array]:
         places = [",".join(map(str, place)) for place in np.ndindex(x.shape[2:])]
         names += [f"{name}[{place}]" if place else name for place in places]
         found.append(np.moveaxis(x.reshape(*x.shape[:2], -1), -1, 0))
-    if names == [""]:
-        names = []
-    elif isinstance(draws, np.ndarray | list | tuple):
-        names = [str(k) for k in range(len(names))]
+    if not found:
+        raise ParameterError("draws hold no variables; give some with the dims chain and draw.")
+    names = (
+        [] if names == [""] else [name.strip("[]") if name[0] == "[" else name for name in names]
+    )
     return names, np.ascontiguousarray(np.concatenate(found))
 
 
@@ -206,6 +199,7 @@ class _Fit:
     degrees: float  # of freedom of the variance
     spectrum: Array  # S at j / length cycles per draw, from 0 to ½
     error: Array  # parts of the variance at these frequencies
+    power: Array  # measured, of S
     frequency: Array
 
 
@@ -253,8 +247,9 @@ def _fitted(z: Array) -> _Fit:
     order = len(chosen) + 1
     sums = solve_toeplitz(covariance[:order], np.ones(order)).sum() * innovation
     square = (2.0 + 4.0 * max(float(sums), 0.0) / float(chosen.sum()) ** 2) / (n * chains)
-    spread, at_zero = float(covariance[0]), float(spectrum[0])
-    return _Fit(chosen, variance, spread, at_zero, 2.0 / square, spectrum, error, frequency)
+    spread, at_zero, degrees = float(covariance[0]), float(spectrum[0]), 2.0 / square
+    power /= n
+    return _Fit(chosen, variance, spread, at_zero, degrees, spectrum, error, power, frequency)
 
 
 def _error(x: Array, w: Array) -> dict[str, Any]:
@@ -266,35 +261,33 @@ def _error(x: Array, w: Array) -> dict[str, Any]:
     edges = _edges(n)
     mean = float((w * x).sum() / w.sum())
     z = w * (x - mean)  # mean(z) is the error of the ratio estimate, to first order
+    size = edges.size - 1
     if np.ptp(x) == 0 or not np.any(z):
-        nothing = np.full(edges.size - 1, math.nan)
-        return {
-            "mean": mean, "mean_ci": [-math.inf, math.inf], "mcse": math.nan,
-            "mcse_ci": [0.0, math.inf], "ess": math.nan, "ess_ci": [0.0, math.inf],
-            "spectrum_at_zero": math.nan, "error_share": nothing, "draw_share": nothing,
-            "chain_spectrum": nothing, "chain_spectrum_ci": np.full((edges.size - 1, 2), math.nan),
-            "fitted_spectrum": nothing, "cause": "stuck-chain",
-            "evidence": f"All draws are {mean:.6g}: no chain moves, or the quantity is a constant.",
-        }  # fmt: skip
+        sizes = {"band": size, "bound": 2}
+        nothing = {k: np.full([sizes[d] for d in v], math.nan) for k, v in _VARIABLES.items()}
+        said = f"All draws are {mean:.6g}: no chain moves, or the quantity is a constant."
+        return {**nothing, "mean": mean, "cause": "stuck-chain", "evidence": said}
     causes: dict[str, str] = {}
-    remarks: list[str] = []
 
-    # Chains that move together have the error of their mean chain
-    series, one = z, z
+    # Chains that move together have the error of their mean chain. Of whitened chains that do not, the
+    # power of the mean chain over theirs is Beta(1, m − 1) at each frequency
     fit = own = _fitted(z)
-    white = np.asarray(lfilter(fit.coefficients, [1.0], z))[:, fit.coefficients.size - 1 :]
-    together = _togetherness(white)
-    if together is not None:
-        series, one = z.mean(axis=0, keepdims=True), z[:1]
-        sentence = (
-            f"the mean of the {chains} chains varies {together:.2g} times as much as that of "
-        )
-        sentence += "independent ones, as chains of one seed or one start do"
-        if together > 1:
-            causes["correlated-replicates"] = sentence
-        else:
-            remarks.append(sentence.rpartition(",")[0])
-        own = _fitted(series)
+    series, remark = z, ""
+    if chains > 1:
+        white = np.asarray(lfilter(fit.coefficients, [1.0], z))[:, fit.coefficients.size - 1 :]
+        waves = np.fft.rfft(white, axis=1)[:, 1 : (n + 1) // 2]
+        each = np.maximum((np.abs(waves) ** 2).sum(axis=0), np.finfo(float).tiny)
+        together = np.abs(waves.sum(axis=0)) ** 2 / each
+        score = (together.mean() - 1) * math.sqrt(each.size * (chains + 1) / (chains - 1))
+        if abs(score) > _SCORE:
+            remark = (
+                f"the mean of the {chains} chains varies {together.mean():.2g} times as much as "
+            )
+            remark += "that of independent ones"
+            series = z.mean(axis=0, keepdims=True)
+            own = _fitted(series)
+        if score > _SCORE:
+            causes["correlated-replicates"] = f"{remark}, as chains of one seed or one start do"
     rows, means = len(series), series.mean(axis=1)
     tau = n * own.variance / own.spread
     within, degrees = own.variance / rows, own.degrees
@@ -310,10 +303,9 @@ def _error(x: Array, w: Array) -> dict[str, Any]:
     flat = _fitted(series - slopes.mean() * time)
     shared = f.sf(rows * slopes.mean() ** 2 / flat.at_zero, 1, flat.degrees)
     drift = min(shared, f.sf((slopes**2).mean() / flat.at_zero, rows, flat.degrees)) < _ALARM / 2
-    run, constant = max(map(_longest_run, x)), int((np.ptp(x, axis=1) == 0).sum())
-    if constant:
-        stuck = f"{constant} of {chains} chains never move"
-    elif run >= max(_RUN * n, _LEAST_DRAWS) and np.unique(x).size > _VALUES:
+    moves = np.diff(x, axis=1, prepend=math.nan, append=math.nan) != 0
+    run = int(np.diff(np.flatnonzero(moves)).max())
+    if run >= max(_RUN * n, _LEAST_DRAWS) and np.unique(x).size > _VALUES:
         stuck = f"a chain repeats one value for {run} of {n} draws"
     elif rows > 1 and f.sf(ratio, rows - 1, degrees) < _ALARM:
         stuck = f"the means of the chains differ {math.sqrt(ratio):.2g} times as much as the draws "
@@ -326,9 +318,9 @@ def _error(x: Array, w: Array) -> dict[str, Any]:
         if share > _TWO_LEVELS and switches <= _SWITCHES * chains:
             stuck = f"the draws lie on two levels, with {switches} moves from one to the other"
         else:
-            stuck = f"the chain drifts: {n} draws are {n / tau:.2g} autocorrelation times"
-            if drift:
-                stuck = "the chain drifts: its mean moves with time by more than its error explains"
+            stuck = "the chain drifts: its mean moves with time by more than its error explains"
+            if not drift:
+                stuck = f"the chain drifts: {n} draws are {n / tau:.2g} autocorrelation times"
     if stuck:
         causes["stuck-chain"] = stuck
         variance = max(variance, between)
@@ -348,13 +340,15 @@ def _error(x: Array, w: Array) -> dict[str, Any]:
     low, high = np.sqrt(degrees / chi2.ppf([0.975, 0.025], degrees)) * mcse
     high = float(high) if bounded else math.inf
     spread = float((w * (x - mean) ** 2).sum() / w.sum()) + variance
-    power, ends = _measured(one, edges)
-    of_grid = np.searchsorted(edges, fit.frequency, side="right").clip(1, edges.size - 1) - 1
-    size = edges.size - 1
+    of_grid = np.searchsorted(edges, fit.frequency, side="right").clip(1, size) - 1
+    cells = np.bincount(of_grid, minlength=size)
     error = np.bincount(of_grid, own.error, size)
-    within_band = np.bincount(of_grid, fit.spectrum, size) / np.bincount(of_grid, minlength=size)
-    shares = within_band * np.diff(edges)
-    sentences = [f"{name}: {text}" for name, text in causes.items()] + remarks
+    fitted, power = (np.bincount(of_grid, v, size) / cells for v in (fit.spectrum, fit.power))
+    # Below 1/n what is measured is the scatter of the chains' means
+    freedom = 2.0 * rows * n * np.diff(edges)
+    power[0], freedom[0] = (n * means.var(ddof=1), rows - 1) if rows > 1 else (math.nan, math.nan)
+    chances = chi2.ppf([0.975, 0.025], freedom[:, None])
+    draw = fitted * np.diff(edges)
     return {
         "mean": mean,
         "mean_ci": [mean - half, mean + half],
@@ -364,28 +358,13 @@ def _error(x: Array, w: Array) -> dict[str, Any]:
         "ess_ci": [spread / high**2, spread / float(low) ** 2],
         "spectrum_at_zero": fit.at_zero,
         "error_share": error / error.sum(),
-        "draw_share": shares / shares.sum(),
+        "draw_share": draw / draw.sum(),
         "chain_spectrum": power,
-        "chain_spectrum_ci": ends,
-        "fitted_spectrum": within_band,
+        "chain_spectrum_ci": (freedom * power)[:, None] / chances,
+        "fitted_spectrum": fitted,
         "cause": ", ".join(causes) or "none",
-        "evidence": "; ".join(sentences) + "." * bool(sentences),
+        "evidence": "; ".join(f"{k}: {v}" for k, v in causes.items()) or remark,
     }
-
-
-def _togetherness(z: Array) -> float | None:
-    """Variance of the mean chain / that of independent chains, None where these could have it.
-
-    Of whitened chains: the ratio at each frequency is m·Beta(1, m − 1) where they are independent.
-    """
-    chains, n = z.shape
-    if chains == 1:
-        return None
-    waves = np.fft.rfft(z, axis=1)[:, 1 : (n + 1) // 2]
-    total = (np.abs(waves) ** 2).sum(axis=0)
-    ratio = np.abs(waves.sum(axis=0))[total > 0] ** 2 / total[total > 0]
-    score = (ratio.mean() - 1) * math.sqrt(ratio.size * (chains + 1) / max(chains - 1, 1))
-    return float(ratio.mean()) if abs(score) > 5.0 else None
 
 
 def _tail_index(z: Array) -> float:
@@ -408,31 +387,6 @@ def _tail_index(z: Array) -> float:
     return (most * index + 5) / (most + 10)  # as if ten further draws had ½
 
 
-def _longest_run(x: Array) -> int:
-    """Most draws in a row of one value."""
-    changes = np.flatnonzero(np.diff(x)) + 1
-    return int(np.diff(np.concatenate([[0], changes, [x.size]])).max())
-
-
 def _edges(n: int) -> Array:
     """Ends of the bands: octaves below ½, down to 1/n, and from 0."""
     return np.append(0.0, 2.0 ** np.arange(-math.floor(math.log2(n)), 0))
-
-
-def _measured(z: Array, edges: Array) -> tuple[Array, Array]:
-    """Bands' means of the measured spectrum with 95 % intervals; NaN where nothing is measured."""
-    from scipy.stats import chi2
-
-    chains, n = z.shape
-    power = (np.abs(np.fft.rfft(z, axis=1)) ** 2).mean(axis=0) / n
-    power[0] = n * z.mean(axis=1).var(ddof=1) if chains > 1 else 0.0
-    degrees = np.full(power.size, 2.0 * chains)
-    degrees[0] = chains - 1
-    if n % 2 == 0:
-        degrees[-1] = chains
-    band = np.searchsorted(edges, np.arange(power.size) / n, side="right").clip(1, edges.size - 1)
-    total = np.bincount(band - 1, degrees, edges.size - 1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.bincount(band - 1, degrees * power, edges.size - 1) / total
-        ends = mean[:, None] * total[:, None] / chi2.ppf([0.975, 0.025], total[:, None])
-    return mean, cast(Array, ends)
