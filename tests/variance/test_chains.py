@@ -178,10 +178,11 @@ def test_chains_that_repeat_a_value_are_named():
     one = ar1(0.5, (4, 1000))
     one[2] = one[2, 0]
     assert "repeats one value for 1000 of 1000" in cause(one)[1]
-    name, text, result = cause(np.ones(50))
-    assert name == "stuck-chain"
-    assert "or the quantity is a constant" in text
-    assert np.isnan(float(result["mcse"]))
+    for still in (np.ones(50), np.array([[1.0], [2.0]]).repeat(50, axis=1)):
+        name, text, result = cause(still)
+        assert name == "stuck-chain"
+        assert "or the quantity is a constant" in text
+        assert np.isnan(float(result["mcse"]))
     rare = (np.random.default_rng(2).random((4, 1000)) < 0.01).astype(float)
     assert cause(rare)[0] == "none"  # an event that is rare does not vary for long
 
@@ -222,6 +223,18 @@ def test_an_antithetic_pair_is_worth_more():
     name, _, result = cause(pair)
     assert name == "none"
     assert float(result["mcse"]) == pytest.approx(0.1 / np.sqrt(2000), rel=0.3)
+
+
+@pytest.mark.parametrize(
+    "draws",
+    [np.arange(1000.0), np.sin(np.arange(1000.0)), np.tile([1.0, -1.0], 500), np.eye(1, 50)[0]],
+    ids=["ramp", "sine", "alternating", "spike"],
+)
+def test_chains_that_are_no_chance_do_not_break_it(draws):
+    result = mcs.chain_error(draws)
+    assert float(result["mcse"]) > 0
+    assert np.isfinite(result["error_share"]).all()
+    assert (result["cause"].item() == "stuck-chain") == (draws[-1] == 999)
 
 
 def test_few_draws_are_named():

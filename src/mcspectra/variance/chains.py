@@ -114,17 +114,15 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
         w = w / w.mean()
 
     found = [_error(each, w) for each in values]
-    note = ""
+    note = None
     if chains == 1:
         note = "One chain cannot show a mode that it never met: run several from scattered starts."
     elif chains > n:
         note = (
-            f"{chains} chains of {n} draws: the first axis is that of the chains; transpose if not."
+            f"The first of {chains} × {n} draws is the axis of the chains; transpose if it is not."
         )
-    dims = ("quantity",) if names else ()
-    gathered = {
-        k: np.array([each[k] for each in found])[slice(None) if names else 0] for k in found[0]
-    }
+    dims, kept = (("quantity",), slice(None)) if names else ((), 0)
+    gathered = {k: np.array([each[k] for each in found])[kept] for k in found[0]}
     edges = _edges(n)
     periods = [f"above {1 / edges[1]:.0f}"]
     periods += [f"{1 / b:.0f} to {1 / a:.0f}" for a, b in itertools.pairwise(edges[1:])]
@@ -142,7 +140,7 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
         chains=chains,
         draws=n,
         weighted=int(weights is not None),
-        note=note or None,
+        note=note,
     )
 
 
@@ -182,9 +180,8 @@ def _quantities(draws: Any) -> tuple[list[str], Array]:
         found.append(np.moveaxis(x.reshape(*x.shape[:2], -1), -1, 0))
     if not found:
         raise ParameterError("draws hold no variables; give some with the dims chain and draw.")
-    names = (
-        [] if names == [""] else [name.strip("[]") if name[0] == "[" else name for name in names]
-    )
+    if "" in parts:  # an array has numbers for names, where it has several quantities
+        names = [name.strip("[]") for name in names if name]
     return names, np.ascontiguousarray(np.concatenate(found))
 
 
@@ -262,10 +259,10 @@ def _error(x: Array, w: Array) -> dict[str, Any]:
     mean = float((w * x).sum() / w.sum())
     z = w * (x - mean)  # mean(z) is the error of the ratio estimate, to first order
     size = edges.size - 1
-    if np.ptp(x) == 0 or not np.any(z):
+    if not np.ptp(x, axis=1).any() or not np.any(z):
         sizes = {"band": size, "bound": 2}
         nothing = {k: np.full([sizes[d] for d in v], math.nan) for k, v in _VARIABLES.items()}
-        said = f"All draws are {mean:.6g}: no chain moves, or the quantity is a constant."
+        said = "stuck-chain: no chain moves, or the quantity is a constant"
         return {**nothing, "mean": mean, "cause": "stuck-chain", "evidence": said}
     causes: dict[str, str] = {}
 
