@@ -65,7 +65,7 @@ def test_the_text_names_causes_and_periods(run, files):
 
 def test_the_figure_is_written(run, files):
     assert run("chains", files / "both.npy", "--out", files / "f.svg", "--quiet")[0] == 0
-    assert "period in draws" in (files / "f.svg").read_text("utf-8")
+    assert "cycles per draw" in (files / "f.svg").read_text("utf-8")
 
 
 def test_weights_of_a_file(run_json, files):
