@@ -86,8 +86,8 @@ dc_term | f | f² | n? | dc term |f_0|² C_00
 cost | f | 1 | remedy step | evaluations of the integrand in an estimate
 error | f | f² | remedy | variance at the budget, mean squared error where biased
 error_at_cost | f | f² | remedy step | variance at each cost, mean squared error where biased
-error_ratio | f | 1 | remedy | error / that of the set-up as given
-error_ratio_ci | f | 1 | remedy bound | simultaneous 95 % interval of the ratio of errors
+error_ratio | f | 1 | remedy | variance (mean squared error where biased) / that of the set-up as given
+error_ratio_ci | f | 1 | remedy bound | simultaneous 95 % interval of the ratio of variances
 rank_by_rate | i | 1 | remedy | rank by rate, 1: steepest
 rate_difference | f | 1 | remedy | rate minus that of the set-up as given
 rate_difference_ci | f | 1 | remedy bound | simultaneous 95 % interval of the difference of rates
@@ -258,7 +258,7 @@ def attributes_of(**provenance: Any) -> dict[str, str | int | float]:
 
 
 def strict_json(value: Any) -> Any:
-    """Return what strict JSON can say: lists for arrays, null for NaN and infinity, texts for paths."""
+    """Return what strict JSON can say: lists for arrays, null for NaN, texts for paths and ``inf``."""
     if isinstance(value, Mapping):
         return {str(key): strict_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -268,7 +268,7 @@ def strict_json(value: Any) -> Any:
     if isinstance(value, complex):
         return {"re": strict_json(value.real), "im": strict_json(value.imag)}
     if isinstance(value, float) and not math.isfinite(value):
-        return None
+        return None if math.isnan(value) else str(value)
     return str(value) if isinstance(value, Path) else value
 
 

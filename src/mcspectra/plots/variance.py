@@ -393,12 +393,12 @@ def routes(group: Group, styles: Styles) -> Plot:
 
 
 def remedies(group: Group, styles: Styles) -> Plot:
-    """Error of every change relative to the set-up as given, with intervals."""
+    """Variance of every change relative to the set-up as given, with intervals."""
     del styles  # colours are those of the verdicts
     known = np.concatenate([each["error_ratio_ci"].values.ravel() for each in group.values()])
     known = known[np.isfinite(known) & (known > 0)]
     axis = log_axis(
-        "error / error of the set-up as given",
+        "variance / variance as given",
         float(known.min(initial=0.5)),
         float(known.max(initial=2.0)),
     )
@@ -433,9 +433,9 @@ def remedies(group: Group, styles: Styles) -> Plot:
     return Plot(
         kind="remedies",
         panels=tuple(panels),
-        caption="Error of each change over that of the set-up as given, with intervals that hold "
-        "together at 95 %; left of 1 there is less noise.",
-        words="Ratios of errors. " + for_each(group, _ratio_words),
+        caption="Variance of each change (of what is biased, mean squared error) over that of the set-up as "
+        "given, with intervals that hold together at 95 %; left of 1 there is less noise.",
+        words="Ratios of variances. " + for_each(group, _ratio_words),
         height=0.1 + 0.045 * max(each.sizes["remedy"] for each in group.values()),
         share="x",
     )
