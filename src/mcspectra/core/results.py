@@ -116,7 +116,14 @@ l2_star_discrepancy | f | 1 | any | L2 star discrepancy
 limit_rate | f | 1 | | exponent that the predicted variance tends to at large n; NaN: not known
 local_rate | f | 1 | n | exponent of the predicted variance between neighbouring n
 low_frequency_exponent | f | 1 | | b of power ∝ |m|^b at low frequencies
-mean | f | f | strategy? n? y? x? | mean estimate
+mean | f | f | strategy? quantity? n? y? x? | mean estimate
+mcse | f | f | quantity? | standard error of the mean of chains
+ess | f | 1 | quantity? | effective number of draws: variance of the draws / squared error of their mean
+spectrum_at_zero | f | f² | quantity? | spectral density S(0) of a chain in time
+error_share | f | 1 | quantity? band | part of the squared error of the mean from these frequencies
+draw_share | f | 1 | quantity? band | part of the variance of the draws from these frequencies
+chain_spectrum | f | f² | quantity? band | measured spectral density of a chain, mean over the band
+fitted_spectrum | f | f² | quantity? band | fitted spectral density of a chain, mean over the band
 mean_dimension | f | 1 | | mean size of subsets, weighted by c_u
 mean_coefficient | c | 1 | m frequency? | \
 mean coefficient ⟨S_m⟩; 0 at integer m ≠ 0 for unbiased sets
