@@ -188,12 +188,14 @@ def _call(
 @final
 @dataclass(frozen=True, kw_only=True)
 class AsianOption(Option):
-    """A call on the mean price at d dates, max(mean − strike, 0) [KemnaVorst1990]_.
+    """A call on the mean price at d dates, max(mean − strike, 0).
+
+    The value of the geometric mean is that of [KemnaVorst1990]_.
 
     Parameters
     ----------
     average
-        ``"geometric"``, whose value is exact, or ``"arithmetic"``; others as of `Option`.
+        ``"geometric"``, whose value is exact, or ``"arithmetic"``; others as of ``Option``.
     """
 
     name: ClassVar[str] = "asian-option"
@@ -226,8 +228,8 @@ class AsianOption(Option):
 class DigitalOption(Option):
     """A digital call, 1 where the price at maturity is above the strike, else 0.
 
-    The jump is across the first axis with ``construction="bridge"``, else oblique. Parameters as of
-    `Option`; the value is exact [BlackScholes1973]_.
+    The jump is across the first axis with ``construction="bridge"``, else oblique. The value is exact
+    [BlackScholes1973]_. Parameters are those of ``Option``.
     """
 
     name: ClassVar[str] = "digital-option"
@@ -253,7 +255,7 @@ class BarrierOption(Option):
     Parameters
     ----------
     barrier
-        Less than the spot; others as of `Option`.
+        Less than the spot; others as of ``Option``.
     """
 
     name: ClassVar[str] = "barrier-option"

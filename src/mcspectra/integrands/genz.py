@@ -31,7 +31,7 @@ _LEFT, _RIGHT = -40.0, 5.0  # ends of log s, the right one beyond log d, where e
 
 @dataclass(frozen=True, kw_only=True)
 class Genz(Integrand):
-    """One of Genz's functions.
+    """One of the functions of [Genz1984]_.
 
     Parameters
     ----------
@@ -45,7 +45,6 @@ class Genz(Integrand):
     """
 
     a: float | Sequence[float] = per_axis(5.0, above=0.0)
-    dims: int = any_dims()
 
     @property
     def _a(self) -> Array:
@@ -57,6 +56,7 @@ class GenzProduct(Genz):
     """One of Genz's functions that are products over axes."""
 
     u: float | Sequence[float] = per_axis(0.3, least=0.0, most=1.0)
+    dims: int = any_dims()
 
     @abstractmethod
     def _factors(self, x: Array) -> Array:
@@ -89,6 +89,7 @@ class GenzOscillatory(Genz):
 
     name: ClassVar[str] = "genz-oscillatory"
     u: float = real(0.3)
+    dims: int = any_dims()
 
     def _evaluate(self, x: Array) -> Array:
         return np.asarray(np.cos(2.0 * np.pi * self.u + x @ self._a))
@@ -121,10 +122,12 @@ class GenzProductPeak(GenzProduct):
 
 
 @final
+@dataclass(frozen=True, kw_only=True)
 class GenzCornerPeak(Genz):
     """Genz's corner peak, f(x) = (1 + Σ_i a_i x_i)^−(d+1)."""
 
     name: ClassVar[str] = "genz-corner-peak"
+    dims: int = any_dims()
 
     def _evaluate(self, x: Array) -> Array:
         return np.asarray((1.0 + x @ self._a) ** -(self.dims + 1.0))

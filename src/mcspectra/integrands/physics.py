@@ -29,9 +29,9 @@ def _as_centers(name: str, given: object) -> tuple[float, ...]:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Keister(Integrand):
-    """Keister's function: ∫ cos|y| e^{−|y|²} dy over all of ℝ^d, with y = Φ⁻¹(x)/√2 [Keister1996]_.
+    """Keister's function: ∫ cos|y| e^{−|y|²} dy over all of ℝ^d, with y = Φ⁻¹(x)/√2.
 
-    It is f(x) = π^{d/2} cos(|Φ⁻¹(x)|/√2), with the integral π^{d/2} ₁F₁(d/2; ½; −¼).
+    Of [Keister1996]_: f(x) = π^{d/2} cos(|Φ⁻¹(x)|/√2), with the integral π^{d/2} ₁F₁(d/2; ½; −¼).
 
     Parameters
     ----------
@@ -55,7 +55,9 @@ class Keister(Integrand):
 @final
 @dataclass(frozen=True, kw_only=True)
 class GaussianPeaks(Integrand):
-    """The mean of normal densities at a few places on the diagonal, as of vegas [Lepage2021]_.
+    """The mean of normal densities at a few places on the diagonal, as of vegas.
+
+    After [Lepage2021]_.
 
     Parameters
     ----------
@@ -97,7 +99,9 @@ class GaussianPeaks(Integrand):
 @final
 @dataclass(frozen=True, kw_only=True)
 class GaussianRidge(Integrand):
-    """The mean of normal densities all along a piece of the diagonal, as of vegas [Lepage2021]_.
+    """The mean of normal densities all along a piece of the diagonal, as of vegas.
+
+    After [Lepage2021]_.
 
     Parameters
     ----------
@@ -150,9 +154,9 @@ class GaussianRidge(Integrand):
 @final
 @dataclass(frozen=True, kw_only=True)
 class RatioTracking(Integrand):
-    """Transmittance of a ray of length 1 through a medium, by ratio tracking [Novak2014]_.
+    """Transmittance of a ray of length 1 through a medium, by ratio tracking.
 
-    The extinction is σ(t) = extinction (1 + contrast cos(2π cycles t)). Tentative collisions t_1 < t_2 < …
+    Of [Novak2014]_. The extinction is σ(t) = extinction (1 + contrast cos(2π cycles t)). Tentative collisions t_1 < t_2 < …
     of a rate μ ≥ σ, one for each input, multiply the estimate by 1 − σ(t)/μ. After the last input
     the rest of the ray is exact: the integral is exp(−∫σ) in any number of dims.
 

@@ -58,7 +58,9 @@ class Ishigami(Integrand):
 @final
 @dataclass(frozen=True, kw_only=True)
 class SobolG(Integrand):
-    """Sobol's g-function, f(x) = Π_i (|4 x_i − 2| + a_i)/(1 + a_i) [SaltelliSobol1995]_.
+    """Sobol's g-function, f(x) = Π_i (|4 x_i − 2| + a_i)/(1 + a_i).
+
+    Of [SaltelliSobol1995]_.
 
     Parameters
     ----------
