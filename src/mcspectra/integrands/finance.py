@@ -220,7 +220,9 @@ class AsianOption(Option):
         return self._discount * float(_call(means.mean(), deviation, self.spot, self.strike))
 
     def _estimated_integral(self) -> Estimate | None:
-        """X_{k+1} = log(1 + e^{X_k}) + R: e^{X_d} has the law of Σ_k S_k/S_0."""
+        """Of the arithmetic mean: with X_{k+1} = log(1 + e^{X_k}) + R e^{X_d} has the law of Σ_k S_k/S_0."""
+        if self.average == "geometric":
+            return None
         return self._expected_call(lambda x: np.logaddexp(0.0, x), self.spot / self.dims)
 
 
