@@ -76,6 +76,9 @@ Route: TypeAlias = Callable[[Sampler, int, Known, Stream], Predicted]
 ROUTES: tuple[Route, ...] = (of_quadrature, of_torus, of_levels, of_subsets, of_measurements)
 """In the order of trust."""
 
+_OF_COSTLY = (of_torus, of_levels, of_quadrature, of_subsets, of_measurements)
+"""A quadrature asks an integrand anew at every count; tables, as precise, serve all of them."""
+
 
 @final
 class Prediction(Analysis, frozen=True, kw_only=True):
@@ -231,8 +234,8 @@ def predict(
         ``energy_share(n)``, the part of ∫g² that was counted term by term; ``tail_variance(n)``, the part
         of the variance that stands for the rest; ``local_rate(n)``, the slope from the count before (at
         the first, to the next); ``predicted_rate``, the slope over the last three octaves. The
-        coordinate ``route`` names how each n was predicted: `ROUTES` in their order. A list adds the dim
-        sampler, several channels the dim channel. Where there is no variance, or no more than rounding,
+        coordinate ``route`` names how each n was predicted: `ROUTES` in their order, quadratures of
+        costly integrands after tables. A list adds the dim sampler, several channels the dim channel. Where there is no variance, or no more than rounding,
         it is NaN, and the attribute ``note`` says so.
 
     Raises
@@ -325,12 +328,13 @@ class Predictor:
 def _by_routes(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
     """The first route that leads somewhere; points that are mirrored last see another integrand."""
     base, steps = parts_of(sampler)
-    for route in ROUTES:
+    routes = _OF_COSTLY if known.g.costly else ROUTES
+    for route in routes:
         try:
             return route(sampler, n, known, stream)
         except NoClosedForm as error:
             reason = error
-        if route is of_quadrature:
+        if route is routes[0]:
             if sampler.unbiased and np.isinf(known.square[0]).any():
                 infinite = np.where(np.isinf(known.square[0]), math.inf, math.nan)
                 return Predicted(infinite, infinite, 0.0 * known.square[1], infinite, "∫g² = ∞")
