@@ -212,7 +212,7 @@ def _compare(
     option("--no-remedies", "leave remedies out"),
     group(
         lambda parser: parser.add_mutually_exclusive_group(),
-        option("--quick", "some seconds (default)"),
+        option("--quick", "about a minute (default)"),
         option("--full", "some minutes: more of everything"),
     ),
     option("--out DIR", "write the report into this folder"),

@@ -108,7 +108,7 @@ EFFORTS = {
         remedies=None,
     ),
 }
-"""Some seconds, or minutes."""
+"""About a minute, or some."""
 
 
 def analyse_pixel(
