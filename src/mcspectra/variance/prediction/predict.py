@@ -94,6 +94,9 @@ Route: TypeAlias = Callable[[Sampler, int, Known, Stream], Predicted]
 ROUTES: tuple[Route, ...] = (of_quadrature, of_torus, of_levels, of_subsets, of_measurements)
 """In the order of trust."""
 
+_OF_COSTLY = (of_torus, of_levels, of_quadrature, of_subsets, of_measurements)
+"""A quadrature asks an integrand anew at every count; tables, as precise, serve all of them."""
+
 
 @final
 class Prediction(Analysis, frozen=True, kw_only=True):
@@ -258,8 +261,8 @@ def predict(
         it; ``limit_rate``, the exponent that rates tend to, and ``bend_n``, where a line of this slope
         meets that of smaller n, if the two differ by more than 0.3: both NaN where they are not known.
         Counts whose interval reaches 0 have no rates. The
-        coordinate ``route`` names how each n was predicted: `ROUTES` in their order. A list adds the dim
-        sampler, several channels the dim channel. Where there is no variance, or no more than rounding,
+        coordinate ``route`` names how each n was predicted: `ROUTES` in their order, quadratures of costly
+        integrands after tables. A list adds the dim sampler, several channels the dim channel. Where there is no variance, or no more than rounding,
         it is NaN, and the attribute ``note`` says so.
 
     Raises
@@ -365,6 +368,8 @@ def _by_routes(
 ) -> Predicted:
     """The first route that leads somewhere; points that are mirrored last see another integrand."""
     base, steps = parts_of(sampler)
+    if routes is ROUTES and known.g.costly:
+        routes = _OF_COSTLY
     for route in routes:
         try:
             return route(sampler, n, known, stream)
