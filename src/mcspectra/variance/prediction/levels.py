@@ -35,10 +35,8 @@ from mcspectra.samplers import (
     Mirror,
     Random,
     Randomized,
-    Regular,
     Sampler,
     StrataShift,
-    UniformJitter,
 )
 from mcspectra.spectra.bases import hadamard, parts_of
 from mcspectra.spectra.gain import gain_coefficients
@@ -62,7 +60,6 @@ _PARTS = {1: 16, 2: 4, 3: 2}  # per axis, of a cell with a jump
 _MOST_ROUGH = {1: 2**8, 2: 2**14, 3: 2**15}
 _ROUGH = 3.0  # variation of g, relative to that of the mean cell, from which on there may be a jump
 _BLOCK = 2**20  # evaluations at a time
-_OFFSETS, _MOST_EVALUATIONS = 2**13, 2**24  # of a grid that is moved as a whole
 _ROUNDING = 4e-15  # of ∫g², absolute
 _MOST_ERROR, _NOISE = 0.2, 1e-12  # of the variance, from where on it is refused, and of ∫g²
 _KEEP_LAW = frozenset({"digital-shift", "permute"})
@@ -76,7 +73,7 @@ def of_levels(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predict
     ----------
     sampler, n
         In 1 to 3 dims: fixed sets with owen or lms; in base 2 also with digital-shift; jittered,
-        antithetic-jittered, latin-hypercube and random, unshifted; grids with one random offset; each with mirror.
+        antithetic-jittered, latin-hypercube and random, unshifted; each with mirror.
     known
         g, and the tables made for other counts and samplers.
     stream
@@ -113,10 +110,6 @@ def of_levels(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predict
             return _scrambled(base, n, known)
         if names <= _KEEP_LAW and set(base.digit_bases) == {2}:
             return _scrambled(base, n, known, shifted=True)
-        if isinstance(base, Regular) and names <= {"shift", "strata-shift"} and "shift" in names:
-            return _moved_grid(base.sides(n), n, known)
-    if isinstance(base, UniformJitter) and names <= {"shift", "strata-shift"}:
-        return _moved_grid(base.sides(n), n, known)
     if base.name == "antithetic-jittered" and not steps:
         return _antithetic(n, known)
     if base.name in _LATIN and getattr(base, "strength", 1) == 1 and names <= {"shuffle"}:
@@ -446,29 +439,6 @@ def _latin(n: int, known: Known) -> Predicted:
     # Interactions within the strata, which have weight 1
     doubt = error + value[-1] / max(n - 1, 1)
     return _predicted(value, n, square, "parts of a Latin hypercube", doubt=doubt)
-
-
-def _moved_grid(sides: tuple[int, ...], n: int, known: Known) -> Predicted:
-    """The variance of the mean over a grid with one offset, at offsets of a Kronecker sequence."""
-    g, dims = known.g, known.g.dims
-    count = min(_OFFSETS, _MOST_EVALUATIONS // n)
-    if count < 2**6:
-        raise NoClosedForm(f"{n} points are too many to move a grid over {g.spec}.")
-    root = float(np.roots([1.0, *[0.0] * (dims - 1), -1.0, -1.0]).real.max())
-    offsets = (0.5 + np.arange(count)[:, None] * root ** -np.arange(1.0, dims + 1)) % 1.0
-    corners = np.indices(sides).reshape(dims, -1).T
-    step = max(1, _BLOCK // n)
-    found, squares = [], []
-    for start in range(0, count, step):
-        x = (corners + offsets[start : start + step, None]) / sides
-        values = g(np.minimum(x, 1.0)).reshape(len(x), n, -1)
-        found.append(values.mean(axis=1))
-        squares.append((values**2).mean(axis=1))
-    means = np.concatenate(found)
-    spreads = np.stack([part.var(axis=0, ddof=1) for part in np.array_split(means, 4)])
-    value, doubt = n * means.var(axis=0), n * spreads.std(axis=0, ddof=1)
-    square = np.concatenate(squares).mean(axis=0)
-    return _predicted(value[None], n, square, "offsets of a grid", doubt=doubt)
 
 
 def _mirrored(mode: str, inner: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
