@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import final
@@ -39,7 +39,7 @@ from mcspectra.spectra.bases import parts_of
 from mcspectra.spectra.closed_forms import closed_form_power
 from mcspectra.variance.prediction.known import Known, Predicted
 
-__all__ = ["Energies", "of_torus"]
+__all__ = ["Energies", "moved_variance", "of_torus"]
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ _WHOLE = 1e-6  # differences of lattice points from multiples of 1/n, times n
 _RELATIVE = 1e-9  # of sums that do not cancel
 _LEAST_OFFSETS, _OFFSETS, _MOST_EVALUATIONS = 2**6, 2**13, 2**23  # of a lattice that is moved
 _AT_ONCE = 2**20  # evaluations
-_SPREADS = 4  # parts of the offsets, whose variances tell the error
+_SPREADS = 16  # parts of the offsets, whose variances tell the error
 _LEAST_BOX, _BOX = 32, 6.0  # half width of the box of a homogeneous set, and in units of n^(1/d)
 
 
@@ -375,21 +375,39 @@ def _of_offsets(points: Array, basis: Array, known: Known) -> Predicted:
     for _ in range(_STEPS):
         for i, j in itertools.permutations(range(dims), 2):
             cell[i] -= np.rint(cell[i] @ cell[j] / (cell[j] @ cell[j])) * cell[j]
+    value, error = moved_variance(g, n, lambda u: (points + (u @ cell / n)[:, None]) % 1.0)
+    ones = np.ones(len(value))
+    return Predicted(value, error, ones, 0.0 * ones, "torus (offsets of a lattice)")
+
+
+def moved_variance(g: Integrand, n: int, moved: Callable[[Array], Array]) -> tuple[Array, Array]:
+    """Variance of the mean of g over n points that an offset moves, and half its 95 % interval.
+
+    `moved` takes offsets (N, d) in the unit cube, here those of a Kronecker sequence, to points
+    (N, n, d).
+
+    Raises
+    ------
+    NoClosedForm
+        n is so large that too few offsets are left.
+    """
+    from scipy.special import stdtrit
+
     count = min(_OFFSETS, _MOST_EVALUATIONS // n)
-    root = float(np.roots([1.0, *[0.0] * (dims - 1), -1.0, -1.0]).real.max())
-    offsets = np.arange(1, count + 1)[:, None] * root ** -np.arange(1.0, dims + 1) % 1.0
-    offsets = offsets @ cell / n
+    if count < _LEAST_OFFSETS:
+        raise NoClosedForm(f"{n} points are too many to move all over {g.spec}.")
+    root = float(np.roots([1.0, *[0.0] * (g.dims - 1), -1.0, -1.0]).real.max())
+    offsets = np.arange(1, count + 1)[:, None] * root ** -np.arange(1.0, g.dims + 1) % 1.0
     step = max(1, _AT_ONCE // n)
     means = np.concatenate(
         [
-            g((points + some[:, None]) % 1.0).reshape(len(some), n, -1).mean(axis=1)
+            g(moved(some)).reshape(len(some), n, -1).mean(axis=1)
             for some in np.split(offsets, range(step, count, step))
         ]
     )
     spreads = np.stack([part.var(axis=0, ddof=1) for part in np.array_split(means, _SPREADS)])
-    value, error = means.var(axis=0), spreads.std(axis=0, ddof=1)
-    ones = np.ones(len(value))
-    return Predicted(value, error, ones, 0.0 * ones, "torus (offsets of a lattice)")
+    half = float(stdtrit(_SPREADS - 1, 0.975)) / math.sqrt(_SPREADS)
+    return np.asarray(means.var(axis=0)), half * np.asarray(spreads.std(axis=0, ddof=1))
 
 
 def _before_shift(sampler: Sampler) -> Sampler | None:
