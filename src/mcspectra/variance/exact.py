@@ -61,11 +61,14 @@ from mcspectra.spectra.bases import hadamard, parts_of
 from mcspectra.spectra.gain import gain_coefficients
 from mcspectra.variance.ordered import weighted_sum
 from mcspectra.variance.quadrature import (
+    MOST_EVALUATIONS,
     Pointwise,
+    Rule,
     blindness,
-    check_cells,
     grid_values,
+    in_closed_form,
     mean_square,
+    moments,
     offset_rule,
     orders_of,
     spread_within_strata,
@@ -216,20 +219,40 @@ def estimated_variance(
     return total[0], total[1]
 
 
-def of_integrand(sampler: Sampler, n: int, g: Integrand, tolerance: float) -> tuple[Array, Array]:
+def of_integrand(
+    sampler: Sampler, n: int, g: Integrand, tolerance: float, most: float = MOST_EVALUATIONS
+) -> tuple[Array, Array]:
     """Variance and a bound of its error, (channels or 1,); 0 where the variance is all rounding.
 
-    The error is that by which two orders differ, and the `blindness` of the higher one.
+    The error is that by which two orders differ, and the `blindness` of the higher one; of random
+    points that of ∫g².
 
     Raises
     ------
     NoClosedForm
-        As `exact_variance`, the error is more than `tolerance` times the variance.
+        As `exact_variance`, the error is more than `tolerance` times the variance, or a rule would
+        take more than about `most` evaluations.
     """
-    (low, _), (high, unseen) = (_variance(sampler, n, g, order) for order in orders_of(n, g.dims))
+    base, steps = parts_of(sampler)
+    names = {step.name for step in steps}
+    if isinstance(base, Random) and names <= {"shift", "strata-shift"}:
+        middle, first, second, error = moments(g)
+        value = second - first**2
+        error = error * (1.0 + 2.0 * np.abs(first)) + 4e-15 * (second + middle**2)
+        if (error <= tolerance * value).all() and np.isfinite(mean_square(g)).all():
+            return value / n, error / n
+
+    orders = orders_of(n, g.dims)
+    high, unseen = _variance(sampler, n, g, Rule(orders[1], most))
+    low = high
+    cells = names <= {"owen", "permute", "shuffle", "strata-shift"} and (
+        isinstance(base, Jittered | LatinHypercube) or "owen" in names
+    )
+    if not (cells and in_closed_form(g)):  # moments of cells in closed form have no order
+        low, _ = _variance(sampler, n, g, Rule(orders[0], most))
     error = _SAFETY * np.abs(high - low) + unseen
     agree = error <= tolerance * np.abs(high)
-    if agree.all():
+    if agree.all() and error.all():
         return high, error
     square = mean_square(g)
     agree |= error <= _NEGLIGIBLE * np.max(square) / n
@@ -248,31 +271,31 @@ def of_integrand(sampler: Sampler, n: int, g: Integrand, tolerance: float) -> tu
     return np.where(vanishes, 0.0, high), np.where(np.isinf(high), 0.0, error)
 
 
-def _variance(sampler: Sampler, n: int, g: Integrand, order: int) -> tuple[Array, Array]:
+def _variance(sampler: Sampler, n: int, g: Integrand, rule: Rule) -> tuple[Array, Array]:
     """Variance of the mean of g over a set, and what it may miss; (channels,) or (1,)."""
     base, steps = parts_of(sampler)
     if steps and isinstance(steps[-1], Mirror):
         inner = Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
-        return _mirrored(steps[-1].mode, inner, n, g, order)
+        return _mirrored(steps[-1].mode, inner, n, g, rule)
     names = {step.name for step in steps}
     if sampler.name == "antithetic-jittered":
-        return _antithetic(g, n, order)
+        return _antithetic(g, n, rule)
     if base.name in _LATIN and getattr(base, "strength", 1) == 1 and sampler.dims > 1:
         if names <= {"shift", "shuffle"}:
-            return _latin(sampler, n, g, order, shifted="shift" in names)
+            return _latin(sampler, n, g, rule, shifted="shift" in names)
     elif steps and base.fixed:
         # In the base of the net: others do not fit it
         points = functools.partial(base.draw_stream, n, Stream.from_rng(0), 0, 1)
         if "owen" in names and names <= _KEEP_LAW | {"owen"}:
-            return _nested(base, points()[0], g, order)
+            return _nested(base, points()[0], g, rule)
         # In base 2 there are two permutations of a digit: permute is the same thing
         if set(base.digit_bases) == {2} and names <= _KEEP_LAW:
-            return _digitally_shifted(base, points()[0], g, order)
-    return _stratified(sampler, base, steps, n, g, order)
+            return _digitally_shifted(base, points()[0], g, rule)
+    return _stratified(sampler, base, steps, n, g, rule)
 
 
 def _stratified(
-    sampler: Sampler, base: Any, steps: tuple[Any, ...], n: int, g: Integrand, order: int
+    sampler: Sampler, base: Any, steps: tuple[Any, ...], n: int, g: Integrand, rule: Rule
 ) -> tuple[Array, Array]:
     """One point in each stratum, or a grid, with fixed and random offsets."""
     known = isinstance(base, Random | Jittered | Regular | UniformJitter)
@@ -288,18 +311,19 @@ def _stratified(
             offset = offset + np.asarray(step.offset, float)
     offset, shifted = offset % 1.0, any(isinstance(step, Shift) for step in steps)
     if isinstance(base, Random):
-        spread, unseen = spread_within_strata(g, (1,) * g.dims, np.zeros(g.dims), order)
+        spread, unseen = spread_within_strata(g, (1,) * g.dims, np.zeros(g.dims), rule)
         return spread / n, unseen / n
     sides = (n,) if isinstance(base, LatinHypercube) else base.sides(n)
     jittered = isinstance(base, Jittered | LatinHypercube)
     if jittered and not shifted:
-        spread, unseen = spread_within_strata(g, sides, offset * n ** (-1.0 / g.dims), order)
+        spread, unseen = spread_within_strata(g, sides, offset * n ** (-1.0 / g.dims), rule)
         return spread / n, unseen / n
     if not jittered and not (shifted or isinstance(base, UniformJitter)):
         return np.zeros(max(1, g.channels)), np.zeros(max(1, g.channels))  # a deterministic set
-    nodes, weights = offset_rule(g, sides, order)
+    nodes, weights = offset_rule(g, sides, rule.order)
+    rule.check(f"The exact variance of {sampler.spec}", float(len(nodes) * n) * rule.each(g))
     if jittered:
-        found = np.stack([spread_within_strata(g, sides, d, order) for d in nodes])
+        found = np.stack([spread_within_strata(g, sides, d, rule) for d in nodes])
         spread, unseen = weighted_sum(weights, found)
         return spread / n, unseen / n
     # A grid with one random offset: the variance of its mean over the offset
@@ -318,26 +342,26 @@ def _grid_means(
     return both[:, 0], blindness(g, one[None], two[None])
 
 
-def _mirrored(mode: str, inner: Sampler, n: int, g: Integrand, order: int) -> tuple[Array, Array]:
+def _mirrored(mode: str, inner: Sampler, n: int, g: Integrand, rule: Rule) -> tuple[Array, Array]:
     """The variance of the sampler inside with another integrand."""
     if mode == "fold":
-        return _variance(inner, n, FoldedIntegrand(g), order)
+        return _variance(inner, n, FoldedIntegrand(g), rule)
     average = SymmetrizedIntegrand(g)
     if mode == "uniform":
-        return _variance(inner, n >> g.dims, average, order)
+        return _variance(inner, n >> g.dims, average, rule)
     if not inner.unbiased:
         raise NoClosedForm(
             f"No exact variance is known for random reflections of {inner.spec}, whose points are "
             "not uniform; use convergence or variance_terms."
         )
     one = Random(dims=g.dims)
-    whole, missed = _variance(one, 1, g, order)
-    part, unseen = _variance(inner, n, average, order)
-    coins = np.maximum(whole - _variance(one, 1, average, order)[0], 0.0)
+    whole, missed = _variance(one, 1, g, rule)
+    part, unseen = _variance(inner, n, average, rule)
+    coins = np.maximum(whole - _variance(one, 1, average, rule)[0], 0.0)
     return part + coins / n, unseen + missed / n
 
 
-def _antithetic(g: Integrand, n: int, order: int) -> tuple[Array, Array]:
+def _antithetic(g: Integrand, n: int, rule: Rule) -> tuple[Array, Array]:
     """One jittered point in each of n/2 cells, with the mean of g at it and at its reflection."""
     side = round((n // 2) ** (1.0 / g.dims))
 
@@ -353,34 +377,51 @@ def _antithetic(g: Integrand, n: int, order: int) -> tuple[Array, Array]:
     mean = Pointwise(
         g, lambda x: 0.5 * (g(x) + g(reflected(x))), breaks, f"{g.spec}, symmetrised in cells"
     )
-    spread, unseen = spread_within_strata(mean, (side,) * g.dims, np.zeros(g.dims), order)
+    spread, unseen = spread_within_strata(mean, (side,) * g.dims, np.zeros(g.dims), rule)
     return spread / (n // 2), unseen / (n // 2)
 
 
 def _latin(
-    sampler: Sampler, n: int, g: Integrand, order: int, *, shifted: bool
+    sampler: Sampler, n: int, g: Integrand, rule: Rule, *, shifted: bool
 ) -> tuple[Array, Array]:
-    """Over the offset of the cells the mean: the points are uniform for each, and nothing is added."""
-    sides, what = (n,) * g.dims, f"The exact variance of {sampler.spec}"
-    nodes, weights = np.zeros((1, g.dims)), np.ones(1)
+    """Over the offset of the cells the mean: the points are uniform for each, and nothing is added.
+
+    Where n^d cells are too many, larger ones, of each n^d a whole number, and slabs of width 1/n: what
+    several axes share within these cells has a weight from 1 to 1 + 1/(n − 1).
+    """
+    fine, nodes, weights = (n,) * g.dims, np.zeros((1, g.dims)), np.ones(1)
     if shifted:  # a mean over all cells is smooth
-        nodes, weights = offset_rule(g, sides, order // 2 + 2)
-    check_cells(what, float(n) ** g.dims * (len(nodes) * order**g.dims if shifted else 1))
+        nodes, weights = offset_rule(g, fine, rule.order // 2 + 2)
+    one = float(len(nodes) * rule.each(g))
+    whole = (m for m in range(n, 1, -1) if n % m == 0 and one * float(m) ** g.dims <= rule.most)
+    side = next(whole, 1)
+    if side < n:
+        rule.check(f"The exact variance of {sampler.spec}", one * n)
+    varying = np.indices((min(side, 2),) * g.dims).sum(axis=0)  # |v|
+    gains = np.where(varying > 0, 1.0 + (n - 1.0) * (-1.0 / max(n - 1.0, 1.0)) ** varying, 0.0)
     found = []
     for offset in nodes:
-        means, squares = stratum_moments(g, sides, offset, order)
-        total = np.maximum(squares - means**2, 0.0).mean(axis=0)
-        if n > 1:
-            varying = np.indices((2,) * g.dims).sum(axis=0)  # |v|
-            gains = np.where(varying > 0, 1.0 + (n - 1.0) * (-1.0 / (n - 1.0)) ** varying, 0.0)
-            parts = level_variances(means.reshape(*sides, -1), sides)  # one digit in base n
-            total = (total + weighted_sum(gains, parts)) / n
-        found.append((total, blindness(g, means, squares) / n))
+
+        def of_cells(sides: tuple[int, ...], offset: Array = offset) -> tuple[Array, Array]:
+            return stratum_moments(g, sides, offset, rule.order, rule.most)
+
+        means, squares = of_cells((side,) * g.dims)
+        within = np.maximum(squares - means**2, 0.0).mean(axis=0)
+        missed = blindness(g, means, squares)
+        if side < n:
+            for axis in range(g.dims):
+                slabs, _ = of_cells(tuple(n if i == axis else 1 for i in range(g.dims)))
+                within = within - slabs.reshape(side, n // side, -1).var(axis=1).mean(axis=0)
+            within = np.maximum(within, 0.0)
+            missed = missed + within / (n - 1)
+            within = within * (1.0 + 0.5 / (n - 1))
+        parts = level_variances(means.reshape(*(side,) * g.dims, -1), (side,) * g.dims)
+        found.append(((within + weighted_sum(gains, parts)) / n, missed / n))
     total, unseen = weighted_sum(weights, np.array(found))
     return total, unseen
 
 
-def _nested(net: Sampler, points: Array, g: Integrand, order: int) -> tuple[Array, Array]:
+def _nested(net: Sampler, points: Array, g: Integrand, rule: Rule) -> tuple[Array, Array]:
     """Nested uniform scrambling of a net."""
     n, bases = len(points), net.digit_bases
     # For each axis the number of digits in which all coordinates differ
@@ -398,13 +439,14 @@ def _nested(net: Sampler, points: Array, g: Integrand, order: int) -> tuple[Arra
                 )
         digits.append(level)
     sides = tuple(b**level for b, level in zip(bases, digits, strict=True))
-    check_cells(f"The exact variance of {net.spec}", math.prod(map(float, sides)))
+    boxes = math.prod(map(float, sides))
+    rule.check(f"The exact variance of {net.spec}", boxes * rule.each(g))
     try:
         gains = gain_coefficients(net, n, levels=max(1, *digits))["gain"].to_numpy()
     except ParameterError as error:
         raise NoClosedForm(f"{error} Or use convergence or variance_terms.") from None
     gains = gains[tuple(slice(level + 1) for level in digits)]
-    means, squares = stratum_moments(g, sides, np.zeros(g.dims), order)
+    means, squares = stratum_moments(g, sides, np.zeros(g.dims), rule.order, rule.most)
     within = np.maximum(squares - means**2, 0.0).mean(axis=0)
     levels = level_variances(means.reshape(*sides, -1), bases)
     unseen = blindness(g, means, squares) * max(1.0, float(gains.max()))
@@ -412,7 +454,7 @@ def _nested(net: Sampler, points: Array, g: Integrand, order: int) -> tuple[Arra
 
 
 def _digitally_shifted(
-    net: Sampler, points: Array, g: Integrand, order: int
+    net: Sampler, points: Array, g: Integrand, rule: Rule
 ) -> tuple[Array, Array]:
     """A digital shift of a net in base 2."""
     whole = (
@@ -427,8 +469,8 @@ def _digitally_shifted(
             "variance_terms."
         )
     sides = (cells,) * g.dims
-    check_cells(f"The exact variance of {g.spec}", (float(cells) * order) ** g.dims)
-    nodes, weights = offset_rule(g, sides, order)
+    rule.check(f"The exact variance of {g.spec}", (float(cells) * rule.order) ** g.dims)
+    nodes, weights = offset_rule(g, sides, rule.order)
     counts = np.zeros(sides)
     np.add.at(counts, tuple(np.rint(points * cells).astype(np.int64).T), 1.0 / len(points))
     spectrum = _hadamard(counts, g.dims) ** 2

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 __all__ = ["ROUTES", "Cells", "Prediction", "Predictor", "predict"]
 
 _TOLERANCE = 0.01  # relative error of a quadrature that is taken before all other routes
+_EVALUATIONS = 2.0**22  # of a quadrature, about a second; beyond, other routes come first
 _OCTAVES = 3.0  # at the end of the counts, that the rate is fitted to
 _MEMORY = 2**29  # bytes: coefficients and transforms of all regions
 
@@ -61,7 +62,7 @@ def of_quadrature(sampler: Sampler, n: int, known: Known, stream: Stream) -> Pre
         and g.box_moments(box, box + 1) is None
     ):
         raise NoClosedForm("A quadrature for every offset of the strata would take long.")
-    variance, error = of_integrand(sampler, n, known.g, _TOLERANCE)
+    variance, error = of_integrand(sampler, n, known.g, _TOLERANCE, _EVALUATIONS)
     ones = np.ones(len(variance))
     return Predicted(variance, error, ones, 0.0 * ones, "exact")
 
