@@ -71,7 +71,7 @@ from mcspectra.variance.quadrature import (
     moments,
     offset_rule,
     orders_of,
-    spread_within_strata,
+    strata,
     stratum_moments,
 )
 
@@ -83,6 +83,8 @@ __all__ = ["Exact", "estimated_variance", "exact_variance", "level_variances", "
 _TOLERANCE = 1e-6
 _NEGLIGIBLE = 1e-9  # of ∫g²/n: an error that no use of the variance is worse for
 _SAFETY = 3.0  # times the difference of two orders: more than the error of the better one
+_MOST = 0.5  # relative error of a variance that a larger tolerance is offered for
+_FINER, _HOPE = 4, 10.0  # times the order, of errors of up to so many times the tolerance
 _KEEP_LAW = frozenset({"digital-shift", "permute"})  # of nested scrambling, too
 _LATIN = ("latin-hypercube", "n-rooks")
 _MOST_BITS = 24
@@ -164,8 +166,8 @@ def exact_variance(
         shift; nets and sequences such as sobol or halton with owen, and those in base 2 with digital-shift. Latin hypercubes and nets take cells,
         about n to a side: some thousands of points in 2-D, some tens in 3-D.
     tolerance
-        Relative error up to which a variance is given, 1e-12 to 1. 0.01 lets pass many functions
-        with jumps that no axis follows.
+        Relative error up to which a variance is given, 1e-12 to 1. Jumps that f does not declare
+        and no axis follows take 1e-3 for random points, some 0.1 for strata; a refusal says how much.
 
     Returns
     -------
@@ -225,7 +227,8 @@ def of_integrand(
     """Variance and a bound of its error, (channels or 1,); 0 where the variance is all rounding.
 
     The error is that by which two orders differ, and the `blindness` of the higher one; of random
-    points that of ∫g².
+    points that of ∫g². Orders are raised once where this would do; not where `most` is less, for
+    routes that come next.
 
     Raises
     ------
@@ -242,16 +245,24 @@ def of_integrand(
         if (error <= tolerance * value).all() and np.isfinite(mean_square(g)).all():
             return value / n, error / n
 
-    orders = orders_of(n, g.dims)
-    high, unseen = _variance(sampler, n, g, Rule(orders[1], most))
-    low = high
     cells = names <= {"owen", "permute", "shuffle", "strata-shift"} and (
         isinstance(base, Jittered | LatinHypercube) or "owen" in names
     )
-    if not (cells and in_closed_form(g)):  # moments of cells in closed form have no order
-        low, _ = _variance(sampler, n, g, Rule(orders[0], most))
-    error = _SAFETY * np.abs(high - low) + unseen
-    agree = error <= tolerance * np.abs(high)
+    coarse, fine = orders_of(n, g.dims)
+    for times in (1, _FINER) if most >= MOST_EVALUATIONS else (1,):
+        try:
+            high, unseen = _variance(sampler, n, g, Rule(times * fine, most, times * coarse))
+            low = high
+            if not (cells and in_closed_form(g)):  # moments of cells in closed form have no order
+                low, _ = _variance(sampler, n, g, Rule(times * coarse, most))
+        except NoClosedForm:
+            if times == 1:
+                raise
+            break
+        error = _SAFETY * np.abs(high - low) + unseen
+        agree = error <= tolerance * np.abs(high)
+        if agree.all() or (error > _HOPE * tolerance * np.abs(high)).any():
+            break
     if agree.all() and error.all():
         return high, error
     square = mean_square(g)
@@ -262,10 +273,13 @@ def of_integrand(
     rounding = 4e-15 * square / n
     known = agree | np.isinf(high) | (error <= _SAFETY * rounding)
     if not known.all():
+        with np.errstate(divide="ignore"):
+            enough = 1.1 * float(np.max(np.where(known, 0.0, error / np.abs(high))))
+        larger = f", or tolerance={enough:.1e}" if enough < _MOST else ""
         raise NoClosedForm(
             f"The stratum quadrature of {g.spec} does not converge ({np.max(low):.6g} against "
-            f"{np.max(high):.6g}, error {np.max(error):.2g}); use convergence or variance_terms, or "
-            "a larger tolerance."
+            f"{np.max(high):.6g}, error {np.max(error):.2g}) to a tolerance of {tolerance:.1g}; use "
+            f"convergence or variance_terms{larger}."
         )
     vanishes = np.isfinite(high) & (np.maximum(low, high) <= rounding)
     return np.where(vanishes, 0.0, high), np.where(np.isinf(high), 0.0, error)
@@ -311,19 +325,19 @@ def _stratified(
             offset = offset + np.asarray(step.offset, float)
     offset, shifted = offset % 1.0, any(isinstance(step, Shift) for step in steps)
     if isinstance(base, Random):
-        spread, unseen = spread_within_strata(g, (1,) * g.dims, np.zeros(g.dims), rule)
+        _, spread, unseen = strata(g, (1,) * g.dims, np.zeros(g.dims), rule)
         return spread / n, unseen / n
     sides = (n,) if isinstance(base, LatinHypercube) else base.sides(n)
     jittered = isinstance(base, Jittered | LatinHypercube)
     if jittered and not shifted:
-        spread, unseen = spread_within_strata(g, sides, offset * n ** (-1.0 / g.dims), rule)
+        _, spread, unseen = strata(g, sides, offset * n ** (-1.0 / g.dims), rule)
         return spread / n, unseen / n
     if not jittered and not (shifted or isinstance(base, UniformJitter)):
         return np.zeros(max(1, g.channels)), np.zeros(max(1, g.channels))  # a deterministic set
     nodes, weights = offset_rule(g, sides, rule.order)
     rule.check(f"The exact variance of {sampler.spec}", float(len(nodes) * n) * rule.each(g))
     if jittered:
-        found = np.stack([spread_within_strata(g, sides, d, rule) for d in nodes])
+        found = np.stack([strata(g, sides, d, rule)[1:] for d in nodes])
         spread, unseen = weighted_sum(weights, found)
         return spread / n, unseen / n
     # A grid with one random offset: the variance of its mean over the offset
@@ -377,7 +391,7 @@ def _antithetic(g: Integrand, n: int, rule: Rule) -> tuple[Array, Array]:
     mean = Pointwise(
         g, lambda x: 0.5 * (g(x) + g(reflected(x))), breaks, f"{g.spec}, symmetrised in cells"
     )
-    spread, unseen = spread_within_strata(mean, (side,) * g.dims, np.zeros(g.dims), rule)
+    _, spread, unseen = strata(mean, (side,) * g.dims, np.zeros(g.dims), rule)
     return spread / (n // 2), unseen / (n // 2)
 
 
@@ -393,24 +407,19 @@ def _latin(
     if shifted:  # a mean over all cells is smooth
         nodes, weights = offset_rule(g, fine, rule.order // 2 + 2)
     one = float(len(nodes) * rule.each(g))
-    whole = (m for m in range(n, 1, -1) if n % m == 0 and one * float(m) ** g.dims <= rule.most)
-    side = next(whole, 1)
+    most = rule.most / one / (1 if in_closed_form(g) else 2)  # pieces of cells are more than cells
+    side = next((m for m in range(n, 1, -1) if n % m == 0 and m**g.dims <= most), 1)
     if side < n:
         rule.check(f"The exact variance of {sampler.spec}", one * n)
     varying = np.indices((min(side, 2),) * g.dims).sum(axis=0)  # |v|
     gains = np.where(varying > 0, 1.0 + (n - 1.0) * (-1.0 / max(n - 1.0, 1.0)) ** varying, 0.0)
     found = []
     for offset in nodes:
-
-        def of_cells(sides: tuple[int, ...], offset: Array = offset) -> tuple[Array, Array]:
-            return stratum_moments(g, sides, offset, rule.order, rule.most)
-
-        means, squares = of_cells((side,) * g.dims)
-        within = np.maximum(squares - means**2, 0.0).mean(axis=0)
-        missed = blindness(g, means, squares)
+        means, within, missed = strata(g, (side,) * g.dims, offset, rule)
         if side < n:
             for axis in range(g.dims):
-                slabs, _ = of_cells(tuple(n if i == axis else 1 for i in range(g.dims)))
+                thin = tuple(n if i == axis else 1 for i in range(g.dims))
+                slabs, _ = stratum_moments(g, thin, offset, rule.order, rule.most)
                 within = within - slabs.reshape(side, n // side, -1).var(axis=1).mean(axis=0)
             within = np.maximum(within, 0.0)
             missed = missed + within / (n - 1)
@@ -446,10 +455,9 @@ def _nested(net: Sampler, points: Array, g: Integrand, rule: Rule) -> tuple[Arra
     except ParameterError as error:
         raise NoClosedForm(f"{error} Or use convergence or variance_terms.") from None
     gains = gains[tuple(slice(level + 1) for level in digits)]
-    means, squares = stratum_moments(g, sides, np.zeros(g.dims), rule.order, rule.most)
-    within = np.maximum(squares - means**2, 0.0).mean(axis=0)
+    means, within, unseen = strata(g, sides, np.zeros(g.dims), rule)
     levels = level_variances(means.reshape(*sides, -1), bases)
-    unseen = blindness(g, means, squares) * max(1.0, float(gains.max()))
+    unseen = unseen * max(1.0, float(gains.max()))
     return (within + weighted_sum(gains, levels)) / n, unseen / n
 
 

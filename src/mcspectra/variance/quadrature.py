@@ -34,8 +34,8 @@ __all__ = [
     "moments",
     "offset_rule",
     "orders_of",
-    "spread_within_strata",
     "square_integral",
+    "strata",
     "stratum_moments",
 ]
 
@@ -162,10 +162,11 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
 @final
 @dataclass(frozen=True)
 class Rule:
-    """Gauss-Legendre nodes a piece and axis, and the evaluations beyond which it refuses."""
+    """Gauss-Legendre nodes a piece and axis, evaluations beyond which it refuses, and another order."""
 
     order: int
     most: float = MOST_EVALUATIONS
+    against: int = 0
 
     def each(self, g: Integrand) -> int:
         """Evaluations for one box; moments in closed form count as one at each corner."""
@@ -195,17 +196,24 @@ def mesh(*axes: Array) -> Array:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
-def spread_within_strata(
+def strata(
     g: Integrand, sides: tuple[int, ...], offset: Array, rule: Rule
-) -> tuple[Array, Array]:
-    """Mean over strata, displaced by `offset` on the torus, of the variance within one: (channels,).
+) -> tuple[Array, Array, Array]:
+    """Means over strata, displaced by `offset` on the torus, mean variance within, and its error.
 
-    And its `blindness`.
+    (strata, channels), (channels,) and (channels,). The error is the `blindness`, and where jumps are
+    not known, twice the standard error that differences of two orders have in independent strata:
+    these may agree by chance in the mean.
     """
     means, squares = stratum_moments(g, sides, offset, rule.order, rule.most)
+    unseen = blindness(g, means, squares)
     # Second pass about the stratum means would cost a second evaluation; clip what cancels.
-    spread = np.maximum(squares - means * means, 0.0).mean(axis=0)
-    return np.asarray(spread), blindness(g, means, squares)
+    within = np.maximum(squares - means * means, 0.0)
+    if rule.against and not in_closed_form(g):
+        coarse, squares = stratum_moments(g, sides, offset, rule.against, rule.most)
+        off = within - np.maximum(squares - coarse * coarse, 0.0)
+        unseen = unseen + 2.0 * np.sqrt((off**2).sum(axis=0)) / len(off)
+    return means, within.mean(axis=0), unseen
 
 
 def stratum_moments(
