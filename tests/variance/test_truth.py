@@ -9,6 +9,7 @@ from tests.variance.adversarial import Case, make
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
 from mcspectra.variance.exact import estimated_variance, of_integrand
+from mcspectra.variance.quadrature import square_integral
 
 
 def _worst(case: Case, sampler: str, n: int, sides: tuple[int, ...]) -> float:
@@ -61,6 +62,13 @@ def test_a_tolerance_gives_variances_of_oblique_jumps():
     found = mcs.Estimator(f), "jittered"
     value, error = estimated_variance(*found, 4, 0.1)
     assert abs(value[0] - expected) <= error[0]
+
+
+def test_a_narrow_ridge_is_no_pole():
+    case = make("ridge", 2, 10)
+    assert case.volume == pytest.approx(4.367e-5, rel=1e-3)
+    value, error = square_integral(case.integrand())
+    assert abs(value[0] - case.square) <= error[0]
 
 
 def test_jumps_that_are_not_declared_have_variances_to_a_tolerance():

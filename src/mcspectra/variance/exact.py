@@ -407,7 +407,8 @@ def _latin(
     if shifted:  # a mean over all cells is smooth
         nodes, weights = offset_rule(g, fine, rule.order // 2 + 2)
     one = float(len(nodes) * rule.each(g))
-    most = rule.most / one / (1 if in_closed_form(g) else 2)  # pieces of cells are more than cells
+    # In 1-D and 2-D pieces of cells are more than cells: those next to 0 and 1 are cut
+    most = rule.most / one / (1 if in_closed_form(g) or g.dims > 2 else 2)
     side = next((m for m in range(n, 1, -1) if n % m == 0 and m**g.dims <= most), 1)
     if side < n:
         rule.check(f"The exact variance of {sampler.spec}", one * n)

@@ -50,6 +50,7 @@ _FEW_CELLS = 2**13  # of a level: enough for curves of jumps, and an eighth of t
 _SAME = 1e-9  # of √∫g²: a mean this near to an integral in closed form has seen all of g
 _RESOLVED = 1e-10  # relative error of ∫g² above which g has jumps that boxes could not follow
 _CENTER = 2**10  # points whose mean is subtracted before g is squared
+_POLE = 2.0  # times the largest value at the probe, which g² exceeds next to a pole
 _SUSPECT = 0.01  # relative error, beyond which there may be a pole, and all levels are worth it
 
 # √u near 0 is integrated to 1e-6 with panels down to 2^-20; in 2-D every panel costs a row of them.
@@ -319,21 +320,33 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     kept: dict[str, tuple[Array, Array]] = g.__dict__
     if "_square" in kept:
         return kept["_square"]
+    # By quadrature that records what each level leaves unresolved
+    by_levels = np.full(max(1, g.channels), np.nan)
+    level_errors = np.full(by_levels.shape, np.inf)
+    for c in range(0 if in_closed_form(g) or g.dims > 2 else len(by_levels)):
+        seen = [0.0]
+
+        def square(x: Array, c: int = c, seen: list[float] = seen) -> Array:
+            with np.errstate(over="ignore"):  # next to a pole
+                found = np.asarray(np.asarray(g(x)).reshape(*x.shape[:-1], -1)[..., c] ** 2)
+            seen.append(float(found.max(initial=0.0)))
+            return found
+
+        level = positive_integral(square, g.dims, most_cells=_FEW_CELLS)
+        if level[1] > _SUSPECT * level[0]:
+            level = positive_integral(square, g.dims)
+        # Narrow ridges grow from level to level like poles, but not beyond what the probe sees
+        largest = max(seen)
+        if math.isfinite(level[0]) or largest > _POLE * square(probe(g.dims)).max():
+            by_levels[c], level_errors[c] = level
+    if np.isinf(by_levels).all():
+        return kept.setdefault("_square", (by_levels, level_errors))
+
+    # By the rule that looks for what nodes miss
     middle, first, second, error = moments(g)
     value = second + 2.0 * middle * first + middle**2
     error = error * (1.0 + 2.0 * np.abs(middle))
-    for c in range(0 if in_closed_form(g) or g.dims > 2 else len(value)):
-
-        def square(x: Array, c: int = c) -> Array:
-            with np.errstate(over="ignore"):  # next to a pole
-                return np.asarray(np.asarray(g(x)).reshape(*x.shape[:-1], -1)[..., c] ** 2)
-
-        level, level_error = positive_integral(square, g.dims, most_cells=_FEW_CELLS)
-        if level_error > _SUSPECT * level:
-            level, level_error = positive_integral(square, g.dims)
-        # Levels miss slabs, boxes the ends of poles
-        full = level >= value[c] - level_error - error[c]
-        if math.isinf(level) or (level_error < error[c] and full):
-            value[c], error[c] = level, level_error
-    kept["_square"] = value, error
-    return value, error
+    full = by_levels >= value - level_errors - error  # levels miss slabs, boxes the ends of poles
+    better = (level_errors < error) & full | np.isinf(by_levels)
+    value, error = np.where(better, by_levels, value), np.where(better, level_errors, error)
+    return kept.setdefault("_square", (value, error))
