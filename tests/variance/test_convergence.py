@@ -214,12 +214,12 @@ def test_what_can_be_seen_keeps_its_bounds():
 
 def test_a_share_is_that_of_normal_estimates_at_few_realisations():
     """Of 1000 samples of 12 normal values, one in a thousand has a larger square: 1 ± 3."""
-    from mcspectra.variance.convergence import Seen, _large_share
+    from mcspectra.variance.convergence import Seen, large_share
 
     values = np.random.default_rng(3).normal(size=(12, 20_000))
-    assert 2 <= (Seen.of(values).largest_share > _large_share(np.array(12))).sum() <= 40
-    assert _large_share(np.array(1000)) == 0.2
-    assert _large_share(np.array(2)) == 1.0
+    assert 2 <= (Seen.of(values).largest_share > large_share(np.array(12))).sum() <= 40
+    assert large_share(np.array(1000)) == 0.2
+    assert large_share(np.array(2)) == 1.0
 
 
 @pytest.mark.parametrize("sampler", ["sobol", "halton", "regular"])

@@ -59,9 +59,11 @@ __all__ = [
     "Convergence",
     "MomentsCell",
     "RealizationsNeeded",
+    "Seen",
     "convergence",
     "count_moments",
     "count_stream",
+    "large_share",
     "realizations_needed",
 ]
 
@@ -606,7 +608,7 @@ def _random_variance(estimator: AbstractEstimator, *, by_quadrature: bool) -> Ar
     return total
 
 
-def _large_share(realizations: Array) -> Array:
+def large_share(realizations: Array) -> Array:
     """Share of the variance in one square, above which the tail of the estimates is not resolved.
 
     A fifth; of few realisations more, which normal ones exceed once in a thousand times [Grubbs 1950].
@@ -643,7 +645,7 @@ def _blindness(
     from scipy.special import gammainc, ndtr, stdtrit
 
     r = measured["realizations"]
-    heavy = measured["share"] > _large_share(r)
+    heavy = measured["share"] > large_share(r)
     suspect = heavy | (r * measured["relative_se"] ** 2 > _PEAKED)
     with np.errstate(divide="ignore", invalid="ignore"):
         pull = measured["bias"] / measured["bias_se"]

@@ -212,14 +212,20 @@ def affordable_count(setup: Setup, budget: int) -> int | None:
         n = source._counts_near(n)[0] if n else None
         if not n:
             return None
-        if all(source._count_warning(n * c) is None for c in setup.estimator.counts):
+        poor = any(source._count_warning(n * c) for c in setup.estimator.counts)
+        if not poor:
             try:
                 setup.estimator.check_sampler(setup.sampler, n)
             except CountError:
                 pass
             else:
                 return n
-        # In large steps for a single technique, whose counts are dense
+        # To the power of the base below, where others are poor; in large steps where counts are dense
+        base = max(source.digit_bases, default=2)
+        power = base ** int(math.log(n, base) + 1e-9)
+        if poor and power < n:
+            n = power
+            continue
         dense = len(setup.estimator.counts) == 1 and n >= _COUNT_TRIES
         n -= max(1, n // _COUNT_TRIES) if dense else 1
     return None
