@@ -90,6 +90,7 @@ ELSEWHERE = {
     "aligned",
     "anova_spectrum",
     "integrate",
+    "profile",
 }
 CALL_NOTHING = {
     *("closed_form_covariance", "closed_form_pair_correlation", "closed_form_power"),
@@ -104,7 +105,7 @@ CALL_NOTHING = {
     ),
     *("variance_from_spectrum", "wedge_means", "fitted_decay", "predicted_rate", "warp_quality"),
     *("quality_figures", "density", "integrand", "sampler", "smoothed", "channel_estimators"),
-    *("progress_bars",),
+    *("progress_bars", "chain_error"),
 }
 
 
@@ -118,7 +119,6 @@ def made(kind):
 
 def test_every_public_function_is_here():
     functions = {n for n in mcs.__all__ if n.islower() and callable(getattr(mcs, n))}
-    assert functions == {*MEASURED, *NAMED, *PICTURES, *ELSEWHERE, *CALL_NOTHING} & functions
     assert functions <= {*MEASURED, *NAMED, *PICTURES, *ELSEWHERE, *CALL_NOTHING}
 
 

@@ -85,11 +85,11 @@ def axis_number() -> Any:
     )
 
 
-def per_axis(default: float) -> Any:
+def per_axis(default: float | None, **limits: float) -> Any:
     """Declare a field of one finite number, or one for each axis; it stays a single one if it was."""
 
     def check(name: str, given: object, dims: int) -> float | tuple[float, ...]:
-        found = as_reals(name, given, dims)
+        found = as_reals(name, given, dims, **limits)
         return found if isinstance(given, Sequence | np.ndarray) else found[0]
 
     return checked(check, default, using="dims")

@@ -14,8 +14,7 @@ import os
 import signal
 import sqlite3
 import threading
-import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -39,7 +38,6 @@ from mcspectra.integrands.base import FunctionIntegrand, Integrand
 __all__ = ["Calls"]
 
 _BLOCK, _FEW = 128, 8  # points a call of a vectorised function; single calls that are kept together
-_SECONDS = 1.0  # what may be lost of a cache when the power goes
 _SAME = 1e-9  # relative: a value of the cache and the function's own
 
 _integrand: Integrand  # of a worker process
@@ -167,7 +165,7 @@ class Calls:
             self._check_cache(flat, values)
             before, done = self._asked, len(flat) - fresh.size
             self._asked += len(flat)
-            with contextlib.closing(self._evaluated(flat, fresh)) as found, self._kept():
+            with contextlib.closing(self._evaluated(flat, fresh)) as found:
                 for where, part in found:
                     values[where] = part
                     self.made, done = self.made + len(part), done + len(part)
@@ -210,15 +208,6 @@ class Calls:
         finally:
             for task in tasks:
                 task.cancel()
-
-    @contextlib.contextmanager
-    def _kept(self) -> Iterator[None]:
-        """Write what was found to the cache, whatever ends the calls."""
-        try:
-            yield
-        finally:
-            if self._cache:
-                self._cache.commit()
 
     def _check_cache(self, x: Array, values: Array) -> None:
         """Refuse a cache of values that f does not give any more, by one call, once."""
@@ -289,9 +278,12 @@ class _Cache:
     def __init__(self, path: str | os.PathLike[str], function: str, dims: int) -> None:
         if not is_path(path):
             raise ParameterError(f"cache is {path!r:.80}; give the path of a file.")
-        self._path, self._written = Path(path), time.monotonic()
+        self._path = Path(path)
         try:
             self._file = sqlite3.connect(self._path, timeout=60.0, check_same_thread=False)
+            self._file.execute(
+                "PRAGMA synchronous = OFF"
+            )  # Ctrl-C loses nothing, lack of power may
             with self._file:
                 self._file.execute("CREATE TABLE IF NOT EXISTS about (function TEXT, dims INTEGER)")
                 self._file.execute(
@@ -319,20 +311,9 @@ class _Cache:
 
     def add(self, x: Array, values: Array) -> None:
         rows = zip(map(_digest, x), values.tolist(), strict=True)
-        with self._told():
-            self._file.executemany("INSERT OR REPLACE INTO calls VALUES (?, ?)", rows)
-        if time.monotonic() - self._written > _SECONDS:
-            self.commit()
-
-    def commit(self) -> None:
-        with self._told():
-            self._file.commit()
-        self._written = time.monotonic()
-
-    @contextlib.contextmanager
-    def _told(self) -> Iterator[None]:
         try:
-            yield
+            with self._file:
+                self._file.executemany("INSERT OR REPLACE INTO calls VALUES (?, ?)", rows)
         except sqlite3.Error as error:
             raise StorageError(f"The cache {self._path} cannot be written: {error}.") from None
 

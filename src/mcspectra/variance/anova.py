@@ -65,7 +65,7 @@ class Anova(Counted, frozen=True, kw_only=True):
         *("anova_variance", "anova_variance_se", "total_variance", "total_variance_se"),
         *("higher_order_variance", "higher_order_variance_se"),
         *(f"{name}{end}" for end in ("", "_ci") for name in (
-            "anova_share", "higher_order_share", "truncation_share", "mean_dimension",
+            "anova_share", "total_share", "higher_order_share", "truncation_share", "mean_dimension",
             "effective_dimension_truncation", "effective_dimension_superposition", "variance",
         )),
     )  # fmt: skip
@@ -186,6 +186,7 @@ class Anova(Counted, frozen=True, kw_only=True):
         total, total_se = combined(totals)
         rest, rest_se = combined(larger)
         share, share_ci = ratios(parts)
+        total_share, total_share_ci = ratios(totals)
         rest_share, rest_share_ci = ratios(larger)
         first, first_ci = ratios([below(*axes[: s + 1]) for s in axes])
         by_size, by_size_ci = ratios(up_to)
@@ -199,6 +200,8 @@ class Anova(Counted, frozen=True, kw_only=True):
                 "anova_share_ci": (("subset", "channel", "bound"), share_ci),
                 "total_variance": (("axis", "channel"), total),
                 "total_variance_se": (("axis", "channel"), total_se),
+                "total_share": (("axis", "channel"), total_share),
+                "total_share_ci": (("axis", "channel", "bound"), total_share_ci),
                 "higher_order_variance": (alone, rest[0]),
                 "higher_order_variance_se": (alone, rest_se[0]),
                 "higher_order_share": (alone, rest_share[0]),
@@ -369,8 +372,9 @@ def anova_variances(
     -------
     xarray.Dataset
         ``anova_variance(subset)`` c_u, with ``_se``, and ``anova_share(subset)`` of the variance (as the
-        same pairs give it, so that all shares sum to 1);
-        ``total_variance(axis)``, the sum of c_u of all u that hold the axis, with ``_se``;
+        same pairs give it, so that all shares sum to 1): of single axes the first-order Sobol' indices;
+        ``total_variance(axis)``, the sum of c_u of all u that hold the axis, with ``_se``, and
+        ``total_share(axis)``, the total Sobol' indices;
         ``higher_order_variance``, what subsets beyond `order` have, with ``_se``, and
         ``higher_order_share``; ``truncation_share(axes)`` of the first so many axes;
         ``effective_dimension_truncation``, ``effective_dimension_superposition`` (NaN beyond `order`)

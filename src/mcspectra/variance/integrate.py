@@ -25,11 +25,11 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Estimator, as_estimator
+from mcspectra.estimators import AbstractEstimator, Estimator, Moments, as_estimator
 from mcspectra.estimators.moments import rounding_floor
+from mcspectra.estimators.tails import tail_note
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.variance.convergence import Seen, large_share
 from mcspectra.variance.counterfactuals import Setup, affordable_count
 
 if TYPE_CHECKING:
@@ -150,15 +150,12 @@ def integrate(
         values[:_LEAST, first.shape[1] :] = calls(x[:_LEAST, first.shape[1] :])
         values[_LEAST:] = calls(x[_LEAST:])
 
-    # The interval: none where nothing varies, a doubtful one where a single replicate makes the variance
-    seen = Seen.of(values.mean(axis=1)[:, None])
-    moments, note = seen.moments, None
-    value, variance = float(moments.mean[0]), float(moments.variance[0])
-    half = _t(replicates) * math.sqrt(variance / replicates)
-    if variance <= rounding_floor(moments.mean)[0]:
+    # The interval: none where nothing varies
+    moments = Moments.of(values.mean(axis=1), tails=True)
+    value, variance = float(moments.mean), float(moments.variance)
+    half, note = _t(replicates) * math.sqrt(variance / replicates), tail_note(moments)
+    if variance <= rounding_floor(moments.mean):
         half, note = math.inf, "all replicates are alike: f is constant, or what varies was not met"
-    elif seen.largest_share[0] > large_share(np.array(replicates)):
-        note = "a single replicate makes most of the variance: the interval may be too short"
     return dataset(
         {
             "value": ((), value),

@@ -37,6 +37,7 @@ __all__ = [
 ]
 
 _MOST_EVALUATIONS = 2**25  # of an integrand: beyond, a quadrature is refused
+_AT_ONCE = 2**16  # evaluations, about: a call of an integrand may take milliseconds by itself
 _ORDERS = ((12, 20), (6, 10), (4, 6))
 _MANY = 400  # nets in 2-D have n² cells: 10² nodes in each of more are too many
 _LEAST_PANELS = 32  # of the whole axis, where offsets of few strata are integrated over
@@ -200,12 +201,14 @@ def stratum_moments(
         grids = [low[:, None] + (high - low)[:, None] * node for low, high in axes]
         mean: Any = 0.0
         square: Any = 0.0
-        for q in itertools.product(range(order), repeat=g.dims):
-            x = mesh(*(grid[:, i] for grid, i in zip(grids, q, strict=True)))
-            values = g(x).reshape(pieces, -1)
-            w = float(np.prod(weight[list(q)]))
-            mean = mean + w * values
-            square = square + w * values**2
+        nodes = list(itertools.product(range(order), repeat=g.dims))
+        step = max(1, _AT_ONCE // pieces)
+        for some in (nodes[start : start + step] for start in range(0, len(nodes), step)):
+            x = [mesh(*(grid[:, i] for grid, i in zip(grids, q, strict=True))) for q in some]
+            for q, values in zip(some, g(np.stack(x)).reshape(len(some), pieces, -1), strict=True):
+                w = float(np.prod(weight[list(q)]))
+                mean = mean + w * values
+                square = square + w * values**2
         moments = mean, square
 
     # Means over strata: pieces count by their share of the stratum, an axis after the other
@@ -257,8 +260,16 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     Boxes cut at the breaks of g; in 1-D and 2-D also quadrature that records how much each level
     leaves unresolved (`mcspectra.densities.adaptive`): the integral is infinite where that does not
     shrink, else the smaller error counts. Boxes alone do not see a divergence: rounding of T(u)
-    stops it somewhere. In more dims it shows as a large error at best.
+    stops it somewhere. In more dims it shows as a large error at best. Kept with g, as all counts
+    and samplers ask for it.
     """
+    if "_square" not in g.__dict__:
+        g.__dict__["_square"] = _square_integral(g)
+    known: tuple[Array, Array] = g.__dict__["_square"]
+    return known
+
+
+def _square_integral(g: Integrand) -> tuple[Array, Array]:
     found = g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims)))
     if found is not None:
         exact = np.asarray(found[1], float).reshape(-1)
