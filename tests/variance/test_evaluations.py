@@ -156,6 +156,7 @@ def test_no_call_is_made_beyond_the_most(name, most):
 def test_what_is_known_before_is_refused_before():
     f = Function(2)
     for call in (
+        lambda: mcs.remedies(f.integrand, JITTERED, 64, realizations=100, max_evaluations=6400),
         lambda: mcs.convergence(
             f.integrand, JITTERED, [N], realizations=R, max_evaluations=R * N - 1
         ),
@@ -232,3 +233,17 @@ def test_tallies_stand_within_each_other():
     assert (inner.made, outer.made) == (4, 10)
     with pytest.raises(BudgetError):  # though it was caught in between
         inner.check()
+
+
+def test_integrands_of_other_packages_are_not_called_silently_either():
+    class Theirs(mcs.Integrand):
+        name, dims, spec = "theirs", 2, "theirs"
+        points = 0
+
+        def _evaluate(self, x):
+            type(self).points += x.size // 2
+            return x[..., 0]
+
+    found = mcs.convergence(Theirs(), JITTERED, [N, 64], realizations=R)
+    assert Theirs.points == R * (N + 64) == found.attrs["evaluations"]
+    assert found.attrs["integral_source"] == "unknown"

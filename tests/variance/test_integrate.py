@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
 import mcspectra as mcs
+from mcspectra.cli.main import main
 from mcspectra.core.errors import DomainError, ParameterError
 
 E = np.e - 1.0
@@ -145,3 +148,17 @@ def test_what_is_alike_has_no_interval():
 def test_what_cannot_be_is_refused(f, options, sentence):
     with pytest.raises((ParameterError, DomainError), match=sentence):
         mcs.integrate(f, **{"dims": 2, "budget": 100} | options)
+
+
+def test_the_verb(capsys, tmp_path):
+    file = str(tmp_path / "disk.sqlite")
+    assert main(["integrate", "disk", "--budget", "2000", "--json", "--cache", file]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["interval"][0] < data["value"] < data["interval"][1]
+    assert (data["calls"], data["replicates"] * data["n"]) == (1920, 1920)
+    assert main(["integrate", "disk", "--budget", "2000", "--cache", file]) == 0
+    assert (
+        "\n1 evaluations made, of 15 replicates of 128 points of sobol | owen"
+        in capsys.readouterr().out
+    )
+    assert main(["integrate", "disk", "--budget", "7"]) == 2

@@ -187,7 +187,7 @@ def integrate_(options: argparse.Namespace) -> Answer:
     data: dict[str, Any] = {str(name): found[name].values.tolist() for name in found}
     low, high = data["interval"]
     text = (
-        f"{data['value']:.10g}, 95 %: {low:.10g} to {high:.10g}\n{data['calls']} evaluations: "
+        f"{data['value']:.10g}, 95 %: {low:.10g} to {high:.10g}\n{data['calls']} evaluations made, of "
         f"{data['replicates']} replicates of {data['n']} points of {found.attrs['sampler']}"
     )
     note = found.attrs.get("note")

@@ -129,6 +129,10 @@ class Integrand(Component, ABC):
                 f"{self.spec} was given points that are not finite or lie outside [0,1]; give points "
                 "of the unit cube."
             )
+        if type(self).is_black_box is Integrand.is_black_box and self.is_black_box:
+            spend(
+                points.size // self.dims
+            )  # a class of another package; functions count themselves
         return self._evaluate(points)
 
     @property

@@ -118,7 +118,8 @@ class Remedies(Counted, frozen=True, kw_only=True):
         """The budget is enough for two counts of the set-up as given."""
         given = Setup(subject.estimator, subject.sampler)
         as_integer("budget", self.budget, least=_RATIO * given.cost)
-        if len(_affordable(given, self.budget)) < 2:
+        counts = _affordable(given, self.budget).values()
+        if len(counts) < 2:
             raise ParameterError(
                 f"{given.sampler.spec} has no two counts within {self.budget} evaluations for "
                 f"{given.estimator.spec}, which a rate takes; give a larger budget, or a sampler of "
@@ -128,6 +129,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         return Need(
             cost=float(self.budget * self.realizations * tries) * _RATIO / (_RATIO - 1),
             memory=memory_of(self.budget, subject.estimator.dims) + 16 * tries * self.realizations,
+            evaluations=self.realizations * given.cost * sum(counts),
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Trials]:
