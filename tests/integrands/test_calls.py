@@ -5,9 +5,10 @@ import sqlite3
 import numpy as np
 import pytest
 
+import mcspectra as mcs
 from mcspectra.core.errors import BudgetError, DomainError, FileFormatError, ParameterError
 from mcspectra.core.progress import listening
-from mcspectra.integrands import Calls
+from mcspectra.integrands import Calls, FunctionIntegrand
 
 X = np.random.default_rng(1).random((300, 2))
 
@@ -136,3 +137,12 @@ def test_values_must_be_one_finite_number_a_point(f, vectorized, sentence):
         Calls(f, dims=2, budget=10, vectorized=vectorized)(X[:5])
     with pytest.raises(DomainError, match="unit cube"):
         Calls(f, dims=2, budget=10)(X[:5, :1])
+
+
+def test_an_analysis_counts_its_calls_once():
+    f = Counting()
+    with Calls(f, dims=2, budget=1600) as calls:
+        found = mcs.convergence(
+            FunctionIntegrand(function=calls, dims=2), "random", [16, 64], realizations=20
+        )
+    assert f.points == calls.made == found.attrs["evaluations"] == 1600

@@ -115,11 +115,14 @@ class Calls:
             f.spec if isinstance(f, Integrand) else str(getattr(f, "__name__", type(f).__name__))
         )
         self._block = _BLOCK if vectorized else _FEW
-        self._f: Integrand = (
+        self._f = (
             f
             if isinstance(f, Integrand)
             else FunctionIntegrand(function=f if vectorized else _OneByOne(f), dims=self.dims)
         )
+        # Counted here, and not again by tallies
+        g = self._f
+        self._values = g.checked_values if isinstance(g, FunctionIntegrand) else g._evaluate
         self._pool = (
             _pool(self._f, workers)
             if as_integer("workers", workers, least=1, most=1024) > 1
@@ -193,7 +196,7 @@ class Calls:
         blocks = [fresh[i : i + self._block] for i in range(0, fresh.size, self._block)]
         if self._pool is None:
             for where in blocks:
-                yield where, self._f._evaluate(x[where])
+                yield where, self._values(x[where])
             return
         tasks: dict[Future[Array], Array] = {}
         try:
@@ -216,7 +219,7 @@ class Calls:
             return
         self._checked = True
         i = held[0]
-        (now,) = self._f._evaluate(x[i : i + 1])
+        (now,) = self._values(x[i : i + 1])
         self.made += 1
         if abs(now - values[i]) > _SAME * max(abs(now), abs(values[i])):
             raise ParameterError(
