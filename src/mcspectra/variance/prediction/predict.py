@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 __all__ = ["ROUTES", "Cells", "Prediction", "Predictor", "predict"]
 
 _TOLERANCE = 0.01  # relative error of a quadrature that is taken before all other routes
+_MOST_BREAKS = 8  # of an integrand, with each of which offsets of strata are cut
+_EVALUATIONS = 2.0**22  # of a quadrature, about a second; beyond, other routes come first
 _MEMORY = 2**29  # bytes: coefficients and transforms of all regions
 
 # Counts beyond the last one, that show the limit of rates
@@ -63,13 +65,10 @@ def of_quadrature(sampler: Sampler, n: int, known: Known, stream: Stream) -> Pre
     """The exact variance, to the error of its quadrature; shifted strata are cheaper on the torus."""
     g, (_, steps) = known.g, parts_of(sampler)
     box = np.zeros((1, g.dims))
-    if (
-        g.dims > 1
-        and any(isinstance(s, Shift) for s in steps)
-        and g.box_moments(box, box + 1) is None
-    ):
+    dear = g.box_moments(box, box + 1) is None or sum(map(len, g.breaks)) > _MOST_BREAKS
+    if g.dims > 1 and any(isinstance(s, Shift) for s in steps) and dear:
         raise NoClosedForm("A quadrature for every offset of the strata would take long.")
-    variance, error = of_integrand(sampler, n, known.g, _TOLERANCE)
+    variance, error = of_integrand(sampler, n, known.g, _TOLERANCE, _EVALUATIONS)
     ones = np.ones(len(variance))
     return Predicted(variance, error, ones, 0.0 * ones, "exact")
 
