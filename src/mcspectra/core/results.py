@@ -201,6 +201,11 @@ dominant_technique | f | 1 | y x | technique of the larger variance; −1: undec
 mis_gain | f | 1 | y x | variance of the better single strategy / variance of MIS
 predicted_ratio | f | 1 | strategy y x | predicted / measured variance at the largest n
 wraparound_discrepancy | f | 1 | any | wrap-around L2 discrepancy
+value | f | f | | integral, mean over the replicates
+interval | f | f | bound | 95 % interval: integral
+calls | i | 1 | | calls of the function that were made
+replicates | i | 1 | | independent point sets
+n | i | 1 | | points of each set
 """
 
 _VARIABLES: dict[str, Variable] = {}

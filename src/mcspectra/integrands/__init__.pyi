@@ -9,6 +9,7 @@ from .base import Integrand as Integrand
 from .base import fourier_accuracy as fourier_accuracy
 from .base import fourier_grid as fourier_grid
 from .base import integral_accuracy as integral_accuracy
+from .calls import Calls as Calls
 from .christensen import ChristensenBilinear as ChristensenBilinear
 from .christensen import ChristensenDisk as ChristensenDisk
 from .christensen import ChristensenGaussian as ChristensenGaussian

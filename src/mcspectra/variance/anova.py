@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any, final
 import numpy as np
 from msgspec import Meta
 
-from mcspectra.core.analysis import Analysis, Need, Reduction, Subject
+from mcspectra.core.analysis import Analysis, Counted, Need, Reduction, Subject
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.memory import memory_of
@@ -56,7 +56,7 @@ _PARTNER, _ORDER, _UNIFORM = 0x616E6F, 0x616E70, 0x616E71  # stream labels
 
 
 @final
-class Anova(Analysis, frozen=True, kw_only=True):
+class Anova(Counted, frozen=True, kw_only=True):
     """Which axes of primary space, and pairs of them, the variance comes from."""
 
     function = "anova_variances"
@@ -89,8 +89,10 @@ class Anova(Analysis, frozen=True, kw_only=True):
                 f"{_MAX_VALUES * self.realizations // values} realisations, or for order=1."
             )
         evaluations = sum(estimator.counts)
+        points = subsets * self.realizations * self.n * evaluations
         return Need(
-            cost=float(subsets * self.realizations * self.n * evaluations),
+            cost=float(points),
+            evaluations=points * estimator.evaluations_per_point,
             memory=memory_of(self.n, estimator.dims, 2 * evaluations) + 24 * values,
         )
 
@@ -345,6 +347,7 @@ def anova_variances(
     order: int = 2,
     realizations: int = 10_000,
     rng: RngLike = 0,
+    max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
     """Decompose the variance of an estimate by the axes of its primary space.
@@ -362,6 +365,8 @@ def anova_variances(
         Seed (SPEC 7). Realisation r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
     workers
         Threads; all processors by default. Results do not depend on it.
+    max_evaluations
+        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
 
     Returns
     -------

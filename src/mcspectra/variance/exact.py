@@ -35,13 +35,14 @@ import numpy as np
 from msgspec import Meta
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject
-from mcspectra.core.checks import Array, as_real
+from mcspectra.core.checks import Array, as_integer, as_real
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNTS, Counts
 from mcspectra.core.records import JOIN
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
+from mcspectra.core.tally import counting
 from mcspectra.estimators import AbstractEstimator, as_subject
 from mcspectra.estimators.reflected import FoldedIntegrand, SymmetrizedIntegrand
 from mcspectra.integrands import Integrand
@@ -155,6 +156,7 @@ def exact_variance(
     n: int,
     *,
     tolerance: float = _TOLERANCE,
+    max_evaluations: int | None = None,
 ) -> Any:
     """Return the exact variance of an estimator, without sampling.
 
@@ -168,6 +170,8 @@ def exact_variance(
     tolerance
         Relative error up to which a variance is given, 1e-12 to 1. Jumps that f does not declare
         and no axis follows take 1e-3 for random points, some 0.1 for strata; a refusal says how much.
+    max_evaluations
+        Most evaluations of a user's function: BudgetError where it takes more.
 
     Returns
     -------
@@ -198,7 +202,11 @@ def exact_variance(
     1.0
     """
     tolerance = as_real("tolerance", tolerance, least=1e-12, most=1.0)
-    value, _ = estimated_variance(estimator, sampler, n, tolerance)
+    if max_evaluations is not None:
+        max_evaluations = as_integer("max_evaluations", max_evaluations, least=1)
+    with counting("exact_variance", max_evaluations) as tally:
+        value, _ = estimated_variance(estimator, sampler, n, tolerance)
+    tally.check()
     several = as_subject(estimator, sampler).estimator.channels
     return value if several else float(np.squeeze(value))
 

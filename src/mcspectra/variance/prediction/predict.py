@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, final
 
 import numpy as np
 
-from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
+from mcspectra.core.analysis import Counted, Need, Reduction, Subject, compute
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import CountError, NoClosedForm, ParameterError
 from mcspectra.core.memory import memory_of
@@ -98,7 +98,7 @@ _OF_COSTLY = (of_torus, of_levels, of_quadrature, of_subsets, of_measurements)
 
 
 @final
-class Prediction(Analysis, frozen=True, kw_only=True):
+class Prediction(Counted, frozen=True, kw_only=True):
     """Variance and rate at every n, predicted without samples of f."""
 
     function = "predict"
@@ -233,6 +233,7 @@ def predict(
     counts: Sequence[int],
     *,
     rng: RngLike = 0,
+    max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
     """Predict the variance and its rate from what is known of f and of the samplers.
@@ -249,6 +250,8 @@ def predict(
         Seed (SPEC 7), of routes that draw sets.
     workers
         Threads; all processors by default. Results do not depend on it.
+    max_evaluations
+        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
 
     Returns
     -------
@@ -289,7 +292,8 @@ def predict(
     if isinstance(estimator, list | tuple):
         raise ParameterError("predict takes one estimator at a time; give samplers as a list.")
     subject = as_subject(estimator, samplers, lists=True)
-    return compute(Prediction(counts=counts), subject, rng, workers)  # type: ignore[arg-type]
+    asked = Prediction(counts=counts, max_evaluations=max_evaluations)  # type: ignore[arg-type]
+    return compute(asked, subject, rng, workers)
 
 
 @final
