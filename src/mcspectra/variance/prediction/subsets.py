@@ -429,9 +429,11 @@ def _fitted(
             [t[1:] for t in tested], axis=0
         ).sum(0)
         missed = scale**2 * float(((values[-1] / scale - sums) ** 2).mean())
-        # Energy of the fit where no point tested it is missed, too
-        energy = _energy([w @ c for w, c in zip(weights, cells, strict=True)])
-        missed += scale**2 * abs(energy - float(sums.var()))
+        # Energy of the fit where no point tested it is missed, too; g shows what chance makes of it
+        energy = scale**2 * _energy([w @ c for w, c in zip(weights, cells, strict=True)])
+        untested = energy - scale**2 * float(sums.var())
+        chance = variance - float(values[-1].var())
+        missed += max(abs(untested - chance) - 2.0 * half, 0.0)
         if missed < residual:
             best, residual = weights, missed
 
