@@ -53,9 +53,11 @@ from .variance.alignment import best_alignment as best_alignment
 from .variance.alignment import strata_shift_scan as strata_shift_scan
 from .variance.anova import anova_spectrum as anova_spectrum
 from .variance.anova import anova_variances as anova_variances
+from .variance.chains import chain_error as chain_error
 from .variance.convergence import convergence as convergence
 from .variance.convergence import realizations_needed as realizations_needed
 from .variance.exact import exact_variance as exact_variance
+from .variance.integrate import integrate as integrate
 from .variance.modes import covariance_modes as covariance_modes
 from .variance.prediction.plan import plan as plan
 from .variance.prediction.predict import predict as predict
@@ -98,6 +100,7 @@ __all__ = [
     "anova_variances",
     "axis_frequencies",
     "best_alignment",
+    "chain_error",
     "channel_estimators",
     "closed_form_covariance",
     "closed_form_pair_correlation",
@@ -115,6 +118,7 @@ __all__ = [
     "integrand",
     "integrand_decay",
     "integrands",
+    "integrate",
     "low_frequency_exponent",
     "mirror_study",
     "nested_variances",

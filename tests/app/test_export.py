@@ -15,6 +15,7 @@ from mcspectra.app.export import as_python, as_toml
 from mcspectra.app.state import Setup, State
 from mcspectra.app.uploads import keep_upload
 from mcspectra.studies import open_results, read_study, run_study
+from mcspectra.variance.fit import is_resolved
 
 SMALL = {"n": 16, "half_width": 6, "realizations": 8}
 SETUPS = [
@@ -41,11 +42,12 @@ def ran(program: str) -> tuple[dict[str, object], str]:
 @pytest.mark.parametrize("setup", SETUPS)
 def test_python_gives_the_numbers_shown(setup: Setup) -> None:
     names, printed = ran(as_python(State(a=setup)))
-    for kind in ("spectrum", "terms", "convergence"):
+    for kind in ("predict", "spectrum", "terms", "convergence"):
         shown = compute(kind, setup, setup.realizations)
         for variable in shown:
             np.testing.assert_array_equal(names[kind][variable], shown[variable])  # type: ignore[index]
-    assert f"{float(shown['rate']):.4g}" in printed
+    known = is_resolved(*shown["rate_ci"].values)
+    assert (f"{float(shown['rate']):.4g}" if known else "unresolved") in printed
 
 
 def test_python_of_two_set_ups_has_both() -> None:
@@ -68,7 +70,7 @@ def test_toml_is_a_study_of_the_same(setup: Setup, tmp_path: Path) -> None:
     analyses = analyses_of(setup)
     del analyses["points"]
     assert first.analyses == analyses
-    assert set(first.analyses) == {"terms", "convergence", "spectrum"}
+    assert set(first.analyses) == {"terms", "convergence", "spectrum", "predict"}
     assert study.seed == setup.seed
 
 

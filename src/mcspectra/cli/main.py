@@ -35,6 +35,7 @@ _MODULES = {
     "samplers": {
         "list": "list samplers, randomizations, densities, integrands, scenes or analyses",
         "points": "draw point sets and write them as text or files",
+        "integrate": "integrate a function with a budget of evaluations: value and interval",
         "gallery": "measure samplers and show them side by side",
     },
     "analysis": {
@@ -51,6 +52,9 @@ _MODULES = {
         "anova": "which axes the variance comes from, effective dimension",
         "modes": "which patterns of frequencies vary together",
         "routes": "variance by every route that is known, side by side",
+    },
+    "chains": {
+        "chains": "error of the means of Markov chains, its frequencies, and what is wrong",
     },
     "scenes": {
         "render": "render a scene's direct illumination: image, variance, EXR and PNG",

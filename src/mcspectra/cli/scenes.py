@@ -212,7 +212,7 @@ def _compare(
     option("--no-remedies", "leave remedies out"),
     group(
         lambda parser: parser.add_mutually_exclusive_group(),
-        option("--quick", "some seconds (default)"),
+        option("--quick", "about a minute (default)"),
         option("--full", "some minutes: more of everything"),
     ),
     option("--out DIR", "write the report into this folder"),
@@ -265,7 +265,8 @@ def _pixel_text(tree: xr.DataTree) -> str:
     ]
     rates = [
         [row.estimator, row.sampler, rate(row.rate, row.rate_low, row.rate_high), str(row.n),
-         number(row.variance)]
+         number(row.variance), number(row.ratio), interval(row.ratio_low, row.ratio_high),
+         row.route or ""]
         for row in pixel_rows(tree)
     ]  # fmt: skip
     terms = [
@@ -274,9 +275,12 @@ def _pixel_text(tree: xr.DataTree) -> str:
          interval(row.measured_low, row.measured_high), number(row.captured)]
         for row in term_rows(tree)
     ]  # fmt: skip
-    about = ["terms", "", "dc", "power", "cross", "predicted", "measured", "95 %", "captured"]
+    about = ["terms", "", "dc", "power", "cross", "sum", "measured", "95 %", "captured"]
     tables = [
-        text_table(["strategy", "sampler", "rate", "n", "variance"], rates),
+        text_table(
+            ["strategy", "sampler", "rate", "n", "variance", "predicted / measured", "95 %", "by"],
+            rates,
+        ),
         text_table(about, terms),
     ]
     if "remedies" in tree.children:
@@ -323,7 +327,7 @@ def map_(options: argparse.Namespace) -> Answer:
     from mcspectra.core.streams import Stream
     from mcspectra.plots.groups import labelled
     from mcspectra.rendering.maps import Map
-    from mcspectra.report.map_page import map_note, map_summary, write_map
+    from mcspectra.report.map_page import map_note, map_summary, shown_numbers, write_map
     from mcspectra.studies import StudyConfig, Trust, open_results, run_study
     from mcspectra.studies.files import SceneConfig
 
@@ -343,7 +347,7 @@ def map_(options: argparse.Namespace) -> Answer:
     result = labelled(found).assign_coords(bound=["low", "high"])
     page, summary = write_map(result, options.out), map_summary(result)
     shown = summary["strategies"]
-    rows = [[name, "", *(f"{v:.4g}" for v in row.values())] for name, row in shown.items()]
+    rows = [[name, "", *shown_numbers(row)] for name, row in shown.items()]
     table = text_table(["strategy", "", *next(iter(shown.values()))], rows)
     return Answer(f"{table}\n{map_note(summary)}\nmap: {page}", {**summary, "report": page})
 
