@@ -325,7 +325,7 @@ def main() -> None:
         best = "-" if found.found.best is None else found.found.best.name
         print(
             f"{case.name:40} {first:20} {'' if found.names_cause else 'WRONG':6}"
-            f"rate {found.found.samplers['sobol | owen'].rate:6.2f} ({found.rate:5.2f}) {best:16} × {found.ratio:8.3g} "
+            f"rate {nets.rate:6.2f} ± {nets.rate_se:.2f} ({found.rate:5.2f}) {best:16} × {found.ratio:8.3g} "
             f"{found.seconds:.2f} s",
             flush=True,
         )

@@ -205,7 +205,6 @@ predicted_ratio | f | 1 | strategy y x | predicted / measured variance at the la
 wraparound_discrepancy | f | 1 | any | wrap-around L2 discrepancy
 value | f | f | | integral, mean over the replicates
 interval | f | f | bound | 95 % interval: integral
-calls | i | 1 | | calls of the function that were made
 replicates | i | 1 | | independent point sets
 n | i | 1 | | points of each set
 """

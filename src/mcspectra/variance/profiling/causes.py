@@ -265,8 +265,8 @@ def _jumps(seen: Evidence) -> Cause | None:
         )
     return Cause(
         "interior-jump",
-        f"{met}: strata that it crosses keep their noise, and the rate of stratified points goes no "
-        "further than n^−(1+1/d).",
+        f"{met}: strata that it crosses keep their noise, and the variance of stratified points tends to "
+        f"n^−{1.0 + 1.0 / seen.sets.dims:.3g} at best.",
         evidence,
         ("preintegrated", "smoothed", "aligned"),
     )

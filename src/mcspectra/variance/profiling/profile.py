@@ -167,7 +167,8 @@ class Profile:
             f"{best.rmse_given:.2g} at {self.budget:,} evaluations"
         )
         if math.isfinite(best.samples_saved) and best.samples_saved > 0:
-            text += f", which would take {best.samples_saved + self.budget:,.3g} with {self.given}"
+            needed = float(f"{best.samples_saved + self.budget:.2g}")
+            text += f", which would take about {needed:,.0f} with {self.given}"
         return f"{text}.{why}"
 
     @property
