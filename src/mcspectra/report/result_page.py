@@ -95,9 +95,8 @@ def _numbers(result: xr.Dataset) -> Table:
     for name, values in result.data_vars.items():
         if values.ndim or str(name).endswith(("_ci", "_se")):
             continue
-        ends = result.get(f"{name}_ci")
-        known = ends is not None and ends.ndim == 1
-        between = interval(float(ends[0]), float(ends[1])) if known else ""
+        ends = f"{name}_ci"
+        between = interval(*result[ends].values.tolist()) if ends in result else ""
         meaning = str(values.attrs.get("long_name", ""))
         cells = (Cell(text=number(float(values))), Cell(text=between), *text_cells(meaning))
         rows.append((*text_cells(str(name)), *cells))
