@@ -38,6 +38,7 @@ from mcspectra.plots.style import (
     PALETTE,
     LineStyle,
     labels,
+    sampler_styles,
 )
 from mcspectra.plots.text import MISSING, NEGLIGIBLE, number, number_beside, percent, rate, shorten
 
@@ -148,6 +149,13 @@ def prediction(group: Group, styles: Styles) -> Plot:
 def profile(group: Group, styles: Styles) -> Plot:
     """Variances of all samplers that a profile looked at, with their 95 % intervals."""
     caption = "Variance against the number of points, with 95 % intervals."
+    if any("sampler" in each.dims for each in group.values()):  # several profiles
+        group = {
+            f"{name}: {sampler}": each.sel(sampler=sampler)
+            for name, each in group.items()
+            for sampler in each["sampler"].values
+        }
+        styles = sampler_styles(list(group))
     return _known_curves(group, styles, "profile", "variance", caption)
 
 
