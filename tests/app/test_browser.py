@@ -154,7 +154,7 @@ def test_another_sampler_and_a_randomisation(page: Page, address: str) -> None:
     page.get_by_role("checkbox", name="owen").check()
     wait_for(page, "sampler", "sobol | owen")
     done(page)
-    expect(page.get_by_role("figure", name="variance against n")).to_be_visible()
+    expect(page.get_by_role("figure", name="plot of variance against n")).to_be_visible()
 
 
 def test_a_formula(page: Page, address: str) -> None:
@@ -183,12 +183,12 @@ def test_two_set_ups_and_the_address_restores_them(page: Page, address: str) -> 
         # Side by side, A at the left
         assert places[0]["y"] == places[1]["y"]
         assert places[0]["x"] + places[0]["width"] <= places[1]["x"]
-    expect(page.get_by_role("group", name=re.compile("^[AB]: "))).to_have_count(16)
+    expect(page.get_by_role("group", name=re.compile("^[AB]: "))).to_have_count(18)
     page.reload()
     done(page, "B")
     assert state_of(page) == state
     assert state.b is not None
-    expect(page.get_by_role("group", name=re.compile("^[AB]: "))).to_have_count(16)
+    expect(page.get_by_role("group", name=re.compile("^[AB]: "))).to_have_count(18)
 
 
 def test_odd_addresses_get_a_sentence(page: Page, address: str) -> None:

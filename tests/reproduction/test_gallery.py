@@ -74,8 +74,8 @@ def test_findings_are_plain_json(tmp_path: Path) -> None:
     assert [set(row) for row in rows] == [
         {"exhibit", "statement", "expected", "measured", "interval", "agrees", "note"}
     ] * 3
-    assert [row["measured"] for row in rows] == [1.0, None, "words"]
-    assert [row["interval"] for row in rows] == [[0.9, 1.1], [None, 2.0], None]
+    assert [row["measured"] for row in rows] == [1.0, "inf", "words"]
+    assert [row["interval"] for row in rows] == [[0.9, 1.1], ["-inf", 2.0], None]
     assert [row["agrees"] for row in rows] == [True, False, None]
 
 

@@ -21,6 +21,7 @@ _PRIOR = 20  # values' worth of the belief that the estimates are normal
 _LEAST = 10  # values that can show a tail at all
 _TAIL = 64  # smallest and largest values that are kept, and values that a tail index is fitted to
 _LEAST_TAIL = 300  # values of which these are the tail
+_CLUMPS = 4.0  # kurtosis, up to which far values are no tail
 _MOST_ERROR = 2.0  # squared: fewer than one degree of freedom, an upper end above 100 s²
 
 
@@ -131,11 +132,13 @@ class Moments:
         """Whether the values bound their variance from above.
 
         Not if one or two of them make up most of it; nor if the tail index of their squares is more
-        than 1 − 1/log10 R, above which a mean is far from normal [Vehtari2024]_.
+        than 1 − 1/log10 R, above which a mean is far from normal [Vehtari2024]_, and their kurtosis more
+        than 4: values in a few clumps have a few far from others, too.
         """
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", divide="ignore"):
             few = self._log_errors()[1] ** 2 > _MOST_ERROR
             heavy = 2.0 * self.tail_index > 1.0 - 1.0 / np.log10(max(self.count, 2))
+            heavy &= self.count * self.m4 > _CLUMPS * self.m2**2
         return np.asarray((self.count < _LEAST) | ~(few | heavy))
 
     @property
