@@ -53,6 +53,7 @@ from .variance.alignment import best_alignment as best_alignment
 from .variance.alignment import strata_shift_scan as strata_shift_scan
 from .variance.anova import anova_spectrum as anova_spectrum
 from .variance.anova import anova_variances as anova_variances
+from .variance.chains import chain_error as chain_error
 from .variance.convergence import convergence as convergence
 from .variance.convergence import realizations_needed as realizations_needed
 from .variance.exact import exact_variance as exact_variance
@@ -98,6 +99,7 @@ __all__ = [
     "anova_variances",
     "axis_frequencies",
     "best_alignment",
+    "chain_error",
     "channel_estimators",
     "closed_form_covariance",
     "closed_form_pair_correlation",

@@ -190,6 +190,29 @@ def test_converge_stops_at_a_precision_and_chooses_its_window(run, run_json):
     assert out.splitlines()[-1].split()[-2:] == shown
 
 
+def test_converge_prints_an_infinite_upper_end(run, run_json):
+    """Nothing was printed; JSON had null, as for numbers that are not known."""
+    arguments = ("converge", "disk(center=0.4, radius=0.006)", "-d", 1, "--sampler", "random")
+    arguments = (*arguments, "--counts", "4,16", "-m", 300)
+    curve = run_json(*arguments)["curves"][0]
+    (low, high), known = curve["variance_ci"]
+    assert high == "inf"
+    assert known[1] < 1
+    assert curve["rate_ci"] == ["-inf", "inf"]
+    _, out, _ = run(*arguments)
+    assert (
+        f"{curve['variance'][0]:.4g} (≥ {low:.4g})  {curve['variance'][1]:.4g}  unresolved" in out
+    )
+    assert "tails not resolved at n = 4: few estimates make the variance, tail index k̂ = " in out
+
+
+def test_techniques_print_no_rate_that_is_no_finding(run):
+    given = ("-d", 1, "--density", "uniform", "--density", "tent", "--sampler", "random")
+    _, out, _ = run("techniques", "gaussian", *given, "--counts", "4,8", "-m", 20)
+    rows = [line.split() for line in out.splitlines() if line[:2] in ("0 ", "1 ")]
+    assert [row[1] for row in rows] == ["unresolved"] * 2
+
+
 def test_converge_finds_no_rate_in_noise_or_in_rounding(run, run_json):
     """-1.03 ± 1.34 of five realisations, and a rate of 1e-34."""
     arguments = (

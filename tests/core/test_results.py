@@ -45,7 +45,7 @@ def test_what_strict_json_cannot_say_becomes_null_or_text():
         "tuple": (True, None, "text"),
     }
     assert json.loads(json.dumps(strict_json(given), allow_nan=False)) == {
-        "1": [None, None, 2.5],
+        "1": [None, "-inf", 2.5],
         "array": [[1, 2], [3, 4]],
         "number": 0.5,
         "complex": {"re": 1.0, "im": 2.0},

@@ -99,6 +99,23 @@ def test_every_analysis_has_plots_that_both_backends_draw(name):
         drawn_by_both(describe(kind, {"one": result, "another | of them": result}))
 
 
+def test_chains__spectra_and_shares_of_one_and_of_many():
+    draws = np.random.default_rng(1).standard_normal((2, 300, 8))
+    one, many = mcs.chain_error(draws[..., 0]), mcs.chain_error(draws)
+    assert kinds_of(one) == kinds_of(many) == ("chains",)
+    plot = describe("chains", one)
+    draw, error = (line.y for line in marks(plot, Line)[-2:])
+    np.testing.assert_array_equal(error, one["error_share"])
+    np.testing.assert_array_equal(draw, one["draw_share"])
+    drawn_by_both(plot)
+    plot = describe("chains", many)
+    assert "2 quantities of more effective draws are left out" in plot.caption
+    assert len(plot.labels) == 6
+    drawn_by_both(plot)
+    drawn_by_both(describe("chains", {"a": one, "still": mcs.chain_error(np.ones(300))}))
+    drawn_by_both(describe("chains", mcs.chain_error(np.ones(300))))
+
+
 @pytest.mark.parametrize("kind", TERMS)
 @pytest.mark.parametrize("dims", [1, 2, 3])
 def test_terms__every_dim(make, kind, dims):

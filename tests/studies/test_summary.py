@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from mcspectra.cli.studies import _summary_text
+from mcspectra.plots.text import rate
 from mcspectra.studies import summarize
 
 COUNTS = np.array([4, 16, 64])
@@ -74,3 +76,14 @@ def test_nothing_measured_is_divided_by():
     assert row(convergence=silent, predict=PREDICTED).ratio is None
     tree = xr.DataTree.from_dict({"/e/s/predict": PREDICTED, "/e/s/exact": EXACT})
     assert summarize(tree) == []
+
+
+def test_ends_that_are_not_known_are_infinite():
+    """A rate whose interval is infinite is no bare number."""
+    variance_ci = CURVE["variance_ci"].copy(data=[[0.9, np.inf], [0.09, np.inf], [0.008, np.inf]])
+    blind = CURVE.assign(variance_ci=variance_ci, rate_ci=("bound", [-np.inf, np.inf]))
+    found = row(convergence=blind, predict=PREDICTED)
+    assert (found.rate_low, found.rate_high) == (-np.inf, np.inf)
+    assert rate(found.rate, found.rate_low, found.rate_high) == "unresolved"
+    assert "unresolved" in _summary_text([found])
+    assert found.ratio_low == 0.0

@@ -83,3 +83,15 @@ def test_every_channel_counts():
     assert d["variance_ci"].dims == ("channel", "bound")
     assert (d["variance_relative_se"] <= 0.1).all()
     assert int(d["realizations_used"]) > 5000  # as the rare one needs
+
+
+def test_no_precision_rests_on_an_infinite_upper_end():
+    """u^-0.8 has no variance: 2000 values have one of no meaning."""
+    f = mcs.Integrand.from_function(lambda x: x[..., 0] ** -0.8, dims=1)
+    d = mcs.realizations_needed(
+        mcs.Estimator(f), "random", 1, relative_error=0.2, max_realizations=2000, rng=1
+    )
+    assert (int(d["realizations_used"]), int(d["reached"])) == (2000, 0)
+    assert float(d["variance_relative_se"]) == float(d["variance_ci"][1]) == np.inf
+    assert d.attrs["note"].startswith("tails not resolved (one or a few of 2000 estimates")
+    assert "note" not in mcs.realizations_needed(LINEAR, "random", 1).attrs

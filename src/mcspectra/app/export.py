@@ -49,7 +49,9 @@ def _program(setup: Setup, head: str) -> str:
         'for name in ("dc_term", "power_term", "cross_term", "predicted_variance",',
         '             "measured_variance"):',
         '    print(f"{name:18}  {float(terms[name]):.6g}")',
-        """print(f"{'rate':18}  {float(convergence['rate']):.4g}")""",
+        'low, high = convergence["rate_ci"].values',
+        """rate = f"{float(convergence['rate']):.4g}" if high - low <= 1 else "unresolved\"""",
+        """print(f"{'rate':18}  {rate}")""",
     ]
     return head + "\n".join(lines) + "\n"
 

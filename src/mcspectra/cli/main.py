@@ -52,6 +52,9 @@ _MODULES = {
         "modes": "which patterns of frequencies vary together",
         "routes": "variance by every route that is known, side by side",
     },
+    "chains": {
+        "chains": "error of the means of Markov chains, its frequencies, and what is wrong",
+    },
     "scenes": {
         "render": "render a scene's direct illumination: image, variance, EXR and PNG",
         "pixel": "what one pixel sees, its rates, terms and bottleneck, and what would help",

@@ -323,7 +323,7 @@ def map_(options: argparse.Namespace) -> Answer:
     from mcspectra.core.streams import Stream
     from mcspectra.plots.groups import labelled
     from mcspectra.rendering.maps import Map
-    from mcspectra.report.map_page import map_note, map_summary, write_map
+    from mcspectra.report.map_page import map_note, map_summary, shown_numbers, write_map
     from mcspectra.studies import StudyConfig, Trust, open_results, run_study
     from mcspectra.studies.files import SceneConfig
 
@@ -343,7 +343,7 @@ def map_(options: argparse.Namespace) -> Answer:
     result = labelled(found).assign_coords(bound=["low", "high"])
     page, summary = write_map(result, options.out), map_summary(result)
     shown = summary["strategies"]
-    rows = [[name, "", *(f"{v:.4g}" for v in row.values())] for name, row in shown.items()]
+    rows = [[name, "", *shown_numbers(row)] for name, row in shown.items()]
     table = text_table(["strategy", "", *next(iter(shown.values()))], rows)
     return Answer(f"{table}\n{map_note(summary)}\nmap: {page}", {**summary, "report": page})
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -235,7 +236,8 @@ def _summary_text(rows: list[SummaryRow]) -> str:
     for row in rows:
         rate = half = captured = "–"
         if row.rate is not None and row.rate_low is not None and row.rate_high is not None:
-            rate, half = f"{row.rate:+.2f}", f"{(row.rate_high - row.rate_low) / 2:.2f}"
+            wide = (row.rate_high - row.rate_low) / 2
+            rate, half = f"{row.rate:+.2f}", "infinite" if math.isinf(wide) else f"{wide:.2f}"
             if not is_resolved(row.rate_low, row.rate_high):
                 any_open, rate = True, "unresolved"
         if row.ratio is not None:

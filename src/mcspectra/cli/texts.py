@@ -71,7 +71,7 @@ def table_of_anything(result: xr.Dataset) -> Answer:
             meaning = str(values.attrs.get("long_name", name.replace("_", " ")))
             unit = str(values.attrs.get("units", ""))
             unit = "" if unit == "1" else unit
-            rows.append([meaning, unit, _cell(values.item()), _error(result, name, ())])
+            rows.append([meaning, unit, _value(result, name, ()), _error(result, name, ())])
         elif values.ndim == 1:
             columns.setdefault(str(values.dims[0]), []).append(name)
         else:
@@ -82,7 +82,7 @@ def table_of_anything(result: xr.Dataset) -> Answer:
         places = result[dim].values if dim in result.coords else np.arange(result.sizes[dim])
         cells = [
             [_cell(place), "", *(c for name in names for c in
-             (_cell(result[name].values[k]), _error(result, name, (k,))))]
+             (_value(result, name, (k,)), _error(result, name, (k,))))]
             for k, place in enumerate(places)
         ]  # fmt: skip
         kept = [i for i in range(len(header)) if i < 2 or any(row[i] for row in cells)]
@@ -113,9 +113,20 @@ def _cell(value: Any) -> str:
     return _number(float(value), 6) if isinstance(value, float | np.floating) else str(value)
 
 
+def _value(result: xr.Dataset, name: str, place: tuple[int, ...]) -> str:
+    """A number; of a rate that is no finding this word."""
+    if name.endswith("rate") and f"{name}_ci" in result:
+        low, high = result[f"{name}_ci"].values[place]
+        if high - low > 0 and not is_resolved(low, high):
+            return "unresolved"
+    return _cell(result[name].values[place])
+
+
 def _interval(ends: Any, digits: int = 4) -> str:
+    """Both ends, the upper one may be infinite; nothing where they are unknown or say nothing."""
     low, high = ends
-    return f"{low:.{digits}g} … {high:.{digits}g}" if np.isfinite([low, high]).all() else ""
+    known = math.isfinite(low) and not math.isnan(high)
+    return f"{low:.{digits}g} … {_number(high, digits)}" if known else ""
 
 
 def _error(result: xr.Dataset, name: str, place: tuple[int, ...]) -> str:
@@ -123,7 +134,7 @@ def _error(result: xr.Dataset, name: str, place: tuple[int, ...]) -> str:
     if f"{name}_ci" in result:
         return _interval(result[f"{name}_ci"].values[place])
     error = float(result[f"{name}_se"].values[place]) if f"{name}_se" in result else math.nan
-    return f"± {1.96 * error:.2g}" if math.isfinite(error) else ""
+    return "" if math.isnan(error) else f"± {_number(1.96 * error, 2)}"
 
 
 @_view("convergence")
@@ -147,9 +158,14 @@ def convergence(result: xr.Dataset) -> Answer:
                         ["unresolved", _number((high - low) / 2, 3)],
                         f"unresolved: the rate is {UNRESOLVED}",
                     )
-            rows.append(
-                [str(sampler), label, *(f"{v:.4g}" for v in curve["variance"].values), *fit]
-            )
+            # Where only the lower end is known it says more than the number
+            variances = [
+                f"{v:.4g}" + (f" (≥ {low:.4g})" if math.isinf(high) else "")
+                for v, (low, high) in zip(
+                    curve["variance"].values, curve["variance_ci"].values, strict=True
+                )
+            ]
+            rows.append([str(sampler), label, *variances, *fit])
         missed = result["n"].values[picked["reached"].values == 0] if "reached" in result else []
         if len(missed):
             goal, most = result.attrs["relative_error"], result.attrs["realizations"]
@@ -373,20 +389,31 @@ def prediction(result: xr.Dataset) -> Answer:
         raise NoClosedForm(f"{_note(result)[:1].upper()}{_note(result)[1:]}.")
     for k, n in enumerate(counts):
         for channel in range(value.shape[1]):
-            interval = "{:.4g} … {:.4g}".format(*ends[k, channel])
-            numbers = f"{value[k, channel]:.4g}", interval, f"{rate[k, channel]:+.2f}"
+            numbers = (
+                f"{value[k, channel]:.4g}",
+                _interval(ends[k, channel]),
+                f"{rate[k, channel]:+.2f}",
+            )
             label = f"[{channel}]" if value.shape[1] > 1 else ""
             route = str(result["route"].values[k])
             rows.append([str(n), label, *numbers, f"{share[k, channel]:.4f}", route])
     header = ["n", "", "variance", "95 %", "local rate", "share", "route"]
-    rates = ", ".join(f"{float(r):+.3f}" for r in result["predicted_rate"].values.reshape(-1))
+    rates = "; ".join(
+        f"rate: {rate:+.3f}"
+        + (f", tends to {limit:+.3f}" if np.isfinite(limit) else "")
+        + (f", bends at n = {bend:.3g}" if np.isfinite(bend) else "")
+        for rate, limit, bend in zip(
+            *(result[v].values.reshape(-1) for v in ("predicted_rate", "limit_rate", "bend_n")),
+            strict=True,
+        )
+    )
     title = f"predicted variance of {_title(result)}"
-    return _shown(title, text_table(header, rows), f"rate: {rates}", _note(result))
+    return _shown(title, text_table(header, rows), rates, _note(result))
 
 
 @_view("remedies")
 def remedies(result: xr.Dataset) -> Answer:
-    """Prints a table in the order of the errors, then what to do and why."""
+    """Prints a table in the order of the variances, then what to do and why."""
     known, rows, listed = result.attrs, [], []
     for name in result["remedy"].values:
         one = result.sel(remedy=name)
@@ -398,9 +425,9 @@ def remedies(result: xr.Dataset) -> Answer:
                 str(one["verdict"].item()),
                 f"{float(one['error']):.4g}",
                 f"{float(one['error_ratio']):.3g}",
-                "{:.3g} … {:.3g}".format(*one["error_ratio_ci"].values),
+                _interval(one["error_ratio_ci"].values, 3),
                 f"{float(one['rate']):.2f}" if resolved else "unresolved",
-                "{:.2f} … {:.2f}".format(*one["rate_ci"].values),
+                _interval(one["rate_ci"].values, 3),
             ]
         )
     table = text_table(["remedy", "", "variance", "ratio", "95 %", "rate", "95 %"], rows)

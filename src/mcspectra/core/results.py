@@ -69,6 +69,7 @@ anisotropy_db | f | dB | radius | variance of power over direction / (mean power
 anisotropy_noise_db | f | dB | radius | anisotropy that noise alone makes
 band_covariance | f | f² | band band_other | covariance of band-limited estimates
 band_trace | f | f² | | sum of all eigenvalues of the covariance within the band
+bend_n | f | 1 | | number of points at which the predicted rate changes to its limit; NaN: none known
 best_width | f | 1 | any | width of smoothed edges with the least mean squared error
 best_width_range | f | 1 | any | widths that may have the least mean squared error
 bias_squared | f | f² | any | (integral of the smoothed integrand minus the original)²
@@ -86,8 +87,8 @@ dc_term | f | f² | n? | dc term |f_0|² C_00
 cost | f | 1 | remedy step | evaluations of the integrand in an estimate
 error | f | f² | remedy | variance at the budget, mean squared error where biased
 error_at_cost | f | f² | remedy step | variance at each cost, mean squared error where biased
-error_ratio | f | 1 | remedy | error / that of the set-up as given
-error_ratio_ci | f | 1 | remedy bound | simultaneous 95 % interval of the ratio of errors
+error_ratio | f | 1 | remedy | variance (mean squared error where biased) / that of the set-up as given
+error_ratio_ci | f | 1 | remedy bound | simultaneous 95 % interval of the ratio of variances
 rank_by_rate | i | 1 | remedy | rank by rate, 1: steepest
 rate_difference | f | 1 | remedy | rate minus that of the set-up as given
 rate_difference_ci | f | 1 | remedy bound | simultaneous 95 % interval of the difference of rates
@@ -112,9 +113,17 @@ improvement | f | 1 | any | variance less than as given (1), more (−1), undeci
 incident_radiance | f | W/(m² sr) | any | radiance of the lights that count, from each direction
 kurtosis | f | 1 | | kurtosis of the estimates; normal: 3
 l2_star_discrepancy | f | 1 | any | L2 star discrepancy
+limit_rate | f | 1 | | exponent that the predicted variance tends to at large n; NaN: not known
 local_rate | f | 1 | n | exponent of the predicted variance between neighbouring n
 low_frequency_exponent | f | 1 | | b of power ∝ |m|^b at low frequencies
-mean | f | f | strategy? n? y? x? | mean estimate
+mean | f | f | strategy? quantity? n? y? x? | mean estimate
+mcse | f | f | quantity? | standard error of the mean of chains
+ess | f | 1 | quantity? | effective number of draws: variance of the draws / squared error of their mean
+spectrum_at_zero | f | f² | quantity? | spectral density S(0) of a chain in time
+error_share | f | 1 | quantity? band | part of the squared error of the mean from these frequencies
+draw_share | f | 1 | quantity? band | part of the variance of the draws from these frequencies
+chain_spectrum | f | f² | quantity? band | measured spectral density of a chain, mean over the band
+fitted_spectrum | f | f² | quantity? band | fitted spectral density of a chain, mean over the band
 mean_dimension | f | 1 | | mean size of subsets, weighted by c_u
 mean_coefficient | c | 1 | m frequency? | \
 mean coefficient ⟨S_m⟩; 0 at integer m ≠ 0 for unbiased sets
@@ -253,7 +262,7 @@ def attributes_of(**provenance: Any) -> dict[str, str | int | float]:
 
 
 def strict_json(value: Any) -> Any:
-    """Return what strict JSON can say: lists for arrays, null for NaN and infinity, texts for paths."""
+    """Return what strict JSON can say: lists for arrays, null for NaN, texts for paths and ``inf``."""
     if isinstance(value, Mapping):
         return {str(key): strict_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -263,7 +272,7 @@ def strict_json(value: Any) -> Any:
     if isinstance(value, complex):
         return {"re": strict_json(value.real), "im": strict_json(value.imag)}
     if isinstance(value, float) and not math.isfinite(value):
-        return None
+        return None if math.isnan(value) else str(value)
     return str(value) if isinstance(value, Path) else value
 
 

@@ -83,6 +83,13 @@ class Moments:
             return np.asarray(self.m2 / np.float64(self.count - 1))
 
     @property
+    def largest_share(self) -> Array:
+        """Share of the largest square in Σ (value − mean)²; 0 without spread. Needs `tails`."""
+        assert self.extremes is not None
+        square = np.maximum(self.extremes[-1] - self.mean, self.mean - self.extremes[0]) ** 2
+        return np.asarray(np.divide(square, self.m2, out=np.zeros_like(self.m2), where=self.m2 > 0))
+
+    @property
     def relative_se(self) -> Array:
         """Standard error of the variance relative to it, from the kurtosis of the values.
 
@@ -97,6 +104,11 @@ class Moments:
         drawn = (n * kurtosis + 3.0 * _PRIOR) / (n + _PRIOR)
         spread = (drawn - (n - 3) / (n - 1)) / n
         return np.asarray(np.sqrt(np.maximum(spread, 0.5 / n)))
+
+    @property
+    def known_se(self) -> Array:
+        """`relative_se`, infinite where the variance is not `resolved`."""
+        return np.where(self.resolved, self.relative_se, np.inf)
 
     @property
     def variance_ci(self) -> Array:
@@ -128,15 +140,23 @@ class Moments:
 
     @property
     def tail_index(self) -> Array:
-        """k̂ of a generalised Pareto law of the largest |value − mean|: 0 exponential, ½ infinite variance.
+        """k̂ of a generalised Pareto law of the farthest values: 0 exponential, ½ infinite variance.
 
-        By probability-weighted moments [HoskingWallis1987]_ of the 63 largest over the 64th; NaN for
-        fewer than 300 values, or without `tails`.
+        By probability-weighted moments [HoskingWallis1987]_ of the 63 largest over the 64th, of the values
+        on the side of the mean that reaches farther: both sides together are no tail where one ends
+        inside the other. NaN for fewer than 300 values, or without `tails`.
         """
         if self.extremes is None or self.count < _LEAST_TAIL:
             return np.full_like(self.m2, np.nan)
-        excess = np.sort(np.abs(self.extremes - self.mean), axis=0)[-_TAIL:]
-        excess = excess[1:] - excess[0]
+        below = (self.mean - self.extremes[:_TAIL])[::-1]
+        above = self.extremes[-_TAIL:] - self.mean
+        far = np.where(above[-1] >= below[-1], above, below)
+        excess = far[1:] - far[0]
+
+        # Values on a grid, such as shares of hits, stand for its cells: the tail begins half a step below
+        step = np.where(excess > 0, excess, np.inf).min(axis=0)
+        grid = (excess[0] == 0) & (far[0] > 0) & np.isfinite(step)
+        excess = excess + np.where(grid, step / 2, 0.0)
         weight = np.linspace(1.0, 0.0, len(excess)).reshape(-1, *[1] * self.m2.ndim)
         first, second = excess.mean(axis=0), (weight * excess).mean(axis=0)
         with np.errstate(invalid="ignore", divide="ignore"):

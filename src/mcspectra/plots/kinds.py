@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 
 from mcspectra.core.checks import as_choice
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots import maps, points, spectra, variance, warps
+from mcspectra.plots import chains, maps, points, spectra, variance, warps
 from mcspectra.plots.anything import anything, shown_variables
 from mcspectra.plots.description import Plot
 from mcspectra.plots.groups import Data, Group, Styles, as_group, frequency_dims
@@ -71,6 +71,7 @@ KINDS: Mapping[str, Kind] = {
     "prediction": Kind(variance.prediction, ("n", "predicted_variance", "predicted_variance_ci")),
     "routes": Kind(variance.routes, ("route_variance", "route_variance_ci", "energy_share")),
     "modes": Kind(spectra.modes, ("eigenvalue", "eigenvalue_se", "eigenvalue_share", "mode_vector")),
+    "chains": Kind(chains.chains, ("error_share", "chain_spectrum", "fitted_spectrum")),
     "warp": Kind(warps.warp, ("warped", "stretch", "jump")),
     "primary": Kind(warps.primary, ("primary_value", "primary_jump", "face_jump")),
     **{kind: Kind(describe, variables) for kind, (variables, describe) in maps.MAPS.items()},

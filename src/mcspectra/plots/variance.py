@@ -137,8 +137,11 @@ def exact(group: Group, styles: Styles) -> Plot:
 
 
 def prediction(group: Group, styles: Styles) -> Plot:
-    """Predicted variances against n, with their 95 % intervals."""
-    caption = "Predicted variance against the number of points, with 95 % intervals."
+    """Predicted variances against n, with their 95 % intervals, rates and bends."""
+    caption = (
+        "Predicted variance against the number of points, with 95 % intervals, the rate over these "
+        "counts and its limit at large n; dashed, where it bends."
+    )
     return _known_curves(group, styles, "prediction", "predicted variance", caption)
 
 
@@ -162,6 +165,16 @@ def _known_curves(group: Group, styles: Styles, kind: str, what: str, caption: s
             bands[name] = {"low": np.maximum(low, least), "high": np.maximum(high, least)}
     notes = {name: "" if n.size else f": no {what}" for name, (n, _) in curves.items()}
     marks: list[Mark] = []
+    for name, each in group.items():
+        if "limit_rate" in each and np.isfinite(each["predicted_rate"]):
+            slope, limit, bend = (
+                float(each[v]) for v in ("predicted_rate", "limit_rate", "bend_n")
+            )
+            notes[name] = f": {number(slope)}" + (
+                f" → {number(limit)}" if np.isfinite(limit) else ""
+            )
+            if np.isfinite(bend):
+                marks.append(Rule(at=bend, axis="x", color=styles[name].color, dashes="--"))
     for name, line in zip(curves, lines_of(curves, styles, ("n", what), notes=notes), strict=True):
         marker = styles[name].marker
         dots = Dots(x=line.x, y=line.y, color=line.color, marker=marker, label=line.label)
@@ -399,12 +412,12 @@ def routes(group: Group, styles: Styles) -> Plot:
 
 
 def remedies(group: Group, styles: Styles) -> Plot:
-    """Error of every change relative to the set-up as given, with intervals."""
+    """Variance of every change relative to the set-up as given, with intervals."""
     del styles  # colours are those of the verdicts
     known = np.concatenate([each["error_ratio_ci"].values.ravel() for each in group.values()])
     known = known[np.isfinite(known) & (known > 0)]
     axis = log_axis(
-        "error / error of the set-up as given",
+        "variance / variance as given",
         float(known.min(initial=0.5)),
         float(known.max(initial=2.0)),
     )
@@ -439,9 +452,9 @@ def remedies(group: Group, styles: Styles) -> Plot:
     return Plot(
         kind="remedies",
         panels=tuple(panels),
-        caption="Error of each change over that of the set-up as given, with intervals that hold "
-        "together at 95 %; left of 1 there is less noise.",
-        words="Ratios of errors. " + for_each(group, _ratio_words),
+        caption="Variance of each change (of what is biased, mean squared error) over that of the set-up as "
+        "given, with intervals that hold together at 95 %; left of 1 there is less noise.",
+        words="Ratios of variances. " + for_each(group, _ratio_words),
         height=0.1 + 0.045 * max(each.sizes["remedy"] for each in group.values()),
         share="x",
     )

@@ -13,7 +13,7 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import StoreError
 from mcspectra.plots import kinds
-from mcspectra.plots.text import number, percent
+from mcspectra.plots.text import number, percent, rate
 from mcspectra.rendering.files import write_exr
 from mcspectra.report.page import (
     Cell,
@@ -33,7 +33,7 @@ from mcspectra.report.page import (
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["map_layers", "map_note", "map_summary", "write_map"]
+__all__ = ["map_layers", "map_note", "map_summary", "shown_numbers", "write_map"]
 
 _COLUMNS = {
     "mean": "Mean",
@@ -120,7 +120,7 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         rows=tuple(
             (
                 *text_cells(_STRATEGIES.get(name, name)),
-                *(Cell(text=number(value)) for value in row.values()),
+                *(Cell(text=text) for text in shown_numbers(row)),
             )
             for name, row in rows.items()
         ),
@@ -208,6 +208,13 @@ def map_note(summary: Mapping[str, Any]) -> str:
         f"{note} All pixels have the same points, so their errors are alike: medians and shares of "
         "pixels do not average them out."
     )
+
+
+def shown_numbers(row: Mapping[str, float]) -> list[str]:
+    """The numbers of a strategy as one reads them: a rate without the error beside it, if a finding."""
+    slope, half = row["rate"], 2.0 * row["rate_se"]
+    known = rate(slope, slope - half, slope + half).partition(" ")[0]
+    return [known if name == "rate" else number(value) for name, value in row.items()]
 
 
 def _strategy_summary(data: xr.Dataset) -> dict[str, float]:

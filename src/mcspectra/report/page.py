@@ -267,7 +267,7 @@ def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
 
 
 def write_json(file: Path, value: Any) -> None:
-    """Write numbers for programs: what JSON has no number for is null."""
+    """Write numbers for programs: NaN is null, infinite ends are texts."""
     text = json.dumps(strict_json(value), indent=1, ensure_ascii=False, allow_nan=False)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

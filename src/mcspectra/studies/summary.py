@@ -178,12 +178,12 @@ def _ends(interval: xr.DataArray, middle: float) -> tuple[float, float, float]:
 
 
 def _with_bounds(data: xr.Dataset, **variables: str) -> dict[str, Any]:
-    """Values by name, with the ends of their 95 % intervals; results of older versions have none."""
+    """Values by name, with the ends of their 95 % intervals, which may be infinite; None if unknown."""
     found: dict[str, Any] = {}
     for name, variable in variables.items():
         ends = data[f"{variable}_ci"].values if f"{variable}_ci" in data else (math.nan, math.nan)
-        numbers = map(_number, (data[variable], *ends))
-        found |= dict(zip((name, f"{name}_low", f"{name}_high"), numbers, strict=True))
+        low, high = (None if np.isnan(end) else float(end) for end in ends)
+        found |= {name: _number(data[variable]), f"{name}_low": low, f"{name}_high": high}
     return found
 
 

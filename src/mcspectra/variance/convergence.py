@@ -46,7 +46,7 @@ from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Moments
 from mcspectra.estimators.moments import rounding_floor
-from mcspectra.estimators.tails import unsampled_note
+from mcspectra.estimators.tails import tail_note, unsampled_note
 from mcspectra.samplers import Random, Sampler
 from mcspectra.variance.doors import answer, counted
 from mcspectra.variance.fit import check_window, fit_rates
@@ -75,6 +75,7 @@ _LARGE_SHARE = 0.2  # of Σ (estimate − mean)², in one square: the tail is no
 _RARELY = 1e-3  # normal estimates have a larger square this often; of few, one is always large
 _PEAKED = 9.0  # κ − 1 of estimates whose variance may be infinite: it is worth a quadrature
 _FAR = 5.0  # standard errors from the integral that are no chance
+_TAIL = ("largest_share", "resolved", "tail_index")  # of `Moments`: what they tell of it
 _PARTS = 2  # a block is half the usual: a thousand realisations of a thousand points are two
 
 _DIMS = {
@@ -158,9 +159,9 @@ class Convergence(Analysis, frozen=True, kw_only=True):
                 return array.reshape(*shape, *array.shape[1:])
             return np.moveaxis(array.reshape(*shape[1:], shape[0], *array.shape[1:]), 2, 0)
 
-        variance, relative, mean, mean_se, interval, count = (
-            of_all([getattr(seen.moments, name) for seen, _ in flat])
-            for name in ("variance", "relative_se", "mean", "mean_se", "variance_ci", "count")
+        taken = ("variance", "relative_se", "mean", "mean_se", "variance_ci", "count", *_TAIL)
+        variance, relative, mean, mean_se, interval, count, *tail = (
+            of_all([getattr(moments, name) for moments, _ in flat]) for name in taken
         )
         integral = np.stack([np.atleast_1d(e.integral) for e in estimators])[:, None, None]
         known = np.array([e.integral_error for e in estimators])[:, None, None, None]
@@ -177,7 +178,7 @@ class Convergence(Analysis, frozen=True, kw_only=True):
             "realizations": np.broadcast_to(count[..., None], variance.shape),
             "variance": variance,
             "relative_se": relative,
-            "share": of_all([seen.largest_share for seen, _ in flat]),
+            **dict(zip(_TAIL, tail, strict=True)),
             "bias": mean - integral,
             "bias_se": np.hypot(mean_se, known),
             "floor": floor,
@@ -292,13 +293,12 @@ class RealizationsNeeded(Analysis, frozen=True, kw_only=True):
         """The next realisations."""
         cell = MomentsCell((subject.estimator,), subject.sampler, self.n, stream)
         search = cell.until_precise(0, self.relative_error, self.max_realizations)
-        (((seen, reached),),) = yield from in_step([search])
-        moments = seen.moments
+        (((moments, reached),),) = yield from in_step([search])
         varies = moments.variance > rounding_floor(moments.mean)
         second = np.where(varies, moments.m2, np.nan)
         values = {
             "variance": moments.variance,
-            "variance_relative_se": np.where(varies, moments.relative_se, np.nan),
+            "variance_relative_se": np.where(varies, moments.known_se, np.nan),
             "skewness": math.sqrt(moments.count) * moments.m3 / second**1.5,
             "kurtosis": moments.count * moments.m4 / second**2,
             "mean": moments.mean,
@@ -313,6 +313,7 @@ class RealizationsNeeded(Analysis, frozen=True, kw_only=True):
             },
             {"bound": ["low", "high"]},
             drop=() if subject.estimator.channels else ("channel",),
+            note=tail_note(moments),
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
@@ -365,7 +366,8 @@ def convergence(
         ``rate_ci(bound)``, ``fit_first_n`` (the smallest count of the fit) and ``fit_chi2`` (its lack of
         fit per degree of freedom). A set that is the same every time has the variance 0 and no
         rate. The attribute ``note`` says so, and where the estimates missed what makes their variance:
-        none varies, a fifth or more of it is one square, the mean is five standard errors off the
+        none varies, their tails are not resolved (a fifth or more of it is one square, or the tail
+        index k̂ is that of a variance that is hardly finite), the mean is five standard errors off the
         integral, ∫g² diverges or is more than random points met, or most of it lies where no
         sample falls (`mcspectra.estimators.tails`). The upper end of ``variance_ci`` is then infinite, and
         both ends of ``rate_ci``. Lists add the dims estimator and sampler, several channels the dim
@@ -417,8 +419,9 @@ def realizations_needed(
     xarray.Dataset
         ``realizations_used``, ``reached`` (1: yes, confirmed by the last stage; 0: the maximum came
         first, or the estimates showed no spread), ``variance`` with ``variance_ci``,
-        ``variance_relative_se`` (NaN without spread), ``skewness`` and ``kurtosis`` of the
-        estimates (0 and 3 for normal ones), ``mean``, ``mean_se``; a dim channel where f has several.
+        ``variance_relative_se`` (NaN without spread; infinite where tails are not resolved, as the
+        attribute ``note`` says), ``skewness`` and ``kurtosis`` of the estimates (0 and 3 for normal
+        ones), ``mean``, ``mean_se``; a dim channel where f has several.
 
     Raises
     ------
@@ -441,53 +444,23 @@ def realizations_needed(
     return answer(RealizationsNeeded, locals())
 
 
-@final
-@dataclass(frozen=True)
-class Seen:
-    """Moments of estimates, with the least and the largest of each column."""
+_Found: TypeAlias = tuple[Moments, bool]  # and whether the wanted precision was reached
 
-    moments: Moments
-    least: Array
-    largest: Array
-
-    @staticmethod
-    def of(values: Array) -> Seen:
-        """What is seen of estimates (R, channels)."""
-        return Seen(Moments.of(values), values.min(axis=0), values.max(axis=0))
-
-    def merge(self, other: Seen) -> Seen:
-        """What is seen of both sets of estimates together."""
-        return Seen(
-            self.moments.merge(other.moments),
-            np.minimum(self.least, other.least),
-            np.maximum(self.largest, other.largest),
-        )
-
-    @property
-    def largest_share(self) -> Array:
-        """Share of the largest square in Σ (estimate − mean)²; 0 without spread."""
-        mean, m2 = self.moments.mean, self.moments.m2
-        square = np.maximum(self.largest - mean, mean - self.least) ** 2
-        return np.asarray(np.divide(square, m2, out=np.zeros_like(m2), where=m2 > 0))
-
-
-_Found: TypeAlias = tuple[Seen, bool]  # and whether the wanted precision was reached
-
-_Search: TypeAlias = "Generator[Reduction[list[Seen]], list[Seen], list[_Found]]"
+_Search: TypeAlias = "Generator[Reduction[list[Moments]], list[Moments], list[_Found]]"
 
 
 @final
 @dataclass(frozen=True)
 class MomentsCell:
-    """Estimators that draw the same sets of n points of a sampler: what is seen of their estimates."""
+    """Estimators that draw the same sets of n points of a sampler: moments of their estimates."""
 
     estimators: tuple[AbstractEstimator, ...]
     sampler: Sampler
     n: int
     stream: Stream
 
-    def run(self, part: int, first: int, realizations: int) -> Reduction[list[Seen]]:
-        """What is seen of so many realisations from the first, of each estimator."""
+    def run(self, part: int, first: int, realizations: int) -> Reduction[list[Moments]]:
+        """Moments of so many realisations from the first, of each estimator."""
         evaluations = self.n * sum(self.estimators[0].counts)
         numbers = evaluations * self.estimators[0].dims  # of a realisation
         blocks = realization_blocks(realizations, _PARTS * numbers, first=first)
@@ -496,13 +469,13 @@ class MomentsCell:
             points = self.estimators[0].draw(self.sampler, self.n, self.stream, *block)
             return [e.estimate(points).reshape(block[1], -1) for e in self.estimators]
 
-        def seen(index: int) -> list[Seen]:
+        def moments(index: int) -> list[Moments]:
             parts = zip(*map(estimates, slices(blocks[index], numbers)), strict=True)
-            return [Seen.of(np.concatenate(part)) for part in parts]
+            return [Moments.of(np.concatenate(part), tails=True) for part in parts]
 
         return Reduction(
-            kind=list[Seen],
-            block=seen,
+            kind=list[Moments],
+            block=moments,
             blocks=len(blocks),
             cost=float(realizations * evaluations * len(self.estimators)),
             key=f"{part}-{first}-{realizations}",
@@ -510,26 +483,25 @@ class MomentsCell:
 
     def all_of(self, part: int, realizations: int) -> _Search:
         """A given number of realisations."""
-        return [(seen, True) for seen in (yield self.run(part, 0, realizations))]
+        return [(moments, True) for moments in (yield self.run(part, 0, realizations))]
 
     def until_precise(self, part: int, relative_error: float, most: int) -> _Search:
         """Go on until the error is reached and confirmed, for one estimator."""
-        (total,) = yield self.run(part, 0, min(_LEAST, most))
+        (moments,) = yield self.run(part, 0, min(_LEAST, most))
         before = False
         while True:
             # Largest error among the channels that vary; NaN if none does
-            moments = total.moments
             varies = moments.variance > rounding_floor(moments.mean)
-            error = float(moments.relative_se[varies].max()) if varies.any() else math.nan
+            error = float(moments.known_se[varies].max()) if varies.any() else math.nan
             now, blank = error <= relative_error, math.isnan(error)
             if (now and before) or moments.count >= (min(most, _BLANK) if blank else most):
-                return [(total, now and before)]
+                return [(moments, now and before)]
             before = now
             # The next stage ends where the error should be reached, within a quarter to fourfold
             excess = math.inf if blank else error / relative_error
             stop = min(most, math.ceil(moments.count * min(max(excess**2, _STEP), _LEAP)))
             (more,) = yield self.run(part, moments.count, stop - moments.count)
-            total = total.merge(more)
+            moments = moments.merge(more)
 
 
 def count_stream(stream: Stream, n: int) -> Stream:
@@ -548,10 +520,10 @@ def count_moments(
 ) -> Moments:
     """Moments of the estimates of realisations first … first + realizations − 1, channels last."""
     run = MomentsCell((estimator,), sampler, n, stream).run(0, first, realizations)
-    tree: MergeTree[list[Seen]] = MergeTree()
+    tree: MergeTree[list[Moments]] = MergeTree()
     for state in map_in_order(run.block, range(run.blocks), workers):
         tree.add(state)
-    return tree.total()[0].moments
+    return tree.total()[0]
 
 
 def _several(given: Any) -> list[Any]:
@@ -615,8 +587,8 @@ def _blindness(
     ----------
     measured
         By name, each (estimator, sampler, n, channel): ``realizations``, ``variance``, its
-        ``relative_se``, the ``share`` of the largest square in it, ``bias``, ``bias_se`` and the ``floor``
-        of rounding.
+        ``relative_se``, the ``largest_share`` of a square in it, whether it is ``resolved`` and the
+        ``tail_index``, ``bias``, ``bias_se`` and the ``floor`` of rounding.
 
     Returns
     -------
@@ -626,8 +598,12 @@ def _blindness(
     from scipy.special import gammainc, ndtr, stdtrit
 
     r = measured["realizations"]
-    heavy = measured["share"] > _large_share(r)
-    suspect = heavy | (r * measured["relative_se"] ** 2 > _PEAKED)
+    # More points lighten tails: those that are heavy at n are so at smaller counts, seen there or not
+    heavy, unresolved = (
+        np.logical_or.accumulate(found[:, :, ::-1], axis=2)[:, :, ::-1]
+        for found in (measured["largest_share"] > _large_share(r), ~measured["resolved"])
+    )
+    suspect = heavy | unresolved | (r * measured["relative_se"] ** 2 > _PEAKED)
     with np.errstate(divide="ignore", invalid="ignore"):
         pull = measured["bias"] / measured["bias_se"]
     noise = 4 * np.sqrt(measured["floor"])
@@ -661,13 +637,17 @@ def _blindness(
             for text, where, size in (
                 ("∫g² diverges, the variance is infinite", everywhere & np.isinf(of_random), excess),
                 ("none of the estimates varies{at}: what makes their variance was not met",
-                 ~varies[at] & ~agrees, of["share"]),
+                 ~varies[at] & ~agrees, excess),
                 ("∫g² makes the variance {worst:.3g} times the measured one{at}: what is rare was not met",
                  varies[at] & known & low, excess),
                 ("the mean is {worst:+.3g} standard errors off the integral{at}: what is rare was not met",
                  far[at] & source.unbiased, pull[at]),
-                ("a single estimate makes {worst:.3g} % of the variance{at}: its tail is not resolved",
-                 heavy[at] & varies[at], 100 * of["share"]),
+                ("tails not resolved{at}: a single estimate makes {worst:.3g} % of the variance",
+                 heavy[at] & varies[at], 100 * of["largest_share"]),
+                ("tails not resolved{at}: few estimates make the variance, tail index k̂ = {worst:.2f}",
+                 unresolved[at] & varies[at] & np.isfinite(of["tail_index"]), of["tail_index"]),
+                ("tails not resolved{at}: few estimates make the variance",
+                 unresolved[at] & varies[at], excess),
             ):  # fmt: skip
                 new = where & ~blind[at]
                 blind[at] |= new

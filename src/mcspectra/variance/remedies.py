@@ -201,7 +201,7 @@ class Remedies(Analysis, frozen=True, kw_only=True):
         return tuple(dict.fromkeys(self.kinds or tuple(KINDS)))
 
     def _ranked(self, found: _Trials) -> xr.Dataset:
-        """The dataset of all set-ups, in the order of their errors at the budget."""
+        """The dataset of all set-ups, in the order of their variances at the budget."""
         start, diagnosis = found.tried[0], found.diagnosis
         assert diagnosis is not None
         # What two kinds make alike was tried twice and counts once
@@ -267,7 +267,7 @@ def remedies(
     Returns
     -------
     xarray.Dataset
-        On the dim ``remedy``, whose labels are names of changes in the order of their errors at the
+        On the dim ``remedy``, whose labels are names of changes in the order of their variances at the
         budget, with ``"as given"`` among them: ``error`` (variance, mean squared error for what
         is biased, summed over channels) with ``error_ci``; ``error_ratio`` to the set-up as given with
         ``error_ratio_ci``, all of which hold together at 95 %; ``rate``, ``rate_ci``;
@@ -552,7 +552,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class Comparison:
-    """One set-up against another: the ratio of errors at a budget, and the difference of rates."""
+    """One set-up against another: the ratio of variances at a budget, and the difference of rates."""
 
     # log(v/v_reference) and its standard error
     log_ratio: float

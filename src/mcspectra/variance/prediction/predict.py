@@ -25,13 +25,14 @@ from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Estimator, as_subject
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.reflected import FoldedIntegrand, SymmetrizedIntegrand
-from mcspectra.samplers import Mirror, Randomized, Sampler, Shift
+from mcspectra.samplers import Jittered, Mirror, Randomized, Sampler, Shift, StrataShift
 from mcspectra.spectra.bases import parts_of
 from mcspectra.variance.convergence import count_moments, count_stream
 from mcspectra.variance.doors import counted
 from mcspectra.variance.exact import of_integrand
 from mcspectra.variance.prediction.known import Known, Predicted
 from mcspectra.variance.prediction.levels import of_levels
+from mcspectra.variance.prediction.rates import rates_of
 from mcspectra.variance.prediction.subsets import of_subsets
 from mcspectra.variance.prediction.torus import of_torus
 
@@ -41,8 +42,15 @@ if TYPE_CHECKING:
 __all__ = ["ROUTES", "Cells", "Prediction", "Predictor", "predict"]
 
 _TOLERANCE = 0.01  # relative error of a quadrature that is taken before all other routes
-_OCTAVES = 3.0  # at the end of the counts, that the rate is fitted to
 _MEMORY = 2**29  # bytes: coefficients and transforms of all regions
+
+# Counts beyond the last one, that show the limit of rates
+_AHEAD = 4  # times as many
+_STRATA_AHEAD = 2**14  # at least, of strata, which are cheap
+_MOST_AHEAD = 2**16
+_OFFSET = (
+    0.5 - 0.5 / 3**0.5
+)  # where c(1 − c), the part of jumps at faces, has its mean over all shifts
 
 # Measured extrapolation
 _SMALL = tuple(2**k for k in range(3, 9))
@@ -71,6 +79,16 @@ def of_measurements(sampler: Sampler, n: int, known: Known, stream: Stream) -> P
     return _extrapolated(Estimator(known.g), sampler, n, known, stream)
 
 
+def of_limits(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
+    """Many points at little cost: no sets are drawn, and shifted strata have one offset, not all."""
+    base, steps = parts_of(sampler)
+    if base.name == "random" or (base.fixed and len(steps) == 1 and steps[0].stationary):
+        return of_torus(sampler, n, known, stream)
+    if isinstance(base, Jittered) and any(isinstance(step, Shift) for step in steps):
+        sampler = base.then(StrataShift(offset=_OFFSET))
+    return of_levels(sampler, n, known, stream)
+
+
 Route: TypeAlias = Callable[[Sampler, int, Known, Stream], Predicted]
 
 ROUTES: tuple[Route, ...] = (of_quadrature, of_torus, of_levels, of_subsets, of_measurements)
@@ -85,7 +103,7 @@ class Prediction(Analysis, frozen=True, kw_only=True):
     verb = "predict"
     variables = (
         *("predicted_variance", "predicted_variance_ci", "energy_share", "tail_variance"),
-        *("local_rate", "predicted_rate"),
+        *("local_rate", "predicted_rate", "limit_rate", "bend_n"),
     )
 
     counts: Annotated[Counts, COUNTS]
@@ -110,10 +128,11 @@ class Prediction(Analysis, frozen=True, kw_only=True):
         """One sampler after the other, one count after the other."""
         estimator, samplers = subject.estimator, _several(subject.sampler)
         predictor = Predictor(estimator, stream)
-        places = [(s, n) for s in samplers for n in _with_neighbour(s, self.counts)]
+        places = [(s, n) for s in samplers for n in _places(s, self.counts)]
 
         def of_place(index: int) -> Cells:
-            return predictor.at(*places[index])
+            sampler, n = places[index]
+            return predictor.at(sampler, n, ROUTES if n <= self.counts[-1] else (of_limits,))
 
         def result(found: Cells) -> xr.Dataset:
             return self._result(subject, samplers, found)
@@ -127,27 +146,30 @@ class Prediction(Analysis, frozen=True, kw_only=True):
         )
 
     def _result(self, subject: Subject, samplers: list[Sampler], found: Cells) -> xr.Dataset:
-        estimator, counts = subject.estimator, np.array(self.counts)
+        estimator = subject.estimator
         shape = (len(samplers), -1, found.variance.shape[1])
-        variance, share, tail = (
-            values.reshape(shape) for values in (found.variance, found.share, found.tail)
+        n = np.array([_places(s, self.counts) for s in samplers], float)
+
+        # Rates from the count before, of the first one to the next; not of intervals that reach 0
+        known = np.where(found.ends()[0] > 0.0, found.variance, np.nan).reshape(shape)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = np.diff(np.log(known), axis=1) / np.diff(np.log(n), axis=1)[..., None]
+        slope[:, 0] = np.where(n[:, :1] > 0.0, slope[:, 0], slope[:, 1])
+        asked = slice(1, 1 + len(self.counts))
+        rates = [
+            rates_of(n[s], known[s, :, c], asked.stop, estimator.dims)
+            for s, c in np.ndindex(shape[0], shape[2])
+        ]
+        rate, limit, bend = np.array(rates).reshape(shape[0], shape[2], 3).transpose(2, 0, 1)
+
+        # Leave out the counts that were not asked for
+        variance, share, tail, low, high = (
+            values.reshape(shape)[:, asked]
+            for values in (found.variance, found.share, found.tail, *found.ends())
         )
-        # Rates between all counts; a single one has a neighbour, which is left out of the rest
-        local, rate = np.empty(variance.shape), np.empty((len(samplers), shape[2]))
-        for place, sampler in enumerate(samplers):
-            x = np.log(_with_neighbour(sampler, self.counts))
-            with np.errstate(divide="ignore", invalid="ignore"):
-                y = np.log(variance[place])
-                slope = np.diff(y, axis=0) / np.diff(x)[:, None]
-            local[place] = np.concatenate([slope[:1], slope]) if len(slope) else np.nan
-            rate[place] = _slope(x, y)
-        keep = slice(-len(counts), None)
-        variance, share, tail, local = (
-            values[:, keep] for values in (variance, share, tail, local)
+        routes, notes = (
+            texts.reshape(shape[:2])[:, asked] for texts in (found.routes, found.notes)
         )
-        low, high = (end.reshape(shape)[:, keep] for end in found.ends())
-        routes = found.routes.reshape(shape[:2])[:, keep]
-        notes = found.notes.reshape(shape[:2])[:, keep]
         alone = subject.sampler is samplers[0]
         said = [
             note if alone else f"{s.spec}: {note}"
@@ -160,8 +182,10 @@ class Prediction(Analysis, frozen=True, kw_only=True):
             "predicted_variance_ci": ((*each, "bound"), np.stack([low, high], axis=-1)),
             "energy_share": (each, share),
             "tail_variance": (each, tail),
-            "local_rate": (each, local),
+            "local_rate": (each, slope[:, : len(self.counts)]),
             "predicted_rate": (("sampler", "channel"), rate),
+            "limit_rate": (("sampler", "channel"), limit),
+            "bend_n": (("sampler", "channel"), bend),
         }
         about = {"long_name": "how the variance was predicted"}
         by = ("n",) if alone else ("sampler", "n")
@@ -230,7 +254,10 @@ def predict(
         ``predicted_variance(n)`` with its 95 % interval ``predicted_variance_ci(n, bound)``;
         ``energy_share(n)``, the part of ∫g² that was counted term by term; ``tail_variance(n)``, the part
         of the variance that stands for the rest; ``local_rate(n)``, the slope from the count before (at
-        the first, to the next); ``predicted_rate``, the slope over the last three octaves. The
+        the first, to the next); ``predicted_rate``, the slope over all counts, as `convergence` fits
+        it; ``limit_rate``, the exponent that rates tend to, and ``bend_n``, where a line of this slope
+        meets that of smaller n, if the two differ by more than 0.3: both NaN where they are not known.
+        Counts whose interval reaches 0 have no rates. The
         coordinate ``route`` names how each n was predicted: `ROUTES` in their order. A list adds the dim
         sampler, several channels the dim channel. Where there is no variance, or no more than rounding,
         it is NaN, and the attribute ``note`` says so.
@@ -244,6 +271,11 @@ def predict(
     -----
     f is never evaluated at the points of the samplers, but for the last route, *extrapolated from
     measurements*: 2,000 realisations each of small counts other than n.
+
+    Limits are looked for at 4 times the last count, of strata up to n = 2^16, where that needs no drawn
+    sets (1 to 3 dims): jumps that count at larger n alone are not seen. The slope of the last octaves
+    stands for the exponent of theory that is near it, −1 − k/d, −2 or −3, and for itself where there is
+    none and it does not change.
 
     Examples
     --------
@@ -267,19 +299,21 @@ class Predictor:
         self._known = [Known(estimator.primary_integrand(t)) for t in range(len(estimator.counts))]
         self._stream = stream
 
-    def at(self, sampler: Sampler, n: int) -> Cells:
-        """The prediction of one count: the sum over the techniques."""
+    def at(self, sampler: Sampler, n: int, routes: tuple[Route, ...] = ROUTES) -> Cells:
+        """The prediction of one count: the sum over the techniques; NaN where no route leads there."""
         estimator = self.estimator
         source, width = estimator.randomized(sampler), max(1, estimator.channels)
         unknown = np.full(width, math.nan)
         note, route = "", "none"
         variance = error = share = tail = unknown
         try:
+            if not n:
+                raise NoClosedForm("there is no such count")
             if source.as_chain(n).fixed:
                 raise NoClosedForm(
                     "a deterministic sampler has no variance: add owen or shift, or look at |bias|"
                 )
-            parts, squares = self._parts(source, n)
+            parts, squares = self._parts(source, n, routes)
             route = "; ".join(dict.fromkeys(part.route for part in parts))
             variance = sum((p.variance for p in parts), np.zeros(width))
             tail = sum((p.tail for p in parts), np.zeros(width))
@@ -291,7 +325,7 @@ class Predictor:
                 ) / sum(weights, np.zeros(width))
             if np.isinf(variance).any():
                 note = "∫g² diverges: the variance is infinite"
-        except NoClosedForm as reason:
+        except (NoClosedForm, CountError) as reason:
             note = str(reason).rstrip(".")
 
         # A variance of rounding size is none
@@ -305,16 +339,20 @@ class Predictor:
         )
         return Cells(variance, error, share, tail, np.array([route]), np.array([note]))
 
-    def _parts(self, source: Sampler, n: int) -> tuple[list[Predicted], list[Array]]:
+    def _parts(
+        self, source: Sampler, n: int, routes: tuple[Route, ...]
+    ) -> tuple[list[Predicted], list[Array]]:
         """The predictions of all techniques, and what their shares weigh; together where they depend."""
         estimator, known, stream = self.estimator, self._known, self._stream
         try:
             estimator.check_independent()
         except NoClosedForm:
+            if routes is not ROUTES:
+                raise
             joint = _extrapolated(estimator, source, n, known[0], stream)
             return [joint], [np.ones(len(joint.variance))]
         parts = [
-            _by_routes(source.as_chain(n * count), n * count, each, stream.child(technique))
+            _by_routes(source.as_chain(n * count), n * count, each, stream.child(technique), routes)
             for technique, (count, each) in enumerate(zip(estimator.counts, known, strict=True))
         ]
         if len(parts) == 1:
@@ -322,33 +360,38 @@ class Predictor:
         return parts, [each.square[0] for each in known]
 
 
-def _by_routes(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
+def _by_routes(
+    sampler: Sampler, n: int, known: Known, stream: Stream, routes: tuple[Route, ...]
+) -> Predicted:
     """The first route that leads somewhere; points that are mirrored last see another integrand."""
     base, steps = parts_of(sampler)
-    for route in ROUTES:
+    for route in routes:
         try:
             return route(sampler, n, known, stream)
         except NoClosedForm as error:
             reason = error
-        if route is of_quadrature:
+        if route is routes[0]:
             if sampler.unbiased and np.isinf(known.square[0]).any():
                 infinite = np.where(np.isinf(known.square[0]), math.inf, math.nan)
                 return Predicted(infinite, infinite, 0.0 * known.square[1], infinite, "∫g² = ∞")
             if steps and isinstance(steps[-1], Mirror) and (steps[:-1] or not base.fixed):
                 inner = Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
-                return _mirrored(steps[-1].mode, inner, n, known, stream)
+                return _mirrored(steps[-1].mode, inner, n, known, stream, routes)
     raise reason
 
 
-def _mirrored(mode: str, inner: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
+def _mirrored(
+    mode: str, inner: Sampler, n: int, known: Known, stream: Stream, routes: tuple[Route, ...]
+) -> Predicted:
     """The prediction of the sampler inside with another integrand (`mcspectra.variance.exact`)."""
     g = known.g
     if mode == "fold":
-        return _by_routes(inner, n, known.once("folded", lambda: Known(FoldedIntegrand(g))), stream)
+        folded = known.once("folded", lambda: Known(FoldedIntegrand(g)))
+        return _by_routes(inner, n, folded, stream, routes)
     average = known.once("symmetrized", lambda: Known(SymmetrizedIntegrand(g)))
     if mode == "uniform":
-        return _by_routes(inner, n >> g.dims, average, stream)
-    found = _by_routes(inner, n, average, stream)
+        return _by_routes(inner, n >> g.dims, average, stream, routes)
+    found = _by_routes(inner, n, average, stream, routes)
     coins = np.maximum(known.square[0] - average.square[0], 0.0) / n
     error = np.hypot(found.error, (known.square[1] + average.square[1]) / n)
     return Predicted(found.variance + coins, error, found.share, found.tail, found.route)
@@ -400,24 +443,17 @@ def _extrapolated(
     return Predicted(variance, error, np.zeros(len(variance)), variance.copy(), route)
 
 
-def _slope(x: Array, y: Array) -> Array:
-    """Least squares over the last octaves of finite values: (N,), (N, C) to (C,)."""
-    found = np.full(y.shape[1], np.nan)
-    late = x >= x[-1] - _OCTAVES * math.log(2.0) - 1e-9
-    late[-2:] = True
-    for c, values in enumerate(y.T):
-        there = late & np.isfinite(values)
-        if there.sum() >= 2:
-            found[c] = np.polyfit(x[there], values[there], 1)[0]
-    return found
-
-
-def _with_neighbour(sampler: Sampler, counts: Sequence[int]) -> list[int]:
-    """The counts; a single one after a count about half as large, if there is one."""
-    if len(counts) > 1:
-        return list(counts)
-    half = sampler.nearest_count(max(1, counts[0] // 2))
-    return [half, *counts] if half < counts[0] else list(counts)
+def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:
+    """A count before a single one, the counts, and two beyond them; 0 where there is none."""
+    last = counts[-1]
+    half = sampler.nearest_count(max(1, last // 2)) if len(counts) == 1 else last
+    base, _ = parts_of(sampler)
+    ahead = [_AHEAD * last]
+    if isinstance(base, Jittered):
+        ahead = [max(ahead[0], _STRATA_AHEAD), _AHEAD * max(ahead[0], _STRATA_AHEAD)]
+    beyond = [sampler.nearest_count(n) for n in ahead if n <= _MOST_AHEAD]
+    beyond = [n if n > last else 0 for n in beyond]
+    return [half if half < last else 0, *counts, *beyond, *[0] * (2 - len(beyond))]
 
 
 def _several(given: Any) -> list[Any]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from mcspectra.core.checks import MAX_DIMS, Array, as_choice, as_integer
 from mcspectra.core.errors import ParameterError, PreasymptoticWarning, warn
+from mcspectra.core.fits import line_fit
 from mcspectra.integrands import Integrand
 from mcspectra.integrands.registry import as_integrand
 
@@ -29,6 +30,13 @@ _LEAST_SHELLS = 3  # that show scatter
 _BEND = 1.0  # change of the exponent over these octaves from which on it is no limit
 _WIDTHS = {1: 512}  # default half widths; ripples of 1-D spectra have few frequencies to a shell
 _WIDTH = 64
+_LATE = 4  # octaves at the end of a curve, whose slope is its limit
+_AGREE = 0.2  # slopes within them
+_LEAVES = 0.05  # by which a slope that moves away from an exponent shows that this is no limit
+_CHANGE = 0.3  # of slopes, that is a bend
+_MOST_CHANGE = 4.0
+_BENDS = 101  # places and changes that are tried
+_BETTER = 0.25  # scatter about a curve that bends, relative to that about a line, that shows a bend
 _NOISE = 1e-26  # |f_m|² relative to the largest that double precision knows nothing of
 
 
@@ -75,6 +83,68 @@ def predicted_rate(b: float, decay: float | str, dims: int) -> float:
         excess = _exponent("decay", decay, above=d) - d
     best = min(_exponent("b", b, above=-d), excess)
     return -1.0 - best / d
+
+
+def rates_of(n: Array, variance: Array, asked: int, dims: int) -> tuple[float, float, float]:
+    """Exponents of a predicted curve, and where it bends; each NaN where it is not known.
+
+    Parameters
+    ----------
+    n, variance
+        Ascending counts and variances, (N,); those that are not finite and positive are left out.
+    asked
+        Number of counts, from the first, that the rate is fitted to; the others show the limit alone.
+    dims
+        Number of dims d.
+
+    Returns
+    -------
+    tuple of float
+        Rate: the slope of a line through the counts that were asked for. Limit: the slope over the
+        last four octaves, if it hardly changes within them; in up to 3 dims the exponent of theory that is near
+        it, −1 − k/d (k = 0: white power, 1: a jump, 2: strata, 3: a kink), −2 or −3, the last with
+        log n to the d − 1. Bend: n where the power of n of the limit meets that of smaller n, if they
+        differ by more than 0.3.
+    """
+    there = np.isfinite(variance) & (variance > 0.0)
+    x, y, fitted = np.log(n[there]), np.log(variance[there]), int(there[:asked].sum())
+    rate = limit = bend = math.nan
+    if fitted >= 2:
+        rate = line_fit(x[:fitted], y[:fitted], np.ones(fitted)).slope
+    if len(x) < 3:
+        return rate, limit, bend
+
+    # The slope over the last octaves, and those between their counts
+    late = max(2, int((x >= x[-1] - _LATE * math.log(2.0) - 1e-9).sum()))
+    end = line_fit(x[-late:], y[-late:], np.ones(late)).slope
+    steps = np.diff(y) / np.diff(x)
+    if np.ptp(steps[1 - late :]) <= _AGREE:
+        log = (dims - 1) / x[-late:].mean()
+        exponents = [(-1.0 - k / dims, 0.0) for k in range(4)] + [
+            (-2.0, 0.0),
+            (-3.0, log),
+            (-3.0, 0.0),
+        ]
+        near = min(exponents, key=lambda each: abs(end - sum(each)))
+        away = np.abs(steps[-3:] - sum(near))
+        leaves = len(away) == 3 and (np.diff(away) > 0.0).all() and away[-1] > _LEAVES
+        if dims <= 3 and abs(end - sum(near)) <= min(0.2, 0.4 / dims) and not leaves:
+            limit = near[0]
+        elif len(steps) >= 3 and np.ptp(steps[-max(3, late) :]) <= _LEAVES:
+            limit = end
+
+    # Fit two powers of n, the second that of the limit: their sum where the curve flattens, the sum
+    # of their inverses where it gets steeper
+    if len(x) > 3 and abs(steps[0] - limit) > _CHANGE:
+        at = np.linspace(x[0], x[-1], _BENDS)[:, None, None]
+        change = np.linspace(-_MOST_CHANGE, _MOST_CHANGE, _BENDS)[:, None]
+        curve = limit * x - np.sign(change) * np.logaddexp(0.0, np.abs(change) * (at - x))
+        left = (y - curve).var(axis=-1)
+        k, l = np.unravel_index(int(left.argmin()), left.shape)
+        straight = line_fit(x, y, np.ones(len(x))).residuals.var()
+        if 0 < k < _BENDS - 1 and left[k, l] < _BETTER * straight:
+            bend = math.exp(at[k, 0, 0])
+    return rate, limit, bend
 
 
 @final

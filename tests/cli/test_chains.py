@@ -1,0 +1,99 @@
+"""The verb `chains`: the formats of draws, its answer, its figure and its refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import mcspectra as mcs
+
+DRAWS = np.random.default_rng(1).standard_normal((2, 100))
+
+
+def _csv(file, header, rows):
+    lines = [header, *(",".join(f"{value!r}" for value in row) for row in rows.tolist())]
+    file.write_text("\n".join(lines), encoding="utf-8")
+    return file
+
+
+@pytest.fixture
+def files(tmp_path):
+    """The same draws in every format."""
+    np.save(tmp_path / "both.npy", DRAWS)
+    for k in range(2):
+        np.save(tmp_path / f"{k}.npy", DRAWS[k])
+        _csv(tmp_path / f"{k}.csv", "# stan\nlp__,mu", np.stack([DRAWS[k], DRAWS[k]], axis=1))
+    labels = np.repeat([3.0, 7.0], 100)
+    rows = np.stack([labels, np.arange(200.0), DRAWS.ravel(), np.ones(200)], axis=1)
+    _csv(tmp_path / "chains.csv", "chain,draw,mu,w", rows)
+    posterior = xr.Dataset({"mu": (("chain", "draw"), DRAWS)})
+    tree = xr.DataTree.from_dict({"/posterior": posterior})
+    tree.to_zarr(tmp_path / "both.zarr", consolidated=False)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("both.npy",),
+        ("0.npy", "1.npy"),
+        ("0.csv", "1.csv"),
+        ("chains.csv", "--weights", "w"),
+        ("both.zarr",),
+    ],
+)
+def test_every_format_has_the_answer_of_the_library(run_json, files, names):
+    found = run_json("chains", *(n if n[0] == "-" or "." not in n else files / n for n in names))
+    expected = mcs.chain_error(DRAWS)
+    for name in ("mean", "mcse", "ess"):
+        np.testing.assert_allclose(np.ravel(found[name]), expected[name], rtol=1e-12)
+    assert np.ravel(found["cause"]) == "none"
+
+
+def test_the_text_names_causes_and_periods(run, files):
+    np.save(files / "walk.npy", np.cumsum(DRAWS[0]))
+    code, out, _ = run("chains", files / "walk.npy")
+    assert code == 0
+    assert out.startswith("1 × 100 draws\n")
+    assert "stuck-chain: the chain drifts" in out
+    assert "error share" in out
+    assert "run several from scattered starts." in out
+    code, out, _ = run("chains", files / "both.npy")
+    assert out.rstrip().endswith("cause: none.")
+
+
+def test_the_figure_is_written(run, files):
+    assert run("chains", files / "both.npy", "--out", files / "f.svg", "--quiet")[0] == 0
+    assert "cycles per draw" in (files / "f.svg").read_text("utf-8")
+
+
+def test_weights_of_a_file(run_json, files):
+    weights = np.random.default_rng(2).random((2, 100))
+    np.save(files / "w.npy", weights)
+    found = run_json("chains", files / "both.npy", "--weights", files / "w.npy")
+    assert found["mcse"] == mcs.chain_error(DRAWS, weights=weights)["mcse"].item()
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (("none.npy",), "none.npy cannot be read as .npy: No such file"),
+        (("both.txt",), "the extension '.txt'"),
+        (("both.npy", "0.npy"), "do not hold one chain each"),
+        (("0.npy", "0.csv"), "do not hold one chain each"),
+        (("chains.csv", "--weights", "nu"), "no column 'nu'. Did you mean 'mu'?"),
+        (("both.npy", "--weights", "w"), "no column 'w'"),
+        (("bad.csv",), "bad.csv cannot be read as .csv"),
+        (("ragged.csv",), "ragged.csv cannot be read as .csv"),
+        (("text.csv",), "could not convert string to float"),
+    ],
+)
+def test_bad_input_is_one_sentence(run, files, names, words):
+    (files / "bad.csv").write_text("a,b\n1,2,3\n")
+    (files / "text.csv").write_text("a\nx\n" + "1\n" * 20)
+    (files / "ragged.csv").write_text("chain,b\n1,2\n2,3\n2,4\n")
+    code, out, err = run("chains", *(files / n if "." in n else n for n in names))
+    assert (code, out) == (2, "")
+    assert words in err
+    assert err.count("\n") == 1
