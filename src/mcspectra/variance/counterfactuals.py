@@ -29,6 +29,7 @@ from mcspectra.samplers.registry import sampler as make_sampler
 from mcspectra.spectra.bases import parts_of
 from mcspectra.variance.alignment import aligned, best_alignment
 from mcspectra.variance.diagnosis import jumps_of
+from mcspectra.variance.improved import CHANGES, evaluated, improvements
 from mcspectra.variance.variants import smoothing_scan
 
 __all__ = [
@@ -54,7 +55,10 @@ _SAMPLERS = (
 )
 _COUNT_TRIES = 256
 _MOST_ALIGNED = 2
-_INSIDE = frozenset({"smoothed", "warp", "heuristic", "techniques", "channels"})
+_PILOT = 8  # it takes one part in so many of the budget, so that the last two of the steps can be measured
+_LEAST_PILOT, _MOST_PILOT = 64, 4096
+_PILOTS = 2  # stream label, after those of the searches
+_INSIDE = frozenset({"smoothed", "warp", "heuristic", "techniques", "channels", *CHANGES})
 _WIDTHS = tuple(2.0**-k for k in range(10, 1, -1))
 _SCAN_REALIZATIONS = 300
 
@@ -152,6 +156,10 @@ Kind: TypeAlias = Literal[
     "aligned",
     "smoothed",
     "warp",
+    "fitted",
+    "regression",
+    "order",
+    "preintegrated",
     "heuristic",
     "techniques",
     "channels",
@@ -399,12 +407,35 @@ def separate_channels(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
         yield _Offer(f"channels: {name}", change, make)
 
 
+def improve(kind: str, given: Setup, budget: Budget) -> _Offers:
+    """Changes of g that a pilot suggests, which is a small part of the budget and counts as such."""
+    count = min(budget.evaluations // _PILOT, _MOST_PILOT)
+    count //= given.estimator.evaluations_per_point
+    if count < _LEAST_PILOT:
+        raise ParameterError(
+            f"A pilot of {max(count, 0)} points tells too little; give a budget of at least "
+            f"{_LEAST_PILOT * _PILOT * given.estimator.evaluations_per_point} evaluations."
+        )
+    stream = budget.stream.child(_PILOTS)
+    seen = evaluated(given.estimator, count, stream, adapt=kind == "fitted")
+    charged = given.overhead + count * given.estimator.evaluations_per_point
+    found = list(improvements(given.estimator, seen, [kind], charged=charged))
+    if not found:
+        raise ParameterError(f"{count} evaluations of a pilot show no gain by it.")
+    for made in found:
+        yield _Offer(made.name, made.change, lambda e=made.estimator: e)  # type: ignore[misc]
+
+
 KINDS: Mapping[Kind, Callable[[Setup, Budget], _Offers]] = {
     "unshifted": leave_shift_out,
     "mirrored": mirror,
     "aligned": align_strata,
     "smoothed": smooth_edges,
     "warp": change_warp,
+    "fitted": partial(improve, "fitted"),
+    "regression": partial(improve, "regression"),
+    "order": partial(improve, "order"),
+    "preintegrated": partial(improve, "preintegrated"),
     "heuristic": change_heuristic,
     "techniques": single_techniques,
     "channels": separate_channels,

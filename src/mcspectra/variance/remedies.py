@@ -184,6 +184,14 @@ class Remedies(Analysis, frozen=True, kw_only=True):
             error = _SIGMAS * given.estimator.integral_error / size if size else 0.0
             tolerance = max(_BY_QUADRATURE, error)
         biased = change.biased or not setup.unbiased
+        errors = Errors.of(
+            cost,
+            estimates,
+            integral,
+            biased=biased,
+            tolerance=tolerance,
+            overhead=setup.overhead,
+        )
         warp = change.kind == "warp"
         return _Trial(
             kind=change.kind,
@@ -191,7 +199,7 @@ class Remedies(Analysis, frozen=True, kw_only=True):
             change=change.change,
             setup=change.key,
             biased=change.biased,
-            errors=Errors.of(cost, estimates, integral, biased=biased, tolerance=tolerance),
+            errors=errors,
             unbounded=warp and setup.estimator.infinite_weights,
             inside=jumps_of(setup.estimator)[1] if warp else None,
         )
@@ -458,6 +466,8 @@ class Errors:
     influence: Array  # ψ, (N, R)
     noise: Array  # v below which the estimates differ by rounding only, (N,)
     blind: Array  # whether the estimates are all alike, but not the integral, (N,)
+    # Of the cost, before the first point: it does not grow, and is no part of the rate
+    overhead: int = 0
 
     @staticmethod
     def of(
@@ -467,6 +477,7 @@ class Errors:
         *,
         biased: bool = False,
         tolerance: float = 1e-9,
+        overhead: int = 0,
     ) -> Errors:
         """Errors of estimates (R, C), one array for each cost, of the integral (C,).
 
@@ -499,6 +510,7 @@ class Errors:
             influence=np.stack([influence for _, influence in parts]),
             noise=noise,
             blind=alike & miss & (not biased),
+            overhead=overhead,
         )
 
     @property
@@ -512,14 +524,14 @@ class Errors:
         return np.array([_standard_error(psi) for psi in self.influence])
 
     def rate(self) -> tuple[float, Array]:
-        """Slope of log v against log cost, and the influence of each realisation on it, (R,).
+        """Slope of log v against log cost without overhead, and the influence of each realisation on it, (R,).
 
         Weighted least squares as in `mcspectra.variance.fit`; NaN where fewer than two can be fitted.
         """
         used = self.used
         if used.sum() < 2:
             return math.nan, np.full(self.influence.shape[1], np.nan)
-        x, y = np.log(self.cost[used]), np.log(self.error[used])
+        x, y = np.log(self.cost[used] - self.overhead), np.log(self.error[used])
         weight = self.relative_se[used] ** -2.0
         centred = weight * (x - np.average(x, weights=weight))
         slope = centred / (centred * x).sum()
@@ -527,7 +539,7 @@ class Errors:
 
     def fit(self) -> RateFit:
         """The rate with its interval and lack of fit, as `mcspectra.convergence` gives it."""
-        return fit_rate(self.cost, self.error, self.relative_se, self.noise)
+        return fit_rate(self.cost - self.overhead, self.error, self.relative_se, self.noise)
 
     def widening(self) -> float:
         """By what the lack of fit widens the interval of the rate."""
@@ -540,7 +552,7 @@ class Errors:
         if not self.used[last]:
             unknown = math.nan if self.blind[last] else -math.inf
             return unknown, np.zeros(self.influence.shape[1])
-        gap = math.log(budget / self.cost[last])
+        gap = math.log((budget - self.overhead) / (self.cost[last] - self.overhead))
         log_error, influence = math.log(self.error[last]), self.influence[last]
         if gap == 0.0:
             return log_error, influence
