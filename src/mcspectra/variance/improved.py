@@ -20,7 +20,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, ClassVar, Protocol, TypeAlias, final
 
 import numpy as np
@@ -45,6 +45,7 @@ _EACH = 4  # evaluations of each coefficient
 _RIDGE = 1e-9
 _MOST_TERMS = 256
 _DEGREES = ((1, 0), (2, 2), (3, 0), (3, 3), (4, 4), (6, 0), (6, 6), (8, 8))
+_TURNED = 2  # directions that have more terms than others
 _WORTH = 0.8  # of the variance left, before cost
 _BLOCK = 2**14
 
@@ -75,7 +76,7 @@ class Evaluations:
         """Some of them."""
         return Evaluations(self.points[which], self.values[which], self.pdf[which])
 
-    @property
+    @cached_property
     def halves(self) -> tuple[Evaluations, Evaluations]:
         """Each second one, and the others; neighbours in a net are in both."""
         odd = np.arange(len(self.points)) % 2 == 1
@@ -89,6 +90,22 @@ class Evaluations:
     def turned(self, matrix: Array) -> Evaluations:
         """The same values at the points that a rotation takes to these."""
         return replace(self, points=_Rotation(matrix.T).sample(self.points))
+
+    @cached_property
+    def directions(self) -> Array:
+        """Orthonormal directions of z (columns), those along which g varies most first."""
+        d = self.points.shape[1]
+        basis = _Basis.of(d, True, 2, 2).cut(len(self.points))
+        slopes = np.zeros((d, d))
+        for coefficients in basis.fit(self).T:
+            (i, j), (a, b) = basis.axes.T, basis.degrees.T
+            linear = np.zeros(d)
+            linear[i[(a == 1) & (b == 0)]] = coefficients[(a == 1) & (b == 0)]
+            bend = np.zeros((d, d))
+            bend[i[a == 2], i[a == 2]] = np.sqrt(2.0) * coefficients[a == 2]
+            bend[i[b == 1], j[b == 1]] = bend[j[b == 1], i[b == 1]] = coefficients[b == 1]
+            slopes += np.outer(linear, linear) + bend @ bend
+        return np.asarray(np.linalg.eigh(slopes)[1][:, ::-1])
 
     @cached_property
     def weights(self) -> Array:
@@ -241,11 +258,14 @@ class _Basis:
         Whether of z = Φ⁻¹(u) (Hermite), else of u (Legendre).
     axes, degrees
         (terms, 2).
+    turn
+        (d, ·), directions that are the coordinates of z; its own where None.
     """
 
     normal: bool
     axes: Array
     degrees: Array
+    turn: Array | None = None
 
     @staticmethod
     def of(dims: int, normal: bool, alone: int, together: int) -> _Basis:
@@ -271,6 +291,7 @@ class _Basis:
     def __call__(self, u: Array) -> Array:
         """Values at points (k, d): (k, terms)."""
         x = _quantiles(u) if self.normal else 2.0 * u - 1.0
+        x = x if self.turn is None else x @ self.turn
         most = int(self.degrees.max())
         found = [np.ones_like(x), x]
         for n in range(1, most):
@@ -455,18 +476,22 @@ def _regression(g: Integrand, seen: Evaluations) -> _Found:
     """The basis that leaves least."""
     first, second = seen.halves
     d = seen.points.shape[1]
-    tried = []
-    for normal in (False, True):
-        for degrees in _DEGREES:
-            basis = _Basis.of(d, normal, *degrees)
-            if len(basis.axes) <= min(len(first.points) // _EACH, _MOST_TERMS):
-                left = 0.5 * (basis.left(first, second) + basis.left(second, first))
-                tried.append((left, basis))
-    if not tried:
-        raise ParameterError(
-            f"{len(seen.points)} evaluations are too few for a regression in {d} dims."
-        )
-    left, basis = min(tried, key=lambda t: t[0])
+    fits: list[Callable[[Evaluations], _Basis]] = [
+        lambda _, b=basis: b  # type: ignore[misc]
+        for normal in (False, True)
+        for degrees in _DEGREES
+        if len((basis := _Basis.of(d, normal, *degrees)).axes)
+        <= min(len(first.points) // _EACH, _MOST_TERMS)
+    ]
+
+    def turned(e: Evaluations, degrees: tuple[int, int]) -> _Basis:
+        few = min(d, _TURNED)
+        return replace(_Basis.of(few, True, *degrees), turn=e.directions[:, :few])
+
+    fits += [partial(turned, degrees=degrees) for degrees in _DEGREES]
+    halves = ((first, second), (second, first))
+    lefts = [0.5 * sum(fit(a).left(a, b) for a, b in halves) for fit in fits]
+    left, basis = min(lefts), fits[int(np.argmin(lefts))](seen)
     what = "normal inputs" if basis.normal else "coordinates"
     yield (
         "regression",
@@ -476,35 +501,19 @@ def _regression(g: Integrand, seen: Evaluations) -> _Found:
     )
 
 
-def _directions(seen: Evaluations) -> Array:
-    """Orthonormal directions of z (columns), those along which g varies most first."""
-    d = seen.points.shape[1]
-    basis = _Basis.of(d, True, 2, 2).cut(len(seen.points))
-    slopes = np.zeros((d, d))
-    for coefficients in basis.fit(seen).T:
-        (i, j), (a, b) = basis.axes.T, basis.degrees.T
-        linear = np.zeros(d)
-        linear[i[(a == 1) & (b == 0)]] = coefficients[(a == 1) & (b == 0)]
-        bend = np.zeros((d, d))
-        bend[i[a == 2], i[a == 2]] = np.sqrt(2.0) * coefficients[a == 2]
-        bend[i[b == 1], j[b == 1]] = bend[j[b == 1], i[b == 1]] = coefficients[b == 1]
-        slopes += np.outer(linear, linear) + bend @ bend
-    return np.asarray(np.linalg.eigh(slopes)[1][:, ::-1])
-
-
 def _order(g: Integrand, seen: Evaluations) -> _Found:
     """Directions in the order of how much g varies along them."""
     d = g.dims
     if d == 1:
         raise ParameterError("One dim has no order.")
     first, second = seen.halves
-    turn = _directions(first)
+    turn = first.directions
     basis = _Basis.of(d, True, 3, 0).cut(len(first.points))
     before, after = basis.left(first, second), basis.left(first.turned(turn), second.turned(turn))
     yield (
         "order by variation",
         "turn the normal inputs, so that the integrand varies most along the first ones",
-        _turned(g, _directions(seen)),
+        _turned(g, seen.directions),
         after / max(before, 1e-300),
     )
 
@@ -520,7 +529,7 @@ def _preintegrated(g: Integrand, seen: Evaluations) -> _Found:
     if d == 1:
         raise ParameterError("In one dim a mean along it is the integral.")
     first, second = seen.halves
-    turn = _directions(first)
+    turn = first.directions
     for normal, name, where in (
         (False, "preintegrated along axis {0}", "along axis {0}"),
         (
@@ -537,7 +546,7 @@ def _preintegrated(g: Integrand, seen: Evaluations) -> _Found:
         axis = 0 if normal else int(np.argmin(without))
         alone = squares[(basis.axes == axis).all(axis=1)].sum()
         unsure = 2.0 * np.sqrt(len(squares)) / len(first.points)
-        inner = _turned(g, _directions(seen)) if normal else g
+        inner = _turned(g, seen.directions) if normal else g
         yield (
             name.format(axis),
             f"take means {where.format(axis)}, on both sides of where the integrand jumps or leaves 0",
