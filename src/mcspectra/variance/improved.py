@@ -20,7 +20,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, ClassVar, Protocol, TypeAlias, final
 
 import numpy as np
@@ -45,6 +45,7 @@ _EACH = 4  # evaluations of each coefficient
 _RIDGE = 1e-9
 _MOST_TERMS = 256
 _DEGREES = ((1, 0), (2, 2), (3, 0), (3, 3), (4, 4), (6, 0), (6, 6), (8, 8))
+_MOST_NORMAL = 3  # degree; of higher ones most of the variance is where few evaluations are
 _TURNED = 2  # directions that have more terms than others
 _WORTH = 0.8  # of the variance left, before cost
 _BLOCK = 2**14
@@ -255,11 +256,11 @@ class _Basis:
     Attributes
     ----------
     normal
-        Whether of z = Φ⁻¹(u) (Hermite), else of u (Legendre).
+        Whether of z = Φ⁻¹(u) (Hermite), else of u (Legendre), or Φ of directions of z.
     axes, degrees
         (terms, 2).
     turn
-        (d, ·), directions that are the coordinates of z; its own where None.
+        (d, ·), directions of z instead of its coordinates.
     """
 
     normal: bool
@@ -290,8 +291,13 @@ class _Basis:
 
     def __call__(self, u: Array) -> Array:
         """Values at points (k, d): (k, terms)."""
-        x = _quantiles(u) if self.normal else 2.0 * u - 1.0
-        x = x if self.turn is None else x @ self.turn
+        from scipy.special import ndtr
+
+        if self.turn is not None:
+            x = _quantiles(u) @ self.turn
+            x = x if self.normal else 2.0 * ndtr(x) - 1.0
+        else:
+            x = _quantiles(u) if self.normal else 2.0 * u - 1.0
         most = int(self.degrees.max())
         found = [np.ones_like(x), x]
         for n in range(1, most):
@@ -476,23 +482,20 @@ def _regression(g: Integrand, seen: Evaluations) -> _Found:
     """The basis that leaves least."""
     first, second = seen.halves
     d = seen.points.shape[1]
-    fits: list[Callable[[Evaluations], _Basis]] = [
-        lambda _, b=basis: b  # type: ignore[misc]
-        for normal in (False, True)
-        for degrees in _DEGREES
-        if len((basis := _Basis.of(d, normal, *degrees)).axes)
-        <= min(len(first.points) // _EACH, _MOST_TERMS)
-    ]
-
-    def turned(e: Evaluations, degrees: tuple[int, int]) -> _Basis:
-        few = min(d, _TURNED)
-        return replace(_Basis.of(few, True, *degrees), turn=e.directions[:, :few])
-
-    fits += [partial(turned, degrees=degrees) for degrees in _DEGREES]
+    few = min(d, _TURNED)
+    fits: list[Callable[[Evaluations], _Basis]] = []
+    for normal in (False, True):
+        for degrees in _DEGREES:
+            if normal and max(degrees) > _MOST_NORMAL:
+                continue
+            basis, turned = _Basis.of(d, normal, *degrees), _Basis.of(few, normal, *degrees)
+            if len(basis.axes) <= min(len(first.points) // _EACH, _MOST_TERMS):
+                fits.append(lambda _, b=basis: b)  # type: ignore[misc]
+            fits.append(lambda e, b=turned: replace(b, turn=e.directions[:, :few]))  # type: ignore[misc]
     halves = ((first, second), (second, first))
     lefts = [0.5 * sum(fit(a).left(a, b) for a, b in halves) for fit in fits]
     left, basis = min(lefts), fits[int(np.argmin(lefts))](seen)
-    what = "normal inputs" if basis.normal else "coordinates"
+    what = "coordinates" if basis.turn is None and not basis.normal else "normal inputs"
     yield (
         "regression",
         f"subtract the regression on {len(basis.axes)} polynomials of the {what}",
@@ -539,7 +542,7 @@ def _preintegrated(g: Integrand, seen: Evaluations) -> _Found:
         ),
     ):
         halves = (first.turned(turn), second.turned(turn)) if normal else (first, second)
-        basis = _Basis.of(d, normal, 5, 2).cut(len(first.points))
+        basis = _Basis.of(d, normal, 3, 2).cut(len(first.points))
         squares = np.prod([basis.fit(half) for half in halves], axis=0).sum(axis=1)
         squares /= max(seen.variance(), 1e-300)
         without = [squares[~(basis.axes == i).any(axis=1)].sum() for i in range(d)]
