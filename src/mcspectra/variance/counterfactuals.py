@@ -16,7 +16,14 @@ from typing import Any, Literal, TypeAlias
 
 from mcspectra.core.errors import CountError, McspectraError, ParameterError
 from mcspectra.core.streams import Stream
-from mcspectra.densities import Bilinear, Defensive, EnvironmentDensity, PiecewiseConstant
+from mcspectra.densities import (
+    Bilinear,
+    Defensive,
+    EnvironmentDensity,
+    ImageDensity,
+    PiecewiseConstant,
+    compensated,
+)
 from mcspectra.estimators import AbstractEstimator, Estimator, Mirrored, MultipleImportance
 from mcspectra.estimators.base import Weighted
 from mcspectra.estimators.channels import ChannelSampling
@@ -58,7 +65,9 @@ _MOST_ALIGNED = 2
 _PILOT = 8  # it takes one part in so many of the budget, so that the last two of the steps can be measured
 _LEAST_PILOT, _MOST_PILOT = 64, 4096
 _PILOTS = 2  # stream label, after those of the searches
-_INSIDE = frozenset({"smoothed", "warp", "heuristic", "techniques", "channels", *CHANGES})
+_INSIDE = frozenset(
+    {"smoothed", "warp", "heuristic", "techniques", "compensated", "channels", *CHANGES}
+)
 _WIDTHS = tuple(2.0**-k for k in range(10, 1, -1))
 _SCAN_REALIZATIONS = 300
 
@@ -162,6 +171,7 @@ Kind: TypeAlias = Literal[
     "preintegrated",
     "heuristic",
     "techniques",
+    "compensated",
     "channels",
     "sampler",
 ]
@@ -222,9 +232,9 @@ def affordable_count(setup: Setup, budget: int) -> int | None:
                 pass
             else:
                 return n
-        # In large steps for a single technique, whose counts are dense
+        # In large steps for a single technique, whose counts are dense, but over no power of two
         dense = len(setup.estimator.counts) == 1 and n >= _COUNT_TRIES
-        n -= max(1, n // _COUNT_TRIES) if dense else 1
+        n = max(n - max(1, n // _COUNT_TRIES), 1 << (n - 1).bit_length() - 1) if dense else n - 1
     return None
 
 
@@ -333,6 +343,34 @@ def single_techniques(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
         yield _Offer(f"only {name}", f"sample {name} alone", make)
 
 
+def compensate(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
+    """Tables less what the other techniques sample ([Karlik2019]_)."""
+    estimator = given.estimator
+    if not isinstance(estimator, MultipleImportance) or len(estimator.densities) < 2:
+        raise ParameterError(f"{estimator.spec} has no table beside other techniques.")
+
+    def sharpened(technique: int) -> AbstractEstimator:
+        order = sorted(range(len(estimator.counts)), key=lambda t: t != technique)
+        densities, counts = list(estimator.densities), [estimator.counts[t] for t in order]
+        own, *others = (densities[t] for t in order)
+        if isinstance(own, EnvironmentDensity):
+            densities[technique] = dataclasses.replace(own, compensation=True)
+        else:
+            densities[technique] = compensated(own, others, counts)
+        f, heuristic = estimator.integrand, estimator.heuristic
+        return MultipleImportance(
+            f, densities, heuristic=heuristic, counts=estimator.counts, sets=estimator.sets
+        )
+
+    for technique, density in enumerate(estimator.densities):
+        if isinstance(density, PiecewiseConstant | ImageDensity | EnvironmentDensity):
+            name = f"the table of technique {technique}"
+            change = f"leave out of {name} what the other techniques sample often enough"
+            yield _Offer(
+                f"compensated: technique {technique}", change, partial(sharpened, technique)
+            )
+
+
 def change_warp(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
     """Other densities, the same by other warps, and none."""
     estimator = given.estimator
@@ -438,6 +476,7 @@ KINDS: Mapping[Kind, Callable[[Setup, Budget], _Offers]] = {
     "preintegrated": partial(improve, "preintegrated"),
     "heuristic": change_heuristic,
     "techniques": single_techniques,
+    "compensated": compensate,
     "channels": separate_channels,
     "sampler": change_sampler,
 }

@@ -614,7 +614,9 @@ def evaluated(
     maps: list[_Map | None] = []
     for index, size in enumerate(sizes):
         u = stream.generator(index).random((size, g.dims))
-        best = None if seen is None else min(_densities(seen), key=lambda f: f[3])[2]
+        # Uniform ones until g is seen
+        known = seen is not None and all(half.values.any() for half in seen.halves)
+        best = min(_densities(seen), key=lambda f: f[3])[2] if seen and known else None
         maps.append(best)
         x = u if best is None else best.sample(u)
         values = g(x).reshape(size, -1)
