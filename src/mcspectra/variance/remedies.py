@@ -291,6 +291,8 @@ def remedies(
 
     Notes
     -----
+    ``fitted``, ``regression``, ``order`` and ``preintegrated`` change the estimator by what a pilot shows,
+    an eighth of the budget (4096 evaluations at most), and keep its integral.
     Where no count of points costs exactly the budget, the largest below is measured and the error is
     carried to the budget along the fitted rate; the interval knows of the slope's uncertainty.
     What is biased, by smoothing or by a sampler that is not randomised, has its error taken about the
