@@ -294,7 +294,8 @@ def remedies(
     ``fitted``, ``regression``, ``order`` and ``preintegrated`` change the estimator by what a pilot shows,
     an eighth of the budget (4096 evaluations at most), and keep its integral.
     Where no count of points costs exactly the budget, the largest below is measured and the error is
-    carried to the budget along the fitted rate; the interval knows of the slope's uncertainty.
+    carried to the budget along the fitted rate; the interval knows of the slope's uncertainty. Beside a
+    pilot no error is carried.
     What is biased, by smoothing or by a sampler that is not randomised, has its error taken about the
     integral of the given estimator; what is smoothed to another integral has no rate, as its error
     ends at the square of the bias. Pilots of heuristics and the values that a mean over a box takes count
@@ -548,13 +549,16 @@ class Errors:
         degrees = int(self.used.sum()) - 2
         return widening(degrees, self.fit().chi2) if degrees > 0 else 1.0
 
-    def at(self, budget: float) -> tuple[float, Array]:
-        """log v at a cost of `budget`, and its influences (R,): the last error, carried by the rate."""
+    def at(self, budget: float, *, carry: bool = True) -> tuple[float, Array]:
+        """log v at a cost of `budget`, and its influences (R,): the last error, carried by the rate.
+
+        Beside a pilot it is not: what that takes is lost, and counts of nets are half of what else fits.
+        """
         last = len(self.cost) - 1
         if not self.used[last]:
             unknown = math.nan if self.blind[last] else -math.inf
             return unknown, np.zeros(self.influence.shape[1])
-        gap = math.log((budget - self.overhead) / (self.cost[last] - self.overhead))
+        gap = math.log(budget / self.cost[last]) if carry and not self.overhead else 0.0
         log_error, influence = math.log(self.error[last]), self.influence[last]
         if gap == 0.0:
             return log_error, influence
@@ -578,8 +582,9 @@ class Comparison:
 
 def compare(errors: Errors, reference: Errors, budget: float) -> Comparison:
     """Compare two set-ups of as many realisations on the same random numbers."""
-    own, own_influence = errors.at(budget)
-    other, other_influence = reference.at(budget)
+    carry = not errors.overhead and not reference.overhead
+    own, own_influence = errors.at(budget, carry=carry)
+    other, other_influence = reference.at(budget, carry=carry)
     rate, slope = errors.rate()
     other_rate, other_slope = reference.rate()
     # Curves that bend or wobble know their slope less well than their scatter says
