@@ -17,18 +17,19 @@ What a change is expected to bring is from evaluations that it was not fitted to
 
 from __future__ import annotations
 
+import itertools
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, Protocol, TypeAlias, final
+from typing import ClassVar, TypeAlias, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
-from mcspectra.densities import Bilinear, PiecewiseLinear, Product
+from mcspectra.densities import Bilinear, Density, PiecewiseLinear, Product
 from mcspectra.densities.base import LARGEST_BELOW_ONE
 from mcspectra.estimators import AbstractEstimator, Estimator
 from mcspectra.integrands import integral_accuracy
@@ -37,7 +38,7 @@ from mcspectra.integrands.base import Breaks, Derived, Estimate, Integrand
 __all__ = ["CHANGES", "Evaluations", "Improvement", "evaluated", "improvements"]
 
 _ROUNDS = 4
-_NODES = (3, 5, 9, 17, 33, 65)  # of linear densities, along each axis
+_CELLS = (2, 4, 8, 16, 32, 64)  # of linear densities, along each axis
 _GRIDS = (4, 8, 16)
 _DEFENSIVE = 0.05  # of each factor of a density, uniform
 _LEAST_SPREAD = 1.0  # of variances: narrower densities make g/q grow at the border
@@ -90,7 +91,7 @@ class Evaluations:
 
     def turned(self, matrix: Array) -> Evaluations:
         """The same values at the points that a rotation takes to these."""
-        return replace(self, points=_Rotation(matrix.T).sample(self.points))
+        return replace(self, points=_Normal(matrix.T).sample(self.points))
 
     @cached_property
     def directions(self) -> Array:
@@ -159,14 +160,6 @@ class Improvement:
     ratio: float
 
 
-class _Map(Protocol):
-    """A density on the cube with its warp."""
-
-    def sample(self, u: Any, /) -> Array: ...
-
-    def pdf(self, x: Any, /) -> Array: ...
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Changed(Derived):
     """g changed, with the same integral."""
@@ -200,7 +193,7 @@ class _Warped(_Changed):
 
     name: ClassVar[str] = "warped"
     text = "{0.integrand.spec}, {0.label}"
-    density: _Map
+    density: Density | _Normal
     label: str
 
     def _at(self, u: Array) -> Array:
@@ -215,7 +208,7 @@ class _Normal:
     """z → A z + b of z = Φ⁻¹(u), on the cube."""
 
     matrix: Array
-    shift: Array
+    shift: Array | float = 0.0
 
     def sample(self, u: Array) -> Array:
         from scipy.special import ndtr
@@ -234,18 +227,7 @@ class _Normal:
         return np.linalg.inv(self.matrix)
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class _Rotation:
-    """z → A z with an orthogonal A, on the cube."""
-
-    matrix: Array
-
-    def sample(self, u: Array) -> Array:
-        return _Normal(self.matrix, np.zeros(len(self.matrix))).sample(u)
-
-    def pdf(self, x: Array) -> Array:
-        return np.ones(x.shape[:-1])
+_Map: TypeAlias = Density | _Normal
 
 
 @final
@@ -400,7 +382,7 @@ def _densities(seen: Evaluations) -> Iterator[tuple[str, str, _Map, float]]:
         (
             "product density",
             "sample by a density fitted to the integrand, a product of piecewise linear ones",
-            [lambda e, m=m: _product(e, m) for m in _NODES],  # type: ignore[misc]
+            [lambda e, m=m: _product(e, m) for m in _CELLS],  # type: ignore[misc]
         ),
         (
             "normal density",
@@ -429,34 +411,31 @@ def _densities(seen: Evaluations) -> Iterator[tuple[str, str, _Map, float]]:
         )
 
 
-def _product(seen: Evaluations, nodes: int) -> _Map:
-    """Marginals of |g|, linear between so many nodes."""
-    parts = []
-    for x in seen.points.T:
-        place = x * (nodes - 1)
-        cell = np.minimum(place.astype(np.int64), nodes - 2)
-        right = seen.weights * (place - cell)
-        table: Array = np.bincount(cell, seen.weights - right, nodes)
-        table = table + np.bincount(cell + 1, right, nodes)
-        table[[0, -1]] *= 2.0
-        table = table * ((nodes - 1) / (0.5 * (table[1:] + table[:-1])).sum())
-        parts.append(PiecewiseLinear(values=(1.0 - _DEFENSIVE) * table + _DEFENSIVE))
+def _product(seen: Evaluations, cells: int) -> _Map:
+    """Marginals of |g|, linear between nodes."""
+    parts = [
+        PiecewiseLinear(values=_table(x, seen.weights, cells)) for x in seen.points.T[:, :, None]
+    ]
     return parts[0] if len(parts) == 1 else Product(parts=parts)
 
 
 def _grid(seen: Evaluations, cells: int) -> _Map:
-    """|g| at the nodes of a grid in 2-D."""
-    scaled = seen.points * cells
-    cell = np.minimum(scaled.astype(np.int64), cells - 1)
-    table = np.zeros((cells + 1, cells + 1))
-    mass = np.zeros_like(table)
-    for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        share = np.where(np.array(corner) == 1, scaled - cell, 1.0 - scaled + cell).prod(axis=1)
-        place = tuple((cell + corner).T)
-        np.add.at(table, place, share * seen.weights)
-        np.add.at(mass, place, share / seen.pdf)
-    values = np.divide(table, mass, out=np.zeros_like(table), where=mass > 0)
-    return Bilinear(values=(1.0 - _DEFENSIVE) * values / values.mean() + _DEFENSIVE)
+    """|g| between the nodes of a grid in 2-D."""
+    return Bilinear(values=_table(seen.points[:, ::-1], seen.weights, cells), nodes="corners")
+
+
+def _table(x: Array, weights: Array, cells: int) -> Array:
+    """Densities at the nodes of a grid: points (k, d) are shared among the corners of their cells."""
+    cell = np.minimum((x * cells).astype(np.int64), cells - 1)
+    shape = (cells + 1,) * x.shape[1]
+    table = np.zeros(shape)
+    for corner in itertools.product((0, 1), repeat=len(shape)):
+        share = weights * np.abs(1.0 - np.array(corner) - (x * cells - cell)).prod(axis=1)
+        place = np.ravel_multi_index(tuple((cell + corner).T), shape)
+        table += np.bincount(place, share, table.size).reshape(shape)
+    for axis in range(len(shape)):  # nodes of a border have half of a cell
+        np.moveaxis(table, axis, 0)[[0, -1]] *= 2.0
+    return np.asarray((1.0 - _DEFENSIVE) * table / table.mean() + _DEFENSIVE)
 
 
 def _normal(seen: Evaluations, stretch: str) -> _Map:
@@ -612,6 +591,7 @@ def evaluated(
     sizes = [count // rounds] * (rounds - 1) + [count - (rounds - 1) * (count // rounds)]
     seen: Evaluations | None = None
     maps: list[_Map | None] = []
+    parts: list[tuple[Array, Array]] = []
     for index, size in enumerate(sizes):
         u = stream.generator(index).random((size, g.dims))
         # Uniform ones until g is seen
@@ -619,9 +599,8 @@ def evaluated(
         best = min(_densities(seen), key=lambda f: f[3])[2] if seen and known else None
         maps.append(best)
         x = u if best is None else best.sample(u)
-        values = g(x).reshape(size, -1)
-        points = x if seen is None else np.concatenate([seen.points, x])
-        values = values if seen is None else np.concatenate([seen.values, values])
+        parts.append((x, g(x).reshape(size, -1)))
+        points, values = (np.concatenate(part) for part in zip(*parts, strict=True))
         # All points are one sample of the mixture of all densities
         shares = np.array(sizes[: index + 1]) / sum(sizes[: index + 1])
         pdfs = [np.ones(len(points)) if m is None else m.pdf(points) for m in maps]
@@ -631,7 +610,7 @@ def evaluated(
 
 
 def _turned(g: Integrand, directions: Array) -> _Warped:
-    return _Warped(integrand=g, density=_Rotation(directions), label="inputs turned")
+    return _Warped(integrand=g, density=_Normal(directions), label="inputs turned")
 
 
 def _single(estimator: AbstractEstimator) -> Integrand:
