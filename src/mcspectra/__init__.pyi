@@ -57,6 +57,7 @@ from .variance.chains import chain_error as chain_error
 from .variance.convergence import convergence as convergence
 from .variance.convergence import realizations_needed as realizations_needed
 from .variance.exact import exact_variance as exact_variance
+from .variance.integrate import integrate as integrate
 from .variance.modes import covariance_modes as covariance_modes
 from .variance.prediction.plan import plan as plan
 from .variance.prediction.predict import predict as predict
@@ -117,6 +118,7 @@ __all__ = [
     "integrand",
     "integrand_decay",
     "integrands",
+    "integrate",
     "low_frequency_exponent",
     "mirror_study",
     "nested_variances",

@@ -53,10 +53,11 @@ def test_a_job_sends_all_kinds_in_each_round() -> None:
     updates, sentence = finished(SMALL)
     assert sentence == ""
     assert [u.kind for u in updates] == [*KINDS, *KINDS]
-    assert [u.realizations for u in updates] == [16] * 5 + [64] * 5
+    assert [u.realizations for u in updates] == [16] * 6 + [64] * 6
     assert updates[-1].fraction == 1.0
     assert all(0 < u.fraction <= 1 for u in updates)
-    assert updates[-1].value.attrs["realizations"] == 64
+    terms = updates[KINDS.index("terms") - len(KINDS)]
+    assert terms.value.attrs["realizations"] == 64
 
 
 def test_points_are_the_first_realisation_with_its_weights() -> None:
@@ -172,7 +173,7 @@ def test_rounds_that_would_take_long_are_not_begun(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(module, "compute", lambda *_: None)
     monkeypatch.setattr(module.time, "perf_counter", lambda: next(clock))
     updates, sentence = finished(replace(SMALL, realizations=1024))
-    assert [u.realizations for u in updates] == [16] * 5 + [64] * 5
+    assert [u.realizations for u in updates] == [16] * 6 + [64] * 6
     assert "Stopped at 64 realisations: 256 would take about 40 s" in sentence
 
 

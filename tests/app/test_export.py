@@ -42,7 +42,7 @@ def ran(program: str) -> tuple[dict[str, object], str]:
 @pytest.mark.parametrize("setup", SETUPS)
 def test_python_gives_the_numbers_shown(setup: Setup) -> None:
     names, printed = ran(as_python(State(a=setup)))
-    for kind in ("spectrum", "terms", "convergence"):
+    for kind in ("predict", "spectrum", "terms", "convergence"):
         shown = compute(kind, setup, setup.realizations)
         for variable in shown:
             np.testing.assert_array_equal(names[kind][variable], shown[variable])  # type: ignore[index]
@@ -70,7 +70,7 @@ def test_toml_is_a_study_of_the_same(setup: Setup, tmp_path: Path) -> None:
     analyses = analyses_of(setup)
     del analyses["points"]
     assert first.analyses == analyses
-    assert set(first.analyses) == {"terms", "convergence", "spectrum"}
+    assert set(first.analyses) == {"terms", "convergence", "spectrum", "predict"}
     assert study.seed == setup.seed
 
 

@@ -32,7 +32,7 @@ def test_new_results_bring_no_new_models(name: str) -> None:
             drawn[plot.kind] = draw(plot)
             document.add_root(drawn[plot.kind].model)
     assert set(drawn) <= set(FIGURES)
-    assert len(drawn) == 8
+    assert len(drawn) == 9
     before = set(document.models)
     for kind in KINDS:
         for plot in figures_of(kind, compute(kind, setup, 16), "s"):

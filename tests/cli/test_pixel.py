@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -92,7 +93,9 @@ def test_text_has_rows_and_sentences(capsys: pytest.CaptureFixture[str]) -> None
     assert lines[0] == f"pixel ({x}, {y}) of figure1"
     for name in STRATEGY_NAMES.values():
         for sampler in SAMPLERS:
-            assert any(line.split("  ")[0] == name and sampler in line for line in lines)
+            found = [line for line in lines if line.split("  ")[0] == name and sampler in line]
+            assert found
+            assert re.search(r"∫g²|exact|strata|torus|gains", found[0])  # how it was predicted
         assert any(line.startswith(f"{name}: ") for line in lines)
     assert any("bottleneck of MIS" in line for line in lines)
     assert "g jumps inside along curves" in " ".join(out.split())

@@ -8,7 +8,7 @@ import pytest
 import mcspectra as mcs
 from mcspectra.integrands import integral_accuracy
 
-CORNER = mcs.Integrand.from_function(lambda x: (x.sum(axis=-1) < 0.7) * 1.0, dims=2)
+CORNER = mcs.integrand("formula(expression='where(x + y < 0.7, 1, 0)')", dims=2)
 
 
 def test_exact_integrals_have_no_error() -> None:

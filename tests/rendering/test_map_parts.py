@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm, t
 
+import mcspectra as mcs
 from mcspectra.core.checks import Array
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import map_statistics as statistics
@@ -153,7 +154,9 @@ def step(u: Array) -> Array:
     return (u[:, :1] + u[:, 1:] * np.linspace(0.2, 1.0, 40) < 0.7).astype(float)
 
 
-@pytest.mark.parametrize("spec", ["jittered", "random", "jittered | shift", "random | shift"])
+@pytest.mark.parametrize(
+    "spec", ["jittered", "random", "jittered | shift", "random | shift", "sobol | owen"]
+)
 def test_predictions_agree_with_measured_variances(spec: str) -> None:
     points, n, realizations = sampler(spec, dims=2), 64, 4000
     forecast = prediction.prediction_for(points, n, Stream.from_rng(3))
@@ -165,6 +168,16 @@ def test_predictions_agree_with_measured_variances(spec: str) -> None:
     error = np.hypot(se, measured * (2 / realizations) ** 0.5)
     assert (np.abs(predicted - measured) < 4.5 * error).all()  # Šidák for 40 pixels
     assert se.mean() < 0.25 * predicted.mean()
+
+
+def test_gains_see_what_varies_within_the_cells_of_the_grid() -> None:
+    """A grid of midpoints misses a quarter of the variance of a smooth integrand."""
+    forecast = prediction.prediction_for(sampler("sobol | owen", dims=2), 64, Stream.from_rng(3))
+    assert forecast is not None
+    predicted, se = forecast.variance(mcs.integrand("gaussian", 2)(forecast.samples)[:, None])
+    exact = mcs.exact_variance("gaussian", "sobol | owen", 64)
+    assert abs(predicted[0] - exact) < 4.0 * se[0]
+    assert se[0] < 0.1 * exact
 
 
 def test_strata_are_predicted_without_bias() -> None:
@@ -242,6 +255,9 @@ def test_unequal_strata_and_three_dims() -> None:
     assert value == pytest.approx(1 / 48 / 16, rel=0.01)
     assert prediction.prediction_for(sampler("jittered", 3), 27, Stream(1)) is not None
     assert prediction.prediction_for(sampler("jittered | shift", 3), 27, Stream(1)) is None
+    # Not by a sum without what lies between frequencies
+    for spec in ("latin-hypercube", "halton | owen", "sobol | digital-shift"):
+        assert prediction.prediction_for(sampler(spec, 2), 16, Stream(1)) is None
 
 
 def test_errors_of_few_strata_take_students_t() -> None:

@@ -76,6 +76,28 @@ def test_curves_are_those_of_convergence(tree: xr.DataTree) -> None:
     same(found, direct)
 
 
+def test_predictions_are_those_of_predict_and_stand_in_rows_and_sentences(
+    tree: xr.DataTree,
+) -> None:
+    direct = mcs.predict(estimators()["balance"], list(SAMPLERS), COUNTS, rng=3)
+    found = tree["predict/balance"].to_dataset()
+    same(found, direct)
+    assert np.array_equal(found["route"], direct["route"])
+    rows = [row for row in pixel_rows(tree) if row.estimator == STRATEGY_NAMES["balance"]]
+    measured = tree["convergence"]["variance"].sel(strategy="balance")
+    for row in rows:
+        at = {"sampler": row.sampler, "n": COUNTS[-1]}
+        ratio = float(direct["predicted_variance"].sel(at) / measured.sel(at))
+        assert row.ratio == pytest.approx(ratio, rel=1e-12)
+        assert row.route == str(direct["route"].sel(at).values)
+        # Four standard errors: twice the interval
+        assert abs(np.log(row.ratio)) < 2.0 * np.log(row.ratio_high / row.ratio)
+    said = dict(pixel_sentences(tree))["MIS, balance"]
+    assert f"({rows[SAMPLERS.index(tree.attrs['sampler'])].route})" in said
+    listed = next(r for r in pixel_summary(tree)["rates"] if r["strategy"] == "balance")
+    assert np.array_equal(listed["predicted_variance"], direct["predicted_variance"][0])
+
+
 @pytest.mark.parametrize(("strategy", "view"), [("light", "auto"), ("balance", "fourier")])
 def test_terms_are_those_of_variance_terms(tree: xr.DataTree, strategy: str, view: str) -> None:
     direct = mcs.variance_terms(

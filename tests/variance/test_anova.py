@@ -1,5 +1,7 @@
 """ANOVA parts of variances: known ones of integrands, and exact ones of samplers."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 
@@ -210,3 +212,36 @@ def test_effective_dimensions_beyond_the_order_have_no_upper_end():
     low, high = found["effective_dimension_superposition_ci"].values
     assert np.isinf(high)
     assert low == 2 or np.isinf(low)
+
+
+@pytest.mark.parametrize(("spec", "dims"), [("ishigami", 3), ("sobol-g(a=[0, 1, 4.5, 9])", 4)])
+def test_intervals_of_sobol_indices_cover_them(spec, dims):
+    """200 runs of 500 pairs: each index within its 95 % interval in 90 to 99 % of them."""
+    f = mcs.integrand(spec, dims)
+    known = np.stack(f.sobol_indices())
+    hits = np.zeros_like(known)
+    for seed in range(200):
+        found = mcs.anova_variances(mcs.Estimator(f), order=1, realizations=500, rng=seed)
+        ends = np.stack([found["anova_share_ci"].values, found["total_share_ci"].values])
+        hits += (ends[..., 0] <= known) & (known <= ends[..., 1])
+    assert (hits >= 0.90 * 200).all(), hits
+    assert (hits <= 0.99 * 200).all(), hits
+
+
+def test_sobol_indices_of_test_functions_are_their_variances():
+    """Closed forms against ∫f² by quadrature, and against the sums of products over subsets."""
+    ishigami = mcs.integrand("ishigami(a=5, b=0.2)")
+    first, total = ishigami.sobol_indices()
+    square = mcs.Integrand.from_function(lambda x: (ishigami(x) - 2.5) ** 2, dims=3).integral
+    alone = mcs.Integrand.from_function(
+        lambda x: 25 * (np.sin(np.pi * x[..., 0]) ** 2 - 0.5) ** 2, dims=1
+    ).integral
+    assert first[1] * square == pytest.approx(alone, rel=1e-9)
+    assert first.sum() + total[2] == pytest.approx(1.0, abs=1e-14)
+    g, part = mcs.integrand("sobol-g", 5), 1 / (3 * (1 + np.arange(5.0)) ** 2)
+    sizes = {u: np.prod(part[list(u)]) for s in range(1, 6) for u in combinations(range(5), s)}
+    whole = sum(sizes.values())
+    first, total = g.sobol_indices()
+    assert first == pytest.approx(part / whole, rel=1e-14)
+    held = [sum(v for u, v in sizes.items() if i in u) / whole for i in range(5)]
+    assert total == pytest.approx(held, rel=1e-13)

@@ -187,3 +187,13 @@ def test_channels():
     each = [predicted(known_of(f, 4), "sobol | owen", 64) for f in (additive, peaked)]
     for c, alone in enumerate(each):
         assert abs(found.variance[c] - alone.variance[0]) <= alone.error[0]
+
+
+def test_a_fit_that_runs_away_where_no_point_is_does_not_predict():
+    # Products of twelve axes had a tenth of their energy at the border, and nets six times the variance
+    f = mcs.integrand("asian-option(construction='incremental')", dims=12)
+    found = mcs.predict(f, "sobol | owen", [256])
+    measured = float(mcs.convergence(f, "sobol | owen", [256], realizations=400)["variance"][0])
+    low, high = found["predicted_variance_ci"][0].values
+    assert low <= measured <= high
+    assert 0.5 < float(found["predicted_variance"][0]) / measured < 2.0

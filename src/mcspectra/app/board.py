@@ -215,7 +215,7 @@ class Board:
         notes += [
             str(value.attrs["note"])
             for kind, value in self.latest.items()
-            if kind in ("terms", "convergence") and "note" in value.attrs
+            if kind in ("terms", "convergence", "predict") and "note" in value.attrs
         ]
         if alert:
             self._on_update(sentence)

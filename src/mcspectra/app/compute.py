@@ -33,6 +33,7 @@ from mcspectra.estimators import AbstractEstimator, Estimator, Mirrored, Techniq
 from mcspectra.integrands import Integrand, integrand
 from mcspectra.integrands.smoothing import smoothed
 from mcspectra.samplers import Sampler, sampler
+from mcspectra.variance.prediction.predict import Prediction
 
 __all__ = [
     "KINDS",
@@ -47,8 +48,14 @@ __all__ = [
     "rounds",
 ]
 
-KINDS = ("points", "integrand", "spectrum", "convergence", "terms")
-"""What is computed in each round, in this order."""
+KINDS = ("points", "integrand", "spectrum", "convergence", "terms", "predict")
+"""What is computed in each round, in this order; points, integrand and predictions once."""
+
+_INTEGRAND = ("integrand", "density", "dims", "mirror", "channel", "smoothing")
+_OWN = {  # what alone decides on it
+    "integrand": _INTEGRAND,
+    "predict": (*_INTEGRAND, "sampler", "n", "strata_shift", "seed", "counts"),
+}
 
 _FIRST_ROUND, _GROWTH = 16, 4
 _LONGEST_ROUND = 30.0  # seconds that a round may be expected to take; longer ones are not begun
@@ -97,10 +104,9 @@ def compute(kind: str, setup: Setup, realizations: int) -> xr.Dataset:
     """
     if kind in ("points", "spectrum"):
         setup = replace(setup, integrand="constant", mirror="none", smoothing=0.0, basis="fourier")
-    if kind == "integrand":
-        own = ("integrand", "density", "dims", "mirror", "channel", "smoothing")
-        setup = Setup(**{name: getattr(setup, name) for name in own})
-    once = kind in ("points", "integrand")
+    if kind in _OWN:
+        setup = Setup(**{name: getattr(setup, name) for name in _OWN[kind]})
+    once = kind in ("points", "integrand", "predict")
     return _computed(kind, replace(setup, realizations=2 if once else realizations))
 
 
@@ -361,10 +367,13 @@ def analyses_of(setup: Setup) -> dict[str, Analysis]:
     given = {each.name: getattr(setup, each.name) for each in dataclasses.fields(setup)}
     given["counts"] = setup.counts or tuple(ladder(setup))
     given["space"] = setup.space or make_parts(setup).space
-    return {
+    made = {
         name: kind(**{o.name: given[o.name] for o in options_of(kind) if o.name in given})
         for name, kind in ANALYSES.items()
     }
+    # Predict at the n of the terms, too
+    made["predict"] = Prediction(counts=tuple(sorted({*given["counts"], setup.n})))
+    return made
 
 
 def ladder(setup: Setup) -> list[int]:

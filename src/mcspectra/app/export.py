@@ -46,9 +46,10 @@ def _program(setup: Setup, head: str) -> str:
         call = textwrap.fill(", ".join([*subject, *first, *named]) + ",", 90)
         lines += [f"{name} = mcs.{analysis.function}(", textwrap.indent(call, "    "), ")"]
     lines += [
-        'for name in ("dc_term", "power_term", "cross_term", "predicted_variance",',
-        '             "measured_variance"):',
+        'for name in ("dc_term", "power_term", "cross_term", "measured_variance"):',
         '    print(f"{name:18}  {float(terms[name]):.6g}")',
+        f"predicted = float(predict['predicted_variance'].sel(n={setup.n}))",
+        """print(f"{'predicted_variance':18}  {predicted:.6g}")""",
         'low, high = convergence["rate_ci"].values',
         """rate = f"{float(convergence['rate']):.4g}" if high - low <= 1 else "unresolved\"""",
         """print(f"{'rate':18}  {rate}")""",

@@ -23,6 +23,7 @@ FIGURES = {
     "points": "Points",
     "terms": "Terms of the variance",
     "convergence": "Convergence",
+    "prediction": "Predicted variance",
     "spectrum": "Power spectrum",
     "lines": "Power spectrum",
     "radial": "Radial power",

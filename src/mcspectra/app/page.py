@@ -15,6 +15,7 @@ from bokeh.models.widgets.buttons import Button
 from bokeh.models.widgets.inputs import Checkbox, TextAreaInput
 from bokeh.models.widgets.markups import Div
 from tornado.ioloop import IOLoop
+from xarray import DataTree
 
 from mcspectra.app.board import Board
 from mcspectra.app.controls import Controls
@@ -24,6 +25,8 @@ from mcspectra.app.scene import SceneView, pixel_spec
 from mcspectra.app.state import THEMES, Setup, State
 from mcspectra.core.errors import McspectraError
 from mcspectra.plots.text import number, rate
+from mcspectra.report.tables import summary_table
+from mcspectra.studies import summarize
 
 __all__ = ["TITLE", "Explorer", "build_page"]
 
@@ -229,7 +232,7 @@ class Explorer:
         rows = [_row(side, setup, self._boards[side]) for side, setup in self.state.setups()]
         head = "".join(
             f'<th scope="col">{name}</th>'
-            for name in ("set-up", "sampler", "n", "variance", "captured", "rate")
+            for name in ("set-up", "sampler", "n", "variance", "predicted / measured", "rate")
         )
         self._summary.text = f"<table><tr>{head}</tr>{''.join(rows)}</table>"
 
@@ -263,11 +266,20 @@ def build_page(document: Any) -> None:
 def _row(side: str, setup: Setup, board: Board) -> str:
     terms, curve = board.latest.get("terms"), board.latest.get("convergence")
     missing = "…" if board.busy else "–"
+
+    # Measured at n, as the terms are, and predicted there, as in a report's summary
+    parts = {k: v for k, v in board.latest.items() if k in ("terms", "predict")}
+    ratio = missing
+    if len(parts) == 2:
+        names = {"estimator_name": side, "sampler_spec": setup.displaced_sampler}
+        nodes = {f"/e/s/{kind}": value.assign_attrs(names) for kind, value in parts.items()}
+        rows = summarize(DataTree.from_dict(nodes))
+        ratio = summary_table(rows).rows[0][4].text
     cells = [
         setup.displaced_sampler,
         str(setup.n),
         missing if terms is None else number(float(terms["measured_variance"])),
-        missing if terms is None else number(float(terms["captured"])),
+        ratio,
         missing
         if curve is None
         else rate(float(curve["rate"]), *map(float, curve["rate_ci"].values)),

@@ -20,6 +20,7 @@ from mcspectra.core.fields import check_fields, checked, choice, real, whole
 from mcspectra.core.options import options_of
 from mcspectra.spectra.power import Points, Spectrum
 from mcspectra.variance.convergence import Convergence
+from mcspectra.variance.prediction.predict import Prediction
 from mcspectra.variance.terms import Terms
 
 __all__ = [
@@ -34,7 +35,13 @@ __all__ = [
     "State",
 ]
 
-ANALYSES = {"points": Points, "spectrum": Spectrum, "convergence": Convergence, "terms": Terms}
+ANALYSES = {
+    "points": Points,
+    "spectrum": Spectrum,
+    "convergence": Convergence,
+    "terms": Terms,
+    "predict": Prediction,
+}
 """What is shown of a set-up, by the names of tables in study files."""
 
 _KNOWN = {option.name: option for kind in ANALYSES.values() for option in options_of(kind)}

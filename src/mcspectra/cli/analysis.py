@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 __all__ = ["analysis_verb", "declared", "given_options"]
 
-_FILES = (".npz", ".png", ".pdf")
+_FILES = (".npz", ".png", ".pdf", ".html")
 _ESTIMATOR = (
     option("integrand", "integrand spec, e.g. 'gaussian(width=0.25)'"),
     option("-d, --dims D", "number of dims, where specs leave it open", whole()),
@@ -120,7 +120,7 @@ def analysis_verb(name: str) -> Verb:
         shown = [f"{view}: {views[view].__doc__}" for view in others]
         offer = f"{usual} (default); {'; '.join(shown)}"
         declarations.append(option("--show VIEW", offer, default=usual))
-    files = ".npz: all values; .png or .pdf: a picture, if there is one"
+    files = ".npz: all values; .png or .pdf: a picture, if there is one; .html: a page"
     declarations.append(option("-o, --out FILE", files))
 
     def run(options: argparse.Namespace) -> Answer:
@@ -143,6 +143,10 @@ def analysis_verb(name: str) -> Verb:
                 if file.endswith(".npz"):
                     arrays = {str(key): v.values for key, v in result.variables.items()}
                     np.savez(file, **arrays)  # type: ignore[arg-type]
+                elif file.endswith(".html"):
+                    from mcspectra.report.result_page import write_result
+
+                    write_result(result, file, f"mcspectra {analysis.verb}")
                 else:
                     _write_picture(file, result)
         shown = views[view](result)

@@ -35,6 +35,7 @@ _MODULES = {
     "samplers": {
         "list": "list samplers, randomizations, densities, integrands, scenes or analyses",
         "points": "draw point sets and write them as text or files",
+        "integrate": "integrate a function with a budget of evaluations: value and interval",
         "gallery": "measure samplers and show them side by side",
     },
     "analysis": {

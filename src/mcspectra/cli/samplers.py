@@ -9,6 +9,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import mcspectra as mcs
 from mcspectra.cli.common import (
     Answer,
     one_sentence_warnings,
@@ -21,7 +22,7 @@ from mcspectra.cli.common import (
 from mcspectra.core.checks import as_choice
 from mcspectra.core.errors import FileFormatError, MissingDependency
 
-__all__ = ["gallery_", "list_", "points_"]
+__all__ = ["gallery_", "integrate_", "list_", "points_"]
 
 _NO_VERB = "no verb: for study files"
 _REGISTRIES = {
@@ -164,6 +165,33 @@ def points_(options: argparse.Namespace) -> Answer:
         return Answer(data={**meta, **({"points": points} if file == "-" else written)})
     # The points are the result: --quiet silences warnings only
     return Answer(format_dat(list(points)).rstrip("\n") if file == "-" else "")
+
+
+@verb(
+    option("integrand", "integrand spec, e.g. 'gaussian(width=0.25)'"),
+    option("--budget N", "most evaluations", whole(), required=True),
+    option("-d, --dims D", "number of dims, where the spec leaves it open", whole()),
+    option("--density SPEC", "importance density"),
+    option("--sampler SPEC", "a randomised sampler (default sobol | owen)"),
+    option("--cache FILE", "keep values by point, and go on where an earlier run stopped"),
+)
+def integrate_(options: argparse.Namespace) -> Answer:
+    """Integrate a function: value, 95 % interval, evaluations made, replicates and points of each."""
+    found = mcs.integrate(
+        mcs.Estimator(options.integrand, options.density, dims=options.dims),
+        budget=options.budget,
+        sampler=options.sampler,
+        cache=options.cache,
+        rng=options.seed or 0,
+    )
+    data: dict[str, Any] = {str(name): found[name].values.tolist() for name in found}
+    low, high = data["interval"]
+    text = (
+        f"{data['value']:.10g}, 95 %: {low:.10g} to {high:.10g}\n{data['calls']} evaluations made, of "
+        f"{data['replicates']} replicates of {data['n']} points of {found.attrs['sampler']}"
+    )
+    note = found.attrs.get("note")
+    return Answer(f"{text}\n{note}" if note else text, data | ({"note": note} if note else {}))
 
 
 @verb(

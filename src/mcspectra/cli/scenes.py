@@ -212,7 +212,7 @@ def _compare(
     option("--no-remedies", "leave remedies out"),
     group(
         lambda parser: parser.add_mutually_exclusive_group(),
-        option("--quick", "some seconds (default)"),
+        option("--quick", "about a minute (default)"),
         option("--full", "some minutes: more of everything"),
     ),
     option("--out DIR", "write the report into this folder"),
@@ -265,7 +265,8 @@ def _pixel_text(tree: xr.DataTree) -> str:
     ]
     rates = [
         [row.estimator, row.sampler, rate(row.rate, row.rate_low, row.rate_high), str(row.n),
-         number(row.variance)]
+         number(row.variance), number(row.ratio), interval(row.ratio_low, row.ratio_high),
+         row.route or ""]
         for row in pixel_rows(tree)
     ]  # fmt: skip
     terms = [
@@ -274,9 +275,12 @@ def _pixel_text(tree: xr.DataTree) -> str:
          interval(row.measured_low, row.measured_high), number(row.captured)]
         for row in term_rows(tree)
     ]  # fmt: skip
-    about = ["terms", "", "dc", "power", "cross", "predicted", "measured", "95 %", "captured"]
+    about = ["terms", "", "dc", "power", "cross", "sum", "measured", "95 %", "captured"]
     tables = [
-        text_table(["strategy", "sampler", "rate", "n", "variance"], rates),
+        text_table(
+            ["strategy", "sampler", "rate", "n", "variance", "predicted / measured", "95 %", "by"],
+            rates,
+        ),
         text_table(about, terms),
     ]
     if "remedies" in tree.children:

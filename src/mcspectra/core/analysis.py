@@ -18,19 +18,30 @@ from __future__ import annotations
 import numbers
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar, final
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    ClassVar,
+    Generic,
+    Literal,
+    Self,
+    TypeAlias,
+    TypeVar,
+    final,
+)
 
 import msgspec
 
 from mcspectra.core.errors import AnalysisError, ParameterError
 from mcspectra.core.memory import check_memory
-from mcspectra.core.options import checked, options_of
+from mcspectra.core.options import Evaluations, checked, options_of
 from mcspectra.core.parallel import available_workers, map_in_order
 from mcspectra.core.progress import report
 from mcspectra.core.records import merged
 from mcspectra.core.registry import Registry
 from mcspectra.core.results import Variable, attributes_of, check_variables
 from mcspectra.core.streams import RngLike, Stream
+from mcspectra.core.tally import Tally, counting
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -39,6 +50,7 @@ __all__ = [
     "ANALYSES",
     "Analysis",
     "Chunk",
+    "Counted",
     "MergeTree",
     "Need",
     "Reduction",
@@ -116,10 +128,13 @@ class Need:
         Work in arbitrary units, about proportional to time: evaluations of the integrand.
     memory
         Bytes beyond those of the program itself, at most.
+    evaluations
+        Evaluations of the integrand that are sure to be made.
     """
 
     cost: float = 1.0
     memory: int = 0
+    evaluations: int = 0
 
 
 class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -206,6 +221,15 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     def summary(cls) -> str:
         """Return the first line of the docstring."""
         return (cls.__doc__ or "").strip().partition("\n")[0]
+
+
+class Counted(Analysis, frozen=True, kw_only=True):
+    """An analysis that evaluates an integrand, at most so often; with users' functions it says how often.
+
+    The attribute ``evaluations`` of the result is their number, where Python's function was called.
+    """
+
+    max_evaluations: Evaluations = None
 
 
 ANALYSES = Registry(
@@ -317,7 +341,18 @@ def needed(analysis: Analysis, subject: Subject) -> Need:
         raise AnalysisError(
             f"{type(analysis).__name__} needs {need!r:.80}; its need must return a Need."
         )
+    most = _most(analysis)
+    if most is not None and need.evaluations > most:
+        Tally(_name(analysis), most, refused=need.evaluations).check()
     return need
+
+
+def _most(analysis: Analysis) -> int | None:
+    return analysis.max_evaluations if isinstance(analysis, Counted) else None
+
+
+def _name(analysis: Analysis) -> str:
+    return analysis.function or type(analysis).__name__
 
 
 def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
@@ -414,28 +449,31 @@ def compute(
         raise ParameterError(f"{given!r:.160} are not an Analysis and a Subject; give these.")
     threads = available_workers(workers)
     clean = checked(analysis)
-    name = clean.function or type(clean).__name__
-    check_memory(needed(clean, subject).memory, name)
-    steps = steps_of(clean, subject, Stream.from_rng(rng))
-    states: Any = None
-    try:
-        while True:
-            found = steps.send(states)
-            # Merge the states of all blocks; tell how much of the step's cost is done
-            total, before = max(sum(each.cost for each in found), 1e-300), 0.0
-            states = []
-            for each in found:
-                tree: MergeTree[Any] = MergeTree()
-                for done, state in enumerate(
-                    map_in_order(each.block, range(each.blocks), threads), 1
-                ):
-                    tree.add(state)
-                    share = (before + done / each.blocks * each.cost) / total
-                    report(name, 1.0 if share > 1.0 - 1e-9 else share)
-                states.append(tree.total())
-                before += each.cost
-    except StopIteration as end:
-        return finished(clean, end.value, rng)
+    name = _name(clean)
+    with counting(name, _most(clean)) as tally:
+        check_memory(needed(clean, subject).memory, name)
+        steps = steps_of(clean, subject, Stream.from_rng(rng))
+        states: Any = None
+        try:
+            while True:
+                found = steps.send(states)
+                # Merge the states of all blocks; tell how much of the step's cost is done
+                total, before = max(sum(each.cost for each in found), 1e-300), 0.0
+                states = []
+                for each in found:
+                    tree: MergeTree[Any] = MergeTree()
+                    for done, state in enumerate(
+                        map_in_order(each.block, range(each.blocks), threads), 1
+                    ):
+                        tree.add(state)
+                        share = (before + done / each.blocks * each.cost) / total
+                        report(name, 1.0 if share > 1.0 - 1e-9 else share)
+                    states.append(tree.total())
+                    before += each.cost
+        except StopIteration as end:
+            tally.check()
+            result = finished(clean, end.value, rng)
+    return result.assign_attrs(evaluations=tally.made) if tally.made else result
 
 
 def compute_chunk(reduction: Reduction[State], chunk: Chunk) -> State:

@@ -16,6 +16,7 @@ from pathlib import Path
 
 __all__ = [
     "AnalysisError",
+    "BudgetError",
     "CacheWarning",
     "ConfigError",
     "CorrelatedFrequenciesWarning",
@@ -67,6 +68,10 @@ class CountError(ParameterError):
     def __init__(self, message: str, nearest: tuple[int, ...] = ()) -> None:
         super().__init__(message)
         self.nearest = nearest
+
+
+class BudgetError(ParameterError):
+    """What was asked for takes more calls of a function than were allowed: it was not called."""
 
 
 class DensityError(ParameterError):

@@ -35,6 +35,7 @@ __all__ = [
     "SETS",
     "SPACE",
     "Counts",
+    "Evaluations",
     "Option",
     "Positive",
     "Text",
@@ -55,6 +56,14 @@ Positive = Annotated[int, Meta(ge=1, le=2**62)]
 Text = Annotated[str, Meta(min_length=1, max_length=20_000)]
 Counts = Annotated[tuple[Positive, ...], Meta(min_length=1, max_length=10_000)]
 Window = Annotated[int, Meta(ge=2)] | Literal["auto"] | None
+
+Evaluations = Annotated[
+    Positive | None,
+    Meta(
+        description="Most evaluations of the integrand: what takes more is refused.",
+        extra={"metavar": "N"},
+    ),
+]
 
 # Options that several analyses have. `flag` and `metavar` in `extra` are of the command line;
 # `python`: in Python also what no text can say, such as an array, which the analysis checks itself.

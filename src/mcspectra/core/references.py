@@ -24,7 +24,7 @@ _ACCENTS = {
     "v": "\u030c",
 }
 _ACCENT = re.compile(r"""\{?\\(['`"^~]|v(?=[{ ]))\s*\{?\\?(\w)\}?\}?""")
-_LETTERS = {r"\o": "ø", r"\l": "ł", r"\ss": "ß", r"\aa": "å", r"\epsilon": "ε"}
+_LETTERS = {r"\o": "ø", r"\l": "ł", r"\ss": "ß", r"\aa": "å", r"\AA": "Å", r"\epsilon": "ε"}
 _SITES = {"doi": "https://doi.org/", "eprint": "https://arxiv.org/abs/", "url": ""}
 
 

@@ -170,6 +170,7 @@ technique_dc_term | f | f² | n? technique technique_other | dc term of two tech
 technique_power_term | f | f² | n? technique technique_other | power term of two techniques
 technique_rate | f | 1 | technique | fitted exponent of the technique's own variance in n
 technique_variance | f | f² | n? technique | variance of the technique's part of the estimate
+total_share | f | 1 | axis | share of the variance of all subsets that hold the axis
 total_variance | f | f² | axis | part of the variance of all subsets that hold the axis
 transport_cost | f | 1 | any | mean squared distance of moving uniform mass to the points
 truncation_share | f | 1 | axes | share of the variance of the first axes
@@ -202,6 +203,10 @@ dominant_technique | f | 1 | y x | technique of the larger variance; −1: undec
 mis_gain | f | 1 | y x | variance of the better single strategy / variance of MIS
 predicted_ratio | f | 1 | strategy y x | predicted / measured variance at the largest n
 wraparound_discrepancy | f | 1 | any | wrap-around L2 discrepancy
+value | f | f | | integral, mean over the replicates
+interval | f | f | bound | 95 % interval: integral
+replicates | i | 1 | | independent point sets
+n | i | 1 | | points of each set
 """
 
 _VARIABLES: dict[str, Variable] = {}

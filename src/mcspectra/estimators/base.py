@@ -10,6 +10,7 @@ and returns I = Σ_t (1/n_t) Σ_k g_t(u_tk). Two views of it are analysed:
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -108,6 +109,18 @@ class AbstractEstimator(ABC):
         f = self.domain_integrand
         parts = [self.primary_integrand(t) for t in range(len(self.counts))] if f is None else [f]
         return sum(integral_accuracy(g)[1] for g in parts)
+
+    @property
+    def is_black_box(self) -> bool:
+        """Whether a call of one of its integrands may be dear: `Integrand.is_black_box`."""
+        return any(self.primary_integrand(t).is_black_box for t in range(len(self.counts)))
+
+    def known_integral(self) -> tuple[Any, float, str]:
+        """`integral`, `integral_error`, `integral_source`; NaN where they take calls of a black box."""
+        if self.is_black_box and self.integral_source != "exact":
+            unknown = np.full(self.channels, np.nan) if self.channels else np.nan
+            return unknown, math.nan, "unknown"
+        return self.integral, self.integral_error, self.integral_source
 
     @property
     @abstractmethod

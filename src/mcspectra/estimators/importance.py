@@ -50,8 +50,8 @@ class Estimator(DomainEstimator):
     Raises
     ------
     DensityError
-        p is zero at points where f is not: found by probing (`mcspectra.estimators.support`); a
-        region that is missed is an error when it is sampled, or a bias.
+        p is zero at points where f is not: found by probing (`mcspectra.estimators.support`), which
+        calls f where p is 0 at a probe, some thousand times at most, else not at all; a region that is missed is an error when it is sampled, or a bias.
     ParameterError
         Different numbers of dims.
     """

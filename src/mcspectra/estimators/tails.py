@@ -58,8 +58,11 @@ def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:
 
 
 def unsampled_note(estimator: AbstractEstimator, samples: int) -> str | None:
-    """Return a sentence if a tenth or more of ∫f²/p lies where no sample is expected."""
-    share = unsampled_share(estimator, samples)
+    """Return a sentence if a tenth or more of ∫f²/p lies where no sample is expected.
+
+    A black box is not called for it: None.
+    """
+    share = 0.0 if estimator.is_black_box else unsampled_share(estimator, samples)
     if share < _LARGE:
         return None
     return (

@@ -49,6 +49,7 @@ _BUDGET = 2**22  # evaluations up to which grids are refined
 _LIMIT = 2**24  # evaluations of a first grid, beyond which there is an error
 _FOURIER_TOLERANCE = 1e-10
 _BLOCK = 2**18  # points evaluated at once
+_CACHED = 2**17  # numbers that stay near to the processor while they are summed
 
 _CELLS = {1: 32, 2: 8, 3: 4, 4: 2, 5: 2}
 _CELL_ORDER = {1: 16, 2: 8, 3: 6, 4: 5, 5: 4}
@@ -317,16 +318,16 @@ def _residuals(
     order = round(values.shape[1] ** (1.0 / points.shape[1]))
     legendre = np.polynomial.legendre.legvander
     inverse = np.linalg.inv(legendre(2.0 * gauss_rule(order)[0] - 1.0, order - 1))
-    found, step = np.empty(seen.shape), max(1, _BLOCK * 8 // values.shape[1])
+    found, step = np.empty(seen.shape), max(1, _CACHED // values[0].size)
     for i in range(0, len(points), step):
         block = slice(i, i + step)
         of = cell[block]
         t = 2.0 * (points[block] - low[of]) / size[of] - 1.0
-        weights = np.ones((len(of), 1))
+        rest = values[of]
         for axis in t.T:
             factors = legendre(axis, order - 1) @ inverse
-            weights = (weights[:, :, None] * factors[:, None, :]).reshape(len(of), -1)
-        found[block] = seen[block] - np.einsum("kq,kqc->kc", weights, values[of])
+            rest = np.matmul(factors[:, None], rest.reshape(len(of), order, -1))[:, 0]
+        found[block] = seen[block] - rest
     return found
 
 

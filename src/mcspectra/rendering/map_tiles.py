@@ -14,10 +14,16 @@ that the prediction is unbiased; its standard error comes from two such predicti
 
 *Random* points: Var = (∫g² − (∫g)²)/n on a midpoint grid.
 
-Other samplers of two dims: Var = Σ_{m≠0} |g_m|² ⟨|S_m|²⟩, the power term, with g_m from the FFT of
-a midpoint grid, onto whose frequencies those beyond are folded. It is exact up to the grid where
-the last step of the sampler is a shift; otherwise it lacks the cross term. Grids of half the
-resolution give the standard error of both, a power without a closed form adds its own.
+*Shifted* points and others that are the same after any translation, in two dims:
+Var = Σ_{m≠0} |g_m|² ⟨|S_m|²⟩, with g_m from the FFT of a midpoint grid, onto whose frequencies those
+beyond are folded. A power without a closed form adds its own error.
+
+*Nets* in base 2 with nested scrambling, in two dims: n Var = Σ_l Γ_l σ²_l with the gains Γ_l of levels l
+and the parts σ²_l of g that vary with l_j digits of coordinate j, from means over blocks of a grid with
+a random point in each cell.
+
+Grids of half the resolution give the standard error of all three. Other samplers are not predicted:
+terms between frequencies are not seen here.
 
 None of these sees a light that is so rare that no sample hits it. Where one technique saw more
 light than another (`surely`), the other's prediction takes what it missed as a part of its error
@@ -27,6 +33,7 @@ light than another (`surely`), the other's prediction takes what it missed as a 
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Final, Protocol, final
 
@@ -55,6 +62,8 @@ from mcspectra.rendering.techniques import (
     sample_light,
 )
 from mcspectra.samplers import Jittered, Random, Sampler
+from mcspectra.spectra.bases import fitting_basis, parts_of
+from mcspectra.spectra.gain import gain_coefficients
 
 __all__ = [
     "MAP_STRATEGIES",
@@ -375,7 +384,7 @@ class Prediction(Protocol):
 
     @property
     def method(self) -> str:
-        """Name: strata, random or spectrum."""
+        """Name: strata, random, spectrum or gains."""
 
     @property
     def count(self) -> int:
@@ -417,10 +426,21 @@ def prediction_for(sampler: Sampler, n: int, stream: Stream) -> Prediction | Non
         return _Strata.of(sampler.sides(n), stream)
     if isinstance(sampler, Random):
         return _Grid(method="random", count=n, samples=_midpoints(sampler.dims))
+    base, steps = parts_of(sampler)
     if sampler.dims != 2:
         return None
-    power, se = _grid_power(sampler, n, stream)
-    return _Grid(method="spectrum", count=n, samples=_midpoints(2), power=power, power_se=se)
+    if fitting_basis(sampler, _GRIDS[2]) == "fourier":
+        power, se = _grid_power(sampler, n, stream)
+        return _Grid(method="spectrum", count=n, samples=_midpoints(2), power=power, power_se=se)
+    names = {step.name for step in steps}
+    nested = "owen" in names and names <= {"owen", "digital-shift", "permute"}
+    if nested and base.fixed and set(base.digit_bases) == {2}:
+        side = _GRIDS[2]
+        levels = side.bit_length() - 1
+        gains = gain_coefficients(base, n, levels=levels)["gain"].to_numpy()
+        # Points anywhere in their cells see what varies within these, too
+        return _Grid(method="gains", count=n, samples=_in_cells((side, side), stream), gains=gains)
+    return None
 
 
 @final
@@ -464,18 +484,22 @@ class _Strata:
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Grid:
-    """Values on a midpoint grid, and the power of the points there; None is random points."""
+    """Values on a midpoint grid, with the power or the gains of the points; neither: random points."""
 
     method: str
     count: int
     samples: Array = field(repr=False)
     power: Array | None = field(repr=False, default=None)  # entry m is frequency m, also < 0
     power_se: Array = field(repr=False, default_factory=lambda: np.zeros(()))
+    gains: Array | None = field(repr=False, default=None)  # by level of each axis
 
     def variance(self, values: Array) -> tuple[Array, Array]:
         """Variance, its error from the grids of half the resolution and from that of the power."""
         dims = self.samples.shape[-1]
         grid = values.reshape(*[_GRIDS[dims]] * dims, -1)
+        if self.gains is not None:
+            found = [self._by_levels(part) for part in (grid, *_coarse(grid, dims))]
+            return found[0], _error_of_mean(found[1:])
         if self.power is None:
             plain = [
                 part.reshape(-1, part.shape[-1]).var(axis=0) / self.count
@@ -488,6 +512,18 @@ class _Grid:
         # The powers of m and −m are one number: their errors add up, those of other pairs do not.
         doubled = np.sqrt(2.0 * _sum(self.power_se**2, energy**2))
         return _sum(self.power, energy), np.hypot(_error_of_mean(parts), doubled)
+
+    def _by_levels(self, grid: Array) -> Array:
+        """Σ_l Γ_l σ²_l / n of values (side, side, P)."""
+        side, pixels = grid.shape[1:]
+        levels = range(side.bit_length())
+        squares = np.empty((len(levels), len(levels), pixels))  # of block means: σ² up to a level
+        for i, j in itertools.product(levels, levels):
+            blocks = grid.reshape(2**i, side >> i, 2**j, side >> j, pixels).mean(axis=(1, 3))
+            squares[i, j] = (blocks**2).mean(axis=(0, 1))
+        parts = np.diff(np.diff(squares, axis=0, prepend=0.0), axis=1, prepend=0.0)
+        gains: Any = self.gains
+        return np.tensordot(gains[: len(levels), : len(levels)], parts, axes=2) / self.count
 
     def mean(self, values: Array) -> tuple[Array, Array]:
         """Integral, and its error from the grids of half the resolution."""
@@ -536,6 +572,12 @@ def _sum(power: Array, energy: Array) -> Array:
 def _midpoints(dims: int) -> Array:
     axis = (np.arange(_GRIDS[dims]) + 0.5) / _GRIDS[dims]
     return np.stack(np.meshgrid(*[axis] * dims, indexing="ij"), axis=-1).reshape(-1, dims)
+
+
+def _in_cells(sides: tuple[int, ...], stream: Stream) -> Array:
+    """A point anywhere in each cell of a grid, in C order: (N, dims)."""
+    u = Jittered(dims=len(sides), sides_=sides).draw_stream(math.prod(sides), stream, 0, 1)[0]
+    return np.asarray(u[np.lexsort(np.floor(u * sides).T[::-1])])
 
 
 def _grid_power(sampler: Sampler, n: int, stream: Stream) -> tuple[Array, Array]:

@@ -290,8 +290,9 @@ def variance_map(
         Their standard errors fall accordingly with ``points="own"`` only.
     predict_every
         Predict the variance at the largest count at pixels whose x and y are multiples of this; 0:
-        nowhere. By stratum quadrature for jittered points, exactly for random ones, from the
-        sampler's power spectrum for others (2-D only).
+        nowhere. By stratum quadrature for jittered points, exactly for random ones; in 2-D from the
+        power spectrum of points that are shifted, and from gains of scrambled nets in base 2.
+        Others are not predicted.
     rng
         Seed (SPEC 7).
     workers

@@ -54,6 +54,14 @@ _STRATEGIES = {
 }
 """As the maps call them."""
 
+_ROUTES = {
+    "strata": "quadrature within the strata",
+    "random": "∫g²",
+    "spectrum": "the power spectrum on the torus",
+    "gains": "gains by level",
+}
+"""How variances were predicted, by the attribute ``prediction``."""
+
 _PROVENANCE = {
     "scene": "Scene",
     "sampler": "Sampler",
@@ -202,6 +210,11 @@ def map_note(summary: Mapping[str, Any]) -> str:
         f"Medians over the {summary['pixels_measured']} pixels that see a lit surface; mean and "
         f"variance at n = {summary['counts'][-1]}."
     )
+    if summary.get("prediction") in _ROUTES:
+        note += (
+            f" Predicted by {_ROUTES[summary['prediction']]}; each pixel's interval is of 95 %, of both "
+            "the prediction and the measurement."
+        )
     if summary["points"] == "own":
         return note
     return (

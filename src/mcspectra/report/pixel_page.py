@@ -74,7 +74,8 @@ _PINHOLE = "pinhole"
 _MOST_LIGHTS = 8  # named one by one
 _ABOUT_RATES = (
     "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval, unresolved beyond 0.5. MIS takes "
-    "n samples of each technique."
+    "n samples of each technique. Predicted / measured ± half its 95 % interval, at the largest n, says in "
+    "brackets how the variance was predicted without samples of g."
 )
 _ABOUT_TERMS = (
     "Terms in primary space, where all points have the same weight, so the dc term is 0. A basis that "
@@ -141,7 +142,7 @@ def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
 
 
 def pixel_rows(tree: xr.DataTree) -> list[SummaryRow]:
-    """One row for every strategy and sampler; terms where they were analysed.
+    """One row for every strategy and sampler with its prediction; terms where they were analysed.
 
     Parameters
     ----------
@@ -155,6 +156,8 @@ def pixel_rows(tree: xr.DataTree) -> list[SummaryRow]:
             names = {"estimator_name": STRATEGY_NAMES[strategy], "sampler_spec": str(sampler)}
             curve = curves.sel(strategy=strategy, sampler=sampler, drop=True)
             parts[f"/{i}/{j}/convergence"] = curve.assign_attrs(names)
+            predicted = tree[f"predict/{strategy}"].to_dataset()
+            parts[f"/{i}/{j}/predict"] = predicted.sel(sampler=sampler, drop=True)
             if sampler == tree.attrs["sampler"]:
                 terms = tree[f"terms/{strategy}/auto"].to_dataset()
                 parts[f"/{i}/{j}/terms"] = terms.assign_attrs(names)
@@ -285,9 +288,11 @@ def pixel_summary(tree: xr.DataTree) -> dict[str, Any]:
     rates = [
         {"strategy": str(strategy), "sampler": str(sampler), "n": curves["n"].values}
         | {v: one[v].values for v in ("variance", "variance_ci", "rate", "rate_ci")}
+        | {v: known[v].values for v in ("predicted_variance", "predicted_variance_ci", "route")}
         for strategy in curves["strategy"].values
         for sampler in curves["sampler"].values
         for one in [curves.sel(strategy=strategy, sampler=sampler)]
+        for known in [tree[f"predict/{strategy}"].to_dataset().sel(sampler=sampler)]
     ]
     names = [n for term in (*_TERMS, "captured") for n in (term, f"{term}_ci")]
     terms = [
@@ -335,17 +340,19 @@ def _sections(tree: xr.DataTree) -> Iterator[Section]:
     """All parts of the page that have figures or tables."""
     known = tree.attrs
 
-    # Rates: the summary without its columns about terms, which have a table of their own
+    # Rates and predictions: the summary without what terms tell, which have a table of their own
     curves = tree["convergence"].to_dataset()
     table = summary_table(pixel_rows(tree))
     table = replace(
-        columns_of(table, table.columns[:4]),
+        columns_of(table, table.columns[:5]),
         caption=_ABOUT_RATES,
-        columns=("Strategy", *table.columns[1:4]),
+        columns=("Strategy", *table.columns[1:5]),
     )
     styles = sampler_styles(list(map(str, curves["sampler"].values)))
     plot = strategy_curves(curves, STRATEGY_NAMES, styles)
-    yield Section(title="Rates", anchor="rates", blocks=(table, _figures(rates=plot)))
+    yield Section(
+        title="Rates and predictions", anchor="rates", blocks=(table, _figures(rates=plot))
+    )
 
     # Terms, in the basis that fits and in all others
     trees = tree["terms"].children.items()

@@ -209,10 +209,10 @@ def _range(values: Array) -> str:
 
 
 def _is_costly(component: object, depth: int = 8) -> bool:
-    """Whether a component, or one that it is made of, declares itself costly."""
+    """Whether a component, or one that it is made of, declares itself costly or is a user's function."""
     if not isinstance(component, Component | AbstractEstimator) or not depth:
         return False
-    if getattr(component, "costly", False):
+    if getattr(component, "costly", False) or getattr(component, "is_black_box", False):
         return True
     held: list[Any] = []
     for value in getattr(component, "__dict__", {}).values():

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mcspectra.plots.text import NEGLIGIBLE, number, percent, rate
+from mcspectra.plots.text import NEGLIGIBLE, number, percent, rate, with_error
 from mcspectra.studies import SummaryRow
 from mcspectra.variance.fit import UNRESOLVED, is_resolved
 
@@ -45,7 +45,8 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
     Returns
     -------
     str
-        Sentences about the rate, the terms and the captured share; empty if nothing is known.
+        Sentences about the rate, the prediction, the terms and the captured share; empty if nothing
+        is known.
 
     Notes
     -----
@@ -53,7 +54,14 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
     of the prediction and the measurement are treated as independent, although both come from the
     same realisations: that is cautious.
     """
-    sentences = [_rate_sentence(row), *(() if terms is None else _term_sentences(row, terms))]
+    sentences = [_rate_sentence(row)]
+    if _is_predicted(row):
+        half = (
+            None if row.ratio_low is None else 0.5 * ((row.ratio_high or math.inf) - row.ratio_low)
+        )
+        shown = with_error(number(row.ratio), half)
+        sentences.append(f"Predicted over measured variance is {shown} ({row.route}).")
+    sentences += () if terms is None else _term_sentences(row, terms)
     return " ".join(sentence for sentence in sentences if sentence)
 
 
@@ -62,7 +70,7 @@ def headline(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
     if row.note:
         return f"{row.note[:1].upper()}{row.note[1:]}."
     parts = [_verdict(row)]
-    if row.ratio is not None and row.ratio != row.captured:
+    if row.ratio is not None and _is_predicted(row):
         low, high = row.ratio_low or 0.0, row.ratio_high or math.inf
         agrees = abs(row.ratio - 1.0) <= _CLOSE or low <= 1.0 <= high
         parts.append("prediction agrees" if agrees else f"predicted × {number(row.ratio)}")
@@ -120,6 +128,11 @@ def further_sentences(analyses: Mapping[str, xr.Dataset]) -> str:
 def basis_name(basis: str | None) -> str:
     """Return a basis as sentences and tables write it: Fourier and Walsh were people."""
     return {None: "Fourier", "fourier": "Fourier", "walsh": "Walsh"}.get(basis, str(basis))
+
+
+def _is_predicted(row: SummaryRow) -> bool:
+    """Whether it has a ratio that is no sum over the frequencies of the terms."""
+    return row.ratio is not None and row.ratio != row.captured
 
 
 def _verdict(row: SummaryRow) -> str:
@@ -225,6 +238,8 @@ def _captured_sentence(row: SummaryRow, terms: xr.Dataset) -> str:
             "the measured variance: the sum over frequencies has not converged."
         )
     if found == "agrees":
+        if _is_predicted(row):  # what agrees is said of the prediction
+            return ""
         share = f"{row.captured:.0%}".replace("%", " %")
         return f"Prediction and measurement agree ({share})."
     return (

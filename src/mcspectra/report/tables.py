@@ -143,7 +143,8 @@ def terms_table(rows: Sequence[SummaryRow]) -> Table:
             )
         )
     return Table(
-        caption="dc + power + cross = predicted; each term and predicted / measured ± half their 95 % "
+        caption="dc + power + cross is the sum of the basis up to its half width, and captured its share "
+        "of the measured variance: a picture of frequencies, no prediction. Each ± half its 95 % "
         "interval. The interval is that of the measured variance.",
         columns=(
             "Sampler",
@@ -151,10 +152,10 @@ def terms_table(rows: Sequence[SummaryRow]) -> Table:
             "dc",
             "power",
             "cross",
-            "Predicted",
+            "Sum",
             "Measured",
             "95 % interval",
-            "Predicted / measured",
+            "Captured",
         ),
         rows=tuple(cells),
     )

@@ -1,7 +1,8 @@
 """Everything about one pixel: what it sees, how fast each strategy converges there, and why.
 
 Strategies are light sampling, BSDF sampling, and both combined by the balance and by the power
-heuristic, with n samples of each technique. Rates are measured for all of them with several samplers.
+heuristic, with n samples of each technique. Variances are measured and predicted, without samples of g,
+for all of them with several samplers.
 Terms, the bottleneck and remedies are those of one sampler, the first that is not ``random``.
 """
 
@@ -36,6 +37,7 @@ from mcspectra.samplers import Sampler, Shift, as_sampler
 from mcspectra.samplers.base import Randomized
 from mcspectra.variance.convergence import convergence
 from mcspectra.variance.diagnosis import Diagnosis, Jumps
+from mcspectra.variance.prediction.predict import predict
 from mcspectra.variance.primary import primary_picture
 from mcspectra.variance.remedies import remedies as find_remedies
 from mcspectra.variance.techniques import technique_terms
@@ -106,7 +108,7 @@ EFFORTS = {
         remedies=None,
     ),
 }
-"""Some seconds, or minutes."""
+"""About a minute, or some."""
 
 
 def analyse_pixel(
@@ -157,6 +159,7 @@ def analyse_pixel(
     -------
     xarray.DataTree
         ``convergence``: `mcspectra.convergence` on (strategy, sampler, n).
+        ``predict/STRATEGY``: `mcspectra.predict` on (sampler, n), with its route.
         ``terms/STRATEGY/VIEW``: `mcspectra.variance_terms` in primary space, where VIEW is ``auto`` (the
         basis that fits the sampler) or ``fourier``. ``techniques``: `mcspectra.technique_terms` of the
         balance heuristic. ``pictures/NAME``: `mcspectra.primary_picture` of ``light``, ``bsdf`` and each
@@ -228,7 +231,11 @@ def analyse_pixel(
         curves = curves.rename(estimator="strategy").assign_coords(strategy=list(strategies))
         specs = [estimator.spec for estimator in strategies.values()]
         parts: Parts = {"convergence": curves.assign_coords(spec=("strategy", specs))}
-        report("pixel: terms", 0.25)
+        report("pixel: predictions", 0.2)
+        shared = {name: options[name] for name in ("rng", "workers")}
+        for strategy, estimator in strategies.items():
+            parts[f"predict/{strategy}"] = predict(estimator, list(sources), ns, **shared)
+        report("pixel: terms", 0.4)
         terms = {"half_width": chosen.half_width[dims], "space": "primary", **options}
         # The middle count: a spectrum of a given half width captures more of the noise of few strata
         middle = ns[(len(ns) - 1) // 2]
@@ -236,11 +243,11 @@ def analyse_pixel(
             for basis in _BASES:
                 found = variance_terms(estimator, explained, middle, basis=basis, **terms)
                 parts[f"terms/{strategy}/{basis}"] = found
-        report("pixel: techniques", 0.5)
+        report("pixel: techniques", 0.6)
         parts["techniques"] = technique_terms(
             strategies["balance"], explained, ns, basis="auto", **terms
         )
-        report("pixel: pictures", 0.75)
+        report("pixel: pictures", 0.8)
         side, v = chosen.resolution, view
         parts["incident"] = incident_light(
             v.scene, v.x, v.y, light=v.light, channel=v.channel, resolution=2 * side

@@ -135,8 +135,16 @@ def summarize(tree: xr.DataTree) -> list[SummaryRow]:
 
 
 def _ratio(found: dict[str, xr.Dataset], row: dict[str, Any]) -> dict[str, Any]:
-    """Predicted over measured variance by the best route, at the most points that both know."""
-    curve = found.get("convergence")
+    """Predicted over measured variance by the best route, at the most points that both know.
+
+    Without convergence the measured variance is that of the terms.
+    """
+    import xarray as xr
+
+    curve, terms = found.get("convergence"), found.get("terms")
+    if curve is None and terms is not None and "measured_variance_ci" in terms:
+        values = {name: terms[f"measured_{name}"] for name in ("variance", "variance_ci")}
+        curve = xr.Dataset(values).expand_dims(n=[int(terms.attrs["n"])])
     for name, variable in (("predict", "predicted_variance"), ("exact", "exact_variance")):
         if curve is None or name not in found:
             continue
@@ -147,7 +155,7 @@ def _ratio(found: dict[str, xr.Dataset], row: dict[str, Any]) -> dict[str, Any]:
             continue
         n = value["n"].values[-1]
         measured = float(curve["variance"].sel(n=n))
-        if measured <= 0:
+        if not measured > 0:
             continue
         ratio = float(value[-1]) / measured
 

@@ -69,7 +69,8 @@ def strata_shift_scan(
         in all at most. The same part of a side is another place in the domain for each n.
     method
         ``"exact"`` (`mcspectra.exact_variance`), ``"measured"``, with the same random numbers for all
-        offsets, or ``"auto"``: exact where that is known. What was taken is the attribute ``method``.
+        offsets, or ``"auto"``: exact where that is known, but for a user's function, as it takes many
+        calls. What was taken is the attribute ``method``.
     realizations, rng, workers
         For measured variances, as for `mcspectra.convergence`.
 
@@ -336,13 +337,14 @@ class _Offsets:
         stream: Stream,
         workers: int,
     ) -> _Offsets:
-        """Variances at offsets; ``"auto"`` is exact where that is known for all counts."""
+        """Variances at offsets; ``"auto"`` is exact where that is known for all counts, of no black box."""
         if any(isinstance(step, Shift) for step in parts_of(sampler)[1]):
             raise ParameterError(
                 f"{sampler.spec} is shifted at random, which averages over all offsets; leave the "
                 "shift out."
             )
-        exact = as_choice("method", method, METHODS) != "measured"
+        chosen = as_choice("method", method, METHODS)
+        exact = chosen == "exact" or (chosen == "auto" and not estimator.is_black_box)
         found = _Offsets(estimator, sampler, exact, realizations, stream, workers)
         try:
             if exact:
@@ -362,14 +364,14 @@ class _Offsets:
     def at(self, offset: Sequence[float], n: int) -> tuple[Array, Array, Array, Array]:
         """Variances (C,) at an offset, relative errors, rounding floors, intervals (C, 2)."""
         source = self.displaced(offset)
-        size = np.abs(np.atleast_1d(self.estimator.integral))
         if self.exact:
+            size = np.abs(np.atleast_1d(self.estimator.integral))
             value = np.atleast_1d(exact_variance(self.estimator, source, n))
             both = np.stack([value, value], axis=-1)
             return value, np.full(value.shape, _EXACT_SE), _EXACT_ROUNDING * size**2 / n, both
         own = count_stream(self.stream, n)
         m = count_moments(self.estimator, source, n, self.realizations, own, self.workers)
-        return m.variance, m.relative_se, rounding_floor(size), m.variance_ci
+        return m.variance, m.relative_se, rounding_floor(m.mean), m.variance_ci
 
     def total(self, offset: Sequence[float], n: int) -> float:
         """Variance at one offset, summed over channels."""

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any, final
 import numpy as np
 from msgspec import Meta
 
-from mcspectra.core.analysis import Analysis, Need, Reduction, Subject
+from mcspectra.core.analysis import Analysis, Counted, Need, Reduction, Subject
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.memory import memory_of
@@ -56,7 +56,7 @@ _PARTNER, _ORDER, _UNIFORM = 0x616E6F, 0x616E70, 0x616E71  # stream labels
 
 
 @final
-class Anova(Analysis, frozen=True, kw_only=True):
+class Anova(Counted, frozen=True, kw_only=True):
     """Which axes of primary space, and pairs of them, the variance comes from."""
 
     function = "anova_variances"
@@ -65,7 +65,7 @@ class Anova(Analysis, frozen=True, kw_only=True):
         *("anova_variance", "anova_variance_se", "total_variance", "total_variance_se"),
         *("higher_order_variance", "higher_order_variance_se"),
         *(f"{name}{end}" for end in ("", "_ci") for name in (
-            "anova_share", "higher_order_share", "truncation_share", "mean_dimension",
+            "anova_share", "total_share", "higher_order_share", "truncation_share", "mean_dimension",
             "effective_dimension_truncation", "effective_dimension_superposition", "variance",
         )),
     )  # fmt: skip
@@ -89,8 +89,10 @@ class Anova(Analysis, frozen=True, kw_only=True):
                 f"{_MAX_VALUES * self.realizations // values} realisations, or for order=1."
             )
         evaluations = sum(estimator.counts)
+        points = subsets * self.realizations * self.n * evaluations
         return Need(
-            cost=float(subsets * self.realizations * self.n * evaluations),
+            cost=float(points),
+            evaluations=points * estimator.evaluations_per_point,
             memory=memory_of(self.n, estimator.dims, 2 * evaluations) + 24 * values,
         )
 
@@ -184,6 +186,7 @@ class Anova(Analysis, frozen=True, kw_only=True):
         total, total_se = combined(totals)
         rest, rest_se = combined(larger)
         share, share_ci = ratios(parts)
+        total_share, total_share_ci = ratios(totals)
         rest_share, rest_share_ci = ratios(larger)
         first, first_ci = ratios([below(*axes[: s + 1]) for s in axes])
         by_size, by_size_ci = ratios(up_to)
@@ -197,6 +200,8 @@ class Anova(Analysis, frozen=True, kw_only=True):
                 "anova_share_ci": (("subset", "channel", "bound"), share_ci),
                 "total_variance": (("axis", "channel"), total),
                 "total_variance_se": (("axis", "channel"), total_se),
+                "total_share": (("axis", "channel"), total_share),
+                "total_share_ci": (("axis", "channel", "bound"), total_share_ci),
                 "higher_order_variance": (alone, rest[0]),
                 "higher_order_variance_se": (alone, rest_se[0]),
                 "higher_order_share": (alone, rest_share[0]),
@@ -342,6 +347,7 @@ def anova_variances(
     order: int = 2,
     realizations: int = 10_000,
     rng: RngLike = 0,
+    max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
     """Decompose the variance of an estimate by the axes of its primary space.
@@ -359,13 +365,16 @@ def anova_variances(
         Seed (SPEC 7). Realisation r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
     workers
         Threads; all processors by default. Results do not depend on it.
+    max_evaluations
+        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
 
     Returns
     -------
     xarray.Dataset
         ``anova_variance(subset)`` c_u, with ``_se``, and ``anova_share(subset)`` of the variance (as the
-        same pairs give it, so that all shares sum to 1);
-        ``total_variance(axis)``, the sum of c_u of all u that hold the axis, with ``_se``;
+        same pairs give it, so that all shares sum to 1): of single axes the first-order Sobol' indices;
+        ``total_variance(axis)``, the sum of c_u of all u that hold the axis, with ``_se``, and
+        ``total_share(axis)``, the total Sobol' indices;
         ``higher_order_variance``, what subsets beyond `order` have, with ``_se``, and
         ``higher_order_share``; ``truncation_share(axes)`` of the first so many axes;
         ``effective_dimension_truncation``, ``effective_dimension_superposition`` (NaN beyond `order`)

@@ -23,7 +23,7 @@ import numpy as np
 from msgspec import Meta
 
 from mcspectra.core.analysis import (
-    Analysis,
+    Counted,
     MergeTree,
     Need,
     Reduction,
@@ -96,7 +96,7 @@ _DIMS = {
 
 
 @final
-class Convergence(Analysis, frozen=True, kw_only=True):
+class Convergence(Counted, frozen=True, kw_only=True):
     """Variance against n and its rate."""
 
     function = "convergence"
@@ -132,7 +132,10 @@ class Convergence(Analysis, frozen=True, kw_only=True):
         for estimator, sampler, n in itertools.product(estimators, samplers, self.counts):
             estimator.check_sampler(sampler, n)
         evaluations = [sum(e.counts) for e in estimators]
+        each = sum(sum(e.counts) * e.evaluations_per_point for e in estimators) * len(samplers)
+        whole = self.relative_error is None
         return Need(
+            evaluations=sum(self.counts) * self.realizations * each if whole else 0,
             cost=float(sum(self.counts) * self.realizations * sum(evaluations) * len(samplers)),
             memory=memory_of(self.counts[-1], estimators[0].dims, max(evaluations)),
         )
@@ -163,9 +166,10 @@ class Convergence(Analysis, frozen=True, kw_only=True):
         variance, relative, mean, mean_se, interval, count, *tail = (
             of_all([getattr(moments, name) for moments, _ in flat]) for name in taken
         )
-        integral = np.stack([np.atleast_1d(e.integral) for e in estimators])[:, None, None]
-        known = np.array([e.integral_error for e in estimators])[:, None, None, None]
-        floor = rounding_floor(np.maximum(np.abs(mean), np.abs(integral)))
+        references = [e.known_integral() for e in estimators]
+        integral = np.stack([np.atleast_1d(value) for value, *_ in references])[:, None, None]
+        known = np.array([error for _, error, _ in references])[:, None, None, None]
+        floor = rounding_floor(np.fmax(np.abs(mean), np.abs(integral)))
 
         # A set that is the same every time has no variance, but rounding noise
         fixed = np.array([[_is_fixed(e, s) for s in samplers] for e in estimators])
@@ -185,6 +189,8 @@ class Convergence(Analysis, frozen=True, kw_only=True):
         }
         ns = np.array(self.counts)
         blind, notes = _blindness(estimators, samplers, ns, self.realizations, measured)
+        if np.isnan(integral).any():
+            notes.append("the integral is unknown, so that no bias is measured; give integral=…")
         interval[blind, 1] = np.inf
         fitted = (ns >= fits["first_n"][..., None]) & np.moveaxis(variance > floor, 2, -1)
         unknown = (fitted & np.moveaxis(blind, 2, -1)).any(axis=-1)
@@ -196,7 +202,11 @@ class Convergence(Analysis, frozen=True, kw_only=True):
             "mean_se": mean_se,
             "bias": measured["bias"],
             "bias_se": measured["bias_se"],
-            "mse": (mean - integral) ** 2 + variance * ((count - 1) / count)[..., None],
+            "mse": np.where(
+                np.isnan(integral),
+                variance,
+                (mean - integral) ** 2 + variance * ((count - 1) / count)[..., None],
+            ),
             "realizations_used": count,
             **(
                 {}
@@ -234,7 +244,7 @@ class Convergence(Analysis, frozen=True, kw_only=True):
             fit_last=sum(n >= fitted.min() for n in self.counts) if fitted.size else None,
             fit_window="auto" if self.fit_last == "auto" else None,
             stream_key=f"{stream.key:#x}",
-            integral_source="; ".join(dict.fromkeys(e.integral_source for e in estimators)),
+            integral_source="; ".join(dict.fromkeys(source for *_, source in references)),
             note="; ".join(notes) or None,
         )
 
@@ -262,7 +272,7 @@ class Convergence(Analysis, frozen=True, kw_only=True):
 
 
 @final
-class RealizationsNeeded(Analysis, frozen=True, kw_only=True):
+class RealizationsNeeded(Counted, frozen=True, kw_only=True):
     """How many realisations a wanted precision of the variance takes."""
 
     function = "realizations_needed"
@@ -331,6 +341,7 @@ def convergence(
     rng: RngLike = 0,
     relative_error: float | None = None,
     fit_last: int | str | None = None,
+    max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
     """Measure variance against the number of points and fit its rate.
@@ -355,13 +366,16 @@ def convergence(
         line: `mcspectra.variance.fit.fit_rate`.
     workers
         Threads; all processors by default. Results do not depend on it.
+    max_evaluations
+        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
 
     Returns
     -------
     xarray.Dataset
         ``variance(n)``, ``variance_ci(n, bound)``, ``mean(n)``, ``mean_se(n)``, ``bias(n)`` and
         ``mse(n)`` against the estimator's integral (attribute ``integral_source``), ``bias_se(n)``,
-        which has the integral's own error in it, ``realizations_used(n)``, with `relative_error`
+        which has the integral's own error in it (both NaN, and ``mse`` the variance, where the function
+        is the user's and its integral not given), ``realizations_used(n)``, with `relative_error`
         ``reached(n)`` (1: yes; 0: `realizations` came first, or there was no spread), ``rate``,
         ``rate_ci(bound)``, ``fit_first_n`` (the smallest count of the fit) and ``fit_chi2`` (its lack of
         fit per degree of freedom). A set that is the same every time has the variance 0 and no
@@ -397,6 +411,7 @@ def realizations_needed(
     relative_error: float = 0.05,
     max_realizations: int = 1_000_000,
     rng: RngLike = 0,
+    max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
     """Go on until the relative standard error of the variance is reached.
@@ -413,6 +428,8 @@ def realizations_needed(
         Seed (SPEC 7). Realisation r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
     workers
         Threads; all processors by default. Results do not depend on it.
+    max_evaluations
+        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
 
     Returns
     -------
@@ -548,7 +565,7 @@ def _random_variance(estimator: AbstractEstimator, *, by_quadrature: bool) -> Ar
         found = g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims)))
         if found is not None:
             mean, square = (np.asarray(each, float).reshape(-1) for each in found)
-        elif by_quadrature and g.dims <= 2:
+        elif by_quadrature and g.dims <= 2 and not g.is_black_box:
             mean = np.full(total.shape, np.nan)
             try:
                 square = square_integral(g)[0]

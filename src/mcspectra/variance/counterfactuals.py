@@ -97,6 +97,11 @@ class Setup:
         return self.estimator.pilot_evaluations
 
     @property
+    def is_black_box(self) -> bool:
+        """Whether searches must not evaluate the integrand as if it cost nothing."""
+        return self.estimator.is_black_box
+
+    @property
     def unbiased(self) -> bool:
         """Whether the points that are drawn are uniform, so that estimates have no bias."""
         return self.estimator.randomized(self.sampler).unbiased
@@ -225,16 +230,22 @@ def affordable_count(setup: Setup, budget: int) -> int | None:
         n = source._counts_near(n)[0] if n else None
         if not n:
             return None
-        if all(source._count_warning(n * c) is None for c in setup.estimator.counts):
+        poor = any(source._count_warning(n * c) for c in setup.estimator.counts)
+        if not poor:
             try:
                 setup.estimator.check_sampler(setup.sampler, n)
             except CountError:
                 pass
             else:
                 return n
-        # In large steps for a single technique, whose counts are dense, but over no power of two
+        # To the power of the base below, where others are poor; in large steps where counts are dense
+        base = max(source.digit_bases, default=2)
+        power = base ** int(math.log(n, base) + 1e-9)
+        if poor and power < n:
+            n = power
+            continue
         dense = len(setup.estimator.counts) == 1 and n >= _COUNT_TRIES
-        n = max(n - max(1, n // _COUNT_TRIES), 1 << (n - 1).bit_length() - 1) if dense else n - 1
+        n -= max(1, n // _COUNT_TRIES) if dense else 1
     return None
 
 
@@ -279,6 +290,9 @@ def align_strata(given: Setup, budget: Budget) -> _Offers:
     yield _Offer("aligned with edges", change, at_edges)
 
     # The best offset
+    if given.is_black_box:
+        yield NotTried("aligned", "offset", "Its search takes more evaluations than the budget.")
+        return
     n = affordable_count(replace(given, sampler=plain), budget.evaluations)
     if n is None:
         yield NotTried("aligned", "offset", f"{plain.spec} has no count within the budget.")
@@ -322,13 +336,20 @@ def change_sampler(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
         yield _Offer(spec, f"sample with {spec}", make)
 
 
-def change_heuristic(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
+def change_heuristic(given: Setup, budget: Budget) -> _Offers:
     """Other heuristics for the techniques."""
     estimator = given.estimator
     if not isinstance(estimator, Weighted):
         raise ParameterError(f"{estimator.spec} has no heuristic: it is not weighted.")
     for name in HEURISTICS:
         make = partial(estimator.with_heuristic, name)
+        pilot = as_heuristic(name).pilot_evaluations
+        if pilot >= budget.evaluations:
+            reason = (
+                f"Its pilot alone takes {pilot} evaluations, {budget.evaluations} are the budget."
+            )
+            yield NotTried("heuristic", f"heuristic: {name}", reason)
+            continue
         change = f"combine the techniques by {as_heuristic(name).spec}"
         yield _Offer(f"heuristic: {name}", change, make)
 
@@ -400,6 +421,8 @@ def smooth_edges(given: Setup, budget: Budget) -> _Offers:
     n = affordable_count(given, budget.evaluations)
     if not isinstance(estimator, Estimator) or n is None:
         raise ParameterError(f"{estimator.spec} has no single f to smooth.")
+    if given.is_black_box:
+        raise ParameterError("The search for a width takes more evaluations than the budget.")
     _, inside = jumps_of(estimator)
     if inside is not None and not inside:
         raise ParameterError("No jump inside was found that could be smoothed.")

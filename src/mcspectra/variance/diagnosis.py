@@ -16,6 +16,7 @@ from typing import Any
 from mcspectra.core.errors import McspectraError
 from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.streams import Stream
+from mcspectra.core.tally import counting
 from mcspectra.estimators import AbstractEstimator, Mirrored, Moments
 from mcspectra.estimators.reflected import SymmetrizedIntegrand
 from mcspectra.estimators.support import probe_points
@@ -86,7 +87,8 @@ class Diagnosis:
                 f"Technique {self.slow}{name} has the slowest rate, which becomes that of the sum."
             )
         if self.boundary is None or self.inside is None:
-            return " ".join([*found, "Jumps of g are looked for in 1 and 2 dims only."])
+            unseen = "Jumps of g are looked for in 1 and 2 dims only, and within the budget."
+            return " ".join([*found, unseen])
         jumps = []
         if self._wrapped_jump:
             jumps.append(
@@ -175,21 +177,33 @@ class Diagnosis:
 
 
 def diagnose(
-    estimator: AbstractEstimator, sampler: Sampler, counts: Sequence[int], stream: Stream
+    estimator: AbstractEstimator,
+    sampler: Sampler,
+    counts: Sequence[int],
+    stream: Stream,
+    realizations: int = _REALIZATIONS,
+    most: int | None = None,
 ) -> Diagnosis:
-    """Look for the causes of noise; the rates of techniques are compared at ascending counts."""
-    boundary, inside = jumps_of(estimator)
+    """Look for the causes of noise; the rates of techniques are compared at ascending counts.
+
+    Those of a user's function by so many realisations at most, and the rest by `most` evaluations of it.
+    """
+    with counting("The diagnosis", most):
+        odd = _odd_share(estimator)
+        boundary, inside = jumps_of(estimator)
     # What is mirrored is shifted before it is folded
     shifted = any(isinstance(step, Shift) for step in parts_of(sampler)[1])
     # The bottleneck among techniques, of all channels alike
     chosen: set[int] = set()
     if len(estimator.counts) > 1 and len(counts) > 1:
-        moments = []
+        moments, most = [], _REALIZATIONS
+        if estimator.is_black_box:
+            most = min(most, realizations)
         for n in counts:
             own, numbers = stream.child(n), n * estimator.dims * sum(estimator.counts)
             found = [
                 Moments.of(technique_estimates(estimator, estimator.draw(sampler, n, own, *block)))
-                for block in realization_blocks(_REALIZATIONS, numbers)
+                for block in realization_blocks(most, numbers)
             ]
             moments.append(functools.reduce(Moments.merge, found))
         _, choice = technique_rates(counts, moments)
@@ -203,7 +217,7 @@ def diagnose(
         slow_name="" if slow is None or named is None else named[slow].spec,
         boundary=boundary,
         inside=inside,
-        odd=_odd_share(estimator),
+        odd=odd,
     )
 
 

@@ -35,13 +35,14 @@ import numpy as np
 from msgspec import Meta
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject
-from mcspectra.core.checks import Array, as_real
+from mcspectra.core.checks import Array, as_integer, as_real
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNTS, Counts
 from mcspectra.core.records import JOIN
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
+from mcspectra.core.tally import counting
 from mcspectra.estimators import AbstractEstimator, as_subject
 from mcspectra.estimators.reflected import FoldedIntegrand, SymmetrizedIntegrand
 from mcspectra.integrands import Integrand
@@ -61,14 +62,17 @@ from mcspectra.spectra.bases import hadamard, parts_of
 from mcspectra.spectra.gain import gain_coefficients
 from mcspectra.variance.ordered import weighted_sum
 from mcspectra.variance.quadrature import (
+    MOST_EVALUATIONS,
     Pointwise,
+    Rule,
     blindness,
-    check_cells,
     grid_values,
+    in_closed_form,
     mean_square,
+    moments,
     offset_rule,
     orders_of,
-    spread_within_strata,
+    strata,
     stratum_moments,
 )
 
@@ -80,6 +84,8 @@ __all__ = ["Exact", "estimated_variance", "exact_variance", "level_variances", "
 _TOLERANCE = 1e-6
 _NEGLIGIBLE = 1e-9  # of ∫g²/n: an error that no use of the variance is worse for
 _SAFETY = 3.0  # times the difference of two orders: more than the error of the better one
+_MOST = 0.5  # relative error of a variance that a larger tolerance is offered for
+_FINER, _HOPE = 4, 10.0  # times the order, of errors of up to so many times the tolerance
 _KEEP_LAW = frozenset({"digital-shift", "permute"})  # of nested scrambling, too
 _LATIN = ("latin-hypercube", "n-rooks")
 _MOST_BITS = 24
@@ -150,6 +156,7 @@ def exact_variance(
     n: int,
     *,
     tolerance: float = _TOLERANCE,
+    max_evaluations: int | None = None,
 ) -> Any:
     """Return the exact variance of an estimator, without sampling.
 
@@ -161,8 +168,10 @@ def exact_variance(
         shift; nets and sequences such as sobol or halton with owen, and those in base 2 with digital-shift. Latin hypercubes and nets take cells,
         about n to a side: some thousands of points in 2-D, some tens in 3-D.
     tolerance
-        Relative error up to which a variance is given, 1e-12 to 1. 0.01 lets pass many functions
-        with jumps that no axis follows.
+        Relative error up to which a variance is given, 1e-12 to 1. Jumps that f does not declare
+        and no axis follows take 1e-3 for random points, some 0.1 for strata; a refusal says how much.
+    max_evaluations
+        Most evaluations of a user's function: BudgetError where it takes more.
 
     Returns
     -------
@@ -193,7 +202,11 @@ def exact_variance(
     1.0
     """
     tolerance = as_real("tolerance", tolerance, least=1e-12, most=1.0)
-    value, _ = estimated_variance(estimator, sampler, n, tolerance)
+    if max_evaluations is not None:
+        max_evaluations = as_integer("max_evaluations", max_evaluations, least=1)
+    with counting("exact_variance", max_evaluations) as tally:
+        value, _ = estimated_variance(estimator, sampler, n, tolerance)
+    tally.check()
     several = as_subject(estimator, sampler).estimator.channels
     return value if several else float(np.squeeze(value))
 
@@ -216,20 +229,50 @@ def estimated_variance(
     return total[0], total[1]
 
 
-def of_integrand(sampler: Sampler, n: int, g: Integrand, tolerance: float) -> tuple[Array, Array]:
+def of_integrand(
+    sampler: Sampler, n: int, g: Integrand, tolerance: float, most: float = MOST_EVALUATIONS
+) -> tuple[Array, Array]:
     """Variance and a bound of its error, (channels or 1,); 0 where the variance is all rounding.
 
-    The error is that by which two orders differ, and the `blindness` of the higher one.
+    The error is that by which two orders differ, and the `blindness` of the higher one; of random
+    points that of ∫g². Orders are raised once where this would do; not where `most` is less, for
+    routes that come next.
 
     Raises
     ------
     NoClosedForm
-        As `exact_variance`, the error is more than `tolerance` times the variance.
+        As `exact_variance`, the error is more than `tolerance` times the variance, or a rule would
+        take more than about `most` evaluations.
     """
-    (low, _), (high, unseen) = (_variance(sampler, n, g, order) for order in orders_of(n, g.dims))
-    error = _SAFETY * np.abs(high - low) + unseen
-    agree = error <= tolerance * np.abs(high)
-    if agree.all():
+    base, steps = parts_of(sampler)
+    names = {step.name for step in steps}
+    if isinstance(base, Random) and names <= {"shift", "strata-shift"}:
+        middle, first, second, error = moments(g)
+        value = second - first**2
+        # Three standard errors of the integrals become 4.5: of 1,000 functions none is to be beyond
+        error = 1.5 * error * (1.0 + 2.0 * np.abs(first)) + 4e-15 * (second + middle**2)
+        if (error <= tolerance * value).all() and np.isfinite(mean_square(g)).all():
+            return value / n, error / n
+
+    cells = names <= {"owen", "permute", "shuffle", "strata-shift"} and (
+        isinstance(base, Jittered | LatinHypercube) or "owen" in names
+    )
+    coarse, fine = orders_of(n, g.dims)
+    for times in (1, _FINER) if most >= MOST_EVALUATIONS else (1,):
+        try:
+            high, unseen = _variance(sampler, n, g, Rule(times * fine, most, times * coarse))
+            low = high
+            if not (cells and in_closed_form(g)):  # moments of cells in closed form have no order
+                low, _ = _variance(sampler, n, g, Rule(times * coarse, most))
+        except NoClosedForm:
+            if times == 1:
+                raise
+            break
+        error = _SAFETY * np.abs(high - low) + unseen
+        agree = error <= tolerance * np.abs(high)
+        if agree.all() or (error > _HOPE * tolerance * np.abs(high)).any():
+            break
+    if agree.all() and error.all():
         return high, error
     square = mean_square(g)
     agree |= error <= _NEGLIGIBLE * np.max(square) / n
@@ -239,40 +282,43 @@ def of_integrand(sampler: Sampler, n: int, g: Integrand, tolerance: float) -> tu
     rounding = 4e-15 * square / n
     known = agree | np.isinf(high) | (error <= _SAFETY * rounding)
     if not known.all():
+        with np.errstate(divide="ignore"):
+            enough = 1.1 * float(np.max(np.where(known, 0.0, error / np.abs(high))))
+        larger = f", or tolerance={enough:.1e}" if enough < _MOST else ""
         raise NoClosedForm(
             f"The stratum quadrature of {g.spec} does not converge ({np.max(low):.6g} against "
-            f"{np.max(high):.6g}, error {np.max(error):.2g}); use convergence or variance_terms, or "
-            "a larger tolerance."
+            f"{np.max(high):.6g}, error {np.max(error):.2g}) to a tolerance of {tolerance:.1g}; use "
+            f"convergence or variance_terms{larger}."
         )
     vanishes = np.isfinite(high) & (np.maximum(low, high) <= rounding)
     return np.where(vanishes, 0.0, high), np.where(np.isinf(high), 0.0, error)
 
 
-def _variance(sampler: Sampler, n: int, g: Integrand, order: int) -> tuple[Array, Array]:
+def _variance(sampler: Sampler, n: int, g: Integrand, rule: Rule) -> tuple[Array, Array]:
     """Variance of the mean of g over a set, and what it may miss; (channels,) or (1,)."""
     base, steps = parts_of(sampler)
     if steps and isinstance(steps[-1], Mirror):
         inner = Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
-        return _mirrored(steps[-1].mode, inner, n, g, order)
+        return _mirrored(steps[-1].mode, inner, n, g, rule)
     names = {step.name for step in steps}
     if sampler.name == "antithetic-jittered":
-        return _antithetic(g, n, order)
+        return _antithetic(g, n, rule)
     if base.name in _LATIN and getattr(base, "strength", 1) == 1 and sampler.dims > 1:
         if names <= {"shift", "shuffle"}:
-            return _latin(sampler, n, g, order, shifted="shift" in names)
+            return _latin(sampler, n, g, rule, shifted="shift" in names)
     elif steps and base.fixed:
         # In the base of the net: others do not fit it
         points = functools.partial(base.draw_stream, n, Stream.from_rng(0), 0, 1)
         if "owen" in names and names <= _KEEP_LAW | {"owen"}:
-            return _nested(base, points()[0], g, order)
+            return _nested(base, points()[0], g, rule)
         # In base 2 there are two permutations of a digit: permute is the same thing
         if set(base.digit_bases) == {2} and names <= _KEEP_LAW:
-            return _digitally_shifted(base, points()[0], g, order)
-    return _stratified(sampler, base, steps, n, g, order)
+            return _digitally_shifted(base, points()[0], g, rule)
+    return _stratified(sampler, base, steps, n, g, rule)
 
 
 def _stratified(
-    sampler: Sampler, base: Any, steps: tuple[Any, ...], n: int, g: Integrand, order: int
+    sampler: Sampler, base: Any, steps: tuple[Any, ...], n: int, g: Integrand, rule: Rule
 ) -> tuple[Array, Array]:
     """One point in each stratum, or a grid, with fixed and random offsets."""
     known = isinstance(base, Random | Jittered | Regular | UniformJitter)
@@ -288,18 +334,19 @@ def _stratified(
             offset = offset + np.asarray(step.offset, float)
     offset, shifted = offset % 1.0, any(isinstance(step, Shift) for step in steps)
     if isinstance(base, Random):
-        spread, unseen = spread_within_strata(g, (1,) * g.dims, np.zeros(g.dims), order)
+        _, spread, unseen = strata(g, (1,) * g.dims, np.zeros(g.dims), rule)
         return spread / n, unseen / n
     sides = (n,) if isinstance(base, LatinHypercube) else base.sides(n)
     jittered = isinstance(base, Jittered | LatinHypercube)
     if jittered and not shifted:
-        spread, unseen = spread_within_strata(g, sides, offset * n ** (-1.0 / g.dims), order)
+        _, spread, unseen = strata(g, sides, offset * n ** (-1.0 / g.dims), rule)
         return spread / n, unseen / n
     if not jittered and not (shifted or isinstance(base, UniformJitter)):
         return np.zeros(max(1, g.channels)), np.zeros(max(1, g.channels))  # a deterministic set
-    nodes, weights = offset_rule(g, sides, order)
+    nodes, weights = offset_rule(g, sides, rule.order)
+    rule.check(f"The exact variance of {sampler.spec}", float(len(nodes) * n) * rule.each(g))
     if jittered:
-        found = np.stack([spread_within_strata(g, sides, d, order) for d in nodes])
+        found = np.stack([strata(g, sides, d, rule)[1:] for d in nodes])
         spread, unseen = weighted_sum(weights, found)
         return spread / n, unseen / n
     # A grid with one random offset: the variance of its mean over the offset
@@ -318,26 +365,26 @@ def _grid_means(
     return both[:, 0], blindness(g, one[None], two[None])
 
 
-def _mirrored(mode: str, inner: Sampler, n: int, g: Integrand, order: int) -> tuple[Array, Array]:
+def _mirrored(mode: str, inner: Sampler, n: int, g: Integrand, rule: Rule) -> tuple[Array, Array]:
     """The variance of the sampler inside with another integrand."""
     if mode == "fold":
-        return _variance(inner, n, FoldedIntegrand(g), order)
+        return _variance(inner, n, FoldedIntegrand(g), rule)
     average = SymmetrizedIntegrand(g)
     if mode == "uniform":
-        return _variance(inner, n >> g.dims, average, order)
+        return _variance(inner, n >> g.dims, average, rule)
     if not inner.unbiased:
         raise NoClosedForm(
             f"No exact variance is known for random reflections of {inner.spec}, whose points are "
             "not uniform; use convergence or variance_terms."
         )
     one = Random(dims=g.dims)
-    whole, missed = _variance(one, 1, g, order)
-    part, unseen = _variance(inner, n, average, order)
-    coins = np.maximum(whole - _variance(one, 1, average, order)[0], 0.0)
+    whole, missed = _variance(one, 1, g, rule)
+    part, unseen = _variance(inner, n, average, rule)
+    coins = np.maximum(whole - _variance(one, 1, average, rule)[0], 0.0)
     return part + coins / n, unseen + missed / n
 
 
-def _antithetic(g: Integrand, n: int, order: int) -> tuple[Array, Array]:
+def _antithetic(g: Integrand, n: int, rule: Rule) -> tuple[Array, Array]:
     """One jittered point in each of n/2 cells, with the mean of g at it and at its reflection."""
     side = round((n // 2) ** (1.0 / g.dims))
 
@@ -353,34 +400,47 @@ def _antithetic(g: Integrand, n: int, order: int) -> tuple[Array, Array]:
     mean = Pointwise(
         g, lambda x: 0.5 * (g(x) + g(reflected(x))), breaks, f"{g.spec}, symmetrised in cells"
     )
-    spread, unseen = spread_within_strata(mean, (side,) * g.dims, np.zeros(g.dims), order)
+    _, spread, unseen = strata(mean, (side,) * g.dims, np.zeros(g.dims), rule)
     return spread / (n // 2), unseen / (n // 2)
 
 
 def _latin(
-    sampler: Sampler, n: int, g: Integrand, order: int, *, shifted: bool
+    sampler: Sampler, n: int, g: Integrand, rule: Rule, *, shifted: bool
 ) -> tuple[Array, Array]:
-    """Over the offset of the cells the mean: the points are uniform for each, and nothing is added."""
-    sides, what = (n,) * g.dims, f"The exact variance of {sampler.spec}"
-    nodes, weights = np.zeros((1, g.dims)), np.ones(1)
+    """Over the offset of the cells the mean: the points are uniform for each, and nothing is added.
+
+    Where n^d cells are too many, larger ones, of each n^d a whole number, and slabs of width 1/n: what
+    several axes share within these cells has a weight from 1 to 1 + 1/(n − 1).
+    """
+    fine, nodes, weights = (n,) * g.dims, np.zeros((1, g.dims)), np.ones(1)
     if shifted:  # a mean over all cells is smooth
-        nodes, weights = offset_rule(g, sides, order // 2 + 2)
-    check_cells(what, float(n) ** g.dims * (len(nodes) * order**g.dims if shifted else 1))
+        nodes, weights = offset_rule(g, fine, rule.order // 2 + 2)
+    one = float(len(nodes) * rule.each(g))
+    # In 1-D and 2-D pieces of cells are more than cells: those next to 0 and 1 are cut
+    most = rule.most / one / (1 if in_closed_form(g) or g.dims > 2 else 2)
+    side = next((m for m in range(n, 1, -1) if n % m == 0 and m**g.dims <= most), 1)
+    if side < n:
+        rule.check(f"The exact variance of {sampler.spec}", one * n)
+    varying = np.indices((min(side, 2),) * g.dims).sum(axis=0)  # |v|
+    gains = np.where(varying > 0, 1.0 + (n - 1.0) * (-1.0 / max(n - 1.0, 1.0)) ** varying, 0.0)
     found = []
     for offset in nodes:
-        means, squares = stratum_moments(g, sides, offset, order)
-        total = np.maximum(squares - means**2, 0.0).mean(axis=0)
-        if n > 1:
-            varying = np.indices((2,) * g.dims).sum(axis=0)  # |v|
-            gains = np.where(varying > 0, 1.0 + (n - 1.0) * (-1.0 / (n - 1.0)) ** varying, 0.0)
-            parts = level_variances(means.reshape(*sides, -1), sides)  # one digit in base n
-            total = (total + weighted_sum(gains, parts)) / n
-        found.append((total, blindness(g, means, squares) / n))
+        means, within, missed = strata(g, (side,) * g.dims, offset, rule)
+        if side < n:
+            for axis in range(g.dims):
+                thin = tuple(n if i == axis else 1 for i in range(g.dims))
+                slabs, _ = stratum_moments(g, thin, offset, rule.order, rule.most)
+                within = within - slabs.reshape(side, n // side, -1).var(axis=1).mean(axis=0)
+            within = np.maximum(within, 0.0)
+            missed = missed + within / (n - 1)
+            within = within * (1.0 + 0.5 / (n - 1))
+        parts = level_variances(means.reshape(*(side,) * g.dims, -1), (side,) * g.dims)
+        found.append(((within + weighted_sum(gains, parts)) / n, missed / n))
     total, unseen = weighted_sum(weights, np.array(found))
     return total, unseen
 
 
-def _nested(net: Sampler, points: Array, g: Integrand, order: int) -> tuple[Array, Array]:
+def _nested(net: Sampler, points: Array, g: Integrand, rule: Rule) -> tuple[Array, Array]:
     """Nested uniform scrambling of a net."""
     n, bases = len(points), net.digit_bases
     # For each axis the number of digits in which all coordinates differ
@@ -398,21 +458,21 @@ def _nested(net: Sampler, points: Array, g: Integrand, order: int) -> tuple[Arra
                 )
         digits.append(level)
     sides = tuple(b**level for b, level in zip(bases, digits, strict=True))
-    check_cells(f"The exact variance of {net.spec}", math.prod(map(float, sides)))
+    boxes = math.prod(map(float, sides))
+    rule.check(f"The exact variance of {net.spec}", boxes * rule.each(g))
     try:
         gains = gain_coefficients(net, n, levels=max(1, *digits))["gain"].to_numpy()
     except ParameterError as error:
         raise NoClosedForm(f"{error} Or use convergence or variance_terms.") from None
     gains = gains[tuple(slice(level + 1) for level in digits)]
-    means, squares = stratum_moments(g, sides, np.zeros(g.dims), order)
-    within = np.maximum(squares - means**2, 0.0).mean(axis=0)
+    means, within, unseen = strata(g, sides, np.zeros(g.dims), rule)
     levels = level_variances(means.reshape(*sides, -1), bases)
-    unseen = blindness(g, means, squares) * max(1.0, float(gains.max()))
+    unseen = unseen * max(1.0, float(gains.max()))
     return (within + weighted_sum(gains, levels)) / n, unseen / n
 
 
 def _digitally_shifted(
-    net: Sampler, points: Array, g: Integrand, order: int
+    net: Sampler, points: Array, g: Integrand, rule: Rule
 ) -> tuple[Array, Array]:
     """A digital shift of a net in base 2."""
     whole = (
@@ -427,8 +487,8 @@ def _digitally_shifted(
             "variance_terms."
         )
     sides = (cells,) * g.dims
-    check_cells(f"The exact variance of {g.spec}", (float(cells) * order) ** g.dims)
-    nodes, weights = offset_rule(g, sides, order)
+    rule.check(f"The exact variance of {g.spec}", (float(cells) * rule.order) ** g.dims)
+    nodes, weights = offset_rule(g, sides, rule.order)
     counts = np.zeros(sides)
     np.add.at(counts, tuple(np.rint(points * cells).astype(np.int64).T), 1.0 / len(points))
     spectrum = _hadamard(counts, g.dims) ** 2

@@ -25,7 +25,7 @@ from msgspec import Meta
 
 from mcspectra.core import options
 from mcspectra.core.analysis import (
-    Analysis,
+    Counted,
     MergeTree,
     Need,
     Reduction,
@@ -58,7 +58,7 @@ _ROUNDING = 1e-20  # variances beside the largest that are rounding
 
 
 @final
-class Modes(Analysis, frozen=True, kw_only=True):
+class Modes(Counted, frozen=True, kw_only=True):
     """Leading eigenvectors of the covariance of the coefficients: what varies together."""
 
     function = "covariance_modes"
@@ -262,6 +262,7 @@ def covariance_modes(
     space: str | None = None,
     engine: str = "auto",
     eps: float = 1e-9,
+    max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
     """Find the leading eigenvectors of the covariance of the coefficients, without the matrix.
@@ -284,6 +285,8 @@ def covariance_modes(
     passes
         Passes over the realisations, at least 2; each one more makes small gaps between
         eigenvalues larger.
+    max_evaluations
+        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
 
     Returns
     -------

@@ -19,24 +19,30 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import NoClosedForm
 from mcspectra.densities.adaptive import positive_integral
 from mcspectra.integrands import Integrand
-from mcspectra.integrands._quadrature import probe
+from mcspectra.integrands._quadrature import gauss_rule, probe
 from mcspectra.integrands.base import Breaks, Derived, integral_accuracy, numeric_integral
 
 __all__ = [
+    "MOST_EVALUATIONS",
     "Pointwise",
+    "Rule",
     "blindness",
-    "check_cells",
     "grid_values",
+    "in_closed_form",
     "mean_square",
     "mesh",
+    "moments",
     "offset_rule",
     "orders_of",
-    "spread_within_strata",
     "square_integral",
+    "strata",
     "stratum_moments",
 ]
 
-_MOST_EVALUATIONS = 2**25  # of an integrand: beyond, a quadrature is refused
+MOST_EVALUATIONS = 2.0**26
+"""Of an integrand, beyond which a quadrature is refused."""
+
+_BLOCK = 2**18  # evaluations at a time
 _ORDERS = ((12, 20), (6, 10), (4, 6))
 _MANY = 400  # nets in 2-D have n² cells: 10² nodes in each of more are too many
 _LEAST_PANELS = 32  # of the whole axis, where offsets of few strata are integrated over
@@ -44,6 +50,7 @@ _FEW_CELLS = 2**13  # of a level: enough for curves of jumps, and an eighth of t
 _SAME = 1e-9  # of √∫g²: a mean this near to an integral in closed form has seen all of g
 _RESOLVED = 1e-10  # relative error of ∫g² above which g has jumps that boxes could not follow
 _CENTER = 2**10  # points whose mean is subtracted before g is squared
+_POLE = 2.0  # times the largest value at the probe, which g² exceeds next to a pole
 _SUSPECT = 0.01  # relative error, beyond which there may be a pole, and all levels are worth it
 
 # √u near 0 is integrated to 1e-6 with panels down to 2^-20; in 2-D every panel costs a row of them.
@@ -118,16 +125,11 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
     """
     mean, square = means.mean(axis=0), squares.mean(axis=0)
     exact = g._integral()
-    if g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims))) is not None:
+    if in_closed_form(g):
         return np.zeros(mean.shape)
     if exact is not None and (np.abs(mean - exact) <= _SAME * np.sqrt(square)).all():
         return np.zeros(mean.shape)
-    if "_moments" not in g.__dict__:
-        middle = g(probe(g.dims)[:_CENTER]).reshape(_CENTER, -1).mean(axis=0)
-        both = _Moments(g, middle)
-        known = np.split(numeric_integral(both), 2)
-        g.__dict__["_moments"] = middle, known, integral_accuracy(both)[1]
-    middle, (first, second), error = g.__dict__["_moments"]
+    middle, first, second, error = moments(g)
     rounding = 1e-14 * (square + middle**2)
     off = np.abs(mean - middle - first) - error - rounding
     square_off = np.abs(square - 2.0 * middle * mean + middle**2 - second) - error - rounding
@@ -137,18 +139,57 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
     return np.asarray(missed + np.where(error > _RESOLVED * second, error, 0.0))
 
 
+def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
+    """A number a near to ∫g, ∫(g − a), ∫(g − a)² and the error of both, each (channels or 1,).
+
+    In closed form, else by the rule that looks for what nodes miss; found once for each g.
+    """
+    if "_moments" not in g.__dict__:
+        box = np.zeros((1, g.dims))
+        exact = g.box_moments(box, box + 1.0)
+        if exact is None:
+            middle = g(probe(g.dims)[:_CENTER]).reshape(_CENTER, -1).mean(axis=0)
+            both = _Moments(g, middle)
+            first, second = np.split(numeric_integral(both), 2)
+            error = np.full(middle.shape, integral_accuracy(both)[1])
+        else:
+            middle, square = (np.asarray(moment, float).reshape(-1) for moment in exact)
+            first, second, error = 0.0 * middle, square - middle**2, 0.0 * middle
+        g.__dict__["_moments"] = middle, first, second, error
+    found: tuple[Array, Array, Array, Array] = g.__dict__["_moments"]
+    return found
+
+
+@final
+@dataclass(frozen=True)
+class Rule:
+    """Gauss-Legendre nodes a piece and axis, evaluations beyond which it refuses, and another order."""
+
+    order: int
+    most: float = MOST_EVALUATIONS
+    against: int = 0
+
+    def each(self, g: Integrand) -> int:
+        """Evaluations for one box; moments in closed form count as one at each corner."""
+        return int((2 if in_closed_form(g) else self.order) ** g.dims)
+
+    def check(self, what: str, evaluations: float) -> None:
+        """Refuse what would take too long; `what` begins the sentence."""
+        if evaluations > self.most:
+            raise NoClosedForm(
+                f"{what} would take {evaluations:.2g} evaluations, more than {self.most:.2g}; use "
+                "convergence or variance_terms."
+            )
+
+
 def orders_of(cells: int, dims: int) -> tuple[int, int]:
     """Orders of two rules to compare; in 2-D and up lower, and for many cells lower still."""
     return _ORDERS[0] if dims == 1 else _ORDERS[1] if cells < _MANY else _ORDERS[2]
 
 
-def check_cells(what: str, cells: float, unit: str = "cells") -> None:
-    """Refuse what would take too many evaluations of an integrand; `what` begins the sentence."""
-    if cells > _MOST_EVALUATIONS:
-        raise NoClosedForm(
-            f"{what} would take {cells:.2g} {unit}, more than {_MOST_EVALUATIONS:.2g}; use "
-            "convergence or variance_terms."
-        )
+def in_closed_form(g: Integrand) -> bool:
+    """Whether g knows its moments over boxes."""
+    return g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims))) is not None
 
 
 def mesh(*axes: Array) -> Array:
@@ -156,26 +197,36 @@ def mesh(*axes: Array) -> Array:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
-def spread_within_strata(
-    g: Integrand, sides: tuple[int, ...], offset: Array, order: int
-) -> tuple[Array, Array]:
-    """Mean over strata, displaced by `offset` on the torus, of the variance within one: (channels,).
+def strata(
+    g: Integrand, sides: tuple[int, ...], offset: Array, rule: Rule
+) -> tuple[Array, Array, Array]:
+    """Means over strata, displaced by `offset` on the torus, mean variance within, and its error.
 
-    And its `blindness`.
+    (strata, channels), (channels,) and (channels,). The error is the `blindness`, and where jumps are
+    not known, twice the standard error that differences of two orders have in independent strata:
+    these may agree by chance in the mean.
     """
-    check_cells(f"The quadrature of the strata of {g.spec}", float(math.prod(sides)), "evaluations")
-    means, squares = stratum_moments(g, sides, offset, order)
+    means, squares = stratum_moments(g, sides, offset, rule.order, rule.most)
+    unseen = blindness(g, means, squares)
     # Second pass about the stratum means would cost a second evaluation; clip what cancels.
-    spread = np.maximum(squares - means * means, 0.0).mean(axis=0)
-    return np.asarray(spread), blindness(g, means, squares)
+    within = np.maximum(squares - means * means, 0.0)
+    if rule.against and not in_closed_form(g):
+        coarse, squares = stratum_moments(g, sides, offset, rule.against, rule.most)
+        off = within - np.maximum(squares - coarse * coarse, 0.0)
+        unseen = unseen + 2.0 * np.sqrt((off**2).sum(axis=0)) / len(off)
+    return means, within.mean(axis=0), unseen
 
 
 def stratum_moments(
-    g: Integrand, sides: tuple[int, ...], offset: Array, order: int
+    g: Integrand,
+    sides: tuple[int, ...],
+    offset: Array,
+    order: int,
+    most: float = MOST_EVALUATIONS,
 ) -> tuple[Array, Array]:
     """Means of g and g² over strata, displaced by `offset` on the torus: (strata, channels or 1)."""
 
-    def cut(graded: tuple[float, ...] = ()) -> list[tuple[Array, Array]]:
+    def cut(graded: tuple[float, ...]) -> list[tuple[Array, Array]]:
         """Ends of the pieces between strata borders (j + offset)/sides, breaks and the seam 0."""
         axes = []
         for s, displaced, breaks in zip(sides, map(float, offset), g.breaks, strict=True):
@@ -186,30 +237,31 @@ def stratum_moments(
             axes.append((ends[:-1][wide], ends[1:][wide]))
         return axes
 
-    # Means over all pieces from closed forms, if g has them, else by a tensor Gauss-Legendre rule
-    axes = cut()
-    moments = g.box_moments(mesh(*(low for low, _ in axes)), mesh(*(high for _, high in axes)))
-    if moments is None:
-        axes = cut(_GRADED.get(g.dims, ()))
-        pieces = math.prod(len(low) for low, _ in axes)
-        check_cells(
-            f"The stratum quadrature of {g.spec}", float(pieces) * order**g.dims, "evaluations"
-        )
-        node, weight = np.polynomial.legendre.leggauss(order)
-        node, weight = 0.5 * (node + 1.0), 0.5 * weight
-        grids = [low[:, None] + (high - low)[:, None] * node for low, high in axes]
-        mean: Any = 0.0
-        square: Any = 0.0
-        for q in itertools.product(range(order), repeat=g.dims):
-            x = mesh(*(grid[:, i] for grid, i in zip(grids, q, strict=True)))
-            values = g(x).reshape(pieces, -1)
-            w = float(np.prod(weight[list(q)]))
-            mean = mean + w * values
-            square = square + w * values**2
-        moments = mean, square
+    exact = in_closed_form(g)
+    axes = cut(() if exact else _GRADED.get(g.dims, ()))
+    boxes = math.prod(float(len(low)) for low, _ in axes)
+    rule = Rule(order, most)
+    rule.check(f"The quadrature of the strata of {g.spec}", boxes * rule.each(g))
+    if exact:
+        box = [mesh(*ends) for ends in zip(*axes, strict=True)]
+        both = np.stack([np.asarray(m) for m in g.box_moments(*box) or ()])
+        both = both.reshape(2, *(len(low) for low, _ in axes), -1)
+    else:
+        # A tensor Gauss-Legendre rule over each piece, summed axis by axis but for the first
+        node, weight = gauss_rule(order)
+        grids = [(low[:, None] + (high - low)[:, None] * node).ravel() for low, high in axes]
+        step = max(1, _BLOCK // math.prod(len(grid) for grid in grids[1:]))
+        parts = []
+        for start in range(0, len(grids[0]), step):
+            x = mesh(grids[0][start : start + step], *grids[1:])
+            values = np.asarray(g(x)).reshape(*x.shape[:-1], -1)
+            part = np.stack([values, values**2])
+            for i in range(g.dims, 1, -1):
+                part = _sums(part, i, weight)
+            parts.append(part)
+        both = _sums(np.concatenate(parts, axis=1), 1, weight)
 
     # Means over strata: pieces count by their share of the stratum, an axis after the other
-    both = np.stack([m.reshape(*(len(low) for low, _ in axes), -1) for m in moments])
     for i, (low, high) in enumerate(axes):
         middle = (0.5 * (low + high) - float(offset[i])) % 1.0
         stratum = np.minimum(np.floor(middle * sides[i]).astype(np.int64), sides[i] - 1)
@@ -222,9 +274,15 @@ def stratum_moments(
     return means, squares
 
 
+def _sums(values: Array, axis: int, weights: Array) -> Array:
+    """Weighted sums of each len(weights) successive values along an axis."""
+    shape = (*values.shape[:axis], -1, len(weights), *values.shape[axis + 1 :])
+    return np.asarray(np.moveaxis(values.reshape(shape), axis + 1, -1) @ weights)
+
+
 def offset_rule(g: Integrand, sides: tuple[int, ...], order: int) -> tuple[Array, Array]:
     """Gauss nodes and weights for an offset uniform in one stratum, cut where breaks line up."""
-    node, weight = np.polynomial.legendre.leggauss(order)
+    node, weight = gauss_rule(order)
     per_axis = []
     for s, breaks in zip(sides, g.breaks, strict=True):
         side = 1.0 / s
@@ -233,8 +291,8 @@ def offset_rule(g: Integrand, sides: tuple[int, ...], order: int) -> tuple[Array
         cuts = [*folded, *(np.arange(1, panels) / panels * side)]
         ends = np.unique([0.0, side, *(b for b in cuts if 1e-14 < b < side - 1e-14)])
         low, width = ends[:-1, None], np.diff(ends)[:, None]
-        nodes = (low + width * 0.5 * (node + 1.0)).ravel()
-        per_axis.append((nodes, (width / side * 0.5 * weight).ravel()))
+        nodes = (low + width * node).ravel()
+        per_axis.append((nodes, (width / side * weight).ravel()))
     combos = list(itertools.product(*(zip(*axis, strict=True) for axis in per_axis)))
     nodes = np.array([[x for x, _ in combo] for combo in combos])
     return nodes, np.array([np.prod([w for _, w in combo]) for combo in combos])
@@ -254,39 +312,41 @@ def mean_square(g: Integrand) -> Array:
 def square_integral(g: Integrand) -> tuple[Array, Array]:
     """∫g² and an estimate of its absolute error, both (channels or 1,).
 
-    Boxes cut at the breaks of g; in 1-D and 2-D also quadrature that records how much each level
-    leaves unresolved (`mcspectra.densities.adaptive`): the integral is infinite where that does not
-    shrink, else the smaller error counts. Boxes alone do not see a divergence: rounding of T(u)
-    stops it somewhere. In more dims it shows as a large error at best.
+    By `moments`; in 1-D and 2-D also by quadrature that records how much each level leaves unresolved
+    (`mcspectra.densities.adaptive`): the integral is infinite where that does not shrink, else the
+    smaller error counts. `moments` do not see a divergence: rounding of T(u) stops it somewhere. In
+    more dims it shows as a large error at best.
     """
-    found = g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims)))
-    if found is not None:
-        exact = np.asarray(found[1], float).reshape(-1)
-        return exact, np.zeros(exact.shape)
-
-    def square(x: Array) -> Array:
-        with np.errstate(over="ignore"):  # next to a pole
-            return np.asarray(g(x) ** 2)
-
+    kept: dict[str, tuple[Array, Array]] = g.__dict__
+    if "_square" in kept:
+        return kept["_square"]
     # By quadrature that records what each level leaves unresolved
     by_levels = np.full(max(1, g.channels), np.nan)
     level_errors = np.full(by_levels.shape, np.inf)
-    for c in range(len(by_levels) if g.dims <= 2 else 0):
+    for c in range(0 if in_closed_form(g) or g.dims > 2 else len(by_levels)):
+        seen = [0.0]
 
-        def of_channel(x: Array, c: int = c) -> Array:
-            return np.asarray(square(x).reshape(*x.shape[:-1], -1)[..., c])
+        def square(x: Array, c: int = c, seen: list[float] = seen) -> Array:
+            with np.errstate(over="ignore"):  # next to a pole
+                found = np.asarray(np.asarray(g(x)).reshape(*x.shape[:-1], -1)[..., c] ** 2)
+            seen.append(float(found.max(initial=0.0)))
+            return found
 
-        found_c = positive_integral(of_channel, g.dims, most_cells=_FEW_CELLS)
-        if found_c[1] > _SUSPECT * found_c[0]:
-            found_c = positive_integral(of_channel, g.dims)
-        by_levels[c], level_errors[c] = found_c
+        level = positive_integral(square, g.dims, most_cells=_FEW_CELLS)
+        if level[1] > _SUSPECT * level[0]:
+            level = positive_integral(square, g.dims)
+        # Narrow ridges grow from level to level like poles, but not beyond what the probe sees
+        largest = max(seen)
+        if math.isfinite(level[0]) or largest > _POLE * square(probe(g.dims)).max():
+            by_levels[c], level_errors[c] = level
     if np.isinf(by_levels).all():
-        return by_levels, level_errors
+        return kept.setdefault("_square", (by_levels, level_errors))
 
-    # By boxes
-    squared = Pointwise(g, square, g.breaks, f"square of {g.spec}")
-    value = np.atleast_1d(np.asarray(numeric_integral(squared), float))
-    error = np.full(value.shape, integral_accuracy(squared)[1])
+    # By the rule that looks for what nodes miss
+    middle, first, second, error = moments(g)
+    value = second + 2.0 * middle * first + middle**2
+    error = error * (1.0 + 2.0 * np.abs(middle))
     full = by_levels >= value - level_errors - error  # levels miss slabs, boxes the ends of poles
     better = (level_errors < error) & full | np.isinf(by_levels)
-    return np.where(better, by_levels, value), np.where(better, level_errors, error)
+    value, error = np.where(better, by_levels, value), np.where(better, level_errors, error)
+    return kept.setdefault("_square", (value, error))

@@ -21,7 +21,7 @@ import numpy as np
 from msgspec import Meta
 
 from mcspectra.core.analysis import (
-    Analysis,
+    Counted,
     MergeTree,
     Need,
     Reduction,
@@ -78,7 +78,7 @@ _SAMPLED = "power from realisations"
 
 
 @final
-class Routes(Analysis, frozen=True, kw_only=True):
+class Routes(Counted, frozen=True, kw_only=True):
     """The variance by every route there is, side by side."""
 
     function = "variance_routes"
@@ -255,6 +255,7 @@ def variance_routes(
     half_width: int = 16,
     realizations: int = 1000,
     rng: RngLike = 0,
+    max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
     """Return the variance of an estimator by every route there is, side by side.
@@ -272,6 +273,8 @@ def variance_routes(
         Seed (SPEC 7); pairs are counted in other realisations than those that are measured.
     workers
         Threads; all processors by default.
+    max_evaluations
+        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
 
     Returns
     -------

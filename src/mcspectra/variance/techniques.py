@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 import numpy as np
 
 from mcspectra.core import options
-from mcspectra.core.analysis import Analysis, Need, Reduction, Steps, Subject
+from mcspectra.core.analysis import Counted, Need, Reduction, Steps, Subject
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of
@@ -56,7 +56,7 @@ _MOST = 2**25  # complex numbers of Σ_r S^t conj(S^s): 512 MiB
 
 
 @final
-class Techniques(Analysis, frozen=True, kw_only=True):
+class Techniques(Counted, frozen=True, kw_only=True):
     """What each technique of an estimator contributes, and which one decides the rate."""
 
     function = "technique_terms"
@@ -105,6 +105,8 @@ class Techniques(Analysis, frozen=True, kw_only=True):
         return Need(
             cost=float(self.realizations * (evaluations * sum(counts) + squared * len(counts))),
             memory=memory_of(counts[-1], estimator.dims, evaluations, squared),
+            evaluations=self.realizations
+            * (evaluations * sum(counts) * estimator.evaluations_per_point),
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
@@ -196,6 +198,7 @@ def technique_terms(
     fit_last: int | str | None = None,
     engine: str = "auto",
     eps: float = 1e-9,
+    max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
     """Split the variance of an estimator among its techniques and pairs of them, term by term.
@@ -219,6 +222,8 @@ def technique_terms(
         In primary space the dc terms are 0, as every technique's points have equal weights.
     fit_last
         Fit rates to the last so many counts: as for `convergence`.
+    max_evaluations
+        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
 
     Returns
     -------

@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Meta
 
 from mcspectra.core import options
-from mcspectra.core.analysis import Analysis, Need, Reduction, Subject
+from mcspectra.core.analysis import Counted, Need, Reduction, Subject
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of
@@ -42,7 +42,7 @@ _WITH_ERROR = ("contribution", "band_covariance", "coefficient_covariance", "cro
 
 
 @final
-class Terms(Analysis, frozen=True, kw_only=True):
+class Terms(Counted, frozen=True, kw_only=True):
     """The three terms of the variance at one n: dc, power and cross."""
 
     function = "variance_terms"
@@ -91,6 +91,7 @@ class Terms(Analysis, frozen=True, kw_only=True):
         return Need(
             cost=float(self.realizations * (evaluations * self.n + size)),
             memory=memory_of(self.n, estimator.dims, evaluations, kept),
+            evaluations=self.realizations * evaluations * self.n * estimator.evaluations_per_point,
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[TermSums]:
@@ -186,6 +187,7 @@ def variance_terms(
     cross_matrix: bool = False,
     engine: str = "auto",
     eps: float = 1e-9,
+    max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
     """Predict the variance of an estimator from spectra, term by term, and measure it beside.
@@ -217,6 +219,8 @@ def variance_terms(
         See `mcspectra.spectra.transforms`.
     workers
         Threads; all processors by default. Results do not depend on it.
+    max_evaluations
+        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
 
     Returns
     -------

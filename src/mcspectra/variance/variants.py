@@ -106,10 +106,12 @@ def smoothing_scan(
     ).rename(estimator="width")
 
     # ∫ f_δ − ∫ f, (W[, channels]), and the interval of its square by what is known of both
-    accuracy = [integral_accuracy(g)[1] for g in functions]
     kept = [g is f or isinstance(g, BoxSmoothed) for g in functions]  # boxes keep the integral
-    error = np.where(kept, 0.0, integral_accuracy(f)[1] + np.array(accuracy))
-    bias = np.array([np.asarray(g.integral) - np.asarray(f.integral) for g in functions])
+    pairs = list(zip(functions, kept, strict=True))
+    accuracy = [0.0 if k else integral_accuracy(f)[1] + integral_accuracy(g)[1] for g, k in pairs]
+    none = np.zeros(f.channels or ())
+    bias = np.array([none if k else np.asarray(g.integral) - f.integral for g, k in pairs])
+    error = np.array(accuracy)
     error = error.reshape(-1, *(1,) * (bias.ndim - 1))
     low, high = np.maximum(np.abs(bias) - error, 0.0), np.abs(bias) + error
     square_ci = np.stack([low, high], axis=-1) ** 2

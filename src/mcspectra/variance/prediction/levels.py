@@ -17,6 +17,7 @@ curves of jumps are. Both are done twice, by a fine and a coarse rule; the error
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 from collections.abc import Iterator, Sequence
@@ -35,15 +36,14 @@ from mcspectra.samplers import (
     Mirror,
     Random,
     Randomized,
-    Regular,
     Sampler,
     StrataShift,
-    UniformJitter,
 )
 from mcspectra.spectra.bases import hadamard, parts_of
 from mcspectra.spectra.gain import gain_coefficients
 from mcspectra.variance.exact import level_variances
 from mcspectra.variance.prediction.known import Known, Predicted
+from mcspectra.variance.prediction.torus import moved_variance
 from mcspectra.variance.quadrature import Pointwise, stratum_moments
 
 __all__ = ["of_levels"]
@@ -62,8 +62,10 @@ _PARTS = {1: 16, 2: 4, 3: 2}  # per axis, of a cell with a jump
 _MOST_ROUGH = {1: 2**8, 2: 2**14, 3: 2**15}
 _ROUGH = 3.0  # variation of g, relative to that of the mean cell, from which on there may be a jump
 _BLOCK = 2**20  # evaluations at a time
-_OFFSETS, _MOST_EVALUATIONS = 2**13, 2**24  # of a grid that is moved as a whole
+_BITS = 2.0**53
 _ROUNDING = 4e-15  # of ∫g², absolute
+_CLEAR, _DOUBT = 2.0, 0.5  # what tables miss of ∫g²: errors it must exceed, and doubt of its weight
+_COARSE = 0.05  # error relative to the variance, from where on sets are moved instead
 _MOST_ERROR, _NOISE = 0.2, 1e-12  # of the variance, from where on it is refused, and of ∫g²
 _KEEP_LAW = frozenset({"digital-shift", "permute"})
 _LATIN = ("latin-hypercube", "n-rooks")
@@ -76,7 +78,7 @@ def of_levels(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predict
     ----------
     sampler, n
         In 1 to 3 dims: fixed sets with owen or lms; in base 2 also with digital-shift; jittered,
-        antithetic-jittered, latin-hypercube and random, unshifted; grids with one random offset; each with mirror.
+        antithetic-jittered, latin-hypercube and random, unshifted; each with mirror.
     known
         g, and the tables made for other counts and samplers.
     stream
@@ -112,11 +114,14 @@ def of_levels(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predict
         if nested and names <= _KEEP_LAW | {"owen", "lms"}:
             return _scrambled(base, n, known)
         if names <= _KEEP_LAW and set(base.digit_bases) == {2}:
-            return _scrambled(base, n, known, shifted=True)
-        if isinstance(base, Regular) and names <= {"shift", "strata-shift"} and "shift" in names:
-            return _moved_grid(base.sides(n), n, known)
-    if isinstance(base, UniformJitter) and names <= {"shift", "strata-shift"}:
-        return _moved_grid(base.sides(n), n, known)
+            try:
+                found = _scrambled(base, n, known, shifted=True)
+            except NoClosedForm:  # weights of the levels of jumps differ from function to function
+                return _of_shifts(base, n, known)
+            if (found.error > _COARSE * found.variance).any():
+                with contextlib.suppress(NoClosedForm):
+                    return _of_shifts(base, n, known)
+            return found
     if base.name == "antithetic-jittered" and not steps:
         return _antithetic(n, known)
     if base.name in _LATIN and getattr(base, "strength", 1) == 1 and names <= {"shuffle"}:
@@ -187,7 +192,12 @@ def _scrambled(net: Sampler, n: int, known: Known, *, shifted: bool = False) -> 
             ).sum(axis=1)
             plain = np.zeros((len(total), *counted.shape, total.shape[1]))
             weighed = np.zeros(plain.shape)
-            square, sampled = total[-1], table.error
+            missed = _missed(known, total[-1])
+            square, sampled, total = (
+                total[-1] + missed,
+                table.error + _DOUBT * missed,
+                total + missed,
+            )
             total = total - table.parts[(slice(None), *origin)]
         new: Any = (slice(None), *(axis[~counted[at]] for axis in at))
         plain[new] = table.parts[new]
@@ -224,6 +234,18 @@ def _scrambled(net: Sampler, n: int, known: Known, *, shifted: bool = False) -> 
     return _predicted(
         value, n, square, route, rest=weight * rest[-1], doubt=sampled + doubt * rest[-1]
     )
+
+
+def _of_shifts(net: Sampler, n: int, known: Known) -> Predicted:
+    """A digital shift in base 2, at shifts that are spread evenly."""
+    words = (net.draw_stream(n, Stream.from_rng(0), 0, 1)[0] * _BITS).astype(np.uint64)
+
+    def shifted(u: Array) -> Array:
+        return np.asarray((words ^ (u[:, None] * _BITS).astype(np.uint64)) / _BITS)
+
+    value, error = moved_variance(known.g, n, shifted)
+    ones = np.ones(len(value))
+    return Predicted(value, error, ones, 0.0 * ones, "digital shifts of the net")
 
 
 def _eroded(counted: Array) -> Array:
@@ -364,15 +386,29 @@ def _cell_moments(g: Integrand, sides: tuple[int, ...], offset: Array) -> tuple[
     return means, squares
 
 
-def _strata(sides: tuple[int, ...], offset: Array, n: int, known: Known, route: str) -> Predicted:
-    """An independent value of g in each of n equal strata, or n values in one."""
+def _strata(
+    sides: tuple[int, ...], offset: Array, n: int, known: Known, route: str, *, whole: bool = True
+) -> Predicted:
+    """An independent value of g in each of n equal strata, or n values in one.
+
+    `whole` where g is the same for all n, so that ∫g² is worth to be known by itself.
+    """
     grid = sides if _in_closed_form(known.g) else _refined(sides, _CELLS[known.g.dims])
     means, squares = known.once(
         ("moments", grid, *offset), lambda: _cell_moments(known.g, grid, offset)
     )
     square = squares[-1].reshape(-1, squares.shape[-1]).mean(axis=0)
     value, error = _spread(_merged(means, sides), _merged(squares, sides))
-    return _predicted(value, n, square, route, doubt=error)
+    missed = _missed(known, square) if whole else 0.0 * square
+    return _predicted(value + missed, n, square + missed, route, doubt=error + _DOUBT * missed)
+
+
+def _missed(known: Known, square: Array) -> Array:
+    """∫g² less that of a table, at poles at the border, which cells of a table do not resolve."""
+    if _in_closed_form(known.g):
+        return 0.0 * square
+    exact, error = known.square
+    return np.where(exact - square > _CLEAR * error, exact - square, 0.0)
 
 
 def _refined(sides: tuple[int, ...], most: int) -> tuple[int, ...]:
@@ -408,7 +444,9 @@ def _antithetic(n: int, known: Known) -> Predicted:
         g, lambda x: 0.5 * (g(x) + g(reflected(x))), breaks, f"{g.spec}, symmetrised in cells"
     )
     offset = np.zeros(g.dims)
-    return _strata((side,) * g.dims, offset, n // 2, Known(mean), "strata, pairs of points")
+    return _strata(
+        (side,) * g.dims, offset, n // 2, Known(mean), "strata, pairs of points", whole=False
+    )
 
 
 def _latin(n: int, known: Known) -> Predicted:
@@ -425,6 +463,7 @@ def _latin(n: int, known: Known) -> Predicted:
     # All variance, in parts of the axes that it varies with
     sides = _refined((1,) * dims, most)
     means, squares = moments(sides)
+    missed = _missed(known, squares[-1].reshape(-1, squares.shape[-1]).mean(axis=0))
     parts = np.stack([level_variances(m, sides) for m in means])  # one digit for each axis
     square = squares[-1].reshape(-1, squares.shape[-1]).mean(axis=0)
     varying = np.indices((2,) * dims).sum(axis=0)
@@ -434,7 +473,7 @@ def _latin(n: int, known: Known) -> Predicted:
         gains = np.minimum(varying, 1)
     weighed = (gains[..., None] * parts).reshape(len(parts), -1, parts.shape[-1])
     within, error = _spread(means, squares)
-    value = within + weighed.sum(axis=1)
+    value, error = within + missed + weighed.sum(axis=1), error + _DOUBT * missed
 
     # Less that between the strata of each axis
     for axis in range(dims):
@@ -446,29 +485,6 @@ def _latin(n: int, known: Known) -> Predicted:
     # Interactions within the strata, which have weight 1
     doubt = error + value[-1] / max(n - 1, 1)
     return _predicted(value, n, square, "parts of a Latin hypercube", doubt=doubt)
-
-
-def _moved_grid(sides: tuple[int, ...], n: int, known: Known) -> Predicted:
-    """The variance of the mean over a grid with one offset, at offsets of a Kronecker sequence."""
-    g, dims = known.g, known.g.dims
-    count = min(_OFFSETS, _MOST_EVALUATIONS // n)
-    if count < 2**6:
-        raise NoClosedForm(f"{n} points are too many to move a grid over {g.spec}.")
-    root = float(np.roots([1.0, *[0.0] * (dims - 1), -1.0, -1.0]).real.max())
-    offsets = (0.5 + np.arange(count)[:, None] * root ** -np.arange(1.0, dims + 1)) % 1.0
-    corners = np.indices(sides).reshape(dims, -1).T
-    step = max(1, _BLOCK // n)
-    found, squares = [], []
-    for start in range(0, count, step):
-        x = (corners + offsets[start : start + step, None]) / sides
-        values = g(np.minimum(x, 1.0)).reshape(len(x), n, -1)
-        found.append(values.mean(axis=1))
-        squares.append((values**2).mean(axis=1))
-    means = np.concatenate(found)
-    spreads = np.stack([part.var(axis=0, ddof=1) for part in np.array_split(means, 4)])
-    value, doubt = n * means.var(axis=0), n * spreads.std(axis=0, ddof=1)
-    square = np.concatenate(squares).mean(axis=0)
-    return _predicted(value[None], n, square, "offsets of a grid", doubt=doubt)
 
 
 def _mirrored(mode: str, inner: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
@@ -497,7 +513,7 @@ def _predicted(
 ) -> Predicted:
     """Of n times the variance by each rule, (Q, channels), and ∫g²; the rest is not term by term."""
     rounding = _ROUNDING * square
-    value = np.maximum(scaled[-1], 0.0)
+    value = np.where(scaled[-1] > rounding, scaled[-1], 0.0)
     error = np.abs(scaled[-1] - scaled[0]) + doubt + rounding + 1e-9 * value
     if ((error > _MOST_ERROR * value) & (error > _NOISE * square)).any():
         raise NoClosedForm(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, final
 import numpy as np
 from msgspec import Meta
 
-from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute, whole
+from mcspectra.core.analysis import Counted, Need, Reduction, Subject, compute, whole
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.core.results import dataset
@@ -33,7 +33,7 @@ _STEPS = 4  # of the search between two counts
 
 
 @final
-class Plan(Analysis, frozen=True, kw_only=True):
+class Plan(Counted, frozen=True, kw_only=True):
     """Least number of points for an error, predicted without samples of f."""
 
     function = "plan"
@@ -67,8 +67,9 @@ class Plan(Analysis, frozen=True, kw_only=True):
     def _planned(self, subject: Subject, stream: Stream) -> xr.Dataset:
         estimator, given = subject.estimator, subject.sampler
         samplers = list(given) if isinstance(given, list | tuple) else [given]
-        integral = np.atleast_1d(np.abs(np.asarray(estimator.integral, float)))
-        scale = integral if self.relative else np.ones(len(integral))
+        scale = np.ones(max(1, estimator.channels))
+        if self.relative:
+            scale = np.atleast_1d(np.abs(np.asarray(estimator.integral, float)))
         target = np.asarray(self.target_error * scale) ** 2
         predictor = Predictor(estimator, stream)
         planned, errors, routes, notes = [], [], [], []
@@ -221,6 +222,7 @@ def plan(
     target_error: float,
     relative: bool = False,
     rng: RngLike = 0,
+    max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
     """Plan the least number of points for which an error is reached, for each sampler.
@@ -235,6 +237,8 @@ def plan(
         Whether it is a share of the integral.
     rng, workers
         As in `predict`.
+    max_evaluations
+        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
 
     Returns
     -------
@@ -260,4 +264,5 @@ def plan(
     if isinstance(estimator, list | tuple):
         raise ParameterError("plan takes one estimator at a time; give samplers as a list.")
     subject = as_subject(estimator, samplers, lists=True)
-    return compute(Plan(target_error=target_error, relative=relative), subject, rng, workers)
+    asked = Plan(target_error=target_error, relative=relative, max_evaluations=max_evaluations)
+    return compute(asked, subject, rng, workers)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, final
 
 import numpy as np
 
-from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
+from mcspectra.core.analysis import Counted, Need, Reduction, Subject, compute
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import CountError, NoClosedForm, ParameterError
 from mcspectra.core.memory import memory_of
@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 __all__ = ["ROUTES", "Cells", "Prediction", "Predictor", "predict"]
 
 _TOLERANCE = 0.01  # relative error of a quadrature that is taken before all other routes
+_MOST_BREAKS = 8  # of an integrand, with each of which offsets of strata are cut
+_EVALUATIONS = 2.0**22  # of a quadrature, about a second; beyond, other routes come first
 _MEMORY = 2**29  # bytes: coefficients and transforms of all regions
 
 # Counts beyond the last one, that show the limit of rates
@@ -63,13 +65,10 @@ def of_quadrature(sampler: Sampler, n: int, known: Known, stream: Stream) -> Pre
     """The exact variance, to the error of its quadrature; shifted strata are cheaper on the torus."""
     g, (_, steps) = known.g, parts_of(sampler)
     box = np.zeros((1, g.dims))
-    if (
-        g.dims > 1
-        and any(isinstance(s, Shift) for s in steps)
-        and g.box_moments(box, box + 1) is None
-    ):
+    dear = g.box_moments(box, box + 1) is None or sum(map(len, g.breaks)) > _MOST_BREAKS
+    if g.dims > 1 and any(isinstance(s, Shift) for s in steps) and dear:
         raise NoClosedForm("A quadrature for every offset of the strata would take long.")
-    variance, error = of_integrand(sampler, n, known.g, _TOLERANCE)
+    variance, error = of_integrand(sampler, n, known.g, _TOLERANCE, _EVALUATIONS)
     ones = np.ones(len(variance))
     return Predicted(variance, error, ones, 0.0 * ones, "exact")
 
@@ -94,9 +93,12 @@ Route: TypeAlias = Callable[[Sampler, int, Known, Stream], Predicted]
 ROUTES: tuple[Route, ...] = (of_quadrature, of_torus, of_levels, of_subsets, of_measurements)
 """In the order of trust."""
 
+_OF_COSTLY = (of_torus, of_levels, of_quadrature, of_subsets, of_measurements)
+"""A quadrature asks an integrand anew at every count; tables, as precise, serve all of them."""
+
 
 @final
-class Prediction(Analysis, frozen=True, kw_only=True):
+class Prediction(Counted, frozen=True, kw_only=True):
     """Variance and rate at every n, predicted without samples of f."""
 
     function = "predict"
@@ -231,6 +233,7 @@ def predict(
     counts: Sequence[int],
     *,
     rng: RngLike = 0,
+    max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
     """Predict the variance and its rate from what is known of f and of the samplers.
@@ -247,6 +250,8 @@ def predict(
         Seed (SPEC 7), of routes that draw sets.
     workers
         Threads; all processors by default. Results do not depend on it.
+    max_evaluations
+        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
 
     Returns
     -------
@@ -258,8 +263,8 @@ def predict(
         it; ``limit_rate``, the exponent that rates tend to, and ``bend_n``, where a line of this slope
         meets that of smaller n, if the two differ by more than 0.3: both NaN where they are not known.
         Counts whose interval reaches 0 have no rates. The
-        coordinate ``route`` names how each n was predicted: `ROUTES` in their order. A list adds the dim
-        sampler, several channels the dim channel. Where there is no variance, or no more than rounding,
+        coordinate ``route`` names how each n was predicted: `ROUTES` in their order, quadratures of costly
+        integrands after tables. A list adds the dim sampler, several channels the dim channel. Where there is no variance, or no more than rounding,
         it is NaN, and the attribute ``note`` says so.
 
     Raises
@@ -287,7 +292,8 @@ def predict(
     if isinstance(estimator, list | tuple):
         raise ParameterError("predict takes one estimator at a time; give samplers as a list.")
     subject = as_subject(estimator, samplers, lists=True)
-    return compute(Prediction(counts=counts), subject, rng, workers)  # type: ignore[arg-type]
+    asked = Prediction(counts=counts, max_evaluations=max_evaluations)  # type: ignore[arg-type]
+    return compute(asked, subject, rng, workers)
 
 
 @final
@@ -365,6 +371,8 @@ def _by_routes(
 ) -> Predicted:
     """The first route that leads somewhere; points that are mirrored last see another integrand."""
     base, steps = parts_of(sampler)
+    if routes is ROUTES and known.g.costly:
+        routes = _OF_COSTLY
     for route in routes:
         try:
             return route(sampler, n, known, stream)

@@ -405,6 +405,7 @@ def _fitted(
         axis.at(basis, x[..., i].ravel()).reshape(len(basis), len(x), -1)
         for i, (axis, basis) in enumerate(zip(axes, bases, strict=True))
     ]
+    cells = [axis.cells(basis, _CELLS) for axis, basis in zip(axes, bases, strict=True)]
     train = [basis[:, :-1].reshape(len(basis), -1) for basis in known]
     scale = float(np.abs(values).max()) or 1.0
     target = values[:-1].ravel() / scale
@@ -428,6 +429,11 @@ def _fitted(
             [t[1:] for t in tested], axis=0
         ).sum(0)
         missed = scale**2 * float(((values[-1] / scale - sums) ** 2).mean())
+        # Energy of the fit where no point tested it is missed, too; g shows what chance makes of it
+        energy = scale**2 * _energy([w @ c for w, c in zip(weights, cells, strict=True)])
+        untested = energy - scale**2 * float(sums.var())
+        chance = variance - float(values[-1].var())
+        missed += max(abs(untested - chance) - 2.0 * half, 0.0)
         if missed < residual:
             best, residual = weights, missed
 
@@ -451,6 +457,18 @@ def _fitted(
         own = np.prod(np.delete(means, i, axis=0), axis=0) @ factors[i] + sums[i]
         main.append(own + np.concatenate([beside.mean(axis=0)[None], beside]))
     return _Parts(variance, half, axes, main, factors, residual)
+
+
+def _energy(curves: list[Array]) -> float:
+    """Variance of Σ_i f_i(x_i) + Σ_r Π_i h_ri(x_i), of curves (1 + products, cells) of each axis."""
+    means = np.stack([c.mean(axis=1) for c in curves])
+    squares = np.stack([c @ c.T / c.shape[1] for c in curves])
+    products = np.prod(means[:, 1:], axis=0)
+    found = squares[:, 1:, 1:].prod(axis=0).sum() - products.sum() ** 2
+    spread = squares[:, 0] - means[:, :1] * means
+    for i, along in enumerate(spread):
+        found += along[0] + 2.0 * along[1:] @ np.prod(np.delete(means[:, 1:], i, axis=0), axis=0)
+    return float(found)
 
 
 def _least_squares(

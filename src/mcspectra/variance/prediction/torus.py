@@ -9,7 +9,10 @@ have their energy, and integer diagonals, where jumps along these have theirs. B
 1/n. By how much the border of the box departs from that, weighted by |g_m|², is the error of the tail.
 
 P is known in closed form; or from one transform of a set that is shifted at random as a whole; or
-it is the mean over sets that are drawn. Of homogeneous sets, whose law has the symmetries of the
+it is the mean over sets that are drawn. Of lattices P is 1 on the dual lattice and 0 elsewhere: its
+frequencies alone are counted, n times as many as of a box, and what is beyond goes on as the last
+shells do; or, where coefficients are not known exactly, the mean over the lattice is a function of the
+offset within one of its cells, whose variance a quadrature finds. Of homogeneous sets, whose law has the symmetries of the
 cube, |g_m|² is averaged over these, which is the same as to average P. Sets that are dear to make are
 drawn at fewer points: P(m) = h(m/n^(1/d))/n.
 """
@@ -18,7 +21,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import final
@@ -30,13 +33,13 @@ from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.streams import Stream
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import grid_coefficients
-from mcspectra.samplers import Randomized, Sampler
+from mcspectra.samplers import Randomized, Regular, Sampler, UniformJitter
 from mcspectra.samplers.base import Structure
 from mcspectra.spectra.bases import parts_of
 from mcspectra.spectra.closed_forms import closed_form_power
 from mcspectra.variance.prediction.known import Known, Predicted
 
-__all__ = ["Energies", "of_torus"]
+__all__ = ["Energies", "moved_variance", "of_torus"]
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,7 @@ _DIAGONALS = {
 }
 _BLOCK = 2**18  # frequencies of which a closed form is asked at once
 _EPS = 1e-9
+_STILL = frozenset({"strata-shift", "shuffle"})  # steps that leave the law on the torus as it is
 
 _SHELLS = 6  # of the box, each √2 wide, whose power says how white the tail is
 _NORMAL = 1.96
@@ -80,13 +84,26 @@ _LEAST_SETS = 16
 _MOST_SETS = 1024
 _SET_POINTS = 2**18
 _DEAR = 2**16  # the max_count of samplers that are optimised, and its like
-_DEAR_POINTS = 2**15
+_DEAR_POINTS = 2**16
 _PRECISION = 0.015  # of half the interval, relative to the variance
 _LAW_LENGTH = 0.35  # |m| n^(-1/d) up to which power follows a law of the length
 _LEAST_LENGTHS = 10
 _AGREES = 2.0  # standard errors
 _STEPS = 12
 _LOW = 32  # half width up to which all sets are transformed
+_DUAL = 2**19  # frequencies of a dual lattice in a box
+_PERIODS, _STRIP = (
+    2**8,
+    2**18,
+)  # ends of strips in units of n, and frequencies of the dual lattice there
+_JUMP = (
+    0.5  # energy of one octave relative to that before it, where there are jumps; less elsewhere
+)
+_WHOLE = 1e-6  # differences of lattice points from multiples of 1/n, times n
+_RELATIVE = 1e-9  # of sums that do not cancel
+_LEAST_OFFSETS, _OFFSETS, _MOST_EVALUATIONS = 2**6, 2**13, 2**23  # of a lattice that is moved
+_AT_ONCE = 2**20  # evaluations
+_SPREADS = 16  # parts of the offsets, whose variances tell the error
 _LEAST_BOX, _BOX = 32, 6.0  # half width of the box of a homogeneous set, and in units of n^(1/d)
 
 
@@ -237,9 +254,18 @@ def of_torus(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicte
         error = square_error / n + _ROUNDING * square / n
         return Predicted(spread / n, error, np.ones(len(spread)), np.zeros(len(spread)), "∫g²")
 
-    energies = known.once("torus", lambda: Energies.of(known.g))
+    base, steps = parts_of(inner)
+    if isinstance(base, UniformJitter) and all(step.name in _STILL for step in steps):
+        inner = Regular(dims=inner.dims, sides_=base.sides(n))
     if inner.fixed:
         points = inner.draw_stream(n, Stream.from_rng(0), 0, 1)[0]
+        if (basis := _basis(points)) is not None:
+            if known.g.fourier_source == "exact":
+                return _of_dual(points, known)
+            if n <= _MOST_EVALUATIONS // _LEAST_OFFSETS:
+                return _of_offsets(points, basis, known)
+    energies = known.once("torus", lambda: Energies.of(known.g))
+    if inner.fixed:
         regions, powers = energies.regions, [r.power_of(points) for r in energies.regions]
         sampling, how = np.zeros(len(spread)), "one transform"
     else:
@@ -273,11 +299,121 @@ def of_torus(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicte
     return Predicted(variance + tail, error, share, tail, f"torus ({how})")
 
 
+def _basis(points: Array) -> Array | None:
+    """n times a basis of the lattice of n points, an upper triangle of int64; None for other sets."""
+    n, dims = points.shape
+    exact = np.remainder(points - points[0], 1.0) * n
+    if np.abs(exact - np.rint(exact)).max() > _WHOLE:
+        return None
+    whole = np.rint(exact).astype(np.int64) % n
+    basis, left = n * np.eye(dims, dtype=np.int64), whole
+    for axis in range(dims):
+        some = left[left[:, axis] > 0]
+        if len(some):
+            basis[axis] = some[some[:, axis].argmin()]
+        left = left[left[:, axis] == 0]
+    dual = _dual(basis, n)
+    full = math.prod(np.diag(dual).tolist()) == n
+    return basis if full and not (whole @ dual.T % n).any() else None
+
+
+def _dual(basis: Array, n: int) -> Array:
+    """A basis of the dual lattice, a lower triangle of int64."""
+    return np.asarray(np.rint(n * np.linalg.inv(basis).T), np.int64)
+
+
+def _of_dual(points: Array, known: Known) -> Predicted:
+    """Sum |g_m|² over the dual lattice of a lattice; beyond, octaves go on as the last ones do."""
+    g, (n, dims) = known.g, points.shape
+
+    def listed(axis: int, low: list[int], high: list[int]) -> Array:
+        """Vectors of the dual lattice between bounds, those of `axis` first: int64 (F, d)."""
+        basis = _basis(np.roll(points, -axis, axis=1))
+        assert basis is not None
+        dual, m = _dual(basis, n), np.zeros((1, dims), np.int64)
+        for j in reversed(range(dims)):
+            first = -((m[:, j] - low[j]) // dual[j, j])
+            k = first[:, None] + np.arange((high[j] - low[j]) // dual[j, j] + 1)
+            m = (m[:, None] + k[..., None] * dual[j]).reshape(-1, dims)
+            m = m[m[:, j] <= high[j]]
+        return np.roll(m, axis, axis=1)
+
+    def summed(m: Array, size: Array, end: int, beyond: Array) -> tuple[Array, Array]:
+        """Σ |g_m|², and how much is left where `beyond`, from the last two octaves of sizes to `end`."""
+        energy = np.abs(g.fourier(m).reshape(len(m), -1)) ** 2
+        last = energy[beyond & (2 * size > end)].sum(axis=0)
+        before = energy[beyond & (2 * size <= end) & (4 * size > end)].sum(axis=0)
+        ratio = np.minimum(last / np.maximum(before, 1e-300), _JUMP)
+        return energy.sum(axis=0), last * ratio / (1.0 - ratio)
+
+    # A box, and strips along the axes, whose octaves go on by themselves
+    width = int(0.5 * (_DUAL * n) ** (1.0 / dims))
+    end = _PERIODS * n
+    narrow = min(width, int(0.5 * (_STRIP * n / end) ** (1.0 / max(1, dims - 1))))
+    m = listed(0, [-width] * dims, [width] * dims)
+    m = m[m.any(axis=1)]
+    size = np.abs(m).max(axis=1)
+    strips = dims > 1 and end > width
+    along = np.sort(np.abs(m), axis=1)[:, -2] <= narrow if strips else np.zeros(len(m), bool)
+    value, tail = summed(m, size, width, ~along)
+    for axis in range(dims if strips else 0):
+        m = listed(axis, [width + 1] + [-narrow] * (dims - 1), [end] + [narrow] * (dims - 1))
+        counted, left = summed(m, m[:, axis], end, np.ones(len(m), bool))
+        value, tail = value + 2.0 * counted, tail + 2.0 * left
+    square = np.maximum(known.square[0], 1e-300)
+    share = np.clip(1.0 - n * tail / square, 0.0, 1.0)
+    error = tail + _RELATIVE * value
+    return Predicted(value + tail, error, share, tail, "torus (dual lattice)")
+
+
+def _of_offsets(points: Array, basis: Array, known: Known) -> Predicted:
+    """The variance of the mean of g over a lattice, at offsets of a Kronecker sequence in a cell."""
+    g, (n, dims) = known.g, points.shape
+
+    # Short vectors of the lattice, in which the mean is the smoothest
+    cell = basis.astype(float)
+    for _ in range(_STEPS):
+        for i, j in itertools.permutations(range(dims), 2):
+            cell[i] -= np.rint(cell[i] @ cell[j] / (cell[j] @ cell[j])) * cell[j]
+    value, error = moved_variance(g, n, lambda u: (points + (u @ cell / n)[:, None]) % 1.0)
+    ones = np.ones(len(value))
+    return Predicted(value, error, ones, 0.0 * ones, "torus (offsets of a lattice)")
+
+
+def moved_variance(g: Integrand, n: int, moved: Callable[[Array], Array]) -> tuple[Array, Array]:
+    """Variance of the mean of g over n points that an offset moves, and half its 95 % interval.
+
+    `moved` takes offsets (N, d) in the unit cube, here those of a Kronecker sequence, to points
+    (N, n, d).
+
+    Raises
+    ------
+    NoClosedForm
+        n is so large that too few offsets are left.
+    """
+    from scipy.special import stdtrit
+
+    count = min(_OFFSETS, _MOST_EVALUATIONS // n)
+    if count < _LEAST_OFFSETS:
+        raise NoClosedForm(f"{n} points are too many to move all over {g.spec}.")
+    root = float(np.roots([1.0, *[0.0] * (g.dims - 1), -1.0, -1.0]).real.max())
+    offsets = np.arange(1, count + 1)[:, None] * root ** -np.arange(1.0, g.dims + 1) % 1.0
+    step = max(1, _AT_ONCE // n)
+    means = np.concatenate(
+        [
+            g(moved(some)).reshape(len(some), n, -1).mean(axis=1)
+            for some in np.split(offsets, range(step, count, step))
+        ]
+    )
+    spreads = np.stack([part.var(axis=0, ddof=1) for part in np.array_split(means, _SPREADS)])
+    half = float(stdtrit(_SPREADS - 1, 0.975)) / math.sqrt(_SPREADS)
+    return np.asarray(means.var(axis=0)), half * np.asarray(spreads.std(axis=0, ddof=1))
+
+
 def _before_shift(sampler: Sampler) -> Sampler | None:
     """The sampler whose sets have the power of this one's, itself where it is homogeneous; else None."""
     base, steps = parts_of(sampler)
-    still = {"strata-shift", "shuffle"}
-    while steps and steps[-1].name in still:
+    while steps and steps[-1].name in _STILL:
         steps = steps[:-1]
     if not steps:
         homogeneous = base.structure is Structure.TORUS and base.unbiased and not base.fixed

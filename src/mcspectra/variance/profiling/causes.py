@@ -46,7 +46,7 @@ _HALF = 0.5  # exponent of a pole, and tail index, from which on the variance is
 _GROWS = 0.08  # exponent at the border
 _HEAVY = 30.0  # kurtosis
 _LARGE = 0.2  # of all squares, by one value
-_FEW = 0.05  # of the values, that make nine tenths of the variance
+_FEW, _VERY_FEW = 0.05, 0.01  # of the values, that make nine tenths of the variance
 _ALIKE = 0.05  # of all evaluations, as different values: a function in steps
 _SAME = 2e-3  # along lines, of places that are the same
 _MOST_DIMENSION = 1.8
@@ -265,8 +265,8 @@ def _jumps(seen: Evidence) -> Cause | None:
         )
     return Cause(
         "interior-jump",
-        f"{met}: strata that it crosses keep their noise, and the rate of stratified points goes no "
-        "further than n^−(1+1/d).",
+        f"{met}: strata that it crosses keep their noise, and the variance of stratified points tends to "
+        f"n^−{1.0 + 1.0 / seen.sets.dims:.3g} at best.",
         evidence,
         ("preintegrated", "smoothed", "aligned"),
     )
@@ -362,6 +362,14 @@ def causes_of(seen: Evidence) -> list[Cause]:
     # What is left of a tail is said by its cause
     if names & {"infinite-variance", "border-growth"}:
         found = [c for c in found if c.name != "heavy-tail"]
+    # Few values matter because many dims must agree, unless very few do
+    heavy = next((c for c in found if c.name == "heavy-tail"), None)
+    if (
+        heavy is not None
+        and "high-dimension" in names
+        and heavy.evidence["nine_tenths"] > _VERY_FEW
+    ):
+        found = sorted(found, key=lambda c: c.name == "heavy-tail")
     return found or [
         Cause("none", "Nothing was found that costs precision: g is smooth, and its sets show it.")
     ]

@@ -120,9 +120,12 @@ def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator)
     spread = y.var(axis=1)
     rows = np.arange(len(axis))
 
-    # Halve the steps about the largest second difference
-    step = 1.0 / STEPS
-    middle = 1 + np.argmax(np.abs(np.diff(y, 2, axis=1)), axis=1)
+    # Halve the steps about the largest second difference; for every other line of an axis where it stands
+    # out from those beside it, as at a kink of a function that is steep elsewhere
+    second = np.abs(np.diff(y, 2, axis=1))
+    beside = np.abs(np.diff(y, 4, axis=1))
+    middle = 1 + np.argmax(second, axis=1)
+    middle[1::2] = 2 + np.argmax(beside, axis=1)[1::2]
     window, values = (a[rows[:, None], middle[:, None] + (-1, 0, 1)] for a in (t, y))
     sizes = [np.abs(np.diff(values, 2, axis=1))[:, 0]]
     for _ in range(HALVINGS):
@@ -135,7 +138,6 @@ def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator)
         sizes.append(second[rows, chosen])
         pick = chosen[:, None] + np.arange(3)
         window, values = five[rows[:, None], pick], y5[rows[:, None], pick]
-        step *= 0.5
     size = np.array(sizes)[-_LATE - 1 :]
     scale = max(float(np.sqrt(spread.mean())), 1e-300)
     rough = size[-1] > _NEGLIGIBLE * scale

@@ -7,9 +7,11 @@ given, where the nets do not tell of it. From these the causes are read (`causes
 
 from __future__ import annotations
 
+import contextlib
 import html
 import json
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated, Any, final
@@ -24,9 +26,9 @@ from mcspectra.core.images import REC709
 from mcspectra.core.memory import memory_of
 from mcspectra.core.results import dataset, strict_json
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Estimator, Moments, as_estimator
+from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
 from mcspectra.estimators.moments import variance_interval
-from mcspectra.integrands.base import FunctionIntegrand
+from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.variance.counterfactuals import Setup, affordable_count
 from mcspectra.variance.doors import counted
@@ -165,7 +167,8 @@ class Profile:
             f"{best.rmse_given:.2g} at {self.budget:,} evaluations"
         )
         if math.isfinite(best.samples_saved) and best.samples_saved > 0:
-            text += f", which would take {best.samples_saved + self.budget:,.3g} with {self.given}"
+            needed = float(f"{best.samples_saved + self.budget:.2g}")
+            text += f", which would take about {needed:,.0f} with {self.given}"
         return f"{text}.{why}"
 
     @property
@@ -284,6 +287,9 @@ def profile(
     dims: int | None = None,
     budget: int = 4096,
     rng: RngLike = 0,
+    vectorized: bool = True,
+    workers: int = 1,
+    cache: str | os.PathLike[str] | None = None,
 ) -> Profile:
     """Find what an estimator's noise is, why, and what to do.
 
@@ -299,6 +305,9 @@ def profile(
         Evaluations of f, at most and in all, from 256.
     rng
         Seed (SPEC 7).
+    vectorized, workers, cache
+        Of functions that are slow: as of `mcspectra.integrands.Calls`. What was interrupted goes on from the
+        cache.
 
     Returns
     -------
@@ -317,11 +326,14 @@ def profile(
     >>> found.causes[0].name, found.best.name
     ('interior-jump', 'sobol | owen')
     """
-    estimator = _as_estimator(f, dims)
-    subject = Subject(estimator, as_sampler(sampler, estimator.dims))
-    options = Profiling(budget=as_integer("budget", budget, least=_LEAST, most=2**30))
-    options.need(subject)
-    return _profiled(subject, options.budget, Stream.from_rng(rng))
+    limit = as_integer("budget", budget, least=_LEAST, most=2**30)
+    given = _as_integrand(f, dims, limit, vectorized=vectorized, workers=workers, cache=cache)
+    calls = given.function if isinstance(given, FunctionIntegrand) else None
+    with calls if isinstance(calls, Calls) else contextlib.nullcontext():
+        estimator = as_estimator(given, dims)
+        subject = Subject(estimator, as_sampler(sampler, estimator.dims))
+        Profiling(budget=limit).need(subject)
+        return _profiled(subject, limit, Stream.from_rng(rng))
 
 
 def _is_apart(sampler: Sampler) -> bool:
@@ -412,18 +424,18 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     )
 
 
-def _as_estimator(f: Any, dims: int | None) -> AbstractEstimator:
-    """A plain estimator of a function, which is not called yet."""
-    if isinstance(f, AbstractEstimator | str) or hasattr(f, "fourier"):
-        return as_estimator(f, dims)
+def _as_integrand(f: Any, dims: int | None, budget: int, **calling: Any) -> Any:
+    """What stands for f: a function behind the door that counts its calls, all else as it is."""
+    if isinstance(f, AbstractEstimator | Integrand | str):
+        return f
     if not callable(f):
         raise ParameterError(
             f"{f!r:.80} cannot be profiled; give a function, an integrand, an estimator or a spec."
         )
     if dims is None:
         raise ParameterError("dims is missing; give the number of dims of the function's points.")
-    count = as_integer("dims", dims, least=1)
-    return Estimator(FunctionIntegrand(function=f, dims=count))
+    calls = Calls(f, dims=dims, budget=budget, **calling)
+    return FunctionIntegrand(function=calls, dims=calls.dims)
 
 
 def _scalar(estimator: AbstractEstimator, values: Array) -> Array:

@@ -29,7 +29,7 @@ _SLABS = 32  # along an axis, of Latin hypercubes
 _JITTERED_DIMS = 3
 _OCTAVES = 3  # at the end, that a rate is fitted to,
 _MOST_OCTAVES = 8  # and as many as lie on a line with these
-_AGREES = 1.5  # standard errors of the difference
+_AGREES = 1.0  # standard errors of the difference
 
 
 @final
@@ -146,7 +146,7 @@ class Sets:
         """The variance of each sampler that the evaluations tell of."""
         counts = 2 ** np.arange(self.n.bit_length())
         found = {
-            NETS: self._curve(_of_nets, counts),
+            NETS: self._curve(_of_strata if self.dims == 1 else _of_nets, counts),
             "random": self._curve(_of_random, counts, -1.0),
         }
         if set(self.counts) == {1} and 1 < self.dims <= _JITTERED_DIMS:
@@ -219,7 +219,8 @@ def _fitted(counts: Array, found: Array, left: Array, size: float, rate: float |
             break
     if not slope.any():
         return Curve(counts, found, error, math.nan, math.nan, degrees)
-    rate_se = math.sqrt(max(slope @ covariance @ slope, 0.0))
+    # A curve that bends less than its noise shows is known less well than its longest line
+    rate_se = math.hypot(math.sqrt(max(slope @ covariance @ slope, 0.0)), (slope - first) @ y)
     return Curve(counts, found, error, float(slope @ y), rate_se, degrees)
 
 

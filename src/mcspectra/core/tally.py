@@ -1,0 +1,77 @@
+"""Evaluations of users' functions, counted and limited: every call of one is spent here first.
+
+`counting` opens a tally, which sees all that is spent inside of it, in this thread and in those of
+`mcspectra.core.parallel`; tallies may stand within each other. A limit holds before the function is
+called. Work that goes on without what was refused, as another route of a prediction, is made in vain:
+`Tally.check` says at the end that a limit was met.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from typing import final
+
+from mcspectra.core.errors import BudgetError
+
+__all__ = ["Tally", "counting", "spend"]
+
+_lock = threading.Lock()
+
+
+@final
+@dataclass
+class Tally:
+    """Evaluations that something made, and the most that it may, None for any number."""
+
+    what: str
+    most: int | None = None
+    outer: Tally | None = None
+    made: int = 0
+    refused: int = 0  # how many would have been made, where the limit was met
+
+    def check(self) -> None:
+        """Raise BudgetError where evaluations were refused."""
+        if self.refused:
+            raise BudgetError(
+                f"{self.what} takes at least {self.refused} evaluations of the integrand, and max_evaluations "
+                f"is {self.most}; allow more, or ask for less."
+            )
+
+
+_innermost: ContextVar[Tally | None] = ContextVar("tally", default=None)
+
+
+@contextmanager
+def counting(what: str, most: int | None = None) -> Iterator[Tally]:
+    """Count the evaluations that `what` makes inside, `most` of them at most."""
+    tally = Tally(what, most, _innermost.get())
+    token = _innermost.set(tally)
+    try:
+        yield tally
+    finally:
+        _innermost.reset(token)
+
+
+def spend(evaluations: int) -> None:
+    """Say that a function is about to be called at so many points.
+
+    Raises
+    ------
+    BudgetError
+        A tally does not allow them; none counts them.
+    """
+    with _lock:
+        tally = _innermost.get()
+        while tally is not None:
+            if tally.most is not None and tally.made + evaluations > tally.most:
+                tally.refused = max(tally.refused, tally.made + evaluations)
+                tally.check()
+            tally = tally.outer
+        tally = _innermost.get()
+        while tally is not None:
+            tally.made += evaluations
+            tally = tally.outer

@@ -1,0 +1,195 @@
+"""An integral with its interval for a budget of calls: replicates of randomised sets, Student's t.
+
+A budget of N calls is R replicates of n points. With a variance ∝ n^-θ of a replicate the half width
+of the interval is ∝ t_{R−1} n^{−θ/2} R^{−1/2}: few replicates of many points where θ is large, as for
+smooth functions and scrambled nets; more of them where θ is near 1, as they cost nothing then and make t
+smaller. θ is measured with a quarter of the budget, by eight replicates whose points are the first ones of
+the sets that follow: prefixes of a randomised sequence.
+
+Student's t is asymptotic in R, and eight replicates are the least. What has a chance below 1/R a replicate
+may be missed, such as a step along an axis just beside a line of the net: then the interval is too short
+[Owen2025]_. Intervals that hold for any bounded function would take n = Θ(N^{1/(θ+1)}) [Jain2026]_, that is
+most of the budget for replicates: for a smooth function an error ten times as large.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.results import dataset
+from mcspectra.core.streams import RngLike, Stream
+from mcspectra.estimators import AbstractEstimator, Estimator, Moments, as_estimator
+from mcspectra.estimators.moments import rounding_floor
+from mcspectra.estimators.tails import tail_note
+from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
+from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.variance.counterfactuals import Setup, affordable_count
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["integrate"]
+
+_LEAST = 8  # replicates
+_PILOT = 4  # a part of the budget: the first replicates at this part of their longest sets
+_LEVELS = 4  # prefixes of a replicate, each half of the next
+_RATES = 1.0, 3.0  # random points, and smooth functions under scrambled nets
+
+
+def integrate(
+    f: Callable[[Any], Any] | Integrand | AbstractEstimator | str,
+    *,
+    budget: int,
+    sampler: Sampler | str | None = None,
+    dims: int | None = None,
+    vectorized: bool = True,
+    workers: int = 1,
+    cache: str | os.PathLike[str] | None = None,
+    rng: RngLike = 0,
+) -> xr.Dataset:
+    """Integrate a function over [0,1)^d with a number of calls, and say how well.
+
+    Parameters
+    ----------
+    f
+        A callable of points (k, d), which gives (k,); an integrand or its spec string, without channels;
+        or an estimator of one technique, such as ``Estimator(f, density)``.
+    budget
+        Most calls of f, each of one point: none is made beyond it, and no other but these.
+    sampler
+        A randomised one; by default ``"sobol | owen"``.
+    dims
+        Number of dims, where neither f nor the sampler say it.
+    vectorized, workers, cache
+        Of functions that are slow: as of `mcspectra.integrands.Calls`. What was interrupted goes on where
+        it was when it is called again with the same cache, to the same bits.
+    rng
+        Seed (SPEC 7).
+
+    Returns
+    -------
+    xarray.Dataset
+        ``value``, ``interval(bound)`` (95 %, Student's t over the replicates), ``calls`` that were made,
+        ``replicates``, ``n`` points of each, and ``rate``, of the variance as it was measured for the
+        split, NaN where it was not. Where all replicates are alike the interval is infinite, and the
+        attribute ``note`` says why.
+
+    Raises
+    ------
+    ParameterError
+        A value is out of range, the sampler is not random, f has channels or several techniques, the
+        budget is too small for eight replicates; as of `mcspectra.integrands.Calls`.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> found = mcs.integrate(lambda x: x[:, 0] * x[:, 1], dims=2, budget=2000)
+    >>> bool(found["interval"][0] < 0.25 < found["interval"][1])
+    True
+    >>> int(found["calls"]), int(found["n"])
+    (1920, 128)
+    """
+    # What is called, and what draws its points
+    inner, known = f, dims if dims is not None else getattr(sampler, "dims", None)
+    if isinstance(f, AbstractEstimator | Integrand | str):
+        estimator = as_estimator(f, known)
+        if estimator.counts != (1,):
+            raise ParameterError(
+                f"{estimator.spec} has several techniques; integrate one, or use convergence."
+            )
+        inner, known = estimator.primary_integrand(0), estimator.dims
+    if known is None:
+        raise ParameterError("The number of dims of f is not known; give dims=.")
+    source = as_sampler("sobol | owen" if sampler is None else sampler, known)
+    calls = Calls(
+        inner,  # type: ignore[arg-type]
+        dims=known,
+        budget=budget,
+        vectorized=vectorized,
+        workers=workers,
+        cache=cache,
+    )
+    setup = Setup(Estimator(FunctionIntegrand(function=calls, dims=known)), source)
+    if source.fixed:
+        raise ParameterError(
+            f"{source.spec} is the same every time, which says nothing of its error; add owen or shift."
+        )
+    most = affordable_count(setup, calls.budget // _LEAST)
+    if most is None:
+        raise ParameterError(
+            f"budget is {calls.budget}, too small for {_LEAST} replicates of {source.spec}; give more."
+        )
+    stream = Stream.from_rng(rng)
+
+    with calls:
+        # Measure the rate by prefixes of the first replicates
+        first, rate = np.empty((_LEAST, 0)), math.nan
+        pilot = affordable_count(setup, most // _PILOT) if source.sequence else None
+        if pilot is not None and pilot >= 2**_LEVELS:
+            first = calls(source.draw_stream(pilot, stream, 0, _LEAST))
+            rate = _rate(first)
+
+        # Choose the number of points of a replicate, then make all of them
+        counts = {most}
+        while rate < _RATES[1] and (n := affordable_count(setup, min(counts) // 2)):
+            if n < max(pilot or 1, 2):
+                break
+            counts.add(n)
+        n = min(counts, key=lambda n: _half_width(n, calls.budget // n, rate))
+        replicates = calls.budget // n
+        x = source.draw_stream(n, stream, 0, replicates)
+        values = np.empty(x.shape[:2])
+        values[:_LEAST, : first.shape[1]] = first
+        values[:_LEAST, first.shape[1] :] = calls(x[:_LEAST, first.shape[1] :])
+        values[_LEAST:] = calls(x[_LEAST:])
+
+    # The interval: none where nothing varies
+    moments = Moments.of(values.mean(axis=1), tails=True)
+    value, variance = float(moments.mean), float(moments.variance)
+    half, note = _t(replicates) * math.sqrt(variance / replicates), tail_note(moments)
+    if variance <= rounding_floor(moments.mean):
+        half, note = math.inf, "all replicates are alike: f is constant, or what varies was not met"
+    return dataset(
+        {
+            "value": ((), value),
+            "interval": (("bound",), np.array([value - half, value + half])),
+            "calls": ((), calls.made),
+            "replicates": ((), replicates),
+            "n": ((), n),
+            "rate": ((), -rate),
+        },
+        {"bound": ["low", "high"]},
+        integrand=calls.name,
+        sampler=source.spec,
+        budget=calls.budget,
+        stream_key=f"{stream.key:#x}",
+        note=note,
+    )
+
+
+def _rate(values: Array) -> float:
+    """θ of a variance ∝ n^-θ, of prefixes of replicates (R, n); the largest where one has none."""
+    counts = values.shape[1] >> np.arange(_LEVELS)
+    means = np.stack([values[:, :n].mean(axis=1) for n in counts])
+    variances = means.var(axis=1, ddof=1)
+    if (variances <= rounding_floor(np.abs(means).max(axis=1))).any():
+        return _RATES[1]
+    return float(np.clip(-np.polyfit(np.log(counts), np.log(variances), 1)[0], *_RATES))
+
+
+def _half_width(n: int, replicates: int, rate: float) -> float:
+    """Half width of the interval, but for a factor."""
+    return float(_t(replicates) * n ** (-0.5 * rate) * replicates**-0.5)
+
+
+def _t(replicates: int) -> float:
+    from scipy.special import stdtrit
+
+    return float(stdtrit(replicates - 1, 0.975))

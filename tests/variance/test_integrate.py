@@ -1,0 +1,164 @@
+"""Integrals for a budget of calls: never more of them, intervals that cover, the split."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.cli.main import main
+from mcspectra.core.errors import DomainError, ParameterError
+
+E = np.e - 1.0
+
+
+def smooth(x):
+    return np.exp(x.sum(axis=-1))
+
+
+def kink(x):
+    return np.abs(x[..., 0] - 0.37) * (1 + x[..., 1])
+
+
+def jump(x):
+    return (x[..., 0] + x[..., 1] < 0.7) * 1.0
+
+
+KNOWN = {smooth: E**2, kink: 1.5 * (0.37**2 + 0.63**2) / 2, jump: 0.245}
+
+
+class Counting:
+    def __init__(self, f, dims=2, stops_after=10**9):
+        self.f, self.dims, self.calls, self.stops_after = f, dims, 0, stops_after
+        self.__name__ = f.__name__
+
+    def __call__(self, x):
+        self.calls += x.size // self.dims
+        if self.calls > self.stops_after:
+            raise KeyboardInterrupt
+        return self.f(x)
+
+
+@pytest.mark.parametrize("budget", [256, 2000])
+@pytest.mark.parametrize("f", KNOWN, ids=lambda f: f.__name__)
+def test_intervals_cover(f, budget):
+    """Of 1,000 intervals 950 cover with σ = 6.9: between 930 and 970 is 2.9 σ."""
+    covered, replicates = 0, []
+    for seed in range(1000):
+        found = mcs.integrate(f, dims=2, budget=budget, rng=seed)
+        low, high = found["interval"].values
+        covered += low <= KNOWN[f] <= high
+        replicates.append(int(found["replicates"]))
+    assert 930 <= covered <= 970
+    assert min(replicates) >= 8
+
+
+@pytest.mark.parametrize(
+    "sampler", [None, "random", "jittered", "latin-hypercube", "halton | owen"]
+)
+@pytest.mark.parametrize("budget", [8, 100, 1000, 5000])
+def test_no_call_beyond_the_budget(sampler, budget):
+    f = Counting(smooth)
+    found = mcs.integrate(f, dims=2, budget=budget, sampler=sampler)
+    made = int(found["replicates"]) * int(found["n"])
+    assert f.calls == made == int(found["calls"]) <= budget
+    assert made > 0.6 * budget or sampler == "jittered"  # counts of strata are squares
+    assert int(found["replicates"]) >= 8
+
+
+def test_points_are_reused():
+    """The mean of independent sets of n points, those of the pilot among them."""
+    found = mcs.integrate(smooth, dims=2, budget=5000, rng=3)
+    n, replicates = int(found["n"]), int(found["replicates"])
+    x = mcs.sampler("sobol | owen", dims=2).draw(n, realizations=replicates, rng=3)
+    assert float(found["value"]) == pytest.approx(smooth(x).mean(), rel=1e-14)
+    assert n & (n - 1) == 0
+
+
+def test_a_smooth_function_has_few_replicates_and_a_rough_one_many():
+    """The half width ∝ t n^(−θ/2) R^(−1/2) is least at R = 15 where θ = 3, at R = 125 where θ = 1."""
+    by_rate = {}
+    for name, f in (("smooth", smooth), ("rough", lambda x: np.cos(1e5 * x[..., 0]))):
+        found = [mcs.integrate(f, dims=2, budget=2000, rng=seed) for seed in range(30)]
+        by_rate[name] = [np.mean([float(d[v]) for d in found]) for v in ("rate", "replicates")]
+    assert by_rate["smooth"][0] < -1.8 < -1.4 < by_rate["rough"][0]
+    assert by_rate["smooth"][1] < 20
+    assert by_rate["rough"][1] > 30
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_functions_of_a_point_and_processes_give_the_same(workers):
+    one = mcs.integrate(smooth, dims=2, budget=500)
+    other = mcs.integrate(
+        lambda p: float(smooth(p)), dims=2, budget=500, vectorized=False, workers=workers
+    )
+    assert float(other["value"]) == pytest.approx(float(one["value"]), rel=1e-14)
+    assert int(other["calls"]) == int(one["calls"])
+
+
+def test_an_interrupted_run_goes_on_to_the_same_bits(tmp_path):
+    whole = mcs.integrate(smooth, dims=2, budget=2000)
+    with pytest.raises(KeyboardInterrupt):
+        mcs.integrate(Counting(smooth, stops_after=1000), dims=2, budget=2000, cache=tmp_path / "f")
+    f = Counting(smooth)
+    again = mcs.integrate(f, dims=2, budget=2000, cache=tmp_path / "f")
+    assert float(again["value"]) == float(whole["value"])
+    assert np.array_equal(again["interval"], whole["interval"])
+    assert int(whole["calls"]) - 1000 < f.calls == int(again["calls"]) <= int(whole["calls"]) - 850
+    f.calls = 0
+    mcs.integrate(f, dims=2, budget=2000, cache=tmp_path / "f")
+    assert f.calls == 1  # whether f is still the same
+
+
+def test_estimators_integrands_and_specs():
+    value = mcs.integrand("gaussian(center=0.3, width=0.3)", dims=2).integral
+    for f in (
+        "gaussian(center=0.3, width=0.3)",
+        mcs.integrand("gaussian(center=0.3, width=0.3)", dims=2),
+        mcs.Estimator("gaussian(center=0.3, width=0.3)", "linear(slope=-1)", dims=2),
+    ):
+        found = mcs.integrate(f, budget=4000, rng=1, dims=2)
+        assert abs(float(found["value"]) - value) < 3 * float(np.diff(found["interval"])[0])
+
+
+def test_what_is_alike_has_no_interval():
+    found = mcs.integrate(lambda x: np.ones(len(x)), dims=2, budget=100)
+    assert float(found["value"]) == 1.0
+    assert np.array_equal(found["interval"], [-np.inf, np.inf])
+    assert "what varies was not met" in found.attrs["note"]
+    spike = mcs.integrate(lambda x: 1.0 * (x[:, 0] < 2e-3), dims=1, budget=100)
+    assert "note" in spike.attrs
+
+
+@pytest.mark.parametrize(
+    ("f", "options", "sentence"),
+    [
+        (smooth, {"dims": None}, "give dims="),
+        (smooth, {"budget": 7}, "too small for 8 replicates"),
+        (smooth, {"budget": 0}, "budget is 0"),
+        (smooth, {"sampler": "sobol"}, "is the same every time"),
+        (smooth, {"dims": 3, "sampler": mcs.sampler("sobol | owen", dims=2)}, "dims"),
+        (7, {}, "not a callable"),
+        (mcs.TechniqueSum(["disk", "linear"]), {}, "has several techniques"),
+        (mcs.Integrand.from_function(lambda x: x, dims=2), {}, "2 channels"),
+    ],
+)
+def test_what_cannot_be_is_refused(f, options, sentence):
+    with pytest.raises((ParameterError, DomainError), match=sentence):
+        mcs.integrate(f, **{"dims": 2, "budget": 100} | options)
+
+
+def test_the_verb(capsys, tmp_path):
+    file = str(tmp_path / "disk.sqlite")
+    assert main(["integrate", "disk", "--budget", "2000", "--json", "--cache", file]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["interval"][0] < data["value"] < data["interval"][1]
+    assert (data["calls"], data["replicates"] * data["n"]) == (1920, 1920)
+    assert main(["integrate", "disk", "--budget", "2000", "--cache", file]) == 0
+    assert (
+        "\n1 evaluations made, of 15 replicates of 128 points of sobol | owen"
+        in capsys.readouterr().out
+    )
+    assert main(["integrate", "disk", "--budget", "7"]) == 2

@@ -1,0 +1,88 @@
+"""Lattices that are shifted as a whole: sums over dual lattices, offsets, closed forms, measurements."""
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.streams import Stream
+from mcspectra.variance.prediction.known import Known
+from mcspectra.variance.prediction.torus import of_torus
+
+
+def predicted(f, sampler, n):
+    source = mcs.sampler(sampler, f.dims).as_chain(n)
+    return of_torus(source, n, Known(f), Stream.from_rng(0))
+
+
+def unknown(f):
+    """The same function, whose coefficients are not known."""
+    return mcs.Integrand.from_function(f, dims=f.dims, integral=f.integral)
+
+
+@pytest.mark.parametrize("n", [16, 1000, 4096, 2**16])
+@pytest.mark.parametrize(
+    ("sampler", "dims"), [("rank1-lattice | shift", 2), ("korobov(a=3) | shift", 3)]
+)
+def test_additive_functions_on_lattices(sampler, dims, n):
+    """Each axis has one point in each n-th: x is off by a rectangular error of 1/n."""
+    n = n + 1 if dims == 3 else n  # 3 divides neither of these
+    found = predicted(mcs.integrand("linear", dims=dims), sampler, n)
+    gradient = mcs.integrand("linear", dims=dims)
+    slopes = gradient(np.eye(dims) * 0.5) - gradient(np.zeros((1, dims)))
+    exact = float((2.0 * slopes) @ (2.0 * slopes)) / 12.0 / float(n) ** 2
+    assert abs(found.variance[0] - exact) <= found.error[0]
+    assert found.error[0] < 0.01 * exact
+
+
+@pytest.mark.parametrize(
+    ("sampler", "n"),
+    [
+        ("rank1-lattice | shift", 64),
+        ("rank1-lattice | shift", 1000),
+        ("rank1-lattice(vector=[4, 3]) | shift", 256),
+        ("fibonacci | shift", 610),
+        ("hexagonal | shift", 270),
+        ("regular | shift", 1024),
+        ("uniform-jitter", 256),
+        ("uniform-jitter | strata-shift(offset=0.3)", 256),
+    ],
+)
+@pytest.mark.parametrize(
+    "spec", ["half-space(normal=(0.8, 0.6), offset=0.63)", "disk(center=(0.45, 0.52), radius=0.27)"]
+)
+def test_dual_lattices_and_offsets_agree(spec, sampler, n):
+    f = mcs.integrand(spec, dims=2)
+    dual, offsets = predicted(f, sampler, n), predicted(unknown(f), sampler, n)
+    assert "dual" in dual.route
+    assert "offsets" in offsets.route
+    both = np.hypot(dual.error[0], offsets.error[0])
+    assert abs(dual.variance[0] - offsets.variance[0]) <= both
+    assert both < 0.05 * dual.variance[0]  # the aim of predictions
+
+
+def test_what_no_dual_vector_meets_has_no_variance():
+    f = mcs.integrand("cosine(frequency=(2, 1))", dims=2)
+    assert predicted(f, "rank1-lattice | shift", 64).variance[0] == 0.0
+    found = mcs.predict(f, "rank1-lattice | shift", [64])
+    assert np.isnan(found.predicted_variance.values[0])
+    assert "vanishes" in found.attrs["note"]
+
+
+def test_sets_that_are_no_lattices_go_another_way():
+    f = mcs.integrand("linear", dims=2)
+    for sampler in ("kronecker | shift", "halton | shift", "sobol | shift"):
+        assert predicted(f, sampler, 64).route == "torus (one transform)"
+
+
+def test_a_rotated_step_on_a_lattice_is_as_measured():
+    """In 3-D and without coefficients, five standard errors and the interval of the prediction."""
+    f = mcs.Integrand.from_function(lambda x: 1.0 * (x @ np.array([1.0, 0.53, 0.31]) < 0.7), dims=3)
+    found = predicted(f, "rank1-lattice | shift", 256)
+    result = mcs.convergence(
+        mcs.Estimator(f), mcs.sampler("rank1-lattice | shift", 3), [256], realizations=2000, rng=3
+    )
+    low, high = result.variance_ci.values.ravel()
+    assert abs(found.variance[0] - float(result.variance.values[0])) <= (
+        5.0 * (high - low) / (2.0 * 1.96) + found.error[0]
+    )
+    assert found.error[0] < 0.1 * found.variance[0]
