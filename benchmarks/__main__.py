@@ -20,6 +20,7 @@ NAMES = (
     "coverage",
     "predictions",
     "battery",
+    "improvements",
     "contribution",
     "listed",
     "cost",

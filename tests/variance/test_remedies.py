@@ -171,6 +171,8 @@ def test_a_sampler_that_is_biased_without_its_shift_keeps_it():
         (SMOOTH, "jittered", 1000, 31**2),
         (SMOOTH, "sobol | owen", 1000, 512),
         (SMOOTH, "random", 1000, 1000),
+        # a count that steps of a part in 256 pass over
+        (SMOOTH, "sobol | owen", 14336, 8192),
         (mcs.Mirrored(SMOOTH, "uniform", dims=2), "jittered", 1000, 4 * 15**2),
         (mcs.MultipleImportance(SMOOTH, ["uniform", "linear"], counts=(1, 3)), "random", 1000, 250),
         # n and 4n are both squares
@@ -287,6 +289,21 @@ def test_mirrored_estimators_keep_their_other_remedies():
     assert all(
         isinstance(c.setup.estimator, mcs.Mirrored) for c in found if isinstance(c, Counterfactual)
     )
+
+
+def test_tables_beside_other_techniques_are_compensated():
+    """f = p q of a table p with a technique of q: where q samples often p may be 0 [Karlik2019]."""
+    table = mcs.density("piecewise-constant(values=[[1, 1, 9, 1], [1, 1, 1, 1], [1, 9, 1, 1]])")
+    other = mcs.density("product(parts=['linear', 'uniform'])")
+    f = mcs.Integrand.from_function(lambda x: table.pdf(x) * other.pdf(x), dims=2)
+    mis = mcs.MultipleImportance(f, [other, table])
+    found = mcs.remedies(mis, "random", 1024, realizations=400, rng=0, kinds=["compensated"])
+    best = found.isel(remedy=0)
+    assert (best["remedy"], best["verdict"]) == ("compensated: technique 1", "better")
+    (made,) = _found(mis, "random", "compensated")
+    sharp = mcs.densities.compensated(table, [other])
+    assert np.array_equal(made.setup.estimator.densities[1].values, sharp.values)
+    assert [c.kind for c in _found(SMOOTH, "random", "compensated")] == ["compensated"]
 
 
 def test_a_kind_that_fails_costs_itself_only(monkeypatch):

@@ -86,6 +86,11 @@ class Estimator(DomainEstimator):
         return self.integrand.spec + (f" / {self.density.spec}" if self.density else "")
 
     @property
+    def pilot_evaluations(self) -> int:
+        """Those that f was made from."""
+        return self.integrand.pilot_evaluations
+
+    @property
     def infinite_weights(self) -> bool:
         return self.density is not None and not np.isfinite(self.density.reciprocal_integral())
 

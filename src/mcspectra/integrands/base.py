@@ -230,6 +230,9 @@ class Integrand(Component, ABC):
         """Evaluations of the function underneath for one value; more than 1 where values are means."""
         return 1
 
+    pilot_evaluations: int = 0
+    """Evaluations of the function underneath that made it, before any value."""
+
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:  # noqa: ARG002
         """Means of f and of f² over axis-aligned boxes, where they are known in closed form.
 

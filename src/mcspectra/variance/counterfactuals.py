@@ -16,7 +16,14 @@ from typing import Any, Literal, TypeAlias
 
 from mcspectra.core.errors import CountError, McspectraError, ParameterError
 from mcspectra.core.streams import Stream
-from mcspectra.densities import Bilinear, Defensive, EnvironmentDensity, PiecewiseConstant
+from mcspectra.densities import (
+    Bilinear,
+    Defensive,
+    EnvironmentDensity,
+    ImageDensity,
+    PiecewiseConstant,
+    compensated,
+)
 from mcspectra.estimators import AbstractEstimator, Estimator, Mirrored, MultipleImportance
 from mcspectra.estimators.base import Weighted
 from mcspectra.estimators.channels import ChannelSampling
@@ -29,6 +36,7 @@ from mcspectra.samplers.registry import sampler as make_sampler
 from mcspectra.spectra.bases import parts_of
 from mcspectra.variance.alignment import aligned, best_alignment
 from mcspectra.variance.diagnosis import jumps_of
+from mcspectra.variance.improved import CHANGES, evaluated, improvements
 from mcspectra.variance.variants import smoothing_scan
 
 __all__ = [
@@ -54,7 +62,12 @@ _SAMPLERS = (
 )
 _COUNT_TRIES = 256
 _MOST_ALIGNED = 2
-_INSIDE = frozenset({"smoothed", "warp", "heuristic", "techniques", "channels"})
+_PILOT = 8  # it takes one part in so many of the budget, so that the last two of the steps can be measured
+_LEAST_PILOT, _MOST_PILOT = 64, 4096
+_PILOTS = 2  # stream label, after those of the searches
+_INSIDE = frozenset(
+    {"smoothed", "warp", "heuristic", "techniques", "compensated", "channels", *CHANGES}
+)
 _WIDTHS = tuple(2.0**-k for k in range(10, 1, -1))
 _SCAN_REALIZATIONS = 300
 
@@ -157,8 +170,13 @@ Kind: TypeAlias = Literal[
     "aligned",
     "smoothed",
     "warp",
+    "fitted",
+    "regression",
+    "order",
+    "preintegrated",
     "heuristic",
     "techniques",
+    "compensated",
     "channels",
     "sampler",
 ]
@@ -346,6 +364,34 @@ def single_techniques(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
         yield _Offer(f"only {name}", f"sample {name} alone", make)
 
 
+def compensate(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
+    """Tables less what the other techniques sample ([Karlik2019]_)."""
+    estimator = given.estimator
+    if not isinstance(estimator, MultipleImportance) or len(estimator.densities) < 2:
+        raise ParameterError(f"{estimator.spec} has no table beside other techniques.")
+
+    def sharpened(technique: int) -> AbstractEstimator:
+        order = sorted(range(len(estimator.counts)), key=lambda t: t != technique)
+        densities, counts = list(estimator.densities), [estimator.counts[t] for t in order]
+        own, *others = (densities[t] for t in order)
+        if isinstance(own, EnvironmentDensity):
+            densities[technique] = dataclasses.replace(own, compensation=True)
+        else:
+            densities[technique] = compensated(own, others, counts)
+        f, heuristic = estimator.integrand, estimator.heuristic
+        return MultipleImportance(
+            f, densities, heuristic=heuristic, counts=estimator.counts, sets=estimator.sets
+        )
+
+    for technique, density in enumerate(estimator.densities):
+        if isinstance(density, PiecewiseConstant | ImageDensity | EnvironmentDensity):
+            name = f"the table of technique {technique}"
+            change = f"leave out of {name} what the other techniques sample often enough"
+            yield _Offer(
+                f"compensated: technique {technique}", change, partial(sharpened, technique)
+            )
+
+
 def change_warp(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
     """Other densities, the same by other warps, and none."""
     estimator = given.estimator
@@ -422,14 +468,38 @@ def separate_channels(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
         yield _Offer(f"channels: {name}", change, make)
 
 
+def improve(kind: str, given: Setup, budget: Budget) -> _Offers:
+    """Changes of g that a pilot suggests, which is a small part of the budget and counts as such."""
+    count = min(budget.evaluations // _PILOT, _MOST_PILOT)
+    count //= given.estimator.evaluations_per_point
+    if count < _LEAST_PILOT:
+        raise ParameterError(
+            f"A pilot of {max(count, 0)} points tells too little; give a budget of at least "
+            f"{_LEAST_PILOT * _PILOT * given.estimator.evaluations_per_point} evaluations."
+        )
+    stream = budget.stream.child(_PILOTS)
+    seen = evaluated(given.estimator, count, stream, adapt=kind == "fitted")
+    charged = given.overhead + count * given.estimator.evaluations_per_point
+    found = list(improvements(given.estimator, seen, [kind], charged=charged))
+    if not found:
+        raise ParameterError(f"{count} evaluations of a pilot show no gain by it.")
+    for made in found:
+        yield _Offer(made.name, made.change, lambda e=made.estimator: e)  # type: ignore[misc]
+
+
 KINDS: Mapping[Kind, Callable[[Setup, Budget], _Offers]] = {
     "unshifted": leave_shift_out,
     "mirrored": mirror,
     "aligned": align_strata,
     "smoothed": smooth_edges,
     "warp": change_warp,
+    "fitted": partial(improve, "fitted"),
+    "regression": partial(improve, "regression"),
+    "order": partial(improve, "order"),
+    "preintegrated": partial(improve, "preintegrated"),
     "heuristic": change_heuristic,
     "techniques": single_techniques,
+    "compensated": compensate,
     "channels": separate_channels,
     "sampler": change_sampler,
 }

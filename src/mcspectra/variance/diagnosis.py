@@ -145,6 +145,16 @@ class Diagnosis:
                 self.inside and inside is not None and inside.length < _FEWER * self.inside.length
             ):
                 return f"Its g jumps less: {inside.text}."
+            case "fitted":
+                return "Its density is large where g is, as a pilot showed."
+            case "regression":
+                return "What polynomials explain of g has a known integral and is left out."
+            case "order":
+                return (
+                    "The first coordinates, which sets sample best, are those that g varies with."
+                )
+            case "preintegrated":
+                return "Its means are over the parts on both sides of the place where g jumps."
             case "heuristic" if self.slow is not None:
                 return f"It changes what technique {self.slow}, the slowest, contributes."
             case "techniques" if self.slow is not None and not name.endswith(self.slow_name):

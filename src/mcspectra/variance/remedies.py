@@ -192,6 +192,14 @@ class Remedies(Counted, frozen=True, kw_only=True):
             size = float(np.abs(integral).max())
             tolerance = max(_BY_QUADRATURE, _SIGMAS * error / size if size else 0.0)
         biased = not np.isnan(integral).any() and (change.biased or not setup.unbiased)
+        errors = Errors.of(
+            cost,
+            estimates,
+            integral,
+            biased=biased,
+            tolerance=tolerance,
+            overhead=setup.overhead,
+        )
         warp = change.kind == "warp"
         return _Trial(
             kind=change.kind,
@@ -199,7 +207,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
             change=change.change,
             setup=change.key,
             biased=change.biased,
-            errors=Errors.of(cost, estimates, integral, biased=biased, tolerance=tolerance),
+            errors=errors,
             unbounded=warp and setup.estimator.infinite_weights,
             inside=jumps_of(setup.estimator)[1] if warp and not setup.is_black_box else None,
         )
@@ -294,8 +302,11 @@ def remedies(
 
     Notes
     -----
+    ``fitted``, ``regression``, ``order`` and ``preintegrated`` change the estimator by what a pilot shows,
+    an eighth of the budget (4096 evaluations at most), and keep its integral.
     Where no count of points costs exactly the budget, the largest below is measured and the error is
-    carried to the budget along the fitted rate; the interval knows of the slope's uncertainty.
+    carried to the budget along the fitted rate; the interval knows of the slope's uncertainty. Beside a
+    pilot no error is carried.
     A user's function is evaluated at most 4/3 · budget · realizations times for each set-up, and 7/3 times
     budget · realizations more for what costs precision as given; offsets of strata and widths of smooth
     edges, whose search takes more, are not tried then, nor is what is biased where ∫f is unknown.
@@ -472,6 +483,8 @@ class Errors:
     influence: Array  # ψ, (N, R)
     noise: Array  # v below which the estimates differ by rounding only, (N,)
     blind: Array  # whether the estimates are all alike, but not the integral, (N,)
+    # Of the cost, before the first point: it does not grow, and is no part of the rate
+    overhead: int = 0
 
     @staticmethod
     def of(
@@ -481,6 +494,7 @@ class Errors:
         *,
         biased: bool = False,
         tolerance: float = 1e-9,
+        overhead: int = 0,
     ) -> Errors:
         """Errors of estimates (R, C), one array for each cost, of the integral (C,).
 
@@ -513,6 +527,7 @@ class Errors:
             influence=np.stack([influence for _, influence in parts]),
             noise=noise,
             blind=alike & miss & (not biased),
+            overhead=overhead,
         )
 
     @property
@@ -526,14 +541,14 @@ class Errors:
         return np.array([_standard_error(psi) for psi in self.influence])
 
     def rate(self) -> tuple[float, Array]:
-        """Slope of log v against log cost, and the influence of each realisation on it, (R,).
+        """Slope of log v against log cost without overhead, and the influence of each realisation on it, (R,).
 
         Weighted least squares as in `mcspectra.variance.fit`; NaN where fewer than two can be fitted.
         """
         used = self.used
         if used.sum() < 2:
             return math.nan, np.full(self.influence.shape[1], np.nan)
-        x, y = np.log(self.cost[used]), np.log(self.error[used])
+        x, y = np.log(self.cost[used] - self.overhead), np.log(self.error[used])
         weight = self.relative_se[used] ** -2.0
         centred = weight * (x - np.average(x, weights=weight))
         slope = centred / (centred * x).sum()
@@ -541,20 +556,23 @@ class Errors:
 
     def fit(self) -> RateFit:
         """The rate with its interval and lack of fit, as `mcspectra.convergence` gives it."""
-        return fit_rate(self.cost, self.error, self.relative_se, self.noise)
+        return fit_rate(self.cost - self.overhead, self.error, self.relative_se, self.noise)
 
     def widening(self) -> float:
         """By what the lack of fit widens the interval of the rate."""
         degrees = int(self.used.sum()) - 2
         return widening(degrees, self.fit().chi2) if degrees > 0 else 1.0
 
-    def at(self, budget: float) -> tuple[float, Array]:
-        """log v at a cost of `budget`, and its influences (R,): the last error, carried by the rate."""
+    def at(self, budget: float, *, carry: bool = True) -> tuple[float, Array]:
+        """log v at a cost of `budget`, and its influences (R,): the last error, carried by the rate.
+
+        Beside a pilot it is not: what that takes is lost, and counts of nets are half of what else fits.
+        """
         last = len(self.cost) - 1
         if not self.used[last]:
             unknown = math.nan if self.blind[last] else -math.inf
             return unknown, np.zeros(self.influence.shape[1])
-        gap = math.log(budget / self.cost[last])
+        gap = math.log(budget / self.cost[last]) if carry and not self.overhead else 0.0
         log_error, influence = math.log(self.error[last]), self.influence[last]
         if gap == 0.0:
             return log_error, influence
@@ -578,8 +596,9 @@ class Comparison:
 
 def compare(errors: Errors, reference: Errors, budget: float) -> Comparison:
     """Compare two set-ups of as many realisations on the same random numbers."""
-    own, own_influence = errors.at(budget)
-    other, other_influence = reference.at(budget)
+    carry = not errors.overhead and not reference.overhead
+    own, own_influence = errors.at(budget, carry=carry)
+    other, other_influence = reference.at(budget, carry=carry)
     rate, slope = errors.rate()
     other_rate, other_slope = reference.rate()
     # Curves that bend or wobble know their slope less well than their scatter says

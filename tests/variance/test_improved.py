@@ -1,0 +1,177 @@
+"""Estimators changed by what a pilot shows: unbiased, as good as expected, and found by remedies."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import ndtr, ndtri
+
+import mcspectra as mcs
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.streams import Stream
+from mcspectra.estimators import Mirrored
+from mcspectra.variance.counterfactuals import Setup
+from mcspectra.variance.improved import CHANGES, Evaluations, evaluated, improvements
+
+SIGMAS = 4.0
+SLOPES = np.arange(1.0, 6.0) / 5.0
+
+
+def normal(x):
+    return ndtri(np.clip(x, 1e-300, 1.0 - 2.0**-53))
+
+
+# Of exp(−100 s²) with the density 2 (1 − s) of s = |x − y|
+RIDGE = math.sqrt(math.pi) / 10.0 * math.erf(10.0) - (1.0 - math.exp(-100.0)) / 100.0
+PROBLEMS = {
+    "peak": (3, lambda x: np.exp(-((x - 0.4) ** 2).sum(-1) / 8e-4), (8e-4 * math.pi) ** 1.5),
+    "digital option": (16, lambda x: (normal(x).sum(-1) > 1.0) * 1.0, float(ndtr(-0.25))),
+    "lognormal": (4, lambda x: np.exp(0.5 * normal(x).sum(-1)), math.exp(0.5)),
+    "smooth": (5, lambda x: np.exp(x * SLOPES).prod(-1), (np.expm1(SLOPES) / SLOPES).prod()),
+    "product": (10, lambda x: (3.0 * x - 0.5).prod(-1), 1.0),
+    "half-plane": (2, lambda x: (x @ (0.6, 0.8) < 0.7) * 1.0, 0.5),
+    "ridge": (2, lambda x: np.exp(-100.0 * (x[..., 0] - x[..., 1]) ** 2), RIDGE),
+    "step": (3, lambda x: (x[..., 1] < 0.377) * 1.0, 0.377),
+    "channels": (
+        2,
+        lambda x: np.stack([x[..., 0] ** 2, np.exp(3.0 * x.sum(-1))], axis=-1),
+        np.array([1 / 3, (math.expm1(3.0) / 3.0) ** 2]),
+    ),
+}
+
+
+def estimator(name):
+    dims, function, integral = PROBLEMS[name]
+    return mcs.Estimator(mcs.Integrand.from_function(function, dims=dims, integral=integral))
+
+
+def changes(name, count=2048, kinds=tuple(CHANGES)):
+    e = estimator(name)
+    for kind in kinds:
+        seen = evaluated(e, count, Stream.from_rng(1), adapt=kind == "fitted")
+        yield from improvements(e, seen, [kind])
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_all_changes_keep_the_integral(name):
+    """Means of 2^14 random points are within 4 standard errors of it."""
+    dims, _, integral = PROBLEMS[name]
+    u = np.random.default_rng(2).random((2**14, dims))
+    found = list(changes(name))
+    assert found
+    for change in found:
+        values = change.estimator.primary_values(0, u)
+        error = values.std(axis=0) / math.sqrt(len(u)) + 1e-12
+        assert (np.abs(values.mean(axis=0) - integral) < SIGMAS * error).all(), change.name
+        assert change.estimator.integral == pytest.approx(integral)
+
+
+@pytest.mark.parametrize("kind", ["fitted", "regression"])
+@pytest.mark.parametrize("name", ["peak", "smooth", "product", "half-plane", "ridge"])
+def test_changes_are_as_good_as_expected(name, kind):
+    """No worse than expected within 4 standard errors of both variances; what halves were fitted to
+    tells less than all."""
+    e, count = estimator(name), 4096
+    u = np.random.default_rng(3).random((2**16, e.dims))
+    before = e.primary_values(0, u).var()
+    seen = evaluated(e, count, Stream.from_rng(1), adapt=kind == "fitted")
+    squares = (seen.values[:, 0] - PROBLEMS[name][2]) ** 2 / seen.pdf
+    for change in improvements(e, seen, [kind]):
+        values = change.estimator.primary_values(0, u)
+        own = (values - values.mean()) ** 2
+        spread = math.hypot(squares.std() / squares.mean(), own.std() / own.mean())
+        most = change.ratio * math.exp(SIGMAS * spread / math.sqrt(count))
+        assert values.var() / before < most, change.name
+
+
+def test_a_ridge_across_both_axes_takes_a_grid():
+    """Its marginals are almost flat, so that no product follows it; cells of a sixteenth do."""
+    found = {c.name: c.ratio for c in changes("ridge", 2048, ("fitted",))}
+    assert found["fitted bilinear density"] < 0.1
+    assert found.get("fitted product density", 1.0) > 0.5
+
+
+def test_regression_takes_polynomials_away():
+    dims = 3
+    e = mcs.Estimator(mcs.Integrand.from_function(lambda x: x[..., 0] * x[..., 2], dims=dims))
+    (change,) = improvements(e, evaluated(e, 512, Stream.from_rng(0)), ["regression"])
+    u = np.random.default_rng(0).random((1000, dims))
+    assert change.estimator.primary_values(0, u).var() < 1e-12
+    assert change.ratio < 1e-12
+
+
+def test_fitted_normal_density_moves_to_where_a_lognormal_integrand_is():
+    """|g| φ is φ moved by a: what is left is from the error of the mean, d Var/k e^{|a|²} at most."""
+    found = {c.name: c for c in changes("lognormal", 4096, ("fitted",))}
+    made = found["fitted normal density"].estimator.integrand.density
+    spread = math.sqrt(math.exp(1.0) / 4096)
+    assert np.abs(made.shift - 0.5).max() < SIGMAS * spread
+
+
+def test_the_direction_that_matters_comes_first():
+    """The regression on 16 terms has the error of its residuals: the angle to (1, …, 1) is as small."""
+    (change,) = changes("digital option", 4096, ("order",))
+    first = change.estimator.integrand.density.matrix[:, 0]
+    residual = 0.25 / 4096 * 16  # squared, of all linear coefficients; their own is φ(¼)² = 0.15
+    assert 1.0 - (first.sum() / 4.0) ** 2 < SIGMAS * residual / 0.15
+
+
+def test_preintegration_leaves_the_bracket_of_the_jump_only():
+    """Of a step along an axis: a bracket of width 2^−7, sampled once, with at most a quarter its square."""
+    found = {c.name: c for c in changes("step", 2048, ("preintegrated",))}
+    made = found["preintegrated along axis 1"].estimator
+    u = np.random.default_rng(0).random((4096, 3))
+    assert made.primary_values(0, u).var() < 0.25 * 2.0**-14
+    assert made.evaluations_per_point == 14
+
+
+def test_evaluations_at_points_of_any_density_have_its_weights():
+    """E[g²/p] − I² from points of p: within 4 standard errors of that of uniform points."""
+    e = estimator("smooth")
+    uniform = evaluated(e, 2**14, Stream.from_rng(4))
+    adapted = evaluated(e, 2**14, Stream.from_rng(5), adapt=True)
+    assert adapted.pdf.std() > 0.1
+    assert adapted.variance() == pytest.approx(uniform.variance(), rel=SIGMAS * 3.0 / 2**7)
+
+
+def test_the_pilot_is_charged_and_makes_no_more_calls():
+    calls = 0
+
+    def function(x):
+        nonlocal calls
+        calls += x[..., 0].size
+        return np.exp(-100.0 * ((x - 0.3) ** 2).sum(-1))
+
+    e = mcs.Estimator(mcs.Integrand.from_function(function, dims=2, integral=math.pi / 100))
+    for kind in CHANGES:
+        calls = 0
+        seen = evaluated(e, 500, Stream.from_rng(0), adapt=kind == "fitted")
+        made = list(improvements(e, seen, [kind], charged=500))
+        assert calls == 500
+        assert all(Setup(m.estimator, mcs.sampler("random", dims=2)).overhead == 500 for m in made)
+        assert all(Mirrored(m.estimator).pilot_evaluations == 500 for m in made)
+
+
+@pytest.mark.parametrize(("name", "kind"), [("peak", "fitted"), ("smooth", "regression")])
+def test_remedies_recommend_what_changes_the_estimator(name, kind):
+    found = mcs.remedies(
+        estimator(name), "random", 4096, realizations=100, rng=1, kinds=["mirrored", kind]
+    )
+    best = found.isel(remedy=0)
+    assert (best["kind"], best["verdict"]) == (kind, "better")
+    assert best["error_ratio_ci"].values[1] < 0.02
+    # What is spent before the first point is no part of the rate, which is that of random points
+    assert best["rate_verdict"] == "undecided"
+
+
+def test_what_cannot_be_changed_is_said():
+    mis = mcs.MultipleImportance("gaussian", ["uniform", "linear"], dims=2)
+    with pytest.raises(ParameterError, match="one technique"):
+        evaluated(mis, 100, Stream.from_rng(0))
+    e = estimator("step")
+    with pytest.raises(ParameterError, match="too few"):
+        list(improvements(e, evaluated(e, 4, Stream.from_rng(0))))
+    with pytest.raises(ParameterError, match="0 at all"):
+        list(improvements(e, Evaluations.of(np.full((99, 3), 0.9), np.zeros(99)), ["fitted"]))
+    found = mcs.remedies(e, "random", 256, realizations=100, kinds=["regression"])
+    assert "budget of at least 512" in found.attrs["recommendation"]
