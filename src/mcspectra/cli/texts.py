@@ -427,7 +427,7 @@ def remedies(result: xr.Dataset) -> Answer:
                 f"{float(one['error_ratio']):.3g}",
                 _interval(one["error_ratio_ci"].values, 3),
                 f"{float(one['rate']):.2f}" if resolved else "unresolved",
-                _interval(one["rate_ci"].values, 3),
+                " … ".join(f"{float(end):.2f}" for end in one["rate_ci"].values),
             ]
         )
     table = text_table(["remedy", "", "variance", "ratio", "95 %", "rate", "95 %"], rows)

@@ -104,6 +104,8 @@ class Calls:
         self.dims = as_integer("dims", dims, least=1)
         self.budget = as_integer("budget", budget, least=1)
         self.made, self._asked = 0, 0
+        if not isinstance(vectorized, bool):
+            raise ParameterError(f"vectorized is {vectorized!r:.80}; it must be True or False.")
         if not callable(f):
             raise ParameterError(f"f is {f!r:.80}, not a callable; give f(points) -> values.")
         if isinstance(f, Integrand) and (f.channels or f.dims != self.dims):
