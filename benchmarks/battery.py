@@ -295,22 +295,22 @@ def judge(case: Case, seed: int = 0) -> Outcome:
             estimator, "sobol | owen", counts, realizations=REALIZATIONS, rng=seed + 1
         )
         rate = float(measured["rate"])
-    if found.best is not None and found.best.name in found.samplers:
-        n = int(found.samplers[found.best.name].counts[-1])
-        pair = [
-            mcs.convergence(
-                estimator,
-                name,
-                [mcs.sampler(name, dims=estimator.dims).nearest_count(n)],
-                realizations=REALIZATIONS,
-                rng=seed + 2,
+    if found.best is not None:
+        changed = found.best.estimator
+        n = max(int(c.counts[-1]) for c in found.samplers.values() if len(c.counts))
+        pair = []
+        for each, name, size in (
+            (changed, found.best.sampler, n // changed.evaluations_per_point),
+            (estimator, found.given, n),
+        ):
+            source = mcs.sampler(name, dims=estimator.dims)
+            count = source.nearest_count(max(size, 1))
+            measured = mcs.convergence(
+                each, source, [count], realizations=REALIZATIONS, rng=seed + 2
             )
-            for name in (found.best.name, found.given)
-        ]
-        # A set that is the same every time has a bias in place of its variance
-        first, second = (float(one["variance"][0]) for one in pair)
-        second = second or float(pair[1]["mse"][0])
-        ratio = first / max(second, 1e-300)
+            # A set that is the same every time has a bias in place of its variance
+            pair.append(float(measured["variance"][0]) or float(measured["mse"][0]))
+        ratio = pair[0] / max(pair[1], 1e-300)
     return Outcome(case, found, seconds, covers, rate, ratio)
 
 

@@ -43,6 +43,7 @@ Name: TypeAlias = Literal[
 ]
 
 _HALF = 0.5  # exponent of a pole, and tail index, from which on the variance is infinite
+_ALL = 0.95  # from which on there is no integral
 _GROWS = 0.08  # exponent at the border
 _HEAVY = 30.0  # kurtosis
 _LARGE = 0.2  # of all squares, by one value
@@ -133,6 +134,12 @@ def _wrong_pdf(seen: Evidence) -> Cause | None:
 def _infinite_variance(seen: Evidence) -> Cause | None:
     growth = seen.each("growth")
     border = float(np.nanmax(growth, initial=0.0))
+    if border >= _ALL:
+        return Cause(
+            "infinite-variance",
+            f"g grows as t^−{border:.2f} at the border, and from t^−1 on it has no integral.",
+            {"exponent": border},
+        )
     if border >= _HALF - 0.02:
         return Cause(
             "infinite-variance",
@@ -144,6 +151,12 @@ def _infinite_variance(seen: Evidence) -> Cause | None:
     exponent = seen.each("exponent")
     poles = np.concatenate([lines.poles() for lines in seen.lines])
     order = -float(np.median(exponent[poles])) if poles.any() else 0.0
+    if order >= _ALL:
+        return Cause(
+            "infinite-variance",
+            f"g has a pole of order {order:.2f} inside, and from 1 on it has no integral.",
+            {"exponent": order},
+        )
     if order >= _HALF - 0.08:
         return Cause(
             "infinite-variance",
@@ -252,8 +265,8 @@ def _jumps(seen: Evidence) -> Cause | None:
     straight = []
     for i in range(seen.sets.dims):
         own = meets & (axis == i)
-        if own.any():
-            straight.append(own.sum() > 1 and _clustered(place[own]))
+        if own.sum() > 1:  # a single one says nothing
+            straight.append(_clustered(place[own]))
     evidence = {"met_by": share, "height": size}
     met = f"{100 * share:.0f} % of all lines through the cube meet a jump of g, by {size:.2g} of its spread"
     if straight and all(straight):
@@ -323,7 +336,7 @@ def _high_dimension(seen: Evidence) -> Cause | None:
         f"g varies with about {mean:.1f} of its {d} dims at once, which {n} points cannot fill: the best "
         f"sets have {gain:.2g} times less variance than random points.",
         {"mean_dimension": mean, "gain": gain},
-        ("order", "preintegrated", "regression"),
+        ("order", "regression", "preintegrated"),
     )
 
 

@@ -12,7 +12,8 @@ import html
 import json
 import math
 import os
-from collections.abc import Mapping
+import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated, Any, final
 
@@ -32,6 +33,7 @@ from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.variance.counterfactuals import Setup, affordable_count
 from mcspectra.variance.doors import counted
+from mcspectra.variance.improved import CHANGES, Evaluations, Improvement, improvements
 from mcspectra.variance.profiling.causes import Cause, Evidence, causes_of
 from mcspectra.variance.profiling.lines import Lines, lines_of, mean_dimension
 from mcspectra.variance.profiling.samples import NETS, Curve, Sets, curve_of
@@ -43,7 +45,9 @@ __all__ = ["Change", "Profile", "Profiling", "profile"]
 
 _LEAST = 256  # evaluations
 _NETS = 20  # at least; fewer tell little of errors
-_LINES, _GIVEN = 0.25, 0.25  # of the budget
+_LINES, _GIVEN, _CHECK = 0.2, 0.25, 0.15  # of the budget
+_FITTED = 64  # points of each net, that changes are fitted to
+_LEAST_CHECKED = 4  # points that a change is measured at
 _GIVEN_COUNTS = 5
 _MANY = 4  # dims, from which on it matters how many g varies with at once
 _SIGMA = 1.959963984540054
@@ -103,6 +107,8 @@ class Change:
         Variance as given over that after the change, and its 95 % interval.
     samples_saved
         Evaluations that the set-up as given takes for the same error, less the budget.
+    estimator, sampler
+        The set-up after the change, for `mcspectra.convergence` and its like.
     """
 
     name: str
@@ -112,6 +118,8 @@ class Change:
     gain: float
     gain_ci: tuple[float, float]
     samples_saved: float
+    estimator: AbstractEstimator
+    sampler: str
 
 
 @final
@@ -266,7 +274,11 @@ class Profile:
             {**asdict(cause), "evidence": dict(cause.evidence), "kinds": list(cause.kinds)}
             for cause in self.causes
         ]
-        found["best"] = None if self.best is None else asdict(self.best)
+        found["best"] = (
+            None
+            if self.best is None
+            else {**vars(self.best), "estimator": self.best.estimator.spec}
+        )
         found["samplers"] = {
             name: {
                 "counts": curve.counts.tolist(),
@@ -322,9 +334,9 @@ def profile(
     Examples
     --------
     >>> import mcspectra as mcs
-    >>> found = mcs.profile(lambda x: (x.sum(axis=-1) < 0.8) * 1.0, dims=2)
+    >>> found = mcs.profile(lambda x: abs(x.sum(axis=-1) - 0.8), dims=2)
     >>> found.causes[0].name, found.best.name
-    ('interior-jump', 'sobol | owen')
+    ('kink', 'sobol | owen')
     """
     limit = as_integer("budget", budget, least=_LEAST, most=2**30)
     given = _as_integrand(f, dims, limit, vectorized=vectorized, workers=workers, cache=cache)
@@ -333,7 +345,10 @@ def profile(
         estimator = as_estimator(given, dims)
         subject = Subject(estimator, as_sampler(sampler, estimator.dims))
         Profiling(budget=limit).need(subject)
-        return _profiled(subject, limit, Stream.from_rng(rng))
+        found = _profiled(subject, limit, Stream.from_rng(rng))
+    if isinstance(calls, Calls):
+        calls.budget = sys.maxsize  # what is advised can be used
+    return found
 
 
 def _is_apart(sampler: Sampler) -> bool:
@@ -344,7 +359,7 @@ def _is_apart(sampler: Sampler) -> bool:
 def _shares(estimator: AbstractEstimator, budget: int, *, apart: bool) -> tuple[int, int, int]:
     """Evaluations of a point, points of a net, and number of nets."""
     each = sum(estimator.counts) * estimator.evaluations_per_point
-    share = 1.0 - _LINES - (_GIVEN if apart else 0.0)
+    share = 1.0 - _LINES - _CHECK - (_GIVEN if apart else 0.0)
     n = int(share * budget) // (_NETS * each)
     if n < 4:
         raise ParameterError(
@@ -395,15 +410,22 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     not_tried = []
     if apart:
         try:
-            curve, cost = _measured(estimator, given, budget - calls, stream.child(99))
+            curve, cost = _measured(estimator, given, int(_GIVEN * budget), stream.child(99))
             curves[given.spec] = curve
             calls += cost
         except McspectraError as error:
             not_tried.append(f"{given.spec}: {error}")
 
-    causes = causes_of(Evidence(estimator, given, sets, curves, tuple(lines), mean))
+    evidence = Evidence(estimator, given, sets, curves, tuple(lines), mean)
+    causes = causes_of(evidence)
     fixed = any(cause.name == "deterministic-set" for cause in causes)
-    best = _best(curves, given.spec, budget // each, fixed=fixed)
+    best = _best(estimator, curves, given.spec, budget // each, fixed=fixed)
+    if any(c.name == "infinite-variance" and not c.kinds for c in causes):
+        best = None  # there is no integral
+    best, changed, cost = _improved(
+        estimator, evidence, causes, best, budget, budget - calls, stream.child(98)
+    )
+    calls += cost
     curve = curves.get(given.spec, curves[NETS])
     infinite = any(cause.name == "infinite-variance" for cause in causes)
     return Profile(
@@ -419,7 +441,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         causes=causes,
         best=best,
         samplers=curves,
-        tried=list(curves),
+        tried=[*curves, *([changed] if changed else [])],
         not_tried=not_tried,
     )
 
@@ -465,39 +487,105 @@ def _measured(
             f"{sampler.spec} has no count of points that fits into {evaluations} evaluations."
         )
     counts.sort()
-    estimates = []
-    for n in counts:
-        points = estimator.draw(sampler, n, stream.child(n), 0, _NETS)
-        values = [_scalar(estimator, estimator.primary_values(t, u)) for t, u in enumerate(points)]
-        estimates.append(np.asarray(sum(v.mean(axis=1) for v in values)))
+    estimates = [_estimates(estimator, sampler, n, stream) for n in counts]
     return curve_of(counts, estimates), sum(counts) * _NETS * each
 
 
-def _best(curves: Mapping[str, Curve], given: str, n: int, *, fixed: bool) -> Change | None:
+def _estimates(estimator: AbstractEstimator, sampler: Sampler, n: int, stream: Stream) -> Array:
+    """Independent estimates."""
+    points = estimator.draw(estimator.randomized(sampler), n, stream.child(n), 0, _NETS)
+    values = [_scalar(estimator, estimator.primary_values(t, u)) for t, u in enumerate(points)]
+    return np.asarray(sum(v.mean(axis=1) for v in values))
+
+
+def _best(
+    estimator: AbstractEstimator, curves: Mapping[str, Curve], given: str, n: int, *, fixed: bool
+) -> Change | None:
     """The sampler of least variance at n, if its interval leaves the one that is given out."""
     name = min(curves, key=lambda c: curves[c].at(n)[0] if c != given or not fixed else math.inf)
     if name == given or given not in curves:
         return None
     value, error = curves[name].at(n)
-    other, other_error = curves[given].at(n)
     if fixed:
-        other, other_error = curves["random"].at(n)
+        curves = {**curves, given: curves["random"]}
+    setup = (estimator, name)
+    found = _change(curves, given, n, name, f"use {name}", (value, error), setup)
+    return found if found.gain_ci[0] > 1.0 else None
+
+
+def _change(
+    curves: Mapping[str, Curve],
+    given: str,
+    n: int,
+    name: str,
+    change: str,
+    after: tuple[float, float],
+    setup: tuple[AbstractEstimator, str],
+) -> Change:
+    """What a change brings: the variance after it and the error of its logarithm, beside what is given."""
+    (value, error), (other, other_error) = after, curves[given].at(n)
     gain = other / value if value > 0.0 else math.inf
     half = _SIGMA * math.hypot(error, other_error)
-    low, high = gain * math.exp(-half), gain * math.exp(half)
-    if not low > 1.0:
-        return None
     rate = curves[given].rate if math.isfinite(curves[given].rate) else -1.0
     needed = n * gain ** (-1.0 / rate) if rate < 0.0 and math.isfinite(gain) else math.inf
     return Change(
         name=name,
-        change=f"use {name}",
+        change=change,
         rmse=math.sqrt(value),
         rmse_given=math.sqrt(other),
         gain=gain,
-        gain_ci=(low, high),
+        gain_ci=(gain * math.exp(-half), gain * math.exp(half)),
         samples_saved=needed - n,
+        estimator=setup[0],
+        sampler=setup[1],
     )
+
+
+def _improved(
+    estimator: AbstractEstimator,
+    evidence: Evidence,
+    causes: Sequence[Cause],
+    best: Change | None,
+    budget: int,
+    left: int,
+    stream: Stream,
+) -> tuple[Change | None, str, int]:
+    """The change of the estimator that answers its causes, measured with nets; its name and its calls.
+
+    It is fitted to the evaluations at nets, and measured at as many points as what is left allows, beside
+    the best sampler at as many evaluations: by what ratio it is better there, it is at the budget.
+    """
+    kinds = list(dict.fromkeys(k for cause in causes for k in cause.kinds if k in CHANGES))
+    if not kinds or len(estimator.counts) > 1 or estimator.channels:
+        return best, "", 0
+    points, values = (
+        np.concatenate(list(each[0][:, :_FITTED]))
+        for each in (evidence.sets.points, evidence.sets.values)
+    )
+    offers, seen = list[Improvement](), Evaluations.of(points, values)
+    for kind in kinds:
+        with contextlib.suppress(McspectraError):  # it has nothing to offer here
+            offers += improvements(estimator, seen, [kind])
+    sampler, given = as_sampler(NETS, estimator.dims), evidence.sampler.spec
+    for offer in sorted(offers, key=lambda offer: offer.ratio):
+        n = affordable_count(Setup(offer.estimator, sampler), left // _NETS)
+        if n is None or n < _LEAST_CHECKED:
+            continue
+        cost = n * offer.estimator.evaluations_per_point / estimator.evaluations_per_point
+        curve = curve_of([n], [_estimates(offer.estimator, sampler, n, stream)])
+        calls = n * _NETS * offer.estimator.evaluations_per_point
+        base = evidence.curves[given if best is None else best.name]
+        (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
+        if not ours < other * math.exp(-_SIGMA * math.hypot(ours_se, other_se)):
+            return best, offer.name, calls
+        at_budget = budget // estimator.evaluations_per_point
+        value = base.at(at_budget)[0] * ours / other
+        change = f"{offer.change}, and sample with {NETS}"
+        error = math.hypot(ours_se, other_se, base.at(at_budget)[1])
+        setup, after = (offer.estimator, NETS), (value, error)
+        found = _change(evidence.curves, given, at_budget, offer.name, change, after, setup)
+        return found, offer.name, calls
+    return best, "", 0
 
 
 def _interval(sets: Sets, infinite: bool) -> tuple[float, float]:
