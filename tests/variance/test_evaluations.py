@@ -172,7 +172,7 @@ def test_what_is_known_before_is_refused_before():
 
 
 def test_registered_analyses_of_an_integrand_can_be_limited():
-    free = {"spectrum", "points", "pcf", "anova-spectrum", "exact", "map"}
+    free = {"spectrum", "points", "pcf", "anova-spectrum", "exact", "map", "profile"}
     for name in set(ANALYSES) - free:
         assert issubclass(ANALYSES.load(name), Counted), name
 
