@@ -171,3 +171,20 @@ def test_slow_functions_of_a_point_are_kept_and_not_called_again(tmp_path):
         lambda x: slow(x), dims=1, budget=512, vectorized=False, cache=tmp_path / "other.sqlite"
     )
     assert first.to_dict()["samplers"] == again.to_dict()["samplers"]
+
+
+def test_draws_of_chains_and_estimates_are_profiled():
+    rng = np.random.default_rng(2)
+    noise = rng.standard_normal((4, 2000))
+    chain = np.empty(noise.shape)
+    last = np.zeros(4)
+    for t in range(noise.shape[1]):
+        chain[:, t] = last = 0.9 * last + noise[:, t]
+    assert mcs.profile(noise).causes[0].name == "none"
+    found = mcs.profile(chain)
+    assert found.causes[0].name == "correlated-replicates"
+    low, high = found.interval
+    assert low < 0.0 < high
+    assert mcs.profile(chain + np.array([[0], [0], [0], [30]])).causes[0].name == "stuck-chain"
+    assert mcs.profile(rng.standard_cauchy((4, 2000))).causes[0].name == "heavy-tail"
+    assert "mean of the draws" in found.text

@@ -14,7 +14,7 @@ import math
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, final
 
 import numpy as np
@@ -31,6 +31,7 @@ from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
 from mcspectra.estimators.moments import variance_interval
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
 from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.variance.chains import chain_error
 from mcspectra.variance.counterfactuals import Setup, affordable_count
 from mcspectra.variance.doors import counted
 from mcspectra.variance.improved import CHANGES, Evaluations, Improvement, improvements
@@ -47,6 +48,7 @@ _LEAST = 256  # evaluations
 _NETS = 20  # at least; fewer tell little of errors
 _LINES, _GIVEN, _CHECK = 0.2, 0.25, 0.15  # of the budget
 _FITTED = 64  # points of each net, that changes are fitted to
+_DEPENDENT = 0.7  # of all draws: fewer effective ones are a cause
 _LEAST_CHECKED = 4  # points that a change is measured at
 _GIVEN_COUNTS = 5
 _MANY = 4  # dims, from which on it matters how many g varies with at once
@@ -167,6 +169,9 @@ class Profile:
         """What to do and why, in two or three sentences."""
         cause = self.causes[0]
         why = "" if cause.name == "none" else f" Cause: {cause.name}. {cause.sentence}"
+        if not self.samplers:
+            low, high = self.interval
+            return f"The mean of the draws is {self.integral:.6g} (95 %: {low:.6g} to {high:.6g}).{why}"
         if self.best is None:
             return f"Keep {self.given}: nothing that was tried is better.{why}"
         best = self.best
@@ -188,9 +193,11 @@ class Profile:
             "",
             f"integral   {self.integral:.8g}  (95 %: {low:.6g} to {high:.6g})",
         ]
-        found.append(f"calls      {self.calls:,} of {self.budget:,}")
         found.append("causes")
         found += [f"  {cause.name}: {cause.sentence}" for cause in self.causes]
+        if not self.samplers:
+            return "\n".join(found)
+        found.append(f"calls      {self.calls:,} of {self.budget:,}")
         found.append(f"samplers   RMSE at {self.budget:,} evaluations, rate of the variance")
         for name, rmse, rate in self._rows():
             found.append(f"  {name:<20} {rmse:>10}   {rate}")
@@ -308,7 +315,9 @@ def profile(
     Parameters
     ----------
     f
-        A vectorised function of points (k, d) to values (k,), an integrand, an estimator, or a spec.
+        A vectorised function of points (k, d) to values (k,), an integrand, an estimator, or a spec; or
+        draws of Markov chains, or independent estimates, as `chain_error` takes them, which are not
+        sampled further.
     sampler
         What is used today.
     dims
@@ -338,6 +347,8 @@ def profile(
     >>> found.causes[0].name, found.best.name
     ('kink', 'sobol | owen')
     """
+    if not isinstance(f, AbstractEstimator | Integrand | str) and not callable(f):
+        return _of_draws(f)
     limit = as_integer("budget", budget, least=_LEAST, most=2**30)
     given = _as_integrand(f, dims, limit, vectorized=vectorized, workers=workers, cache=cache)
     calls = given.function if isinstance(given, FunctionIntegrand) else None
@@ -349,6 +360,43 @@ def profile(
     if isinstance(calls, Calls):
         calls.budget = sys.maxsize  # what is advised can be used
     return found
+
+
+def _of_draws(draws: Any) -> Profile:
+    """What chains say of themselves; draws that depend on each other are a cause, too."""
+    try:
+        found = chain_error(draws)
+    except McspectraError as error:
+        raise ParameterError(
+            f"{draws!r:.80} cannot be profiled; give a function, an integrand, an estimator, a spec, or "
+            f"draws as chain_error takes them: {error}"
+        ) from None
+    if found["mean"].ndim:
+        raise ParameterError("The draws are of several quantities; profile one at a time.")
+    name, sentence = str(found["cause"].item()), str(found["evidence"].item())
+    count, effective = found.attrs["chains"] * found.attrs["draws"], float(found["ess"])
+    evidence = {"draws": float(count), "effective": effective}
+    sentence = sentence.removeprefix(f"{name}: ")
+    if name == "none" and float(found["ess_ci"][1]) < _DEPENDENT * count:
+        name = "correlated-replicates"
+        sentence = f"The {count:,} draws depend on each other and count as {effective:,.0f}."
+    low, high = found["mean_ci"].values.tolist()
+    return Profile(
+        subject="draws",
+        given="draws",
+        integral=float(found["mean"]),
+        interval=(low, high),
+        calls=0,
+        budget=0,
+        variance=float(found["mcse"]) ** 2,
+        rate=-1.0,
+        rate_ci=(-1.0, -1.0),
+        causes=[Cause(name, sentence or "The draws say nothing against their error.", evidence)],  # type: ignore[arg-type]
+        best=None,
+        samplers={},
+        tried=[],
+        not_tried=[],
+    )
 
 
 def _is_apart(sampler: Sampler) -> bool:
@@ -418,6 +466,11 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
 
     evidence = Evidence(estimator, given, sets, curves, tuple(lines), mean)
     causes = causes_of(evidence)
+    # Sets seldom reach what grows at the border: theory knows the rate better than they show it
+    grows = next((c.evidence["exponent"] for c in causes if c.name == "border-growth"), 0.0)
+    if grows:
+        slowest = -2.0 * (1.0 - grows)
+        curves |= {k: replace(c, rate=max(c.rate, slowest)) for k, c in curves.items()}
     fixed = any(cause.name == "deterministic-set" for cause in causes)
     best = _best(estimator, curves, given.spec, budget // each, fixed=fixed)
     if any(c.name == "infinite-variance" and not c.kinds for c in causes):
@@ -450,10 +503,6 @@ def _as_integrand(f: Any, dims: int | None, budget: int, **calling: Any) -> Any:
     """What stands for f: a function behind the door that counts its calls, all else as it is."""
     if isinstance(f, AbstractEstimator | Integrand | str):
         return f
-    if not callable(f):
-        raise ParameterError(
-            f"{f!r:.80} cannot be profiled; give a function, an integrand, an estimator or a spec."
-        )
     if dims is None:
         raise ParameterError("dims is missing; give the number of dims of the function's points.")
     calls = Calls(f, dims=dims, budget=budget, **calling)
