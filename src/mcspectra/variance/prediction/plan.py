@@ -99,9 +99,8 @@ class Plan(Counted, frozen=True, kw_only=True):
         evaluations = sum(estimator.counts)
         reached = [(n, s.spec) for n, s in zip(planned, samplers, strict=True) if np.isfinite(n)]
         sizes = [f"{n:,.0f} with {name}" for n, name in sorted(reached)]
-        told = (
-            f"n = {' or '.join(sizes)}" if sizes else "no sampler is predicted to reach the error"
-        )
+        none = "; ".join(dict.fromkeys(notes)) or "no sampler is predicted to reach the error"
+        told = f"n = {' or '.join(sizes)}" if sizes else none
         if evaluations > 1 and sizes:
             told += f"; each is {evaluations} evaluations"
         alone = given is samplers[0]
