@@ -62,8 +62,9 @@ def test_calls_are_counted_and_never_above_the_budget(budget, sampler, dims):
 
     try:
         found = mcs.profile(function, sampler=sampler, dims=dims, budget=budget)
-    except mcs.McspectraError:
+    except mcs.McspectraError:  # too little for twenty nets of four points
         assert made == 0
+        assert budget == 256
         return
     assert made == found.calls <= budget
 
@@ -162,15 +163,23 @@ def test_lines_find_where_and_how_rough_a_function_is():
     assert np.median(found.place) == pytest.approx(0.3, abs=1e-3)
 
 
-def test_slow_functions_of_a_point_are_kept_and_not_called_again(tmp_path):
+def test_what_was_interrupted_is_not_called_again(tmp_path):
+    made = 0
+
     def slow(x):
+        nonlocal made
+        made += 1
         return float(np.exp(x[0]))
 
-    first = mcs.profile(slow, dims=1, budget=512, vectorized=False, cache=tmp_path / "kept.sqlite")
-    again = mcs.profile(
-        lambda x: slow(x), dims=1, budget=512, vectorized=False, cache=tmp_path / "other.sqlite"
-    )
-    assert first.to_dict()["samplers"] == again.to_dict()["samplers"]
+    def profiled():
+        return mcs.profile(
+            slow, dims=1, budget=512, vectorized=False, cache=tmp_path / "kept.sqlite"
+        ).to_dict()
+
+    first = profiled()
+    assert made == first["calls"]
+    assert profiled() == first
+    assert made == first["calls"] + 1  # one value of the cache is held against the function
 
 
 def test_draws_of_chains_and_estimates_are_profiled():
@@ -188,3 +197,22 @@ def test_draws_of_chains_and_estimates_are_profiled():
     assert mcs.profile(chain + np.array([[0], [0], [0], [30]])).causes[0].name == "stuck-chain"
     assert mcs.profile(rng.standard_cauchy((4, 2000))).causes[0].name == "heavy-tail"
     assert "mean of the draws" in found.text
+
+
+def test_what_never_changes_is_no_reference():
+    found = mcs.profile(FUNCTIONS["disk"][1], sampler="sobol", dims=2, budget=8192)
+    assert found.reference == "random"
+    assert found.best.rmse_given > found.best.rmse > 0.0
+    assert mcs.profile(FUNCTIONS["pole"][1], dims=1).best is None
+    constant = mcs.profile(lambda x: np.ones(len(x)), dims=2)
+    assert constant.best is None
+    assert constant.interval == (1.0, 1.0)
+
+
+def test_errors_are_at_the_points_that_the_budget_pays_for():
+    two = mcs.MultipleImportance("gaussian(width=0.2)", ["linear(slope=1)", "uniform"])
+    found = mcs.profile(two, budget=4096)
+    assert found.points == 2048
+    nets = found.samplers["sobol | owen"]
+    assert found.best.rmse == pytest.approx(math.sqrt(nets.at(2048)[0]))
+    assert f"{found.best.rmse:.3g}" in found.text

@@ -44,7 +44,7 @@ from mcspectra.spectra.gain import gain_coefficients
 from mcspectra.variance.exact import level_variances
 from mcspectra.variance.prediction.known import Known, Predicted
 from mcspectra.variance.prediction.torus import moved_variance
-from mcspectra.variance.quadrature import Pointwise, stratum_moments
+from mcspectra.variance.quadrature import Pointwise, in_closed_form, stratum_moments
 
 __all__ = ["of_levels"]
 
@@ -174,7 +174,7 @@ def _scrambled(net: Sampler, n: int, known: Known, *, shifted: bool = False) -> 
     wanted[origin] = False
 
     # Σ Γ_l σ²_l and Σ σ²_l over the levels of the tables
-    most = _EXACT_CELLS if _in_closed_form(known.g) else _CELLS[dims]
+    most = _EXACT_CELLS if in_closed_form(known.g) else _CELLS[dims]
     held = list(_tables(wanted, bases, most * (_SHIFTED_CELLS[dims] if shifted else 1)))
     counted = np.zeros(np.max(held, axis=0) + 1, bool)
     plain: Any = 0.0
@@ -256,10 +256,6 @@ def _eroded(counted: Array) -> Array:
     return np.asarray(binary_erosion(wide)[(slice(1, None),) * counted.ndim])
 
 
-def _in_closed_form(g: Integrand) -> bool:
-    return g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims))) is not None
-
-
 def _tables(wanted: Array, bases: Sequence[int], most: int) -> Iterator[Levels]:
     """Levels of tables of up to `most` cells: one of about cubes, then until all wanted are held."""
 
@@ -339,7 +335,7 @@ def _hadamard(values: Array, dims: int) -> Array:
 def _cell_moments(g: Integrand, sides: tuple[int, ...], offset: Array) -> tuple[Array, Array]:
     """Means of g and of g² over cells, displaced by `offset`, both (Q, *sides, channels)."""
     dims = g.dims
-    if _in_closed_form(g):
+    if in_closed_form(g):
         mean, square = stratum_moments(g, sides, offset, 1)
         return mean.reshape(1, *sides, -1), square.reshape(1, *sides, -1)
     by_order = [stratum_moments(g, sides, offset, order) for order in _ORDERS[dims]]
@@ -393,7 +389,7 @@ def _strata(
 
     `whole` where g is the same for all n, so that ∫g² is worth to be known by itself.
     """
-    grid = sides if _in_closed_form(known.g) else _refined(sides, _CELLS[known.g.dims])
+    grid = sides if in_closed_form(known.g) else _refined(sides, _CELLS[known.g.dims])
     means, squares = known.once(
         ("moments", grid, *offset), lambda: _cell_moments(known.g, grid, offset)
     )
@@ -405,7 +401,7 @@ def _strata(
 
 def _missed(known: Known, square: Array) -> Array:
     """∫g² less that of a table, at poles at the border, which cells of a table do not resolve."""
-    if _in_closed_form(known.g):
+    if in_closed_form(known.g):
         return 0.0 * square
     exact, error = known.square
     return np.where(exact - square > _CLEAR * error, exact - square, 0.0)
@@ -452,7 +448,7 @@ def _antithetic(n: int, known: Known) -> Predicted:
 def _latin(n: int, known: Known) -> Predicted:
     """Without what varies along single axes from stratum to stratum, and with the weights of Stein."""
     dims = known.g.dims
-    most = _EXACT_CELLS if _in_closed_form(known.g) else _CELLS[dims]
+    most = _EXACT_CELLS if in_closed_form(known.g) else _CELLS[dims]
 
     def moments(sides: tuple[int, ...]) -> tuple[Array, Array]:
         return known.once(

@@ -1,8 +1,8 @@
 """One call: what an estimator's noise is, why, and what to do, within a budget of evaluations.
 
-Half of the budget or more goes to scrambled nets, which tell the variance of several samplers at once
-(`samples`), a quarter to lines that show what is rough (`lines`), the rest to the sampler that is
-given, where the nets do not tell of it. From these the causes are read (`causes`).
+Most of the budget goes to scrambled nets, which tell the variance of several samplers at once (`samples`), a
+fifth to lines that show what is rough (`lines`), some to the sampler that is given, where the nets do
+not tell of it. From these the causes are read (`causes`); what is left measures a change that answers them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from mcspectra.core.memory import memory_of
 from mcspectra.core.results import dataset, strict_json
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
-from mcspectra.estimators.moments import variance_interval
+from mcspectra.estimators.moments import CONFIDENCE_Z, variance_interval
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.variance.chains import chain_error
@@ -52,7 +52,6 @@ _DEPENDENT = 0.7  # of all draws: fewer effective ones are a cause
 _LEAST_CHECKED = 4  # points that a change is measured at
 _GIVEN_COUNTS = 5
 _MANY = 4  # dims, from which on it matters how many g varies with at once
-_SIGMA = 1.959963984540054
 
 
 @final
@@ -137,8 +136,13 @@ class Profile:
     calls, budget
         Evaluations of f that were made, and that were allowed.
     variance, rate, rate_ci
-        Of an estimate of `budget` evaluations with the sampler that is given, else with the best one; and
-        the slope of its variance.
+        Of an estimate of `budget` evaluations with the sampler that is given, with nets where that could
+        not be measured; and the slope of its variance.
+    points
+        n of such an estimate: the budget over what each point takes.
+    reference
+        What `best` is held against: the sampler that is given, or random points where that is the same
+        set every time or could not be measured.
     causes
         Most important first.
     best
@@ -163,6 +167,8 @@ class Profile:
     samplers: Mapping[str, Curve]
     tried: list[str]
     not_tried: list[str]
+    points: int = 0
+    reference: str = ""
 
     @property
     def answer(self) -> str:
@@ -181,7 +187,7 @@ class Profile:
         )
         if math.isfinite(best.samples_saved) and best.samples_saved > 0:
             needed = float(f"{best.samples_saved + self.budget:.2g}")
-            text += f", which would take about {needed:,.0f} with {self.given}"
+            text += f", which would take about {needed:,.0f} with {self.reference}"
         return f"{text}.{why}"
 
     @property
@@ -206,12 +212,12 @@ class Profile:
 
     def _rows(self) -> list[tuple[str, str, str]]:
         rows = []
-        for name, curve in sorted(self.samplers.items(), key=lambda c: c[1].at(self.budget)[0]):
+        for name, curve in sorted(self.samplers.items(), key=lambda c: c[1].at(self.points)[0]):
             low, high = curve.rate_ci
             known = curve.rate_se == 0.0
             rate = f"{curve.rate:.2f}" + ("" if known else f" ({low:.2f} to {high:.2f})")
             rows.append(
-                (name, f"{math.sqrt(curve.at(self.budget)[0]):.3g}", rate.replace("-", "−"))
+                (name, f"{math.sqrt(curve.at(self.points)[0]):.3g}", rate.replace("-", "−"))
             )
         return rows
 
@@ -471,14 +477,17 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     if grows:
         slowest = -2.0 * (1.0 - grows)
         curves |= {k: replace(c, rate=max(c.rate, slowest)) for k, c in curves.items()}
+    # What is the same every time, or was not measured, is no reference
     fixed = any(cause.name == "deterministic-set" for cause in causes)
-    best = _best(estimator, curves, given.spec, budget // each, fixed=fixed)
-    if any(c.name == "infinite-variance" and not c.kinds for c in causes):
-        best = None  # there is no integral
-    best, changed, cost = _improved(
-        estimator, evidence, causes, best, budget, budget - calls, stream.child(98)
-    )
-    calls += cost
+    reference = "random" if fixed or given.spec not in curves else given.spec
+    best, changed = None, ""
+    if all(c.name != "infinite-variance" or c.kinds for c in causes):  # there is an integral
+        usable = {name: c for name, c in curves.items() if name == reference or name != given.spec}
+        best = _best(estimator, usable, reference, budget // each)
+        best, changed, cost = _improved(
+            evidence, causes, best, reference, budget, budget - calls, stream.child(98)
+        )
+        calls += cost
     curve = curves.get(given.spec, curves[NETS])
     infinite = any(cause.name == "infinite-variance" for cause in causes)
     return Profile(
@@ -496,6 +505,8 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         samplers=curves,
         tried=[*curves, *([changed] if changed else [])],
         not_tried=not_tried,
+        points=budget // each,
+        reference=reference,
     )
 
 
@@ -548,17 +559,13 @@ def _estimates(estimator: AbstractEstimator, sampler: Sampler, n: int, stream: S
 
 
 def _best(
-    estimator: AbstractEstimator, curves: Mapping[str, Curve], given: str, n: int, *, fixed: bool
+    estimator: AbstractEstimator, curves: Mapping[str, Curve], given: str, n: int
 ) -> Change | None:
     """The sampler of least variance at n, if its interval leaves the one that is given out."""
-    name = min(curves, key=lambda c: curves[c].at(n)[0] if c != given or not fixed else math.inf)
-    if name == given or given not in curves:
+    name = min(curves, key=lambda c: curves[c].at(n)[0])
+    if name == given:
         return None
-    value, error = curves[name].at(n)
-    if fixed:
-        curves = {**curves, given: curves["random"]}
-    setup = (estimator, name)
-    found = _change(curves, given, n, name, f"use {name}", (value, error), setup)
+    found = _change(curves, given, n, name, f"use {name}", curves[name].at(n), (estimator, name))
     return found if found.gain_ci[0] > 1.0 else None
 
 
@@ -574,7 +581,7 @@ def _change(
     """What a change brings: the variance after it and the error of its logarithm, beside what is given."""
     (value, error), (other, other_error) = after, curves[given].at(n)
     gain = other / value if value > 0.0 else math.inf
-    half = _SIGMA * math.hypot(error, other_error)
+    half = CONFIDENCE_Z * math.hypot(error, other_error)
     rate = curves[given].rate if math.isfinite(curves[given].rate) else -1.0
     needed = n * gain ** (-1.0 / rate) if rate < 0.0 and math.isfinite(gain) else math.inf
     return Change(
@@ -584,17 +591,17 @@ def _change(
         rmse_given=math.sqrt(other),
         gain=gain,
         gain_ci=(gain * math.exp(-half), gain * math.exp(half)),
-        samples_saved=needed - n,
+        samples_saved=(needed - n) * sum(setup[0].counts),
         estimator=setup[0],
         sampler=setup[1],
     )
 
 
 def _improved(
-    estimator: AbstractEstimator,
     evidence: Evidence,
     causes: Sequence[Cause],
     best: Change | None,
+    given: str,
     budget: int,
     left: int,
     stream: Stream,
@@ -604,6 +611,7 @@ def _improved(
     It is fitted to the evaluations at nets, and measured at as many points as what is left allows, beside
     the best sampler at as many evaluations: by what ratio it is better there, it is at the budget.
     """
+    estimator = evidence.estimator
     kinds = list(dict.fromkeys(k for cause in causes for k in cause.kinds if k in CHANGES))
     if not kinds or len(estimator.counts) > 1 or estimator.channels:
         return best, "", 0
@@ -615,7 +623,7 @@ def _improved(
     for kind in kinds:
         with contextlib.suppress(McspectraError):  # it has nothing to offer here
             offers += improvements(estimator, seen, [kind])
-    sampler, given = as_sampler(NETS, estimator.dims), evidence.sampler.spec
+    sampler = as_sampler(NETS, estimator.dims)
     for offer in sorted(offers, key=lambda offer: offer.ratio):
         n = affordable_count(Setup(offer.estimator, sampler), left // _NETS)
         if n is None or n < _LEAST_CHECKED:
@@ -625,7 +633,7 @@ def _improved(
         calls = n * _NETS * offer.estimator.evaluations_per_point
         base = evidence.curves[given if best is None else best.name]
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
-        if not ours < other * math.exp(-_SIGMA * math.hypot(ours_se, other_se)):
+        if not ours < other * math.exp(-CONFIDENCE_Z * math.hypot(ours_se, other_se)):
             return best, offer.name, calls
         at_budget = budget // estimator.evaluations_per_point
         value = base.at(at_budget)[0] * ours / other
