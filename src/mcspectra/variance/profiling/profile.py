@@ -563,7 +563,7 @@ def _best(
 ) -> Change | None:
     """The sampler of least variance at n, if its interval leaves the one that is given out."""
     name = min(curves, key=lambda c: curves[c].at(n)[0])
-    if name == given:
+    if name == given or not len(curves[given].counts):  # there is no variance to lower
         return None
     found = _change(curves, given, n, name, f"use {name}", curves[name].at(n), (estimator, name))
     return found if found.gain_ci[0] > 1.0 else None
