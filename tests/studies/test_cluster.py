@@ -6,6 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -435,6 +436,37 @@ def test_nobody_answers():
     with pytest.raises(ClusterError, match="No dask scheduler answers at 127.0.0.1:"):
         Dask(TEXT, options, squares())
     assert time.monotonic() - start < 10
+
+
+@pytest.mark.parametrize("answer", [None, bytes, lambda data: data])
+def test_what_answers_is_no_scheduler(answer):
+    """A server that says nothing, one that hangs up, and an echo, as a port connected to itself is."""
+
+    def serve(connection):
+        with connection:
+            while answer is not bytes and (data := connection.recv(65536)):
+                if answer is not None:
+                    connection.sendall(answer(data))
+
+    def accept():
+        while True:
+            try:
+                connection, _ = server.accept()
+            except OSError:
+                return
+            threading.Thread(target=serve, args=(connection,), daemon=True).start()
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        threading.Thread(target=accept, daemon=True).start()
+        options = Cluster(address=f"127.0.0.1:{server.getsockname()[1]}", patience=0.5)
+        with pytest.raises(ClusterError, match="No dask scheduler answers at 127.0.0.1:"):
+            Dask(TEXT, options, squares())
+
+
+def test_a_worker_is_no_scheduler(cluster):
+    options = Cluster(address=next(iter(cluster.scheduler_info["workers"])), patience=5.0)
+    with pytest.raises(ClusterError, match="what answers is no scheduler"):
+        Dask(TEXT, options, squares())
 
 
 @pytest.mark.parametrize("content", [None, "", "{}", "[1]", "\x00", '{"address": 3}'])

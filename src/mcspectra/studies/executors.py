@@ -29,7 +29,7 @@ from dataclasses import dataclass
 from importlib import metadata
 from multiprocessing import resource_tracker
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, final
+from typing import Any, NamedTuple, Protocol, cast, final
 
 import msgspec
 
@@ -443,7 +443,11 @@ def _connected(options: Cluster, opened: contextlib.ExitStack) -> Any:
 
     make: Any = distributed.Client
     try:
-        target: Any = _local_cluster(options, opened) if options.local else _address(options)
+        if options.local:
+            target: Any = _local_cluster(options, opened)
+        else:
+            target = _address(options)
+            _greet_scheduler(target, options.patience)
         client = make(target, timeout=options.patience, set_as_default=False)
     except (OSError, RuntimeError, ValueError, TypeError) as error:
         if isinstance(error, McspectraError):
@@ -462,6 +466,27 @@ def _connected(options: Cluster, opened: contextlib.ExitStack) -> Any:
 
     opened.callback(close)
     return client
+
+
+def _greet_scheduler(address: str, patience: float) -> None:
+    """Raise OSError where nothing, or no scheduler, answers: dask's client would wait there for ever."""
+    from distributed import security, utils
+    from distributed.comm import core
+
+    connect, runner, safe = cast("Any", (core.connect, utils.LoopRunner, security.Security))
+
+    async def identity() -> Any:
+        arguments = safe().get_connection_args("client")
+        stream = await connect(address, timeout=patience, **arguments)
+        try:
+            await stream.write({"op": "identity", "reply": True})
+            return await stream.read()
+        finally:
+            stream.abort()
+
+    found = runner().run_sync(identity, callback_timeout=2 * patience)
+    if not isinstance(found, dict) or found.get("type") != "Scheduler":
+        raise OSError("what answers is no scheduler")
 
 
 def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
