@@ -56,6 +56,9 @@ _MODULES = {
     "chains": {
         "chains": "error of the means of Markov chains, its frequencies, and what is wrong",
     },
+    "frames": {
+        "frames": "noise of frames of any renderer: variance, rate, fireflies, bias, error spectrum",
+    },
     "scenes": {
         "render": "render a scene's direct illumination: image, variance, EXR and PNG",
         "pixel": "what one pixel sees, its rates, terms and bottleneck, and what would help",

@@ -5,6 +5,7 @@ from .files import write_comparison as write_comparison
 from .files import write_exr as write_exr
 from .files import write_png as write_png
 from .files import write_render as write_render
+from .frame_statistics import frames as frames
 from .image import compare_strategies as compare_strategies
 from .image import reference as reference
 from .image import render as render
@@ -36,6 +37,7 @@ __all__ = [
     "compare_strategies",
     "describe",
     "describe_pixel",
+    "frames",
     "from_mitsuba",
     "load_mitsuba",
     "load_scene",
