@@ -211,6 +211,9 @@ needed_spp | f | 1 | y x | samples a pixel at which the wanted σ / mean is reac
 error_spectrum | f | 1 | n radius | power of the standardised errors of a frame; white noise: 1
 error_correlation | f | 1 | n lag_y lag_x | correlation of the errors of pixels at a distance
 flip | f | 1 | n y x | FLIP of one frame against the mean
+predicted_power | f | f² | radius | power of an image of errors, from spectra; white noise: the variance
+measured_power | f | f² | radius | power of an image of errors
+low_share | f | 1 | | power of errors at low frequencies between pixels / its mean; white noise: 1
 difference | f | f | y x | mean minus that of the other frames
 difference_z | f | 1 | y x | that difference over its standard error, as a normal deviate (Welch)
 picture_ratio | f | 1 | | mean variance / that of the other frames

@@ -25,6 +25,7 @@ from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.core.images import exr_attributes, luminance, read_image
 from mcspectra.core.progress import report
 from mcspectra.core.results import dataset
+from mcspectra.core.rings import Rings
 from mcspectra.estimators.moments import CONFIDENCE_Z, Moments
 from mcspectra.rendering.map_statistics import fit_lines, interval, ratio, smooth
 
@@ -39,7 +40,6 @@ Frames = str | PathLike[str] | Sequence[str | PathLike[str]]
 _LINEAR = (".exr", ".pfm", ".npy")
 _ENCODED = (".png", ".jpg", ".jpeg")
 _MOST_SPP = 2**40
-_MOST_RINGS = 64
 _REACH = 8  # pixels to either side for which correlations are listed
 _SAMPLE = 2**14  # pixels by which frames are held against one another
 _TAIL = 64  # extreme deviations of a frame that are kept, as many as `Moments` looks at
@@ -404,7 +404,7 @@ def _group(
     height, width = moments.mean.shape
     unit = np.zeros((height, width))
     np.divide(math.sqrt(count / (count - 1)), np.sqrt(moments.variance), out=unit, where=varied)
-    rings = _Rings(height, width)
+    rings = Rings(height, width)
     power: Any = 0.0
     tail: Moments | None = None
     curves = np.empty((count, rings.radius.size))
@@ -480,33 +480,6 @@ def _log_variance(moments: Moments) -> tuple[Array, Array]:
     with np.errstate(divide="ignore"):
         level = np.log(moments.variance) - digamma(half) + math.log(half)
     return moments.relative_se * math.sqrt(half * polygamma(1, half)), level
-
-
-@final
-class _Rings:
-    """Rings of radial frequency up to half a cycle a pixel, of what `numpy.fft.rfft2` returns."""
-
-    def __init__(self, height: int, width: int) -> None:
-        count = min(_MOST_RINGS, max(1, min(height, width) // 2))
-        across = np.fft.rfftfreq(width)
-        distance = np.hypot(np.fft.fftfreq(height)[:, None], across)
-        self._ring = np.minimum((distance * 2 * count).astype(int), count).ravel()
-        # Columns that stand for their mirror images, too
-        self._weight = np.broadcast_to(
-            np.where((across > 0) & (across < 0.5), 2.0, 1.0), distance.shape
-        )
-        sizes = np.bincount(self._ring, self._weight.ravel(), count + 1)
-        self._sizes = np.where(sizes > 0, sizes, np.nan)
-        self.radius = (np.arange(count) + 0.5) / (2 * count)
-
-    def total(self, power: Array) -> float:
-        """Sum over all frequencies."""
-        return float((power * self._weight).sum())
-
-    def mean(self, power: Array) -> Array:
-        """Mean over each ring."""
-        sums = np.bincount(self._ring, (power * self._weight).ravel(), self._sizes.size)
-        return np.asarray((sums / self._sizes)[:-1])
 
 
 def _unbiased(correlation: Array, count: int) -> tuple[Array, float]:
