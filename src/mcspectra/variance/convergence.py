@@ -101,6 +101,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
 
     function = "convergence"
     verb = "converge"
+    several = ("estimator", "sampler")
     variables = tuple(_DIMS)
 
     counts: Annotated[Counts, COUNTS]
@@ -117,7 +118,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
 
     def need(self, subject: Subject) -> Need:
         """Every sampler can do every count, and all fit in one dataset."""
-        estimators, samplers = _several(subject.estimator), _several(subject.sampler)
+        estimators, samplers = subject.estimators, subject.samplers
         check_window(self.fit_last, len(self.counts))
         channels = sorted({e.channels for e in estimators})
         if len(channels) > 1:
@@ -125,10 +126,6 @@ class Convergence(Counted, frozen=True, kw_only=True):
                 f"The estimators have {' and '.join(map(str, channels))} channels; compare those of "
                 "equal numbers."
             )
-        names = [s.spec for s in samplers]
-        for name in names:
-            if names.count(name) > 1:
-                raise ParameterError(f"The sampler {name} is listed twice; list each once.")
         for estimator, sampler, n in itertools.product(estimators, samplers, self.counts):
             estimator.check_sampler(sampler, n)
         evaluations = [sum(e.counts) for e in estimators]
@@ -151,7 +148,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         ])  # fmt: skip
 
         # Moments of every estimator, sampler and count; estimators that share realisations come last
-        estimators, samplers = _several(subject.estimator), _several(subject.sampler)
+        estimators, samplers = subject.estimators, subject.samplers
         flat = [each for cell in found for each in cell]
         joint = len(cells[0].estimators) > 1
         shape = (len(estimators), len(samplers), len(self.counts))
@@ -259,14 +256,14 @@ class Convergence(Counted, frozen=True, kw_only=True):
         One technique that has no `draw` of its own gets the sampler's points: all such share them.
         A wanted precision takes as many realisations as each estimator needs by itself.
         """
-        estimators = tuple(_several(subject.estimator))
+        estimators = tuple(subject.estimators)
         draws = AbstractEstimator.draw
         plain = all(e.counts == (1,) and type(e).draw is draws for e in estimators)
         joint = plain and self.relative_error is None
         return [
             MomentsCell(group, sampler, n, count_stream(stream, n))
             for group in ([estimators] if joint else [(e,) for e in estimators])
-            for sampler in _several(subject.sampler)
+            for sampler in subject.samplers
             for n in self.counts
         ]
 
@@ -400,7 +397,7 @@ def convergence(
     >>> round(float(curve["rate"]), 1)
     -3.0
     """
-    return answer(Convergence, locals(), lists=True)
+    return answer(Convergence, locals())
 
 
 def realizations_needed(
@@ -541,11 +538,6 @@ def count_moments(
     for state in map_in_order(run.block, range(run.blocks), workers):
         tree.add(state)
     return tree.total()[0]
-
-
-def _several(given: Any) -> list[Any]:
-    """A list of what may be one."""
-    return list(given) if isinstance(given, list | tuple) else [given]
 
 
 def _is_fixed(estimator: AbstractEstimator, sampler: Sampler) -> bool:

@@ -14,9 +14,7 @@ if TYPE_CHECKING:
 __all__ = ["answer", "counted"]
 
 
-def answer(
-    analysis: type[Analysis], arguments: Mapping[str, Any], *, lists: bool = False
-) -> xr.Dataset:
+def answer(analysis: type[Analysis], arguments: Mapping[str, Any]) -> xr.Dataset:
     """Compute an analysis for its public function, whose arguments (`locals()`) are named as its options.
 
     Parameters
@@ -24,11 +22,11 @@ def answer(
     analysis
         Its class.
     arguments
-        ``estimator``, ``sampler``, ``rng``, ``workers`` if it has threads, and every option.
-    lists
-        Whether there may be lists of estimators and samplers.
+        ``estimator``, ``sampler`` or ``samplers``, ``rng``, ``workers`` if it has threads, and every
+        option.
     """
-    subject = as_subject(arguments["estimator"], arguments["sampler"], lists=lists)
+    sampler = arguments.get("sampler", arguments.get("samplers"))
+    subject = as_subject(arguments["estimator"], sampler, lists=bool(analysis.several))
     return compute(analysis.of(arguments), subject, arguments["rng"], arguments.get("workers"))
 
 

@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any, final
 import numpy as np
 from msgspec import Meta
 
-from mcspectra.core.analysis import Counted, Need, Reduction, Subject, compute, whole
+from mcspectra.core.analysis import Counted, Need, Reduction, Subject, whole
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, as_subject
+from mcspectra.estimators import AbstractEstimator
 from mcspectra.samplers import Sampler
 from mcspectra.spectra.bases import parts_of
+from mcspectra.variance.doors import answer
 from mcspectra.variance.prediction.predict import Cells, Prediction, Predictor
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ class Plan(Counted, frozen=True, kw_only=True):
 
     function = "plan"
     verb = "plan"
+    several = ("sampler",)
     variables = ("planned_n", "planned_error", "predicted_variance", "predicted_variance_ci")
 
     target_error: Annotated[
@@ -48,9 +50,8 @@ class Plan(Counted, frozen=True, kw_only=True):
 
     def need(self, subject: Subject) -> Need:
         """What the predictions of one count need; an integral that errors can be relative to."""
-        estimator, samplers = subject.estimator, subject.sampler
-        several = samplers if isinstance(samplers, list | tuple) else [samplers]
-        for sampler in several:
+        estimator, samplers = subject.estimator, subject.samplers
+        for sampler in samplers:
             least = sampler.nearest_count(_CURVE[0])
             need = Prediction(counts=(least,)).need(Subject(estimator, sampler))
         if self.relative and not np.all(np.abs(estimator.integral) > 0):
@@ -58,15 +59,14 @@ class Plan(Counted, frozen=True, kw_only=True):
                 f"The integral of {estimator.spec} is {estimator.integral}, so that no error is a "
                 "share of it; give target_error without relative."
             )
-        return Need(cost=need.cost * len(_CURVE) * len(several), memory=need.memory)
+        return Need(cost=need.cost * len(_CURVE) * len(samplers), memory=need.memory)
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[xr.Dataset]:
         """One sampler after the other; where the search goes depends on what it finds."""
         return whole(lambda: self._planned(subject, stream), self.need(subject).cost)
 
     def _planned(self, subject: Subject, stream: Stream) -> xr.Dataset:
-        estimator, given = subject.estimator, subject.sampler
-        samplers = list(given) if isinstance(given, list | tuple) else [given]
+        estimator, samplers = subject.estimator, subject.samplers
         scale = np.ones(max(1, estimator.channels))
         if self.relative:
             scale = np.atleast_1d(np.abs(np.asarray(estimator.integral, float)))
@@ -103,7 +103,7 @@ class Plan(Counted, frozen=True, kw_only=True):
         told = f"n = {' or '.join(sizes)}" if sizes else none
         if evaluations > 1 and sizes:
             told += f"; each is {evaluations} evaluations"
-        alone = given is samplers[0]
+        alone = subject.sampler is samplers[0]
         about = {"long_name": "how the variance was predicted"}
         return dataset(
             {
@@ -260,8 +260,4 @@ def plan(
     >>> found.attrs["recommendation"]
     'n = 256 with sobol | owen or 66,514 with random'
     """
-    if isinstance(estimator, list | tuple):
-        raise ParameterError("plan takes one estimator at a time; give samplers as a list.")
-    subject = as_subject(estimator, samplers, lists=True)
-    asked = Plan(target_error=target_error, relative=relative, max_evaluations=max_evaluations)
-    return compute(asked, subject, rng, workers)
+    return answer(Plan, locals())

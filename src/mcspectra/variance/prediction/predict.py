@@ -14,21 +14,21 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, final
 
 import numpy as np
 
-from mcspectra.core.analysis import Counted, Need, Reduction, Subject, compute
+from mcspectra.core.analysis import Counted, Need, Reduction, Subject
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import CountError, NoClosedForm, ParameterError
+from mcspectra.core.errors import CountError, NoClosedForm
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNTS, Counts
 from mcspectra.core.records import JOIN
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Estimator, as_subject
+from mcspectra.estimators import AbstractEstimator, Estimator
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.reflected import FoldedIntegrand, SymmetrizedIntegrand
 from mcspectra.samplers import Jittered, Mirror, Randomized, Sampler, Shift, StrataShift
 from mcspectra.spectra.bases import parts_of
 from mcspectra.variance.convergence import count_moments, count_stream
-from mcspectra.variance.doors import counted
+from mcspectra.variance.doors import answer, counted
 from mcspectra.variance.exact import of_integrand
 from mcspectra.variance.prediction.known import Known, Predicted
 from mcspectra.variance.prediction.levels import of_levels
@@ -103,6 +103,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
 
     function = "predict"
     verb = "predict"
+    several = ("sampler",)
     variables = (
         *("predicted_variance", "predicted_variance_ci", "energy_share", "tail_variance"),
         *("local_rate", "predicted_rate", "limit_rate", "bend_n"),
@@ -112,13 +113,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
 
     def need(self, subject: Subject) -> Need:
         """Every sampler can do every count."""
-        estimator, samplers = subject.estimator, _several(subject.sampler)
-        if not isinstance(estimator, AbstractEstimator):
-            raise ParameterError("predict takes one estimator at a time; give samplers as a list.")
-        names = [s.spec for s in samplers]
-        for name in names:
-            if names.count(name) > 1:
-                raise ParameterError(f"The sampler {name} is listed twice; list each once.")
+        estimator, samplers = subject.estimator, subject.samplers
         for sampler in samplers:
             for n in self.counts:
                 estimator.check_sampler(sampler, n)
@@ -128,7 +123,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[Cells]:
         """One sampler after the other, one count after the other."""
-        estimator, samplers = subject.estimator, _several(subject.sampler)
+        estimator, samplers = subject.estimator, subject.samplers
         predictor = Predictor(estimator, stream)
         places = [(s, n) for s in samplers for n in _places(s, self.counts)]
 
@@ -289,11 +284,7 @@ def predict(
     >>> [round(float(rate), 1) for rate in found["predicted_rate"]]
     [-1.0, -1.5]
     """
-    if isinstance(estimator, list | tuple):
-        raise ParameterError("predict takes one estimator at a time; give samplers as a list.")
-    subject = as_subject(estimator, samplers, lists=True)
-    asked = Prediction(counts=counts, max_evaluations=max_evaluations)  # type: ignore[arg-type]
-    return compute(asked, subject, rng, workers)
+    return answer(Prediction, locals())
 
 
 @final
@@ -462,8 +453,3 @@ def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:
     beyond = [sampler.nearest_count(n) for n in ahead if n <= _MOST_AHEAD]
     beyond = [n if n > last else 0 for n in beyond]
     return [half if half < last else 0, *counts, *beyond, *[0] * (2 - len(beyond))]
-
-
-def _several(given: Any) -> list[Any]:
-    """A list of what may be one."""
-    return list(given) if isinstance(given, list | tuple) else [given]
