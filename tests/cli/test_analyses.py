@@ -253,3 +253,17 @@ def test_several_predictions_are_those_of_each(run_json):
     expected = mcs.predict("gaussian", ["jittered", "random"], [16, 64])
     assert data["predicted_variance"] == expected["predicted_variance"].values.tolist()
     assert data["route"] == expected["route"].values.tolist()
+
+
+def test_a_plan_without_an_answer_says_why(run):
+    sampler = ("--sampler", "sobol", "--target-error")
+    code, out, _ = run("plan", "gaussian", *sampler, 0.1)
+    assert code == 0
+    assert (
+        "sobol: a deterministic sampler has no variance: add owen or shift, or look at |bias|"
+        in out
+    )
+    assert "predicted RMSE" not in out
+    _, out, _ = run("plan", "gaussian", *sampler, 0.1, "--sampler", "random")
+    assert "n = 7 with random" in out.splitlines()[0]
+    assert out.splitlines()[-1].startswith("sobol: a deterministic sampler has no variance")

@@ -1,4 +1,4 @@
-"""What analyses share: the body of their public functions, and coordinates of their results."""
+"""What analyses share: the body of their public functions, coordinates of results, words."""
 
 from __future__ import annotations
 
@@ -11,7 +11,13 @@ from mcspectra.estimators import as_subject
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["answer", "counted"]
+__all__ = ["NO_VARIANCE", "VANISHES", "answer", "counted"]
+
+NO_VARIANCE = "has no variance: add owen or shift, or look at |bias|"
+"""What is said of a sampler whose set is the same every time."""
+
+VANISHES = "the variance vanishes to rounding"
+"""What is said where the estimates are the integral."""
 
 
 def answer(analysis: type[Analysis], arguments: Mapping[str, Any]) -> xr.Dataset:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, final
 
 import numpy as np
@@ -16,7 +17,7 @@ from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator
 from mcspectra.samplers import Sampler
 from mcspectra.spectra.bases import parts_of
-from mcspectra.variance.doors import answer
+from mcspectra.variance.doors import VANISHES, answer
 from mcspectra.variance.prediction.predict import Cells, Prediction, Predictor
 
 if TYPE_CHECKING:
@@ -24,13 +25,14 @@ if TYPE_CHECKING:
 
 __all__ = ["Plan", "plan"]
 
-_CURVE = tuple(2**k for k in range(4, 17))
+_CURVE = tuple(2**k for k in range(17))
 """Counts that variances are predicted at; beyond the last one the curve goes on with its rate."""
 
 _MARGIN = 4.0  # by which the curve goes below the wanted variance
 
 _MOST = 2**62  # points, that a plan still names
 _STEPS = 4  # of the search between two counts
+_TINY = 1e-300  # in place of a variance of 0, for logarithms
 
 
 @final
@@ -81,7 +83,7 @@ class Plan(Counted, frozen=True, kw_only=True):
                 nearest = sampler.nearest_count(n)
                 if nearest in counts or not _can(estimator, sampler, nearest):
                     continue
-                each = predictor.at(sampler, nearest)
+                each = _cells(predictor, sampler, nearest)
                 counts.append(nearest)
                 found.append(each)
                 if nearest == n:
@@ -93,7 +95,8 @@ class Plan(Counted, frozen=True, kw_only=True):
             planned.append(n)
             errors.append(np.sqrt(variance))
             routes.append(how)
-            notes += [f"{sampler.spec}: {e.notes[0]}" for e in found[:1] if e.notes[0]]
+            said = dict.fromkeys(str(each.notes[0]) for each in found)
+            notes += [f"{sampler.spec}: {note}" for note in said if note not in ("", VANISHES)]
 
         # In words: the sampler that takes the fewest points, and the others beside it
         evaluations = sum(estimator.counts)
@@ -155,26 +158,29 @@ class Plan(Counted, frozen=True, kw_only=True):
         if first is None:
             return self._beyond(sampler, counts, found, known, target)
         best = counts[first], variances[first], str(found[first].routes[0])
-        if first == 0:
+        before = [k for k in known if k < first]
+        if not before:
             return float(best[0]), best[1], best[2]
 
         # Between the last count that misses the target and the first that reaches it: along the line
         # through both; sequences in base 2 are balanced at powers of two alone
         base, _ = parts_of(sampler)
         balanced = base.fixed and set(sampler.digit_bases) == {2}
-        low, high = (counts[first - 1], variances[first - 1]), (counts[first], variances[first])
+        low, high = ((counts[k], np.maximum(variances[k], _TINY)) for k in (before[-1], first))
         for _ in range(0 if balanced else _STEPS):
             slope = np.log(high[1] / low[1]) / math.log(high[0] / low[0])
             line = np.log(target / low[1]) / np.where(slope < 0.0, slope, -math.inf)
             between = sampler.nearest_count(math.ceil(low[0] * math.exp(float(line.max()))))
             if not low[0] < between < high[0] or not _can(predictor.estimator, sampler, between):
                 break
-            each = predictor.at(sampler, between)
+            each = _cells(predictor, sampler, between)
+            if not np.isfinite(each.variance[0]).all():
+                break
             if (each.variance[0] <= target).all():
-                high = between, each.variance[0]
+                high = between, np.maximum(each.variance[0], _TINY)
                 best = between, each.variance[0], str(each.routes[0])
             else:
-                low = between, each.variance[0]
+                low = between, np.maximum(each.variance[0], _TINY)
         return float(best[0]), best[1], best[2]
 
     def _beyond(
@@ -203,6 +209,13 @@ class Plan(Counted, frozen=True, kw_only=True):
             more = sampler.nearest_count(2 * n)
             n, variance = more, ends[0] * (more / counts[last]) ** rate
         return float(n), variance, f"extrapolated from n = {counts[last]}"
+
+
+def _cells(predictor: Predictor, sampler: Sampler, n: int) -> Cells:
+    """The prediction of one count; 0 where the variance is known to be that of rounding."""
+    found = predictor.at(sampler, n)
+    vanishes = found.notes[0] == VANISHES
+    return replace(found, variance=np.nan_to_num(found.variance)) if vanishes else found
 
 
 def _can(estimator: AbstractEstimator, sampler: Sampler, n: int) -> bool:

@@ -25,10 +25,18 @@ from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Estimator
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.reflected import FoldedIntegrand, SymmetrizedIntegrand
-from mcspectra.samplers import Jittered, Mirror, Randomized, Sampler, Shift, StrataShift
+from mcspectra.samplers import (
+    Jittered,
+    Mirror,
+    Random,
+    Randomized,
+    Sampler,
+    Shift,
+    StrataShift,
+)
 from mcspectra.spectra.bases import parts_of
 from mcspectra.variance.convergence import count_moments, count_stream
-from mcspectra.variance.doors import answer, counted
+from mcspectra.variance.doors import NO_VARIANCE, VANISHES, answer, counted
 from mcspectra.variance.exact import of_integrand
 from mcspectra.variance.prediction.known import Known, Predicted
 from mcspectra.variance.prediction.levels import of_levels
@@ -307,9 +315,7 @@ class Predictor:
             if not n:
                 raise NoClosedForm("there is no such count")
             if source.as_chain(n).fixed:
-                raise NoClosedForm(
-                    "a deterministic sampler has no variance: add owen or shift, or look at |bias|"
-                )
+                raise NoClosedForm(f"a deterministic sampler {NO_VARIANCE}")
             parts, squares = self._parts(source, n, routes)
             route = "; ".join(dict.fromkeys(part.route for part in parts))
             variance = sum((p.variance for p in parts), np.zeros(width))
@@ -329,7 +335,7 @@ class Predictor:
         size = np.atleast_1d(np.asarray(estimator.integral, float))
         vanishes = variance <= rounding_floor(size)
         if vanishes.any():
-            note = "the variance vanishes to rounding"
+            note = VANISHES
             variance, error, tail = (np.where(vanishes, np.nan, v) for v in (variance, error, tail))
         variance, error, share, tail = (
             np.reshape(v, (1, -1)) for v in (variance, error, share, tail)
@@ -361,6 +367,8 @@ def _by_routes(
     sampler: Sampler, n: int, known: Known, stream: Stream, routes: tuple[Route, ...]
 ) -> Predicted:
     """The first route that leads somewhere; points that are mirrored last see another integrand."""
+    if n == 1 and sampler.unbiased:  # one point, which is as at random
+        sampler = Random(dims=sampler.dims)
     base, steps = parts_of(sampler)
     if routes is ROUTES and known.g.costly:
         routes = _OF_COSTLY
