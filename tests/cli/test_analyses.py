@@ -267,3 +267,15 @@ def test_a_plan_without_an_answer_says_why(run):
     _, out, _ = run("plan", "gaussian", *sampler, 0.1, "--sampler", "random")
     assert "n = 7 with random" in out.splitlines()[0]
     assert out.splitlines()[-1].startswith("sobol: a deterministic sampler has no variance")
+
+
+def test_variance_prints_what_is_beyond_its_half_width(run, run_json):
+    arguments = ("variance", "disk", "--sampler", "random", "-n", 16, "--half-width", 4, "-m", 50)
+    data = run_json(*arguments)
+    _, out, _ = run(*arguments)
+    rows = {line.split("  ")[0]: line.split()[-1] for line in out.splitlines()}
+    assert rows["energy share"] == f"{data['energy_share']:.6g}"
+    assert rows["tail term"] == f"{data['tail_term']:.6g}"
+    _, out, _ = run("variance", "gaussian", "--sampler", "sobol", "-n", 16, "-m", 20)
+    assert "e-3" not in out
+    assert "sobol has no variance: add owen or shift, or look at |bias|" in out

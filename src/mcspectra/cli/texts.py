@@ -190,7 +190,11 @@ def convergence(result: xr.Dataset) -> Answer:
 
 @_view("terms")
 def terms(result: xr.Dataset) -> Answer:
-    """Prints the terms, their sum, the measured variance, and the share that was captured."""
+    """Prints the terms, their sum, the measured variance, the share that was captured, and the rest.
+
+    The energy share is the part of ∫f² within the half width, the tail term the variance of what is
+    beyond if points are random to it.
+    """
     known = result.attrs
     about = (
         f"coefficients: {known['coefficients']}; {known['realizations']} realisations; "
@@ -198,10 +202,11 @@ def terms(result: xr.Dataset) -> Answer:
     )
     rows = []
     sums = ("predicted_variance", "measured_variance", "captured")
-    for name in ("dc_term", "power_term", "cross_term", *sums):
+    for name in ("dc_term", "power_term", "cross_term", *sums, "energy_share", "tail_term"):
         values = np.atleast_1d(result[name].values)
         shown = ", ".join(_number(v, 6, "undefined") for v in values)
-        interval = _interval(np.atleast_2d(result[f"{name}_ci"].values)[0])
+        ends = np.atleast_2d(result[f"{name}_ci"].values)[0] if f"{name}_ci" in result else None
+        interval = "" if ends is None else _interval(ends)
         rows.append([name.replace("_", " "), "", shown, interval])
     table = text_table(["", "", "value", "95 % interval"], rows)
     labels = result["band"].attrs["labels"].split(", ")
