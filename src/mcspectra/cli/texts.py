@@ -343,7 +343,7 @@ def anova(result: xr.Dataset) -> Answer:
             ends = _error(one, name, ())
             ends = f", 95 % interval {ends}" if ends else ""
             lines.append(f"{name.replace('_', ' ')}: {_number(float(one[name]), 6, missing)}{ends}")
-    return _shown(*lines, subset=labels)
+    return _shown(*lines, _note(result), subset=labels)
 
 
 @_view("exact")
