@@ -46,7 +46,7 @@ _MODULES = {
         "techniques": "variance, terms and rate of each technique by itself, and the bottleneck",
         "remedies": "what would lower the noise at a budget, measured, ranked and explained",
         "exact": "exact variance, where there is a closed form",
-        "predict": "variance and rate at every n, predicted without samples of f",
+        "predict": "variance and rate at every n, predicted from what is known of f and of the sampler",
         "plan": "the least number of points for an error, predicted",
         "profile": "what the noise is, why, and what to do, within a budget",
         "anova": "which axes the variance comes from, effective dimension",

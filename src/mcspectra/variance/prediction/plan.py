@@ -37,7 +37,7 @@ _TINY = 1e-300  # in place of a variance of 0, for logarithms
 
 @final
 class Plan(Counted, frozen=True, kw_only=True):
-    """Least number of points for an error, predicted without samples of f."""
+    """Least number of points for an error, by predicted variances."""
 
     function = "plan"
     verb = "plan"

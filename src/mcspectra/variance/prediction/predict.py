@@ -1,4 +1,4 @@
-"""Predictions: the variance at every n without samples of f, by the route that is trusted most.
+"""Predictions: the variance at every n, without measuring it, by the route that is trusted most.
 
 Everything happens in primary space: each technique has its own integrand on the unit cube, and
 independent techniques add up. `ROUTES` are tried in their order; what comes last measures small sets of
@@ -107,7 +107,7 @@ _OF_COSTLY = (of_torus, of_levels, of_quadrature, of_subsets, of_measurements)
 
 @final
 class Prediction(Counted, frozen=True, kw_only=True):
-    """Variance and rate at every n, predicted without samples of f."""
+    """Variance and rate at every n, predicted from what is known of f and of the sampler."""
 
     function = "predict"
     verb = "predict"
@@ -277,8 +277,8 @@ def predict(
 
     Notes
     -----
-    f is never evaluated at the points of the samplers, but for the last route, *extrapolated from
-    measurements*: 2,000 realisations each of small counts other than n.
+    f is evaluated at nodes and on grids of our own, and at points of the samplers by the last route alone,
+    *extrapolated from measurements*: 2,000 realisations each of small counts other than n.
 
     Limits are looked for at 4 times the last count, of strata up to n = 2^16, where that needs no drawn
     sets (1 to 3 dims): jumps that count at larger n alone are not seen. The slope of the last octaves
