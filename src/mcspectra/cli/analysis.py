@@ -216,8 +216,8 @@ def _subject(
         estimator = Mirrored(estimator, as_choice("--mirror", options.mirror, MIRRORINGS))
 
     # Let it meet its samplers
-    given = options.sampler or default_sampler or ""
-    texts = given if isinstance(given, list) else [given]
+    given = default_sampler if options.sampler is None else options.sampler
+    texts = given if isinstance(given, list) else [str(given)]
     samplers = [read_sampler(text, estimator.dims) for text in texts]
     return as_subject(estimator, samplers if len(samplers) > 1 else samplers[0], lists=True)
 

@@ -205,7 +205,7 @@ def _as_typed(sentence: str, parser: argparse.ArgumentParser, *, analyses: bool)
         if flag:
             sentence = re.sub(rf"^{name}(?= (?:is|has)\b)", flag, sentence)
         if flag and analyses:
-            outside = r"(?<![\w(])(?<!, )"  # of the brackets of a spec
+            outside = r"(?<![\w(])(?<!, )(?<!says )"  # of the brackets of a spec
             sentence = re.sub(rf"{outside}{name}=(['\"]?)([\w.-]+)\1", rf"{flag} \2", sentence)
             sentence = re.sub(rf"(?<![\w-]){name}\b", flag, sentence) if "_" in name else sentence
     if not (analyses and re.search(r"[a-z]_[a-z]|use convergence", sentence)):

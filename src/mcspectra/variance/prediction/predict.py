@@ -226,7 +226,8 @@ class Cells:
 
     def ends(self) -> tuple[Array, Array]:
         """Ends of the 95 % intervals."""
-        low = np.maximum(self.variance - self.error, 0.0)
+        with np.errstate(invalid="ignore"):  # both infinite
+            low = np.maximum(self.variance - self.error, 0.0)
         return np.where(np.isinf(self.variance), np.inf, low), self.variance + self.error
 
 
