@@ -88,6 +88,8 @@ def of_measurements(sampler: Sampler, n: int, known: Known, stream: Stream) -> P
 
 def of_limits(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
     """Many points at little cost: no sets are drawn, and shifted strata have one offset, not all."""
+    if np.isinf(known.square[0]).any():
+        raise NoClosedForm("∫g² diverges.")
     base, steps = parts_of(sampler)
     if base.name == "random" or (base.fixed and len(steps) == 1 and steps[0].stationary):
         return of_torus(sampler, n, known, stream)
