@@ -245,3 +245,17 @@ def test_sobol_indices_of_test_functions_are_their_variances():
     assert first == pytest.approx(part / whole, rel=1e-14)
     held = [sum(v for u, v in sizes.items() if i in u) / whole for i in range(5)]
     assert total == pytest.approx(held, rel=1e-13)
+
+
+def test_few_realisations_have_no_intervals_rather_than_points():
+    """Two products of deviations are equal: intervals of no width were printed."""
+    f = mcs.Estimator("gaussian", dims=2)
+    intervals = ("anova_share", "total_share", "mean_dimension", "effective_dimension_truncation")
+    for realizations in (2, 3, 4):
+        found = mcs.anova_variances(f, realizations=realizations)
+        known = realizations == 4
+        assert (np.isfinite(found["anova_variance_se"]) == known).all()
+        for name in intervals:
+            assert (np.isfinite(found[f"{name}_ci"]) == known).all()
+        assert (found["anova_share_ci"][:, 1] > found["anova_share_ci"][:, 0]).all() == known
+        assert known or f"{realizations} realisations show no error" in found.attrs["note"]

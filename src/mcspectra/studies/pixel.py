@@ -1,7 +1,7 @@
 """Everything about one pixel: what it sees, how fast each strategy converges there, and why.
 
 Strategies are light sampling, BSDF sampling, and both combined by the balance and by the power
-heuristic, with n samples of each technique. Variances are measured and predicted, without samples of g,
+heuristic, with n samples of each technique. Variances are measured and predicted,
 for all of them with several samplers.
 Terms, the bottleneck and remedies are those of one sampler, the first that is not ``random``.
 """

@@ -51,6 +51,7 @@ EFFECTIVE_SHARE = 0.99
 _MAX_DIMS = 64
 _MAX_VALUES = 2**26  # estimates kept: 0.5 GiB
 _MAX_FREQUENCIES = 2**24  # in all
+_LEAST = 4  # realisations that show an error, as of `variance_terms`
 _BATCHES = 16  # of frequencies, independent of each other: their spread is the error
 _PARTNER, _ORDER, _UNIFORM = 0x616E6F, 0x616E70, 0x616E71  # stream labels
 
@@ -143,6 +144,8 @@ class Anova(Counted, frozen=True, kw_only=True):
         # Products of deviations, whose means over realisations are covariances: (S, R, channels)
         deviation = estimates - estimates.mean(axis=1, keepdims=True)
         products = deviation * (deviation[0] * (count / (count - 1)))
+        # Both of two products are equal, of deviations from a mean of their own
+        per_root = count**-0.5 if count >= _LEAST else math.nan
         dims = subject.estimator.dims
         frozen, listed, axes = _frozen(dims, self.order), _subsets(dims, self.order), range(dims)
         weight = dict(zip(frozen, np.eye(len(frozen)), strict=True))
@@ -155,7 +158,7 @@ class Anova(Counted, frozen=True, kw_only=True):
             """Combinations (U, S) of the covariances, and their standard errors: (U, channels)."""
             each = [weighted_sum(row, products) for row in weights]
             means = np.stack([q.mean(axis=0) for q in each])
-            return means, np.stack([q.std(axis=0, ddof=1) for q in each]) / np.sqrt(count)
+            return means, np.stack([q.std(axis=0, ddof=1) for q in each]) * per_root
 
         parts = [
             below(*u) - sum((below(a) for a in u if len(u) > 1), np.zeros(len(frozen)))
@@ -171,7 +174,7 @@ class Anova(Counted, frozen=True, kw_only=True):
             each = [weighted_sum(row, products) for row in weights]
             share = np.stack([q.mean(axis=0) for q in each]) / whole
             off = [(q - s * every).std(axis=0, ddof=1) for q, s in zip(each, share, strict=True)]
-            half = student_t(count) * np.stack(off) / np.abs(whole) / np.sqrt(count)
+            half = student_t(count) * per_root * np.stack(off) / np.abs(whole)
             return share, np.stack([share - half, share + half], axis=-1)
 
         sizes = np.array([len(u) for u in listed])
@@ -192,6 +195,9 @@ class Anova(Counted, frozen=True, kw_only=True):
         by_size, by_size_ci = ratios(up_to)
         mean_size, mean_size_ci = ratios([np.sum(totals, axis=0)])
         alone = ("channel",)
+        few = (
+            f"{count} realisations show no error; {_LEAST} are the least" if count < _LEAST else ""
+        )
         return dataset(
             {
                 "anova_variance": (("subset", "channel"), own),
@@ -227,7 +233,7 @@ class Anova(Counted, frozen=True, kw_only=True):
             },
             drop=() if subject.estimator.channels else alone,
             effective_share=EFFECTIVE_SHARE,
-            note=tail_note(moments),
+            note="; ".join(filter(None, (few, tail_note(moments)))) or None,
         )
 
 
@@ -381,7 +387,8 @@ def anova_variances(
         and ``mean_dimension``, the mean of |u| weighted by c_u; ``variance``. Shares and dimensions
         have 95 % intervals ``_ci``, not cut at 0 and 1: of ratios of means (delta method, Student's
         t); of effective dimensions, where the ends of the shares cross 99 %, inf where the lower
-        one does not. A dim channel where f has several.
+        one does not. Errors and intervals are NaN of fewer than 4 realisations. A dim channel where f
+        has several.
 
     Raises
     ------

@@ -41,6 +41,7 @@ from mcspectra.samplers import (
 )
 from mcspectra.spectra.bases import hadamard, parts_of
 from mcspectra.spectra.gain import gain_coefficients
+from mcspectra.variance.doors import NO_VARIANCE
 from mcspectra.variance.exact import level_variances
 from mcspectra.variance.prediction.known import Known, Predicted
 from mcspectra.variance.prediction.torus import moved_variance
@@ -96,10 +97,7 @@ def of_levels(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predict
     """
     chain = sampler.as_chain(n)
     if chain.fixed:
-        raise NoClosedForm(
-            f"{sampler.spec} has no variance: its points are the same every time; add owen or "
-            "shift, or look at the bias."
-        )
+        raise NoClosedForm(f"{sampler.spec} {NO_VARIANCE}.")
     if known.g.dims > _MOST_DIMS:
         raise NoClosedForm(
             f"Tables of cells are for at most {_MOST_DIMS} dims; {known.g.spec} has {known.g.dims}."

@@ -1,4 +1,4 @@
-"""Predictions: the variance at every n without samples of f, by the route that is trusted most.
+"""Predictions: the variance at every n, without measuring it, by the route that is trusted most.
 
 Everything happens in primary space: each technique has its own integrand on the unit cube, and
 independent techniques add up. `ROUTES` are tried in their order; what comes last measures small sets of
@@ -14,21 +14,29 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, final
 
 import numpy as np
 
-from mcspectra.core.analysis import Counted, Need, Reduction, Subject, compute
+from mcspectra.core.analysis import Counted, Need, Reduction, Subject
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import CountError, NoClosedForm, ParameterError
+from mcspectra.core.errors import CountError, NoClosedForm
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNTS, Counts
 from mcspectra.core.records import JOIN
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Estimator, as_subject
+from mcspectra.estimators import AbstractEstimator, Estimator
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.reflected import FoldedIntegrand, SymmetrizedIntegrand
-from mcspectra.samplers import Jittered, Mirror, Randomized, Sampler, Shift, StrataShift
+from mcspectra.samplers import (
+    Jittered,
+    Mirror,
+    Random,
+    Randomized,
+    Sampler,
+    Shift,
+    StrataShift,
+)
 from mcspectra.spectra.bases import parts_of
 from mcspectra.variance.convergence import count_moments, count_stream
-from mcspectra.variance.doors import counted
+from mcspectra.variance.doors import NO_VARIANCE, VANISHES, answer, counted
 from mcspectra.variance.exact import of_integrand
 from mcspectra.variance.prediction.known import Known, Predicted
 from mcspectra.variance.prediction.levels import of_levels
@@ -80,6 +88,8 @@ def of_measurements(sampler: Sampler, n: int, known: Known, stream: Stream) -> P
 
 def of_limits(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
     """Many points at little cost: no sets are drawn, and shifted strata have one offset, not all."""
+    if np.isinf(known.square[0]).any():
+        raise NoClosedForm("∫g² diverges.")
     base, steps = parts_of(sampler)
     if base.name == "random" or (base.fixed and len(steps) == 1 and steps[0].stationary):
         return of_torus(sampler, n, known, stream)
@@ -99,10 +109,11 @@ _OF_COSTLY = (of_torus, of_levels, of_quadrature, of_subsets, of_measurements)
 
 @final
 class Prediction(Counted, frozen=True, kw_only=True):
-    """Variance and rate at every n, predicted without samples of f."""
+    """Variance and rate at every n, predicted from what is known of f and of the sampler."""
 
     function = "predict"
     verb = "predict"
+    several = ("sampler",)
     variables = (
         *("predicted_variance", "predicted_variance_ci", "energy_share", "tail_variance"),
         *("local_rate", "predicted_rate", "limit_rate", "bend_n"),
@@ -112,13 +123,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
 
     def need(self, subject: Subject) -> Need:
         """Every sampler can do every count."""
-        estimator, samplers = subject.estimator, _several(subject.sampler)
-        if not isinstance(estimator, AbstractEstimator):
-            raise ParameterError("predict takes one estimator at a time; give samplers as a list.")
-        names = [s.spec for s in samplers]
-        for name in names:
-            if names.count(name) > 1:
-                raise ParameterError(f"The sampler {name} is listed twice; list each once.")
+        estimator, samplers = subject.estimator, subject.samplers
         for sampler in samplers:
             for n in self.counts:
                 estimator.check_sampler(sampler, n)
@@ -128,7 +133,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[Cells]:
         """One sampler after the other, one count after the other."""
-        estimator, samplers = subject.estimator, _several(subject.sampler)
+        estimator, samplers = subject.estimator, subject.samplers
         predictor = Predictor(estimator, stream)
         places = [(s, n) for s in samplers for n in _places(s, self.counts)]
 
@@ -223,7 +228,8 @@ class Cells:
 
     def ends(self) -> tuple[Array, Array]:
         """Ends of the 95 % intervals."""
-        low = np.maximum(self.variance - self.error, 0.0)
+        with np.errstate(invalid="ignore"):  # both infinite
+            low = np.maximum(self.variance - self.error, 0.0)
         return np.where(np.isinf(self.variance), np.inf, low), self.variance + self.error
 
 
@@ -274,8 +280,8 @@ def predict(
 
     Notes
     -----
-    f is never evaluated at the points of the samplers, but for the last route, *extrapolated from
-    measurements*: 2,000 realisations each of small counts other than n.
+    f is evaluated at nodes and on grids of our own, and at points of the samplers by the last route alone,
+    *extrapolated from measurements*: 2,000 realisations each of small counts other than n.
 
     Limits are looked for at 4 times the last count, of strata up to n = 2^16, where that needs no drawn
     sets (1 to 3 dims): jumps that count at larger n alone are not seen. The slope of the last octaves
@@ -289,11 +295,7 @@ def predict(
     >>> [round(float(rate), 1) for rate in found["predicted_rate"]]
     [-1.0, -1.5]
     """
-    if isinstance(estimator, list | tuple):
-        raise ParameterError("predict takes one estimator at a time; give samplers as a list.")
-    subject = as_subject(estimator, samplers, lists=True)
-    asked = Prediction(counts=counts, max_evaluations=max_evaluations)  # type: ignore[arg-type]
-    return compute(asked, subject, rng, workers)
+    return answer(Prediction, locals())
 
 
 @final
@@ -316,9 +318,7 @@ class Predictor:
             if not n:
                 raise NoClosedForm("there is no such count")
             if source.as_chain(n).fixed:
-                raise NoClosedForm(
-                    "a deterministic sampler has no variance: add owen or shift, or look at |bias|"
-                )
+                raise NoClosedForm(f"a deterministic sampler {NO_VARIANCE}")
             parts, squares = self._parts(source, n, routes)
             route = "; ".join(dict.fromkeys(part.route for part in parts))
             variance = sum((p.variance for p in parts), np.zeros(width))
@@ -338,7 +338,7 @@ class Predictor:
         size = np.atleast_1d(np.asarray(estimator.integral, float))
         vanishes = variance <= rounding_floor(size)
         if vanishes.any():
-            note = "the variance vanishes to rounding"
+            note = VANISHES
             variance, error, tail = (np.where(vanishes, np.nan, v) for v in (variance, error, tail))
         variance, error, share, tail = (
             np.reshape(v, (1, -1)) for v in (variance, error, share, tail)
@@ -370,6 +370,8 @@ def _by_routes(
     sampler: Sampler, n: int, known: Known, stream: Stream, routes: tuple[Route, ...]
 ) -> Predicted:
     """The first route that leads somewhere; points that are mirrored last see another integrand."""
+    if n == 1 and sampler.unbiased:  # one point, which is as at random
+        sampler = Random(dims=sampler.dims)
     base, steps = parts_of(sampler)
     if routes is ROUTES and known.g.costly:
         routes = _OF_COSTLY
@@ -462,8 +464,3 @@ def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:
     beyond = [sampler.nearest_count(n) for n in ahead if n <= _MOST_AHEAD]
     beyond = [n if n > last else 0 for n in beyond]
     return [half if half < last else 0, *counts, *beyond, *[0] * (2 - len(beyond))]
-
-
-def _several(given: Any) -> list[Any]:
-    """A list of what may be one."""
-    return list(given) if isinstance(given, list | tuple) else [given]
