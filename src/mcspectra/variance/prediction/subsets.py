@@ -48,7 +48,7 @@ from mcspectra.variance.prediction.known import Known, Predicted
 
 __all__ = ["of_subsets"]
 
-_LEAST_DIMS = 2
+_LEAST_DIMS, _FEW_DIMS = 2, 3
 _OWN = Stream.from_rng(0x5B5E75)  # of our own points, which no sampler shares
 _REPLICATES, _REPLICATE = 16, 1 << 13  # scrambled nets for ∫g², and their points
 _STRATA = 1 << 13  # pairs within strata, of each replicate
@@ -105,7 +105,7 @@ def of_subsets(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predic
     names = {step.name for step in steps}
     if isinstance(base, Jittered) and not steps:
         return known.once(f"subsets: strata {n}", lambda: _of_strata(base, n, g))
-    parts = known.once("subsets: parts", lambda: _all_parts(g))
+    parts = known.once("subsets: parts", lambda: _all_parts(known))
     if isinstance(base, Random) and names <= _KEEP_LAW | {"shift", "shuffle", "lms"}:
         variance, half = np.array([[p.variance, p.half] for p in parts]).T / n
         return Predicted(variance, half, np.ones(len(parts)), np.zeros(len(parts)), "energy of g")
@@ -299,13 +299,19 @@ def _of_strata(base: Jittered, n: int, g: Integrand) -> Predicted:
     )
 
 
-def _all_parts(g: Integrand) -> list[_Parts]:
+def _all_parts(known: Known) -> list[_Parts]:
     """Energies, and profiles along all axes through the same points, of each channel."""
-    d = g.dims
+    g, d = known.g, known.g.dims
     x = _net(d, _REPLICATE, _REPLICATES, 0)
     values = _values(g, x)
     mean = values.mean(axis=(0, 1))
     squares = ((values - mean) ** 2).mean(axis=1)
+    energy, half = squares.mean(axis=0), _half(squares)
+    if d <= _FEW_DIMS:  # a quadrature knows more of poles
+        square, error = known.square
+        error = np.hypot(error, 2.0 * np.abs(mean) * _half(values.mean(axis=1)))
+        better = error < half
+        energy, half = np.where(better, (square - mean**2, error), (energy, half))
     count = max(4, 1 << round(math.log2(_PROFILE_WORK / (_GROUPS * _NODES * d))))
     through = _net(d, count, _GROUPS, 2)
 
@@ -369,8 +375,8 @@ def _all_parts(g: Integrand) -> list[_Parts]:
         found.append(along)
     return [
         _fitted(
-            float(squares[:, c].mean()),
-            float(_half(squares)[c]),
+            float(energy[c]),
+            float(half[c]),
             axes,
             [along[..., c] for along in found],
             through,
@@ -395,12 +401,12 @@ def _fitted(
     bases = []
     for given in profiles:
         flat = given.reshape(-1, given.shape[-1])
-        _, size, vectors = np.linalg.svd(
-            flat - flat.mean(axis=1, keepdims=True), full_matrices=False
-        )
-        keep = int((size[:_BASIS] ** 2 > _NEGLIGIBLE * (size**2).sum()).sum())
+        flat = flat - flat.mean(axis=1, keepdims=True)
+        size, vectors = np.linalg.eigh(flat.T @ flat)
+        keep = int((size[-_BASIS:] > _NEGLIGIBLE * size.sum()).sum())
         one = np.ones((1, flat.shape[1]))
-        bases.append(np.concatenate([one, vectors[:keep] * math.sqrt(flat.shape[1])]))
+        vectors = vectors.T[::-1][:keep] * math.sqrt(flat.shape[1])
+        bases.append(np.concatenate([one, vectors]))
     known = [
         axis.at(basis, x[..., i].ravel()).reshape(len(basis), len(x), -1)
         for i, (axis, basis) in enumerate(zip(axes, bases, strict=True))
@@ -433,7 +439,7 @@ def _fitted(
         energy = scale**2 * _energy([w @ c for w, c in zip(weights, cells, strict=True)])
         untested = energy - scale**2 * float(sums.var())
         chance = variance - float(values[-1].var())
-        missed += max(abs(untested - chance) - 2.0 * half, 0.0)
+        missed += max(abs(untested - chance) - 2.0 * half - energy / _CELLS, 0.0)
         if missed < residual:
             best, residual = weights, missed
 
