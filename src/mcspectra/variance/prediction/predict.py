@@ -89,6 +89,8 @@ def of_limits(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predict
         return of_torus(sampler, n, known, stream)
     if isinstance(base, Jittered) and any(isinstance(step, Shift) for step in steps):
         sampler = base.then(StrataShift(offset=_OFFSET))
+    if base.name == "latin-hypercube" and sampler.dims > 1:
+        return of_subsets(sampler, n, known, stream)
     return of_levels(sampler, n, known, stream)
 
 

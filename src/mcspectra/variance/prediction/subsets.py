@@ -41,7 +41,7 @@ from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import Stream
 from mcspectra.integrands import Integrand
-from mcspectra.samplers import Jittered, LatinHypercube, Random, Randomized, Sampler, as_sampler
+from mcspectra.samplers import Jittered, Random, Randomized, Sampler, as_sampler
 from mcspectra.samplers.base import Structure
 from mcspectra.spectra.bases import hadamard, parts_of
 from mcspectra.variance.prediction.known import Known, Predicted
@@ -70,6 +70,7 @@ _START = 0.3  # spread of what a new product begins with
 _RESOLVED = 0.01  # relative error of curves between their nodes
 _MOST_WORK = 2.0**34  # pairs of points times axes times groups
 _DRAWS = 8  # of a set that is random before its shift or scramble
+_LATIN = ("latin-hypercube", "n-rooks")
 _KEEP_LAW = frozenset({"owen", "digital-shift", "permute"})  # of nested scrambling
 _DIGITS = 1 << 13  # cells of an axis that digits tell apart, or more where there are more points
 
@@ -168,8 +169,20 @@ class _Curves:
         return out
 
     def cells(self, values: Array, count: int) -> Array:
-        """Values at the centres of equal cells."""
-        return self.at(values, (np.arange(count) + 0.5) / count)
+        """Means over equal cells."""
+        from scipy.interpolate import PchipInterpolator
+
+        ends = np.arange(count + 1) / count
+        total = np.zeros((*values.shape[:-1], count + 1))
+        for low, high in itertools.pairwise(self.knots):
+            own, up_to = (self.nodes > low) & (self.nodes < high), np.clip(ends, low, high)
+            if own.sum() > 1:
+                line = PchipInterpolator(self.nodes[own], values[..., own], -1)
+                total += line.antiderivative()(up_to)
+            else:
+                nearest = int(np.abs(self.nodes - 0.5 * (low + high)).argmin())
+                total += values[..., nearest, None] * up_to
+        return np.diff(total) * count
 
 
 @final
@@ -522,7 +535,8 @@ def _law_of(source: Sampler, n: int, stream: Stream) -> tuple[_Law, Array, Array
     base, steps = parts_of(source)
     names, d = {step.name for step in steps}, source.dims
     every, one = np.arange(n), np.arange(1)
-    if isinstance(base, LatinHypercube) and base.strength == 1 and names <= {"shuffle"}:
+    latin = base.name in _LATIN and getattr(base, "strength", 1) == 1
+    if latin and names <= {"shuffle"}:
         codes = np.arange(n)[None, :, None, None].repeat(d, axis=2)
         return _Law("digits", (n,) * d, (1,) * d, latin=True), codes, one
     last = steps[-1].name if steps else ""
