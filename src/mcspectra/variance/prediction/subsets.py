@@ -58,6 +58,7 @@ _GROUPS = 4  # of profiles, independent of each other: their spread is the error
 _FITTED = 2  # of the replicates, for the fit; one more tests it
 _BASIS, _NEGLIGIBLE = 8, 1e-8  # functions of an axis at most, and energy that is left out
 _RANK, _SWEEPS, _SETTLED = 6, 30, 0.98  # products at most; sweeps of a fit, and when it has settled
+_FEW_RANK = 3  # in few dims, where jumps across axes come here, which more would not follow either
 _RIDGE = 1e-8
 _GOOD = 1e-7  # residual energy that is good enough
 _STANDS_OUT, _HALVINGS = 4.0, 40  # a jump: a change so many times those beside it
@@ -133,8 +134,10 @@ def of_subsets(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predic
         tail = p.residual / n
         half = tail + math.sqrt(max(ones[0] + more, 0.0) * tail)
         if law.latin and p.half < p.residual:  # the energy of several axes is all that counts
-            joint = p.variance - float(np.sum(first[:, -1, 0]))
-            tail, half = max(joint, 0.0) / max(n - 1.0, 1.0) - more, p.half / n
+            joint = max(p.variance - float(np.sum(first[:, -1, 0])), 0.0) / n
+            # Its weight is 1 within strata and n/(n − 1) between them
+            either = 0.5 * joint / max(n - 1.0, 1.0)
+            tail, half = joint + either - more, p.half / n + either
         value = ones[0] + more + tail
         drawn = _half(sets) if len(sets) > 1 else 0.0
         seen = p.half / p.variance if p.variance > 0.0 else 0.0  # of peaks, that few points meet
@@ -433,7 +436,8 @@ def _fitted(
     rng = np.random.default_rng(_OWN.child(4).key)
     best, residual = [np.zeros((1, len(basis))) for basis in bases], variance
     fits = {False: best, True: best}
-    for rank, additive in itertools.product(range(_RANK + 1), (False, True)):
+    most = _RANK if len(axes) > _FEW_DIMS else _FEW_RANK
+    for rank, additive in itertools.product(range(most + 1), (False, True)):
         if residual <= _GOOD * variance or not (rank or additive):
             continue
         weights = fits[additive]
