@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, final
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeAlias, final
 
 import numpy as np
 
@@ -28,12 +28,15 @@ from mcspectra.estimators.reflected import FoldedIntegrand, SymmetrizedIntegrand
 from mcspectra.samplers import (
     Jittered,
     Mirror,
+    Owen,
     Random,
     Randomized,
     Sampler,
     Shift,
     StrataShift,
 )
+from mcspectra.samplers.base import FixedSet, Structure
+from mcspectra.samplers.stratified import root
 from mcspectra.spectra.bases import parts_of
 from mcspectra.variance.convergence import count_moments, count_stream
 from mcspectra.variance.doors import NO_VARIANCE, VANISHES, answer, counted
@@ -61,6 +64,8 @@ _MOST_AHEAD = 2**16
 _OFFSET = (
     0.5 - 0.5 / 3**0.5
 )  # where c(1 − c), the part of jumps at faces, has its mean over all shifts
+
+_SETS, _T_SETS = 16, 2.13  # of pmj, that are scrambled; Student's t of their mean
 
 # Measured extrapolation
 _SMALL = tuple(2**k for k in range(3, 9))
@@ -95,6 +100,8 @@ def of_limits(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predict
         return of_torus(sampler, n, known, stream)
     if isinstance(base, Jittered) and any(isinstance(step, Shift) for step in steps):
         sampler = base.then(StrataShift(offset=_OFFSET))
+    if base.name == "latin-hypercube" and sampler.dims > 1:
+        return of_subsets(sampler, n, known, stream)
     return of_levels(sampler, n, known, stream)
 
 
@@ -372,6 +379,12 @@ def _by_routes(
     """The first route that leads somewhere; points that are mirrored last see another integrand."""
     if n == 1 and sampler.unbiased:  # one point, which is as at random
         sampler = Random(dims=sampler.dims)
+    if sets := _scrambled_sets(sampler, n):
+        parts = [_by_routes(one.then(Owen()), n, known, stream, routes) for one in sets]
+        values = np.array([part.variance for part in parts])
+        spread = _T_SETS * values.std(axis=0, ddof=len(sets) > 1) / math.sqrt(len(sets))
+        error = np.hypot(np.mean([part.error for part in parts], axis=0), spread)
+        return replace(parts[0], variance=values.mean(axis=0), error=error)
     base, steps = parts_of(sampler)
     if routes is ROUTES and known.g.costly:
         routes = _OF_COSTLY
@@ -388,6 +401,49 @@ def _by_routes(
                 inner = Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
                 return _mirrored(steps[-1].mode, inner, n, known, stream, routes)
     raise reason
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class _OneSet(FixedSet):
+    """One set of a sampler, all sets of which are scrambles of it in a base."""
+
+    name: ClassVar[str] = "one-set"
+    structure: ClassVar[Structure] = Structure.DIGITS
+    sampler: Sampler
+    base: int
+    dims: int
+    seed: int
+
+    @property
+    def digit_bases(self) -> tuple[int, ...]:
+        """The base, along each axis."""
+        return (self.base,) * self.dims
+
+    def _set(self, n: int) -> Array:
+        return np.asarray(self.sampler.draw_stream(n, Stream.from_rng(self.seed), 0, 1)[0])
+
+
+def _scrambled_sets(sampler: Sampler, n: int) -> list[Sampler]:
+    """Sets that have the law of the sampler's once they are scrambled with owen, as many as it takes.
+
+    Arrays of strength 2 whose s-ths are shared out at random [Tang1993]_, as multi-jittered is for
+    n = s², are nets in base s: the second digits are permuted within each first one. pmj and pmj02 are
+    scrambled by their making [Helmer2021]_; of pmj which digits agree is random.
+    """
+    inner, steps = parts_of(sampler)
+    name, jitter = inner.name, getattr(inner, "jitter", "multi-jittered")
+    strong = getattr(inner, "strength", 1) == 2 and jitter == "multi-jittered"
+    side = root(n, 2)
+    if any(step.name != "shuffle" for step in steps):
+        return []
+    if (strong or name == "multi-jittered") and side**2 == n > 1:
+        count, base = 1, side
+    elif name == "pmj" or (name == "pmj02" and n & (n - 1) == 0):
+        count, base = _SETS if name == "pmj" else 1, 2
+    else:
+        return []
+    return [_OneSet(sampler=sampler, base=base, dims=sampler.dims, seed=k) for k in range(count)]
 
 
 def _mirrored(
@@ -425,13 +481,14 @@ def _extrapolated(
                 estimator, sampler, c, _REALIZATIONS, count_stream(stream, c)
             ),
         )
-        if count != n and (moments.variance > rounding_floor(moments.mean)).all():
+        varies = moments.variance > rounding_floor(moments.mean)
+        if count != n and (varies & moments.resolved).all():
             counts.append(count)
             variances.append(moments.variance)
             errors.append(moments.relative_se)
     if len(counts) < _FITTED - 1:
         raise NoClosedForm(
-            f"No route predicts {sampler.spec}, and its small sets do not vary or are too few."
+            f"No route predicts {sampler.spec}, and its small sets show no variance or are too few."
         )
 
     # Fit the counts next to n; the scatter about the line is at least that of the measurements
