@@ -14,7 +14,7 @@ from typing import TypeVar, cast, final
 
 from mcspectra.core.checks import Array
 from mcspectra.integrands import Integrand
-from mcspectra.variance.quadrature import square_integral
+from mcspectra.variance.quadrature import looked_at, square_integral
 
 __all__ = ["Known", "Predicted"]
 
@@ -49,10 +49,13 @@ class Predicted:
 
 @final
 class Known:
-    """An integrand in primary space, and what routes found out about it, for all counts and samplers."""
+    """An integrand in primary space, and what routes found out about it, for all counts and samplers.
+
+    All of them cut it at the jumps that lines see across an axis (`looked_at`).
+    """
 
     def __init__(self, g: Integrand) -> None:
-        self.g = g
+        self.g = looked_at(g)
         self._made: dict[Hashable, object] = {}
         self._lock = threading.RLock()
 

@@ -35,6 +35,7 @@ from mcspectra.variance.prediction.levels import of_levels
 from mcspectra.variance.prediction.rates import rates_of
 from mcspectra.variance.prediction.subsets import of_subsets
 from mcspectra.variance.prediction.torus import of_torus
+from mcspectra.variance.quadrature import constant
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -80,6 +81,8 @@ def of_measurements(sampler: Sampler, n: int, known: Known, stream: Stream) -> P
 
 def of_limits(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
     """Many points at little cost: no sets are drawn, and shifted strata have one offset, not all."""
+    if np.isinf(known.square[0]).any():
+        raise NoClosedForm("∫g² diverges: the variance has no rate.")
     base, steps = parts_of(sampler)
     if base.name == "random" or (base.fixed and len(steps) == 1 and steps[0].stationary):
         return of_torus(sampler, n, known, stream)
@@ -223,7 +226,8 @@ class Cells:
 
     def ends(self) -> tuple[Array, Array]:
         """Ends of the 95 % intervals."""
-        low = np.maximum(self.variance - self.error, 0.0)
+        with np.errstate(invalid="ignore"):  # of infinite ones
+            low = np.maximum(self.variance - self.error, 0.0)
         return np.where(np.isinf(self.variance), np.inf, low), self.variance + self.error
 
 
@@ -335,11 +339,15 @@ class Predictor:
             note = str(reason).rstrip(".")
 
         # A variance of rounding size is none
-        size = np.atleast_1d(np.asarray(estimator.integral, float))
-        vanishes = variance <= rounding_floor(size)
-        if vanishes.any():
-            note = "the variance vanishes to rounding"
-            variance, error, tail = (np.where(vanishes, np.nan, v) for v in (variance, error, tail))
+        if np.isfinite(variance).any():
+            size = np.atleast_1d(np.asarray(estimator.integral, float))
+            vanishes = variance <= rounding_floor(size)
+            if vanishes.any():
+                said = [constant(known.g) for known in self._known] if vanishes.all() else []
+                note = next(filter(None, said), "the variance vanishes to rounding")
+                variance, error, tail = (
+                    np.where(vanishes, np.nan, v) for v in (variance, error, tail)
+                )
         variance, error, share, tail = (
             np.reshape(v, (1, -1)) for v in (variance, error, share, tail)
         )
