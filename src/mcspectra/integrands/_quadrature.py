@@ -264,6 +264,7 @@ def adaptive_integral(function: Integrand) -> Estimate:
     halves = _tensor([np.array([0.0, 0.5])] * dims).reshape(-1, dims)
     digits = 2 ** np.arange(dims)[::-1]
     fresh, surprises = np.full(len(points), True), np.zeros(coarse.shape[1])
+    alone = np.zeros(coarse.shape[1])  # what boxes that did not change are wrong by, for the probe
     levels: list[tuple[Array, Array, Array, Array, Array]] = []
     left: list[Array] = []  # differences of each level, in cells that changed
     while True:
@@ -286,6 +287,7 @@ def adaptive_integral(function: Integrand) -> Estimate:
         missed[np.abs(missed) * share <= _INTEGRAL_TOLERANCE * scale] = 0.0
         bad = changed | (np.bincount(cell, missed.any(axis=1), len(coarse)) > 0)
         surprise = fresh & ~changed[cell] & missed.any(axis=1)
+        alone += missed[surprise].sum(axis=0) / PROBE
         surprises = np.maximum(surprises, np.abs(missed[surprise]).max(axis=0, initial=0.0))
         slivers = (_slivers(values, corners) * volume[:, None]).reshape(fine.shape).sum(axis=1)
         slivers[slivers <= _INTEGRAL_TOLERANCE * scale / len(coarse)] = 0.0
@@ -325,7 +327,9 @@ def adaptive_integral(function: Integrand) -> Estimate:
     rest[np.abs(rest) * len(again) <= _INTEGRAL_TOLERANCE * scale] = 0.0
     largest = np.maximum(np.abs(rest).max(axis=0), surprises / len(again))
     unseen = largest if dims > 1 else np.where(rest.any(axis=0), largest, 0.0)
-    error += _SIGMAS * np.sqrt((rest**2).sum(axis=0) + unseen**2)
+    unseen = _SIGMAS * np.sqrt((rest**2).sum(axis=0) + unseen**2)
+    function.__dict__["_unseen"] = np.maximum(np.abs(alone), np.abs(rest.sum(axis=0))) + unseen
+    error += unseen
     total += rest.sum(axis=0)
     return Estimate(total, float(error.max()), method)
 
@@ -348,7 +352,7 @@ def found_breaks(function: Integrand) -> tuple[Array, ...]:
     spread = np.where(seen.std(axis=0) > 0.0, seen.std(axis=0), np.inf)
     lines = points[np.unique([0, 1, *seen.argmin(axis=0), *seen.argmax(axis=0)])]
     rows, steps = np.arange(len(lines))[:, None], (np.arange(_LINE) + math.sqrt(0.5)) / _LINE
-    found: list[tuple[float, int, float]] = []
+    found: list[tuple[bool, float, int, float]] = []  # whether a peak, less its height, where
     for axis in range(dims):
 
         def at(t: Array, aside: float = 0.0, axis: int = axis) -> Array:
@@ -403,15 +407,15 @@ def found_breaks(function: Integrand) -> tuple[Array, ...]:
             pick = 1 + of_five[..., 1:4].argmax(axis=-1)[..., None] + (-1, 0, 1)
             window, values = (np.take_along_axis(a, pick, axis=-1) for a in (five, of_five))
         grown = values[..., 1] > _GROWN * size[rows, top]
-        first, stays, places = (
-            np.concatenate([a, b], axis=1)
-            for a, b in ((first, grown * size[rows, top]), (stays, grown), (places, window[..., 1]))
-        )
-        found += [(-h, axis, b) for h, b in zip(first[stays], places[stays], strict=True)]
+        for peak, heights, at_places in (
+            (False, first[stays], places[stays]),
+            (True, values[..., 1][grown], window[..., 1][grown]),
+        ):
+            found += [(peak, -h, axis, b) for h, b in zip(heights, at_places, strict=True)]
 
-    # The highest first, as long as there is room for more boxes
-    for _, axis, place in sorted(found):
-        if (np.abs(breaks[axis] - place) > _SAME_BREAK).all():
+    # Jumps before peaks, the highest first, as long as there is room for more boxes
+    for peak, _, axis, place in sorted(found):
+        if (np.abs(breaks[axis] - place) > (_ABOUT if peak else _SAME_BREAK)).all():
             more = [np.append(b, [place] * (i == axis)) for i, b in enumerate(breaks)]
             boxes = math.prod(len(np.union1d(_uniform(dims), b)) - 1 for b in more)
             if boxes * (2 * _CELL_ORDER[dims]) ** dims <= 2 * _INTEGRAL_BUDGET:

@@ -45,7 +45,7 @@ from mcspectra.core.streams import Stream
 from mcspectra.core.tally import counting
 from mcspectra.estimators import AbstractEstimator, as_subject
 from mcspectra.estimators.reflected import FoldedIntegrand, SymmetrizedIntegrand
-from mcspectra.integrands import Integrand
+from mcspectra.integrands import Integrand, integral_accuracy
 from mcspectra.samplers import (
     Jittered,
     LatinHypercube,
@@ -256,13 +256,14 @@ def of_integrand(
             return square, np.zeros(len(square))
     if isinstance(base, Random) and names <= {"shift", "strata-shift"}:
         middle, first, second, error = moments(g)
-        value, mean = second - first**2, middle + first
+        value = second - first**2
         # Three standard errors of the integrals become 4.5: of 1,000 functions none is to be beyond
         error = 1.5 * error * (1.0 + 2.0 * np.abs(first)) + 4e-15 * (second + middle**2)
-        by_square = square - mean**2
-        apart = np.abs(by_square - value) > error + square_error
-        value = np.where(apart, by_square, value)
-        error = np.where(apart, square_error + 4e-15 * square, error)
+        if (error > tolerance * value).any() and np.isfinite(square).all():
+            mean, off = np.atleast_1d(g.integral), integral_accuracy(g)[1]
+            by_square = square_error + 2.0 * np.abs(mean) * off + 4e-15 * square
+            value = np.where(by_square < error, square - mean**2, value)
+            error = np.minimum(by_square, error)
         if (error <= tolerance * value).all() and (value > 0.0).all():
             return value / n, error / n
 

@@ -41,6 +41,7 @@ __all__ = [
     "square_integral",
     "strata",
     "stratum_moments",
+    "unseen",
 ]
 
 MOST_EVALUATIONS = 2.0**26
@@ -199,6 +200,8 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
             both.__dict__["_found_breaks"] = found_breaks(g)
             first, second = np.split(numeric_integral(both), 2)
             error = np.full(middle.shape, integral_accuracy(both)[1])
+            if "_unseen" in both.__dict__:
+                g.__dict__["_unseen_square"] = both.__dict__["_unseen"][len(middle) :]
         else:
             middle, square = (np.asarray(moment, float).reshape(-1) for moment in exact)
             first, second, error = 0.0 * middle, square - middle**2, 0.0 * middle
@@ -234,12 +237,22 @@ def orders_of(cells: int, dims: int) -> tuple[int, int]:
     return _ORDERS[0] if dims == 1 else _ORDERS[1] if cells < _MANY else _ORDERS[2]
 
 
+def unseen(g: Integrand) -> Array:
+    """What ∫g² may be off by for regions that nodes do not see, (channels or 1,): `moments`."""
+    if g.costly or g.dims > _LOOKED_DIMS or in_closed_form(g):
+        return np.zeros(max(1, g.channels))
+    moments(g)
+    return np.asarray(g.__dict__.get("_unseen_square", np.zeros(max(1, g.channels))))
+
+
 def constant(g: Integrand) -> str:
-    """What is to be said of an integrand that was the same wherever it was looked at; of declared ones ''."""
-    if in_closed_form(g) or g._integral() is not None:
+    """What is to be said of an integrand that is the same at all points of the probe; else ''."""
+    if g.costly or in_closed_form(g) or g._integral() is not None:
+        return ""
+    if np.ptp(g(probe(g.dims)), axis=0).any():
         return ""
     return (
-        f"{g.spec} was the same at all of more than {PROBE} points: its variance is 0 to rounding, or "
+        f"{g.spec} is the same at all {PROBE} points of a probe: its variance is 0 to rounding, or "
         f"lies in a region of less than about {10 / PROBE:.0e} of the volume; use convergence, or give "
         "its integral (integral=) to say that it is constant"
     )
@@ -428,7 +441,11 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
             by_levels - value - level_errors - error
         )  # levels miss slabs, and boxes ends of poles
         alike = np.abs(by_levels - value) <= level_errors + error
-    better = alike & (level_errors < error) | np.isinf(by_levels) | over_domain & (more > 0.0)
+    better = (
+        alike & (level_errors < error) & ~unseen(g).any()
+        | np.isinf(by_levels)
+        | over_domain & (more > 0.0)
+    )
     if not isinstance(g, _Cut):
         error = np.where((more > 0.0) & ~better, error + more, error)
     value, error = np.where(better, by_levels, value), np.where(better, level_errors, error)
