@@ -342,11 +342,14 @@ class Predictor:
             note = str(reason).rstrip(".")
 
         # A variance of rounding size is none
-        size = np.atleast_1d(np.asarray(estimator.integral, float))
-        vanishes = variance <= rounding_floor(size)
-        if vanishes.any():
-            note = VANISHES
-            variance, error, tail = (np.where(vanishes, np.nan, v) for v in (variance, error, tail))
+        if np.isfinite(variance).any():
+            size = np.atleast_1d(np.asarray(estimator.integral, float))
+            vanishes = variance <= rounding_floor(size)
+            if vanishes.any():
+                note = VANISHES
+                variance, error, tail = (
+                    np.where(vanishes, np.nan, v) for v in (variance, error, tail)
+                )
         variance, error, share, tail = (
             np.reshape(v, (1, -1)) for v in (variance, error, share, tail)
         )
@@ -388,9 +391,15 @@ def _by_routes(
     base, steps = parts_of(sampler)
     if routes is ROUTES and known.g.costly:
         routes = _OF_COSTLY
+    if known.constant:
+        raise NoClosedForm(known.constant)
     for route in routes:
         try:
-            return route(sampler, n, known, stream)
+            found = route(sampler, n, known, stream)
+            # One route may see what others do not: none knows more than the probe
+            if np.isfinite(found.variance).all():
+                found = replace(found, error=np.maximum(found.error, known.unseen / n))
+            return found
         except NoClosedForm as error:
             reason = error
         if route is routes[0]:
