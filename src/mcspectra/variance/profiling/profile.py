@@ -51,6 +51,7 @@ _FITTED = 64  # points of each net, that changes are fitted to
 _DEPENDENT = 0.7  # of all draws: fewer effective ones are a cause
 _LEAST_CHECKED = 4  # points that a change is measured at
 _GIVEN_COUNTS = 5
+_THEORY = 0.08  # of a rate, at counts of points that are not large
 _MANY = 4  # dims, from which on it matters how many g varies with at once
 
 
@@ -131,8 +132,8 @@ class Profile:
     Attributes
     ----------
     integral, interval
-        The mean of all nets, and its 95 % interval by Student's t; infinite where the variance is, or where
-        a few evaluations make it.
+        The mean of all nets, and its 95 % interval; infinite where the variance is, or where a few
+        evaluations make it.
     calls, budget
         Evaluations of f that were made, and that were allowed.
     variance, rate, rate_ci
@@ -216,6 +217,7 @@ class Profile:
             low, high = curve.rate_ci
             known = curve.rate_se == 0.0
             rate = f"{curve.rate:.2f}" + ("" if known else f" ({low:.2f} to {high:.2f})")
+            rate = "none" if math.isnan(curve.rate) else rate
             rows.append(
                 (name, f"{math.sqrt(curve.at(self.points)[0]):.3g}", rate.replace("-", "−"))
             )
@@ -472,11 +474,9 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
 
     evidence = Evidence(estimator, given, sets, curves, tuple(lines), mean)
     causes = causes_of(evidence)
-    # Sets seldom reach what grows at the border: theory knows the rate better than they show it
-    grows = next((c.evidence["exponent"] for c in causes if c.name == "border-growth"), 0.0)
-    if grows:
-        slowest = -2.0 * (1.0 - grows)
-        curves |= {k: replace(c, rate=max(c.rate, slowest)) for k, c in curves.items()}
+    curves |= {
+        name: _by_theory(name, curve, causes, estimator.dims) for name, curve in curves.items()
+    }
     # What is the same every time, or was not measured, is no reference
     fixed = any(cause.name == "deterministic-set" for cause in causes)
     reference = "random" if fixed or given.spec not in curves else given.spec
@@ -489,12 +489,16 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         )
         calls += cost
     curve = curves.get(given.spec, curves[NETS])
-    infinite = any(cause.name == "infinite-variance" for cause in causes)
+    # Values that rest on few of them say nothing of what they missed, unless lines have seen how g grows
+    names = {cause.name for cause in causes}
+    infinite = "infinite-variance" in names
+    resolved = bool(Moments.of(sets.pooled, tails=True).resolved)
+    known = not infinite and (resolved or "border-growth" in names)
     return Profile(
         subject=estimator.spec,
         given=given.spec,
         integral=float(sets.estimates.mean()),
-        interval=_interval(sets, infinite),
+        interval=sets.interval if known else (-math.inf, math.inf),
         calls=calls,
         budget=budget,
         variance=math.inf if infinite else curve.at(budget // each)[0],
@@ -508,6 +512,21 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         points=budget // each,
         reference=reference,
     )
+
+
+def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int) -> Curve:
+    """A curve with what its causes say of its rate."""
+    names = {cause.name: cause for cause in causes}
+    if "infinite-variance" in names:
+        return replace(curve, rate=math.nan, rate_se=math.nan)
+    # Sets seldom reach what grows at the border
+    if "border-growth" in names:
+        slowest = -2.0 * (1.0 - names["border-growth"].evidence["exponent"])
+        return replace(curve, rate=max(curve.rate, slowest))
+    # Of n strata n^(1 − 1/d) meet a jump
+    if causes[0].name == "interior-jump" and name in {NETS, "jittered"}:
+        return curve.towards(-1.0 - 1.0 / dims, _THEORY)
+    return curve
 
 
 def _as_integrand(f: Any, dims: int | None, budget: int, **calling: Any) -> Any:
@@ -643,16 +662,3 @@ def _improved(
         found = _change(evidence.curves, given, at_budget, offer.name, change, after, setup)
         return found, offer.name, calls
     return best, "", 0
-
-
-def _interval(sets: Sets, infinite: bool) -> tuple[float, float]:
-    """95 % interval of the mean over all nets; infinite where values say nothing of what they missed."""
-    from scipy.special import stdtrit
-
-    values = sets.estimates
-    pooled = Moments.of(sets.pooled, tails=True)
-    if infinite or not pooled.resolved:
-        return -math.inf, math.inf
-    half = float(stdtrit(len(values) - 1, 0.975)) * math.sqrt(values.var(ddof=1) / len(values))
-    middle = float(values.mean())
-    return middle - half, middle + half
