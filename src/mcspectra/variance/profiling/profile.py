@@ -27,7 +27,8 @@ from mcspectra.core.images import REC709
 from mcspectra.core.memory import memory_of
 from mcspectra.core.results import dataset, strict_json
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
+from mcspectra.densities.base import FunctionDensity
+from mcspectra.estimators import AbstractEstimator, Estimator, Moments, as_estimator
 from mcspectra.estimators.moments import CONFIDENCE_Z, variance_interval
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
 from mcspectra.samplers import Sampler, as_sampler
@@ -35,8 +36,8 @@ from mcspectra.variance.chains import chain_error
 from mcspectra.variance.counterfactuals import Setup, affordable_count
 from mcspectra.variance.doors import counted
 from mcspectra.variance.improved import CHANGES, Evaluations, Improvement, improvements
-from mcspectra.variance.profiling.causes import Cause, Evidence, causes_of
-from mcspectra.variance.profiling.lines import Lines, lines_of, mean_dimension
+from mcspectra.variance.profiling.causes import Cause, Evidence, Replicates, causes_of, sets_of
+from mcspectra.variance.profiling.lines import COARSE, Lines, grain, lines_of, mean_dimension
 from mcspectra.variance.profiling.samples import NETS, Curve, Sets, curve_of
 
 if TYPE_CHECKING:
@@ -51,7 +52,9 @@ _FITTED = 64  # points of each net, that changes are fitted to
 _DEPENDENT = 0.7  # of all draws: fewer effective ones are a cause
 _LEAST_CHECKED = 4  # points that a change is measured at
 _GIVEN_COUNTS = 5
+_LEAST_SETS = 3
 _THEORY = 0.08  # of a rate, at counts of points that are not large
+_WEIGHTED = 3  # functions: f, pdf and sample
 _MANY = 4  # dims, from which on it matters how many g varies with at once
 
 
@@ -323,8 +326,8 @@ def profile(
     Parameters
     ----------
     f
-        A vectorised function of points (k, d) to values (k,), an integrand, an estimator, or a spec; or
-        draws of Markov chains, or independent estimates, as `chain_error` takes them, which are not
+        A vectorised function of points (k, d) to values (k,), an integrand, an estimator, or a spec; three
+        functions (f, pdf, sample), where points are drawn by sample(u) and weighted with 1/pdf; or draws of Markov chains, or independent estimates, as `chain_error` takes them, which are not
         sampled further.
     sampler
         What is used today.
@@ -355,13 +358,21 @@ def profile(
     >>> found.causes[0].name, found.best.name
     ('kink', 'sobol | owen')
     """
-    if not isinstance(f, AbstractEstimator | Integrand | str) and not callable(f):
+    weighted = isinstance(f, tuple) and len(f) == _WEIGHTED and all(map(callable, f))
+    if not (isinstance(f, AbstractEstimator | Integrand | str) or callable(f) or weighted):
         return _of_draws(f)
     limit = as_integer("budget", budget, least=_LEAST, most=2**30)
-    given = _as_integrand(f, dims, limit, vectorized=vectorized, workers=workers, cache=cache)
+    function, *density = f if weighted else (f,)
+    given = _as_integrand(
+        function, dims, limit, vectorized=vectorized, workers=workers, cache=cache
+    )
     calls = given.function if isinstance(given, FunctionIntegrand) else None
     with calls if isinstance(calls, Calls) else contextlib.nullcontext():
         estimator = as_estimator(given, dims)
+        if density:  # not checked here, as what it does wrong is a cause
+            pdf, sample = density
+            own = FunctionDensity(dims=estimator.dims, pdf_function=pdf, sample_function=sample)
+            estimator = Estimator(given, own)
         subject = Subject(estimator, as_sampler(sampler, estimator.dims))
         Profiling(budget=limit).need(subject)
         found = _profiled(subject, limit, Stream.from_rng(rng))
@@ -388,6 +399,11 @@ def _of_draws(draws: Any) -> Profile:
     if name == "none" and float(found["ess_ci"][1]) < _DEPENDENT * count:
         name = "correlated-replicates"
         sentence = f"The {count:,} draws depend on each other and count as {effective:,.0f}."
+    step = grain(draws) if isinstance(draws, np.ndarray) else 0.0
+    spread = float(found["mcse"]) * math.sqrt(effective)
+    if name == "none" and step > COARSE * spread:
+        name, evidence = "float-drift", {"step": step, "spread": spread}
+        sentence = f"Draws are rounded to steps of {step:.2g}, beside a spread of {spread:.2g}."
     low, high = found["mean_ci"].values.tolist()
     return Profile(
         subject="draws",
@@ -463,16 +479,18 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         calls += made * estimator.evaluations_per_point
 
     # The sampler as given
-    not_tried = []
+    not_tried, replicates = [], None
     if apart:
         try:
-            curve, cost = _measured(estimator, given, int(_GIVEN * budget), stream.child(99))
+            curve, replicates, cost = _measured(
+                estimator, given, int(_GIVEN * budget), stream.child(99)
+            )
             curves[given.spec] = curve
             calls += cost
         except McspectraError as error:
             not_tried.append(f"{given.spec}: {error}")
 
-    evidence = Evidence(estimator, given, sets, curves, tuple(lines), mean)
+    evidence = Evidence(estimator, given, sets, curves, tuple(lines), mean, replicates)
     causes = causes_of(evidence)
     curves |= {
         name: _by_theory(name, curve, causes, estimator.dims) for name, curve in curves.items()
@@ -493,7 +511,8 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     names = {cause.name for cause in causes}
     infinite = "infinite-variance" in names
     resolved = bool(Moments.of(sets.pooled, tails=True).resolved)
-    known = not infinite and (resolved or "border-growth" in names)
+    known = not infinite and "wrong-pdf" not in names
+    known &= resolved or "border-growth" in names
     return Profile(
         subject=estimator.spec,
         given=given.spec,
@@ -553,12 +572,17 @@ def _scalar(estimator: AbstractEstimator, values: Array) -> Array:
 
 def _measured(
     estimator: AbstractEstimator, sampler: Sampler, evaluations: int, stream: Stream
-) -> tuple[Curve, int]:
+) -> tuple[Curve, Replicates, int]:
     """The curve of a sampler by sets of its own, within so many evaluations, and how many it took."""
     each = sum(estimator.counts) * estimator.evaluations_per_point
+    sets = int(min(_NETS, sets_of(sampler)))
+    if sets < _LEAST_SETS:
+        raise CountError(f"{sampler.spec} has {sets} sets; give {_LEAST_SETS} or more.")
     setup, counts = Setup(estimator, sampler), list[int]()
+    while sets > _LEAST_SETS and affordable_count(setup, evaluations // (2 * sets)) is None:
+        sets -= 1
     for k in range(_GIVEN_COUNTS):
-        n = affordable_count(setup, evaluations // (_NETS << k + 1))
+        n = affordable_count(setup, evaluations // (sets << k + 1))
         if n is not None and n not in counts:
             counts.append(n)
     if not counts:
@@ -566,15 +590,19 @@ def _measured(
             f"{sampler.spec} has no count of points that fits into {evaluations} evaluations."
         )
     counts.sort()
-    estimates = [_estimates(estimator, sampler, n, stream) for n in counts]
-    return curve_of(counts, estimates), sum(counts) * _NETS * each
+    found = [_estimates(estimator, sampler, n, sets, stream) for n in counts]
+    last = Replicates(found[-1][0], found[-1][1])
+    return curve_of(counts, [e for e, _ in found]), last, sum(counts) * sets * each
 
 
-def _estimates(estimator: AbstractEstimator, sampler: Sampler, n: int, stream: Stream) -> Array:
-    """Independent estimates."""
-    points = estimator.draw(estimator.randomized(sampler), n, stream.child(n), 0, _NETS)
+def _estimates(
+    estimator: AbstractEstimator, sampler: Sampler, n: int, sets: int, stream: Stream
+) -> tuple[Array, int]:
+    """Independent estimates, and how many of their sets are different."""
+    points = estimator.draw(estimator.randomized(sampler), n, stream.child(n), 0, sets)
     values = [_scalar(estimator, estimator.primary_values(t, u)) for t, u in enumerate(points)]
-    return np.asarray(sum(v.mean(axis=1) for v in values))
+    different = len(np.unique(np.concatenate([p.reshape(sets, -1) for p in points], 1), axis=0))
+    return np.asarray(sum(v.mean(axis=1) for v in values)), different
 
 
 def _best(
@@ -648,7 +676,7 @@ def _improved(
         if n is None or n < _LEAST_CHECKED:
             continue
         cost = n * offer.estimator.evaluations_per_point / estimator.evaluations_per_point
-        curve = curve_of([n], [_estimates(offer.estimator, sampler, n, stream)])
+        curve = curve_of([n], [_estimates(offer.estimator, sampler, n, _NETS, stream)[0]])
         calls = n * _NETS * offer.estimator.evaluations_per_point
         base = evidence.curves[given if best is None else best.name]
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
