@@ -113,7 +113,7 @@ class Calls:
                 f"{f.spec} has {f.dims} dims and {f.channels} channels; give a scalar function in "
                 f"{self.dims} dims, such as a channel of it."
             )
-        self.name = (
+        self.__name__ = self.name = (
             f.spec if isinstance(f, Integrand) else str(getattr(f, "__name__", type(f).__name__))
         )
         self._block = _BLOCK if vectorized else _FEW

@@ -166,6 +166,7 @@ def _quantities(draws: Any) -> tuple[list[str], Array]:
     names, found = [], []
     for name, part in parts.items():
         what = f"draws of {name!r}" if name else "draws"
+        labels: list[Any] = []
         if isinstance(part, xr.DataArray):
             if "draw" not in part.dims:
                 raise ParameterError(
@@ -173,7 +174,8 @@ def _quantities(draws: Any) -> tuple[list[str], Array]:
                     "of time draw, and that of several chains chain."
                 )
             part = part if "chain" in part.dims else part.expand_dims("chain")
-            part = part.transpose("chain", "draw", ...).values
+            part = part.transpose("chain", "draw", ...)
+            labels, part = [part[dim].values for dim in part.dims[2:]], part.values
         x = as_real_array(what, part)
         shape, x = x.shape, x[None] if x.ndim == 1 else x
         if x.ndim < 2 or (x.ndim > 3 and not name) or not x.size or x.shape[1] < _LEAST_DRAWS:
@@ -183,7 +185,8 @@ def _quantities(draws: Any) -> tuple[list[str], Array]:
             )
         if bad := int(np.count_nonzero(~np.isfinite(x))):
             raise DomainError(f"{what} hold {bad} NaN or infinite values; give finite numbers.")
-        places = [",".join(map(str, place)) for place in np.ndindex(x.shape[2:])]
+        labels = labels or [range(size) for size in x.shape[2:]]
+        places = [",".join(map(str, place)) for place in itertools.product(*labels)]
         names += [f"{name}[{place}]" if place else name for place in places]
         found.append(np.moveaxis(x.reshape(*x.shape[:2], -1), -1, 0))
     if not found:

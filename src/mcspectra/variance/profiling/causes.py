@@ -16,12 +16,12 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import DensityError
 from mcspectra.estimators import AbstractEstimator, Moments
-from mcspectra.samplers import Sampler, Shift
+from mcspectra.samplers import GivenPoints, Sampler, Shift, as_sampler
 from mcspectra.spectra.bases import parts_of
-from mcspectra.variance.profiling.lines import Lines
+from mcspectra.variance.profiling.lines import COARSE, Lines, grain
 from mcspectra.variance.profiling.samples import NETS, Curve, Sets
 
-__all__ = ["CAUSES", "Cause", "Evidence", "Name", "causes_of"]
+__all__ = ["CAUSES", "Cause", "Evidence", "Name", "Replicates", "causes_of", "sets_of"]
 
 Name: TypeAlias = Literal[
     "wrong-pdf",
@@ -53,6 +53,11 @@ _SAME = 2e-3  # along lines, of places that are the same
 _MOST_DIMENSION = 1.8
 _LITTLE_GAIN = 8.0  # by nets, over random points
 _OPPOSITE = 1e-3  # of the variance, by what g differs between faces
+_SEEN_OF_PDF = 4096  # points
+_FEW_SETS = 8
+_SERIAL = 0.75  # correlation of sets that follow each other; of twenty independent ones ± 0.22
+_GRAINS = 32.0  # of the numbers that estimates are: less is rounding
+_AWAY = 6.0  # standard errors; by Student's t of nineteen degrees a chance of 1e-5
 
 
 @final
@@ -80,6 +85,15 @@ class Cause:
 
 @final
 @dataclass(frozen=True)
+class Replicates:
+    """Sets of a sampler at one count: the estimate of each, and how many sets are different."""
+
+    estimates: Array
+    different: int
+
+
+@final
+@dataclass(frozen=True)
 class Evidence:
     """What was looked at.
 
@@ -95,6 +109,8 @@ class Evidence:
         Of each technique.
     mean_dimension
         Of g, NaN where it was not looked for.
+    replicates
+        Sets of the sampler, where these were drawn.
     """
 
     estimator: AbstractEstimator
@@ -103,6 +119,7 @@ class Evidence:
     curves: Mapping[str, Curve]
     lines: tuple[Lines, ...]
     mean_dimension: float = math.nan
+    replicates: Replicates | None = None
 
     @property
     def scale(self) -> float:
@@ -127,44 +144,36 @@ def _wrong_pdf(seen: Evidence) -> Cause | None:
             if density is not None:
                 density.check()
         except DensityError as error:
-            return Cause("wrong-pdf", f"{error} Every estimate is biased by it.")
+            u = as_sampler(NETS, density.primary_dims).draw(_SEEN_OF_PDF)[0]
+            with np.errstate(all="ignore"):
+                found = float((1.0 / density.pdf(density.sample(u))).mean())
+            return Cause(
+                "wrong-pdf",
+                f"{error} Every estimate is biased by it: that of a constant, 1, is {found:.4g}.",
+                {"of_one": found},
+            )
     return None
 
 
 def _infinite_variance(seen: Evidence) -> Cause | None:
-    growth = seen.each("growth")
-    border = float(np.nanmax(growth, initial=0.0))
-    if border >= _ALL:
-        return Cause(
-            "infinite-variance",
-            f"g grows as t^−{border:.2f} at the border, and from t^−1 on it has no integral.",
-            {"exponent": border},
-        )
-    if border >= _HALF - 0.02:
-        return Cause(
-            "infinite-variance",
-            f"g grows as t^−{border:.2f} at the border, and from t^−½ on ∫g² is infinite: errors fall "
-            "more slowly than n^−½ and no interval holds.",
-            {"exponent": border},
-            ("fitted", "warp"),
-        )
-    exponent = seen.each("exponent")
     poles = np.concatenate([lines.poles() for lines in seen.lines])
-    order = -float(np.median(exponent[poles])) if poles.any() else 0.0
-    if order >= _ALL:
-        return Cause(
-            "infinite-variance",
-            f"g has a pole of order {order:.2f} inside, and from 1 on it has no integral.",
-            {"exponent": order},
-        )
-    if order >= _HALF - 0.08:
-        return Cause(
-            "infinite-variance",
-            f"g has a pole of order {order:.2f} inside, and from ½ on ∫g² is infinite: errors fall more "
-            "slowly than n^−½ and no interval holds.",
-            {"exponent": order},
-            ("fitted", "warp"),
-        )
+    order = -float(np.median(seen.each("exponent")[poles])) if poles.any() else 0.0
+    border = float(np.nanmax(seen.each("growth"), initial=0.0))
+    for exponent, near, what in (
+        (border, 0.02, "grows as t^−{:.2f} at the border"),
+        (order, 0.08, "has a pole of order {:.2f} inside"),
+    ):
+        if exponent >= _HALF - near:
+            said = (
+                "from ½ on ∫g² is infinite: errors fall more slowly than n^−½ and no interval holds"
+            )
+            said = "from 1 on it has no integral" if exponent >= _ALL else said
+            return Cause(
+                "infinite-variance",
+                f"g {what.format(exponent)}, and {said}.",
+                {"exponent": exponent},
+                () if exponent >= _ALL else ("fitted", "warp"),
+            )
     if seen.estimator.infinite_weights and _tail(seen)[1] > _HALF:
         return Cause(
             "infinite-variance",
@@ -210,15 +219,99 @@ def _sorted_share(values: Array) -> float:
 
 
 def _deterministic(seen: Evidence) -> Cause | None:
-    sampler = seen.sampler
-    if not seen.estimator.randomized(sampler).fixed:
+    fixed = seen.estimator.randomized(seen.sampler).fixed
+    if not fixed and (seen.replicates is None or seen.replicates.different > 1):
         return None
     return Cause(
         "deterministic-set",
-        f"{sampler.spec} is the same set every time: its error is a bias that no spread shows. Add owen "
+        f"{seen.sampler.spec} is the same set every time: its error is a bias that no spread shows. Add owen "
         "or shift.",
-        {},
+        {"different": 1.0},
         ("sampler",),
+    )
+
+
+def sets_of(sampler: Sampler) -> float:
+    """How many sets a sampler has: no end of them, but of points that are given."""
+    if isinstance(sampler, GivenPoints) and not sampler.cycle:
+        return len(sampler.points)
+    return math.inf
+
+
+def _few_realizations(seen: Evidence) -> Cause | None:
+    count = sets_of(seen.sampler)
+    if count >= _FEW_SETS:
+        return None
+    from scipy.stats import chi2
+
+    low, high = 0.0, math.inf
+    if count > 1:
+        low, high = ((count - 1) / float(chi2.ppf(q, count - 1)) for q in (0.975, 0.025))
+    return Cause(
+        "few-realizations",
+        f"{seen.sampler.spec} has {count} sets, whose spread tells the variance to a factor of {low:.2g} to "
+        f"{high:.2g} only.",
+        {"realizations": float(count), "low": low, "high": high},
+    )
+
+
+def _correlated(seen: Evidence) -> Cause | None:
+    made = seen.replicates
+    if made is None or not made.different > 1 or len(made.estimates) < _FEW_SETS:
+        return None
+    found, nets = made.estimates, seen.sets.estimates
+    count, sampler = len(found), seen.sampler.spec
+    if made.different < count:
+        return Cause(
+            "correlated-replicates",
+            f"Only {made.different} of {count} sets of {sampler} are different: their spread says less than "
+            "it seems.",
+            {"different": float(made.different), "realizations": float(count)},
+        )
+    spread, mean = float(found.std(ddof=1)), float(found.mean())
+    if spread <= _GRAINS * grain(found):
+        return None
+    rest = (found - mean) / spread
+    serial = float(rest[1:] @ rest[:-1]) / count
+    if serial > _SERIAL:
+        return Cause(
+            "correlated-replicates",
+            f"Each set of {sampler} is like the one before: the correlation of their estimates is {serial:.2f}.",
+            {"correlation": serial, "realizations": float(count)},
+        )
+    error = math.sqrt(spread**2 / count + float(nets.var(ddof=1)) / len(nets))
+    away = (mean - float(nets.mean())) / error
+    if abs(away) < _AWAY:
+        return None
+    return Cause(
+        "correlated-replicates",
+        f"The mean of {count} sets of {sampler} is {abs(away):.2g} standard errors away from that of {NETS}: "
+        "they share an error, or their points are not uniform.",
+        {"away": away, "realizations": float(count)},
+    )
+
+
+def _float_drift(seen: Evidence) -> Cause | None:
+    values = seen.sets.pooled
+    step, single = grain(values), values.astype(np.float32)
+    drift = 0.0
+    if (single == values).all():
+        drift = abs(float(single.cumsum(dtype=np.float32)[-1]) / len(single) - float(values.mean()))
+    curve = seen.curves.get(seen.sampler.spec, seen.curves["random"])
+    error = math.sqrt(curve.at(len(values))[0])
+    if seen.scale == 0.0:
+        return None
+    rounded = step > COARSE * seen.scale
+    if not rounded and (error == 0.0 or drift <= error):
+        return None
+    return Cause(
+        "float-drift",
+        f"Values of g are rounded to steps of {step:.2g}, {step / seen.scale:.2g} of their spread: compute "
+        "differences before sums, in float64."
+        if rounded
+        else f"Values of g are of float32: a running sum of {len(values):,} of them in float32 is off by "
+        f"{drift:.2g} in the mean, beside an RMSE of {error:.2g}. Sum in float64.",
+        {"step": step, "drift": drift, "rmse": error},
     )
 
 
@@ -357,6 +450,9 @@ CAUSES: tuple[Callable[[Evidence], Cause | None], ...] = (
     _wrong_pdf,
     _infinite_variance,
     _deterministic,
+    _few_realizations,
+    _correlated,
+    _float_drift,
     _slow_technique,
     _heavy_tail,
     _jumps,
@@ -372,6 +468,9 @@ def causes_of(seen: Evidence) -> list[Cause]:
     """All causes that are found, at least one: `none` where nothing is."""
     found = [cause for detect in CAUSES if (cause := detect(seen)) is not None]
     names = {cause.name for cause in found}
+    # Steps between numbers are no jumps
+    if "float-drift" in names:
+        found = [c for c in found if c.name not in {"interior-jump", "axis-parallel-jump"}]
     # What is left of a tail is said by its cause
     if names & {"infinite-variance", "border-growth"}:
         found = [c for c in found if c.name != "heavy-tail"]

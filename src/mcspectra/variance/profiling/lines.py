@@ -17,13 +17,14 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 
-__all__ = ["Lines", "lines_of", "mean_dimension"]
+__all__ = ["COARSE", "Lines", "grain", "lines_of", "mean_dimension"]
 
 STEPS = 16  # of a line, before it is zoomed
 HALVINGS = 12
 _LATE = 6  # halvings that an exponent is fitted to
 _POLE, _JUMP, _KINK = -0.15, 0.4, 1.6  # exponents below which there is one
 _NEGLIGIBLE = 1e-9  # of the spread of g: rounding
+_GRAINS = 32.0  # of the numbers that values are: rounding, too
 _ENDS = 2.0 ** -np.array([4.0, 12.0, 20.0, 30.0, 40.0])
 
 LINE = STEPS + 2 * HALVINGS + 2 * len(_ENDS)
@@ -31,6 +32,9 @@ LINE = STEPS + 2 * HALVINGS + 2 * len(_ENDS)
 
 CHORD = STEPS + 2 * HALVINGS
 """Evaluations of any other line."""
+
+COARSE = 1e-2
+"""Of a spread: a distance between numbers that matters."""
 
 Function = Callable[[Array], Array]
 
@@ -76,6 +80,14 @@ class Lines:
     def kinks(self) -> Array:
         """Which lines have nothing rougher than a kink, and have one."""
         return np.asarray((self.exponent >= _JUMP) & (self.exponent < _KINK))
+
+
+def grain(values: Array) -> float:
+    """Distance between numbers of the largest size among values: of float32 where all of them are such."""
+    size = np.abs(values).max(initial=0.0)
+    with np.errstate(over="ignore"):
+        single = (values.astype(np.float32) == values).all()
+    return float(np.spacing(np.float32(size) if single else size))
 
 
 def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator) -> Lines:
@@ -140,7 +152,7 @@ def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator)
         window, values = five[rows[:, None], pick], y5[rows[:, None], pick]
     size = np.array(sizes)[-_LATE - 1 :]
     scale = max(float(np.sqrt(spread.mean())), 1e-300)
-    rough = size[-1] > _NEGLIGIBLE * scale
+    rough = size[-1] > max(_NEGLIGIBLE * scale, _GRAINS * grain(y))
     slope = -np.polyfit(np.arange(_LATE + 1), np.log2(np.maximum(size, 1e-300)), 1)[0]
     exponent = np.where(rough, slope, 2.0)
 

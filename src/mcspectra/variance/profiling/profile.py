@@ -27,7 +27,8 @@ from mcspectra.core.images import REC709
 from mcspectra.core.memory import memory_of
 from mcspectra.core.results import dataset, strict_json
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Moments, as_estimator
+from mcspectra.densities.base import FunctionDensity
+from mcspectra.estimators import AbstractEstimator, Estimator, Moments, as_estimator
 from mcspectra.estimators.moments import CONFIDENCE_Z, variance_interval
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
 from mcspectra.samplers import Sampler, as_sampler
@@ -35,8 +36,8 @@ from mcspectra.variance.chains import chain_error
 from mcspectra.variance.counterfactuals import Setup, affordable_count
 from mcspectra.variance.doors import counted
 from mcspectra.variance.improved import CHANGES, Evaluations, Improvement, improvements
-from mcspectra.variance.profiling.causes import Cause, Evidence, causes_of
-from mcspectra.variance.profiling.lines import Lines, lines_of, mean_dimension
+from mcspectra.variance.profiling.causes import Cause, Evidence, Replicates, causes_of, sets_of
+from mcspectra.variance.profiling.lines import COARSE, Lines, grain, lines_of, mean_dimension
 from mcspectra.variance.profiling.samples import NETS, Curve, Sets, curve_of
 
 if TYPE_CHECKING:
@@ -51,6 +52,9 @@ _FITTED = 64  # points of each net, that changes are fitted to
 _DEPENDENT = 0.7  # of all draws: fewer effective ones are a cause
 _LEAST_CHECKED = 4  # points that a change is measured at
 _GIVEN_COUNTS = 5
+_LEAST_SETS = 3
+_THEORY = 0.08  # of a rate, at counts of points that are not large
+_WEIGHTED = 3  # functions: f, pdf and sample
 _MANY = 4  # dims, from which on it matters how many g varies with at once
 
 
@@ -131,8 +135,8 @@ class Profile:
     Attributes
     ----------
     integral, interval
-        The mean of all nets, and its 95 % interval by Student's t; infinite where the variance is, or where
-        a few evaluations make it.
+        The mean of all nets, and its 95 % interval; infinite where the variance is, or where a few
+        evaluations make it.
     calls, budget
         Evaluations of f that were made, and that were allowed.
     variance, rate, rate_ci
@@ -216,6 +220,7 @@ class Profile:
             low, high = curve.rate_ci
             known = curve.rate_se == 0.0
             rate = f"{curve.rate:.2f}" + ("" if known else f" ({low:.2f} to {high:.2f})")
+            rate = "none" if math.isnan(curve.rate) else rate
             rows.append(
                 (name, f"{math.sqrt(curve.at(self.points)[0]):.3g}", rate.replace("-", "−"))
             )
@@ -321,8 +326,8 @@ def profile(
     Parameters
     ----------
     f
-        A vectorised function of points (k, d) to values (k,), an integrand, an estimator, or a spec; or
-        draws of Markov chains, or independent estimates, as `chain_error` takes them, which are not
+        A vectorised function of points (k, d) to values (k,), an integrand, an estimator, or a spec; three
+        functions (f, pdf, sample), where points are drawn by sample(u) and weighted with 1/pdf; or draws of Markov chains, or independent estimates, as `chain_error` takes them, which are not
         sampled further.
     sampler
         What is used today.
@@ -353,13 +358,21 @@ def profile(
     >>> found.causes[0].name, found.best.name
     ('kink', 'sobol | owen')
     """
-    if not isinstance(f, AbstractEstimator | Integrand | str) and not callable(f):
+    weighted = isinstance(f, tuple) and len(f) == _WEIGHTED and all(map(callable, f))
+    if not (isinstance(f, AbstractEstimator | Integrand | str) or callable(f) or weighted):
         return _of_draws(f)
     limit = as_integer("budget", budget, least=_LEAST, most=2**30)
-    given = _as_integrand(f, dims, limit, vectorized=vectorized, workers=workers, cache=cache)
+    function, *density = f if weighted else (f,)
+    given = _as_integrand(
+        function, dims, limit, vectorized=vectorized, workers=workers, cache=cache
+    )
     calls = given.function if isinstance(given, FunctionIntegrand) else None
     with calls if isinstance(calls, Calls) else contextlib.nullcontext():
         estimator = as_estimator(given, dims)
+        if density:  # not checked here, as what it does wrong is a cause
+            pdf, sample = density
+            own = FunctionDensity(dims=estimator.dims, pdf_function=pdf, sample_function=sample)
+            estimator = Estimator(given, own)
         subject = Subject(estimator, as_sampler(sampler, estimator.dims))
         Profiling(budget=limit).need(subject)
         found = _profiled(subject, limit, Stream.from_rng(rng))
@@ -386,6 +399,11 @@ def _of_draws(draws: Any) -> Profile:
     if name == "none" and float(found["ess_ci"][1]) < _DEPENDENT * count:
         name = "correlated-replicates"
         sentence = f"The {count:,} draws depend on each other and count as {effective:,.0f}."
+    step = grain(draws) if isinstance(draws, np.ndarray) else 0.0
+    spread = float(found["mcse"]) * math.sqrt(effective)
+    if name == "none" and step > COARSE * spread:
+        name, evidence = "float-drift", {"step": step, "spread": spread}
+        sentence = f"Draws are rounded to steps of {step:.2g}, beside a spread of {spread:.2g}."
     low, high = found["mean_ci"].values.tolist()
     return Profile(
         subject="draws",
@@ -461,22 +479,22 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         calls += made * estimator.evaluations_per_point
 
     # The sampler as given
-    not_tried = []
+    not_tried, replicates = [], None
     if apart:
         try:
-            curve, cost = _measured(estimator, given, int(_GIVEN * budget), stream.child(99))
+            curve, replicates, cost = _measured(
+                estimator, given, int(_GIVEN * budget), stream.child(99)
+            )
             curves[given.spec] = curve
             calls += cost
         except McspectraError as error:
             not_tried.append(f"{given.spec}: {error}")
 
-    evidence = Evidence(estimator, given, sets, curves, tuple(lines), mean)
+    evidence = Evidence(estimator, given, sets, curves, tuple(lines), mean, replicates)
     causes = causes_of(evidence)
-    # Sets seldom reach what grows at the border: theory knows the rate better than they show it
-    grows = next((c.evidence["exponent"] for c in causes if c.name == "border-growth"), 0.0)
-    if grows:
-        slowest = -2.0 * (1.0 - grows)
-        curves |= {k: replace(c, rate=max(c.rate, slowest)) for k, c in curves.items()}
+    curves |= {
+        name: _by_theory(name, curve, causes, estimator.dims) for name, curve in curves.items()
+    }
     # What is the same every time, or was not measured, is no reference
     fixed = any(cause.name == "deterministic-set" for cause in causes)
     reference = "random" if fixed or given.spec not in curves else given.spec
@@ -489,12 +507,17 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         )
         calls += cost
     curve = curves.get(given.spec, curves[NETS])
-    infinite = any(cause.name == "infinite-variance" for cause in causes)
+    # Values that rest on few of them say nothing of what they missed, unless lines have seen how g grows
+    names = {cause.name for cause in causes}
+    infinite = "infinite-variance" in names
+    resolved = bool(Moments.of(sets.pooled, tails=True).resolved)
+    known = not infinite and "wrong-pdf" not in names
+    known &= resolved or "border-growth" in names
     return Profile(
         subject=estimator.spec,
         given=given.spec,
         integral=float(sets.estimates.mean()),
-        interval=_interval(sets, infinite),
+        interval=sets.interval if known else (-math.inf, math.inf),
         calls=calls,
         budget=budget,
         variance=math.inf if infinite else curve.at(budget // each)[0],
@@ -508,6 +531,21 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         points=budget // each,
         reference=reference,
     )
+
+
+def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int) -> Curve:
+    """A curve with what its causes say of its rate."""
+    names = {cause.name: cause for cause in causes}
+    if "infinite-variance" in names:
+        return replace(curve, rate=math.nan, rate_se=math.nan)
+    # Sets seldom reach what grows at the border
+    if "border-growth" in names:
+        slowest = -2.0 * (1.0 - names["border-growth"].evidence["exponent"])
+        return replace(curve, rate=max(curve.rate, slowest))
+    # Of n strata n^(1 − 1/d) meet a jump
+    if causes[0].name == "interior-jump" and name in {NETS, "jittered"}:
+        return curve.towards(-1.0 - 1.0 / dims, _THEORY)
+    return curve
 
 
 def _as_integrand(f: Any, dims: int | None, budget: int, **calling: Any) -> Any:
@@ -536,12 +574,17 @@ def _scalar(estimator: AbstractEstimator, values: Array) -> Array:
 
 def _measured(
     estimator: AbstractEstimator, sampler: Sampler, evaluations: int, stream: Stream
-) -> tuple[Curve, int]:
+) -> tuple[Curve, Replicates, int]:
     """The curve of a sampler by sets of its own, within so many evaluations, and how many it took."""
     each = sum(estimator.counts) * estimator.evaluations_per_point
+    sets = int(min(_NETS, sets_of(sampler)))
+    if sets < _LEAST_SETS:
+        raise CountError(f"{sampler.spec} has {sets} sets; give {_LEAST_SETS} or more.")
     setup, counts = Setup(estimator, sampler), list[int]()
+    while sets > _LEAST_SETS and affordable_count(setup, evaluations // (2 * sets)) is None:
+        sets -= 1
     for k in range(_GIVEN_COUNTS):
-        n = affordable_count(setup, evaluations // (_NETS << k + 1))
+        n = affordable_count(setup, evaluations // (sets << k + 1))
         if n is not None and n not in counts:
             counts.append(n)
     if not counts:
@@ -549,15 +592,19 @@ def _measured(
             f"{sampler.spec} has no count of points that fits into {evaluations} evaluations."
         )
     counts.sort()
-    estimates = [_estimates(estimator, sampler, n, stream) for n in counts]
-    return curve_of(counts, estimates), sum(counts) * _NETS * each
+    found = [_estimates(estimator, sampler, n, sets, stream) for n in counts]
+    last = Replicates(found[-1][0], found[-1][1])
+    return curve_of(counts, [e for e, _ in found]), last, sum(counts) * sets * each
 
 
-def _estimates(estimator: AbstractEstimator, sampler: Sampler, n: int, stream: Stream) -> Array:
-    """Independent estimates."""
-    points = estimator.draw(estimator.randomized(sampler), n, stream.child(n), 0, _NETS)
+def _estimates(
+    estimator: AbstractEstimator, sampler: Sampler, n: int, sets: int, stream: Stream
+) -> tuple[Array, int]:
+    """Independent estimates, and how many of their sets are different."""
+    points = estimator.draw(estimator.randomized(sampler), n, stream.child(n), 0, sets)
     values = [_scalar(estimator, estimator.primary_values(t, u)) for t, u in enumerate(points)]
-    return np.asarray(sum(v.mean(axis=1) for v in values))
+    different = len(np.unique(np.concatenate([p.reshape(sets, -1) for p in points], 1), axis=0))
+    return np.asarray(sum(v.mean(axis=1) for v in values)), different
 
 
 def _best(
@@ -631,7 +678,7 @@ def _improved(
         if n is None or n < _LEAST_CHECKED:
             continue
         cost = n * offer.estimator.evaluations_per_point / estimator.evaluations_per_point
-        curve = curve_of([n], [_estimates(offer.estimator, sampler, n, stream)])
+        curve = curve_of([n], [_estimates(offer.estimator, sampler, n, _NETS, stream)[0]])
         calls = n * _NETS * offer.estimator.evaluations_per_point
         base = evidence.curves[given if best is None else best.name]
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
@@ -645,16 +692,3 @@ def _improved(
         found = _change(evidence.curves, given, at_budget, offer.name, change, after, setup)
         return found, offer.name, calls
     return best, "", 0
-
-
-def _interval(sets: Sets, infinite: bool) -> tuple[float, float]:
-    """95 % interval of the mean over all nets; infinite where values say nothing of what they missed."""
-    from scipy.special import stdtrit
-
-    values = sets.estimates
-    pooled = Moments.of(sets.pooled, tails=True)
-    if infinite or not pooled.resolved:
-        return -math.inf, math.inf
-    half = float(stdtrit(len(values) - 1, 0.975)) * math.sqrt(values.var(ddof=1) / len(values))
-    middle = float(values.mean())
-    return middle - half, middle + half

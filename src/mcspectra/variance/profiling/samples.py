@@ -6,14 +6,16 @@ sizes; the variance between evaluations of different nets in one cell is what ji
 between nets in one slab of an axis what Latin hypercubes leave; that of all what random points leave.
 Products of values of one net are left out where it would make them unlike independent ones.
 
-Errors are jackknifed over the nets: the estimates at all counts move together, and the rate knows.
+Errors are jackknifed over the nets: the estimates at all counts move together, and the rate knows. It is
+one over the last octaves; before them it drifts by a random walk from octave to octave, whose step is as
+likely as the curve makes it: what is straight is known by all its counts, what bends by the last ones.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import final
 
@@ -27,9 +29,10 @@ __all__ = ["NETS", "Curve", "Sets", "curve_of"]
 NETS = "sobol | owen"
 _SLABS = 32  # along an axis, of Latin hypercubes
 _JITTERED_DIMS = 3
-_OCTAVES = 3  # at the end, that a rate is fitted to,
-_MOST_OCTAVES = 8  # and as many as lie on a line with these
-_AGREES = 1.0  # standard errors of the difference
+_OCTAVES = 3  # at the end, of one rate
+_DRIFTS = 0.05, 0.1, 0.2, 0.4  # of the rate, an octave
+_FLOOR = 0.02  # of a logarithm: no curve is straighter
+_AGREES = 2.0  # standard errors
 
 
 @final
@@ -68,6 +71,14 @@ class Curve:
         away = math.log(n / self.counts[-1])
         value = float(self.variance[-1]) * math.exp(slope * away)
         return value, math.hypot(float(self.relative_se[-1]), away * (self.rate_se or 0.0))
+
+    def towards(self, rate: float, error: float) -> Curve:
+        """The mean of its rate and one of theory, to so much, unless they contradict each other."""
+        if not abs(self.rate - rate) <= _AGREES * math.hypot(self.rate_se, error):
+            return self
+        share = error**2 / (error**2 + self.rate_se**2)
+        mean = share * self.rate + (1.0 - share) * rate
+        return replace(self, rate=mean, rate_se=math.sqrt(share) * self.rate_se)
 
     @property
     def rate_ci(self) -> tuple[float, float]:
@@ -142,6 +153,26 @@ class Sets:
         """All values of g, those of the technique that varies most."""
         return np.asarray(max(self.values, key=lambda v: float(v.var()))).ravel()
 
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the mean over all nets.
+
+        The hull of Student's t and of Hall's transform of it, cubic in the skewness [Hall1992]_: both are the
+        same where nets' means are normal, and what is skewed reaches further to the side of its tail.
+        """
+        from scipy.special import stdtrit
+
+        found, count = self.estimates, len(self.estimates)
+        mean, spread = float(found.mean()), float(found.std(ddof=1))
+        below = above = t = float(stdtrit(count - 1, 0.975))
+        skew = math.sqrt(count) / ((count - 1) * (count - 2))
+        skew *= float((((found - mean) / max(spread, 1e-300)) ** 3).sum())
+        if spread**2 > rounding_floor(np.array(mean)) and skew:
+            below = max(t, 3.0 * (math.cbrt(1.0 + skew * (t - skew / 6.0)) - 1.0) / skew)
+            above = max(t, 3.0 * (1.0 - math.cbrt(1.0 - skew * (t + skew / 6.0))) / skew)
+        error = spread / math.sqrt(count)
+        return mean - below * error, mean + above * error
+
     def curves(self) -> dict[str, Curve]:
         """The variance of each sampler that the evaluations tell of."""
         counts = 2 ** np.arange(self.n.bit_length())
@@ -199,29 +230,27 @@ def _fitted(counts: Array, found: Array, left: Array, size: float, rate: float |
     error = np.sqrt(np.diag(covariance))
     if rate is not None:
         return Curve(counts, found, error, rate, 0.0, degrees)
-    octaves = np.log2(counts[-1] / counts)
-    y, slope = np.log(found), np.zeros(len(counts))
-    for width in range(_OCTAVES, _MOST_OCTAVES + 1):
-        late = octaves < width + 0.5
-        if late.sum() < 2:
-            continue
-        own = np.zeros(len(counts))
-        x, weight = np.log(counts[late]), 1.0 / np.maximum(error[late], 1e-3) ** 2
-        own[late] = weight * (x - np.average(x, weights=weight))
-        own[late] /= own[late] @ x
-        if not slope.any():
-            slope = first = own
-        elif abs((own - first) @ y) <= _AGREES * math.sqrt(
-            (own - first) @ covariance @ (own - first)
-        ):
-            slope = own
-        else:
-            break
-    if not slope.any():
+    if len(counts) < 2:
         return Curve(counts, found, error, math.nan, math.nan, degrees)
-    # A curve that bends less than its noise shows is known less well than its longest line
-    rate_se = math.hypot(math.sqrt(max(slope @ covariance @ slope, 0.0)), (slope - first) @ y)
-    return Curve(counts, found, error, float(slope @ y), rate_se, degrees)
+    x, y = np.log(counts / counts[-1]), np.log(found)
+    line, octave = np.stack([np.ones_like(x), x], axis=1), math.log(2.0)
+    turns = octave * np.arange(_OCTAVES, max(round(-x[0] / octave), _OCTAVES))
+    bends = np.maximum(-x[:, None] - turns, 0.0)
+    fits = np.empty((3, len(_DRIFTS)))
+    for k, drift in enumerate(_DRIFTS):
+        bent = drift**2 * bends @ bends.T
+        inverse = np.linalg.inv(np.diag(error**2 + _FLOOR**2) + bent)
+        square = np.linalg.inv(line.T @ inverse @ line)
+        weights = square @ line.T @ inverse
+        rest = y - line @ weights @ y
+        sizes = np.linalg.slogdet(inverse)[1] + np.linalg.slogdet(square)[1]
+        spread = max(weights[1] @ (covariance + bent) @ weights[1], square[1, 1])
+        fits[:, k] = 0.5 * (sizes - rest @ inverse @ rest), weights[1] @ y, spread
+    share = np.exp(fits[0] - fits[0].max())
+    share /= share.sum()
+    slope = float(share @ fits[1])
+    spread = float(share @ (fits[2] + (fits[1] - slope) ** 2))
+    return Curve(counts, found, error, slope, math.sqrt(spread), degrees)
 
 
 def _of_nets(part: _Part, n: int) -> float:
