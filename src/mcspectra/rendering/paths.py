@@ -158,7 +158,8 @@ class PathPixel(Integrand):
         """What each coordinate is used for; those beyond the longest path that was met are unknown."""
         found = self._tracer.dimensions(((self.x, self.y),))
         dims = min(len(found), _MOST_DIMS) if self.dims is None else self.dims
-        return (*found[:dims], *(Dimension(1 + max(d.bounce for d in found), "unknown") for _ in range(dims - len(found))))
+        beyond = Dimension(1 + max(d.bounce for d in found), "unknown")
+        return (*found[:dims], *[beyond] * (dims - len(found)))
 
     @property
     def integral_source(self) -> str:

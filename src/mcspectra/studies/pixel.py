@@ -46,7 +46,14 @@ from mcspectra.variance.terms import variance_terms
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["EFFORTS", "PIXEL_SAMPLERS", "PIXEL_STRATEGIES", "Effort", "analyse_pixel"]
+__all__ = [
+    "EFFORTS",
+    "PIXEL_SAMPLERS",
+    "PIXEL_STRATEGIES",
+    "Effort",
+    "analyse_pixel",
+    "find_pixel",
+]
 
 PIXEL_STRATEGIES = ("light", "bsdf", "balance", "power")
 """Light and BSDF sampling, and multiple importance sampling of both by two heuristics."""
@@ -175,7 +182,7 @@ def analyse_pixel(
     import xarray as xr
 
     # Find the pixel, and check the plan before any work
-    x, y = _find(scene, x, y)
+    x, y = find_pixel(scene, x, y)
     request = as_scene(scene)
     as_integer("dims", dims, least=2, most=3)
     if channel == "rgb":
@@ -298,8 +305,8 @@ def analyse_pixel(
     return tree
 
 
-def _find(scene: Scene, x: int | str, y: int | None) -> tuple[int, int]:
-    """The pixel (x, y), or that of this name."""
+def find_pixel(scene: Scene, x: int | str, y: int | None) -> tuple[int, int]:
+    """Return the pixel (x, y), or that of this name; a ParameterError if there is none."""
     if y is not None and not isinstance(x, str):
         return x, y  # checked against the film by whatever uses it
     if y is not None or not isinstance(x, str):
