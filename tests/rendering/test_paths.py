@@ -11,7 +11,14 @@ from scipy import stats
 
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
-from mcspectra.rendering import builtin, load_mitsuba, load_scene, path_pixel
+from mcspectra.rendering import (
+    builtin,
+    load_mitsuba,
+    load_scene,
+    map_tiles,
+    path_pixel,
+    variance_map,
+)
 from mcspectra.rendering.paths import Dimension, find_integrator
 from mcspectra.rendering.scenes import as_scene
 
@@ -192,4 +199,60 @@ def test_bad_input_is_one_sentence(change: dict[str, Any], message: str) -> None
     given = {"scene": small(cornell()), "x": 6, "y": 5} | change
     with pytest.raises(ParameterError, match=message) as caught:
         path_pixel(**given)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_map_agrees_with_mitsubas_renders_at_all_pixels() -> None:
+    scene = small(cornell())
+    found = variance_map(scene, integrator="scene", sampler="random", counts=(16, N),
+                         realizations=REPEATS, points="own", rng=5)  # fmt: skip
+    theirs = renders(scene, "scene")
+    mean, variance = found["mean"].values[0], found["variance"].values[0, -1]
+    seen = theirs.var(axis=0) > 0
+    assert seen.sum() > 50
+    assert np.array_equal(variance > 0, seen)
+    level = stats.norm.isf((1 - (1 - FALSE_ALARM) ** (1 / (2 * seen.sum()))) / 2)
+    mean, variance, theirs = mean[seen], variance[seen], theirs[:, seen]
+    their_variance = theirs.var(axis=0, ddof=1)
+    error = np.sqrt((variance + their_variance) / REPEATS)
+    assert (np.abs(mean - theirs.mean(axis=0)) < level * error).all()
+    # Variances by the ratio's logarithm: nearer to normal than the ratio
+    squares = (theirs - theirs.mean(axis=0)) ** 2
+    their_se = squares.std(axis=0) / squares.mean(axis=0) / REPEATS**0.5
+    both = np.hypot(their_se, found["variance_relative_se"].values[0, -1][seen])
+    assert (np.abs(np.log(variance / their_variance)) < level * both).all()
+
+
+def test_a_pixel_of_a_map_is_what_convergence_measures(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene: Any = small(cornell())
+    given: dict[str, Any] = {"integrator": "path(max_depth=3)", "realizations": 16, "rng": 9}
+    whole = variance_map(scene, **given)
+    assert whole.attrs["integrator"] == "path(max_depth=3)"
+    assert whole["n"].values.tolist() == [4, 16, 64]
+    f = path_pixel(scene, 6, 5, integrator="path(max_depth=3)")
+    alone = mcs.convergence(f, "sobol | owen", (4, 16, 64), realizations=16, rng=9)
+    # The same values, added up in another order
+    ours = whole["variance"].sel(x=6, y=5)[0]
+    np.testing.assert_allclose(alone["variance"], ours, rtol=1e-12)
+    monkeypatch.setattr(map_tiles, "TILE_LANES", 16 * 7)
+    in_tiles = variance_map(scene, crop=(5, 4, 4, 3), **given)
+    one = variance_map(scene, crop=(6, 5, 1, 1), **given)
+    part = whole.isel(x=slice(5, 9), y=slice(4, 7))
+    np.testing.assert_array_equal(in_tiles["variance"], part["variance"])
+    np.testing.assert_array_equal(one["variance"][..., 0, 0], whole["variance"].sel(x=6, y=5))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"light": 0}, "light is for direct light"),
+        ({"strategies": ("light",)}, "strategies is for direct light"),
+        ({"integrator": "ptracer"}, "follows no ray"),
+        ({"sampler": "jittered"}, "two or more"),
+        ({"integrator": None, "dims": 4}, "from 2 to 3"),
+    ],
+)
+def test_a_map_refuses_in_one_sentence(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ParameterError, match=message) as caught:
+        variance_map(**({"scene": small(cornell()), "integrator": "path"} | change))
     assert "\n" not in str(caught.value)

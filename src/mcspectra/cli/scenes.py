@@ -364,14 +364,14 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
     option("scene", "scene, e.g. veach, or a Mitsuba XML file"),
     option("--out DIR", "output folder", default="out/map"),
     option("--resume", "go on with the tiles of DIR"),
-    option("--sampler SPEC", "default jittered", default="jittered"),
+    option("--sampler SPEC", "default jittered; with --integrator 'sobol | owen'"),
     option("--workers N", "threads; all processors by default", whole()),
     _map_options,
 )
 def map_(options: argparse.Namespace) -> Answer:
     """Map variance, its rate and what decides it over an image of a scene.
 
-    Writes DIR/maps.exr (all layers), DIR/*.png, *.pdf, DIR/map.json and DIR/report.html;
+    This is about direct light by several strategies; with --integrator, about whole paths. Writes DIR/maps.exr (all layers), DIR/*.png, *.pdf, DIR/map.json and DIR/report.html;
     DIR/study.sqlite keeps what is finished, and --resume goes on from there.
     """
     from mcspectra.cli.analysis import given_options
@@ -386,12 +386,13 @@ def map_(options: argparse.Namespace) -> Answer:
 
     # Refuse what cannot be before there is a folder
     analysis = checked(Map(**given_options(options, Map)))
-    subject = Subject(None, read_sampler(options.sampler, analysis.dims))
+    sampler = analysis.default_sampler if options.sampler is None else options.sampler
+    subject = Subject(None, read_sampler(sampler, analysis.points_dims))
     analysis.need(subject)
     analysis.reduction(subject, Stream.from_rng(0))
 
     # Measure as a study of one map, and write
-    entry = SceneConfig(name="map", samplers=(options.sampler,), kind="map", analysis=analysis)
+    entry = SceneConfig(name="map", samplers=(sampler,), kind="map", analysis=analysis)
     study = StudyConfig(title=f"Map of {options.scene}", seed=options.seed or 0, scenes=(entry,))
     trust = Trust((), (Path(options.scene).parent,))
     run_study(study, options.out, resume=options.resume, workers=options.workers, trust=trust)

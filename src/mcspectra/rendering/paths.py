@@ -57,10 +57,10 @@ __all__ = [
 SCENE_INTEGRATOR = "scene"
 """Means the integrator that the scene itself names."""
 
-_DRY_LANES = 2**14
+_DRY_LANES, _DRY_PIXELS = 2**14, 16  # pixels: along each side of a window
 _PAIR = ("x", "y")
 _MOST_DIMS = 64  # unless more are asked for: analyses by axes take no more
-_TABLE_NUMBERS = 2**25  # of one kernel: 128 MiB
+_TABLE_NUMBERS, _LANES = 2**25, 2**20  # of one kernel: 128 MiB
 _PATH = ((2, "light"), (1, "lobe"), (2, "direction"), (1, "roulette"))
 _ORDERS = {
     # class: requests of one bounce, how many numbers each and what they decide
@@ -196,6 +196,17 @@ def path_pixel(
     return PathPixel(scene=scene, x=x, y=y, **given)
 
 
+def path_dims(tracer: Tracer, window: tuple[int, int, int, int]) -> int:
+    """Coordinates of paths through a window (x0, y0, width, height) of the tracer's grid.
+
+    As many as those through 256 pixels, evenly laid over the window, ask for, 64 at most.
+    """
+    x0, y0, width, height = window
+    xs = np.unique(x0 + np.linspace(0, width - 1, _DRY_PIXELS).astype(int)).tolist()
+    ys = np.unique(y0 + np.linspace(0, height - 1, _DRY_PIXELS).astype(int)).tolist()
+    return min(len(tracer.dimensions(tuple((x, y) for y in ys for x in xs))), _MOST_DIMS)
+
+
 @final
 @dataclass(frozen=True)
 class Tracer:
@@ -217,14 +228,14 @@ class Tracer:
         Samples u are (R, n, D) for all pixels alike, or (R, P, n, D). Values that are not finite are
         a ParameterError.
         """
-        samples, own = u.shape[-2], u.ndim == 4
-        step = max(1, _TABLE_NUMBERS // (u[0].size * (1 if own else len(pixels))) if u.size else 1)
+        numbers = max(u[0].size, 1) if len(u) else 1
+        step = max(1, min(_TABLE_NUMBERS // numbers, _LANES // len(pixels)))
         parts = []
         for start in range(0, len(u), step):
             with LOCK:
                 parts.append(self._sums(u[start : start + step], pixels))
         shape = (0, len(pixels), 3 if self.channel == "rgb" else 1)
-        found = np.concatenate([np.zeros(shape), *parts]) / samples
+        found = np.concatenate([np.zeros(shape), *parts]) / u.shape[-2]
         check_finite(found.swapaxes(0, 1), self.scene, pixels)
         return np.asarray(found if self.channel == "rgb" else found[..., 0])
 

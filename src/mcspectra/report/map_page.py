@@ -51,6 +51,7 @@ _STRATEGIES = {
     "mis-light": "MIS, light share",
     "mis-bsdf": "MIS, BSDF share",
     "mis": "MIS",
+    "path": "whole paths",
 }
 """As the maps call them."""
 
@@ -64,6 +65,8 @@ _ROUTES = {
 
 _PROVENANCE = {
     "scene": "Scene",
+    "integrator": "Integrator",
+    "dims": "Dims",
     "sampler": "Sampler",
     "seed": "Seed",
     "realizations": "Realisations",
