@@ -10,9 +10,10 @@ import pytest
 from scipy import stats
 
 import mcspectra as mcs
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import IncompleteImageWarning, ParameterError
 from mcspectra.rendering import (
     builtin,
+    check_scene,
     load_mitsuba,
     load_scene,
     map_tiles,
@@ -256,3 +257,18 @@ def test_a_map_refuses_in_one_sentence(change: dict[str, Any], message: str) -> 
     with pytest.raises(ParameterError, match=message) as caught:
         variance_map(**({"scene": small(cornell()), "integrator": "path"} | change))
     assert "\n" not in str(caught.value)
+
+
+def test_a_scene_that_says_path_is_warned_of_where_direct_light_is_measured() -> None:
+    scene = cornell()
+    given: dict[str, Any] = {"crop": (9, 5, 2, 2), "counts": (4, 16), "realizations": 4}
+    with pytest.warns(IncompleteImageWarning, match=r"PathIntegrator.*direct light alone"):
+        found = variance_map(small(scene), **given)
+    assert "direct light alone" in found.attrs["scene_note"]
+    assert [s for s in check_scene(small(scene)) if "PathIntegrator" in s]
+    # Not where it is measured, where it says direct, or where nothing is said: warnings are errors
+    assert not variance_map(small(scene), integrator="scene", **given).attrs["scene_note"]
+    scene["integrator"] = {"type": "direct"}
+    variance_map(small(scene), **given)
+    del scene["integrator"]
+    assert not check_scene(small(scene))

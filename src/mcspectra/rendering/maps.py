@@ -36,7 +36,14 @@ from mcspectra.rendering.map_tiles import (
 )
 from mcspectra.rendering.paths import Tracer, path_dims
 from mcspectra.rendering.pixel import check_channel
-from mcspectra.rendering.scene_checks import camera_rays, check_lights, check_scene, warn_lens
+from mcspectra.rendering.scene_checks import (
+    camera_rays,
+    check_lights,
+    check_scene,
+    integrator_note,
+    warn_integrator,
+    warn_lens,
+)
 from mcspectra.rendering.scenes import Scene, as_scene, film_size, scene_name, sensor_of
 from mcspectra.samplers import Sampler, as_sampler
 
@@ -170,6 +177,7 @@ class Map(Analysis, frozen=True, kw_only=True):
             if self.integrator is None:
                 check_lights(scene, self.light)
                 warn_lens(scene)
+                warn_integrator(scene)
         window = x0, y0, width, height = self._window(grid)
         sampler, tracer = subject.sampler, None
         if self.integrator is not None:
@@ -456,6 +464,7 @@ def labelled(
         channel=lighting.channel,
         points="own" if measurement.own else "shared",
         smoothing=smoothing,
+        scene_note=integrator_note(lighting.scene) if tracer is None else "",
         integrator="direct light" if tracer is None else tracer.integrator,
         dims=measurement.sampler.dims,
         camera=camera_rays(lighting.scene) if tracer is None else "sampled",

@@ -254,7 +254,9 @@ def _share(values: Array, label: int) -> float:
 
 
 def _sentences(summary: Mapping[str, Any]) -> Iterator[str]:
-    """Say what the shares of pixels mean."""
+    """Say what is not measured, and what the shares of pixels mean."""
+    if summary.get("scene_note"):
+        yield summary["scene_note"]
     if math.isfinite(summary.get("bottleneck", {}).get("bsdf", math.nan)):
         share = summary["bottleneck"]
         yield (

@@ -25,7 +25,7 @@ from mcspectra.quality.jumps import curve_length
 from mcspectra.rendering.backend import LOCK
 from mcspectra.rendering.pixel import Pixel, View, check_view, describe_pixel, incident_light
 from mcspectra.rendering.pixel_mis import pixel_mis
-from mcspectra.rendering.scene_checks import camera_rays
+from mcspectra.rendering.scene_checks import camera_rays, integrator_note, warn_integrator
 from mcspectra.rendering.scenes import (
     Scene,
     as_scene,
@@ -188,6 +188,7 @@ def analyse_pixel(
     if channel == "rgb":
         raise ParameterError("channel is 'rgb'; give 'luminance', 0, 1 or 2, one at a time.")
     view = check_view(View(request, x, y, light, channel, dims), bsdf=True)
+    warn_integrator(request)
     chosen = EFFORTS[as_choice("effort", effort, tuple(EFFORTS))]
     if isinstance(samplers, str) or not samplers:
         raise ParameterError(f"samplers is {samplers!r}; give a list of samplers.")
@@ -282,6 +283,7 @@ def analyse_pixel(
         "y": view.y,
         **describe_pixel(request, view.x, view.y),
         "camera": camera_rays(request),
+        "scene_note": integrator_note(request),
         "light": "all" if light is None else light,
         "lights": lights,
         "channel": view.channel,
