@@ -10,6 +10,8 @@ from .image import compare_strategies as compare_strategies
 from .image import reference as reference
 from .image import render as render
 from .maps import variance_map as variance_map
+from .paths import PathPixel as PathPixel
+from .paths import path_pixel as path_pixel
 from .pixel import Pixel as Pixel
 from .pixel import describe_pixel as describe_pixel
 from .pixel import pixel_strategies as pixel_strategies
@@ -30,6 +32,7 @@ from .wavefront import Wavefront as Wavefront
 __all__ = [
     "SCENES",
     "MitsubaSampler",
+    "PathPixel",
     "Pixel",
     "PixelMIS",
     "Wavefront",
@@ -42,6 +45,7 @@ __all__ = [
     "load_mitsuba",
     "load_scene",
     "named_pixels",
+    "path_pixel",
     "pixel_mis",
     "pixel_strategies",
     "project",

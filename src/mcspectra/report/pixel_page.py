@@ -203,6 +203,7 @@ def about_pixel(tree: xr.DataTree) -> list[tuple[str, str]]:
         ("lights", f"{shown}{more}"),
         ("lit by", "all of them" if known["light"] == "all" else f"{known['light']} alone"),
         ("value", f"{number(known['value'], 5)} (direct illumination, {channel})"),
+        *([("not shown", known["scene_note"])] if known.get("scene_note") else []),
         *([] if camera == _PINHOLE else [("camera", f"its ray starts at the {camera}")]),
     ]
 
