@@ -11,7 +11,7 @@ from mcspectra.core.streams import Stream
 from mcspectra.variance.prediction.known import Known
 from mcspectra.variance.prediction.subsets import of_subsets
 
-RESOLVED = 0.01  # relative error of curves between nodes that the route itself allows for
+RESOLVED = 0.01  # relative error of curves with jumps that the route itself allows for
 STREAM = Stream.from_rng(3)
 
 
@@ -118,6 +118,19 @@ class TestExact:
         exact = float((inside * (1.0 - inside)).sum()) / n**2
         found = predicted(known, "sobol | owen", n)
         assert found.variance[0] == pytest.approx(exact, rel=0.05)  # 1/64 of a cell, four times
+
+    def test_exact_variances_with_a_loose_tolerance(self):
+        """Cells of 64 points in 5-D are too many; sums of products know the variance to 1 %."""
+        f, sampler = mcs.integrand("gaussian", dims=5), mcs.sampler("sobol | owen", dims=5)
+        with pytest.raises(NoClosedForm, match="evaluations"):
+            mcs.exact_variance(f, sampler, 64)
+        found = mcs.exact_variance(f, sampler, 64, tolerance=1e-2)
+        measured = mcs.convergence(f, sampler, [64], realizations=4000, rng=3)
+        low, high = measured.variance_ci.values[0]
+        error = (high - low) / (2 * 1.96)
+        assert abs(found - float(measured.variance[0])) <= 0.01 * found + 4 * error
+        with pytest.raises(NoClosedForm, match="evaluations"):
+            mcs.exact_variance(f, sampler, 64, tolerance=1.5e-3)  # finer than curves are known
 
 
 class TestReferences:

@@ -81,7 +81,7 @@ def of_levels(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predict
 
     References
     ----------
-    [Owen1997]_, [Stein1987]_, [Haber1967]_, [DickPillichshammer2010]_
+    [Owen1997]_, [Haber1967]_, [DickPillichshammer2010]_
     """
     chain = sampler.as_chain(n)
     if chain.fixed:

@@ -68,7 +68,7 @@ _CELLS = 1 << 12  # along an axis, for correlations
 _FINE, _FINEST = 1 << 14, 1 << 18  # and for single axes, where smooth and with jumps
 _TORUS = 1 << 15  # differences on the torus
 _START = 0.3  # spread of what a new product begins with
-_RESOLVED = 0.01  # relative error of curves between their nodes
+_RESOLVED = (2e-3, 0.01)  # relative error of curves between their nodes: smooth, and with jumps
 _MOST_WORK = 2.0**34  # pairs of points times axes times groups
 _DRAWS = 8  # of a set that is random before its shift or scramble
 _LATIN = ("latin-hypercube", "n-rooks")
@@ -141,7 +141,10 @@ def of_subsets(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predic
         value = ones[0] + more + tail
         drawn = _half(sets) if len(sets) > 1 else 0.0
         seen = p.half / p.variance if p.variance > 0.0 else 0.0  # of peaks, that few points meet
-        error = math.hypot(float(_half(ones[1:])), half, drawn, _RESOLVED * value, seen * value)
+        rough = any(len(axis.knots) > 2 for axis in p.axes)
+        rough |= law.leaves_cells and 32 * n > _FINEST
+        between = _RESOLVED[rough] * value
+        error = math.hypot(float(_half(ones[1:])), half, drawn, between, seen * value)
         share = max(0.0, 1.0 - p.residual / p.variance) if p.variance > 0.0 else 0.0
         found.append((value, error, share, tail))
     variance, error, share, tail = np.array(found).T
@@ -215,12 +218,17 @@ class _Law:
     levels: tuple[int, ...]
     latin: bool = False  # all points differ in the first digit
 
+    @property
+    def leaves_cells(self) -> bool:
+        """Whether what varies within the n-ths of an axis is all that is left of sums over axes."""
+        return self.latin or self.kind != "digits"
+
     def table(self, axis: int, parts: _Parts) -> tuple[Array, Array, Array]:
         """Covariances of g_i (1 + groups, differences), of pairs of h_ri, and the means of h_ri."""
         base, curves = self.bases[axis], parts.axes[axis]
         cells = base ** self.levels[axis]
-        jumps = len(curves.knots) > 2  # what is within a cell depends on where they are
-        k = max(8, min(64 * jumps, _FINEST // cells), _FINE // cells)
+        many = len(curves.knots) > 2 or self.leaves_cells
+        k = max(16, min(64 * many, _FINEST // cells), _FINE // cells)
         k = 1 if base == _TORUS else k
         values = curves.cells(np.concatenate([parts.main[axis], parts.factors[axis]]), cells * k)
         mean = values.mean(axis=-1, keepdims=True)
