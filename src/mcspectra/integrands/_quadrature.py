@@ -330,7 +330,8 @@ def adaptive_integral(function: Integrand) -> Estimate:
     unseen = _SIGMAS * np.sqrt((rest**2).sum(axis=0) + unseen**2)
     function.__dict__["_unseen"] = np.maximum(np.abs(alone), np.abs(rest.sum(axis=0))) + unseen
     error += unseen
-    total += rest.sum(axis=0)
+    shift = rest.sum(axis=0)
+    total += np.where(np.abs(shift) > np.sqrt((rest**2).sum(axis=0)), shift, 0.0)
     return Estimate(total, float(error.max()), method)
 
 

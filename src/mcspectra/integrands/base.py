@@ -487,8 +487,8 @@ def fourier_accuracy(integrand: Integrand, half_width: int) -> tuple[str, float]
 def numeric_integral(integrand: Integrand) -> Any:
     """∫ f by quadrature: a float, or an array (channels,).
 
-    Up to 5 dims, Gauss-Legendre on boxes that are cut at the breaks and split adaptively to 1e-12 of
-    ∫|f| or 2^21 evaluations; beyond, the mean over 2^20 points of a Kronecker sequence, to be
+    Up to 5 dims, Gauss-Legendre on boxes that are cut at the breaks, and at jumps across an axis that
+    lines see, and split adaptively to 1e-12 of ∫|f| or 2^21 evaluations; beyond, the mean over 2^20 points of a Kronecker sequence, to be
     trusted to three to six digits. An integrand that has a rule of its own, as pixels have, is
     integrated by that. `integral_accuracy` estimates the error.
     """

@@ -185,22 +185,27 @@ def exact_variance(
     -------
     float or ndarray
         The variance; an array (channels,) where f has several. Its relative error is less than
-        `tolerance`; infinite where ∫g² diverges, exactly 0 where it is no more than rounding.
+        `tolerance`; infinite where ∫g² diverges; exactly 0 where it is no more than rounding, of
+        integrands whose integral is known alone.
 
     Raises
     ------
     NoClosedForm
         Not known for this sampler, or the quadrature does not converge (discontinuities that are
-        neither axis-aligned nor integrated in closed form).
+        neither axis-aligned nor integrated in closed form); or g was the same wherever it was looked at,
+        and nobody said that it is constant.
     ParameterError
         `tolerance` is no number from 1e-12 to 1.
 
     Notes
     -----
+    Jumps and poles across an axis that g does not declare are found along lines, and cells are cut there.
     Where ∫g is not known in closed form, the sums of the quadrature are compared with integrals that
     2^17 points look after: a slab across an axis of width 2^-17 or more is found, any other region of
     volume v, in which g differs, with probability 1 − exp(−2^17 v): 1 − 5e-5 for v = 8e-5. Narrower
-    peaks may be missed, and their variance with them.
+    peaks may be missed, and their variance with them. What these points alone saw is looked at again at
+    2^18 others, and counts in the error. ∫g² is infinite where g grows across an axis like t^-½ or faster
+    (from an exponent of 0.4995 on), or where quadrature does not see its poles shrink.
 
     Examples
     --------

@@ -58,6 +58,7 @@ _CENTER = 2**10  # points whose mean is subtracted before g is squared
 _POLE = 2.0  # times the largest value at the probe, which g² exceeds next to a pole
 _SUSPECT = 0.01  # relative error, beyond which there may be a pole, and all levels are worth it
 _LOOKED_DIMS = 5
+_HIDDEN = 0.1  # of an error: regions that nodes do not see have a small part in it
 _GROWTH_LINES, _STEADY = 4, 0.02  # lines, and difference of two slopes of one exponent
 _FAR, _NEAR, _INSIDE = (30, 60, 90, 120), (20, 30, 40, 50), (8, 14, 20, 26)  # log2 of 1/distance
 _DIVERGES = 0.4995  # exponent of g, less what slopes are off by
@@ -441,11 +442,10 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
             by_levels - value - level_errors - error
         )  # levels miss slabs, and boxes ends of poles
         alike = np.abs(by_levels - value) <= level_errors + error
-    better = (
-        alike & (level_errors < error) & ~unseen(g).any()
-        | np.isinf(by_levels)
-        | over_domain & (more > 0.0)
-    )
+    hidden = unseen(g)  # slabs, which levels miss altogether
+    better = alike & (level_errors + hidden < error) & (hidden < _HIDDEN * error)
+    better |= np.isinf(by_levels) | over_domain & (more > 0.0)
+    level_errors = np.where(np.isinf(by_levels), 0.0, level_errors + hidden)
     if not isinstance(g, _Cut):
         error = np.where((more > 0.0) & ~better, error + more, error)
     value, error = np.where(better, by_levels, value), np.where(better, level_errors, error)

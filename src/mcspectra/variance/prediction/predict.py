@@ -287,6 +287,10 @@ def predict(
 
     Notes
     -----
+    All routes cut f at jumps across an axis that lines see, and no interval is narrower than what a
+    probe of 2^17 points saw and the nodes did not; f that is the same at all of them has no prediction,
+    unless its integral is known.
+
     f is evaluated at nodes and on grids of our own, and at points of the samplers by the last route alone,
     *extrapolated from measurements*: 2,000 realisations each of small counts other than n.
 
