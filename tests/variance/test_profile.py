@@ -125,6 +125,8 @@ def test_what_is_infinite_or_rests_on_few_values_has_no_finite_interval():
         dims, function, _ = FUNCTIONS[name]
         found = mcs.profile(function, dims=dims, budget=2048)
         assert not np.isfinite(found.interval).any(), name
+        assert ("inf   none" in found.text) == (name != "peak")
+    assert mcs.profile(FUNCTIONS["pole"][1], dims=1).answer.startswith("Nothing that was tried")
 
 
 def test_the_given_sampler_is_measured_and_its_wrapping_seen():
@@ -254,6 +256,7 @@ def test_a_pdf_that_is_not_normalised_or_not_of_its_sampler_is_a_cause():
     assert wrong.causes[0].name == "wrong-pdf"
     assert wrong.causes[0].evidence["of_one"] == pytest.approx(2 / 3, abs=1e-4)
     assert not np.isfinite(wrong.interval).any()
+    assert wrong.answer.startswith("Mend the density first.")
     other = leading((smooth, lambda x: np.ones(x.shape[:-1]), sample), dims=1)
     assert other.name == "wrong-pdf"
     assert other.evidence["of_one"] == 1.0  # what a constant does not show

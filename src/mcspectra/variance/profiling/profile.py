@@ -182,12 +182,17 @@ class Profile:
         if not self.samplers:
             low, high = self.interval
             return f"The mean of the draws is {self.integral:.6g} (95 %: {low:.6g} to {high:.6g}).{why}"
+        if cause.name == "wrong-pdf":
+            return f"Mend the density first.{why}"
+        if self.best is None and math.isinf(self.variance):
+            return f"Nothing that was tried helps.{why}"
         if self.best is None:
             return f"Keep {self.given}: nothing that was tried is better.{why}"
         best = self.best
+        given = f"{best.rmse_given:.2g}" if math.isfinite(best.rmse_given) else "an infinite one"
         text = (
-            f"{best.change[0].upper()}{best.change[1:]}: RMSE {best.rmse:.2g} instead of "
-            f"{best.rmse_given:.2g} at {self.budget:,} evaluations"
+            f"{best.change[0].upper()}{best.change[1:]}: RMSE {best.rmse:.2g} instead of {given} at "
+            f"{self.budget:,} evaluations"
         )
         if math.isfinite(best.samples_saved) and best.samples_saved > 0:
             needed = float(f"{best.samples_saved + self.budget:.2g}")
@@ -221,9 +226,8 @@ class Profile:
             known = curve.rate_se == 0.0
             rate = f"{curve.rate:.2f}" + ("" if known else f" ({low:.2f} to {high:.2f})")
             rate = "none" if math.isnan(curve.rate) else rate
-            rows.append(
-                (name, f"{math.sqrt(curve.at(self.points)[0]):.3g}", rate.replace("-", "−"))
-            )
+            rmse = math.inf if math.isinf(self.variance) else math.sqrt(curve.at(self.points)[0])
+            rows.append((name, f"{rmse:.3g}", rate.replace("-", "−")))
         return rows
 
     def __str__(self) -> str:
@@ -510,6 +514,9 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     # Values that rest on few of them say nothing of what they missed, unless lines have seen how g grows
     names = {cause.name for cause in causes}
     infinite = "infinite-variance" in names
+    if infinite and best is not None:
+        endless = dict.fromkeys(("rmse_given", "gain", "samples_saved"), math.inf)
+        best = replace(best, **endless, gain_ci=(math.inf, math.inf))  # type: ignore[arg-type]
     resolved = bool(Moments.of(sets.pooled, tails=True).resolved)
     known = not infinite and "wrong-pdf" not in names
     known &= resolved or "border-growth" in names
