@@ -2,7 +2,8 @@
 
 Most of the budget goes to scrambled nets, which tell the variance of several samplers at once (`samples`), a
 fifth to lines that show what is rough (`lines`), some to the sampler that is given, where the nets do
-not tell of it. From these the causes are read (`causes`); what is left measures a change that answers them.
+not tell of it. From these the causes are read (`causes`); what is left measures a change that answers
+them, or antithetic pairs in strata where there is none.
 """
 
 from __future__ import annotations
